@@ -7,8 +7,44 @@ use clap::{CommandFactory, Parser, Subcommand};
 use crate::exit_code;
 use crate::failure::Outcome;
 use crate::{
-    batch, bench, config, demo, gateway, goal, inspect, launch, lockstep, netem, operator, record, slam, wall_following,
+    annotations, batch, bench, config, demo, gateway, goal, inspect, launch, lockstep, netem, operator, record, slam,
+    wall_following,
 };
+
+/// The commands in groups, as `--help` shows them: clap knows groups of options only.
+const GROUPS: [(&str, &[&str]); 7] = [
+    ("Run everything here", &["demo", "up", "run"]),
+    (
+        "Drive",
+        &["goal", "stop", "resume", "teleop", "do", "pose", "lease", "param"],
+    ),
+    ("Map", &["map", "place", "zone"]),
+    ("Look", &["gateway", "topic", "ask", "schema", "bt", "doctor", "config"]),
+    (
+        "Run parts on several machines",
+        &["router", "edge", "cloud", "sim", "netem"],
+    ),
+    ("Record", &["record", "replay", "diff", "report", "film"]),
+    ("Offline", &["plan", "smooth", "slam", "tune", "bench", "completions"]),
+];
+
+/// What stands below the commands.
+const FOOTER: &str = "\
+Examples:
+  zenav up                                   a simulated robot and its cloud on this machine
+  zenav up --map kitchen.yaml --pose -1 -0.5 0
+  zenav goal submit --place sink --wait
+  zenav zone add wet --keep-out 0 -1 0.6 -1 0.6 -0.4 0 -0.4
+  zenav doctor                               what is wrong, and what to do
+
+Exit codes:
+  0 ok  1 failed  2 usage  3 not found  4 cannot connect  5 timeout  6 cancelled  7 rejected  130 interrupted
+
+Environment:
+  RUST_LOG              what is logged, such as info or zenav_cloud=debug
+  NO_COLOR              no colours
+  ZENAV_SECTION__KEY    a value of a deployment (`zenav config show --origin`)
+  USER                  the name under which this user commands";
 
 /// Mobile-robot navigation, split between robot and cloud, over Zenoh.
 #[derive(Debug, Parser)]
@@ -17,12 +53,30 @@ use crate::{
     version,
     about = "Mobile-robot navigation, split between robot and cloud, over Zenoh",
     propagate_version = true,
-    after_help = "Exit codes: 0 ok, 1 failed, 2 usage, 3 not found, 4 cannot connect, 5 timeout, 6 cancelled, 7 rejected, 130 interrupted.\n\
-                  Environment: RUST_LOG sets what is logged; ZENAV_SECTION__KEY sets a value of a deployment (`zenav config show --origin`)."
+    help_template = "{about}\n\n{usage-heading} {usage}{after-help}\n\nOptions:\n{options}",
+    after_help = overview()
 )]
 struct Cli {
     #[command(subcommand)]
     command: Command,
+}
+
+/// The commands in their groups, then the footer.
+fn overview() -> String {
+    let all = Command::augment_subcommands(clap::Command::new("zenav"));
+    let about = |name: &str| {
+        let command = all.get_subcommands().find(|command| command.get_name() == name)?;
+        command.get_about().map(ToString::to_string)
+    };
+    let mut text = String::new();
+    for (group, names) in GROUPS {
+        text.push_str(&format!("{group}:\n"));
+        for name in names {
+            text.push_str(&format!("  {name:<12} {}\n", about(name).unwrap_or_default()));
+        }
+        text.push('\n');
+    }
+    text + "`zenav COMMAND --help` tells more.\n\n" + FOOTER
 }
 
 #[derive(Debug, Subcommand)]
@@ -55,11 +109,23 @@ enum Command {
     Pose(operator::PoseArgs),
     /// Show, acquire or release the command lease of a robot
     Lease(operator::LeaseArgs),
-    /// List, print and measure topics
+    /// Have a robot spin, drive straight, back up or wait
+    Do(operator::DoArgs),
+    /// List, read and set the parameters of a running robot
+    Param(operator::ParamArgs),
+    /// List, add and remove named places of a robot's map
+    Place(annotations::PlaceArgs),
+    /// List, add and remove keep-out and speed zones of a robot's map
+    Zone(annotations::ZoneArgs),
+    /// List, print, measure and publish topics
     Topic(inspect::TopicArgs),
-    /// Save, show, convert and build maps
+    /// Show, save, load, store, convert and build maps
     Map(inspect::MapArgs),
-    /// Validate, show, watch and simulate behaviour trees
+    /// Send a request by hand, and print the answer
+    Ask(inspect::AskArgs),
+    /// Print the JSON Schema of a message
+    Schema(inspect::SchemaArgs),
+    /// Validate, show, watch and simulate behaviour trees; list their nodes
     Bt(inspect::BtArgs),
     /// Record what goes over the bus into an MCAP file, which Foxglove opens
     Record(record::RecordArgs),
@@ -113,7 +179,7 @@ fn init_logging() {
     use std::io::IsTerminal as _;
     let filter = tracing_subscriber::EnvFilter::try_from_default_env()
         .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("info,zenoh=off,zenoh_link=off,zenoh_transport=off"));
-    let colors = std::io::stderr().is_terminal();
+    let colors = std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none();
     // A second initialisation (tests in one process) changes nothing.
     let _ = tracing_subscriber::fmt()
         .with_env_filter(filter)
@@ -139,8 +205,14 @@ fn run(command: Command) -> Outcome {
         Command::Teleop(args) => operator::teleop(&args),
         Command::Pose(args) => operator::pose(&args),
         Command::Lease(args) => operator::lease(&args),
+        Command::Do(args) => operator::maneuver(&args),
+        Command::Param(args) => operator::param(&args),
+        Command::Place(args) => annotations::place(&args),
+        Command::Zone(args) => annotations::zone(&args),
         Command::Topic(args) => inspect::topic(&args),
         Command::Map(args) => inspect::map(&args),
+        Command::Ask(args) => inspect::ask(&args),
+        Command::Schema(args) => inspect::schema(&args),
         Command::Bt(args) => inspect::bt(&args),
         Command::Record(args) => record::record(&args),
         Command::Replay(args) => record::replay(&args),
@@ -162,5 +234,38 @@ fn run(command: Command) -> Outcome {
             crate::output::line(String::from_utf8_lossy(&script).trim_end());
             Ok(exit_code::OK)
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::*;
+
+    #[test]
+    fn every_command_stands_in_one_group_of_the_help() {
+        let all = Cli::command();
+        let known: BTreeSet<&str> = all.get_subcommands().map(clap::Command::get_name).collect();
+        let grouped: Vec<&str> = GROUPS.iter().flat_map(|(_, names)| names.iter().copied()).collect();
+        assert_eq!(grouped.iter().copied().collect::<BTreeSet<_>>(), known);
+        assert_eq!(grouped.len(), known.len());
+    }
+
+    #[test]
+    fn the_command_line_is_sound_and_its_help_tells_codes_and_environment() {
+        Cli::command().debug_assert();
+        let help = Cli::command().render_help().to_string();
+        for part in [
+            "Drive:",
+            "  goal ",
+            "Exit codes:",
+            "NO_COLOR",
+            "ZENAV_SECTION__KEY",
+            "Usage: zenav",
+        ] {
+            assert!(help.contains(part), "{part}: {help}");
+        }
+        assert!(help.lines().all(|line| line.chars().count() <= 120), "{help}");
     }
 }

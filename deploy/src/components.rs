@@ -9,7 +9,8 @@ use std::time::Duration;
 
 use clap::ValueEnum;
 use tokio::task::JoinSet;
-use zenav_cloud::{dispatch, mapping, motion};
+use zenav_cloud::mapping::{self, KnownMap, MappingConfig};
+use zenav_cloud::{dispatch, motion};
 use zenav_edge::{Attached, Body, EdgeConfig, Referee, RemoteBody, ServiceConfig, SimBody};
 use zenav_mission::MissionConfig;
 use zenav_protocol::bus::{Bus, BusConfig, Clock, Shutdown};
@@ -180,13 +181,39 @@ impl Parts {
         });
     }
 
-    /// Starts the mapping of a robot.
-    pub fn mapping(&mut self, deployment: &Deployment, id: &Id) {
+    /// Starts the mapping of robots.
+    ///
+    /// # Errors
+    /// A known map or zones that cannot be read.
+    pub fn mapping(&mut self, deployment: &Deployment, world: &World, robots: &[Id]) -> Result<(), Failure> {
+        let known = match &deployment.mapping.run.map {
+            Some(file) => Some(KnownMap {
+                grid: Arc::new(files::map(file)?),
+                live: deployment.mapping.run.live,
+            }),
+            None => None,
+        };
+        let (places, zones) = (places(world), files::zones(deployment.zones.file.as_deref())?);
+        for id in robots {
+            self.map_robot(
+                MappingConfig {
+                    settings: deployment.mapping.settings.clone(),
+                    poses: deployment.poses(),
+                    folder: Some(deployment.robot_dir(id)),
+                    known: known.clone(),
+                    places: places.clone(),
+                    zones: Arc::clone(&zones),
+                    ..MappingConfig::new(id.as_str())
+                },
+                deployment,
+            );
+        }
+        Ok(())
+    }
+
+    fn map_robot(&mut self, config: MappingConfig, deployment: &Deployment) {
+        let id = config.robot.clone();
         let bus = BusConfig::service(&format!("mapping-{id}"), &deployment.bus.connect);
-        let mut config = mapping::MappingConfig::new(id.as_str());
-        config.settings = deployment.mapping.settings.clone();
-        config.poses = deployment.poses();
-        config.folder = Some(deployment.robot_dir(id));
         self.spawn(format!("mapping {id}"), bus, move |bus, shutdown| async move {
             let clock = Clock::follow(&bus)?;
             mapping::run(bus, clock, config, shutdown)
@@ -269,7 +296,7 @@ impl Parts {
     /// Starts all off-board services of a deployment that run.
     ///
     /// # Errors
-    /// A name that no worker may have.
+    /// A name that no worker may have, a known map or zones that cannot be read.
     pub fn cloud(
         &mut self,
         deployment: &Deployment,
@@ -280,9 +307,7 @@ impl Parts {
         let wanted = |part| which == CloudPart::All || which == part;
         let robots: Vec<Id> = deployment.robot_ids()?.into_iter().map(|(id, _)| id).collect();
         if wanted(CloudPart::Mapping) && deployment.mapping.run.enabled {
-            for id in &robots {
-                self.mapping(deployment, id);
-            }
+            self.mapping(deployment, world, &robots)?;
         }
         if wanted(CloudPart::Mission) && deployment.mission.run.enabled {
             self.missions(deployment, world, &robots)?;
@@ -342,7 +367,7 @@ fn edge_bus(deployment: &Deployment, id: &Id, section: &RobotSection) -> BusConf
 
 async fn run_edge(bus: Bus, service: ServiceConfig, body: Box<dyn Body>, shutdown: Shutdown) -> Result<(), Failure> {
     let endpoints = bus.endpoints().await;
-    tracing::info!(?endpoints, "the robot's own endpoint");
+    tracing::info!(robot = %service.edge.robot, ?endpoints, "the robot's own endpoint");
     zenav_edge::run(bus, service, body, shutdown)
         .await
         .map_err(Failure::failed)

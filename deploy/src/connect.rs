@@ -74,8 +74,10 @@ fn robot_name(text: &str) -> Result<String, String> {
 
 fn endpoint(text: &str) -> Result<String, String> {
     match text.split_once('/') {
-        Some((protocol, address)) if !protocol.is_empty() && !address.is_empty() => Ok(text.to_owned()),
-        _ => Err(format!("expected an endpoint, such as {DEFAULT_ENDPOINT}")),
+        Some(("tcp", address)) if address.contains(':') => Ok(text.to_owned()),
+        _ => Err(format!(
+            "expected an endpoint, such as {DEFAULT_ENDPOINT}: links are over tcp alone"
+        )),
     }
 }
 
@@ -90,6 +92,30 @@ pub fn finite(text: &str) -> Result<f64, String> {
     } else {
         Err("expected a finite number".to_owned())
     }
+}
+
+/// Says that a heading is hardly meant in radians.
+///
+/// # Errors
+/// With what was expected, for a heading beyond a full turn.
+pub fn check_yaw(yaw: f64) -> Result<(), String> {
+    if yaw.abs() <= std::f64::consts::TAU {
+        Ok(())
+    } else {
+        Err(format!(
+            "a heading of {yaw} rad: expected radians within a full turn; {yaw} degrees are {:.3}",
+            yaw.to_radians()
+        ))
+    }
+}
+
+/// A heading on the command line, rad.
+///
+/// # Errors
+/// With what was expected.
+pub fn heading(text: &str) -> Result<f64, String> {
+    let yaw = finite(text)?;
+    check_yaw(yaw).map(|()| yaw)
 }
 
 /// A positive, finite number on the command line.
@@ -189,6 +215,64 @@ pub async fn robots(bus: &Bus) -> Result<BTreeMap<String, BTreeSet<String>>, Fai
         }
     }
     Ok(robots)
+}
+
+/// The robots of which a component shows, in order.
+///
+/// # Errors
+/// [`exit_code::NOT_FOUND`] when none shows within a while.
+pub async fn with_component(bus: &Bus, component: &str) -> Result<Vec<String>, Failure> {
+    let start = Instant::now();
+    loop {
+        let alive = robots(bus).await?;
+        let found: Vec<String> = alive
+            .iter()
+            .filter(|(_, components)| components.contains(component))
+            .map(|(robot, _)| robot.clone())
+            .collect();
+        if !found.is_empty() {
+            return Ok(found);
+        }
+        if start.elapsed() > LOOK_FOR {
+            let known: BTreeSet<String> = alive.into_keys().collect();
+            let there = unknown(None, &known);
+            return Err(Failure::not_found(format!("no {component} runs here: {there}")));
+        }
+        tokio::time::sleep(PAUSE).await;
+    }
+}
+
+/// Waits until somebody takes goals for a group.
+///
+/// # Errors
+/// [`exit_code::NOT_FOUND`] when nobody does within a while; names the groups that there are.
+pub async fn find_group(bus: &Bus, group: &str) -> Result<(), Failure> {
+    let start = Instant::now();
+    loop {
+        let alive = bus
+            .list_alive(topics::alive_key(topics::ALIVE_WORKER, &["*", "*"]), GLANCE)
+            .await?;
+        let groups: BTreeSet<String> = alive
+            .iter()
+            .filter_map(|key| {
+                topics::alive_chunks(topics::ALIVE_WORKER, key)?
+                    .first()?
+                    .strip_prefix("group-")
+            })
+            .map(str::to_owned)
+            .collect();
+        if groups.contains(group) {
+            return Ok(());
+        }
+        if start.elapsed() > LOOK_FOR {
+            let there = match groups.is_empty() {
+                true => "the deployment has no groups (`[groups]` in its file names them)".to_owned(),
+                false => format!("there is {}", groups.into_iter().collect::<Vec<_>>().join(", ")),
+            };
+            return Err(Failure::not_found(format!("no group `{group}`: {there}")));
+        }
+        tokio::time::sleep(PAUSE).await;
+    }
 }
 
 /// The robot that a command means: the named one, if there is such, or the only one.
@@ -295,6 +379,19 @@ mod tests {
         let (a, b) = (fresh_id("goal"), fresh_id("goal"));
         assert!(Id::new(a.clone()).is_ok());
         assert_ne!(a, b);
+    }
+
+    #[test]
+    fn an_endpoint_that_nobody_can_dial_is_told_at_once() {
+        assert!(endpoint("tcp/robot.local:7447").is_ok() && endpoint("tcp/[::1]:7447").is_ok());
+        for bad in [
+            "http://localhost:7447",
+            "ws/localhost:7447",
+            "localhost:7447",
+            "tcp/localhost",
+        ] {
+            assert!(endpoint(bad).unwrap_err().contains("tcp/127.0.0.1:7447"), "{bad}");
+        }
     }
 
     #[test]

@@ -6,6 +6,7 @@ use std::path::Path;
 use miette::Diagnostic;
 use thiserror::Error;
 use zenav_protocol::bus::{AskError, BusError};
+use zenav_protocol::messages::Refusal;
 
 use crate::exit_code;
 
@@ -78,7 +79,14 @@ impl From<BusError> for Failure {
 
 impl From<AskError> for Failure {
     fn from(error: AskError) -> Self {
-        Self::new(exit_code::of_ask(&error), error.to_string())
+        let cure = match &error {
+            AskError::Refused(Refusal::NotLeader) => {
+                ": no orchestrator that runs may lead this robot (`zenav doctor` says which may; `zenav lease forget` if it will not come back)"
+            }
+            AskError::Timeout { .. } => " (`zenav doctor` says what runs)",
+            _ => "",
+        };
+        Self::new(exit_code::of_ask(&error), format!("{error}{cure}"))
     }
 }
 

@@ -4,17 +4,79 @@ use std::path::PathBuf;
 
 use clap::Args;
 use zenav_protocol::bus::{Router, RouterConfig, interrupted};
+use zenav_protocol::geometry::Pose2;
 use zenav_sim::World;
 
 use crate::components::{CloudPart, Parts};
-use crate::config::{self, Deployment};
+use crate::config::{self, Deployment, RobotSection};
+use crate::connect::{ROBOT_ENDPOINT, check_yaw, finite};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::gateway::PageArgs;
 
+/// The known map that mapping begins with.
+#[derive(Debug, Default, Args)]
+pub(crate) struct KnownMapArgs {
+    /// Known map to begin with, instead of the stored one: a `map_server` YAML file or an image; it is held
+    #[arg(long, value_name = "FILE")]
+    map: Option<PathBuf>,
+    /// Go on mapping into the map of --map, instead of holding it
+    #[arg(long, requires = "map")]
+    live: bool,
+}
+
+impl KnownMapArgs {
+    /// Lays the arguments over a deployment.
+    pub(crate) fn apply(&self, deployment: &mut Deployment) {
+        if let Some(map) = &self.map {
+            deployment.mapping.run.map = Some(map.clone());
+            deployment.mapping.run.live = self.live;
+        }
+    }
+
+    /// Whether a map was named.
+    pub(crate) fn names_map(&self) -> bool {
+        self.map.is_some()
+    }
+}
+
+/// The pose that a robot begins with.
+#[derive(Debug, Default, Args)]
+pub(crate) struct PoseArgs {
+    /// Initial pose of the robot on the map, m and rad
+    #[arg(long, num_args = 3, value_names = ["X", "Y", "YAW"], allow_negative_numbers = true, value_parser = finite)]
+    pose: Option<Vec<f64>>,
+}
+
+impl PoseArgs {
+    /// Lays the pose over a deployment of one robot.
+    ///
+    /// # Errors
+    /// Several robots, or a heading that is hardly meant in radians.
+    pub(crate) fn apply(&self, deployment: &mut Deployment) -> Result<(), Failure> {
+        let Some([x, y, yaw]) = self.pose.as_deref() else {
+            return Ok(());
+        };
+        check_yaw(*yaw).map_err(|why| Failure::usage(format!("--pose: {why}")))?;
+        let count = deployment.robots.len();
+        match deployment.robots.values_mut().next() {
+            Some(robot) if count == 1 => {
+                robot.start = Some(Pose2::new(*x, *y, *yaw));
+                Ok(())
+            }
+            _ => Err(Failure::usage(format!(
+                "--pose: the deployment has {count} robots: expected one, or a `start` in each [robots.NAME]"
+            ))),
+        }
+    }
+}
+
 /// Arguments of `zenav up`.
 #[derive(Debug, Args)]
+#[command(
+    after_help = "Examples:\n  zenav up\n  zenav up --world house --speed 4\n  zenav up --map kitchen.yaml --pose -1 -0.5 0\n  zenav up two_robots.toml --listen tcp/127.0.0.1:0\n\nWith ZENAV_SECTION__KEY any value of the deployment can be set; `zenav config show --origin` prints all."
+)]
 pub struct UpArgs {
     /// Deployment file; without it, one simulated robot and every service on this machine
     file: Option<PathBuf>,
@@ -30,6 +92,10 @@ pub struct UpArgs {
     /// Folder for what is kept, instead of the deployment's
     #[arg(long)]
     data: Option<PathBuf>,
+    #[command(flatten)]
+    known: KnownMapArgs,
+    #[command(flatten)]
+    begin: PoseArgs,
     #[command(flatten)]
     page: PageArgs,
 }
@@ -85,6 +151,8 @@ pub struct EdgeArgs {
     /// Seed of the simulated noise, instead of the deployment's
     #[arg(long)]
     seed: Option<u64>,
+    #[command(flatten)]
+    begin: PoseArgs,
 }
 
 /// Arguments of `zenav cloud`.
@@ -101,6 +169,8 @@ pub struct CloudArgs {
     /// Names this process's workers
     #[arg(long)]
     worker: Option<String>,
+    #[command(flatten)]
+    known: KnownMapArgs,
 }
 
 /// A runtime for services and commands.
@@ -169,7 +239,10 @@ pub fn up(args: &UpArgs) -> Outcome {
     if let Some(data) = &args.data {
         deployment.data.dir.clone_from(data);
     }
+    args.known.apply(&mut deployment);
+    args.begin.apply(&mut deployment)?;
     args.page.apply(&mut deployment);
+    free_robot_endpoint(&mut deployment);
     let world = files::world(&deployment.simulation.world)?;
     if deployment.router.enabled {
         crate::receivers::ensure_enough();
@@ -202,6 +275,26 @@ pub fn up(args: &UpArgs) -> Outcome {
         }
         result
     })
+}
+
+/// Two deployments on one machine: where the default robot's own endpoint is taken, it takes a free one.
+fn free_robot_endpoint(deployment: &mut Deployment) {
+    let Some(address) = ROBOT_ENDPOINT.strip_prefix("tcp/") else {
+        return;
+    };
+    for (id, robot) in &mut deployment.robots {
+        let is_taken = || {
+            let bound = std::net::TcpListener::bind(address);
+            bound.is_err_and(|error| error.kind() == std::io::ErrorKind::AddrInUse)
+        };
+        if robot.listen == ROBOT_ENDPOINT && is_taken() {
+            tracing::info!(
+                robot = id,
+                "{address} is in use: the robot's own endpoint takes a free port"
+            );
+            robot.listen = RobotSection::default().listen;
+        }
+    }
 }
 
 async fn start_all(parts: &mut Parts, deployment: &Deployment, world: &World) -> Result<(), Failure> {
@@ -243,6 +336,7 @@ pub fn edge(args: &EdgeArgs) -> Outcome {
         section.listen = args.listen.clone().unwrap_or(std::mem::take(&mut section.listen));
         section.attach |= args.attach;
     }
+    args.begin.apply(&mut deployment)?;
     let world = files::world(&deployment.simulation.world)?;
     runtime()?.block_on(async {
         let mut parts = Parts::default();
@@ -260,6 +354,7 @@ pub fn cloud(args: &CloudArgs) -> Outcome {
     if let Some(holder) = &args.holder {
         deployment.mission.run.holder.clone_from(holder);
     }
+    args.known.apply(&mut deployment);
     let world = files::world(&deployment.simulation.world)?;
     let worker = args
         .worker

@@ -13,6 +13,7 @@
 //! | `lockstep` | the same cores without a network, bit for bit repeatable |
 //! | `connect` | how a command reaches the router and its robot |
 //! | `goal`, `operator` | goals and hand control from anywhere |
+//! | `annotations` | places and zones of a running robot's map |
 //! | `inspect` | topics, maps, trees, health |
 //! | `record` | runs as files: recorded, replayed, computed again, compared, told |
 //! | `batch` | planning, smoothing and mapping offline |
@@ -23,6 +24,7 @@
 //! | `drawing` | pictures: maps, worlds, films, trees |
 //! | `output`, `failure` | tables and JSON; errors with their exit codes |
 
+pub mod annotations;
 pub mod batch;
 pub mod bench;
 pub mod cli;

@@ -75,7 +75,7 @@ pub fn progress(bar: ProgressBar, template: &str) -> ProgressBar {
 #[must_use]
 pub fn spinner() -> Option<ProgressBar> {
     std::io::stderr().is_terminal().then(|| {
-        let bar = progress(ProgressBar::new_spinner(), "{spinner} {elapsed} {msg}");
+        let bar = progress(ProgressBar::new_spinner(), "{spinner} {elapsed} {wide_msg}");
         bar.enable_steady_tick(Duration::from_millis(100));
         bar
     })

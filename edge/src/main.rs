@@ -1,5 +1,6 @@
 //! The robot's own binary: one edge, no cloud.
 
+use std::io::IsTerminal as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -83,8 +84,11 @@ fn pose(text: &str) -> Result<Pose2, String> {
 
 fn main() -> ExitCode {
     let filter = tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "info,zenoh=warn".into());
+    // No escape codes in a pipe or a journal.
+    let colors = std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none();
     tracing_subscriber::fmt()
         .with_writer(std::io::stderr)
+        .with_ansi(colors)
         .with_env_filter(filter)
         .init();
     match start(Arguments::parse()) {

@@ -25,6 +25,7 @@ pub fn wrap_angle(angle: f64) -> f64 {
 /// The one pose type of the stack: on the wire it is `{"x": …, "y": …, "yaw": …}`; where linear algebra is done it
 /// converts to [`nalgebra::Isometry2`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Pose2 {
     /// Metres along the parent frame's x axis.
     pub x: f64,
@@ -170,6 +171,7 @@ impl From<Isometry2<f64>> for Pose2 {
 
 /// Velocity of a differential-drive base in its own frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Twist2 {
     /// Forward speed of the base, m/s.
     pub v: f64,

@@ -18,6 +18,7 @@ use uuid::Uuid;
 /// assert!(Id::robot("tiago/*").is_err());
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(try_from = "String", into = "String")]
 pub struct Id(String);
 

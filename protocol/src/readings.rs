@@ -11,6 +11,7 @@ macro_rules! readings {
     ([] $($(#[doc = $doc:literal])* $(#[serde $serde:tt])* $kind:ident: $Model:ident => $Reading:ident, $TOPIC:ident = $key:literal;)*) => {
         /// Raw readings of one control tick. What did not come since the last tick is `None`.
         #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+        #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
         pub struct Readings {
             /// Now, on the edge's own clock.
             pub stamp: Stamp,
@@ -24,6 +25,7 @@ macro_rules! readings {
                 pub $kind: Option<$crate::sensors::$Reading>,
             )*
             /// Finished lidar sweeps, at most one per lidar. On the wire `sweep`: `null`, a sweep, or a list of sweeps.
+            #[cfg_attr(feature = "schema", schemars(with = "Vec<Sweep>"))]
             #[serde(rename = "sweep", default, with = "none_one_or_many")]
             pub sweeps: Vec<Sweep>,
             /// Contact sensor.

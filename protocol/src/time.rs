@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 
 /// A point in time, ns since the clock's own epoch: UNIX time for a real robot, the start for a simulation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(transparent)]
 pub struct Stamp(pub u64);
 

@@ -14,12 +14,13 @@ use serde::de::DeserializeOwned;
 
 use crate::codec::Encoding;
 use crate::messages::{
-    AttachReply, AttachRequest, Battery, BehaviourReply, BehaviourRequest, Bump, CancelRequest, Correction, EdgeState,
-    Event, GoalReply, GoalRequest, GoalState, GoalsReply, GoalsRequest, Heartbeat, Imu, InfoReply, InfoRequest, Intent,
-    JoinReply, JoinRequest, JournalEntry, JournalReply, LeaseReply, LeaseRequest, Localisation, LocaliseReply,
-    LocaliseRequest, MapInfo, MapPatch, MapReply, MapRequest, Marker, MissionStatus, ModeReply, ModeRequest,
-    MotionReply, MotionRequest, Obstacles, Odometry, ParamReply, ParamRequest, PauseRequest, Plan, PoseEstimate,
-    RemoteReply, RemoteRequest, ResumeRequest, Scan, SearchTree, SimClock, StopReply, StopRequest, Teleop, WheelSpeeds,
+    AnnotateRequest, Annotations, AttachReply, AttachRequest, Battery, BehaviourReply, BehaviourRequest, Bump,
+    CancelRequest, Correction, EdgeState, Event, GoalReply, GoalRequest, GoalState, GoalsReply, GoalsRequest,
+    Heartbeat, Imu, InfoReply, InfoRequest, Intent, JoinReply, JoinRequest, JournalEntry, JournalReply, LeaseReply,
+    LeaseRequest, Localisation, LocaliseReply, LocaliseRequest, MapInfo, MapPatch, MapReply, MapRequest, Marker,
+    MissionStatus, ModeReply, ModeRequest, MotionReply, MotionRequest, Obstacles, Odometry, ParamReply, ParamRequest,
+    PauseRequest, Plan, PoseEstimate, RemoteReply, RemoteRequest, ResumeRequest, Scan, SearchTree, SimClock, StopReply,
+    StopRequest, Teleop, WheelSpeeds,
 };
 use crate::readings::Readings;
 
@@ -158,6 +159,27 @@ pub trait AskVisitor<P: PartAsks> {
         R: Serialize + Send + Sync + 'static;
 }
 
+/// What every message of the table can do.
+#[cfg(feature = "schema")]
+pub trait Message: Serialize + DeserializeOwned + schemars::JsonSchema {}
+#[cfg(feature = "schema")]
+impl<T: Serialize + DeserializeOwned + schemars::JsonSchema> Message for T {}
+
+/// What every message of the table can do.
+#[cfg(not(feature = "schema"))]
+pub trait Message: Serialize + DeserializeOwned {}
+#[cfg(not(feature = "schema"))]
+impl<T: Serialize + DeserializeOwned> Message for T {}
+
+/// Is shown every row of the table with its types, for tools that know a message by its key alone.
+pub trait TableVisitor {
+    /// A topic, and the name of its message.
+    fn topic<T: Message>(&mut self, topic: Topic<T>, message: &'static str);
+
+    /// An ask, and the names of its request and its reply.
+    fn ask<Q: Message, R: Message>(&mut self, ask: Ask<Q, R>, request: &'static str, reply: &'static str);
+}
+
 fn fill(pattern: &str, chunks: &[&str]) -> String {
     let mut rest = chunks.iter();
     let filled: Vec<&str> = pattern
@@ -277,6 +299,13 @@ macro_rules! key_table {
         )*
         $(ask!($ask: $request => $reply = $ask_pattern, $ask_server, $ask_max $(, $reply_encoding)?);)*
 
+        /// Shows every row of the table to a visitor, in the order of [`TABLE`].
+        pub fn visit_table(visitor: &mut impl TableVisitor) {
+            $(visitor.topic($topic, stringify!($message));)*
+            $($(visitor.ask($part_ask, stringify!($part_request), stringify!($part_reply));)*)*
+            $(visitor.ask($ask, stringify!($request), stringify!($reply));)*
+        }
+
         /// Every topic and ask, in the order of the data way.
         pub const TABLE: &[Row] = &[
             $(Row { pattern: $pattern, message: stringify!($message), producer: Producer::$producer, qos: Some($qos), max_bytes: $max },)*
@@ -313,6 +342,7 @@ crate::sensor_kinds!(key_table [
         MARKER: Marker = "zenav/{robot}/edge/marker", Edge, Qos::Latest, 64 * KIB;
         MAP_INFO: MapInfo = "zenav/{robot}/cloud/map", Mapping, Qos::State, 16 * KIB;
         MAP_PATCH: MapPatch = "zenav/{robot}/cloud/map_patch", Mapping, Qos::Events { cache: 64 }, 64 * MIB, Cbor;
+        ANNOTATIONS: Annotations = "zenav/{robot}/cloud/annotations", Mapping, Qos::State, 4 * MIB;
         CORRECTION: Correction = "zenav/{robot}/cloud/correction", Mapping, Qos::Latest, 4 * KIB;
         LOCALISATION: Localisation = "zenav/{robot}/cloud/localisation", Mapping, Qos::State, 16 * KIB;
         HEARTBEAT: Heartbeat = "zenav/{robot}/cloud/heartbeat", Mission, Qos::RealTime, 4 * KIB;
@@ -342,12 +372,19 @@ crate::sensor_kinds!(key_table [
     }
     asks {
         JOURNAL: JournalEntry => JournalReply = "zenav/{robot}/ask/cloud/journal/{store}", Mission, 16 * MIB;
-        MAP: MapRequest => MapReply = "zenav/{robot}/ask/cloud/map", Mapping, 16 * KIB, Cbor;
+        MAP: MapRequest => MapReply = "zenav/{robot}/ask/cloud/map", Mapping, 64 * MIB, Cbor;
         LOCALISE: LocaliseRequest => LocaliseReply = "zenav/{robot}/ask/cloud/localise", Mapping, 4 * KIB;
+        ANNOTATE: AnnotateRequest => Annotations = "zenav/{robot}/ask/cloud/annotate", Mapping, MIB;
         MOTION_SERVICE: MotionRequest => MotionReply = "zenav/svc/motion/{worker}", Motion, 4 * MIB;
         ATTACH: AttachRequest => AttachReply = "zenav/sim/attach", Sim, 64 * KIB;
     }
 ]);
+
+/// The row that a concrete key belongs to; `None` for a key of nobody's.
+#[must_use]
+pub fn row_of(key: &str) -> Option<&'static Row> {
+    TABLE.iter().find(|row| unfill(row.pattern, key).is_some())
+}
 
 /// Whoever does a tree's `RemoteAction` serves a key of its own, which is the one chunk here; it is no key of the stack's.
 pub const REMOTE_ACTION: Ask<RemoteRequest, RemoteReply> = Ask {

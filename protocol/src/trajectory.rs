@@ -13,6 +13,7 @@ use crate::geometry::{Pose2, Twist2};
 
 /// Where the robot is to be at a time of the trajectory.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct TrajectoryPoint {
     /// Time since the trajectory's start, s.
     pub t: f64,
@@ -105,6 +106,7 @@ impl fmt::Display for TrajectoryPoint {
 /// assert_eq!(straight.length_left(1.5), 0.25);
 /// ```
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(from = "Vec<TrajectoryPoint>")]
 pub struct Trajectory {
     points: Vec<TrajectoryPoint>,

@@ -13,12 +13,13 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use zenav_protocol::codec::{CodecError, Encoding, decode, encode};
 use zenav_protocol::messages::{
-    AttachReply, AttachRequest, Battery, BehaviourReply, BehaviourRequest, Bump, CancelRequest, Correction, EdgeState,
-    Event, GoalReply, GoalRequest, GoalState, GoalsReply, GoalsRequest, Heartbeat, Imu, InfoReply, InfoRequest, Intent,
-    JoinReply, JoinRequest, JournalEntry, JournalReply, LeaseReply, LeaseRequest, MapInfo, MapPatch, MapReply,
-    MapRequest, Marker, MissionStatus, ModeReply, ModeRequest, MotionReply, MotionRequest, Obstacles, Odometry,
-    ParamReply, ParamRequest, PauseRequest, Plan, PoseEstimate, Refusal, RemoteReply, RemoteRequest, ResumeRequest,
-    Scan, SearchTree, SimClock, StopReply, StopRequest, Teleop, Tile, WheelSpeeds,
+    AnnotateRequest, Annotations, AttachReply, AttachRequest, Battery, BehaviourReply, BehaviourRequest, Bump,
+    CancelRequest, Correction, EdgeState, Event, GoalReply, GoalRequest, GoalState, GoalsReply, GoalsRequest,
+    Heartbeat, Imu, InfoReply, InfoRequest, Intent, JoinReply, JoinRequest, JournalEntry, JournalReply, LeaseReply,
+    LeaseRequest, MapInfo, MapPatch, MapReply, MapRequest, Marker, MissionStatus, ModeReply, ModeRequest, MotionReply,
+    MotionRequest, Obstacles, Odometry, ParamReply, ParamRequest, PauseRequest, Plan, PoseEstimate, Refusal,
+    RemoteReply, RemoteRequest, ResumeRequest, Scan, SearchTree, SimClock, StopReply, StopRequest, Teleop, Tile,
+    WheelSpeeds,
 };
 use zenav_protocol::readings::Readings;
 use zenav_protocol::topics::TABLE;
@@ -79,6 +80,8 @@ zenav_protocol::sensor_kinds!(messages [
     GoalsReply
     MapRequest
     MapReply
+    Annotations
+    AnnotateRequest
     InfoRequest
     InfoReply
     JoinRequest
@@ -145,6 +148,7 @@ fn what_a_person_types_is_enough() {
         ("GoalRequest", r#"{"place": "sink"}"#),
         ("CancelRequest", "{}"),
         ("MapRequest", r#"{"action": "reset", "epoch": 7}"#),
+        ("AnnotateRequest", r#"{"action": "clear_zones", "epoch": 7}"#),
         ("StopRequest", "{}"),
         (
             "BehaviourRequest",

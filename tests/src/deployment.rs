@@ -181,6 +181,15 @@ impl Deployment {
     /// When the file cannot be written.
     #[must_use]
     pub fn start_up(&self) -> Process {
+        self.start_up_with(&[])
+    }
+
+    /// As [`Self::start_up`], with further arguments.
+    ///
+    /// # Panics
+    /// When the file cannot be written.
+    #[must_use]
+    pub fn start_up_with(&self, more: &[&str]) -> Process {
         let file = self.folder().join("deployment.toml");
         let (world, speed, router, edge) = (&self.world, self.speed, &self.router, &self.edge);
         let text = format!(
@@ -188,7 +197,7 @@ impl Deployment {
              [robots.{ROBOT}]\nmodel = \"tiago\"\nlisten = \"{edge}\"\n[data]\ndir = \"up\"\n"
         );
         std::fs::write(file, text).expect("a deployment file");
-        self.start(&["up", "deployment.toml"])
+        self.start(&[&["up", "deployment.toml"], more].concat())
     }
 
     /// `zenav sim serve`: the world, and the router.

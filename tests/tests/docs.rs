@@ -205,8 +205,10 @@ case "$1 $2" in
         export ZENAV_ROUTER__LISTEN='["{router}"]' ZENAV_BUS__CONNECT={router} ZENAV_SIMULATION__SPEED={SPEED} ;;
     "demo "*) has --speed || set -- "$@" --speed {SPEED} ;;
     "router "* | "sim serve") has --listen || set -- "$@" --listen {router} ;;
+    "map load" | "map store" | "map reset" | "map hold" | "map resume" | "map list") has --connect || set -- "$@" --connect {router} ;;
     "map show" | "map save") case "$3" in *.yaml | *.png | *.pgm | *.map) ;; *) has --connect || set -- "$@" --connect {router} ;; esac ;;
-    "edge "* | "cloud "* | "gateway "* | "goal "* | "stop "* | "resume "* | "teleop "* | "lease "* | "topic "* | "doctor "* | "bt watch" | "record "* | "replay "*)
+    "do "* | "param "* | "place "* | "zone "* | "ask "* | \
+    "edge "* | "cloud "* | "gateway "* | "goal "* | "stop "* | "resume "* | "teleop "* | "lease "* | "topic "* | "doctor "* | "bt watch" | "record "* | "replay "* | "pose "*)
         has --connect || set -- "$@" --connect {router} ;;
 esac
 exec {ZENAV} "$@"

@@ -105,11 +105,18 @@ export function drawGoals() {
   $("goal-list").replaceChildren(...(shown.length ? shown.map(row) : empty));
 }
 
+let listed = null;
+
 function fillPlaces() {
   const names = Object.keys(store.places);
+  const sign = JSON.stringify(names);
+  if (sign === listed) return;
+  listed = sign;
+  const chosen = $("place").value;
   $("place").replaceChildren(...names.map((name) => el("option", { value: name }, name)));
   $("place").disabled = $("go-place").disabled = names.length === 0;
-  if (!names.length) $("place").append(el("option", {}, "the world names none"));
+  if (!names.length) $("place").append(el("option", {}, "the map names none"));
+  else if (names.includes(chosen)) $("place").value = chosen;
 }
 
 /** Goals that ended before this gateway started are asked for once. */
@@ -138,6 +145,7 @@ export function startGoals() {
     sendGoal(goal);
   };
   store.on("hello", fillPlaces);
+  store.on("frame", fillPlaces);
   store.on("watch", fetchGoals);
   store.on("frame", drawGoals);
 }

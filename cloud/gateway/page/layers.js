@@ -18,6 +18,7 @@ export const layers = {
   tree: { title: "Search tree", on: false, colour: "tree" },
   obstacles: { title: "Moving obstacles", on: true, colour: "mover" },
   markers: { title: "Markers", on: true, colour: "warn" },
+  zones: { title: "Zones", on: true, colour: "bad" },
   places: { title: "Places", on: true, colour: "place" },
   goals: { title: "Goals", on: true, colour: "goal" },
   robots: { title: "Other robots", on: true, colour: "other" },
@@ -194,6 +195,28 @@ function drawMarkers(context, camera, colours) {
   }
 }
 
+/** Keep-out zones in red, speed zones in amber with their limit. */
+function drawZones(context, camera, colours) {
+  for (const zone of store.zones) {
+    const limit = zone.rule?.speed_limit?.max_speed;
+    const colour = limit === undefined ? colours.bad : colours.warn;
+    path(context, camera, zone.points.flat());
+    context.closePath();
+    context.globalAlpha = 0.18;
+    context.fillStyle = colour;
+    context.fill();
+    context.globalAlpha = 1;
+    context.strokeStyle = colour;
+    context.lineWidth = 1.5;
+    context.setLineDash([6, 4]);
+    context.stroke();
+    context.setLineDash([]);
+    const middle = [0, 1].map((axis) => zone.points.reduce((sum, point) => sum + point[axis], 0) / zone.points.length);
+    const [x, y] = camera.toScreen(middle[0], middle[1]);
+    label(context, colours, limit === undefined ? zone.name : `${zone.name}: ${limit} m/s`, x - 20, y + 4, colour);
+  }
+}
+
 function drawPlaces(context, camera, colours) {
   for (const [name, place] of Object.entries(store.places)) {
     const [x, y] = camera.toScreen(place.x, place.y);
@@ -309,6 +332,7 @@ export function drawAll(context, camera, colours, { pose, poseOf, tools }) {
   if (on("tree") && store.age("tree") < 20) detail("tree", drawSearch);
   if (on("trail")) drawTrail(context, camera, colours);
   if (on("plan")) detail("plan", drawPlan);
+  if (on("zones")) drawZones(context, camera, colours);
   if (on("places")) drawPlaces(context, camera, colours);
   if (on("goals")) drawGoals(context, camera, colours);
   if (on("scan")) {

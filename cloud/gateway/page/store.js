@@ -21,7 +21,8 @@ class Store extends EventTarget {
     this.robots = new Map();
     this.watched = null;
     this.raster = new Raster();
-    this.places = {};
+    /** Places of the world, for a robot whose own are not known. */
+    this.worldPlaces = {};
     this.teleop = { state: "released" };
     this.pings = [];
     this.clearDetail();
@@ -42,6 +43,16 @@ class Store extends EventTarget {
 
   on(topic, listener) {
     this.addEventListener(topic, listener);
+  }
+
+  /** Named places of the watched robot's map. */
+  get places() {
+    return this.data("annotations")?.places ?? this.worldPlaces;
+  }
+
+  /** Keep-out and speed zones of the watched robot's map. */
+  get zones() {
+    return this.data("annotations")?.zones ?? [];
   }
 
   /** A channel of a robot, or of the watched robot's details. */
@@ -66,7 +77,7 @@ class Store extends EventTarget {
 
   /** Begins anew: the gateway may have been another one before. */
   hello(message) {
-    this.places = message.places ?? {};
+    this.worldPlaces = message.places ?? {};
     this.robots.clear();
     this.clearDetail();
     this.tell("hello");

@@ -279,6 +279,23 @@ mod tests {
     }
 
     #[test]
+    fn places_and_zones_of_a_robot_are_told_when_they_change() {
+        let (mut view, mut client) = (FleetView::new(), Client::new());
+        let annotations = |name: &str| {
+            let text = json!({ "revision": 1, "places": { name: { "x": 1.0, "y": 2.0 } }, "zones": [] });
+            Update::Annotations(serde_json::from_value(text).unwrap())
+        };
+        view.take("a", annotations("sink"), 1.0);
+        let frame = told(&mut client, &view, 1.0);
+        assert_eq!(frame["robots"]["a"]["annotations"]["data"]["places"]["sink"]["x"], 1.0);
+        view.take("a", pose(0.0), 1.1);
+        assert!(told(&mut client, &view, 1.1)["robots"]["a"]["annotations"].is_null());
+        view.take("a", annotations("fridge"), 1.2);
+        let frame = told(&mut client, &view, 1.2);
+        assert!(frame["robots"]["a"]["annotations"]["data"]["places"]["fridge"].is_object());
+    }
+
+    #[test]
     fn details_are_for_who_watches_and_are_whole_after_every_change_of_robot() {
         let (mut view, mut client) = (FleetView::new(), Client::new());
         view.take("a", pose(0.0), 1.0);

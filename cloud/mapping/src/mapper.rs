@@ -304,6 +304,13 @@ impl Mapper {
         self.footprint = footprint;
     }
 
+    /// Replaces the map by a stored one, as [`with_stored`](Self::with_stored). The id must be new.
+    pub fn load(&mut self, map: MapRef, grid: &OccupancyGrid, trajectory: Vec<Point2<f64>>, scans: u64) {
+        let footprint = self.footprint.take();
+        *self = Self::with_stored(self.settings.clone(), map, grid, trajectory, scans);
+        self.footprint = footprint;
+    }
+
     /// Lets every transient obstacle decay now.
     pub fn decay_now(&mut self) {
         self.grid.decay_now();
@@ -369,6 +376,7 @@ impl MapSnapshot {
             values: self.grid().into_values(),
             info: self.info,
             trajectory: self.trajectory,
+            stored: Vec::new(),
         }
     }
 }

@@ -57,6 +57,32 @@ pub fn save(folder: &Path, stored: &StoredMap) -> Result<PathBuf, MapFileError> 
     Ok(path)
 }
 
+/// The folders of stored maps in a folder, by name, each with its map's record; none where there is no such folder.
+///
+/// # Errors
+/// [`MapFileError::Io`] for a folder that cannot be read.
+pub fn list(folder: &Path) -> Result<Vec<(String, MapRecord)>, MapFileError> {
+    let failed = |source| MapFileError::Io {
+        path: folder.to_owned(),
+        source,
+    };
+    let entries = match std::fs::read_dir(folder) {
+        Ok(entries) => entries,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+        Err(error) => return Err(failed(error)),
+    };
+    let mut found = Vec::new();
+    for entry in entries {
+        let path = entry.map_err(failed)?.path();
+        let name = path.file_name().and_then(|name| name.to_str());
+        if let Some(name) = name.filter(|_| path.join(format!("{STEM}.yaml")).is_file()) {
+            found.push((name.to_owned(), record(&path)));
+        }
+    }
+    found.sort_by(|(a, _), (b, _)| a.cmp(b));
+    Ok(found)
+}
+
 /// Loads the map of a folder; `None` when there is none. Without a readable record the map has an empty one.
 ///
 /// # Errors
@@ -67,15 +93,22 @@ pub fn load(folder: &Path) -> Result<Option<StoredMap>, MapFileError> {
         return Ok(None);
     }
     let grid = read_map(&path, 1.0)?;
+    Ok(Some(StoredMap {
+        grid,
+        record: record(folder),
+    }))
+}
+
+/// The record of a folder's map; empty where there is none that can be read.
+fn record(folder: &Path) -> MapRecord {
     let sidecar = sidecar(folder);
-    let record = match read_bytes(&sidecar, MAX_SIDECAR) {
+    match read_bytes(&sidecar, MAX_SIDECAR) {
         Ok(bytes) => serde_json::from_slice(&bytes).unwrap_or_else(|error| {
             tracing::warn!(file = %sidecar.display(), %error, "the map's record cannot be read and is ignored");
             MapRecord::default()
         }),
         Err(_) => MapRecord::default(),
-    };
-    Ok(Some(StoredMap { grid, record }))
+    }
 }
 
 fn sidecar(folder: &Path) -> PathBuf {
@@ -117,6 +150,19 @@ mod tests {
         assert_eq!(load(folder.path()).unwrap(), None);
         save(folder.path(), &stored()).unwrap();
         assert_eq!(load(folder.path()).unwrap(), Some(stored()));
+    }
+
+    #[test]
+    fn stored_maps_are_listed_by_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let maps = folder.path().join("maps");
+        assert_eq!(list(&maps).unwrap(), []);
+        for name in ["house", "attic"] {
+            save(&maps.join(name), &stored()).unwrap();
+        }
+        std::fs::create_dir(maps.join("empty")).unwrap();
+        let names: Vec<String> = list(&maps).unwrap().into_iter().map(|(name, _)| name).collect();
+        assert_eq!(names, ["attic", "house"]);
     }
 
     #[test]

@@ -4,7 +4,9 @@ use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
 use zenav_protocol::lease::LONGEST_ROUND_TRIP;
-use zenav_protocol::messages::{Blockage, DrivingProfile, GoalFeedback, GoalPhase, GoalPoint, Leg, Mode, Plan};
+use zenav_protocol::messages::{
+    Annotations, Blockage, DrivingProfile, GoalFeedback, GoalPhase, GoalPoint, Leg, Mode, Plan,
+};
 use zenav_protocol::time::Stamp;
 
 use super::config::MissionConfig;
@@ -15,6 +17,7 @@ use super::motion::MotionKeeper;
 use super::records::Restored;
 use super::robot::RobotView;
 use super::route::Route;
+use zenav_space::Zones;
 
 /// Pending requests; beyond that the oldest is dropped.
 const MAX_ASKS: usize = 256;
@@ -22,6 +25,8 @@ const MAX_ASKS: usize = 256;
 const MAX_ROUTES: usize = 16;
 /// Drives kept per goal.
 const MAX_LEGS: usize = 64;
+/// For so long after its start a mission takes a place that it does not know for one that it has not heard of yet, s.
+const PLACES_WITHIN: f64 = 5.0;
 
 /// Pending requests and their answers.
 #[derive(Debug)]
@@ -136,6 +141,10 @@ pub struct Context {
     pub plans: Vec<Plan>,
     /// Depth of nested trees of the leaf being ticked; 0 in the goal's own.
     pub nested: u32,
+    /// When the first step was.
+    begun: Option<Stamp>,
+    /// Whether the annotations of the map have come.
+    annotated: bool,
     /// How often a tree has asked to cancel what leaves of this registration id do.
     cancels: BTreeMap<&'static str, u64>,
     routes: VecDeque<Arc<Route>>,
@@ -173,12 +182,43 @@ impl Context {
             goal: ActiveGoal::default(),
             plans: Vec::new(),
             nested: 0,
+            begun: None,
+            annotated: false,
             cancels: BTreeMap::new(),
             routes: VecDeque::new(),
             route_count: 0,
             incarnation,
             store: restored.store.clone(),
         }
+    }
+
+    /// Takes the time of a step, and the places and zones of the map where they are new.
+    pub(super) fn observe(&mut self, now: Stamp, annotations: Option<Annotations>) {
+        self.now = now;
+        self.begun.get_or_insert(now);
+        let Some(annotations) = annotations else { return };
+        let zones = match Zones::new(&annotations.zones) {
+            Ok(zones) => zones,
+            Err(error) => {
+                // Those that are known stay in force: a keep-out zone must not vanish.
+                tracing::error!(robot = %self.config.robot, %error, "the annotations of the map are refused");
+                return;
+            }
+        };
+        self.annotated = true;
+        let config = Arc::make_mut(&mut self.config);
+        config.places = annotations.places;
+        if *config.zones != zones {
+            tracing::info!(robot = %config.robot, zones = annotations.zones.len(), "the zones of the map have changed");
+            config.zones = Arc::new(zones);
+            self.map.set_zones(Arc::clone(&config.zones));
+        }
+    }
+
+    /// Whether places may be known soon that are not known yet.
+    pub(super) fn may_learn_places(&self) -> bool {
+        let early = |begun| self.now.secs_since(begun) < PLACES_WITHIN;
+        !self.annotated && self.begun.is_none_or(early)
     }
 
     /// An execution id that is unique over robots, stores and restarts.

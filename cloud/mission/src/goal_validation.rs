@@ -41,7 +41,8 @@ pub enum Target {
 /// The target of a well-formed request.
 ///
 /// # Errors
-/// [`Refusal::BadRequest`] with what was expected, [`Refusal::NotFound`] for an unknown place.
+/// [`Refusal::BadRequest`] with what was expected, [`Refusal::NotFound`] for an unknown place, [`Refusal::Busy`] for one that may be known
+/// in a moment.
 pub fn target(request: &GoalRequest, ctx: &Context) -> Result<Target, Refusal> {
     let bad = |reason: String| Err(Refusal::BadRequest { reason });
     if let Some(id) = &request.id
@@ -96,8 +97,18 @@ pub fn target(request: &GoalRequest, ctx: &Context) -> Result<Target, Refusal> {
     }
     if let Some(name) = &request.place {
         let Some(place) = ctx.config.places.get(name) else {
+            if ctx.may_learn_places() {
+                return Err(Refusal::Busy {
+                    reason: "the places of the map have not come yet".to_owned(),
+                });
+            }
+            let name: String = name.chars().take(80).collect();
+            let known: Vec<&str> = ctx.config.places.keys().take(20).map(String::as_str).collect();
             return Err(Refusal::NotFound {
-                what: format!("place {}", name.chars().take(80).collect::<String>()),
+                what: match known.is_empty() {
+                    true => format!("place `{name}`; the map has no named places"),
+                    false => format!("place `{name}`; there are {}", known.join(", ")),
+                },
             });
         };
         return checked_point(
@@ -139,8 +150,8 @@ fn checked_point(point: GoalPoint, name: &str) -> Result<GoalPoint, Refusal> {
         });
     }
     match point.yaw {
-        Some(yaw) if !(yaw.is_finite() && yaw.abs() <= 1e3) => Err(Refusal::BadRequest {
-            reason: format!("{name}: yaw is {yaw}: expected radians"),
+        Some(yaw) if !(yaw.is_finite() && yaw.abs() <= std::f64::consts::TAU) => Err(Refusal::BadRequest {
+            reason: format!("{name}: yaw is {yaw}: expected radians within a full turn; 90 degrees are 1.571"),
         }),
         yaw => Ok(GoalPoint {
             yaw: yaw.map(zenav_protocol::geometry::wrap_angle),

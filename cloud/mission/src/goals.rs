@@ -262,7 +262,7 @@ impl GoalTable {
             .take(limit)
             .map(|goal| goal.state.clone())
             .collect();
-        Ok(GoalsReply { goals })
+        Ok(GoalsReply { goals, now: None })
     }
 }
 

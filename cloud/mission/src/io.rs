@@ -3,8 +3,8 @@
 use thiserror::Error;
 use zenav_protocol::lease::LONGEST_ROUND_TRIP;
 use zenav_protocol::messages::{
-    BehaviourReply, BehaviourRequest, EdgeState, Event, GoalState, Heartbeat, InfoReply, InfoRequest, LeaseReply,
-    LeaseRequest, MapInfo, MapPatch, MapReply, MapRequest, MissionStatus, MotionReply, MotionRequest, Plan,
+    Annotations, BehaviourReply, BehaviourRequest, EdgeState, Event, GoalState, Heartbeat, InfoReply, InfoRequest,
+    LeaseReply, LeaseRequest, MapInfo, MapPatch, MapReply, MapRequest, MissionStatus, MotionReply, MotionRequest, Plan,
     PoseEstimate, Refusal, RemoteReply, RemoteRequest,
 };
 use zenav_protocol::topics::{MissionReply, MissionRequest};
@@ -32,6 +32,8 @@ pub struct Inputs {
     pub map_info: Option<MapInfo>,
     /// Map patches, in order.
     pub map_patches: Vec<MapPatch>,
+    /// The places and zones of the map, if new.
+    pub annotations: Option<Annotations>,
     /// Whether the mapper is alive, if that has changed; it counts as alive until reported gone.
     pub mapper_alive: Option<bool>,
     /// Answers to the mission's requests.

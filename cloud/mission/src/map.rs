@@ -33,6 +33,8 @@ pub struct RobotMap {
     mapper_gone: Option<Stamp>,
     spaces: SpaceCache,
     transients: Transients,
+    /// Number of changes of the zones.
+    zone_changes: u64,
 }
 
 impl RobotMap {
@@ -43,6 +45,18 @@ impl RobotMap {
             spaces: SpaceCache::new(zones),
             ..Self::default()
         }
+    }
+
+    /// From now on the map has these zones.
+    pub fn set_zones(&mut self, zones: Arc<Zones>) {
+        self.spaces.set_zones(zones);
+        self.zone_changes += 1;
+    }
+
+    /// Number of changes of the zones since the start.
+    #[must_use]
+    pub fn zone_changes(&self) -> u64 {
+        self.zone_changes
     }
 
     /// Takes what the mapper has published.

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use zenav_protocol::messages::{Blockage, GoalPhase, GoalRequest, GoalState, Refusal};
+use zenav_protocol::messages::{Blockage, GoalFeedback, GoalPhase, GoalRequest, GoalState, Refusal};
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics::{MissionReply, MissionRequest};
 
@@ -85,7 +85,7 @@ impl Mission {
     pub fn step(&mut self, now: Stamp, inputs: Inputs) -> Vec<Effect> {
         let now = self.own_time(now);
         let ctx = &mut self.ctx;
-        ctx.now = now;
+        ctx.observe(now, inputs.annotations);
         if let Some(state) = &inputs.state {
             ctx.lease.observe(now, state);
         }
@@ -202,6 +202,11 @@ impl Mission {
             let Some(goal) = self.goals.active().or_else(|| self.goals.next()).cloned() else {
                 return;
             };
+            // A goal of an earlier run may lead to a place that was added at run time.
+            let place = goal.state.request.place.as_ref();
+            if place.is_some_and(|place| !self.ctx.config.places.contains_key(place)) && self.ctx.may_learn_places() {
+                return;
+            }
             match self.attach(&goal) {
                 Ok(running) => {
                     let now = self.ctx.now;
@@ -337,6 +342,16 @@ impl Mission {
         true
     }
 
+    /// Distance from the robot to the place of a goal, m; `None` for a goal without one place.
+    fn final_error(&self, id: &str) -> Option<f64> {
+        let request = &self.goals.get(id)?.state.request;
+        let Ok(Target::Pose(goal)) = goal_validation::target(request, &self.ctx) else {
+            return None;
+        };
+        let pose = self.ctx.robot.pose()?;
+        Some((pose.x - goal.x).hypot(pose.y - goal.y))
+    }
+
     /// Ends a goal: its tree is halted, the robot comes to rest, the end is persisted and published.
     pub(super) fn finish(&mut self, id: &str, phase: GoalPhase, reason: Option<String>) {
         if let Some(mut running) = self.running.take_if(|running| running.goal_id == id) {
@@ -347,8 +362,12 @@ impl Mission {
             self.ctx.hold();
             self.ctx.motion.clear();
             let (feedback, legs) = (self.ctx.goal.feedback.clone(), std::mem::take(&mut self.ctx.goal.legs));
+            let final_error = self.final_error(id);
             self.goals.change(id, |goal| {
-                goal.state.feedback = feedback;
+                goal.state.feedback = GoalFeedback {
+                    final_error,
+                    ..feedback
+                };
                 goal.state.legs = legs;
             });
             self.ctx.goal = ActiveGoal::default();

@@ -3,7 +3,7 @@
 use zenav_protocol::SCHEMA_VERSION;
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{
-    GoalPhase, GoalReply, GoalRequest, InfoReply, InfoRequest, JoinReply, JoinRequest, OnBusy, Refusal,
+    GoalPhase, GoalReply, GoalRequest, GoalsReply, InfoReply, InfoRequest, JoinReply, JoinRequest, OnBusy, Refusal,
 };
 use zenav_protocol::topics::{MissionReply, MissionRequest};
 
@@ -32,7 +32,11 @@ impl Mission {
                 self.once(id, |mission| mission.pause(request.id, request.resume))
                     .map(MissionReply::Pause)
             }
-            MissionRequest::Goals(request) => self.goals.list(&request).map(MissionReply::Goals),
+            MissionRequest::Goals(request) => {
+                let now = Some(self.ctx.now);
+                let listed = self.goals.list(&request)?;
+                Ok(MissionReply::Goals(GoalsReply { now, ..listed }))
+            }
             MissionRequest::Join(request) => self.join(request).map(MissionReply::Join),
             MissionRequest::Info(InfoRequest {}) => Ok(MissionReply::Info(InfoReply {
                 component: "mission".to_owned(),

@@ -239,6 +239,7 @@ fn mirrored(side: u32) -> (MapReplica, [MapPatch; 2]) {
         },
         values: grid.values().to_vec(),
         trajectory: Vec::new(),
+        stored: Vec::new(),
     }));
     let column = side / TILE / 2;
     let tile = |shift: u32| {

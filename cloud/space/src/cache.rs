@@ -38,13 +38,18 @@ pub struct SpaceCache {
 }
 
 impl SpaceCache {
-    /// None yet; all will be of maps with these zones.
+    /// None yet; they will be of maps with these zones.
     #[must_use]
     pub fn new(zones: Arc<Zones>) -> Self {
         Self {
             kept: VecDeque::new(),
             zones,
         }
+    }
+
+    /// From now on spaces are of maps with these zones.
+    pub fn set_zones(&mut self, zones: Arc<Zones>) {
+        self.zones = zones;
     }
 
     /// The space of a map's present state: the very same one (`Arc::ptr_eq`) as long as no cell means anything else.
@@ -62,7 +67,8 @@ impl SpaceCache {
             Fit::Tight => footprint.offset(-(THICKENING * map.grid().spec().resolution).min(MOST_THICKENING)),
         };
         let fits = |(of, space): &(MapRef, Arc<ConfigurationSpace>)| {
-            of.id == map.map().id && space.unknown_policy() == unknown && space.footprint() == footprint
+            let same_zones = Arc::ptr_eq(space.zones(), &self.zones);
+            of.id == map.map().id && same_zones && space.unknown_policy() == unknown && space.footprint() == footprint
         };
         let kept = self.kept.iter().position(fits).and_then(|at| self.kept.remove(at));
         let space = match kept {

@@ -74,4 +74,4 @@ pub use distance_cost::DistanceCost;
 pub use line_of_sight::{LineOfSight, PointLineOfSight};
 pub use raster::CellMask;
 pub use update::GridChanged;
-pub use zones::{Zones, ZonesError};
+pub use zones::{ZoneError, Zones, ZonesError};

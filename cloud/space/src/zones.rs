@@ -15,6 +15,7 @@ use thiserror::Error;
 use toml::Spanned;
 use zenav_protocol::config_text::{Number, Pair};
 use zenav_protocol::grid::GridSpec;
+use zenav_protocol::messages::{Zone, ZoneRule};
 use zenav_protocol::polygon::{contains, simple};
 
 use super::raster::CellMask;
@@ -53,6 +54,16 @@ pub enum ZonesError {
     },
 }
 
+/// Why zones that came over the network were refused.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+#[error("zone `{zone}`: {problem}")]
+pub struct ZoneError {
+    /// Name of the zone.
+    pub zone: String,
+    /// What is wrong with it, and what was expected.
+    pub problem: String,
+}
+
 /// An area of the map frame.
 #[derive(Clone, Debug, PartialEq)]
 struct Area {
@@ -65,6 +76,33 @@ struct Area {
 }
 
 impl Area {
+    /// A simple polygon of these corners; says what is wrong with others.
+    fn new(name: Option<String>, points: &[[f64; 2]]) -> Result<Self, String> {
+        let count = points.len();
+        if !(3..=MAX_CORNERS).contains(&count) {
+            return Err(format!("{count} points: expected 3 to {MAX_CORNERS}"));
+        }
+        let outside = |value: &&f64| !(value.is_finite() && value.abs() <= MAX_COORDINATE);
+        if let Some(value) = points.iter().flatten().find(outside) {
+            return Err(format!(
+                "{}: expected a number within {MAX_COORDINATE}, m",
+                Number(*value)
+            ));
+        }
+        let corners: Vec<Point2<f64>> = points.iter().copied().map(Point2::from).collect();
+        let corners = simple(corners).map_err(|error| error.to_string())?;
+        let mut area = Self {
+            name,
+            low: corners[0],
+            high: corners[0],
+            corners,
+        };
+        for corner in &area.corners {
+            (area.low, area.high) = (area.low.inf(corner), area.high.sup(corner));
+        }
+        Ok(area)
+    }
+
     fn contains(&self, point: Point2<f64>) -> bool {
         let within = point >= self.low && point <= self.high;
         within && contains(&self.corners, point)
@@ -118,15 +156,71 @@ impl Zones {
             .into_iter()
             .map(|zone| {
                 let speed = *zone.max_speed.get_ref();
-                if !(speed.is_finite() && speed > 0.0) {
-                    let problem =
-                        format!("{speed}: expected a positive number, m/s; what may not be entered is a [[keep_out]]");
-                    return Err(source.fail(zone.max_speed.span().start, "speed_limit.max_speed", problem));
-                }
+                check_speed(speed)
+                    .map_err(|problem| source.fail(zone.max_speed.span().start, "speed_limit.max_speed", problem))?;
                 Ok((source.area(zone.name, &zone.points, "speed_limit.points")?, speed))
             })
             .collect::<Result<_, _>>()?;
         Ok(Self { keep_out, speed_limits })
+    }
+
+    /// The zones of a message, checked as those of a file are.
+    ///
+    /// # Errors
+    /// [`ZoneError`] names the first zone that cannot be.
+    ///
+    /// ```
+    /// use nalgebra::Point2;
+    /// use zenav_protocol::messages::{Zone, ZoneRule};
+    /// use zenav_space::Zones;
+    ///
+    /// let points = vec![Point2::new(0.0, 0.0), Point2::new(2.0, 0.0), Point2::new(0.0, 1.0)];
+    /// let zone = Zone { name: "door".into(), rule: ZoneRule::SpeedLimit { max_speed: 0.3 }, points };
+    /// assert_eq!(Zones::new(&[zone])?.speed_limit(Point2::new(0.5, 0.5)), Some(0.3));
+    /// # Ok::<(), zenav_space::ZoneError>(())
+    /// ```
+    pub fn new(zones: &[Zone]) -> Result<Self, ZoneError> {
+        let mut all = Self::default();
+        for zone in zones {
+            let fail = |problem| ZoneError {
+                zone: zone.name.chars().take(80).collect(),
+                problem,
+            };
+            let points: Vec<[f64; 2]> = zone.points.iter().map(|point| [point.x, point.y]).collect();
+            let area = Area::new(Some(zone.name.clone()), &points).map_err(fail)?;
+            match zone.rule {
+                ZoneRule::KeepOut => all.keep_out.push(area),
+                ZoneRule::SpeedLimit { max_speed } => {
+                    check_speed(max_speed).map_err(fail)?;
+                    all.speed_limits.push((area, max_speed));
+                }
+            }
+            let most = all.keep_out.len().max(all.speed_limits.len());
+            if most > MAX_ZONES {
+                return Err(fail(format!("one more than the {MAX_ZONES} of its kind that may be")));
+            }
+        }
+        Ok(all)
+    }
+
+    /// The zones as a message has them; those without a name are called after their place in the file.
+    #[must_use]
+    pub fn to_messages(&self) -> Vec<Zone> {
+        let zone = |(at, area, rule, kind): (usize, &Area, ZoneRule, &str)| Zone {
+            name: area.name.clone().unwrap_or_else(|| format!("{kind}_{}", at + 1)),
+            rule,
+            points: area.corners.clone(),
+        };
+        let keep_out = self.keep_out.iter().enumerate();
+        let slow = self.speed_limits.iter().enumerate();
+        keep_out
+            .map(|(at, area)| (at, area, ZoneRule::KeepOut, "keep_out"))
+            .chain(slow.map(|(at, (area, speed))| {
+                let rule = ZoneRule::SpeedLimit { max_speed: *speed };
+                (at, area, rule, "speed_limit")
+            }))
+            .map(zone)
+            .collect()
     }
 
     /// Whether there is any speed zone.
@@ -203,29 +297,19 @@ impl Source<'_> {
 
     fn area(self, name: Option<String>, points: &Spanned<Vec<Pair>>, key: &'static str) -> Result<Area, ZonesError> {
         let fail = |problem| self.fail(points.span().start, key, problem);
-        let count = points.get_ref().len();
-        if !(3..=MAX_CORNERS).contains(&count) {
-            return Err(fail(format!("{count} points: expected 3 to {MAX_CORNERS}")));
-        }
-        let outside = |value: &&f64| !(value.is_finite() && value.abs() <= MAX_COORDINATE);
-        if let Some(value) = points.get_ref().iter().flat_map(|Pair(point)| point).find(outside) {
-            return Err(fail(format!(
-                "{}: expected a number within {MAX_COORDINATE}, m",
-                Number(*value)
-            )));
-        }
-        let corners: Vec<Point2<f64>> = points.get_ref().iter().copied().map(Point2::from).collect();
-        let corners = simple(corners).map_err(|error| fail(error.to_string()))?;
-        let mut area = Area {
-            name,
-            low: corners[0],
-            high: corners[0],
-            corners,
-        };
-        for corner in &area.corners {
-            (area.low, area.high) = (area.low.inf(corner), area.high.sup(corner));
-        }
-        Ok(area)
+        let corners: Vec<[f64; 2]> = points.get_ref().iter().map(|Pair(point)| *point).collect();
+        Area::new(name, &corners).map_err(fail)
+    }
+}
+
+/// Says what is wrong with a speed that no zone has.
+fn check_speed(speed: f64) -> Result<(), String> {
+    if speed.is_finite() && speed > 0.0 {
+        Ok(())
+    } else {
+        Err(format!(
+            "{speed}: expected a positive number, m/s; what may not be entered is a keep-out zone"
+        ))
     }
 }
 
@@ -265,6 +349,23 @@ max_speed = 0.2
         );
         let none = Zones::from_toml("", "z.toml").unwrap();
         assert_eq!(none, Zones::default());
+    }
+
+    #[test]
+    fn zones_of_a_file_are_the_same_as_a_message_and_wrong_ones_are_named() {
+        let of_file = Zones::from_toml(ZONES, "z.toml").unwrap();
+        let mut messages = of_file.to_messages();
+        let names: Vec<&str> = messages.iter().map(|zone| zone.name.as_str()).collect();
+        assert_eq!(names, ["stairs", "keep_out_2", "speed_limit_1", "door"]);
+        let again = Zones::new(&messages).unwrap();
+        assert_eq!(again.to_messages(), messages);
+        assert_eq!(again.speed_limit(Point2::new(4.5, 4.5)), Some(0.2));
+        messages[3].rule = ZoneRule::SpeedLimit { max_speed: 0.0 };
+        let error = Zones::new(&messages).unwrap_err().to_string();
+        assert!(error.contains("zone `door`: 0: expected a positive"), "{error}");
+        messages[0].points.truncate(2);
+        let error = Zones::new(&messages).unwrap_err().to_string();
+        assert!(error.contains("zone `stairs`: 2 points: expected 3"), "{error}");
     }
 
     #[test]

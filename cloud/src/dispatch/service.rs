@@ -12,7 +12,7 @@ use tokio::time::Instant;
 use zenav_protocol::bus::{AskError, Bus, BusError, Latest, Shutdown};
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{
-    GoalPhase, GoalPoint, GoalReply, GoalRequest, GoalsReply, GoalsRequest, PoseEstimate, Refusal,
+    Annotations, GoalPhase, GoalPoint, GoalReply, GoalRequest, GoalsReply, GoalsRequest, PoseEstimate, Refusal,
 };
 use zenav_protocol::topics;
 
@@ -32,6 +32,8 @@ const MAX_ASSIGNED: usize = 1000;
 /// What this process knows of the group.
 struct Group {
     poses: BTreeMap<String, Latest<PoseEstimate>>,
+    /// Places that were added at run time, in the map that all robots share.
+    annotations: Vec<Latest<Annotations>>,
     /// Which robot got which goal, in order.
     assigned: VecDeque<(String, String)>,
     since: Instant,
@@ -51,6 +53,7 @@ pub async fn run(
     let mut server = bus.serve(&topics::GOAL, &[group.as_str()])?;
     let mut known = Group {
         poses: BTreeMap::new(),
+        annotations: Vec::new(),
         assigned: VecDeque::new(),
         since: Instant::now(),
     };
@@ -58,6 +61,9 @@ pub async fn run(
         known
             .poses
             .insert(robot.to_string(), bus.latest(&topics::POSE, &[robot.as_str()])?);
+        known
+            .annotations
+            .push(bus.latest(&topics::ANNOTATIONS, &[robot.as_str()])?);
     }
     // Of several orchestrators with this group the first by name takes its goals, so that no goal goes to two robots.
     let service = format!("group-{group}");
@@ -78,7 +84,13 @@ pub async fn run(
             request.refuse(&Refusal::NotLeader);
             continue;
         }
-        match assign(&bus, &mut known, &request.body, place_of(&request.body, &places)).await {
+        let added = known
+            .annotations
+            .iter_mut()
+            .filter_map(Latest::borrow)
+            .find_map(|annotations| place_of(&request.body, &annotations.places));
+        let at = added.or_else(|| place_of(&request.body, &places));
+        match assign(&bus, &mut known, &request.body, at).await {
             Ok(reply) => request.reply(&reply),
             Err(refusal) => request.refuse(&refusal),
         }

@@ -1,11 +1,12 @@
 //! Mapping core. From which pose is a scan drawn into the map, and what is the robot told of where it is? No network, no clock.
 
-use nalgebra::Matrix3;
+use nalgebra::{Matrix3, Point2};
 use serde::{Deserialize, Serialize};
 use zenav_localisation::LocalisationSettings;
 use zenav_mapping::{Insertion, Mapper};
 use zenav_protocol::geometry::{Pose2, wrap_angle};
-use zenav_protocol::messages::{Correction, Health, Localisation, Refusal, Scan};
+use zenav_protocol::grid::OccupancyGrid;
+use zenav_protocol::messages::{Correction, Health, Localisation, MapRef, Refusal, Scan};
 use zenav_protocol::time::Stamp;
 use zenav_slam::SlamSettings;
 
@@ -112,12 +113,24 @@ enum Poses {
     Localised(Box<LocalisedPoses>),
 }
 
+impl Poses {
+    /// `map`: the one to be found in.
+    fn new(settings: &PoseSettings, map: &OccupancyGrid) -> Self {
+        match settings.source {
+            PoseSource::Edge => Self::Edge,
+            PoseSource::Slam => Self::Slam(Box::new(SlamPoses::new(settings.slam))),
+            PoseSource::Localise => Self::Localised(Box::new(LocalisedPoses::new(settings.localisation, map))),
+        }
+    }
+}
+
 /// The map of a robot, and where its poses come from.
 #[derive(Debug)]
 pub struct MappingCore {
     /// The map.
     pub mapper: Mapper,
     poses: Poses,
+    settings: PoseSettings,
     /// Stamp and boot of the newest scan.
     last: Option<(Stamp, String)>,
 }
@@ -137,16 +150,11 @@ impl MappingCore {
     /// A map, and the source of the poses from which scans will be drawn into it.
     #[must_use]
     pub fn new(mapper: Mapper, settings: &PoseSettings) -> Self {
-        let poses = match settings.source {
-            PoseSource::Edge => Poses::Edge,
-            PoseSource::Slam => Poses::Slam(Box::new(SlamPoses::new(settings.slam))),
-            PoseSource::Localise => {
-                Poses::Localised(Box::new(LocalisedPoses::new(settings.localisation, &mapper.grid())))
-            }
-        };
+        let poses = Poses::new(settings, &mapper.grid());
         Self {
             mapper,
             poses,
+            settings: *settings,
             last: None,
         }
     }
@@ -176,6 +184,12 @@ impl MappingCore {
             Poses::Localised(localised) if localised.is_trusted() => self.mapper.insert(&localised.placed(scan)),
             Poses::Localised(_) => Insertion::Held,
         }
+    }
+
+    /// Replaces the map: localisation begins anew in it, SLAM with the next scan.
+    pub fn load(&mut self, map: MapRef, grid: &OccupancyGrid, trajectory: Vec<Point2<f64>>, scans: u64) {
+        self.mapper.load(map, grid, trajectory, scans);
+        self.poses = Poses::new(&self.settings, grid);
     }
 
     /// Begins a new map.

@@ -4,13 +4,15 @@
 //!
 //! | file | subject |
 //! |---|---|
+//! | `annotations` | which places and zones does the map have? |
 //! | `core` | from which poses are scans drawn, and what is the robot told? |
 //! | `slam_poses`, `localised_poses` | the same by SLAM, by localisation in a known map |
 //! | `authority` | may this request change the map? |
 //! | `requests` | answers, each change once |
 //! | `encodings` | the map as JSON, CBOR, PNG, PGM or YAML |
-//! | `storage` | the stored map at the start, and saving |
+//! | `storage` | the map at the start, storing and loading |
 
+mod annotations;
 mod authority;
 mod core;
 mod encodings;
@@ -21,7 +23,9 @@ mod storage;
 #[cfg(test)]
 mod tests;
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::Duration;
 
 use thiserror::Error;
@@ -29,15 +33,21 @@ use tokio::task::JoinSet;
 use zenav_mapping::{Insertion, MappingSettings};
 use zenav_protocol::bus::{AskError, Bus, BusError, Clock, Publisher, Shutdown};
 use zenav_protocol::config_text::OutOfBounds;
-use zenav_protocol::messages::{Correction, EdgeState, InfoRequest, Localisation, MapInfo, MapPatch, Scan};
+use zenav_protocol::grid::OccupancyGrid;
+use zenav_protocol::messages::{
+    Annotations, Correction, EdgeState, GoalPoint, InfoRequest, Localisation, MapInfo, MapPatch, MapReply, Scan,
+};
 use zenav_protocol::robot::Footprint;
 use zenav_protocol::settings::Settings;
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics::{
-    ALIVE_COMPONENT, CORRECTION, EDGE_INFO, LIDAR_SCAN, LOCALISATION, LOCALISE, MAP, MAP_INFO, MAP_PATCH, SCAN, STATE,
-    alive_key,
+    ALIVE_COMPONENT, ANNOTATE, ANNOTATIONS, CORRECTION, EDGE_INFO, LIDAR_SCAN, LOCALISATION, LOCALISE, MAP, MAP_INFO,
+    MAP_PATCH, SCAN, STATE, alive_key,
 };
 
+use zenav_space::Zones;
+
+use annotations::AnnotationBook;
 use authority::Authority;
 pub use core::{Mapped, MappingCore, PoseSettings, PoseSource};
 use requests::FirstAnswers;
@@ -53,6 +63,21 @@ pub struct MappingConfig {
     pub poses: PoseSettings,
     /// Folder in which the map is stored as `map.pgm`, `map.yaml` and `map.json`; without it, nothing is stored.
     pub folder: Option<PathBuf>,
+    /// Map to begin with, instead of the stored one.
+    pub known: Option<KnownMap>,
+    /// Named goals that every map of the robot has, map frame.
+    pub places: BTreeMap<String, GoalPoint>,
+    /// Zones that every map of the robot has.
+    pub zones: Arc<Zones>,
+}
+
+/// A map that mapping begins with.
+#[derive(Clone, Debug, PartialEq)]
+pub struct KnownMap {
+    /// Occupancy of every cell.
+    pub grid: Arc<OccupancyGrid>,
+    /// Whether scans are inserted into it; otherwise it is held.
+    pub live: bool,
 }
 
 impl MappingConfig {
@@ -64,6 +89,9 @@ impl MappingConfig {
             settings: MappingSettings::default(),
             poses: PoseSettings::default(),
             folder: None,
+            known: None,
+            places: BTreeMap::new(),
+            zones: Arc::default(),
         }
     }
 }
@@ -77,6 +105,14 @@ pub enum MappingError {
     /// There is no stored map to localise in.
     #[error("mapping: `poses = \"localise\"` needs a stored map, and {0} has none: store one, or take `slam`")]
     NoMap(String),
+    /// What people drew on the map cannot be read.
+    #[error("{}: {problem}; mend the file or remove it: the places and zones in it are not dropped silently", file.display())]
+    Annotations {
+        /// The file.
+        file: PathBuf,
+        /// What is wrong with it.
+        problem: String,
+    },
     /// The bus was closed, or a key could not be declared.
     #[error(transparent)]
     Bus(#[from] BusError),
@@ -91,7 +127,7 @@ const FOOTPRINT_DEADLINE: Duration = Duration::from_secs(30);
 /// reported and left alone, and a new one is begun.
 ///
 /// # Errors
-/// [`MappingError`] for settings out of bounds, and when a key cannot be declared.
+/// [`MappingError`] for settings out of bounds, annotations that cannot be read, and when a key cannot be declared.
 pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdown) -> Result<(), MappingError> {
     config.settings.check()?;
     let robot = config.robot.clone();
@@ -109,6 +145,7 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
             |folder| folder.display().to_string(),
         )));
     }
+    let mut annotates = bus.serve(&ANNOTATE, &chunks)?;
     let mut service = Service {
         info: bus.publisher(&MAP_INFO, &chunks)?,
         patches: bus.publisher(&MAP_PATCH, &chunks)?,
@@ -116,6 +153,9 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
         localisation: bus.publisher(&LOCALISATION, &chunks)?,
         core: MappingCore::new(mapper, &config.poses),
         boot_id: String::new(),
+        annotations: AnnotationBook::open(config.places.clone(), &config.zones, config.folder.as_deref())?,
+        annotations_topic: bus.publisher(&ANNOTATIONS, &chunks)?,
+        annotated: FirstAnswers::default(),
         period: Duration::from_secs_f64(1.0 / config.settings.publish_hz),
         published: Stamp::ZERO,
         pending: false,
@@ -127,6 +167,7 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
     let _alive = bus.declare_alive(alive_key(ALIVE_COMPONENT, &[&robot, "mapping"]))?;
     service.publish(clock.now());
     service.info.put(&service.core.mapper.info());
+    service.annotations_topic.put(service.annotations.now());
     let mut footprint = Box::pin(ask_footprint(&bus, &robot));
     let mut footprint_known = false;
     loop {
@@ -145,6 +186,10 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
             },
             request = places.next() => match request {
                 Some(request) => service.answer_place(request, clock.now()),
+                None => break,
+            },
+            request = annotates.next() => match request {
+                Some(request) => service.annotate(request, clock.now()).await,
                 None => break,
             },
             scan = scans.next() => match scan {
@@ -204,7 +249,10 @@ struct Service {
     /// Whether there are changes to be published.
     pending: bool,
     authority: Authority,
-    answered: FirstAnswers,
+    answered: FirstAnswers<MapReply>,
+    annotations: AnnotationBook,
+    annotations_topic: Publisher<Annotations>,
+    annotated: FirstAnswers<Arc<Annotations>>,
     /// Whole maps being encoded.
     encoding: JoinSet<()>,
 }

@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use zenav_protocol::bus::Request;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::{
-    LocaliseAction, LocaliseReply, LocaliseRequest, MapAction, MapReply, MapRequest, Refusal,
+    LocaliseAction, LocaliseReply, LocaliseRequest, MapAction, MapReply, MapRequest, Refusal, StoredMapInfo,
 };
 use zenav_protocol::time::Stamp;
 
@@ -17,16 +17,23 @@ const MAX_ANSWERS: usize = 64;
 type Answer = Result<MapReply, Refusal>;
 
 /// First answers by request id, newest first: a repeated request gets the first answer and changes nothing.
-#[derive(Debug, Default)]
-pub(super) struct FirstAnswers(VecDeque<(String, Answer)>);
+#[derive(Debug)]
+pub(super) struct FirstAnswers<R>(VecDeque<(String, Result<R, Refusal>)>);
 
-impl FirstAnswers {
-    fn get(&self, id: Option<&str>) -> Option<Answer> {
+// Not derived: that would ask `R: Default`.
+impl<R> Default for FirstAnswers<R> {
+    fn default() -> Self {
+        Self(VecDeque::new())
+    }
+}
+
+impl<R: Clone> FirstAnswers<R> {
+    pub(super) fn get(&self, id: Option<&str>) -> Option<Result<R, Refusal>> {
         let (_, answer) = self.0.iter().find(|(known, _)| Some(known.as_str()) == id)?;
         Some(answer.clone())
     }
 
-    fn keep(&mut self, id: Option<String>, answer: &Answer) {
+    pub(super) fn keep(&mut self, id: Option<String>, answer: &Result<R, Refusal>) {
         if let Some(id) = id {
             self.0.truncate(MAX_ANSWERS - 1);
             self.0.push_front((id, answer.clone()));
@@ -36,23 +43,25 @@ impl FirstAnswers {
 
 impl Service {
     pub(super) async fn answer(&mut self, request: Request<MapRequest, MapReply>, now: Stamp) {
-        let MapRequest {
-            action,
-            request_id,
-            epoch,
-        } = request.body.clone();
-        if action == MapAction::Get {
-            self.hand_out(request);
-            return;
+        match request.body.action {
+            MapAction::Get => return self.hand_out(request),
+            MapAction::List => {
+                return match self.list().await {
+                    Ok(reply) => request.reply(&reply),
+                    Err(refusal) => request.refuse(&refusal),
+                };
+            }
+            _ => {}
         }
-        let answer = match self.answered.get(request_id.as_deref()) {
+        let id = request.body.request_id.clone();
+        let answer = match self.answered.get(id.as_deref()) {
             Some(first) => first,
             // A refusal for want of authority changed nothing: it is not kept, and the same request may succeed later.
-            None => match self.authority.admit(now, epoch) {
+            None => match self.authority.admit(now, request.body.epoch) {
                 Err(refusal) => Err(refusal),
                 Ok(()) => {
-                    let answer = self.act(action, now).await;
-                    self.answered.keep(request_id, &answer);
+                    let answer = self.act(&request.body, now).await;
+                    self.answered.keep(id, &answer);
                     answer
                 }
             },
@@ -94,22 +103,34 @@ impl Service {
         Ok(())
     }
 
-    async fn act(&mut self, action: MapAction, now: Stamp) -> Answer {
-        match action {
-            MapAction::Get => {}
-            MapAction::Save => self.save().await?,
+    async fn act(&mut self, request: &MapRequest, now: Stamp) -> Answer {
+        match request.action {
+            MapAction::Get | MapAction::List => {}
+            MapAction::Save => self.save(request.name.as_deref()).await?,
+            MapAction::Load => self.load(request).await?,
             MapAction::Reset => self.core.reset(storage::new_map_id(&self.config.robot)),
             MapAction::Resume => self.core.mapper.resume(),
             MapAction::Hold => self.core.mapper.hold(),
             MapAction::Forget => self.core.mapper.decay_now(),
         }
         self.publish(now);
-        let info = self.core.mapper.info();
-        self.info.put(&info);
-        Ok(MapReply {
-            info,
+        let reply = self.described(Vec::new());
+        self.info.put(&reply.info);
+        Ok(reply)
+    }
+
+    async fn list(&self) -> Answer {
+        let stored = self.stored_maps().await?;
+        Ok(self.described(stored))
+    }
+
+    /// The map without its cells.
+    fn described(&self, stored: Vec<StoredMapInfo>) -> MapReply {
+        MapReply {
+            info: self.core.mapper.info(),
             values: Vec::new(),
             trajectory: Vec::new(),
-        })
+            stored,
+        }
     }
 }

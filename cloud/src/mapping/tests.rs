@@ -2,10 +2,15 @@
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
+use nalgebra::Point2;
 use zenav_protocol::bus::BusConfig;
 use zenav_protocol::geometry::Pose2;
+use zenav_protocol::grid::GridSpec;
 use zenav_protocol::map_replica::{MapReplica, PatchResult};
-use zenav_protocol::messages::{EdgeState, LeaseRole, LeaseState, MapAction, MapReply, MapRequest, Refusal};
+use zenav_protocol::messages::{
+    AnnotateAction, AnnotateRequest, EdgeState, GivenMap, LeaseRole, LeaseState, MapAction, MapReply, MapRequest,
+    Refusal,
+};
 
 use super::*;
 use crate::testing::router;
@@ -32,6 +37,7 @@ fn request(action: MapAction, id: &str, epoch: Option<u64>) -> MapRequest {
         action,
         request_id: Some(id.to_owned()),
         epoch,
+        ..MapRequest::default()
     }
 }
 
@@ -178,6 +184,156 @@ async fn a_mission_s_map_is_changed_under_its_epoch_only_and_once() {
     let reset = until(7, false, Result::is_ok).await.unwrap();
     assert_ne!(reset.info.map.id, first.info.map.id);
 
+    shutdown.trigger();
+    service.await.unwrap().unwrap();
+    router.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_map_that_comes_with_a_request_is_held_and_named_maps_are_stored_beside_the_robot_s_own() {
+    let (router, endpoint) = router().await;
+    let open = |name: &'static str| Bus::open(BusConfig::service(name, &endpoint));
+    let folder = tempfile::tempdir().unwrap();
+    let config = MappingConfig {
+        folder: Some(folder.path().to_owned()),
+        ..MappingConfig::new("tiago")
+    };
+    let (client, chunks) = (open("client").await.unwrap(), ["tiago"]);
+    let shutdown = Shutdown::new();
+    let service = tokio::spawn(run(
+        open("mapping").await.unwrap(),
+        Clock::wall(),
+        config,
+        shutdown.clone(),
+    ));
+    let ask = async |request: MapRequest| client.ask(&MAP, &chunks, &request, DEADLINE).await;
+    let mut values = vec![0; 12];
+    values[5] = 100;
+    let given = GivenMap {
+        spec: GridSpec {
+            origin: Point2::new(-1.0, 2.0),
+            resolution: 0.05,
+            width: 4,
+            height: 3,
+        },
+        values,
+    };
+    let load = MapRequest {
+        map: Some(given.clone()),
+        ..request(MapAction::Load, "load", None)
+    };
+    let loaded = ask(load.clone()).await.unwrap();
+    assert!(loaded.info.stored && loaded.info.occupied == 1, "{loaded:?}");
+    assert_eq!(
+        ask(load.clone()).await.unwrap(),
+        loaded,
+        "a repeated request loads nothing again"
+    );
+    let named = |action, id: &str, name: &str| MapRequest {
+        name: Some(name.to_owned()),
+        ..request(action, id, None)
+    };
+    ask(named(MapAction::Save, "save", "attic")).await.unwrap();
+    ask(request(MapAction::Reset, "reset", None)).await.unwrap();
+    let list = ask(MapRequest {
+        action: MapAction::List,
+        ..MapRequest::default()
+    });
+    let names: Vec<String> = list.await.unwrap().stored.into_iter().map(|map| map.name).collect();
+    assert_eq!(names, ["attic"]);
+    let back = ask(named(MapAction::Load, "back", "attic")).await.unwrap();
+    assert_eq!(back.info.occupied, 1);
+    for (bad, what) in [
+        (named(MapAction::Load, "b1", "moon"), "stored map `moon`"),
+        (named(MapAction::Save, "b2", "../up"), "`name`"),
+        (request(MapAction::Load, "b3", None), "a stored map of the robot"),
+        (
+            MapRequest {
+                name: Some("attic".into()),
+                ..load.clone()
+            },
+            "first answer",
+        ),
+        (
+            MapRequest {
+                map: Some(GivenMap {
+                    values: vec![0; 5],
+                    ..given.clone()
+                }),
+                ..request(MapAction::Load, "b4", None)
+            },
+            "`map`",
+        ),
+    ] {
+        match ask(bad).await {
+            Err(error) => assert!(error.to_string().contains(what), "{what}: {error}"),
+            Ok(answer) => assert!(what == "first answer" && answer == loaded),
+        }
+    }
+    assert!(!folder.path().parent().unwrap().join("up").exists());
+    shutdown.trigger();
+    service.await.unwrap().unwrap();
+    router.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn annotations_are_published_to_late_joiners_and_changed_under_the_epoch_in_force() {
+    let (router, endpoint) = router().await;
+    let open = |name: &'static str| Bus::open(BusConfig::service(name, &endpoint));
+    let (client, chunks) = (open("client").await.unwrap(), ["tiago"]);
+    let shutdown = Shutdown::new();
+    let sink = GoalPoint {
+        x: 1.0,
+        y: 2.0,
+        yaw: None,
+    };
+    let config = MappingConfig {
+        places: [("sink".to_owned(), sink)].into(),
+        ..MappingConfig::new("tiago")
+    };
+    let service = tokio::spawn(run(
+        open("mapping").await.unwrap(),
+        Clock::wall(),
+        config,
+        shutdown.clone(),
+    ));
+    let states = client.publisher(&STATE, &chunks).unwrap();
+    let add = |id: &str, epoch| AnnotateRequest {
+        action: AnnotateAction::AddPlace {
+            name: "fridge".into(),
+            at: sink,
+        },
+        request_id: Some(id.to_owned()),
+        epoch,
+    };
+    let ask = async |request: &AnnotateRequest| client.ask(&ANNOTATE, &chunks, request, DEADLINE).await;
+    // Once mapping has heard that a mission commands the robot.
+    tokio::time::timeout(DEADLINE, async {
+        let mut count = 0;
+        loop {
+            count += 1;
+            states.put(&state(7, true));
+            let remove = AnnotateRequest {
+                action: AnnotateAction::RemovePlace { name: "fridge".into() },
+                request_id: Some(format!("r{count}")),
+                epoch: None,
+            };
+            if ask(&remove).await.unwrap_err().to_string().contains("expected `epoch`") {
+                return;
+            }
+        }
+    })
+    .await
+    .unwrap();
+    states.put(&state(7, true));
+    assert!(ask(&add("a", Some(6))).await.is_err());
+    let added = ask(&add("a", Some(7))).await.unwrap();
+    assert_eq!((added.revision, added.places.len()), (1, 2));
+    let late_bus = open("late").await.unwrap();
+    let mut late = late_bus.latest(&ANNOTATIONS, &chunks).unwrap();
+    let heard = tokio::time::timeout(DEADLINE, late.next()).await.unwrap().unwrap();
+    assert_eq!(heard.message, added);
+    assert_eq!(ask(&AnnotateRequest::default()).await.unwrap(), added);
     shutdown.trigger();
     service.await.unwrap().unwrap();
     router.close().await;

@@ -8,7 +8,8 @@ use tokio::sync::mpsc;
 use tokio::time::{Instant, MissedTickBehavior};
 use zenav_protocol::bus::{AliveWatch, Bus, BusError, Clock, Latest, Publisher, Subscription};
 use zenav_protocol::messages::{
-    EdgeState, Event, GoalState, Heartbeat, InfoRequest, MapInfo, MapPatch, MissionStatus, Plan, PoseEstimate, Refusal,
+    Annotations, EdgeState, Event, GoalState, Heartbeat, InfoRequest, MapInfo, MapPatch, MissionStatus, Plan,
+    PoseEstimate, Refusal,
 };
 use zenav_protocol::topics::{self, MissionRequest};
 
@@ -173,6 +174,7 @@ struct Shell {
     events: Subscription<Event>,
     map_info: Latest<MapInfo>,
     map_patches: Subscription<MapPatch>,
+    annotations: Latest<Annotations>,
     mapper: AliveWatch,
     pulse: Pulse,
     plan: Publisher<Plan>,
@@ -195,6 +197,7 @@ impl Shell {
             events: bus.subscribe(&topics::EVENT, &name, MAX_WAITING)?,
             map_info: bus.latest(&topics::MAP_INFO, &name)?,
             map_patches: bus.subscribe(&topics::MAP_PATCH, &name, MAX_WAITING)?,
+            annotations: bus.latest(&topics::ANNOTATIONS, &name)?,
             mapper: bus.watch_alive(topics::alive_key(topics::ALIVE_COMPONENT, &[&robot, "mapping"]))?,
             pulse: Pulse {
                 publisher: bus.publisher(&topics::HEARTBEAT, &name)?,
@@ -263,6 +266,7 @@ impl Shell {
         inputs.state = self.state.take();
         inputs.pose = self.pose.take();
         inputs.map_info = self.map_info.take();
+        inputs.annotations = self.annotations.take();
         inputs.events.extend(
             std::iter::from_fn(|| self.events.try_next())
                 .map(|received| received.message)

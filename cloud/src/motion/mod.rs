@@ -14,13 +14,13 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
-use zenav_protocol::bus::{Bus, BusError, Clock, Publisher, Shutdown};
+use zenav_protocol::bus::{Bus, BusError, Clock, Latest, Publisher, Shutdown};
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{
-    MotionReply, MotionRequest, PlanOutcome, PlanReply, SearchTree, TrajectoryReply, TrajectoryRequest,
+    Annotations, MotionReply, MotionRequest, PlanOutcome, PlanReply, SearchTree, TrajectoryReply, TrajectoryRequest,
 };
 use zenav_protocol::padding::Extent;
-use zenav_protocol::topics::{ALIVE_WORKER, MOTION_SERVICE, TREE, alive_key};
+use zenav_protocol::topics::{ALIVE_WORKER, ANNOTATIONS, MOTION_SERVICE, TREE, alive_key};
 use zenav_space::Zones;
 
 use self::worker::MotionWorker;
@@ -32,6 +32,8 @@ use crate::map_subscriber::MapSubscriber;
 pub const SERVICE: &str = "motion";
 /// How long the whole map may take to come.
 const MAP_DEADLINE: Duration = Duration::from_millis(1500);
+/// Most robots whose zones are kept; beyond it the first by name is dropped.
+const MAX_ROBOTS: usize = 1024;
 /// Robots whose searches are shown at once; beyond it the first by name goes.
 const MAX_SHOWN: usize = 64;
 /// Most edges of a tree that are shown: the first ones, which reach out farthest.
@@ -53,7 +55,7 @@ pub fn padding(request: &MotionRequest) -> Option<Extent> {
     }
 }
 
-/// Answers motion requests, on maps with these zones, under a worker's name until shutdown, or until the bus is closed.
+/// Answers motion requests, on maps with these zones where a robot's own are not known, under a worker's name until shutdown, or until the bus is closed.
 ///
 /// # Errors
 /// [`BusError`] when a key cannot be declared.
@@ -66,6 +68,11 @@ pub async fn run(
     shutdown: Shutdown,
 ) -> Result<(), BusError> {
     let mut maps = MapSubscriber::new(&bus)?;
+    let mut all_zones = RobotZones {
+        annotations: bus.latest(&ANNOTATIONS, &["*"])?,
+        robots: BTreeMap::new(),
+        others: zones,
+    };
     let mut server = bus.serve(&MOTION_SERVICE, &[name.as_str()])?;
     let _alive = bus.declare_alive(alive_key(ALIVE_WORKER, &[SERVICE, name.as_str()]))?;
     let mut viewers = TreePublishers {
@@ -73,7 +80,7 @@ pub async fn run(
         clock,
         publishers: BTreeMap::new(),
     };
-    let mut worker = MotionWorker::new(Arc::clone(&zones), settings.clone());
+    let mut worker = MotionWorker::new(Arc::clone(&all_zones.others), settings.clone());
     loop {
         let request = tokio::select! {
             () = shutdown.wait() => return Ok(()),
@@ -90,6 +97,7 @@ pub async fn run(
             }
             replica.clone()
         });
+        worker.set_zones(all_zones.of(robot));
         let (robot, asked) = (robot.to_owned(), request.body.clone());
         let budgets = [asked.search_budget(), asked.budget()];
         let done = host::within(budgets, &shutdown, move |clock, cancel| {
@@ -107,10 +115,41 @@ pub async fn run(
                 request.refuse(&refusal);
             }
             Err(refusal) => {
-                worker = MotionWorker::new(Arc::clone(&zones), settings.clone());
+                worker = MotionWorker::new(Arc::clone(&all_zones.others), settings.clone());
                 request.refuse(&refusal);
             }
         }
+    }
+}
+
+/// The zones of each robot's map.
+struct RobotZones {
+    annotations: Latest<Annotations>,
+    robots: BTreeMap<String, Arc<Zones>>,
+    /// Of robots whose annotations have not come.
+    others: Arc<Zones>,
+}
+
+impl RobotZones {
+    /// The newest zones of a robot's map.
+    fn of(&mut self, robot: &str) -> Arc<Zones> {
+        while let Some(received) = self.annotations.take_received() {
+            let Some(robot) = received.chunks.into_iter().next() else {
+                continue;
+            };
+            match Zones::new(&received.message.zones) {
+                // As long as they are the same the spaces that were made with them are.
+                Ok(zones) if self.robots.get(&robot).is_some_and(|known| **known == zones) => {}
+                Ok(zones) => {
+                    self.robots.insert(robot, Arc::new(zones));
+                }
+                Err(error) => tracing::error!(robot, %error, "zones are refused; those that were known stay in force"),
+            }
+            if self.robots.len() > MAX_ROBOTS {
+                self.robots.pop_first();
+            }
+        }
+        Arc::clone(self.robots.get(robot).unwrap_or(&self.others))
     }
 }
 
@@ -215,6 +254,7 @@ mod tests {
             info,
             values: grid.values().to_vec(),
             trajectory: Vec::new(),
+            stored: Vec::new(),
         }
     }
 

@@ -93,6 +93,11 @@ impl MotionWorker {
         }
     }
 
+    /// From now on maps have these zones.
+    pub fn set_zones(&mut self, zones: Arc<Zones>) {
+        self.spaces.set_zones(zones);
+    }
+
     /// Edges of the trees that the last search grew, map frame, m, at most `limit` of them; none after a search on the grid.
     #[must_use]
     pub fn tree(&self, limit: usize) -> Vec<[Point2<f64>; 2]> {

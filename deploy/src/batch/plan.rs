@@ -249,7 +249,7 @@ impl Tally {
         }
         if self.known > 0 {
             text.push_str(&format!(
-                ", {} of {} as short as the known optimum",
+                ", {} of {} no longer than the known optimum",
                 self.optimal, self.known
             ));
         }

@@ -132,6 +132,10 @@ settings! {
         /// From which poses scans are drawn: `edge` (the robot's own estimate, for robots with GPS and compass), `slam` (scans and
         /// odometry alone) or `localise` (in the map that mapping begins with); the robot is then corrected.
         pub poses: PoseSource = PoseSource::Edge;
+        /// Known map to begin with, a `map_server` description or an image; without it, the stored one.
+        pub map: Option<PathBuf> = None;
+        /// Whether scans are inserted into the known map; otherwise it is held.
+        pub live: bool = false;
     }
 }
 

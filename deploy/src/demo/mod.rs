@@ -36,7 +36,7 @@ use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::gateway::{self, PageArgs};
-use crate::launch::runtime;
+use crate::launch::{KnownMapArgs, PoseArgs, runtime};
 use crate::output::{Format, spinner, value};
 use crate::record::{self, RecordOptions, Recording, Written};
 use crate::report::{DemoReport, ScenarioOutcome};
@@ -125,6 +125,10 @@ pub struct DemoArgs {
     #[arg(long)]
     no_ui: bool,
     #[command(flatten)]
+    known: KnownMapArgs,
+    #[command(flatten)]
+    begin: PoseArgs,
+    #[command(flatten)]
     page: PageArgs,
     /// Output format
     #[arg(short, long, value_enum, default_value_t)]
@@ -155,6 +159,11 @@ pub fn run(args: &DemoArgs) -> Outcome {
                 film.display()
             )));
         }
+    }
+    if args.known.names_map() && args.scenario.script().alone {
+        return Err(Failure::usage(
+            "--map: wall_follow drives without a map; expected kitchen or online",
+        ));
     }
     crate::receivers::ensure_enough();
     let folder = args.folder();
@@ -197,6 +206,8 @@ fn deployment(args: &DemoArgs, script: &Script, endpoint: &str, state: &Path) ->
     if !args.page.names_address() {
         gateway::FREE_PORT.clone_into(&mut deployment.gateway.settings.listen);
     }
+    args.known.apply(&mut deployment);
+    args.begin.apply(&mut deployment)?;
     args.page.apply(&mut deployment);
     if let Some(planner) = args.planner.map(Planner::name).or(script.planner) {
         planner.clone_into(&mut deployment.planning.run.planner);

@@ -1,5 +1,6 @@
 //! Goal list. Which goals are there, and how is one paused or cancelled?
 
+use serde::Serialize;
 use zenav_protocol::messages::{
     CancelRequest, GoalPhase, GoalReply, GoalRequest, GoalState, GoalsRequest, PauseRequest,
 };
@@ -8,7 +9,7 @@ use zenav_protocol::topics;
 use super::Report;
 use crate::connect::{self, RobotArgs, fresh_id};
 use crate::exit_code;
-use crate::failure::Outcome;
+use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
 
 /// Filters of the list.
@@ -30,40 +31,114 @@ fn phase(text: &str) -> Result<GoalPhase, String> {
         .ok_or_else(|| format!("expected one of {all:?}"))
 }
 
+/// A listed goal: as the mission has it, and its age.
+#[derive(Debug, Serialize)]
+struct Listed {
+    #[serde(flatten)]
+    goal: GoalState,
+    /// Time since it was accepted, on the mission's clock, s; `None` for a mission that does not tell its time.
+    age_s: Option<f64>,
+}
+
+/// Lists the goals of one robot, or of all robots that have a mission.
 pub(super) fn run(robot: &RobotArgs, format: Format, args: &ListArgs) -> Outcome {
     let patience = robot.link.patience();
-    connect::on_robot(robot, async |bus, robot| {
-        let request = GoalsRequest {
-            id: None,
-            states: args.state.clone(),
-            limit: args.limit,
+    let request = GoalsRequest {
+        id: None,
+        states: args.state.clone(),
+        limit: args.limit,
+    };
+    connect::on_bus(&robot.link, async |bus| {
+        let robots = match &robot.robot {
+            Some(_) => vec![connect::find(&bus, robot.robot.as_deref()).await?],
+            None => connect::with_component(&bus, "mission").await?,
         };
-        let reply = bus.ask(&topics::GOALS, &[&robot], &request, patience).await?;
-        output::values(format, &reply.goals, table)?;
-        Ok(exit_code::OK)
+        let mut listed = Vec::new();
+        let mut failure = None;
+        for robot in &robots {
+            match bus.ask(&topics::GOALS, &[robot], &request, patience).await {
+                Ok(reply) => listed.extend(reply.goals.into_iter().map(|goal| Listed {
+                    age_s: reply.now.map(|now| now.secs_since(goal.accepted)),
+                    goal,
+                })),
+                Err(error) => failure = Some(Failure::new(exit_code::of_ask(&error), format!("{robot}: {error}"))),
+            }
+        }
+        // What some robots answered is printed also where others are silent.
+        if failure.is_none() || !listed.is_empty() {
+            output::values(format, &listed, |listed| table(listed, robots.len() > 1))?;
+        }
+        failure.map_or(Ok(exit_code::OK), Err)
     })
 }
 
-fn table(goals: &[GoalState]) -> String {
+fn table(goals: &[Listed], several_robots: bool) -> String {
     let number = |value: Option<f64>| value.map(|value| format!("{value:.2}")).unwrap_or_default();
     let rows: Vec<Vec<String>> = goals
         .iter()
-        .map(|goal| {
+        .map(|Listed { goal, age_s }| {
             let took = goal
                 .started
                 .and_then(|started| goal.ended.map(|ended| ended.secs_since(started)));
-            let remark = goal.reason.clone().unwrap_or_else(|| goal.feedback.step.clone());
-            vec![
+            let left = goal.feedback.distance_left.filter(|_| !goal.state.is_end());
+            let mut row = vec![
                 goal.id.clone(),
                 format!("{:?}", goal.state),
                 target(&goal.request),
-                number(goal.feedback.distance_left),
+                age_s.map(age).unwrap_or_default(),
+                number(left),
                 number(took),
-                remark,
-            ]
+                remark(goal),
+            ];
+            if several_robots {
+                row.insert(1, goal.robot.clone());
+            }
+            row
         })
         .collect();
-    output::table(&["ID", "STATE", "TARGET", "LEFT m", "TOOK s", "REMARK"], &rows)
+    let mut header = vec!["ID", "STATE", "TARGET", "AGE", "LEFT m", "TOOK s", "REMARK"];
+    if several_robots {
+        header.insert(1, "ROBOT");
+    }
+    output::table(&header, &rows)
+}
+
+/// How a goal ended, or what is done for it now.
+fn remark(goal: &GoalState) -> String {
+    if let Some(reason) = &goal.reason {
+        return reason.clone();
+    }
+    match goal.state {
+        GoalPhase::Succeeded => {
+            let error = goal
+                .feedback
+                .final_error
+                .map(|error| format!("{:.1} cm off", 100.0 * error));
+            let length: f64 = goal.legs.iter().map(|leg| leg.planned_length).sum();
+            let length = (length > 0.0).then(|| format!("{length:.1} m planned"));
+            let plans = goal.feedback.plans;
+            let plans = (plans > 0).then(|| format!("{plans} plan{}", if plans == 1 { "" } else { "s" }));
+            [error, length, plans]
+                .into_iter()
+                .flatten()
+                .collect::<Vec<_>>()
+                .join(", ")
+        }
+        GoalPhase::Active => goal.feedback.step.clone(),
+        GoalPhase::Accepted => "waits for its turn".to_owned(),
+        _ => String::new(),
+    }
+}
+
+/// A time for people: seconds, minutes, hours, days.
+fn age(secs: f64) -> String {
+    let whole = secs.max(0.0);
+    match whole {
+        secs if secs < 60.0 => format!("{secs:.0} s"),
+        secs if secs < 3600.0 => format!("{:.0} min", (secs / 60.0).floor()),
+        secs if secs < 86_400.0 => format!("{:.0} h", (secs / 3600.0).floor()),
+        secs => format!("{:.0} d", (secs / 86_400.0).floor()),
+    }
 }
 
 fn target(request: &GoalRequest) -> String {
@@ -132,6 +207,31 @@ mod tests {
 
     #[test]
     fn an_empty_list_is_a_header() {
-        assert!(table(&[]).starts_with("ID"));
+        assert!(table(&[], false).starts_with("ID  STATE"));
+        assert!(table(&[], true).starts_with("ID  ROBOT"));
+    }
+
+    #[test]
+    fn a_goal_that_was_reached_tells_how_well_and_not_what_it_did_last() {
+        let goal: GoalState = serde_json::from_value(serde_json::json!({
+            "id": "g", "robot": "r", "state": "Succeeded", "accepted": 0, "started": 0, "ended": 1,
+            "feedback": { "step": "drives", "distance_left": 0.1, "time_left": null, "plans": 1, "final_error": 0.004 },
+            "request": { "x": 1.0, "y": 2.0 }
+        }))
+        .unwrap();
+        assert_eq!(remark(&goal), "0.4 cm off, 1 plan");
+        let paused = GoalState {
+            state: GoalPhase::Paused,
+            ..goal
+        };
+        assert_eq!(remark(&paused), "");
+    }
+
+    #[test]
+    fn an_age_is_short() {
+        assert_eq!(
+            [12.4, 61.0, 7300.0, 200_000.0].map(age),
+            ["12 s", "1 min", "2 h", "2 d"]
+        );
     }
 }

@@ -20,6 +20,9 @@ use crate::output::Format;
 
 /// Goals: submit, list, watch, cancel.
 #[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  zenav goal submit 0.88 0.09 --wait\n  zenav goal submit --place sink --on-busy preempt\n  zenav goal submit --tree patrol.xml --wait\n  zenav goal list --state active,accepted\n\nExit codes of a goal that is waited for: 0 reached, 1 aborted, 6 cancelled, 7 rejected, 130 detached by Ctrl-C."
+)]
 pub struct GoalArgs {
     /// Connection and robot.
     #[command(flatten)]

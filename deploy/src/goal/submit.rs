@@ -12,7 +12,7 @@ use zenav_protocol::messages::{DrivingProfile, GoalPhase, GoalPoint, GoalReply, 
 use zenav_protocol::topics;
 
 use super::{Report, follow, phase_code};
-use crate::connect::{self, RobotArgs, finite, fresh_id, positive};
+use crate::connect::{self, RobotArgs, check_yaw, finite, fresh_id, heading, positive};
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::inspect::bt::includer;
@@ -28,7 +28,7 @@ pub(super) struct SubmitArgs {
     #[arg(allow_negative_numbers = true, value_parser = finite)]
     y: Option<f64>,
     /// Final heading, rad
-    #[arg(allow_negative_numbers = true, value_parser = finite)]
+    #[arg(allow_negative_numbers = true, value_parser = heading)]
     yaw: Option<f64>,
     /// Named place of the world
     #[arg(long, conflicts_with = "waypoint")]
@@ -95,7 +95,7 @@ fn waypoint(text: &str) -> Result<GoalPoint, String> {
             y: *y,
             yaw: None,
         }),
-        [x, y, yaw] => Ok(GoalPoint {
+        [x, y, yaw] => check_yaw(*yaw).map(|()| GoalPoint {
             x: *x,
             y: *y,
             yaw: Some(*yaw),
@@ -160,6 +160,7 @@ pub(super) fn run(robot: &RobotArgs, format: Format, args: &SubmitArgs) -> Outco
     let patience = robot.link.patience();
     match &args.group {
         Some(group) => connect::on_bus(&robot.link, async |bus| {
+            connect::find_group(&bus, group).await?;
             submit(&bus, group, &request, patience, args.wait, format).await
         }),
         None => connect::on_robot(robot, async |bus, robot| {
@@ -269,6 +270,8 @@ mod tests {
             &["1", "inf"],
             &["1", "2", "--deadline", "-1"],
             &["1", "2", "--id", "a/b"],
+            &["1", "2", "90"],
+            &["--waypoint", "1,2,90"],
         ] {
             assert!(request(bad).is_err(), "{bad:?}");
         }

@@ -17,6 +17,9 @@ use crate::output::{self, Format};
 /// Samples that may wait to be shown.
 const BACKLOG: usize = 4096;
 
+/// After so long a silence it is told: a slip in a key would wait for ever.
+const SILENCE: Duration = Duration::from_secs(2);
+
 /// What to listen to, and for how long.
 #[derive(Debug, clap::Args)]
 pub(super) struct ListenArgs {
@@ -84,6 +87,30 @@ async fn next(samples: &mut RawSubscription, until: Option<Instant>) -> Result<R
     }
 }
 
+/// As [`next`]; of a key on which nothing has come yet, the silence is told once.
+async fn next_or_hint(
+    samples: &mut RawSubscription,
+    until: Option<Instant>,
+    pattern: &str,
+    messages: u64,
+    hinted: &mut bool,
+) -> Result<RawSample, Ending> {
+    if messages == 0 && !std::mem::replace(hinted, true) {
+        let soon = Instant::now() + SILENCE;
+        if until.is_none_or(|until| until > soon) {
+            match next(samples, Some(soon)).await {
+                Err(Ending::OutOfTime) => {
+                    eprintln!(
+                        "zenav: nothing on {pattern} yet (`zenav topic list` shows what is published); Ctrl-C ends"
+                    );
+                }
+                other => return other,
+            }
+        }
+    }
+    next(samples, until).await
+}
+
 /// Why listening ended.
 enum Ending {
     Interrupted,
@@ -121,8 +148,9 @@ pub(super) async fn echo(bus: &Bus, pattern: &str, args: &ListenArgs, format: Fo
         .map(|secs| Instant::now() + seconds(secs).min(Duration::from_secs(1 << 30)));
     let wild = pattern.contains('*') || pattern.contains('$');
     let mut messages = 0;
+    let mut hinted = false;
     while args.count.is_none_or(|count| messages < count) {
-        let sample = match next(&mut samples, until).await {
+        let sample = match next_or_hint(&mut samples, until, pattern, messages, &mut hinted).await {
             Ok(sample) => sample,
             Err(ending) => return ending.outcome(messages, pattern),
         };
@@ -168,6 +196,7 @@ pub(super) async fn measure(
         .map(|secs| start + seconds(secs).min(Duration::from_secs(1 << 30)));
     let mut meters = BTreeMap::<String, Meter>::new();
     let mut messages = 0;
+    let mut hinted = false;
     let mut told = start;
     let rows = |meters: &BTreeMap<String, Meter>| {
         meters
@@ -183,7 +212,7 @@ pub(super) async fn measure(
         if args.count.is_some_and(|count| messages >= count) {
             break Ok(exit_code::OK);
         }
-        let sample = match next(&mut samples, until).await {
+        let sample = match next_or_hint(&mut samples, until, pattern, messages, &mut hinted).await {
             Ok(sample) => sample,
             Err(ending) => break ending.outcome(messages, pattern),
         };

@@ -1,4 +1,4 @@
-//! `zenav map`. How are maps shown, saved, converted and built? From a running robot, from files, from logs.
+//! `zenav map`. How are maps shown, saved, loaded, converted and built? From a running robot, from files, from logs.
 
 use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};
@@ -9,11 +9,13 @@ use zenav_mapping::{CellCounts, map_file};
 use zenav_protocol::bus::Bus;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::{GridSpec, OccupancyGrid};
+use zenav_protocol::id::Id;
 use zenav_protocol::messages::MapRequest;
 use zenav_protocol::robot::Footprint;
 use zenav_protocol::topics;
 
 use super::draw::{self, Canvas};
+use super::map_control::{self, Mapping};
 use super::{build, convert};
 use crate::connect::{self, RobotArgs};
 use crate::drawing::scene::Scene;
@@ -24,6 +26,9 @@ use crate::output::{self, Format};
 
 /// Maps.
 #[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  zenav map show\n  zenav map save kitchen          kitchen.yaml and kitchen.pgm, here\n  zenav map load kitchen.yaml\n  zenav map store                 the next start begins with it\n  zenav map convert den312d.map den312d.yaml"
+)]
 pub struct MapArgs {
     /// Connection and robot.
     #[command(flatten)]
@@ -54,13 +59,40 @@ enum MapCommand {
         #[arg(long, value_name = "FILE.png", conflicts_with = "width")]
         out: Option<PathBuf>,
     },
+    /// Drive by another map: a file of this machine, or a stored one by its name; the robot comes to rest for it
+    Load {
+        /// A map file, or the name of a stored map
+        #[arg(value_name = "FILE|NAME")]
+        source: String,
+        /// Go on mapping into it; otherwise it is held
+        #[arg(long)]
+        live: bool,
+    },
+    /// Store a robot's map in the data folder of mapping: for the next start, or under a name for `map load`
+    Store {
+        /// Name [default: the map that the next start begins with]
+        #[arg(value_parser = stored_name)]
+        name: Option<String>,
+    },
+    /// Begin a new map; the robot comes to rest for it, stored maps are kept
+    Reset,
+    /// Hold a robot's map: insert no more scans
+    Hold,
+    /// Insert scans again into a map that is held
+    Resume,
+    /// List the maps that are stored under a name
+    List,
     /// Convert a map file to another kind
     Convert(convert::ConvertArgs),
     /// Build a map from a CARMEN log with poses
     Build(build::BuildArgs),
 }
 
-/// Saves, draws, converts and builds maps.
+fn stored_name(text: &str) -> Result<String, String> {
+    Id::new(text).map(String::from).map_err(|error| error.to_string())
+}
+
+/// Saves, draws, loads, stores, converts and builds maps.
 ///
 /// # Errors
 /// [`exit_code::NOT_FOUND`] for a missing file or map, [`exit_code::USAGE`] for a bad one.
@@ -70,6 +102,12 @@ pub fn map(args: &MapArgs) -> Outcome {
         MapCommand::Show { file, width, out } => {
             show(&args.robot, args.output, file.as_deref(), *width, out.as_deref())
         }
+        MapCommand::Load { source, live } => map_control::load(&args.robot, args.output, source, *live),
+        MapCommand::Store { name } => map_control::store(&args.robot, args.output, name.as_deref()),
+        MapCommand::Reset => map_control::reset(&args.robot, args.output),
+        MapCommand::Hold => map_control::hold_or_resume(&args.robot, args.output, Mapping::Hold),
+        MapCommand::Resume => map_control::hold_or_resume(&args.robot, args.output, Mapping::Resume),
+        MapCommand::List => map_control::list(&args.robot, args.output),
         MapCommand::Convert(convert_args) => convert::convert(convert_args, args.output),
         MapCommand::Build(build_args) => build::build(build_args, args.output),
     }

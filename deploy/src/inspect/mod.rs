@@ -3,10 +3,13 @@
 //! | file | answers |
 //! |---|---|
 //! | `topic`, `listen`, `meter`, `payload` | which keys carry what, how often, how much |
+//! | `ask`, `schema` | requests and messages typed by hand, and what may stand in them |
 //! | `map`, `draw`, `convert`, `build` | maps: saved, drawn in the terminal, converted, built from logs |
+//! | `map_control` | which map a robot drives by: loaded, stored, held |
 //! | `bt` | behaviour trees: valid? what do they look like, do now, and under a script? |
 //! | `doctor`, `diagnosis`, `check` | is everything there and well? |
 
+mod ask;
 pub(crate) mod bt;
 mod build;
 mod check;
@@ -16,13 +19,17 @@ mod doctor;
 mod draw;
 mod listen;
 mod map;
+mod map_control;
 mod meter;
 mod payload;
+mod schema;
 mod topic;
 
+pub use ask::{AskArgs, ask};
 pub use bt::{BtArgs, bt};
 pub(crate) use build::read_log;
 pub use doctor::{DoctorArgs, doctor};
 pub use map::{MapArgs, map};
+pub use schema::{SchemaArgs, schema};
 pub(crate) use topic::pattern;
 pub use topic::{TopicArgs, topic};

@@ -5,8 +5,9 @@ use std::time::Duration;
 
 use serde::Serialize;
 use zenav_protocol::bus::Bus;
-use zenav_protocol::topics::{self, Qos, Row, TABLE};
+use zenav_protocol::topics::{self, Qos, Row, TABLE, row_of};
 
+use super::ask::{PubArgs, publish};
 use super::listen::{ListenArgs, bw_line, echo, hz_line, listen, measure, seconds};
 use super::meter::{Reading, bytes};
 use crate::connect::{self, RobotArgs, positive};
@@ -16,6 +17,9 @@ use crate::output::{self, Format};
 
 /// Topics.
 #[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  zenav topic list\n  zenav topic echo edge/pose --count 1\n  zenav topic hz edge/scan --for 5\n  zenav topic info goal\n  zenav topic list --table       all keys with their messages"
+)]
 pub struct TopicArgs {
     /// Connection and robot.
     #[command(flatten)]
@@ -44,6 +48,8 @@ enum TopicCommand {
     Hz(ListenArgs),
     /// Measure how many bytes a topic's messages take
     Bw(ListenArgs),
+    /// Publish a message, checked against the type of its key
+    Pub(PubArgs),
     /// Say what a topic is, and whether it carries something now
     Info {
         /// A key, or the name of a topic or ask
@@ -63,6 +69,9 @@ pub fn topic(args: &TopicArgs) -> Outcome {
             known_table,
         )?;
         return Ok(exit_code::OK);
+    }
+    if let TopicCommand::Pub(message) = &args.command {
+        return publish(message, &args.robot);
     }
     let robot = args.robot.robot.as_deref();
     connect::on_bus(&args.robot.link, async |bus| {
@@ -86,6 +95,8 @@ pub fn topic(args: &TopicArgs) -> Outcome {
             TopicCommand::Bw(listen) => {
                 measure(&bus, &pattern(&listen.key, robot)?, listen, args.output, bw_line).await
             }
+            // Done above: it needs no listening.
+            TopicCommand::Pub(_) => Ok(exit_code::OK),
             TopicCommand::Info { key } => info(&bus, key, robot, args.output).await,
         }
     })

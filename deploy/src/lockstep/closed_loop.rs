@@ -362,7 +362,8 @@ impl RobotLoop {
 
     fn map_answer(&mut self, request: &MapRequest) -> Answer {
         match request.action {
-            MapAction::Get => {}
+            // Nothing is kept on disk here.
+            MapAction::Get | MapAction::List | MapAction::Load => {}
             MapAction::Save => self.mapping.mapper.mark_stored(),
             MapAction::Reset => self.mapping.reset(format!("lockstep-{}", self.ticks)),
             MapAction::Resume => self.mapping.mapper.resume(),

@@ -16,6 +16,9 @@ use crate::output::{self, Format};
 
 /// The lease.
 #[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  zenav lease\n  zenav lease acquire --for 60    nobody else drives for a minute\n  zenav lease forget              after the disk of the only orchestrator was lost"
+)]
 pub struct LeaseArgs {
     /// Connection and robot.
     #[command(flatten)]

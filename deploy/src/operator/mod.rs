@@ -5,29 +5,69 @@
 //! |---|---|
 //! | `stop` | stop, resume |
 //! | `lease` | who may command: show, acquire, release |
+//! | `change` | under which epoch a command changes something |
+//! | `param` | which gains a robot drives with |
+//! | `maneuver` | spin, drive straight, back up, wait |
 //! | `lease_session` | keeping the operator's lease while it is needed |
 //! | `keyboard` | which key means which motion, and for how long (pure) |
 //! | `status` | who commands now, and what is shown of it (pure) |
 //! | `pose` | where the robot is, told or looked for |
 //! | `teleop` | driving in the terminal |
 
+pub(crate) mod change;
 mod keyboard;
 mod lease;
 mod lease_session;
+mod maneuver;
+mod param;
 mod pose;
 mod status;
 mod stop;
 mod teleop;
 
 pub use lease::{LeaseArgs, lease};
+pub use maneuver::{DoArgs, maneuver};
+pub use param::{ParamArgs, param};
 pub use pose::{PoseArgs, pose};
 pub use stop::{StopArgs, resume, stop};
 pub use teleop::{TeleopArgs, teleop};
 
 /// The name under which this user commands: the same for every command of the user, so that one can release what another took.
 fn holder() -> String {
-    let user = std::env::var("USER")
-        .or_else(|_| std::env::var("USERNAME"))
-        .unwrap_or_else(|_| "unknown".to_owned());
-    format!("operator-{user}")
+    let user = std::env::var("USER").or_else(|_| std::env::var("USERNAME"));
+    format!("operator-{}", user.unwrap_or_else(|_| user_number()))
+}
+
+/// A user whose name the environment does not tell.
+fn user_number() -> String {
+    #[cfg(unix)]
+    {
+        format!("uid-{}", rustix::process::getuid().as_raw())
+    }
+    #[cfg(not(unix))]
+    {
+        "unknown".to_owned()
+    }
+}
+
+/// Waits for a signal to end: Ctrl-C from elsewhere, a closed terminal, or `kill`.
+async fn ended() {
+    #[cfg(unix)]
+    {
+        use tokio::signal::unix::{SignalKind, signal};
+        let (Ok(mut hangup), Ok(mut terminate)) = (signal(SignalKind::hangup()), signal(SignalKind::terminate()))
+        else {
+            let _ = tokio::signal::ctrl_c().await;
+            return;
+        };
+        tokio::select! {
+            _ = tokio::signal::ctrl_c() => {}
+            _ = hangup.recv() => {}
+            _ = terminate.recv() => {}
+        }
+    }
+    #[cfg(not(unix))]
+    {
+        let _ = tokio::signal::ctrl_c().await;
+    }
 }

@@ -19,6 +19,9 @@ use crate::output::{self, Format};
 
 /// Stop or resume.
 #[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  zenav stop\n  zenav stop --all\n  zenav stop --connect tcp/127.0.0.1:7450    on the robot's own endpoint: router and cloud may be gone\n  zenav resume"
+)]
 pub struct StopArgs {
     /// Connection and robot.
     #[command(flatten)]

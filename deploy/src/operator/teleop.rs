@@ -20,7 +20,7 @@ use zenav_protocol::topics;
 use super::keyboard::{Command, Keyboard, command_of};
 use super::lease_session::LeaseSession;
 use super::status::{self, OLD, View};
-use super::{holder, stop};
+use super::{ended, holder, stop};
 use crate::connect::{self, LinkArgs, RobotArgs, positive};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
@@ -344,27 +344,5 @@ impl Session {
             let _ = held.release().await;
         }
         Ok(())
-    }
-}
-
-/// Waits for a signal to end: Ctrl-C from elsewhere, a closed terminal, or `kill`.
-async fn ended() {
-    #[cfg(unix)]
-    {
-        use tokio::signal::unix::{SignalKind, signal};
-        let (Ok(mut hangup), Ok(mut terminate)) = (signal(SignalKind::hangup()), signal(SignalKind::terminate()))
-        else {
-            let _ = tokio::signal::ctrl_c().await;
-            return;
-        };
-        tokio::select! {
-            _ = tokio::signal::ctrl_c() => {}
-            _ = hangup.recv() => {}
-            _ = terminate.recv() => {}
-        }
-    }
-    #[cfg(not(unix))]
-    {
-        let _ = tokio::signal::ctrl_c().await;
     }
 }

@@ -126,7 +126,7 @@ impl Memory {
                 Some(request) = lists.next() => {
                     let wanted = |goal: &&GoalState| request.body.id.as_ref().is_none_or(|id| *id == goal.id);
                     let goals = self.goals.values().map(|(goal, _)| goal).filter(wanted).cloned().collect();
-                    request.reply(&GoalsReply { goals });
+                    request.reply(&GoalsReply { goals, now: Some(self.clock.now()) });
                 }
                 Some(request) = cancels.next() => match self.cancel(&request.body) {
                     Ok(reply) => request.reply(&reply),
@@ -267,5 +267,6 @@ fn map() -> MapReply {
         info,
         values,
         trajectory: Vec::new(),
+        stored: Vec::new(),
     }
 }

@@ -8,6 +8,7 @@ use super::CellWalk;
 
 /// A cell by column and row, counted from the lower-left corner.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Cell {
     /// Column, along the map's x axis.
     pub x: u32,
@@ -25,8 +26,10 @@ impl Cell {
 
 /// Geometry of a grid: where it lies, how fine and how large it is.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct GridSpec {
     /// Lower-left corner of cell (0, 0), m, map frame.
+    #[cfg_attr(feature = "schema", schemars(with = "[f64; 2]"))]
     pub origin: Point2<f64>,
     /// Side of a cell, m.
     pub resolution: f64,

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 /// Starts, cancels or reports a manoeuvre.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct BehaviourRequest {
     /// Identifies the execution: a repeated id starts nothing again.
     pub id: String,
@@ -17,6 +18,7 @@ pub struct BehaviourRequest {
 
 /// What a robot is asked to do.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum BehaviourAction {
     /// Turn on the spot.
@@ -51,6 +53,7 @@ pub enum BehaviourAction {
 
 /// Report on a manoeuvre.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct BehaviourReport {
     /// Identifies the execution.
     pub id: String,
@@ -62,6 +65,7 @@ pub struct BehaviourReport {
 
 /// State of a manoeuvre.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum BehaviourState {
     /// The robot is executing it.
@@ -76,6 +80,7 @@ pub enum BehaviourState {
 
 /// Answer to a manoeuvre request.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct BehaviourReply {
     /// The execution asked for; `None` when the robot knows no such execution.
     pub report: Option<BehaviourReport>,

@@ -11,6 +11,7 @@ use crate::time::Stamp;
 
 /// Commanded wheel speeds.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct WheelSpeeds {
     /// Stamp of the readings that these speeds answer.
     pub stamp: Stamp,
@@ -25,10 +26,12 @@ pub struct WheelSpeeds {
 ///
 /// The second of two edges with one name is refused as `Busy`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct AttachRequest {
     /// The robot's id.
     pub robot: String,
     /// Footprint, limits and sensors of the simulated body.
+    #[cfg_attr(feature = "schema", schemars(with = "serde_json::Value"))]
     pub model: RobotModel,
     /// Start pose, map frame; without it, the world's own start. A robot that is in the world already stays where it is.
     pub start: Option<Pose2>,
@@ -39,6 +42,7 @@ pub struct AttachRequest {
 
 /// Answer to an attach request: the robot is in the world.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct AttachReply {
     /// Name of the world.
     pub world: String,

@@ -10,6 +10,7 @@ use crate::time::Stamp;
 
 /// Stops a robot. Needs no lease, latches across restarts, and discards the plan.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct StopRequest {
     /// Who stops the robot, for the event log.
     pub by: Option<String>,
@@ -17,6 +18,7 @@ pub struct StopRequest {
 
 /// Lifts a stop: the robot takes a new plan again, from its present pose.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct ResumeRequest {
     /// Who lifts the stop, for the event log.
     pub by: Option<String>,
@@ -24,6 +26,7 @@ pub struct ResumeRequest {
 
 /// Answer to a stop or a resume.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct StopReply {
     /// Whether the robot is stopped now.
     pub stopped: bool,
@@ -31,6 +34,7 @@ pub struct StopReply {
 
 /// A velocity command from an operator who holds the lease.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Teleop {
     /// Lease epoch of the operator.
     pub epoch: u64,
@@ -43,6 +47,7 @@ pub struct Teleop {
 
 /// Reads the mode, or changes what the robot does once the lease is lost.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct ModeRequest {
     /// The policy from now on; without it, nothing changes.
     pub on_lost: Option<LostPolicy>,
@@ -52,6 +57,7 @@ pub struct ModeRequest {
 
 /// What the robot does with an accepted plan once the lease has expired.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum LostPolicy {
     /// Follow the plan until it expires, and be at rest by then.
@@ -67,6 +73,7 @@ pub enum LostPolicy {
 
 /// Answer to a mode request.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct ModeReply {
     /// Which controller decides the motion.
     pub mode: Mode,
@@ -76,6 +83,7 @@ pub struct ModeReply {
 
 /// Reads parameters, or changes one.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct ParamRequest {
     /// Name of the parameter; without it, all are read.
     pub name: Option<String>,
@@ -87,6 +95,7 @@ pub struct ParamRequest {
 
 /// Parameters of the robot.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct ParamReply {
     /// Values by name.
     pub params: BTreeMap<String, f64>,

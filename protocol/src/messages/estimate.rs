@@ -7,6 +7,7 @@ use crate::time::Stamp;
 
 /// Dead reckoning: continuous, drifting.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Odometry {
     /// When it was measured.
     pub stamp: Stamp,
@@ -20,6 +21,7 @@ pub struct Odometry {
 
 /// The robot's own estimate of where it is.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct PoseEstimate {
     /// When it holds.
     pub stamp: Stamp,
@@ -33,6 +35,7 @@ pub struct PoseEstimate {
 
 /// A pose measurement made off board, for the estimator to gate and fuse.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Correction {
     /// Stamp of the scan that it was computed from (the edge's clock).
     pub stamp: Stamp,
@@ -95,6 +98,7 @@ pub struct Localisation {
 
 /// Simulated time, where there is one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct SimClock {
     /// Now, ns since the simulation began.
     pub stamp: Stamp,

@@ -9,6 +9,7 @@ use crate::time::Stamp;
 
 /// A place, map frame.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct GoalPoint {
     /// x, map frame, m.
     pub x: f64,
@@ -23,6 +24,7 @@ pub struct GoalPoint {
 ///
 /// A tree finds the place on its blackboard as `goal`, the waypoints as `goals`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct GoalRequest {
     /// Identifies the goal; made by the asker. A repeated id is the same goal.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -67,6 +69,7 @@ pub struct GoalRequest {
 
 /// What happens to a goal that arrives while another one is being executed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum OnBusy {
     /// The new goal joins the queue.
@@ -80,6 +83,7 @@ pub enum OnBusy {
 
 /// Phase of a goal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub enum GoalPhase {
     /// The goal is stored and waits in the queue.
     Accepted,
@@ -107,6 +111,7 @@ impl GoalPhase {
 
 /// Answer to a goal, a cancel or a pause.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct GoalReply {
     /// Identifies the goal.
     pub id: String,
@@ -122,6 +127,7 @@ pub struct GoalReply {
 
 /// A goal and its progress.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct GoalState {
     /// Identifies the goal.
     pub id: String,
@@ -150,6 +156,7 @@ pub struct GoalState {
 
 /// One drive of a goal: the robot follows a path or a list of waypoints.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Leg {
     /// Name of the tree node that drove.
     pub name: String,
@@ -178,6 +185,7 @@ pub struct Leg {
 
 /// Progress on a goal.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct GoalFeedback {
     /// What the behaviour tree is doing, in words.
     pub step: String,
@@ -194,6 +202,9 @@ pub struct GoalFeedback {
     /// Recoveries started.
     #[serde(default)]
     pub recoveries: u64,
+    /// Distance from the robot to the goal's place at the end, by the robot's own estimate, m.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub final_error: Option<f64>,
     /// What the robot waits for to leave, while it does.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub blockage: Option<Blockage>,
@@ -201,6 +212,7 @@ pub struct GoalFeedback {
 
 /// Something that bars the way and may leave.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Blockage {
     /// x of its middle, map frame, m.
     pub x: f64,
@@ -212,6 +224,7 @@ pub struct Blockage {
 
 /// Cancels a goal.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct CancelRequest {
     /// Which goal; without it, the running one.
     pub id: Option<String>,
@@ -221,6 +234,7 @@ pub struct CancelRequest {
 
 /// Pauses a goal, or resumes it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct PauseRequest {
     /// Which goal; without it, the running one.
     pub id: Option<String>,
@@ -233,6 +247,7 @@ pub struct PauseRequest {
 
 /// Lists goals.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct GoalsRequest {
     /// Only this goal.
     pub id: Option<String>,
@@ -245,7 +260,11 @@ pub struct GoalsRequest {
 
 /// Answer to a list of goals.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct GoalsReply {
     /// The goals, newest first.
     pub goals: Vec<GoalState>,
+    /// Time of the answer, on the mission's clock: the goals' stamps are older.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub now: Option<Stamp>,
 }

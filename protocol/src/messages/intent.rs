@@ -11,6 +11,7 @@ use crate::time::Stamp;
 /// Where a robot is and will be, published some times a second until it has stood for a while with nothing to drive to: then it is an
 /// obstacle like any other. All robots that hear one another share the map frame.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Intent {
     /// The time that the pose is for, on the robot's clock.
     pub stamp: Stamp,
@@ -25,6 +26,7 @@ pub struct Intent {
     /// Time from one of the places to the next, s.
     pub step: f64,
     /// Where it will be: from the stamp on, a step apart; it stays at the last. Map frame, m.
+    #[cfg_attr(feature = "schema", schemars(with = "Vec<[f64; 2]>"))]
     pub places: Vec<Point2<f64>>,
     /// Whether it has somewhere to go now. Who has not cannot make way.
     pub driving: bool,

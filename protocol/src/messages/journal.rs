@@ -12,6 +12,7 @@ use crate::time::Stamp;
 
 /// A standby asks for the content of the leader's store, and for every later write.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct JoinRequest {
     /// Name of the standby's store.
     pub store: String,
@@ -24,6 +25,7 @@ pub struct JoinRequest {
 
 /// A leader's answer to a standby that joins.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct JoinReply {
     /// Name of the leader's store.
     pub leader: String,
@@ -31,6 +33,7 @@ pub struct JoinReply {
 
 /// Writes to a leader's store, for one standby.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct JournalEntry {
     /// Name of the leader's store.
     pub leader: String,
@@ -49,6 +52,7 @@ pub struct JournalEntry {
 
 /// One record of a store.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct JournalWrite {
     /// Kind of record.
     pub table: String,
@@ -60,6 +64,7 @@ pub struct JournalWrite {
 
 /// A standby's acknowledgement that an entry is on its disk.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct JournalReply {
     /// Number of the newest entry that the standby holds, together with all before.
     pub position: u64,

@@ -6,6 +6,7 @@ use crate::time::Stamp;
 
 /// In which role somebody commands a robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum LeaseRole {
     /// An orchestrator that executes goals.
@@ -16,6 +17,7 @@ pub enum LeaseRole {
 
 /// The lease, as the robot's state shows it.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct LeaseState {
     /// The holder, if there is one.
     pub holder: Option<String>,
@@ -38,6 +40,7 @@ pub struct LeaseState {
 /// The leader is the mission with a store that was granted the lease last. An operator's lease, or a lapsed one, leaves the record as it
 /// is, unless the leader falls silent meanwhile and a mission that has caught up asks for the lease.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Leader {
     /// Name of the leader's store.
     pub store: String,
@@ -52,6 +55,7 @@ pub struct Leader {
 
 /// Asks for the lease, gives it back, or reports who has caught up.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct LeaseRequest {
     /// Name of the asker.
     pub holder: String,
@@ -91,6 +95,7 @@ impl LeaseRequest {
 
 /// What a lease request asks for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum LeaseAction {
     /// Take the lease.
@@ -106,6 +111,7 @@ pub enum LeaseAction {
 
 /// A granted lease.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct LeaseReply {
     /// The epoch that every command must carry.
     pub epoch: u64,
@@ -120,6 +126,7 @@ pub struct LeaseReply {
 
 /// Renews the lease; sent ten times a second by its holder.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Heartbeat {
     /// Name of the holder.
     pub holder: String,

@@ -11,6 +11,7 @@ pub const TILE: u32 = 64;
 
 /// A map at one of its revisions.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct MapRef {
     /// Identifies the map; new for every map that is begun.
     pub id: String,
@@ -20,6 +21,7 @@ pub struct MapRef {
 
 /// Description of a map.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct MapInfo {
     /// Stamp of the newest scan in the map, on the robot's clock.
     pub stamp: Stamp,
@@ -41,18 +43,21 @@ pub struct MapInfo {
 
 /// A square block of a map's cells.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Tile {
     /// Column of the tile; its first cell has column `TILE * x`.
     pub x: u32,
     /// Row of the tile; its first cell has row `TILE * y`.
     pub y: u32,
     /// `TILE * TILE` occupancy values, row-major from the lowest row; cells beyond the grid are -1.
+    #[cfg_attr(feature = "schema", schemars(with = "Vec<i8>"))]
     #[serde(with = "occupancy_bytes")]
     pub values: Vec<i8>,
 }
 
 /// Tiles that changed from one revision to the next. Tiles carry values, not differences.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct MapPatch {
     /// Stamp of the newest scan in the map, on the robot's clock.
     pub stamp: Stamp,
@@ -69,20 +74,43 @@ pub struct MapPatch {
 /// Asks for the map, or changes what mapping does with it.
 ///
 /// The selector's parameter `format` (`json`, `png`, `pgm`, `yaml`, `cbor`) says in which form the map is wanted. While somebody holds the
-/// robot's lease, every action but `get` must carry the lease's epoch, as in `{"action": "reset", "epoch": 7}`.
+/// robot's lease, every action but `get` and `list` must carry the lease's epoch, as in `{"action": "reset", "epoch": 7}`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct MapRequest {
     /// What mapping is to do; without it, only answer.
     #[serde(default)]
     pub action: MapAction,
     /// Identifies the request: a repeated one is not carried out again, but gets the first answer.
     pub request_id: Option<String>,
-    /// Lease epoch of the asker, for every action but `get`.
+    /// Lease epoch of the asker, for every action that changes the map.
     pub epoch: Option<u64>,
+    /// Name of a stored map, for `save` (beside the robot's own map) and `load`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+    /// For `load` without a name: the map itself.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub map: Option<GivenMap>,
+    /// For `load`: go on inserting scans into it, instead of holding it.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub live: bool,
+}
+
+/// A map that comes with a request.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct GivenMap {
+    /// Geometry of the map's grid.
+    pub spec: GridSpec,
+    /// Occupancy of every cell, row-major from the lowest row.
+    #[cfg_attr(feature = "schema", schemars(with = "Vec<i8>"))]
+    #[serde(with = "occupancy_bytes")]
+    pub values: Vec<i8>,
 }
 
 /// What mapping is asked to do.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum MapAction {
     /// Only answer, with the map.
@@ -98,19 +126,41 @@ pub enum MapAction {
     Hold,
     /// Let every recent obstacle decay at once; what is still there will be seen again.
     Forget,
+    /// Replace the map by a stored one or by the request's own; it counts as complete, and is held unless it is to be `live`.
+    Load,
+    /// Only answer, with the stored maps.
+    List,
+}
+
+/// A map that is stored beside the robot's own.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct StoredMapInfo {
+    /// Name under which it was stored.
+    pub name: String,
+    /// The map and its revision, as far as its record tells.
+    pub map: MapRef,
+    /// Number of scans in it.
+    pub scans: u64,
 }
 
 /// The whole map, or the answer to an action.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct MapReply {
     /// Description of the map.
     pub info: MapInfo,
     /// Occupancy of every cell, row-major from the lowest row; empty in the answer to an action.
+    #[cfg_attr(feature = "schema", schemars(with = "Vec<i8>"))]
     #[serde(with = "occupancy_bytes")]
     pub values: Vec<i8>,
     /// Positions of the robot while the map was built, map frame, about every 0.1 m.
     #[serde(default)]
+    #[cfg_attr(feature = "schema", schemars(with = "Vec<[f64; 2]>"))]
     pub trajectory: Vec<Point2<f64>>,
+    /// For `list`: the maps that are stored beside the robot's own, by name.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub stored: Vec<StoredMapInfo>,
 }
 
 impl MapReply {

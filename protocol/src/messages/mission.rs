@@ -8,6 +8,7 @@ use crate::time::Stamp;
 
 /// Status of a robot's mission.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct MissionStatus {
     /// Time of the status, on the mission's clock.
     pub stamp: Stamp,
@@ -37,6 +38,7 @@ pub struct MissionStatus {
 
 /// One node of a behaviour tree.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct NodeStatus {
     /// The node's number in document order.
     pub uid: u32,
@@ -55,10 +57,12 @@ pub struct NodeStatus {
 
 /// Asks a component for its name, version and robot.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct InfoRequest {}
 
 /// A component's name, version and robot.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct InfoReply {
     /// Kind of component: `edge`, `mapping`, `mission`, `planning`.
     pub component: String,
@@ -77,6 +81,7 @@ pub struct InfoReply {
     #[serde(default)]
     pub leads: bool,
     /// From an edge: the robot's footprint, limits and sensors.
+    #[cfg_attr(feature = "schema", schemars(with = "Option<serde_json::Value>"))]
     pub model: Option<RobotModel>,
     /// From an edge: timing of its control loop.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -87,6 +92,7 @@ pub struct InfoReply {
 ///
 /// Lateness counts from the tick's deadline; where the body sets the pace, from one body tick after the tick before.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Pacing {
     /// Number of ticks.
     pub ticks: u64,

@@ -19,6 +19,7 @@
 //! | `control` | stop, teleop, modes, parameters |
 //! | `behaviour` | manoeuvres that the robot executes by itself |
 //! | `map` | the occupancy grid map and its changes |
+//! | `annotations` | places and zones of the map |
 //! | `plan` | plans, and what planners and smoothers are asked |
 //! | `goal`, `mission` | goals, their states, and the behaviour tree at work |
 //! | `journal` | replication of a mission's store to its standbys |
@@ -26,6 +27,7 @@
 //! | `body` | a robot body in another process |
 //! | `refusal` | why a request was refused |
 
+mod annotations;
 mod behaviour;
 mod body;
 mod control;
@@ -45,6 +47,7 @@ mod refusal;
 mod remote;
 mod state;
 
+pub use annotations::*;
 pub use behaviour::*;
 pub use body::*;
 pub use control::*;

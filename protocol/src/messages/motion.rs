@@ -18,6 +18,7 @@ const LONGEST_SEARCH: Duration = Duration::from_secs(60);
 
 /// A request to a motion worker; on the wire `{"kind": "trajectory" | "plan" | "smooth", …}`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum MotionRequest {
     /// A path that the robot can drive, and its trajectory.
@@ -61,6 +62,7 @@ impl MotionRequest {
 
 /// Answer to a [`MotionRequest`] of the same kind.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum MotionReply {
     /// A path and its trajectory.
@@ -73,6 +75,7 @@ pub enum MotionReply {
 
 /// A request for a path and its trajectory.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct TrajectoryRequest {
     /// The path.
     pub plan: PlanRequest,
@@ -108,6 +111,7 @@ impl TrajectoryRequest {
 
 /// Answer to a [`TrajectoryRequest`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct TrajectoryReply {
     /// The path, or why there is none.
     pub plan: PlanReply,
@@ -117,10 +121,12 @@ pub struct TrajectoryReply {
 
 /// A request for a path through the robot's current map.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct PlanRequest {
     /// Whose map to plan on.
     pub robot: String,
     /// Footprint and limits.
+    #[cfg_attr(feature = "schema", schemars(with = "serde_json::Value"))]
     pub model: RobotModel,
     /// The map must be at least at this revision; a worker with an older one asks for the whole first.
     pub map: MapRef,
@@ -138,6 +144,7 @@ pub struct PlanRequest {
     pub unknown_is_free: bool,
     /// Points whose cells count as free, map frame, m: would there be a path if what stands there had left?
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[cfg_attr(feature = "schema", schemars(with = "Vec<[f64; 2]>"))]
     pub cleared: Vec<Point2<f64>>,
     /// A robot that does not fit where it stands, by the map, may leave by the nearest free position, if that is this near, m.
     #[serde(default)]
@@ -154,6 +161,7 @@ pub struct PlanRequest {
 
 /// Answer to a [`PlanRequest`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct PlanReply {
     /// The map that was planned on.
     pub map: MapRef,
@@ -179,6 +187,7 @@ pub struct PlanReply {
 
 /// How an answer to a [`PlanRequest`] came about.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum PlanOrigin {
     /// By a search for it.
@@ -192,11 +201,13 @@ pub enum PlanOrigin {
 
 /// What came out of a search.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(tag = "outcome")]
 pub enum PlanOutcome {
     /// A path, from start to goal.
     Found {
         /// Corner points, map frame, start and goal included.
+        #[cfg_attr(feature = "schema", schemars(with = "Vec<[f64; 2]>"))]
         path: Vec<Point2<f64>>,
         /// Its length, m.
         length: f64,
@@ -204,11 +215,13 @@ pub enum PlanOutcome {
     /// The robot does not fit where it is to go.
     GoalOccupied {
         /// The nearest place where it does.
+        #[cfg_attr(feature = "schema", schemars(with = "Option<[f64; 2]>"))]
         nearest_free: Option<Point2<f64>>,
     },
     /// The robot does not fit where it stands, by this map.
     StartOccupied {
         /// The nearest place where it does.
+        #[cfg_attr(feature = "schema", schemars(with = "Option<[f64; 2]>"))]
         nearest_free: Option<Point2<f64>>,
     },
     /// Start and goal are not connected.
@@ -223,17 +236,21 @@ pub enum PlanOutcome {
 
 /// A request for the trajectory along a path.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct SmoothRequest {
     /// Whose map to smooth on.
     pub robot: String,
     /// Footprint and limits.
+    #[cfg_attr(feature = "schema", schemars(with = "serde_json::Value"))]
     pub model: RobotModel,
     /// The map that the path was found on.
     pub map: MapRef,
     /// Corner points, map frame, start and goal included.
+    #[cfg_attr(feature = "schema", schemars(with = "Vec<[f64; 2]>"))]
     pub path: Vec<Point2<f64>>,
     /// Points of the path to stop at on the way, in order, map frame: elsewhere its corners may be cut.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[cfg_attr(feature = "schema", schemars(with = "Vec<[f64; 2]>"))]
     pub via: Vec<Point2<f64>>,
     /// Pieces of the path that are driven backwards, by the corner that they begin at.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -254,6 +271,7 @@ pub struct SmoothRequest {
 
 /// What a trajectory is to be good at.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum DrivingProfile {
     /// As fast as the limits allow.
@@ -277,6 +295,7 @@ impl std::str::FromStr for DrivingProfile {
 
 /// Answer to a [`SmoothRequest`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct SmoothReply {
     /// The map that was smoothed on.
     pub map: MapRef,
@@ -288,12 +307,15 @@ pub struct SmoothReply {
 
 /// A search tree or path, to be drawn.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct SearchTree {
     /// When it was made.
     pub stamp: Stamp,
     /// Pairs of points, map frame: each an edge of the tree.
+    #[cfg_attr(feature = "schema", schemars(with = "Vec<[[f64; 2]; 2]>"))]
     pub edges: Vec<[Point2<f64>; 2]>,
     /// The best path so far.
+    #[cfg_attr(feature = "schema", schemars(with = "Vec<[f64; 2]>"))]
     pub path: Vec<Point2<f64>>,
 }
 

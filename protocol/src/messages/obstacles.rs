@@ -6,6 +6,7 @@ use crate::time::Stamp;
 
 /// The moving obstacles that a robot tracks, published with each scan while there are any, and once when there are none any more.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Obstacles {
     /// The time that positions and velocities are for, on the robot's clock.
     pub stamp: Stamp,
@@ -15,6 +16,7 @@ pub struct Obstacles {
 
 /// A moving obstacle: a disc that goes on at constant velocity.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Obstacle {
     /// Its number; none is given twice by one start of the edge.
     pub id: u64,

@@ -9,6 +9,7 @@ pub use crate::trajectory::{Trajectory, TrajectoryPoint};
 
 /// Order of the plans of one robot: a restarted writer is newer, never stale.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Revision {
     /// Number of the writer's life, greater after every restart.
     pub incarnation: u64,
@@ -18,6 +19,7 @@ pub struct Revision {
 
 /// The edge pose that something was computed from.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct BasedOn {
     /// Its stamp, on the edge's own clock.
     pub stamp: Stamp,
@@ -27,6 +29,7 @@ pub struct BasedOn {
 
 /// What moves a robot. Written only by the mission that holds the robot's lease.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Plan {
     /// The goal it serves.
     pub goal_id: String,
@@ -45,6 +48,7 @@ pub struct Plan {
     /// For how long after `based_on` the robot may move by it, s. By then it is at rest.
     pub valid_for: f64,
     /// The path's corner points, start excluded; driven by the waypoint law when there is no trajectory.
+    #[cfg_attr(feature = "schema", schemars(with = "Vec<[f64; 2]>"))]
     pub waypoints: Vec<Point2<f64>>,
     /// The time-stamped trajectory; empty for a plain list of waypoints.
     pub trajectory: Trajectory,
@@ -56,6 +60,7 @@ pub struct Plan {
 
 /// A point on the trajectory that a new one replaces: a replan starts at the state predicted there, speed included.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Splice {
     /// The trajectory being driven.
     pub trajectory_id: u64,
@@ -65,6 +70,7 @@ pub struct Splice {
 
 /// How a plan came about, and its certificate.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct PlanStatistics {
     /// Planner, such as `astar`.
     pub planner: String,
@@ -96,6 +102,7 @@ pub struct PlanStatistics {
 
 /// Why a trajectory may be trusted: what an independent check of it found, and how its parts came about. Clearance stands beside it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default)]
 pub struct Certificate {
     /// The free polygons that the curve keeps to; `None` where the path's own lines are driven.
@@ -116,6 +123,7 @@ pub struct Certificate {
 
 /// The corridor around a path.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct CorridorFigures {
     /// Convex free polygons, each overlapping the next.
     #[serde(rename = "rooms")]
@@ -126,6 +134,7 @@ pub struct CorridorFigures {
 
 /// How a solver ended.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct SolverFigures {
     /// Its own status; the worst where there was more than one problem.
     pub status: String,
@@ -137,6 +146,7 @@ pub struct SolverFigures {
 
 /// Shares of a robot's limits: one is the whole limit, plans use at most 0.95.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default)]
 pub struct LimitUse {
     /// Of the forward speed.

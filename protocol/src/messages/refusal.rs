@@ -9,6 +9,7 @@ use super::{GoalPoint, Leader, LeaseRole};
 
 /// A server's reply to a request that it does not carry out: `{"error": "Rejected", "reason": …}`.
 #[derive(Clone, Debug, Error, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(tag = "error")]
 pub enum Refusal {
     /// The server understood the request, but the request cannot be carried out.

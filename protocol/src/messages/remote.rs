@@ -17,6 +17,7 @@ use serde::{Deserialize, Serialize};
 
 /// Starts an action, asks for its status, or stops it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct RemoteRequest {
     /// Identifies the execution: the same in every request about it, and in no other.
     pub execution: String,
@@ -37,6 +38,7 @@ pub struct RemoteRequest {
 
 /// What a request asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum RemoteAction {
     /// Start the execution, or report on it.
@@ -47,6 +49,7 @@ pub enum RemoteAction {
 
 /// Status of an execution.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct RemoteReply {
     /// Identifies the execution.
     pub execution: String,
@@ -62,6 +65,7 @@ pub struct RemoteReply {
 
 /// Status of an execution, as a behaviour tree's node has it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "UPPERCASE")]
 pub enum RemoteStatus {
     /// The action goes on.

@@ -9,6 +9,7 @@ use crate::time::Stamp;
 
 /// Link state: how long ago the lease was last renewed, by the robot's own clock.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub enum Link {
     /// The lease is being renewed.
     Connected,
@@ -21,6 +22,7 @@ pub enum Link {
 
 /// Which controller decides the robot's motion now.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Mode {
     /// Nothing to do; the robot is at rest.
@@ -42,6 +44,7 @@ pub enum Mode {
 
 /// State of the wall follower.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum WallFollowerState {
     /// The robot turns towards the nearest wall.
@@ -73,6 +76,7 @@ impl WallFollowerState {
 
 /// The collision monitor's verdict on the motion that is asked for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum GuardZone {
     /// No limit: the motion goes through as asked.
@@ -86,6 +90,7 @@ pub enum GuardZone {
 
 /// Progress on the plan in force.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct PlanProgress {
     /// The goal that the plan serves.
     pub goal_id: String,
@@ -111,6 +116,7 @@ pub struct PlanProgress {
 
 /// State of a robot, published ten times a second.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct EdgeState {
     /// Time of the state, on the robot's clock.
     pub stamp: Stamp,
@@ -147,11 +153,13 @@ pub struct EdgeState {
 
 /// A shape to draw.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Marker {
     /// Time of the shape, on the robot's clock.
     pub stamp: Stamp,
     /// What the shape stands for, such as `waypoint`.
     pub name: String,
     /// Corner points, map frame, m; a single one is a point.
+    #[cfg_attr(feature = "schema", schemars(with = "Vec<[f64; 2]>"))]
     pub points: Vec<Point2<f64>>,
 }

@@ -9,6 +9,7 @@ use crate::time::Stamp;
 
 /// Battery.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct BatteryModel {
     /// Energy of a full battery, J.
@@ -42,6 +43,7 @@ impl BatteryModel {
 
 /// Reading and message of the battery.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Battery {
     /// When it was measured.
     pub stamp: Stamp,

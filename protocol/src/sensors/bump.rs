@@ -6,6 +6,7 @@ use crate::time::Stamp;
 
 /// Reading and message of the contact sensor.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Bump {
     /// When it was measured.
     pub stamp: Stamp,

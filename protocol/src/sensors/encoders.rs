@@ -10,6 +10,7 @@ use crate::config_text::{Expected, OutOfBounds, check_all};
 
 /// Wheel encoders.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct EncoderModel {
     /// Standard deviation of a wheel's measured turn, as a share of the turn.

@@ -8,6 +8,7 @@ use crate::time::Stamp;
 
 /// GPS or beacons.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct GpsModel {
     /// Readings per second.
@@ -46,6 +47,7 @@ impl GpsModel {
 
 /// Reading and message: a position by satellites or beacons, already in the map frame.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Gps {
     /// When it was measured.
     pub stamp: Stamp,

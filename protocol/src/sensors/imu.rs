@@ -8,6 +8,7 @@ use crate::time::Stamp;
 
 /// Gyro and compass.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct ImuModel {
     /// Readings per second.
@@ -65,6 +66,7 @@ impl ImuModel {
 
 /// Reading and message of an inertial unit.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Imu {
     /// When it was measured.
     pub stamp: Stamp,

@@ -23,6 +23,7 @@ const MAX_BEAMS: usize = 100_000;
 
 /// A planar lidar.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct LidarModel {
     /// Where it sits on the base (`base_from_laser`).
@@ -129,6 +130,7 @@ impl LidarModel {
 
 /// Reading: the ranges of one sweep; the robot's model says where the beams point.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Sweep {
     /// Name of the lidar; on the wire [`DEFAULT_LIDAR`] where it is left out.
     #[serde(default = "default_name", skip_serializing_if = "is_default_name")]
@@ -136,6 +138,7 @@ pub struct Sweep {
     /// When it was taken: at or before the tick.
     pub stamp: Stamp,
     /// Distance per beam, m; no return is infinity in memory and `null` on the wire.
+    #[cfg_attr(feature = "schema", schemars(with = "Vec<Option<f32>>"))]
     #[serde(with = "no_return_as_null")]
     pub ranges: Vec<f32>,
 }
@@ -162,6 +165,7 @@ fn is_default_name(name: &str) -> bool {
 
 /// Message: one sweep of a planar lidar, with the robot's pose at the sweep's own stamp: nobody pairs a latest pose with a latest scan.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Scan {
     /// When the sweep was taken.
     pub stamp: Stamp,
@@ -174,6 +178,7 @@ pub struct Scan {
     /// A beam that met nothing up to here has no return, m.
     pub range_max: f64,
     /// Distance per beam, m; no return is infinity in memory and `null` on the wire.
+    #[cfg_attr(feature = "schema", schemars(with = "Vec<Option<f32>>"))]
     #[serde(with = "no_return_as_null")]
     pub ranges: Vec<f32>,
     /// Runs of beams that met a moving obstacle: the first beam, and the one after the last. A map leaves them out.

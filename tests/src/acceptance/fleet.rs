@@ -369,8 +369,7 @@ pub async fn run(binary: &str, robots: usize, secs: f64) -> Result<Findings, Str
                     Some(request) = maps.next() => request.reply(&MapReply {
                         info: map_info(now()),
                         values: OccupancyGrid::filled(MAP, Occupancy::FREE).values().to_vec(),
-                        trajectory: Vec::new(),
-                    }),
+                        trajectory: Vec::new(), stored: Vec::new(), }),
                     Some(plan) = written.next() => {
                         let Some(fake) = plan.chunks.first().and_then(|name| fakes.get_mut(name)) else { continue };
                         findings.faults[1] += usize::from(!fake.take(now(), plan.message) && measured.is_some());

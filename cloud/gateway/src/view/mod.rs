@@ -12,8 +12,8 @@ use std::collections::BTreeMap;
 
 use zenav_protocol::map_replica::PatchResult;
 use zenav_protocol::messages::{
-    EdgeState, Event, GoalState, InfoReply, MapPatch, MapReply, Marker, MissionStatus, Obstacles, Plan, PoseEstimate,
-    Scan, SearchTree,
+    Annotations, EdgeState, Event, GoalState, InfoReply, MapPatch, MapReply, Marker, MissionStatus, Obstacles, Plan,
+    PoseEstimate, Scan, SearchTree,
 };
 
 use compact::{CompactModel, CompactPlan, CompactPose, CompactScan, CompactTree};
@@ -53,6 +53,8 @@ pub enum Update {
     Patch(MapPatch),
     /// What it is.
     Info(InfoReply),
+    /// Places and zones of its map.
+    Annotations(Annotations),
     /// A component of it came or went.
     Part {
         /// `edge`, `mapping`, `mission`.
@@ -112,6 +114,9 @@ impl FleetView {
                     "pose",
                     Entry::new(version, now, &CompactPose::from(&pose)),
                 );
+            }
+            Update::Annotations(annotations) => {
+                put(&mut view.summary, "annotations", Entry::new(version, now, &annotations));
             }
             Update::Part { component, alive } => {
                 view.parts.retain(|part| *part != component);

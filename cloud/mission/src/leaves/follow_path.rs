@@ -56,6 +56,8 @@ pub struct FollowPath {
     tracking: Tracking,
     cancels: u64,
     rechecked: u64,
+    /// Changes of the map's zones that the motion in force knows of.
+    zone_changes: u64,
     /// A better route than the one being driven, from the tree.
     offered: Option<Arc<Route>>,
     /// Plan time of the motion in force at which something stands on the trajectory, s.
@@ -93,6 +95,7 @@ impl Leaf<Context> for FollowPath {
     fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
         *self = Self::default();
         self.cancels = ctx.cancels(io.id());
+        self.zone_changes = ctx.map.zone_changes();
         for (port, choice) in CHOICES {
             if let Err(why) = choice.check(io.get_optional(port).ok().flatten()) {
                 return fail(io, ctx, Some(error_code::INVALID_CONTROLLER), why);
@@ -131,6 +134,7 @@ impl Leaf<Context> for FollowPath {
 
     fn resume(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
         self.cancels = ctx.cancels(io.id());
+        self.zone_changes = ctx.map.zone_changes();
         self.path_sequence = io.sequence("path");
         if let Ok(data) = path_on(io, "path") {
             self.tracking.take_up(data, ctx);
@@ -308,9 +312,16 @@ impl FollowPath {
         }
         let due = ctx.motion.age(ctx.now) >= ctx.config.settings.renew_period || ctx.motion.is_held();
         let revision = ctx.map.newest().map_or(0, |map| map.revision);
-        if due || revision != self.rechecked {
+        let zone_changes = ctx.map.zone_changes();
+        let rezoned = std::mem::replace(&mut self.zone_changes, zone_changes) != zone_changes;
+        if due || rezoned || revision != self.rechecked {
             self.rechecked = revision;
             match space_now(ctx).map(|space| ctx.motion.recheck(&space, time, ctx.config.settings.escape)) {
+                // The speed limits may be others, or the way shorter: this motion goes on until there is a better one.
+                Ok(Recheck::Free) if rezoned => {
+                    self.begin_search(ctx, memory.goal, 0.0);
+                    return step(io, ctx, "replanning: the zones of the map have changed");
+                }
                 Ok(Recheck::Free) if due => ctx.renew(),
                 Ok(Recheck::Free) => {}
                 // It runs out: the robot is at rest by its expiry, and goes on once the plan can be checked again.

@@ -111,6 +111,7 @@ impl Action {
             action,
             request_id: Some(execution.id.clone()),
             epoch: Some(epoch),
+            ..MapRequest::default()
         };
         let ticket = *self.ticket.get_or_insert_with(|| ctx.asks.ask(Ask::Map(request)));
         match ctx.asks.take(ticket) {

@@ -48,6 +48,7 @@ fn hall(door: f64) -> MapReplica {
         info,
         values: grid.values().to_vec(),
         trajectory: Vec::new(),
+        stored: Vec::new(),
     });
     replica
 }
@@ -220,6 +221,7 @@ fn a_long_body_backs_out_of_a_lane_in_which_it_cannot_turn_and_drives_on_forward
         info,
         values,
         trajectory: Vec::new(),
+        stored: Vec::new(),
     });
     let mut request = request("jackal", "astar");
     (request.plan.start, request.plan.goal) = (Pose2::new(2.7, 1.0, 0.0), Pose2::new(0.5, 3.0, 0.0));

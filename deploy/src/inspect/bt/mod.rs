@@ -1,5 +1,6 @@
 //! `zenav bt`. What is a behaviour tree made of, is it valid, what is it doing, and what would it do? Files here, statuses from the mission.
 
+mod nodes;
 mod show;
 mod simulate;
 mod validate;
@@ -18,6 +19,9 @@ use crate::output::Format;
 
 /// Behaviour trees.
 #[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  zenav bt validate patrol.xml\n  zenav bt show navigate\n  zenav bt watch\n  zenav bt nodes --xml > nodes.xml    Groot2's palette"
+)]
 pub struct BtArgs {
     /// Connection and robot.
     #[command(flatten)]
@@ -47,6 +51,14 @@ enum BtCommand {
         #[arg(long, value_name = "FILE")]
         out: Option<PathBuf>,
     },
+    /// List the nodes that trees may use, with their ports
+    Nodes {
+        /// Only those whose id or description has this word
+        word: Option<String>,
+        /// As a TreeNodesModel, which Groot2 loads as its palette
+        #[arg(long)]
+        xml: bool,
+    },
     /// Draw the tree that a mission runs, with the status of every node, until Ctrl-C
     Watch {
         /// Draw it once
@@ -74,6 +86,7 @@ pub fn bt(args: &BtArgs) -> Outcome {
     match &args.command {
         BtCommand::Validate { file } => validate::validate(file, args.output),
         BtCommand::Show { file, tree, out } => show::show(file, tree.as_deref(), out.as_deref(), args.output),
+        BtCommand::Nodes { word, xml } => nodes::nodes(word.as_deref(), *xml, args.output),
         BtCommand::Watch { once } => watch::watch(&args.robot, *once, args.output),
         BtCommand::Simulate { file, script, tree } => {
             simulate::simulate(file, script.as_deref(), tree.as_deref(), args.output)

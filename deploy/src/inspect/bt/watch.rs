@@ -40,7 +40,12 @@ pub(super) fn watch(robot: &RobotArgs, once: bool, format: Format) -> Outcome {
                     ));
                 }
             };
-            let text = picture(&status, live);
+            // A window of no size is one whose size is not known.
+            let rows = crossterm::terminal::size()
+                .ok()
+                .map(|(_, rows)| usize::from(rows))
+                .filter(|rows| live && *rows > 3);
+            let text = picture(&status, live, rows);
             if text == last && format == Format::Table {
                 continue;
             }
@@ -64,8 +69,8 @@ pub(super) fn watch(robot: &RobotArgs, once: bool, format: Format) -> Outcome {
     })
 }
 
-/// A mission's tree, a node a row.
-fn picture(status: &MissionStatus, colors: bool) -> String {
+/// A mission's tree, a node a row; of a tree with more nodes than the terminal has `rows`, those that tell most.
+fn picture(status: &MissionStatus, colors: bool, rows: Option<usize>) -> String {
     let goal = status.goal_id.as_deref().unwrap_or("no goal");
     let leads = match status.leads {
         true => format!("leads, {}", diagnosis::standbys(status)),
@@ -78,17 +83,45 @@ fn picture(status: &MissionStatus, colors: bool) -> String {
         status.tree.as_deref().unwrap_or("none"),
         status.queued
     )];
+    let shown = rows.map_or(usize::MAX, |rows| rows.saturating_sub(3));
+    let least = shown_from(&status.nodes, shown);
     let mut depths = BTreeMap::new();
-    for node in &status.nodes {
+    let mut left_out = 0;
+    for (at, node) in status.nodes.iter().enumerate() {
         // Document order: a parent comes before its children.
         let depth = node
             .parent
             .and_then(|parent| depths.get(&parent))
             .map_or(0, |depth: &usize| depth + 1);
         depths.insert(node.uid, depth);
-        lines.push(row(node, depth, colors));
+        if (weight(node), at) <= least {
+            lines.push(row(node, depth, colors));
+        } else {
+            left_out += 1;
+        }
+    }
+    if left_out > 0 {
+        lines.push(format!("… {left_out} more on a taller terminal"));
     }
     lines.join("\n")
+}
+
+/// How little a node's status tells of what goes on: 0 for what runs.
+fn weight(node: &NodeStatus) -> u8 {
+    match node.status.as_str() {
+        "RUNNING" => 0,
+        "FAILURE" => 1,
+        "SUCCESS" => 2,
+        _ => 3,
+    }
+}
+
+/// The last node by weight and place that still has room among `most`.
+fn shown_from(nodes: &[NodeStatus], most: usize) -> (u8, usize) {
+    let mut order: Vec<(u8, usize)> = nodes.iter().enumerate().map(|(at, node)| (weight(node), at)).collect();
+    order.sort_unstable();
+    let last = most.min(order.len()).checked_sub(1);
+    last.and_then(|last| order.get(last).copied()).unwrap_or_default()
 }
 
 fn row(node: &NodeStatus, depth: usize, colors: bool) -> String {
@@ -156,7 +189,12 @@ mod tests {
             queued: 0,
             standbys: Vec::new(),
         };
-        let drawn = picture(&status, false);
+        let low = picture(&status, false, Some(5));
+        assert_eq!(
+            low.lines().skip(1).collect::<Vec<_>>(),
+            ["▶ Sequence", "  ▶ Drive ", "… 1 more on a taller terminal"]
+        );
+        let drawn = picture(&status, false, None);
         assert_eq!(
             drawn.lines().skip(1).collect::<Vec<_>>(),
             ["▶ Sequence", "  ✓ Wait", "  ▶ Drive "]

@@ -1,0 +1,441 @@
+//! Annotations. Which places and zones does a robot's map have, and how do they change?
+//!
+//! Those of the world and the deployment are the base; what people change is kept in a file as an overlay, so that a base that is edited
+//! later still counts. A change is on disk before it is published or acknowledged.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+use zenav_mapping::atomic::write_atomically;
+use zenav_protocol::bus::Request;
+use zenav_protocol::config_text::Number;
+use zenav_protocol::geometry::wrap_angle;
+use zenav_protocol::messages::{AnnotateAction, AnnotateRequest, Annotations, GoalPoint, Refusal, Zone};
+use zenav_protocol::time::Stamp;
+use zenav_space::Zones;
+
+use super::{MappingError, Service};
+
+/// Name of the file in a robot's folder.
+const FILE: &str = "annotations.json";
+/// Largest file that is read, bytes.
+const MAX_FILE: u64 = 4 << 20;
+/// Longest name of a place or zone, bytes.
+const MAX_NAME: usize = 64;
+/// Most places.
+const MAX_PLACES: usize = 1000;
+/// Most corners of all zones: what is published stays within its key's limit.
+const MAX_CORNERS: usize = 20_000;
+/// Coordinates lie within this, m.
+const FARTHEST: f64 = 100_000.0;
+
+/// What people changed; `None` stands for a place or zone of the base that they removed.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Overlay {
+    #[serde(default)]
+    revision: u64,
+    #[serde(default)]
+    places: BTreeMap<String, Option<GoalPoint>>,
+    #[serde(default)]
+    zones: BTreeMap<String, Option<Zone>>,
+}
+
+/// The annotations of one robot's map.
+#[derive(Debug)]
+pub(super) struct AnnotationBook {
+    base: Annotations,
+    overlay: Overlay,
+    file: Option<PathBuf>,
+    now: Annotations,
+}
+
+impl AnnotationBook {
+    /// The base, with what was changed in earlier runs.
+    ///
+    /// # Errors
+    /// [`MappingError::Annotations`] for a file that cannot be read: a keep-out zone must not vanish without a word.
+    pub(super) fn open(
+        places: BTreeMap<String, GoalPoint>,
+        zones: &Zones,
+        folder: Option<&Path>,
+    ) -> Result<Self, MappingError> {
+        let file = folder.map(|folder| folder.join(FILE));
+        let overlay = match &file {
+            Some(file) => read(file).map_err(|problem| MappingError::Annotations {
+                file: file.clone(),
+                problem,
+            })?,
+            None => Overlay::default(),
+        };
+        let base = Annotations {
+            revision: 0,
+            places,
+            zones: with_own_names(zones.to_messages()),
+        };
+        let now = laid_over(&base, &overlay);
+        Ok(Self {
+            base,
+            overlay,
+            file,
+            now,
+        })
+    }
+
+    /// The annotations in force.
+    pub(super) fn now(&self) -> &Annotations {
+        &self.now
+    }
+
+    /// Carries out a change and stores it; says whether there was one.
+    async fn change(&mut self, action: AnnotateAction) -> Result<bool, Refusal> {
+        let Some(overlay) = self.changed(action)? else {
+            return Ok(false);
+        };
+        if let Some(file) = self.file.clone() {
+            let text = serde_json::to_vec_pretty(&overlay).map_err(Refusal::internal)?;
+            let store = move || {
+                if let Some(folder) = file.parent() {
+                    std::fs::create_dir_all(folder).map_err(|error| format!("{}: {error}", folder.display()))?;
+                }
+                write_atomically(&file, &text).map_err(|error| error.to_string())
+            };
+            let stored = tokio::task::spawn_blocking(store).await;
+            stored.map_err(Refusal::internal)?.map_err(Refusal::internal)?;
+        }
+        self.overlay = overlay;
+        self.now = laid_over(&self.base, &self.overlay);
+        Ok(true)
+    }
+
+    /// The overlay after a change; `None` where nothing changes.
+    fn changed(&self, action: AnnotateAction) -> Result<Option<Overlay>, Refusal> {
+        let mut overlay = self.overlay.clone();
+        match action {
+            AnnotateAction::Get => return Ok(None),
+            AnnotateAction::AddPlace { name, at } => {
+                check_name(&name)?;
+                overlay.places.insert(name, Some(checked(at)?));
+            }
+            AnnotateAction::RemovePlace { name } => {
+                if !self.now.places.contains_key(&name) {
+                    return Err(unknown("place", &name, self.now.places.keys()));
+                }
+                overlay.places.insert(name, None);
+            }
+            AnnotateAction::AddZone { zone } => {
+                check_name(&zone.name)?;
+                Zones::new(std::slice::from_ref(&zone)).map_err(Refusal::bad_request)?;
+                overlay.zones.insert(zone.name.clone(), Some(zone));
+            }
+            AnnotateAction::RemoveZone { name } => {
+                if !self.now.zones.iter().any(|zone| zone.name == name) {
+                    return Err(unknown("zone", &name, self.now.zones.iter().map(|zone| &zone.name)));
+                }
+                overlay.zones.insert(name, None);
+            }
+            AnnotateAction::ClearZones => {
+                overlay.zones = self.base.zones.iter().map(|zone| (zone.name.clone(), None)).collect();
+            }
+        }
+        // What is neither in the base nor added need not be known as removed.
+        let base = &self.base;
+        overlay
+            .places
+            .retain(|name, place| place.is_some() || base.places.contains_key(name));
+        overlay
+            .zones
+            .retain(|name, zone| zone.is_some() || base.zones.iter().any(|known| known.name == *name));
+        let after = laid_over(base, &overlay);
+        if (&after.places, &after.zones) == (&self.now.places, &self.now.zones) {
+            return Ok(None);
+        }
+        if after.places.len() > MAX_PLACES {
+            return Err(Refusal::rejected(format!("{MAX_PLACES} places: no more may be added")));
+        }
+        let corners: usize = after.zones.iter().map(|zone| zone.points.len()).sum();
+        if corners > MAX_CORNERS {
+            return Err(Refusal::rejected(format!(
+                "the zones would have {corners} corners: expected at most {MAX_CORNERS}"
+            )));
+        }
+        Zones::new(&after.zones).map_err(Refusal::rejected)?;
+        overlay.revision += 1;
+        Ok(Some(overlay))
+    }
+}
+
+fn laid_over(base: &Annotations, overlay: &Overlay) -> Annotations {
+    let mut places: BTreeMap<_, _> = base.places.clone();
+    for (name, place) in &overlay.places {
+        match place {
+            Some(place) => places.insert(name.clone(), *place),
+            None => places.remove(name),
+        };
+    }
+    let mut zones: BTreeMap<String, Zone> = base
+        .zones
+        .iter()
+        .map(|zone| (zone.name.clone(), zone.clone()))
+        .collect();
+    for (name, zone) in &overlay.zones {
+        match zone {
+            Some(zone) => zones.insert(name.clone(), zone.clone()),
+            None => zones.remove(name),
+        };
+    }
+    Annotations {
+        revision: overlay.revision,
+        places,
+        zones: zones.into_values().collect(),
+    }
+}
+
+/// Zones of a file may share a name; here each has its own.
+fn with_own_names(zones: Vec<Zone>) -> Vec<Zone> {
+    let mut named: Vec<Zone> = Vec::with_capacity(zones.len());
+    for mut zone in zones {
+        let name = zone.name.clone();
+        let mut count = 1;
+        while named.iter().any(|known| known.name == zone.name) {
+            count += 1;
+            zone.name = format!("{name}_{count}");
+        }
+        named.push(zone);
+    }
+    named
+}
+
+fn read(file: &Path) -> Result<Overlay, String> {
+    let size = match std::fs::metadata(file) {
+        Ok(found) => found.len(),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Overlay::default()),
+        Err(error) => return Err(error.to_string()),
+    };
+    if size > MAX_FILE {
+        return Err(format!("{size} bytes: expected at most {MAX_FILE}"));
+    }
+    let text = std::fs::read(file).map_err(|error| error.to_string())?;
+    let overlay: Overlay = serde_json::from_slice(&text).map_err(|error| error.to_string())?;
+    for place in overlay.places.values().flatten() {
+        checked(*place).map_err(|refusal| refusal.to_string())?;
+    }
+    let zones: Vec<Zone> = overlay.zones.values().flatten().cloned().collect();
+    Zones::new(&zones).map_err(|error| error.to_string())?;
+    Ok(overlay)
+}
+
+fn check_name(name: &str) -> Result<(), Refusal> {
+    let is_plain = !name.trim().is_empty() && name.len() <= MAX_NAME && !name.chars().any(char::is_control);
+    // `|` and `;` separate goals in the ports of a tree.
+    if is_plain && !name.contains(['|', ';']) && name.trim() == name {
+        return Ok(());
+    }
+    let found: String = name.chars().take(MAX_NAME).collect();
+    Err(Refusal::bad_request(format!(
+        "the name {found:?}: expected 1 to {MAX_NAME} bytes without `|`, `;`, line breaks or spaces at its ends"
+    )))
+}
+
+fn checked(at: GoalPoint) -> Result<GoalPoint, Refusal> {
+    let good = |value: f64| value.is_finite() && value.abs() <= FARTHEST;
+    if !(good(at.x) && good(at.y)) {
+        return Err(Refusal::bad_request(format!(
+            "({}, {}): expected finite coordinates within {FARTHEST} m",
+            Number(at.x),
+            Number(at.y)
+        )));
+    }
+    match at.yaw {
+        Some(yaw) if !(yaw.is_finite() && yaw.abs() <= std::f64::consts::TAU) => Err(Refusal::bad_request(format!(
+            "yaw is {}: expected radians within 2 pi; 90 degrees are 1.571",
+            Number(yaw)
+        ))),
+        yaw => Ok(GoalPoint {
+            yaw: yaw.map(wrap_angle),
+            ..at
+        }),
+    }
+}
+
+fn unknown<'a>(kind: &str, name: &str, known: impl Iterator<Item = &'a String>) -> Refusal {
+    let name: String = name.chars().take(MAX_NAME).collect();
+    let known: Vec<&str> = known.take(20).map(String::as_str).collect();
+    let known = if known.is_empty() {
+        "there is none".to_owned()
+    } else {
+        format!("there are {}", known.join(", "))
+    };
+    Refusal::NotFound {
+        what: format!("{kind} `{name}`; {known}"),
+    }
+}
+
+impl Service {
+    /// Answers a request for the annotations; a change is carried out once, under the lease in force.
+    pub(super) async fn annotate(&mut self, request: Request<AnnotateRequest, Annotations>, now: Stamp) {
+        let AnnotateRequest {
+            action,
+            request_id,
+            epoch,
+        } = request.body.clone();
+        if action == AnnotateAction::Get {
+            request.reply(self.annotations.now());
+            return;
+        }
+        let answer = match self.annotated.get(request_id.as_deref()) {
+            Some(first) => first,
+            None => match self.authority.admit(now, epoch) {
+                Err(refusal) => Err(refusal),
+                Ok(()) => {
+                    let changed = self.annotations.change(action).await;
+                    if changed == Ok(true) {
+                        self.annotations_topic.put(self.annotations.now());
+                    }
+                    let answer = changed.map(|_| Arc::new(self.annotations.now().clone()));
+                    self.annotated.keep(request_id, &answer);
+                    answer
+                }
+            },
+        };
+        match answer {
+            Ok(annotations) => request.reply(&annotations),
+            Err(refusal) => request.refuse(&refusal),
+        }
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use nalgebra::Point2;
+    use zenav_protocol::messages::ZoneRule;
+
+    use super::*;
+
+    fn at(x: f64) -> GoalPoint {
+        GoalPoint { x, y: 0.0, yaw: None }
+    }
+
+    fn zone(name: &str, side: f64) -> Zone {
+        Zone {
+            name: name.into(),
+            rule: ZoneRule::KeepOut,
+            points: [[0.0, 0.0], [side, 0.0], [side, side]].map(Point2::from).into(),
+        }
+    }
+
+    fn add(name: &str, x: f64) -> AnnotateAction {
+        AnnotateAction::AddPlace {
+            name: name.into(),
+            at: at(x),
+        }
+    }
+
+    fn book(folder: &Path) -> AnnotationBook {
+        let zones = Zones::new(&[zone("stairs", 1.0)]).unwrap();
+        AnnotationBook::open([("sink".to_owned(), at(1.0))].into(), &zones, Some(folder)).unwrap()
+    }
+
+    fn names(book: &AnnotationBook) -> (Vec<String>, Vec<String>) {
+        let now = book.now();
+        let zones = now.zones.iter().map(|zone| zone.name.clone());
+        (now.places.keys().cloned().collect(), zones.collect())
+    }
+
+    #[tokio::test]
+    async fn what_was_changed_is_there_after_a_restart_and_the_base_may_change_under_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut first = book(folder.path());
+        assert!(first.change(add("fridge", 2.0)).await.unwrap());
+        assert!(!first.change(add("fridge", 2.0)).await.unwrap(), "the same again");
+        let remove = AnnotateAction::RemovePlace { name: "sink".into() };
+        first.change(remove).await.unwrap();
+        first
+            .change(AnnotateAction::AddZone { zone: zone("wet", 2.0) })
+            .await
+            .unwrap();
+        assert_eq!(first.now().revision, 3);
+        let second = book(folder.path());
+        assert_eq!(second.now(), first.now());
+        assert_eq!(
+            names(&second),
+            (vec!["fridge".into()], vec!["stairs".into(), "wet".into()])
+        );
+        let base = AnnotationBook::open(
+            [("oven".to_owned(), at(3.0))].into(),
+            &Zones::default(),
+            Some(folder.path()),
+        );
+        assert_eq!(
+            names(&base.unwrap()),
+            (vec!["fridge".into(), "oven".into()], vec!["wet".into()])
+        );
+    }
+
+    #[tokio::test]
+    async fn zones_are_removed_one_by_one_or_all() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut book = book(folder.path());
+        book.change(AnnotateAction::AddZone { zone: zone("wet", 2.0) })
+            .await
+            .unwrap();
+        let remove = AnnotateAction::RemoveZone { name: "stairs".into() };
+        book.change(remove.clone()).await.unwrap();
+        assert_eq!(names(&book).1, ["wet"]);
+        let refusal = book.change(remove).await.unwrap_err().to_string();
+        assert!(refusal.contains("zone `stairs`; there are wet"), "{refusal}");
+        book.change(AnnotateAction::ClearZones).await.unwrap();
+        assert!(names(&book).1.is_empty());
+    }
+
+    #[tokio::test]
+    async fn what_cannot_be_is_refused_and_changes_nothing() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut book = book(folder.path());
+        let before = book.now().clone();
+        for (action, what) in [
+            (add("a|b", 1.0), "the name"),
+            (add("", 1.0), "the name"),
+            (add("far", f64::NAN), "finite"),
+            (
+                AnnotateAction::AddPlace {
+                    name: "turned".into(),
+                    at: GoalPoint {
+                        yaw: Some(90.0),
+                        ..at(0.0)
+                    },
+                },
+                "expected radians",
+            ),
+            (
+                AnnotateAction::AddZone {
+                    zone: zone("flat", 0.0),
+                },
+                "zone `flat`",
+            ),
+            (AnnotateAction::RemovePlace { name: "moon".into() }, "there are sink"),
+        ] {
+            let refusal = book.change(action).await.unwrap_err().to_string();
+            assert!(refusal.contains(what), "{what}: {refusal}");
+        }
+        assert_eq!(*book.now(), before);
+    }
+
+    #[test]
+    fn a_file_that_cannot_be_read_is_not_passed_over() {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join(FILE), "{\"places\": 3}").unwrap();
+        let error = AnnotationBook::open(BTreeMap::new(), &Zones::default(), Some(folder.path())).unwrap_err();
+        assert!(error.to_string().contains(FILE), "{error}");
+    }
+
+    #[test]
+    fn zones_that_share_a_name_get_names_of_their_own() {
+        let zones = with_own_names(vec![zone("a", 1.0), zone("a", 2.0), zone("a", 3.0)]);
+        let names: Vec<&str> = zones.iter().map(|zone| zone.name.as_str()).collect();
+        assert_eq!(names, ["a", "a_2", "a_3"]);
+    }
+}

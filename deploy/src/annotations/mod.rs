@@ -1,0 +1,43 @@
+//! `zenav place` and `zenav zone`. What have people drawn on the map of a running robot, and how is it changed? By asking its mapping service,
+//! which stores it and tells missions, motion workers and the mission-control page.
+//!
+//! | file | answers |
+//! |---|---|
+//! | `place` | named goals: list, add, remove |
+//! | `zone` | keep-out and speed zones: list, add, remove, clear |
+
+mod place;
+mod zone;
+
+use std::time::Duration;
+
+use zenav_protocol::bus::Bus;
+use zenav_protocol::messages::{AnnotateAction, AnnotateRequest, Annotations};
+use zenav_protocol::topics;
+
+pub use place::{PlaceArgs, place};
+pub use zone::{ZoneArgs, zone};
+
+use crate::connect::fresh_id;
+use crate::failure::Failure;
+use crate::operator::change;
+
+/// The annotations of a robot's map.
+async fn read(bus: &Bus, robot: &str, within: Duration) -> Result<Annotations, Failure> {
+    let request = AnnotateRequest::default();
+    Ok(bus.ask(&topics::ANNOTATE, &[robot], &request, within).await?)
+}
+
+/// Changes them under the lease in force: a robot that drives goes on.
+async fn change(bus: &Bus, robot: &str, within: Duration, action: AnnotateAction) -> Result<Annotations, Failure> {
+    let request_id = Some(fresh_id("annotate"));
+    let ask = async |epoch| {
+        let request = AnnotateRequest {
+            action: action.clone(),
+            request_id: request_id.clone(),
+            epoch,
+        };
+        bus.ask(&topics::ANNOTATE, &[robot], &request, within).await
+    };
+    change::in_force(bus, robot, within, ask).await
+}

@@ -1,0 +1,390 @@
+//! `zenav ask` and `zenav topic pub`. How is a request or a message typed by hand? JSON, checked against the type of its key before it is sent:
+//! a field that nobody knows is told, not passed over.
+
+use std::io::Read as _;
+use std::time::Duration;
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use serde_json::Value;
+use zenav_protocol::bus::{AskError, RawReply};
+use zenav_protocol::messages::Refusal;
+use zenav_protocol::topics::{self, Ask, Producer, Row, TABLE, TableVisitor, Topic};
+
+use super::payload;
+use crate::connect::{self, RobotArgs, positive};
+use crate::exit_code;
+use crate::failure::{Failure, Outcome};
+use crate::files;
+use crate::output::{self, Format};
+
+/// Names that changed in a typo beyond this many letters are not guessed.
+const SLIPS: usize = 3;
+/// A query that is sent again waits for this time at most.
+const AGAIN: Duration = Duration::from_millis(200);
+
+/// One request.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  zenav ask ask/edge/info\n  zenav ask ask/cloud/goal '{\"place\": \"sink\"}'\n  zenav ask 'ask/cloud/map?format=png' --out map.png\n  zenav schema GoalRequest        what may stand in a request\n\nExit codes: 0 answered, 2 the request does not fit its type, 3 not found, 5 no answer, 7 refused."
+)]
+pub struct AskArgs {
+    /// Connection and robot.
+    #[command(flatten)]
+    robot: RobotArgs,
+    /// Output format
+    #[arg(short, long, value_enum, default_value_t)]
+    output: Format,
+    /// A key (`zenav/tiago/ask/edge/info`), its end (`ask/edge/info`), or the name of an ask (`goals`); `?name=value` is passed on
+    key: String,
+    /// The request; `-` reads it from stdin
+    #[arg(default_value = "{}")]
+    json: String,
+    /// Write the answer's bytes to a file
+    #[arg(long, value_name = "FILE")]
+    out: Option<std::path::PathBuf>,
+}
+
+/// One message.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  zenav topic pub my/lamp '{\"on\": true}'\n  zenav topic pub operator/teleop '{\"epoch\": 7, \"twist\": {\"v\": 0.0, \"w\": 0.0}, \"echo\": 0}'\n\nKeys of edge, cloud, body and sim have their own writers: a second one confuses the robot, and needs --force."
+)]
+pub(super) struct PubArgs {
+    /// A key, its end (`operator/teleop`), or the name of a topic (`teleop`)
+    key: String,
+    /// The message; `-` reads it from stdin
+    json: String,
+    /// Publish again this many times a second, until Ctrl-C or --count
+    #[arg(long, value_name = "HZ", value_parser = positive)]
+    hz: Option<f64>,
+    /// End after this many messages
+    #[arg(long, value_name = "N", requires = "hz")]
+    count: Option<u64>,
+    /// Publish on a key that only the robot or its cloud may write
+    #[arg(long)]
+    force: bool,
+}
+
+/// Sends a request, and prints the answer.
+///
+/// # Errors
+/// [`exit_code::USAGE`] for what does not fit the type of the key, and as every ask.
+pub fn ask(args: &AskArgs) -> Outcome {
+    let patience = args.robot.link.patience();
+    let (key, parameters) = args
+        .key
+        .split_once('?')
+        .map_or((args.key.as_str(), None), |(key, rest)| (key, Some(rest)));
+    let text = input(&args.json)?;
+    connect::on_bus(&args.robot.link, async |bus| {
+        let key = concrete(&bus, key, &args.robot, true).await?;
+        if let Some(row) = topics::row_of(&key) {
+            check(row, &text)?;
+        } else {
+            any_json(&text)?;
+        }
+        let selector = parameters.map_or_else(|| key.clone(), |parameters| format!("{key}?{parameters}"));
+        let until = tokio::time::Instant::now() + patience;
+        // As every ask: no reply is not an answer, and a standby passes the request on to whoever leads.
+        let sample = loop {
+            let within = until.saturating_duration_since(tokio::time::Instant::now());
+            let replies = bus
+                .raw_query(&selector, Some(text.clone().into_bytes()), within)
+                .await?;
+            let mut refusal = None;
+            let mut answer = None;
+            for reply in replies {
+                match reply {
+                    RawReply::Ok(sample) => answer = answer.or(Some(sample)),
+                    RawReply::Err { bytes, .. } => {
+                        refusal = refusal.or_else(|| serde_json::from_slice::<Refusal>(&bytes).ok())
+                    }
+                }
+            }
+            match (answer, refusal) {
+                (Some(sample), _) => break sample,
+                (None, Some(refusal)) if !matches!(refusal, Refusal::NotLeader | Refusal::Busy { .. }) => {
+                    return Err(AskError::Refused(refusal).into());
+                }
+                (None, refusal) if tokio::time::Instant::now() + AGAIN >= until => {
+                    let timeout = AskError::Timeout { key: key.clone() };
+                    return Err(refusal.map_or(timeout, AskError::Refused).into());
+                }
+                _ => tokio::time::sleep(AGAIN).await,
+            }
+        };
+        if let Some(out) = &args.out {
+            files::write(out, &sample.bytes)?;
+            output::line(&format!(
+                "wrote {} ({} bytes of {})",
+                out.display(),
+                sample.bytes.len(),
+                sample.encoding
+            ));
+            return Ok(exit_code::OK);
+        }
+        let value = payload::value(&sample);
+        output::value(args.output, &value, |value| match value {
+            Value::String(text) => text.clone(),
+            value => serde_json::to_string_pretty(value).unwrap_or_default(),
+        })?;
+        Ok(exit_code::OK)
+    })
+}
+
+/// Publishes a message.
+pub(super) fn publish(args: &PubArgs, robot: &RobotArgs) -> Outcome {
+    let text = input(&args.json)?;
+    connect::on_bus(&robot.link, async |bus| {
+        let key = concrete(&bus, &args.key, robot, false).await?;
+        match topics::row_of(&key) {
+            Some(row) => {
+                if row.producer != Producer::Operator && !args.force {
+                    let by = format!("{:?}", row.producer).to_lowercase();
+                    return Err(Failure::new(
+                        exit_code::REJECTED,
+                        format!(
+                            "{key} is written by {by} alone: a second writer confuses the robot (--force publishes all the same)"
+                        ),
+                    ));
+                }
+                check(row, &text)?;
+            }
+            None if is_reserved(&key) && !args.force => {
+                return Err(Failure::new(
+                    exit_code::REJECTED,
+                    format!(
+                        "{key}: keys of edge, cloud, body and sim have their own writers (--force publishes all the same)"
+                    ),
+                ));
+            }
+            None => any_json(&text)?,
+        }
+        let mut pace = args
+            .hz
+            .and_then(|hz| Duration::try_from_secs_f64(1.0 / hz).ok())
+            .map(tokio::time::interval);
+        let mut sent = 0;
+        loop {
+            if let Some(pace) = &mut pace {
+                tokio::select! {
+                    _ = pace.tick() => {}
+                    _ = tokio::signal::ctrl_c() => return Ok(exit_code::INTERRUPTED),
+                }
+            }
+            bus.raw_put(&key, text.clone().into_bytes(), "application/json")?;
+            sent += 1;
+            if pace.is_none() || args.count.is_some_and(|count| sent >= count) {
+                break;
+            }
+        }
+        eprintln!("published {sent} on {key}");
+        Ok(exit_code::OK)
+    })
+}
+
+/// Whether a key lies under a side that has its own writers.
+fn is_reserved(key: &str) -> bool {
+    let chunks: Vec<&str> = key.split('/').collect();
+    match chunks.as_slice() {
+        ["zenav", "sim" | "svc", ..] => true,
+        ["zenav", _, side, ..] => matches!(*side, "edge" | "cloud" | "body" | "ask" | "alive"),
+        _ => false,
+    }
+}
+
+/// The text of the command line, or of stdin.
+fn input(text: &str) -> Result<String, Failure> {
+    if text != "-" {
+        return Ok(text.to_owned());
+    }
+    let mut read = String::new();
+    std::io::stdin().take(64 << 20).read_to_string(&mut read)?;
+    Ok(read)
+}
+
+fn any_json(text: &str) -> Result<(), Failure> {
+    serde_json::from_str::<serde::de::IgnoredAny>(text)
+        .map(drop)
+        .map_err(|error| Failure::usage(format!("not JSON: {error}")))
+}
+
+/// The key that is meant, with its robot filled in.
+async fn concrete(
+    bus: &zenav_protocol::bus::Bus,
+    text: &str,
+    robot: &RobotArgs,
+    asks: bool,
+) -> Result<String, Failure> {
+    let pattern = meant(text, asks)?;
+    let Some((before, after)) = pattern.split_once("{robot}") else {
+        return match pattern.contains('{') {
+            true => Err(Failure::usage(format!("{pattern}: give the whole key"))),
+            false => Ok(pattern),
+        };
+    };
+    if after.contains('{') {
+        return Err(Failure::usage(format!("{pattern}: give the whole key")));
+    }
+    let robot = connect::find(bus, robot.robot.as_deref()).await?;
+    Ok(format!("{before}{robot}{after}"))
+}
+
+/// The key that is meant, perhaps with a `{robot}` to be filled in.
+fn meant(text: &str, asks: bool) -> Result<String, Failure> {
+    if text.starts_with("zenav/") {
+        if text.contains(['*', '$', '{']) {
+            return Err(Failure::usage(format!("{text}: expected one key, without wildcards")));
+        }
+        return Ok(text.to_owned());
+    }
+    let rows = || TABLE.iter().filter(|row| row.qos.is_none() == asks);
+    let found = rows().find(|row| {
+        let end = row.pattern.strip_prefix("zenav/{robot}/").unwrap_or(row.pattern);
+        end == text || topics::alive_chunks(end, text).is_some() || row.pattern.rsplit('/').next() == Some(text)
+    });
+    if let Some(row) = found {
+        let end = row.pattern.strip_prefix("zenav/{robot}/").unwrap_or(row.pattern);
+        // Named chunks that the text fills (`cloud/goal/g1`) are kept as they are written.
+        return Ok(match topics::alive_chunks(end, text) {
+            Some(_) if row.pattern != end => format!("zenav/{{robot}}/{text}"),
+            _ => row.pattern.to_owned(),
+        });
+    }
+    if text.contains('/') {
+        return Ok(text.to_owned());
+    }
+    let names: Vec<&str> = rows()
+        .filter_map(|row| row.pattern.rsplit('/').next())
+        .filter(|name| !name.starts_with('{'))
+        .collect();
+    let kind = if asks { "ask" } else { "topic" };
+    Err(Failure::not_found(format!(
+        "no {kind} `{text}`: there are {} (or give a key, such as {})",
+        names.join(", "),
+        if asks {
+            "zenav/tiago/ask/edge/info"
+        } else {
+            "zenav/tiago/operator/teleop"
+        }
+    )))
+}
+
+/// Checks a text against the message, or the request, of a row.
+fn check(row: &Row, text: &str) -> Result<(), Failure> {
+    if text.len() > row.max_bytes {
+        return Err(Failure::usage(format!(
+            "{} bytes: {} takes at most {}",
+            text.len(),
+            row.pattern,
+            row.max_bytes
+        )));
+    }
+    let mut checker = Checker {
+        pattern: row.pattern,
+        text,
+        found: None,
+    };
+    topics::visit_table(&mut checker);
+    checker.found.unwrap_or(Ok(()))
+}
+
+/// Reads a text as the type of one row.
+struct Checker<'a> {
+    pattern: &'static str,
+    text: &'a str,
+    found: Option<Result<(), Failure>>,
+}
+
+impl Checker<'_> {
+    fn read<T: DeserializeOwned + Serialize>(&mut self, pattern: &str, name: &str) {
+        if pattern == self.pattern {
+            self.found = Some(fits::<T>(self.text, name));
+        }
+    }
+}
+
+impl TableVisitor for Checker<'_> {
+    fn topic<T: topics::Message>(&mut self, topic: Topic<T>, message: &'static str) {
+        self.read::<T>(topic.pattern, message);
+    }
+
+    fn ask<Q: topics::Message, R: topics::Message>(&mut self, ask: Ask<Q, R>, request: &'static str, _: &'static str) {
+        self.read::<Q>(ask.pattern, request);
+    }
+}
+
+/// Whether a text is a message of this type, without fields that the type does not have.
+fn fits<T: DeserializeOwned>(text: &str, name: &str) -> Result<(), Failure> {
+    let hint = format!("`zenav schema {name}` shows what may stand there");
+    let mut unknown = Vec::new();
+    let mut reader = serde_json::Deserializer::from_str(text);
+    let read: Result<T, _> = serde_ignored::deserialize(&mut reader, |path| unknown.push(path.to_string()));
+    read.and_then(|_| reader.end())
+        .map_err(|error| Failure::usage(format!("no {name}: {error}; {hint}")))?;
+    match unknown.first() {
+        None => Ok(()),
+        Some(field) => {
+            let last = field.rsplit('.').next().unwrap_or(field);
+            let known = super::schema::fields(name);
+            let slips = |known: &&String| strsim::osa_distance(last, known);
+            let perhaps = known.iter().min_by_key(slips).filter(|known| slips(known) <= SLIPS);
+            let perhaps = perhaps.map(|known| format!(", perhaps `{known}`")).unwrap_or_default();
+            Err(Failure::usage(format!(
+                "{name} has no field `{field}`{perhaps}; {hint}"
+            )))
+        }
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_key_may_be_named_by_its_end() {
+        for (text, asks, key) in [
+            ("ask/edge/info", true, "zenav/{robot}/ask/edge/info"),
+            ("goals", true, "zenav/{robot}/ask/cloud/goals"),
+            ("zenav/tiago/ask/edge/info", true, "zenav/tiago/ask/edge/info"),
+            ("teleop", false, "zenav/{robot}/operator/teleop"),
+            ("cloud/goal/g1", false, "zenav/{robot}/cloud/goal/g1"),
+            ("my/lamp", false, "my/lamp"),
+        ] {
+            assert_eq!(meant(text, asks).unwrap(), key, "{text}");
+        }
+        assert_eq!(meant("zenav/*/edge/pose", false).unwrap_err().code, exit_code::USAGE);
+        let failure = meant("telop", false).unwrap_err();
+        assert!(
+            failure.code == exit_code::NOT_FOUND && failure.message.contains("teleop"),
+            "{failure}"
+        );
+    }
+
+    #[test]
+    fn what_does_not_fit_is_told_before_it_is_sent() {
+        let row = topics::row_of("zenav/r/ask/cloud/goal").unwrap();
+        assert!(check(row, r#"{"x": 1, "y": 2}"#).is_ok());
+        for (text, what) in [
+            (
+                r#"{"x": 1, "y": 2, "tolerence": 0.5}"#,
+                "no field `tolerence`, perhaps `tolerance`",
+            ),
+            (r#"{"x": "one"}"#, "no GoalRequest: invalid type"),
+            ("{", "no GoalRequest: EOF"),
+            ("{} {}", "trailing"),
+        ] {
+            let failure = check(row, text).unwrap_err();
+            assert_eq!(failure.code, exit_code::USAGE);
+            assert!(failure.message.contains(what), "{text}: {failure}");
+        }
+    }
+
+    #[test]
+    fn keys_with_a_writer_of_their_own_are_reserved() {
+        assert!(is_reserved("zenav/r/edge/mine") && is_reserved("zenav/sim/clock"));
+        assert!(!is_reserved("zenav/r/operator/teleop") && !is_reserved("my/lamp"));
+    }
+}

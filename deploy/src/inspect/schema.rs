@@ -1,0 +1,162 @@
+//! `zenav schema`. What may stand in a message? Its JSON Schema (draft 2020-12), with the documentation of every field.
+
+use std::collections::BTreeMap;
+
+use schemars::{JsonSchema, Schema, schema_for};
+use serde::Serialize;
+use serde_json::Value;
+use zenav_protocol::messages::Refusal;
+use zenav_protocol::topics::{self, Ask, Message, TableVisitor, Topic};
+
+use crate::exit_code;
+use crate::failure::{Failure, Outcome};
+use crate::output::{self, Format};
+
+/// Schemas of messages.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  zenav schema --list\n  zenav schema GoalRequest\n  zenav schema edge/pose")]
+pub struct SchemaArgs {
+    /// Name of a message (`GoalRequest`), or a key
+    #[arg(value_name = "TYPE", required_unless_present = "list")]
+    message: Option<String>,
+    /// List all messages and where they are used
+    #[arg(long, conflicts_with = "message")]
+    list: bool,
+    /// Output format
+    #[arg(short, long, value_enum, default_value_t)]
+    output: Format,
+}
+
+/// A message, and the keys that carry it.
+#[derive(Debug)]
+struct Described {
+    schema: fn() -> Schema,
+    keys: Vec<String>,
+}
+
+#[derive(Debug, Default)]
+struct Catalogue(BTreeMap<&'static str, Described>);
+
+impl Catalogue {
+    fn new() -> Self {
+        let mut all = Self::default();
+        topics::visit_table(&mut all);
+        all.note::<Refusal>("Refusal", "every ask, as its error".to_owned());
+        all
+    }
+
+    fn note<T: JsonSchema>(&mut self, name: &'static str, key: String) {
+        let entry = self.0.entry(name).or_insert_with(|| Described {
+            schema: || schema_for!(T),
+            keys: Vec::new(),
+        });
+        entry.keys.push(key);
+    }
+}
+
+impl TableVisitor for Catalogue {
+    fn topic<T: Message>(&mut self, topic: Topic<T>, message: &'static str) {
+        self.note::<T>(message, topic.pattern.to_owned());
+    }
+
+    fn ask<Q: Message, R: Message>(&mut self, ask: Ask<Q, R>, request: &'static str, reply: &'static str) {
+        self.note::<Q>(request, format!("{} (request)", ask.pattern));
+        self.note::<R>(reply, format!("{} (reply)", ask.pattern));
+    }
+}
+
+/// The names of all fields that a message has at any depth; for guesses.
+pub(super) fn fields(message: &str) -> Vec<String> {
+    let mut names = Vec::new();
+    if let Some(described) = Catalogue::new().0.get(message) {
+        gather((described.schema)().as_value(), &mut names);
+    }
+    names
+}
+
+fn gather(schema: &Value, names: &mut Vec<String>) {
+    match schema {
+        Value::Object(entries) => {
+            if let Some(Value::Object(properties)) = entries.get("properties") {
+                names.extend(properties.keys().cloned());
+            }
+            entries.values().for_each(|inner| gather(inner, names));
+        }
+        Value::Array(entries) => entries.iter().for_each(|inner| gather(inner, names)),
+        _ => {}
+    }
+}
+
+#[derive(Debug, Serialize)]
+struct Listed {
+    message: &'static str,
+    keys: Vec<String>,
+}
+
+/// Prints the schema of a message, or lists all.
+///
+/// # Errors
+/// [`exit_code::NOT_FOUND`] for a message that there is not.
+pub fn schema(args: &SchemaArgs) -> Outcome {
+    let all = Catalogue::new();
+    let Some(wanted) = &args.message else {
+        let listed: Vec<Listed> = all
+            .0
+            .into_iter()
+            .map(|(message, described)| Listed {
+                message,
+                keys: described.keys,
+            })
+            .collect();
+        output::values(args.output, &listed, |listed| {
+            let rows: Vec<Vec<String>> = listed
+                .iter()
+                .map(|row| vec![row.message.to_owned(), row.keys.join(", ")])
+                .collect();
+            output::table(&["MESSAGE", "KEYS"], &rows)
+        })?;
+        return Ok(exit_code::OK);
+    };
+    let is_meant = |(name, described): &(&&str, &Described)| {
+        let by_key = |key: &String| {
+            let pattern = key.split(' ').next().unwrap_or(key);
+            pattern.ends_with(&format!("/{wanted}")) || topics::alive_chunks(pattern, wanted).is_some()
+        };
+        name.eq_ignore_ascii_case(wanted) || (wanted.contains('/') && described.keys.iter().any(by_key))
+    };
+    let Some((_, described)) = all.0.iter().find(is_meant) else {
+        let slips = |name: &&&&str| strsim::osa_distance(wanted, name);
+        let perhaps = all.0.keys().collect::<Vec<_>>();
+        let perhaps = perhaps.iter().min_by_key(slips).filter(|name| slips(name) <= 4);
+        let perhaps = perhaps.map(|name| format!(", perhaps `{name}`")).unwrap_or_default();
+        return Err(Failure::not_found(format!(
+            "no message `{wanted}`{perhaps} (`zenav schema --list` lists all)"
+        )));
+    };
+    let schema = (described.schema)();
+    output::value(args.output, &schema, |schema| {
+        serde_json::to_string_pretty(schema).unwrap_or_default()
+    })?;
+    Ok(exit_code::OK)
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_message_of_the_table_has_a_schema_with_documentation() {
+        for (name, described) in &Catalogue::new().0 {
+            let schema = (described.schema)();
+            let text = serde_json::to_string(&schema).unwrap();
+            assert!(text.contains("description"), "{name}: {text}");
+        }
+    }
+
+    #[test]
+    fn fields_are_found_at_any_depth() {
+        let names = fields("GoalRequest");
+        assert!(names.iter().any(|name| name == "tolerance") && names.iter().any(|name| name == "waypoints"));
+    }
+}

@@ -1,0 +1,103 @@
+//! Annotations. What have people drawn on a robot's map: named places, keep-out zones, speed zones?
+//!
+//! The mapping service is their one writer. It begins with those of the world and of the deployment, keeps what is changed later in its
+//! data folder, and publishes all of them as one value.
+
+use std::collections::BTreeMap;
+
+use nalgebra::Point2;
+use serde::{Deserialize, Serialize};
+
+use super::GoalPoint;
+
+/// Places and zones of a robot's map.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct Annotations {
+    /// Number of changes since the data folder was new.
+    #[serde(default)]
+    pub revision: u64,
+    /// Named goals, map frame.
+    #[serde(default)]
+    pub places: BTreeMap<String, GoalPoint>,
+    /// Zones in the order of their names, each name once.
+    #[serde(default)]
+    pub zones: Vec<Zone>,
+}
+
+/// An area of the map with a rule.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct Zone {
+    /// Name of the zone, for people.
+    pub name: String,
+    /// What holds inside.
+    pub rule: ZoneRule,
+    /// Corners of a simple polygon in order, map frame, m.
+    #[cfg_attr(feature = "schema", schemars(with = "Vec<[f64; 2]>"))]
+    pub points: Vec<Point2<f64>>,
+}
+
+/// What holds inside a zone.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum ZoneRule {
+    /// No part of a robot enters.
+    KeepOut,
+    /// A robot is slow while its centre is inside.
+    SpeedLimit {
+        /// Largest speed, m/s.
+        max_speed: f64,
+    },
+}
+
+/// Reads the annotations of a robot's map, or changes them.
+///
+/// While somebody holds the robot's lease, every action but `get` must carry the lease's epoch, as for
+/// [`MapRequest`](super::MapRequest).
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct AnnotateRequest {
+    /// What is to be changed; without it, nothing.
+    #[serde(default)]
+    pub action: AnnotateAction,
+    /// Identifies the request: a repeated one is not carried out again, but gets the first answer.
+    pub request_id: Option<String>,
+    /// Lease epoch in force, for every action but `get`.
+    pub epoch: Option<u64>,
+}
+
+/// A change of the annotations.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum AnnotateAction {
+    /// Only answer.
+    #[default]
+    Get,
+    /// Add a place, or move the one of this name.
+    AddPlace {
+        /// Name of the place.
+        name: String,
+        /// Where it is, map frame.
+        at: GoalPoint,
+    },
+    /// Remove a place.
+    RemovePlace {
+        /// Name of the place.
+        name: String,
+    },
+    /// Add a zone, or replace the one of this name.
+    AddZone {
+        /// The zone.
+        zone: Zone,
+    },
+    /// Remove a zone.
+    RemoveZone {
+        /// Name of the zone.
+        name: String,
+    },
+    /// Remove all zones.
+    ClearZones,
+}
