@@ -2,7 +2,10 @@
 
 use std::sync::Arc;
 
-use zenav_protocol::messages::{GoalPhase, GoalPoint, GoalRequest, GoalsRequest, InfoRequest, OnBusy, Refusal};
+use nalgebra::Point2;
+use zenav_protocol::messages::{
+    Annotations, GoalPhase, GoalPoint, GoalRequest, GoalsRequest, InfoRequest, OnBusy, Refusal, Zone, ZoneRule,
+};
 use zenav_protocol::topics::{MissionReply, MissionRequest};
 use zenav_space::Zones;
 
@@ -105,7 +108,16 @@ fn what_is_no_goal_is_answered_with_what_was_expected() {
         place: Some("moon".into()),
         ..GoalRequest::default()
     };
-    assert!(matches!(rig.submit(nowhere), Err(Refusal::NotFound { .. })));
+    let early = rig.submit(nowhere.clone());
+    assert!(
+        matches!(early, Err(Refusal::Busy { .. })),
+        "the places of the map have not come yet: {early:?}"
+    );
+    rig.annotate(Annotations {
+        places: rig.config.places.clone(),
+        ..Annotations::default()
+    });
+    assert!(matches!(rig.submit(nowhere), Err(Refusal::NotFound { what }) if what.contains("sink")));
     assert!(rig.goals.is_empty());
     assert_eq!(rig.submit(ok).unwrap().state, GoalPhase::Accepted);
 }
@@ -152,6 +164,42 @@ fn a_goal_in_a_closed_zone_is_rejected_with_its_name_and_the_nearest_place_outsi
         other => panic!("{other:?}"),
     }
     assert!(rig.submit(to(2.0, 0.0, "open")).is_ok());
+}
+
+#[test]
+fn a_place_that_is_added_is_a_goal_and_a_zone_that_is_added_closes_one() {
+    let mut rig = Rig::new();
+    rig.run(1.0);
+    let fridge = GoalPoint {
+        x: 2.0,
+        y: 0.0,
+        yaw: None,
+    };
+    let mut annotations = Annotations {
+        places: [("fridge".to_owned(), fridge)].into(),
+        ..Annotations::default()
+    };
+    rig.annotate(annotations.clone());
+    let to_fridge = |id: &str| GoalRequest {
+        id: Some(id.to_owned()),
+        place: Some("fridge".into()),
+        ..GoalRequest::default()
+    };
+    rig.submit(to_fridge("a")).unwrap();
+    annotations.zones = vec![Zone {
+        name: "wet".into(),
+        rule: ZoneRule::KeepOut,
+        points: [[1.5, -0.5], [2.5, -0.5], [2.5, 0.5], [1.5, 0.5]]
+            .map(Point2::from)
+            .into(),
+    }];
+    rig.annotate(annotations.clone());
+    let refused = rig.submit(to_fridge("b")).unwrap_err().to_string();
+    assert!(refused.contains("keep-out zone: wet"), "{refused}");
+    // One that cannot be is not taken, and takes none away.
+    annotations.zones[0].points.truncate(2);
+    rig.annotate(annotations);
+    assert!(rig.submit(to_fridge("c")).is_err());
 }
 
 #[test]

@@ -16,9 +16,9 @@ use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::{GridSpec, OccupancyGrid};
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{
-    CancelRequest, EdgeState, EventKind, GoalPhase, GoalPoint, GoalReply, GoalRequest, GoalState, Heartbeat,
-    LeaseAction, LeaseRequest, LeaseRole, MapAction, MissionStatus, PauseRequest, Plan, Refusal, RemoteReply,
-    RemoteRequest,
+    Annotations, CancelRequest, EdgeState, EventKind, GoalPhase, GoalPoint, GoalReply, GoalRequest, GoalState,
+    Heartbeat, LeaseAction, LeaseRequest, LeaseRole, MapAction, MissionStatus, PauseRequest, Plan, Refusal,
+    RemoteReply, RemoteRequest,
 };
 use zenav_protocol::robot::{Footprint, RobotModel};
 use zenav_protocol::topics::{EdgeReply, EdgeRequest, MissionReply, MissionRequest};
@@ -252,6 +252,12 @@ impl Rig {
         panic!("the mission does not lead");
     }
 
+    /// The map's places and zones come.
+    pub fn annotate(&mut self, annotations: Annotations) {
+        self.stage.robots[0].inputs.annotations = Some(annotations);
+    }
+
+    /// Submits a goal, and returns the mission's answer.
     pub fn submit(&mut self, request: GoalRequest) -> Result<GoalReply, Refusal> {
         match self.answer(MissionRequest::Goal(request))? {
             MissionReply::Goal(reply) => Ok(reply),
