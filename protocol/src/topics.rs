@@ -411,12 +411,6 @@ pub fn alive_chunks<'k>(pattern: &str, key: &'k str) -> Option<Vec<&'k str>> {
     unfill(pattern, key)
 }
 
-/// The row of the table that a concrete key belongs to.
-#[must_use]
-pub fn row_of(key: &str) -> Option<&'static Row> {
-    TABLE.iter().find(|row| unfill(row.pattern, key).is_some())
-}
-
 /// The key table as Markdown, as it stands in `ARCHITECTURE.md`.
 #[must_use]
 pub fn table_markdown() -> String {

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use serde::Serialize;
 use zenav_protocol::bus::Bus;
-use zenav_protocol::topics::{self, Qos, Row, TABLE, row_of};
+use zenav_protocol::topics::{self, Qos, Row, TABLE};
 
 use super::ask::{PubArgs, publish};
 use super::listen::{ListenArgs, bw_line, echo, hz_line, listen, measure, seconds};

@@ -6,6 +6,7 @@ use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::{Health, LocaliseAction, LocaliseRequest, PoseEstimate};
 use zenav_protocol::topics;
 
+use super::change;
 use crate::connect::{self, RobotArgs};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
@@ -33,9 +34,6 @@ struct ShowArgs {
     /// Connection and robot.
     #[command(flatten)]
     robot: RobotArgs,
-    /// Epoch of the robot's lease, while somebody holds it
-    #[arg(long)]
-    epoch: Option<u64>,
     /// Output format
     #[arg(short, long, value_enum, default_value_t)]
     output: Format,
@@ -81,18 +79,22 @@ pub fn pose(args: &PoseArgs) -> Outcome {
 
 fn act(args: &ShowArgs, action: LocaliseAction, pose: Option<Pose2>) -> Outcome {
     let patience = args.robot.link.patience();
-    let request = LocaliseRequest {
-        action,
-        pose,
-        epoch: args.epoch,
-    };
     let shown = connect::on_bus(&args.robot.link.with_robot(), async |bus| {
         let robot = connect::find(&bus, args.robot.robot.as_deref()).await?;
-        let reply = bus.ask(&topics::LOCALISE, &[&robot], &request, patience).await?;
-        let mut poses = bus.latest(&topics::POSE, &[&robot])?;
+        let (bus, robot) = (&bus, robot.as_str());
+        let ask = async |epoch| {
+            let request = LocaliseRequest { action, pose, epoch };
+            bus.ask(&topics::LOCALISE, &[robot], &request, patience).await
+        };
+        let reply = match action {
+            LocaliseAction::Report => ask(None).await?,
+            // A robot that is told to be somewhere else must not drive meanwhile.
+            LocaliseAction::At | LocaliseAction::Global => change::at_rest(bus, robot, patience, ask).await?,
+        };
+        let mut poses = bus.latest(&topics::POSE, &[robot])?;
         let newest = tokio::time::timeout(patience, poses.next()).await.ok().flatten();
         Ok(Shown {
-            robot,
+            robot: robot.to_owned(),
             pose: newest.map(|sample| {
                 let estimate: PoseEstimate = sample.message;
                 estimate.map_from_base
@@ -105,13 +107,7 @@ fn act(args: &ShowArgs, action: LocaliseAction, pose: Option<Pose2>) -> Outcome 
             || "no pose yet".to_owned(),
             |pose| format!("x {:.3} m, y {:.3} m, yaw {:.3} rad", pose.x, pose.y, pose.yaw),
         );
-        let health = match &shown.health {
-            Health::Tracking => "tracking".to_owned(),
-            Health::Degraded { direction } => format!("degraded along {direction:.2} rad"),
-            Health::Lost => "lost".to_owned(),
-            Health::Ambiguous { hypotheses } => format!("ambiguous: {} places", hypotheses.len()),
-        };
-        format!("{}: {place}; {health}", shown.robot)
+        format!("{}: {place}; {}", shown.robot, shown.health)
     })?;
     Ok(exit_code::OK)
 }

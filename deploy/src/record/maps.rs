@@ -94,5 +94,6 @@ fn reply(map: &MapReplica) -> MapReply {
         },
         values: values.to_vec(),
         trajectory: Vec::new(),
+        stored: Vec::new(),
     }
 }

@@ -21,6 +21,7 @@ pub fn event(kind: &EventKind) -> String {
         EventKind::InputsDropped { too_late, broken } => {
             format!("measurements dropped: {too_late} too late, {broken} broken")
         }
+        EventKind::Localisation { health } => format!("localisation: {health}"),
         EventKind::TeleopDropped { reason } => format!("teleop command dropped: {reason}"),
         EventKind::Guard { zone, reason } => format!("collision monitor {zone:?}: {reason}"),
         EventKind::Lease { holder, epoch, reason } => {

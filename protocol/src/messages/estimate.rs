@@ -1,5 +1,7 @@
 //! Pose estimates. Where does the robot believe to be, and who corrects it?
 
+use std::fmt;
+
 use serde::{Deserialize, Serialize};
 
 use crate::geometry::{Pose2, Twist2};
@@ -53,6 +55,7 @@ pub struct Correction {
 /// Whether the robot's place in the map can be trusted: a statement, not a covariance.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "state")]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub enum Health {
     /// The scans agree with the map.
     #[default]
@@ -79,8 +82,20 @@ impl Health {
     }
 }
 
+impl fmt::Display for Health {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Tracking => formatter.write_str("tracking"),
+            Self::Degraded { direction } => write!(formatter, "degraded along {direction:.2} rad"),
+            Self::Lost => formatter.write_str("lost"),
+            Self::Ambiguous { hypotheses } => write!(formatter, "ambiguous: {} places", hypotheses.len()),
+        }
+    }
+}
+
 /// How well the robot is localised, by the source of poses off board.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Localisation {
     /// Stamp of the scan that it was computed from (the edge's clock).
     pub stamp: Stamp,

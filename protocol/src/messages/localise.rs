@@ -9,6 +9,7 @@ use crate::geometry::Pose2;
 ///
 /// While somebody holds the robot's lease, every action but `report` must carry the lease's epoch.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct LocaliseRequest {
     /// What is to be done; without it, only answer.
     #[serde(default)]
@@ -22,6 +23,7 @@ pub struct LocaliseRequest {
 /// What is to be done about the robot's place.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub enum LocaliseAction {
     /// Only answer.
     #[default]
@@ -34,6 +36,7 @@ pub enum LocaliseAction {
 
 /// How well the robot is localised.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct LocaliseReply {
     /// Whether its place can be trusted.
     pub health: Health,
