@@ -157,7 +157,8 @@ proptest! {
         speeds in speeds(),
         noise in noise(),
         late in any::<prop::sample::Index>(),
-        more in 1..20_usize,
+        // One tick more is still within the window: the wheels of the tick come after it.
+        more in 2..20_usize,
     ) {
         let items = drive(&speeds, &noise);
         let early: Vec<usize> = (0..items.len())
@@ -309,7 +310,7 @@ fn a_gyro_that_turns_by_itself_is_learned_in_a_third_of_a_second_at_rest() {
     (model.gps, model.imu.compass_noise) = (None, None);
     let mut estimator = Estimator::new(&model, Pose2::IDENTITY, &settings);
     let speed = 4.0;
-    for tick in 0..3_000 {
+    for tick in 0..3_000_usize {
         let angle = 0.02 * speed * tick.saturating_sub(15) as f64;
         let mut readings = readings(tick, [angle; 2]);
         readings.imu = Some(Imu {
