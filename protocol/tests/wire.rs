@@ -16,10 +16,10 @@ use zenav_protocol::messages::{
     AnnotateRequest, Annotations, AttachReply, AttachRequest, Battery, BehaviourReply, BehaviourRequest, Bump,
     CancelRequest, Correction, EdgeState, Event, GoalReply, GoalRequest, GoalState, GoalsReply, GoalsRequest,
     Heartbeat, Imu, InfoReply, InfoRequest, Intent, JoinReply, JoinRequest, JournalEntry, JournalReply, LeaseReply,
-    LeaseRequest, MapInfo, MapPatch, MapReply, MapRequest, Marker, MissionStatus, ModeReply, ModeRequest, MotionReply,
-    MotionRequest, Obstacles, Odometry, ParamReply, ParamRequest, PauseRequest, Plan, PoseEstimate, Refusal,
-    RemoteReply, RemoteRequest, ResumeRequest, Scan, SearchTree, SimClock, StopReply, StopRequest, Teleop, Tile,
-    WheelSpeeds,
+    LeaseRequest, Localisation, LocaliseReply, LocaliseRequest, MapInfo, MapPatch, MapReply, MapRequest, Marker,
+    MissionStatus, ModeReply, ModeRequest, MotionReply, MotionRequest, Obstacles, Odometry, ParamReply, ParamRequest,
+    PauseRequest, Plan, PoseEstimate, Refusal, RemoteReply, RemoteRequest, ResumeRequest, Scan, SearchTree, SimClock,
+    StopReply, StopRequest, Teleop, Tile, WheelSpeeds,
 };
 use zenav_protocol::readings::Readings;
 use zenav_protocol::topics::TABLE;
@@ -82,6 +82,9 @@ zenav_protocol::sensor_kinds!(messages [
     MapReply
     Annotations
     AnnotateRequest
+    Localisation
+    LocaliseReply
+    LocaliseRequest
     InfoRequest
     InfoReply
     JoinRequest

@@ -56,9 +56,11 @@ fn office(rng: &mut Pcg64Mcg) -> (Floor, [f64; 2]) {
     for (wall, outer) in [(4.75, 0.0), (7.15, 12.0)] {
         let mut left: f64 = 0.0;
         while left < length {
-            let right = (left + rng.random_range(3.5..6.0)).min(length);
+            let drawn = left + rng.random_range(3.5..6.0);
+            // The last room takes what is left where that is too little for one of its own.
+            let right = if length - drawn < 2.5 { length } else { drawn };
             let door = left + 0.4 + rng.random_range(0.0..1.0) * (right - left - 1.8).max(0.0);
-            let end = (door + 1.0).min(right);
+            let end = door + 1.0;
             floor = floor
                 .block([left, wall], [door, wall + 0.1])
                 .block([end, wall], [right, wall + 0.1])
