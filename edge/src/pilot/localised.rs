@@ -15,7 +15,7 @@ impl Pilot {
     /// Takes in what was said of its place since the last tick.
     pub(super) fn receive_health(&mut self, now: Stamp, said: Vec<Localisation>, corrections: &[Correction]) {
         let boot_id = self.events.boot_id();
-        let newest = said.into_iter().filter(|said| said.boot_id == boot_id).next_back();
+        let newest = said.into_iter().rfind(|said| said.boot_id == boot_id);
         let is_found_anew = corrections
             .iter()
             .any(|correction| correction.is_found_anew && correction.boot_id == boot_id);
