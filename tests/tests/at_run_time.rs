@@ -283,7 +283,7 @@ async fn parameters_maneuvers_and_requests_by_hand() {
     assert_eq!(zenav(&["param", "list"])["guard_margin"], 0.07);
     for (words, code, what) in [
         (&["param", "set", "guard_margin", "-1"][..], 7, "guard_margin"),
-        (&["param", "get", "gard_margin"], 3, "guard_margin"),
+        (&["param", "get", "guard_margins"], 3, "guard_margin"),
     ] {
         let said = client(&deployment, words, code);
         assert!(said.contains(what), "{words:?}: {said}");
@@ -354,7 +354,7 @@ fn schemas_and_node_palettes_need_no_robot() {
     assert!(run(&["schema", "--list"]).contains("EdgeState"));
     assert!(run(&["bt", "nodes", "--xml"]).contains("<Action ID=\"FollowPath\">"));
     assert!(run(&["bt", "nodes", "spin"]).contains("Spin (Action)"));
-    let unknown = deployment.zenav(&["schema", "GoalRequset"]);
+    let unknown = deployment.zenav(&["schema", "GoalRequests"]);
     assert_eq!(unknown.status.code(), Some(3));
     assert!(
         String::from_utf8_lossy(&unknown.stderr).contains("perhaps `GoalRequest`"),
