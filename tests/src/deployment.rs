@@ -190,11 +190,20 @@ impl Deployment {
     /// When the file cannot be written.
     #[must_use]
     pub fn start_up_with(&self, more: &[&str]) -> Process {
+        self.start_up_of("", more)
+    }
+
+    /// As [`Self::start_up_with`], with further sections of the deployment file.
+    ///
+    /// # Panics
+    /// When the file cannot be written.
+    #[must_use]
+    pub fn start_up_of(&self, sections: &str, more: &[&str]) -> Process {
         let file = self.folder().join("deployment.toml");
         let (world, speed, router, edge) = (&self.world, self.speed, &self.router, &self.edge);
         let text = format!(
             "[router]\nlisten = [\"{router}\"]\n[bus]\nconnect = \"{router}\"\n[simulation]\nworld = '{world}'\nspeed = {speed:?}\n\
-             [robots.{ROBOT}]\nmodel = \"tiago\"\nlisten = \"{edge}\"\n[data]\ndir = \"up\"\n"
+             [robots.{ROBOT}]\nmodel = \"tiago\"\nlisten = \"{edge}\"\n[data]\ndir = \"up\"\n{sections}"
         );
         std::fs::write(file, text).expect("a deployment file");
         self.start(&[&["up", "deployment.toml"], more].concat())

@@ -138,6 +138,37 @@ async fn maps_are_stored_loaded_and_begun_with() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn in_a_known_map_a_robot_is_told_where_it_is_and_found_without_being_told() {
+    let deployment = Deployment::new(ZENAV, "kitchen", SPEED);
+    let mut up = deployment.start_up();
+    ready(&deployment).await;
+    client(&deployment, &["goal", "submit", "-0.9", "-0.2", "--wait"], 0);
+    client(&deployment, &["map", "save", "known"], 0);
+    up.kill();
+
+    let sections = "[mapping]\nposes = \"localise\"\nmap = \"known.yaml\"\n";
+    let mut up = deployment.start_up_of(sections, &["--data", "other"]);
+    let (_bus, mut robot) = ready(&deployment).await;
+    robot.next(LONG).await;
+    let zenav = |words: &[&str]| json(&deployment, words);
+    let start = zenav(&["pose", "show"]);
+    assert_eq!(start["health"]["state"], "tracking", "{start}");
+    let told = zenav(&["pose", "set", "-0.9", "-0.45", "0.1"]);
+    assert!(told["pose"]["x"].as_f64().unwrap() < -0.8, "{told}");
+    zenav(&["pose", "search"]);
+    let is_found = || {
+        let found = zenav(&["pose", "show"]);
+        let near = |key: &str, at: f64| (found["pose"][key].as_f64().unwrap() - at).abs() < 0.1;
+        found["health"]["state"] == "tracking" && near("x", -1.0) && near("y", -0.5) && near("yaw", 0.0)
+    };
+    assert!((0..20).any(|_| is_found()), "{}", zenav(&["pose", "show"]));
+    client(&deployment, &["goal", "submit", "-0.9", "0.1", "--wait"], 0);
+    up.assert_running();
+    robot.assert_untouched();
+    up.kill();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn a_zone_that_is_added_bends_the_plan_that_is_driven_and_places_are_goals() {
     let deployment = Deployment::new(ZENAV, CORRIDOR, SPEED);
     let mut up = deployment.start_up();
