@@ -18,11 +18,10 @@ use super::slam_poses::SlamPoses;
 const PACE: (f64, f64, f64) = (0.2, 0.17, 10.0);
 /// Standard deviation of the map itself, m and rad: matches against it share its error.
 const MAP_FLOOR: (f64, f64) = (0.01, 0.003);
-
 /// Variance of a place that somebody told, m² and rad².
 const TOLD: [f64; 3] = [0.04, 0.04, 0.02];
 
-/// Where the poses come from from which scans are drawn.
+/// Whose poses scans are drawn from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PoseSource {

@@ -68,8 +68,11 @@ impl SlamPoses {
             .slam
             .get_or_insert_with(|| Slam::beside_a_robot(self.settings, scan.map_from_odom * scan.odom_from_base));
         if self.boot_id != boot_id {
+            // The first boot that is heard of is the one that odometry began with.
+            if !self.boot_id.is_empty() {
+                slam.interrupt();
+            }
             boot_id.clone_into(&mut self.boot_id);
-            slam.interrupt();
         }
         let effects = match slam.step(scan) {
             Ok(effects) => effects,

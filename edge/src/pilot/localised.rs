@@ -6,7 +6,7 @@
 
 use std::mem::discriminant;
 
-use zenav_protocol::messages::{Correction, EventKind, Health, Localisation};
+use zenav_protocol::messages::{Correction, EventKind, Localisation};
 use zenav_protocol::time::Stamp;
 
 use super::Pilot;
@@ -20,9 +20,8 @@ impl Pilot {
             .iter()
             .any(|correction| correction.is_found_anew && correction.boot_id == boot_id);
         if let Some(Localisation { health, .. }) = newest {
-            if discriminant(&health) != discriminant(&self.health)
-                && (health.is_trusted() != self.health.is_trusted() || !health.is_trusted())
-            {
+            let both_trusted = health.is_trusted() && self.health.is_trusted();
+            if discriminant(&health) != discriminant(&self.health) && !both_trusted {
                 self.events
                     .record(now, EventKind::Localisation { health: health.clone() });
             }
@@ -33,10 +32,5 @@ impl Pilot {
         } else if is_found_anew {
             self.discard_plan(now, "the robot was found somewhere else");
         }
-    }
-
-    /// Whether plans made in the map may move the robot.
-    pub(super) fn is_localised(&self) -> bool {
-        matches!(self.health, Health::Tracking | Health::Degraded { .. })
     }
 }

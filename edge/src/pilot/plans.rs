@@ -81,7 +81,7 @@ impl Pilot {
             max_validity: self.config.settings.acceptance.max_validity,
         };
         let expiry = judge_head(&plan, &grant)?;
-        if !self.is_localised() {
+        if !self.health.is_trusted() {
             return Err(Rejection::NotLocalised);
         }
         if self.discarded.contains(&plan.trajectory_id) {
