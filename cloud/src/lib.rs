@@ -11,6 +11,7 @@
 //! | shared | |
 //! |---|---|
 //! | [`map_subscriber`] | how does a service keep up with every robot's map? |
+//! | [`operator`] | under which epoch does a person's command change something of a robot? |
 
 pub mod dispatch;
 pub mod gateway;
@@ -18,6 +19,7 @@ pub mod map_subscriber;
 pub mod mapping;
 pub mod mission;
 pub mod motion;
+pub mod operator;
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod testing;

@@ -8,12 +8,13 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use clap::ValueEnum;
+use tokio::sync::watch;
 use tokio::task::JoinSet;
 use zenav_cloud::mapping::{self, KnownMap, MappingConfig};
 use zenav_cloud::{dispatch, motion};
 use zenav_edge::{Attached, Body, EdgeConfig, Referee, RemoteBody, ServiceConfig, SimBody};
 use zenav_mission::MissionConfig;
-use zenav_protocol::bus::{Bus, BusConfig, Clock, Shutdown};
+use zenav_protocol::bus::{Bus, BusConfig, Clock, Security, Shutdown};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::GoalPoint;
@@ -47,18 +48,43 @@ pub enum CloudPart {
 pub struct Parts {
     tasks: JoinSet<(String, Result<(), Failure>)>,
     shutdown: Shutdown,
+    security: Security,
+    /// How many have not begun yet: they wait for a router, or for a world.
+    waiting: Arc<watch::Sender<usize>>,
 }
 
 impl Default for Parts {
     fn default() -> Self {
-        Self {
-            tasks: JoinSet::new(),
-            shutdown: Shutdown::new(),
-        }
+        Self::new(Security::default())
     }
 }
 
 impl Parts {
+    /// No parts yet; the links of those that come are protected so.
+    pub(crate) fn new(security: Security) -> Self {
+        Self {
+            tasks: JoinSet::new(),
+            shutdown: Shutdown::new(),
+            security,
+            waiting: Arc::new(watch::Sender::new(0)),
+        }
+    }
+
+    /// How a part of a deployment reaches the others.
+    pub(crate) fn bus(&self, deployment: &Deployment, name: &str) -> BusConfig {
+        BusConfig {
+            security: self.security.clone(),
+            ..BusConfig::service(name, &deployment.bus.connect).within(&deployment.bus.namespace)
+        }
+    }
+
+    fn edge_bus(&self, deployment: &Deployment, id: &Id, section: &RobotSection) -> BusConfig {
+        BusConfig {
+            listen: vec![section.listen.clone()],
+            ..self.bus(deployment, &format!("edge-{id}"))
+        }
+    }
+
     /// Runs a part on a bus of its own until the shutdown.
     pub(crate) fn spawn<F, R>(&mut self, name: String, bus: BusConfig, part: F)
     where
@@ -77,7 +103,8 @@ impl Parts {
         F: FnOnce(Bus, T, Shutdown) -> R + Send + 'static,
         R: Future<Output = Result<(), Failure>> + Send + 'static,
     {
-        let shutdown = self.shutdown.clone();
+        let (shutdown, waiting) = (self.shutdown.clone(), Arc::clone(&self.waiting));
+        waiting.send_modify(|count| *count += 1);
         self.tasks.spawn(async move {
             // Without a router or a world a part waits for one: its end must not.
             let opened = tokio::select! {
@@ -88,6 +115,7 @@ impl Parts {
                 Ok(opened) => opened,
                 Err(error) => return (name, Err(error)),
             };
+            waiting.send_modify(|count| *count -= 1);
             let result = part(bus.clone(), with, shutdown).await;
             bus.close().await;
             (name, result)
@@ -95,17 +123,28 @@ impl Parts {
     }
 
     /// Starts the deployment's robots. Those simulated here share one world and its time; returns their referees, in the order of their ids.
+    /// Robots of a served world find it at `world_endpoint`, or else on the deployment's bus.
     ///
     /// # Errors
     /// Bad files, or a start where something stands.
-    pub fn edges(&mut self, deployment: &Deployment, world: &World) -> Result<Vec<Referee>, Failure> {
+    pub fn edges(
+        &mut self,
+        deployment: &Deployment,
+        world: &World,
+        world_endpoint: Option<&str>,
+    ) -> Result<Vec<Referee>, Failure> {
         let mut here = Vec::new();
         let mut specs = Vec::new();
         for (id, section) in deployment.robot_ids()? {
+            self.security.check_robot(&id, !section.attach)?;
             let model = files::robot(&section.model)?;
             let start = section.start.map(|start| Pose2::new(start.x, start.y, start.yaw));
             if section.attach {
-                self.attached(deployment, id, section, model, start);
+                self.attached(deployment, id, section, model, (start, world_endpoint));
+                continue;
+            }
+            if section.driver {
+                self.driven(deployment, id, section, model, start);
                 continue;
             }
             specs.push(RobotSpec {
@@ -129,11 +168,10 @@ impl Parts {
                 gives_the_time: referees.is_empty(),
             };
             referees.push(referee);
-            self.spawn(
-                format!("edge {id}"),
-                edge_bus(deployment, &id, section),
-                move |bus, shutdown| run_edge(bus, service, Box::new(body), shutdown),
-            );
+            let bus = self.edge_bus(deployment, &id, section);
+            self.spawn(format!("edge {id}"), bus, move |bus, shutdown| {
+                run_edge(bus, service, Box::new(body), shutdown)
+            });
         }
         Ok(referees)
     }
@@ -143,12 +181,66 @@ impl Parts {
     /// # Errors
     /// As [`edges`](Self::edges), or when there is none.
     pub fn edge(&mut self, deployment: &Deployment, world: &World) -> Result<Referee, Failure> {
-        let referee = self.edges(deployment, world)?.pop();
+        let referee = self.edges(deployment, world, None)?.pop();
         referee.ok_or_else(|| Failure::failed("the deployment has no simulated robot"))
     }
 
-    /// Starts a robot of the world that `zenav sim serve` serves on the deployment's bus.
+    /// Starts a robot of the world that `zenav sim serve` serves: on the deployment's bus, or at an endpoint of its own, to which the robot
+    /// then has a session for its body alone, as a real one has wires.
     fn attached(
+        &mut self,
+        deployment: &Deployment,
+        id: Id,
+        section: &RobotSection,
+        model: RobotModel,
+        (start, world_endpoint): (Option<Pose2>, Option<&str>),
+    ) {
+        let (section, state_dir) = (section.clone(), deployment.robot_dir(&id));
+        let bus = self.edge_bus(deployment, &id, &section);
+        let body_bus = world_endpoint.map(|endpoint| BusConfig {
+            security: self.security.clone(),
+            ..BusConfig::service(&format!("body-{id}"), endpoint).within(&deployment.bus.namespace)
+        });
+        let name = format!("edge {id}");
+        let attaching = {
+            let (id, model, settings) = (id.clone(), model.clone(), section.edge.body.clone());
+            async move {
+                let attached = RemoteBody::attach(body_bus.as_ref().unwrap_or(&bus), &id, &model, start, &settings);
+                let attached = attached.await;
+                let Attached {
+                    bus: body_bus_open,
+                    body,
+                    reply,
+                } = attached.map_err(|error| Failure::new(exit_code::of_attach(&error), error.to_string()))?;
+                match body_bus {
+                    None => Ok((body_bus_open, (body, reply, None))),
+                    Some(_) => Ok((Bus::open(bus).await?, (body, reply, Some(body_bus_open)))),
+                }
+            }
+        };
+        self.spawn_once(
+            name,
+            attaching,
+            move |bus, (body, reply, body_bus), shutdown| async move {
+                let mut edge = edge_config(&id, &section, model, reply.start);
+                edge.tick = reply.tick_secs;
+                let service = ServiceConfig {
+                    edge,
+                    state_dir,
+                    speed: reply.speed,
+                    gives_the_time: false,
+                };
+                let result = run_edge(bus, service, Box::new(body), shutdown).await;
+                if let Some(body_bus) = body_bus {
+                    body_bus.close().await;
+                }
+                result
+            },
+        );
+    }
+
+    /// Starts a robot whose body is a driver's process on its bus.
+    fn driven(
         &mut self,
         deployment: &Deployment,
         id: Id,
@@ -156,28 +248,16 @@ impl Parts {
         model: RobotModel,
         start: Option<Pose2>,
     ) {
-        let (section, state_dir) = (section.clone(), deployment.robot_dir(&id));
-        let bus = edge_bus(deployment, &id, &section);
-        let name = format!("edge {id}");
-        let attaching = {
-            let (id, model) = (id.clone(), model.clone());
-            async move {
-                let Attached { bus, body, reply } = RemoteBody::attach(&bus, &id, &model, start)
-                    .await
-                    .map_err(|error| Failure::new(exit_code::of_attach(&error), error.to_string()))?;
-                Ok((bus, (body, reply)))
-            }
+        let service = ServiceConfig {
+            edge: edge_config(&id, section, model, start.unwrap_or_default()),
+            state_dir: deployment.robot_dir(&id),
+            speed: 1.0,
+            gives_the_time: false,
         };
-        self.spawn_once(name, attaching, move |bus, (body, reply), shutdown| {
-            let mut edge = edge_config(&id, &section, model, reply.start);
-            edge.tick = reply.tick_secs;
-            let service = ServiceConfig {
-                edge,
-                state_dir,
-                speed: reply.speed,
-                gives_the_time: false,
-            };
-            run_edge(bus, service, Box::new(body), shutdown)
+        let (bus, settings) = (self.edge_bus(deployment, &id, section), section.edge.body.clone());
+        self.spawn(format!("edge {id}"), bus, move |bus, shutdown| async move {
+            let body = RemoteBody::new(&bus, id.as_str(), u64::from(std::process::id()), &settings)?;
+            run_edge(bus, service, Box::new(body), shutdown).await
         });
     }
 
@@ -213,7 +293,7 @@ impl Parts {
 
     fn map_robot(&mut self, config: MappingConfig, deployment: &Deployment) {
         let id = config.robot.clone();
-        let bus = BusConfig::service(&format!("mapping-{id}"), &deployment.bus.connect);
+        let bus = self.bus(deployment, &format!("mapping-{id}"));
         self.spawn(format!("mapping {id}"), bus, move |bus, shutdown| async move {
             let clock = Clock::follow(&bus)?;
             mapping::run(bus, clock, config, shutdown)
@@ -231,7 +311,7 @@ impl Parts {
         for number in 1..=deployment.planning.run.workers {
             let worker = Id::new(format!("{name}-{number}")).map_err(Failure::usage)?;
             let name = format!("motion-{worker}");
-            let bus = BusConfig::service(&name, &deployment.bus.connect);
+            let bus = self.bus(deployment, &name);
             let zones = Arc::clone(&zones);
             let settings = deployment.motion();
             self.spawn(format!("motion {worker}"), bus, move |bus, shutdown| async move {
@@ -261,9 +341,10 @@ impl Parts {
         };
         let configs: Vec<MissionConfig> = robots.iter().map(config).collect();
         let name = format!("missions-{}", deployment.mission.run.holder);
-        let bus = BusConfig::service(&name, &deployment.bus.connect);
+        let bus = self.bus(deployment, &name);
         self.spawn(name, bus, move |bus, shutdown| async move {
             let clock = Clock::follow(&bus)?;
+            bus.serve_log()?;
             let mut missions = JoinSet::new();
             for config in configs {
                 let robot = config.robot.clone();
@@ -284,7 +365,7 @@ impl Parts {
 
     /// Starts what takes goals for a group of robots.
     fn dispatch(&mut self, deployment: &Deployment, world: &World, group: Id, robots: Vec<Id>) {
-        let bus = BusConfig::service(&format!("dispatch-{group}"), &deployment.bus.connect);
+        let bus = self.bus(deployment, &format!("dispatch-{group}"));
         let places = places(world);
         self.spawn(format!("group {group}"), bus, move |bus, shutdown| async move {
             dispatch::service::run(bus, group, robots, places, shutdown)
@@ -319,6 +400,14 @@ impl Parts {
             self.motion(deployment, worker)?;
         }
         Ok(())
+    }
+
+    /// Waits until every part has met a router and begun.
+    pub(crate) fn all_begun(&self) -> impl Future<Output = ()> + Send + use<> {
+        let mut waiting = self.waiting.subscribe();
+        async move {
+            let _ = waiting.wait_for(|count| *count == 0).await;
+        }
     }
 
     /// Waits for the first part that ends by itself.
@@ -356,13 +445,6 @@ pub(crate) fn edge_config(id: &Id, section: &RobotSection, model: RobotModel, st
     edge.on_lost = section.on_lost;
     edge.settings = section.edge.clone();
     edge
-}
-
-fn edge_bus(deployment: &Deployment, id: &Id, section: &RobotSection) -> BusConfig {
-    BusConfig {
-        listen: vec![section.listen.clone()],
-        ..BusConfig::service(&format!("edge-{id}"), &deployment.bus.connect)
-    }
 }
 
 async fn run_edge(bus: Bus, service: ServiceConfig, body: Box<dyn Body>, shutdown: Shutdown) -> Result<(), Failure> {

@@ -11,6 +11,8 @@ use zenav_protocol::bus::{Bus, BusConfig, BusError};
 use zenav_protocol::id::Id;
 use zenav_protocol::topics;
 
+use crate::completion;
+use crate::config::IdentityArgs;
 use crate::exit_code;
 use crate::failure::Failure;
 
@@ -34,9 +36,15 @@ pub struct LinkArgs {
     /// Router to connect to, or a robot's own endpoint; of several, separated by commas, one is enough
     #[arg(long, global = true, value_name = "ENDPOINT", value_delimiter = ',', default_value = DEFAULT_ENDPOINT, value_parser = endpoint)]
     pub connect: Vec<String>,
+    /// Namespace of the deployment, where its file has one (also `ZENAV_BUS__NAMESPACE`)
+    #[arg(long, global = true, value_name = "NAME", default_value_t = namespace(), hide_default_value = true)]
+    pub namespace: String,
     /// Longest wait for a connection or an answer, s
     #[arg(long, global = true, value_name = "SECS", default_value_t = 10.0, value_parser = positive)]
     pub timeout: f64,
+    /// Who asks.
+    #[command(flatten)]
+    pub identity: IdentityArgs,
 }
 
 impl LinkArgs {
@@ -64,7 +72,7 @@ pub struct RobotArgs {
     #[command(flatten)]
     pub link: LinkArgs,
     /// Robot's name; may be left out when there is one
-    #[arg(long, global = true, value_name = "NAME", value_parser = robot_name)]
+    #[arg(long, global = true, value_name = "NAME", value_parser = robot_name, add = completion::robots())]
     pub robot: Option<String>,
 }
 
@@ -72,11 +80,16 @@ fn robot_name(text: &str) -> Result<String, String> {
     Id::robot(text).map(String::from).map_err(|error| error.to_string())
 }
 
+/// The namespace that the environment names, as for a deployment.
+pub(crate) fn namespace() -> String {
+    std::env::var("ZENAV_BUS__NAMESPACE").unwrap_or_default()
+}
+
 fn endpoint(text: &str) -> Result<String, String> {
     match text.split_once('/') {
-        Some(("tcp", address)) if address.contains(':') => Ok(text.to_owned()),
+        Some(("tcp" | "quic" | "tls", address)) if address.contains(':') => Ok(text.to_owned()),
         _ => Err(format!(
-            "expected an endpoint, such as {DEFAULT_ENDPOINT}: links are over tcp alone"
+            "expected an endpoint, such as {DEFAULT_ENDPOINT}: links are over tcp, or over quic with an identity"
         )),
     }
 }
@@ -178,19 +191,25 @@ pub async fn open(link: &LinkArgs) -> Result<Bus, Failure> {
     let endpoints = link.connect.join(", ");
     let config = BusConfig {
         connect: link.connect.clone(),
-        listen: Vec::new(),
         name: "zenav-cli".to_owned(),
         retry: false,
+        security: link.identity.security()?,
+        namespace: link.namespace.clone(),
+        ..BusConfig::default()
     };
     let nobody = || {
+        let or_refused = match config.security.identity() {
+            Some(identity) => format!(", or who answers is not of the fleet of {}", identity.member()),
+            None => String::new(),
+        };
         Failure::new(
             exit_code::CANNOT_CONNECT,
             format!(
-                "cannot connect to {endpoints}: nobody answers there (`zenav up` starts a deployment, `zenav router` a router; --connect names another endpoint)"
+                "cannot connect to {endpoints}: nobody answers there{or_refused} (`zenav up` starts a deployment, `zenav router` a router; --connect names another endpoint)"
             ),
         )
     };
-    match tokio::time::timeout(link.patience(), Bus::open(config)).await {
+    match tokio::time::timeout(link.patience(), Bus::open(config.clone())).await {
         Ok(Ok(bus)) => Ok(bus),
         Ok(Err(BusError::CannotConnect { .. })) | Err(_) => Err(nobody()),
         Ok(Err(error)) => Err(error.into()),

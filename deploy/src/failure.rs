@@ -5,7 +5,7 @@ use std::path::Path;
 
 use miette::Diagnostic;
 use thiserror::Error;
-use zenav_protocol::bus::{AskError, BusError};
+use zenav_protocol::bus::{AskError, BusError, IdentityError};
 use zenav_protocol::messages::Refusal;
 
 use crate::exit_code;
@@ -74,6 +74,12 @@ impl From<BusError> for Failure {
             );
         }
         Self::new(code, error.to_string())
+    }
+}
+
+impl From<IdentityError> for Failure {
+    fn from(error: IdentityError) -> Self {
+        Self::usage(error)
     }
 }
 

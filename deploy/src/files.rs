@@ -40,12 +40,21 @@ pub fn text(path: &Path) -> Result<String, Failure> {
 pub fn text_within(path: &Path, limit: u64) -> Result<String, Failure> {
     let named = |code, what: &str| Failure::new(code, format!("{}: {what}", path.display()));
     let missing = |error: std::io::Error| named(exit_code::NOT_FOUND, &error.to_string());
-    // A pipe or a device may never end.
-    if !std::fs::metadata(path).map_err(missing)?.is_file() {
-        return Err(named(exit_code::USAGE, "expected a file"));
-    }
     let mut bytes = Vec::new();
-    let mut file = BufReader::new(std::fs::File::open(path).map_err(missing)?);
+    let source: Box<dyn Read> = if path == Path::new("-") {
+        Box::new(std::io::stdin())
+    } else {
+        let kind = std::fs::metadata(path).map_err(missing)?.file_type();
+        // A device may never end.
+        if !kind.is_file() && !is_pipe(kind) {
+            return Err(named(
+                exit_code::USAGE,
+                "expected a file, a pipe, or `-` for standard input",
+            ));
+        }
+        Box::new(std::fs::File::open(path).map_err(missing)?)
+    };
+    let mut file = BufReader::new(source);
     let is_compressed = file.fill_buf().map_err(missing)?.starts_with(&GZIP);
     let content: &mut dyn Read = if is_compressed {
         &mut MultiGzDecoder::new(file)
@@ -57,6 +66,17 @@ pub fn text_within(path: &Path, limit: u64) -> Result<String, Failure> {
         return Err(named(exit_code::USAGE, &format!("expected at most {limit} bytes")));
     }
     String::from_utf8(bytes).map_err(|_| named(exit_code::USAGE, "expected text in UTF-8"))
+}
+
+#[cfg(unix)]
+fn is_pipe(kind: std::fs::FileType) -> bool {
+    use std::os::unix::fs::FileTypeExt as _;
+    kind.is_fifo()
+}
+
+#[cfg(not(unix))]
+fn is_pipe(_: std::fs::FileType) -> bool {
+    false
 }
 
 /// Writes a file.

@@ -6,14 +6,14 @@ use std::time::Duration;
 use clap::Args;
 use zenav_cloud::gateway::{Gateway, GatewayConfig, GatewayError};
 use zenav_gateway::DEFAULT_LISTEN;
-use zenav_protocol::bus::BusConfig;
 use zenav_sim::World;
 
 use crate::components::{Parts, places};
-use crate::config::{self, Deployment};
+use crate::config::{self, Deployment, IdentityArgs};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
+use crate::health::HealthArgs;
 use crate::launch::{runtime, until_interrupted};
 
 /// Longest wait for a first robot before the address is told.
@@ -42,6 +42,10 @@ pub struct GatewayArgs {
     /// World whose places are named goals, instead of the deployment's
     #[arg(long)]
     world: Option<String>,
+    #[command(flatten)]
+    identity: IdentityArgs,
+    #[command(flatten)]
+    health: HealthArgs,
 }
 
 /// The page beside `zenav up` and `zenav demo`.
@@ -89,7 +93,7 @@ impl Parts {
             }
             None => return Ok(None),
         };
-        let bus = BusConfig::service("gateway", &deployment.bus.connect);
+        let bus = self.bus(deployment, "gateway");
         self.spawn("gateway".to_owned(), bus, move |bus, shutdown| async move {
             gateway.run(bus, shutdown).await.map_err(Failure::failed)
         });
@@ -109,7 +113,7 @@ impl Parts {
             let _ = tokio::time::timeout(FIRST_ROBOT, first_robot).await;
             tell(&address);
         });
-        let bus = BusConfig::service("gateway", &deployment.bus.connect);
+        let bus = self.bus(deployment, "gateway");
         self.spawn("gateway".to_owned(), bus, move |bus, shutdown| async move {
             gateway.run(bus, shutdown).await.map_err(Failure::failed)
         });
@@ -168,8 +172,10 @@ pub fn gateway(args: &GatewayArgs) -> Outcome {
         settings.token_file = Some(file.clone());
     }
     let world = files::world(&deployment.simulation.world)?;
+    let security = args.identity.security_of(&deployment)?;
     runtime()?.block_on(async {
-        let mut parts = Parts::default();
+        args.health.serve().await?;
+        let mut parts = Parts::new(security);
         parts.told_gateway(&deployment, &world).await?;
         until_interrupted(parts).await
     })

@@ -1,19 +1,26 @@
 //! Launcher. What do `zenav up`, `router`, `edge` and `cloud` run? The parts of a deployment, all in one process or each in its own.
 
 use std::path::PathBuf;
+use std::time::Duration;
 
 use clap::Args;
-use zenav_protocol::bus::{Router, RouterConfig, interrupted};
+use zenav_protocol::bus::{Identity, Router, RouterConfig, interrupted, service_manager};
 use zenav_protocol::geometry::Pose2;
 use zenav_sim::World;
 
 use crate::components::{CloudPart, Parts};
-use crate::config::{self, Deployment, RobotSection};
+use crate::config::{self, Deployment, IdentityArgs, RobotSection, SecurityArgs};
 use crate::connect::{ROBOT_ENDPOINT, check_yaw, finite};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::gateway::PageArgs;
+use crate::health::HealthArgs;
+use crate::record::{self, LiveView};
+use crate::rest;
+
+/// How often a router looks whether the fleet has changed.
+const FLEET_LOOK: Duration = Duration::from_secs(1);
 
 /// The known map that mapping begins with.
 #[derive(Debug, Default, Args)]
@@ -83,6 +90,8 @@ pub struct UpArgs {
     /// Endpoints of the router, instead of the deployment's
     #[arg(long)]
     listen: Vec<String>,
+    #[command(flatten)]
+    rest: RestArgs,
     /// World, instead of the deployment's
     #[arg(long)]
     world: Option<String>,
@@ -98,6 +107,13 @@ pub struct UpArgs {
     begin: PoseArgs,
     #[command(flatten)]
     page: PageArgs,
+    /// Serve what goes over the bus to Foxglove, live, at an address of loopback
+    #[arg(long, value_name = "ADDRESS:PORT", num_args = 0..=1, default_missing_value = record::FOXGLOVE_LISTEN)]
+    foxglove: Option<String>,
+    #[command(flatten)]
+    security: SecurityArgs,
+    #[command(flatten)]
+    health: HealthArgs,
 }
 
 /// Arguments of `zenav router`.
@@ -109,6 +125,20 @@ pub struct RouterArgs {
     /// Other routers to link to
     #[arg(long)]
     connect: Vec<String>,
+    #[command(flatten)]
+    rest: RestArgs,
+    #[command(flatten)]
+    security: SecurityArgs,
+    #[command(flatten)]
+    health: HealthArgs,
+}
+
+/// Values of keys over HTTP.
+#[derive(Debug, Args)]
+struct RestArgs {
+    /// Answer `GET /KEY` with a key's value, at an address of loopback
+    #[arg(long, value_name = "ADDRESS:PORT", num_args = 0..=1, default_missing_value = rest::DEFAULT_LISTEN)]
+    rest: Option<String>,
 }
 
 /// What `zenav edge` and `zenav cloud` share.
@@ -117,7 +147,7 @@ struct PartArgs {
     /// Deployment file; without it, the shipped one
     #[arg(long, value_name = "FILE")]
     deployment: Option<PathBuf>,
-    /// The router's endpoint, instead of the deployment's
+    /// The router's endpoint, instead of the deployment's; of several, separated by commas, one is enough
     #[arg(long)]
     connect: Option<String>,
     /// Folder for what is kept, instead of the deployment's
@@ -129,6 +159,8 @@ struct PartArgs {
     /// Only this robot of the deployment
     #[arg(long)]
     robot: Option<String>,
+    #[command(flatten)]
+    health: HealthArgs,
 }
 
 /// Arguments of `zenav edge`.
@@ -145,6 +177,9 @@ pub struct EdgeArgs {
     /// Drive robots of the world that `zenav sim serve` serves
     #[arg(long)]
     attach: bool,
+    /// Endpoint where that world is served, where it is not the router's
+    #[arg(long, value_name = "ENDPOINT")]
+    attach_to: Option<String>,
     /// Simulated time against wall time, instead of the deployment's
     #[arg(long)]
     speed: Option<f64>,
@@ -153,6 +188,8 @@ pub struct EdgeArgs {
     seed: Option<u64>,
     #[command(flatten)]
     begin: PoseArgs,
+    #[command(flatten)]
+    security: SecurityArgs,
 }
 
 /// Arguments of `zenav cloud`.
@@ -171,6 +208,8 @@ pub struct CloudArgs {
     worker: Option<String>,
     #[command(flatten)]
     known: KnownMapArgs,
+    #[command(flatten)]
+    identity: IdentityArgs,
 }
 
 /// A runtime for services and commands.
@@ -183,6 +222,11 @@ pub fn runtime() -> Result<tokio::runtime::Runtime, Failure> {
 
 /// Runs parts until Ctrl-C or until one fails.
 pub(crate) async fn until_interrupted(mut parts: Parts) -> Outcome {
+    let begun = parts.all_begun();
+    tokio::spawn(async move {
+        begun.await;
+        service_manager::ready();
+    });
     let result = tokio::select! {
         () = interrupted() => {
             tracing::info!("stopping");
@@ -244,24 +288,34 @@ pub fn up(args: &UpArgs) -> Outcome {
     args.page.apply(&mut deployment);
     free_robot_endpoint(&mut deployment);
     let world = files::world(&deployment.simulation.world)?;
+    let security = args.security.security_of(&deployment)?;
     if deployment.router.enabled {
         crate::receivers::ensure_enough();
     }
     runtime()?.block_on(async {
+        args.health.serve().await?;
         let router = if deployment.router.enabled {
-            let router = Router::open(&RouterConfig {
+            let rest = args.rest.rest.as_ref().unwrap_or(&deployment.router.rest);
+            let config = RouterConfig {
                 listen: deployment.router.listen.clone(),
                 connect: deployment.router.connect.clone(),
+                security: security.clone(),
                 ..RouterConfig::default()
-            })
-            .await?;
-            let endpoints = router.endpoints().await;
-            tracing::info!(?endpoints, "router up");
-            Some(router)
+            };
+            Some(open_router(&config, rest).await?)
         } else {
             None
         };
-        let mut parts = Parts::default();
+        let mut parts = Parts::new(security);
+        if let Some(listen) = args.foxglove.clone() {
+            let bus = parts.bus(&deployment, "foxglove");
+            parts.spawn("foxglove".to_owned(), bus, move |bus, shutdown| async move {
+                let view = LiveView::start(&bus, None, &listen, false).await?;
+                tracing::info!("Foxglove: {}", view.address());
+                shutdown.wait().await;
+                Ok(())
+            });
+        }
         let started = start_all(&mut parts, &deployment, &world).await;
         let result = match started {
             Ok(()) => until_interrupted(parts).await,
@@ -298,9 +352,20 @@ fn free_robot_endpoint(deployment: &mut Deployment) {
 }
 
 async fn start_all(parts: &mut Parts, deployment: &Deployment, world: &World) -> Result<(), Failure> {
-    parts.edges(deployment, world)?;
+    parts.edges(deployment, world, None)?;
     parts.cloud(deployment, world, CloudPart::All, "worker")?;
     parts.told_gateway(deployment, world).await
+}
+
+/// Opens a router, and its REST where there is an address for it.
+async fn open_router(config: &RouterConfig, rest: &str) -> Result<Router, Failure> {
+    let router = Router::open(config).await?;
+    tracing::info!(endpoints = ?router.endpoints().await, "router up");
+    if !rest.is_empty() {
+        let address = rest::start(rest, router.bus("rest")).await?;
+        tracing::info!("REST: http://{address}/zenav/**");
+    }
+    Ok(router)
 }
 
 /// `zenav router`.
@@ -308,19 +373,45 @@ async fn start_all(parts: &mut Parts, deployment: &Deployment, world: &World) ->
 /// # Errors
 /// A taken port or a bad endpoint.
 pub fn router(args: &RouterArgs) -> Outcome {
-    crate::receivers::ensure_enough();
     let config = RouterConfig {
         listen: args.listen.clone(),
         connect: args.connect.clone(),
+        security: args.security.security()?,
         ..RouterConfig::default()
     };
-    runtime()?.block_on(async {
-        let router = Router::open(&config).await?;
-        tracing::info!(endpoints = ?router.endpoints().await, "router up");
-        interrupted().await;
+    crate::receivers::ensure_enough();
+    let is_outdated = runtime()?.block_on(async {
+        args.health.serve().await?;
+        let router = open_router(&config, args.rest.rest.as_deref().unwrap_or_default()).await?;
+        service_manager::ready();
+        let is_outdated = tokio::select! {
+            () = interrupted() => false,
+            () = outdated(config.security.identity()) => true,
+        };
         router.close().await;
-        Ok(exit_code::OK)
-    })
+        Ok::<_, Failure>(is_outdated)
+    })?;
+    if is_outdated {
+        tracing::info!("the fleet's members or the certificate have changed: the router starts anew");
+        let error = crate::receivers::restart();
+        return Err(Failure::failed(format!("cannot start anew: {error}")));
+    }
+    Ok(exit_code::OK)
+}
+
+/// Waits until an identity is not what its folder holds any more: somebody was revoked or issued, or the certificate renewed. Zenoh takes
+/// neither while it runs.
+async fn outdated(identity: Option<&Identity>) {
+    let Some(identity) = identity else {
+        return std::future::pending().await;
+    };
+    let mut pace = tokio::time::interval(FLEET_LOOK);
+    loop {
+        pace.tick().await;
+        if identity.is_outdated() {
+            return;
+        }
+    }
 }
 
 /// `zenav edge`.
@@ -334,13 +425,15 @@ pub fn edge(args: &EdgeArgs) -> Outcome {
     for section in deployment.robots.values_mut() {
         section.model = args.model.clone().unwrap_or(std::mem::take(&mut section.model));
         section.listen = args.listen.clone().unwrap_or(std::mem::take(&mut section.listen));
-        section.attach |= args.attach;
+        section.attach |= args.attach || args.attach_to.is_some();
     }
     args.begin.apply(&mut deployment)?;
     let world = files::world(&deployment.simulation.world)?;
+    let security = args.security.security_of(&deployment)?;
     runtime()?.block_on(async {
-        let mut parts = Parts::default();
-        parts.edges(&deployment, &world)?;
+        args.part.health.serve().await?;
+        let mut parts = Parts::new(security);
+        parts.edges(&deployment, &world, args.attach_to.as_deref())?;
         until_interrupted(parts).await
     })
 }
@@ -360,8 +453,10 @@ pub fn cloud(args: &CloudArgs) -> Outcome {
         .worker
         .clone()
         .unwrap_or_else(|| format!("worker-{}", std::process::id()));
+    let security = args.identity.security_of(&deployment)?;
     runtime()?.block_on(async {
-        let mut parts = Parts::default();
+        args.part.health.serve().await?;
+        let mut parts = Parts::new(security);
         parts.cloud(&deployment, &world, args.service, &worker)?;
         until_interrupted(parts).await
     })

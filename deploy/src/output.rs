@@ -1,10 +1,11 @@
 //! Output. How is data printed? On stdout, as a table for people or as JSON for programs.
 
 use std::io::{IsTerminal as _, Write as _};
+use std::sync::Mutex;
 use std::time::Duration;
 
 use clap::ValueEnum;
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle, WeakProgressBar};
 use serde::Serialize;
 
 use crate::failure::Failure;
@@ -71,14 +72,54 @@ pub fn progress(bar: ProgressBar, template: &str) -> ProgressBar {
     bar
 }
 
-/// A living line with the time and a message; `None` where stderr is no terminal.
+/// A living line on stderr with the time and a message, and room for a picture above it as its prefix; `None` where stderr is no terminal.
 #[must_use]
 pub fn spinner() -> Option<ProgressBar> {
-    std::io::stderr().is_terminal().then(|| {
-        let bar = progress(ProgressBar::new_spinner(), "{spinner} {elapsed} {wide_msg}");
-        bar.enable_steady_tick(Duration::from_millis(100));
-        bar
-    })
+    std::io::stderr()
+        .is_terminal()
+        .then(|| living(ProgressDrawTarget::stderr()))
+}
+
+/// As [`spinner`], on stdout: for what is nothing but a display.
+#[must_use]
+pub fn display() -> Option<ProgressBar> {
+    std::io::stdout()
+        .is_terminal()
+        .then(|| living(ProgressDrawTarget::stdout()))
+}
+
+fn living(target: ProgressDrawTarget) -> ProgressBar {
+    let bar = ProgressBar::with_draw_target(None, target);
+    if let Ok(style) = ProgressStyle::with_template("{prefix}{spinner} {elapsed} {wide_msg}") {
+        bar.set_style(style);
+    }
+    bar.enable_steady_tick(Duration::from_millis(100));
+    if let Ok(mut living) = LIVING.lock() {
+        *living = Some(bar.downgrade());
+    }
+    bar
+}
+
+/// The display that stands on the terminal now.
+static LIVING: Mutex<Option<WeakProgressBar>> = Mutex::new(None);
+
+/// Stderr for log lines: a living display makes room for each, and leaves nothing of itself behind.
+#[derive(Clone, Copy, Debug)]
+pub struct LogWriter;
+
+impl std::io::Write for LogWriter {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        let living = LIVING.lock().ok().and_then(|living| living.as_ref()?.upgrade());
+        let write = || std::io::stderr().lock().write(bytes);
+        match living {
+            Some(bar) => bar.suspend(write),
+            None => write(),
+        }
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        std::io::stderr().lock().flush()
+    }
 }
 
 /// Aligns rows of cells under a header.

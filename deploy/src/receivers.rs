@@ -22,21 +22,37 @@ pub fn ensure_enough() {
 
 #[cfg(unix)]
 fn restart_with(value: &OsStr) {
+    // Returns only when it fails; two threads do for small messages.
+    let error = anew(Some(value));
+    tracing::warn!(%error, "cannot restart with more receiving threads");
+}
+
+/// Starts this process anew, as the same process with the same arguments; returns only when that fails.
+#[cfg(unix)]
+pub fn restart() -> std::io::Error {
+    anew(None)
+}
+
+#[cfg(unix)]
+fn anew(value: Option<&OsStr>) -> std::io::Error {
     use std::os::unix::process::CommandExt as _;
-    match std::env::current_exe() {
-        Ok(program) => {
-            // Returns only when it fails; two threads do for small messages.
-            let error = std::process::Command::new(program)
-                .args(std::env::args_os().skip(1))
-                .env(VARIABLE, value)
-                .exec();
-            tracing::warn!(%error, "cannot restart with more receiving threads");
-        }
-        Err(error) => tracing::warn!(%error, "cannot restart with more receiving threads"),
-    }
+    let program = match std::env::current_exe() {
+        Ok(program) => program,
+        Err(error) => return error,
+    };
+    let mut command = std::process::Command::new(program);
+    command.args(std::env::args_os().skip(1));
+    command.envs(value.map(|value| (VARIABLE, value)));
+    command.exec()
 }
 
 #[cfg(not(unix))]
 fn restart_with(value: &OsStr) {
     tracing::warn!("large messages may stall: set {VARIABLE}={}", value.display());
+}
+
+/// Starts this process anew: not on this system.
+#[cfg(not(unix))]
+pub fn restart() -> std::io::Error {
+    std::io::ErrorKind::Unsupported.into()
 }

@@ -165,6 +165,18 @@ pub fn per_metre(joules: f64, metres: f64) -> f64 {
     if metres > 0.0 { joules / metres } else { 0.0 }
 }
 
+/// Outcome of a goal that was.
+pub const REACHED: &str = "reached";
+/// Over a shorter way, energy a metre tells nothing, m.
+const ENOUGH_WAY: f64 = 0.1;
+
+impl GoalReport {
+    /// Why it was not reached.
+    fn failure(&self) -> Option<&str> {
+        (self.outcome != REACHED).then_some(&self.outcome)
+    }
+}
+
 /// Wall-clock latencies.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Latency {
@@ -248,15 +260,21 @@ impl DemoReport {
             .goals
             .iter()
             .map(|goal| {
+                // The reason stands below: it is longer than a column.
+                let outcome = goal.failure().map_or(REACHED, |_| "not reached");
                 vec![
                     goal.name.clone(),
-                    goal.outcome.clone(),
+                    outcome.to_owned(),
                     format!("{:.1}", goal.time_s),
                     format!("{:.2}", goal.length_m),
                     format!("{:.3}", goal.min_clearance_m),
                     goal.final_error_m
                         .map_or_else(|| "-".to_owned(), |error| format!("{error:.3}")),
-                    format!("{:.0}", goal.energy_per_m),
+                    if goal.length_m < ENOUGH_WAY {
+                        "-".to_owned()
+                    } else {
+                        format!("{:.0}", goal.energy_per_m)
+                    },
                 ]
             })
             .collect();
@@ -266,22 +284,22 @@ impl DemoReport {
             .as_ref()
             .map_or_else(|| crate::output::table(&header, &rows), WallReport::text);
         let mut lines = vec![table];
+        let reasons = self.goals.iter().filter_map(|goal| Some((&goal.name, goal.failure()?)));
+        lines.extend(reasons.map(|(name, reason)| format!("{name}: {reason}")));
         let latency = &self.latency;
         lines.push(String::new());
         let map = if self.map_found { ", with a stored map" } else { "" };
-        lines.push(
-            format!(
-                "{} (seed {}{map}): {:?}{}",
-                self.scenario,
-                self.seed,
-                self.outcome,
-                self.reason
-                    .as_ref()
-                    .map(|reason| format!(", {reason}"))
-                    .unwrap_or_default()
-            )
-            .to_lowercase(),
-        );
+        let outcome = match self.outcome {
+            ScenarioOutcome::Succeeded => "succeeded",
+            ScenarioOutcome::Failed => "failed",
+        };
+        let reason = self.reason.as_ref().map(|reason| format!(", {reason}"));
+        lines.push(format!(
+            "{} (seed {}{map}): {outcome}{}",
+            self.scenario,
+            self.seed,
+            reason.unwrap_or_default()
+        ));
         for goal in &self.refused {
             let near = goal
                 .nearest_free

@@ -309,7 +309,7 @@ async fn a_map_is_saved_as_map_server_files_and_drawn() {
             .await
             .expect(0)
             .out
-            .contains("robot at (0.25, 0.12)")
+            .contains("robot at (0.25, 0.13)")
     );
     zenav(&endpoint, &["map", "show", "no/such.yaml"]).await.expect(3);
 }

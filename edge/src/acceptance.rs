@@ -43,6 +43,14 @@ pub enum Rejection {
     /// The stop is latched.
     #[error("the robot is stopped")]
     Stopped,
+    /// Made in a frame of the map that the robot cannot carry it over from.
+    #[error("OldFrame: the plan is of map frame {got}, the robot is in frame {current}")]
+    OldFrame {
+        /// Frame of the plan.
+        got: u64,
+        /// Frame of the robot.
+        current: u64,
+    },
     /// Its place in the map is not known.
     #[error("it is not known where the robot is")]
     NotLocalised,
@@ -56,6 +64,16 @@ pub enum Rejection {
         got: Revision,
         /// The newest seen under this epoch.
         newest: Revision,
+    },
+    /// Its revision is farther from the newest than any writer counts in the time of a lease.
+    #[error("plan revision {}.{} leaps from {}.{}, by more than {longest}", .got.incarnation, .got.counter, .newest.incarnation, .newest.counter)]
+    Leap {
+        /// Revision of the plan.
+        got: Revision,
+        /// The newest accepted under this epoch.
+        newest: Revision,
+        /// The longest step.
+        longest: u64,
     },
     /// Its trajectory was discarded before.
     #[error("trajectory {0} was discarded; send a new one")]
@@ -129,6 +147,49 @@ pub enum Rejection {
     Changed(u64),
 }
 
+/// The names of the rejections, for the metrics: each variant has one.
+macro_rules! kinds {
+    ($($pattern:pat => $name:literal),* $(,)?) => {
+        impl Rejection {
+            /// Every name that [`Self::kind`] gives.
+            pub const KINDS: &'static [&'static str] = &[$($name),*];
+
+            /// Which check the plan failed, without its numbers.
+            #[must_use]
+            pub const fn kind(&self) -> &'static str {
+                match self {
+                    $($pattern => $name,)*
+                }
+            }
+        }
+    };
+}
+
+kinds! {
+    Self::WrongEpoch { .. } => "wrong_epoch",
+    Self::NoLease => "no_lease",
+    Self::Stopped => "stopped",
+    Self::NotLocalised => "not_localised",
+    Self::Busy(_) => "busy",
+    Self::Stale { .. } => "stale",
+    Self::Discarded(_) => "discarded",
+    Self::WrongBoot { .. } => "wrong_boot",
+    Self::Future(_) => "future",
+    Self::BeforeResume => "before_resume",
+    Self::Expired(_) => "expired",
+    Self::Malformed(_) => "malformed",
+    Self::Frame => "frame",
+    Self::OldFrame { .. } => "old_frame",
+    Self::Leap { .. } => "leap",
+    Self::Empty => "empty",
+    Self::TimeOrder(_) => "time_order",
+    Self::OverLimit { .. } => "over_limit",
+    Self::Start { .. } => "start",
+    Self::EndsMoving(_) => "ends_moving",
+    Self::Blocked { .. } => "blocked",
+    Self::Changed(_) => "changed",
+}
+
 /// The robot's lease, stop and clock, which a plan's header is checked against.
 #[derive(Clone, Debug)]
 pub struct Grant<'a> {
@@ -144,10 +205,12 @@ pub struct Grant<'a> {
     pub stopped: bool,
     /// When the robot was resumed last.
     pub resumed: Option<Stamp>,
-    /// The newest revision seen under this epoch.
+    /// The newest revision accepted under this epoch.
     pub newest: Option<Revision>,
     /// Longest validity that counts, s.
     pub max_validity: f64,
+    /// Longest step of a counter or an incarnation that is believed.
+    pub longest_step: u64,
 }
 
 /// Checks a plan's header: who wrote it, when, for how long. Returns its expiry on the edge's clock.
@@ -179,6 +242,16 @@ pub fn judge_head(plan: &Plan, grant: &Grant<'_>) -> Result<Stamp, Rejection> {
             newest,
         });
     }
+    if let Some(newest) = grant
+        .newest
+        .filter(|newest| leaps(plan.revision, *newest, grant.longest_step))
+    {
+        return Err(Rejection::Leap {
+            got: plan.revision,
+            newest,
+            longest: grant.longest_step,
+        });
+    }
     if plan.based_on.stamp > grant.now {
         return Err(Rejection::Future(plan.based_on.stamp.secs_since(grant.now)));
     }
@@ -199,6 +272,17 @@ pub fn judge_head(plan: &Plan, grant: &Grant<'_>) -> Result<Stamp, Rejection> {
         return Err(Rejection::Expired(grant.now.secs_since(expiry)));
     }
     Ok(expiry)
+}
+
+/// Whether a newer revision is farther from the newest than a writer comes.
+fn leaps(revision: Revision, newest: Revision, longest: u64) -> bool {
+    let counted_from = if revision.incarnation == newest.incarnation {
+        newest.counter
+    } else {
+        0
+    };
+    revision.incarnation.saturating_sub(newest.incarnation) > longest
+        || revision.counter.saturating_sub(counted_from) > longest
 }
 
 /// Checks a plan's content by itself: finite, monotone, within the limits of this robot.

@@ -17,6 +17,7 @@ const AHEAD_STEP: f64 = 0.1;
 /// The plan in force.
 #[derive(Clone, Debug)]
 pub struct ActivePlan {
+    /// As it was received, in the frame that it names.
     plan: Plan,
     expiry: Stamp,
     tracker: Box<dyn Tracker>,
@@ -54,14 +55,25 @@ pub enum Taken {
 impl ActivePlan {
     /// Takes a plan whose header has been checked: renews the active plan, or replaces it. A rejection changes nothing.
     ///
+    /// `here_from_plan` is how the map has moved since the plan's frame.
+    ///
     /// # Errors
     /// [`Rejection`].
-    pub fn take(current: &mut Option<Self>, plan: Plan, expiry: Stamp, scene: &Scene<'_>) -> Result<Taken, Rejection> {
+    pub fn take(
+        current: &mut Option<Self>,
+        plan: Plan,
+        here_from_plan: Pose2,
+        expiry: Stamp,
+        scene: &Scene<'_>,
+    ) -> Result<Taken, Rejection> {
         if let Some(active) = current
             .as_mut()
             .filter(|active| active.plan.trajectory_id == plan.trajectory_id)
         {
-            if active.plan.trajectory != plan.trajectory || active.plan.waypoints != plan.waypoints {
+            if active.plan.trajectory != plan.trajectory
+                || active.plan.waypoints != plan.waypoints
+                || active.plan.map.frame != plan.map.frame
+            {
                 return Err(Rejection::Changed(plan.trajectory_id));
             }
             active.plan.goal_id = plan.goal_id;
@@ -72,11 +84,25 @@ impl ActivePlan {
             return Ok(Taken::Renewed);
         }
         judge_course(&plan, &scene.model.drive)?;
+        let here = Plan {
+            waypoints: plan
+                .waypoints
+                .iter()
+                .map(|point| here_from_plan.transform_point(*point))
+                .collect(),
+            trajectory: plan.trajectory.moved(here_from_plan),
+            ..plan.clone()
+        };
+        let here = if here_from_plan == Pose2::IDENTITY {
+            &plan
+        } else {
+            &here
+        };
         let tracker = if plan.trajectory.is_empty() {
             let model = scene.model;
-            Law::of(&model.controller).through_waypoints(&model.drive, scene.map_from_base, plan.waypoints.clone())
+            Law::of(&model.controller).through_waypoints(&model.drive, scene.map_from_base, here.waypoints.clone())
         } else {
-            Self::begin(current.as_ref(), &plan, scene)?
+            Self::begin(current.as_ref(), here, scene)?
         };
         *current = Some(Self {
             plan,
@@ -220,6 +246,11 @@ impl ActivePlan {
     #[must_use]
     pub fn is_finished(&self) -> bool {
         self.end_reported
+    }
+
+    /// Carries what is driven over to another frame of the map.
+    pub fn moved(&mut self, new_from_old: Pose2) {
+        self.tracker.moved(new_from_old);
     }
 
     /// The plan as received.

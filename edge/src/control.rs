@@ -9,12 +9,15 @@ use zenav_protocol::time::Stamp;
 
 use crate::body::Body;
 use crate::handoff::Handoff;
+use crate::metrics::ControlMetrics;
 use crate::pilot::Pilot;
 
 /// Most ticks to come to rest at shutdown.
 const HALTING_TICKS: u32 = 150;
 /// Speed below which the body counts as at rest, m/s.
 const AT_REST: f64 = 0.01;
+/// Time between two blind ticks while no readings come: so long does a request wait, and so often does the robot say so.
+const BLIND_PERIOD: Duration = Duration::from_millis(100);
 
 /// Stops the wheels however the thread ends, even by a panic.
 struct Wheels(Box<dyn Body>);
@@ -72,12 +75,13 @@ impl Pace {
 
 /// Runs the loop until `halt` is set and the robot is at rest. `tick` is the body's time between readings, s; `speed` is the rate of its time
 /// against wall time.
-pub fn run(
+pub(crate) fn run(
     body: Box<dyn Body>,
     mut pilot: Pilot,
     handoff: &Arc<Handoff>,
     (tick, speed): (f64, f64),
     halt: &Arc<AtomicBool>,
+    metrics: &ControlMetrics,
 ) {
     let mut body = Wheels(body);
     let period = Duration::from_secs_f64(tick / speed);
@@ -89,8 +93,10 @@ pub fn run(
     let mut missed_ticks = 0;
     let mut halting = 0;
     let mut failing = false;
+    let mut blind: Option<Instant> = None;
     loop {
         let mut late = None;
+        let missed_before = missed_ticks;
         if let Some(timer) = &mut timer {
             let (missed, by) = timer.wait();
             missed_ticks += missed;
@@ -106,6 +112,11 @@ pub fn run(
                 if halt.load(Ordering::Relaxed) {
                     return;
                 }
+                if blind.is_none_or(|last| last.elapsed() >= BLIND_PERIOD) {
+                    blind = Some(Instant::now());
+                    let outbox = pilot.step_blind(handoff.take_inbox(), &error.to_string());
+                    handoff.put_outbox(pilot.now(), outbox);
+                }
                 continue;
             }
         };
@@ -119,11 +130,14 @@ pub fn run(
         (inbox.missed_ticks, inbox.late) = (missed_ticks, late);
         inbox.halt = halt.load(Ordering::Relaxed);
         halting += u32::from(inbox.halt);
-        let outbox = pilot.step(readings.stamp, &readings, inbox);
+        metrics.began(late, missed_ticks - missed_before);
+        let began = Instant::now();
+        let outbox = pilot.timed_step(readings.stamp, &readings, inbox, &mut || began.elapsed());
         let wheels = outbox.wheels;
         if let Err(error) = body.0.drive(wheels) {
             tracing::error!(%error, "the wheels do not answer");
         }
+        metrics.ended(began.elapsed(), outbox.monitor, outbox.verdict);
         handoff.put_outbox(readings.stamp, outbox);
         let velocity = pilot.velocity();
         let at_rest = wheels == [0.0; 2] && velocity.v.abs() < AT_REST && velocity.w.abs() < 5.0 * AT_REST;

@@ -36,6 +36,8 @@ pub struct Inbox {
     pub late: Option<std::time::Duration>,
     /// Brake now: the edge shuts down.
     pub halt: bool,
+    /// Why what must outlive a restart is not stored, as long as it is not.
+    pub not_stored: Option<String>,
 }
 
 /// State that must outlive a restart of the edge.
@@ -102,4 +104,8 @@ pub struct Outbox {
     pub persist: Option<Persisted>,
     /// Replies to asks.
     pub replies: Vec<(Ticket, Result<EdgeReply, Refusal>)>,
+    /// The verdict on the plan that was judged, if one was: `accepted`, `renewed` or the kind of the rejection.
+    pub verdict: Option<&'static str>,
+    /// How long limits and collision monitor took.
+    pub monitor: std::time::Duration,
 }

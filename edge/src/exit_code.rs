@@ -56,7 +56,7 @@ pub const fn of_bus(error: &BusError) -> u8 {
     match error {
         BusError::CannotConnect { .. } | BusError::Closed => CANNOT_CONNECT,
         BusError::CannotListen { .. } => FAILED,
-        BusError::Config { .. } | BusError::Key { .. } => USAGE,
+        BusError::Config { .. } | BusError::Exposed { .. } | BusError::Key { .. } => USAGE,
     }
 }
 

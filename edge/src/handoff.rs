@@ -35,6 +35,7 @@ pub struct Handoff {
 struct Inward {
     inbox: Inbox,
     tickets: u64,
+    not_stored: Option<String>,
     waiting: BTreeMap<Ticket, Reply>,
 }
 
@@ -67,11 +68,16 @@ pub struct PersistThenReply {
 }
 
 impl PersistThenReply {
-    /// Sends the replies; after a failure (`unless`) everybody gets that refusal instead.
+    /// Sends the replies; after a failure (`unless`) whoever would be granted the lease gets that refusal instead: an epoch must not come
+    /// twice. A stop was obeyed all the same, and says so.
     pub fn send(self, unless: Option<&Refusal>) {
         for (reply, answer) in self.replies {
+            let answer = match (answer, unless) {
+                (Ok(EdgeReply::Lease(_)), Some(refusal)) => Err(refusal.clone()),
+                (answer, _) => answer,
+            };
             // The asker may have given up meanwhile.
-            let _ = reply.send(unless.map_or(answer, |refusal| Err(refusal.clone())));
+            let _ = reply.send(answer);
         }
     }
 }
@@ -160,9 +166,18 @@ impl Handoff {
         }
     }
 
+    /// Network side: notes why the newest state is not stored, or that it is.
+    pub fn set_not_stored(&self, why: Option<String>) {
+        self.inward().not_stored = why;
+    }
+
     /// Control side: takes what arrived since the last tick.
     pub fn take_inbox(&self) -> Inbox {
-        take(&mut self.inward().inbox)
+        let mut inward = self.inward();
+        Inbox {
+            not_stored: inward.not_stored.clone(),
+            ..take(&mut inward.inbox)
+        }
     }
 
     /// Control side: hands over the output of a tick.

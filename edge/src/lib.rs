@@ -21,7 +21,7 @@
 //! | [`requests`], [`params`], [`event_log`], [`telemetry`] | what does it answer, record and publish? |
 //! | [`pilot`], [`control_io`] | what does it do in one tick? |
 //! | [`config`], [`settings`] | what can be set and tuned? |
-//! | [`control`], [`loop_timing`], [`handoff`] | when does the pilot step, how late, and how does it exchange messages with the network? |
+//! | `control`, [`loop_timing`], [`handoff`] | when does the pilot step, how late, and how does it exchange messages with the network? |
 //! | [`exit_code`] | what does a command end with? |
 //! | [`service`], [`state_file`] | how is it connected to the bus, and what outlives a restart? |
 //! | [`remote_body`], `sim_body` (feature `sim`) | how is a robot in another process a body, how a simulated one in this process? |
@@ -33,9 +33,10 @@ pub mod authority;
 pub mod avoidance;
 pub mod blind_spot_grid;
 pub mod body;
+pub mod body_clock;
 pub mod collision_monitor;
 pub mod config;
-pub mod control;
+mod control;
 pub mod control_io;
 pub mod course;
 mod encoder_watch;
@@ -51,6 +52,7 @@ pub mod local_obstacles;
 pub mod loop_timing;
 mod lost_beams;
 pub mod maneuvers;
+mod metrics;
 pub mod moving_obstacles;
 pub mod obstacle_tracks;
 pub mod other_robots;
@@ -72,6 +74,7 @@ pub mod state_file;
 pub mod telemetry;
 pub mod teleop;
 pub mod time_to_contact;
+mod trace;
 pub mod trackers;
 pub mod wall_follower;
 pub mod wheel_coordination;

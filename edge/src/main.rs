@@ -1,12 +1,12 @@
 //! The robot's own binary: one edge, no cloud.
 
-use std::io::IsTerminal as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Parser;
-use zenav_edge::{AttachError, Attached, Body, EdgeConfig, RemoteBody, ServiceConfig, exit_code};
-use zenav_protocol::bus::{Bus, BusConfig, BusError, Shutdown};
+use zenav_edge::{AttachError, Attached, Body, EdgeConfig, EdgeSettings, RemoteBody, ServiceConfig, exit_code};
+use zenav_observability::{logging, server, trace};
+use zenav_protocol::bus::{Bus, BusConfig, BusError, IdentityError, Security, Shutdown, service_manager};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::LostPolicy;
@@ -28,6 +28,15 @@ struct Arguments {
     /// The edge's own endpoint: it can be stopped there without a router; port 0 takes a free one.
     #[arg(long, default_value = "tcp/127.0.0.1:7448")]
     listen: Vec<String>,
+    /// Folder of the robot's identity in its fleet: `ca.pem`, `cert.pem`, `key.pem`, `members.txt`; links are encrypted then.
+    #[arg(long, env = "ZENAV_IDENTITY")]
+    identity: Option<PathBuf>,
+    /// Listen to other machines without an identity: whoever reaches the endpoint commands the robot.
+    #[arg(long)]
+    insecure: bool,
+    /// Namespace of the deployment on its routers; none without.
+    #[arg(long, default_value = "")]
+    namespace: String,
     /// Folder of the stored epoch and stop latch.
     #[arg(long, default_value = "zenav-state")]
     state_dir: PathBuf,
@@ -43,6 +52,21 @@ struct Arguments {
     /// Who drives the motors: `bus`, a process that publishes readings and obeys wheel speeds.
     #[arg(long, conflicts_with = "attach")]
     body: Option<BodyKind>,
+    /// Serve /livez, /readyz and /metrics here; port 0 takes a free one.
+    #[arg(long, value_name = "ADDRESS:PORT", env = "ZENAV_METRICS", hide_env_values = true)]
+    metrics: Option<String>,
+    /// Write spans of what goes from part to part into this file: OTLP in JSON, one a line.
+    #[arg(long, value_name = "FILE", env = "ZENAV_TRACE", hide_env_values = true)]
+    trace: Option<PathBuf>,
+    /// Log lines as text or json.
+    #[arg(
+        long,
+        value_name = "FORMAT",
+        default_value = "text",
+        env = "ZENAV_LOG_FORMAT",
+        hide_env_values = true
+    )]
+    log_format: logging::Format,
     #[cfg(feature = "sim")]
     #[command(flatten)]
     simulation: SimulationArguments,
@@ -83,15 +107,9 @@ fn pose(text: &str) -> Result<Pose2, String> {
 }
 
 fn main() -> ExitCode {
-    let filter = tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "info,zenoh=warn".into());
-    // No escape codes in a pipe or a journal.
-    let colors = std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none();
-    tracing_subscriber::fmt()
-        .with_writer(std::io::stderr)
-        .with_ansi(colors)
-        .with_env_filter(filter)
-        .init();
-    match start(Arguments::parse()) {
+    let arguments = Arguments::parse();
+    logging::init(arguments.log_format, "info,zenoh=warn", std::io::stderr);
+    match start(arguments) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
             eprintln!("error: {}", failure.reason);
@@ -125,6 +143,12 @@ impl From<BusError> for Failure {
     }
 }
 
+impl From<IdentityError> for Failure {
+    fn from(error: IdentityError) -> Self {
+        Self::usage(error)
+    }
+}
+
 impl From<AttachError> for Failure {
     fn from(error: AttachError) -> Self {
         Self::new(exit_code::of_attach(&error), error)
@@ -153,6 +177,8 @@ fn start(arguments: Arguments) -> Result<(), Failure> {
         error => Failure::usage(error),
     })?;
     let id = Id::robot(arguments.id.clone()).map_err(Failure::usage)?;
+    let security = Security::of(arguments.identity.as_deref(), arguments.insecure)?;
+    security.check_robot(&id, !arguments.attach && arguments.body.is_none())?;
     // Bad files are reported before waiting for a router.
     let here = if arguments.attach || arguments.body.is_some() {
         None
@@ -164,6 +190,8 @@ fn start(arguments: Arguments) -> Result<(), Failure> {
         listen: arguments.listen,
         name: format!("edge-{}", arguments.id),
         retry: true,
+        security,
+        namespace: arguments.namespace,
     };
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(2)
@@ -171,6 +199,17 @@ fn start(arguments: Arguments) -> Result<(), Failure> {
         .build()
         .map_err(|error| Failure::new(exit_code::FAILED, error))?;
     runtime.block_on(async {
+        if let Some(address) = &arguments.metrics {
+            let served = server::serve(address)
+                .await
+                .map_err(|error| Failure::new(exit_code::CANNOT_CONNECT, format!("--metrics {address}: {error}")))?;
+            tracing::info!("health: http://{served}/readyz, http://{served}/metrics");
+        }
+        if let Some(file) = &arguments.trace {
+            let wrong =
+                |error: std::io::Error| Failure::new(exit_code::FAILED, format!("--trace {}: {error}", file.display()));
+            trace::start(file).map_err(wrong)?;
+        }
         let gives_the_time = here.is_some();
         let (bus, started) = match here {
             Some(here) => {
@@ -184,6 +223,7 @@ fn start(arguments: Arguments) -> Result<(), Failure> {
             None => attached(&bus, &id, &model, arguments.start).await?,
         };
         tracing::info!(endpoints = ?bus.endpoints().await, "listening");
+        service_manager::ready();
         let Started {
             body,
             start,
@@ -217,7 +257,8 @@ struct Started {
 /// A body of somebody's own. It has nothing to say before its first readings.
 async fn on_the_bus(bus: BusConfig, robot: &Id, start: Option<Pose2>) -> Result<(Bus, Started), Failure> {
     let bus = Bus::open(bus).await?;
-    let body = RemoteBody::new(&bus, robot.as_str(), u64::from(std::process::id()))?;
+    let settings = EdgeSettings::default().body;
+    let body = RemoteBody::new(&bus, robot.as_str(), u64::from(std::process::id()), &settings)?;
     let started = Started {
         body: Box::new(body),
         start: start.unwrap_or_default(),
@@ -233,7 +274,8 @@ async fn attached(
     model: &RobotModel,
     start: Option<Pose2>,
 ) -> Result<(Bus, Started), Failure> {
-    let Attached { bus, body, reply } = RemoteBody::attach(bus, robot, model, start).await?;
+    let settings = EdgeSettings::default().body;
+    let Attached { bus, body, reply } = RemoteBody::attach(bus, robot, model, start, &settings).await?;
     tracing::info!(world = reply.world, "attached");
     let started = Started {
         body: Box::new(body),

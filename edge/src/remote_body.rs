@@ -2,7 +2,7 @@
 //! (`zenav sim serve`), or a hardware driver in any language.
 
 use std::hash::{BuildHasher, RandomState};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use thiserror::Error;
 use tokio::runtime::Handle;
@@ -17,6 +17,8 @@ use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
 
 use crate::body::{Body, BodyError};
+use crate::body_clock::BodyClock;
+use crate::settings::BodySettings;
 
 /// Most readings that wait in the bus.
 const QUEUE: usize = 32;
@@ -29,6 +31,7 @@ const ATTACH: Duration = Duration::from_secs(3);
 pub struct RemoteBody {
     readings: Subscription<Readings>,
     wheels: watch::Sender<WheelSpeeds>,
+    clock: BodyClock,
     stamp: Stamp,
     edge: u64,
     runtime: Handle,
@@ -69,6 +72,7 @@ impl RemoteBody {
         robot: &Id,
         model: &RobotModel,
         start: Option<Pose2>,
+        settings: &BodySettings,
     ) -> Result<Attached, AttachError> {
         let request = AttachRequest {
             robot: robot.to_string(),
@@ -79,7 +83,7 @@ impl RemoteBody {
         };
         loop {
             let bus = Bus::open(config.clone()).await?;
-            match Self::ask_for(&bus, &request).await {
+            match Self::ask_for(&bus, &request, settings).await {
                 Ok((body, reply)) => {
                     if let Some(wanted) = start.filter(|wanted| wanted.distance(&reply.start) > 1e-3) {
                         let here = reply.start;
@@ -107,20 +111,24 @@ impl RemoteBody {
         }
     }
 
-    async fn ask_for(bus: &Bus, request: &AttachRequest) -> Result<(Self, AttachReply), AttachError> {
+    async fn ask_for(
+        bus: &Bus,
+        request: &AttachRequest,
+        settings: &BodySettings,
+    ) -> Result<(Self, AttachReply), AttachError> {
         let reply: AttachReply = bus.ask(&topics::ATTACH, &[], request, ATTACH).await?;
         let is_pace = |value: f64| value.is_finite() && value > 0.0;
         if !(is_pace(reply.tick_secs) && is_pace(reply.speed) && reply.start.is_finite()) {
             return Err(AttachError::Pace(reply.world, reply.tick_secs, reply.speed));
         }
-        Ok((Self::new(bus, &request.robot, request.edge)?, reply))
+        Ok((Self::new(bus, &request.robot, request.edge, settings)?, reply))
     }
 
     /// The body that publishes this robot's readings; `edge` identifies who drives it. In a Tokio runtime only.
     ///
     /// # Errors
     /// [`BusError`] when its topics cannot be declared.
-    pub fn new(bus: &Bus, robot: &str, edge: u64) -> Result<Self, BusError> {
+    pub fn new(bus: &Bus, robot: &str, edge: u64, settings: &BodySettings) -> Result<Self, BusError> {
         let readings = bus.subscribe(&topics::READINGS, &[robot], QUEUE)?;
         let publisher = bus.publisher(&topics::WHEELS, &[robot])?;
         let still = WheelSpeeds {
@@ -138,6 +146,7 @@ impl RemoteBody {
         Ok(Self {
             readings,
             wheels,
+            clock: BodyClock::new(settings.longest_step),
             stamp: Stamp::ZERO,
             edge,
             runtime: Handle::current(),
@@ -147,34 +156,38 @@ impl RemoteBody {
 
 impl Body for RemoteBody {
     fn read(&mut self) -> Result<Readings, BodyError> {
+        let begun = Instant::now();
+        let mut refused = None;
         // The control thread itself waits and decodes: Zenoh's thread wakes it directly, without another task switch.
-        let readings = &mut self.readings;
-        let heard = self
-            .runtime
-            .block_on(async { tokio::time::timeout(SILENCE, readings.next()).await });
-        let mut readings = match heard {
-            Ok(Some(received)) => received.message,
-            Ok(None) => {
-                std::thread::sleep(SILENCE);
-                return Err(BodyError("the bus is closed".to_owned()));
+        let mut readings = loop {
+            let (readings, left) = (&mut self.readings, SILENCE.saturating_sub(begun.elapsed()));
+            let heard = self
+                .runtime
+                .block_on(async { tokio::time::timeout(left, readings.next()).await });
+            match heard {
+                Ok(Some(received)) => match self.clock.judge(received.message.stamp) {
+                    Ok(()) => break received.message,
+                    Err(not_now) => refused = Some(not_now),
+                },
+                Ok(None) => {
+                    std::thread::sleep(SILENCE);
+                    return Err(BodyError("the bus is closed".to_owned()));
+                }
+                Err(_) => {
+                    let silent = || format!("no readings for {SILENCE:?}");
+                    return Err(BodyError(refused.map_or_else(silent, |not_now| not_now.to_string())));
+                }
             }
-            Err(_) => return Err(BodyError(format!("no readings for {SILENCE:?}"))),
+            if begun.elapsed() >= SILENCE
+                && let Some(not_now) = refused
+            {
+                return Err(BodyError(not_now.to_string()));
+            }
         };
         while let Some(received) = self.readings.try_next() {
-            let newer = received.message;
-            readings = if readings.stamp < newer.stamp {
-                readings.followed_by(newer)
-            } else {
-                newer
-            };
-        }
-        if readings.stamp <= self.stamp {
-            let reason = format!(
-                "readings of {} s after those of {} s: after a restart of the world, restart the edge",
-                readings.stamp.as_secs(),
-                self.stamp.as_secs()
-            );
-            return Err(BodyError(reason));
+            if self.clock.judge(received.message.stamp).is_ok() {
+                readings = readings.followed_by(received.message);
+            }
         }
         self.stamp = readings.stamp;
         Ok(readings)

@@ -49,6 +49,16 @@ impl ReturnHome {
         self.trail.push(place);
     }
 
+    /// Carries the trail over to another frame of the map.
+    pub fn moved(&mut self, new_from_old: Pose2) {
+        for place in &mut self.trail {
+            *place = new_from_old.transform_point(*place);
+        }
+        if let Some(tracker) = &mut self.tracker {
+            tracker.moved(new_from_old);
+        }
+    }
+
     /// The wanted twist of the return.
     pub fn step(&mut self, view: &TrackerInput, model: &RobotModel) -> Twist2 {
         if self.trail.len() < 2 {

@@ -11,6 +11,8 @@ use serde::de::DeserializeOwned;
 use thiserror::Error;
 use tokio::sync::oneshot;
 use tokio::task::JoinSet;
+use tokio::time::timeout;
+use zenav_observability::Condition;
 use zenav_protocol::bus::{Bus, BusError, Call, PartServer, Publisher, Shutdown};
 use zenav_protocol::config_text::OutOfBounds;
 use zenav_protocol::messages::{
@@ -19,19 +21,25 @@ use zenav_protocol::messages::{
 use zenav_protocol::readings::KindReading;
 use zenav_protocol::robot::RobotModel;
 use zenav_protocol::settings::Settings as _;
-use zenav_protocol::topics::{self, EdgeRequest, Topic};
+use zenav_protocol::topics::{self, EdgeReply, EdgeRequest, Topic};
 
 use crate::body::Body;
 use crate::config::EdgeConfig;
 use crate::control;
-use crate::control_io::{Inbox, Publication};
-use crate::handoff::{Bundle, Handoff};
+use crate::control_io::{Inbox, Persisted, Publication};
+use crate::handoff::{Bundle, Handoff, PersistThenReply};
+use crate::metrics::{ControlMetrics, RobotMetrics};
 use crate::pilot::Pilot;
 use crate::state_file::{StateError, StateFile};
+use crate::trace::EdgeTrace;
 use crate::trackers::{Law, UnknownTracker};
 
 /// Most messages of a topic that wait in the bus.
 const QUEUE: usize = 32;
+/// A robot without readings for so long is not ready.
+const SILENCE: Duration = Duration::from_secs(3);
+/// Time between two attempts to store what could not be stored.
+const SAVE_AGAIN: Duration = Duration::from_millis(500);
 /// Time for the last messages and replies at shutdown.
 const DRAIN: Duration = Duration::from_secs(2);
 
@@ -86,16 +94,21 @@ pub async fn run(bus: Bus, config: ServiceConfig, body: Box<dyn Body>, shutdown:
     config.edge.settings.check()?;
     Law::named(&config.edge.model.controller.tracker)?;
     let robot = config.edge.robot.to_string();
+    let readings = bus.expects("its readings have come, and a pose is known");
+    let metrics = Arc::new(RobotMetrics::new(&robot));
     let file = StateFile::open(&config.state_dir, &config.edge.robot)?;
     let stored = file.load()?;
-    // Fail now if the folder cannot be written: later an epoch or a stop could not be persisted.
-    file.save(&stored)?;
+    // Fail now if the folder is not ours. On a full disk the robot can be stopped and watched; it grants no lease before there is room.
+    let unsaved = match file.save(&stored) {
+        Ok(()) => None,
+        Err(error) if error.may_pass() => Some(stored.clone()),
+        Err(error) => return Err(error.into()),
+    };
 
     let handoff = Arc::new(Handoff::default());
     let mut intake = JoinSet::new();
-    hear(&mut intake, &bus, &handoff, &topics::PLAN, &robot, |inbox| {
-        &mut inbox.plans
-    })?;
+    let trace = Arc::new(EdgeTrace::new(&robot));
+    hear_plans(&mut intake, &bus, &handoff, &robot, Arc::clone(&trace))?;
     hear(&mut intake, &bus, &handoff, &topics::HEARTBEAT, &robot, |inbox| {
         &mut inbox.heartbeats
     })?;
@@ -112,19 +125,27 @@ pub async fn run(bus: Bus, config: ServiceConfig, body: Box<dyn Body>, shutdown:
         &mut inbox.intents
     })?;
     for server in bus.serve_part(&[&robot])? {
-        intake.spawn(serve(server, Arc::clone(&handoff)));
+        intake.spawn(serve(bus.clone(), server, Arc::clone(&handoff)));
     }
 
+    bus.serve_log_at(&topics::EDGE_LOG, &robot)?;
+
     let mut output = JoinSet::new();
-    let publishers = Publishers::new(&bus, &robot, &config.edge.model, config.gives_the_time)?;
-    output.spawn(publish(publishers, Arc::clone(&handoff)));
-    output.spawn(persist_then_reply(file, Arc::clone(&handoff)));
+    let publishers = Publishers::new(&bus, &robot, &config.edge.model, config.gives_the_time, trace)?;
+    output.spawn(publish(
+        publishers,
+        Arc::clone(&handoff),
+        Arc::clone(&metrics),
+        readings,
+    ));
+    output.spawn(persist_then_reply(file, Arc::clone(&handoff), unsaved, metrics));
     let alive = bus.declare_alive(topics::alive_key(topics::ALIVE_COMPONENT, &[&robot, "edge"]))?;
 
     let halt = Arc::new(AtomicBool::new(false));
     let pace = (config.edge.tick, config.speed);
     let pilot = Pilot::new(config.edge, new_boot_id(), stored);
-    let ended = spawn_control(body, pilot, Arc::clone(&handoff), pace, Arc::clone(&halt))?;
+    let ended = spawn_control(body, pilot, Arc::clone(&handoff), pace, Arc::clone(&halt), &robot)?;
+    bus.started();
     tracing::info!(robot, "edge is up");
 
     let result = supervise(ended, &halt, &shutdown).await;
@@ -132,7 +153,7 @@ pub async fn run(bus: Bus, config: ServiceConfig, body: Box<dyn Body>, shutdown:
     drop(alive);
     intake.shutdown().await;
     handoff.close();
-    let _ = tokio::time::timeout(DRAIN, async { while output.join_next().await.is_some() {} }).await;
+    let _ = timeout(DRAIN, async { while output.join_next().await.is_some() {} }).await;
     result
 }
 
@@ -151,10 +172,12 @@ fn spawn_control(
     handoff: Arc<Handoff>,
     pace: (f64, f64),
     halt: Arc<AtomicBool>,
+    robot: &str,
 ) -> Result<oneshot::Receiver<()>, EdgeError> {
     let (done, ended) = oneshot::channel();
+    let metrics = ControlMetrics::new(robot);
     let control = move || {
-        control::run(body, pilot, &handoff, pace, &halt);
+        control::run(body, pilot, &handoff, pace, &halt, &metrics);
         let _ = done.send(());
     };
     std::thread::Builder::new()
@@ -189,10 +212,33 @@ fn hear<T: DeserializeOwned + Send + 'static>(
     Ok(())
 }
 
+/// As [`hear`], for plans, which may carry the trace of a scan.
+fn hear_plans(
+    tasks: &mut JoinSet<()>,
+    bus: &Bus,
+    handoff: &Arc<Handoff>,
+    robot: &str,
+    trace: Arc<EdgeTrace>,
+) -> Result<(), BusError> {
+    let mut subscription = bus.subscribe(&topics::PLAN, &[robot], QUEUE)?;
+    let handoff = Arc::clone(handoff);
+    tasks.spawn(async move {
+        while let Some(received) = subscription.next().await {
+            trace.plan(&received.message, received.trace);
+            handoff.put(received.message, |inbox| &mut inbox.plans);
+        }
+    });
+    Ok(())
+}
+
 /// Carries the requests of one ask to the pilot, and its replies back, one at a time.
-async fn serve(mut server: PartServer<EdgeRequest>, handoff: Arc<Handoff>) {
+async fn serve(bus: Bus, mut server: PartServer<EdgeRequest>, handoff: Arc<Handoff>) {
     while let Some(Call { request, responder }) = server.next().await {
-        responder.send(handoff.ask(request).await);
+        let mut reply = handoff.ask(request).await;
+        if let Ok(EdgeReply::Info(info)) = &mut reply {
+            info.process = Some(bus.process_info());
+        }
+        responder.send(reply);
     }
 }
 
@@ -212,6 +258,7 @@ struct Publishers {
     intent: Publisher<Intent>,
     marker: Publisher<Marker>,
     clock: Option<Publisher<SimClock>>,
+    trace: Arc<EdgeTrace>,
 }
 
 macro_rules! kind_publishers {
@@ -238,7 +285,13 @@ macro_rules! kind_publishers {
 zenav_protocol::sensor_kinds!(kind_publishers []);
 
 impl Publishers {
-    fn new(bus: &Bus, robot: &str, model: &RobotModel, gives_the_time: bool) -> Result<Self, BusError> {
+    fn new(
+        bus: &Bus,
+        robot: &str,
+        model: &RobotModel,
+        gives_the_time: bool,
+        trace: Arc<EdgeTrace>,
+    ) -> Result<Self, BusError> {
         let lidars = model.all_lidars().enumerate();
         let scans = lidars.map(|(index, (lidar, _))| {
             let publisher = match index {
@@ -249,6 +302,7 @@ impl Publishers {
         });
         let robot = &[robot];
         Ok(Self {
+            trace,
             scans: scans.collect::<Result<_, BusError>>()?,
             odometry: bus.publisher(&topics::ODOMETRY, robot)?,
             imu: bus.publisher(&topics::IMU, robot)?,
@@ -275,7 +329,7 @@ impl Publishers {
             match publication {
                 Publication::Scan(lidar, message) => {
                     if let Some(publisher) = self.scans.get(lidar) {
-                        publisher.put(message);
+                        publisher.put_in(self.trace.scan(message), message);
                     }
                 }
                 Publication::Odometry(message) => self.odometry.put(message),
@@ -285,7 +339,10 @@ impl Publishers {
                 Publication::Battery(message) => self.battery.put(message),
                 Publication::Pose(message) => self.pose.put(message),
                 Publication::State(message) => self.state.put(message),
-                Publication::Event(message) => self.event.put(message),
+                Publication::Event(message) => {
+                    self.trace.event(&message.kind);
+                    self.event.put(message);
+                }
                 Publication::Obstacles(message) => self.obstacles.put(message),
                 Publication::Intent(message) => self.intent.put(message),
                 Publication::Marker(message) => self.marker.put(message),
@@ -294,37 +351,73 @@ impl Publishers {
     }
 }
 
-async fn publish(publishers: Publishers, handoff: Arc<Handoff>) {
-    while let Some(bundle) = handoff.bundle().await {
+async fn publish(publishers: Publishers, handoff: Arc<Handoff>, metrics: Arc<RobotMetrics>, readings: Condition) {
+    loop {
+        let bundle = match timeout(SILENCE, handoff.bundle()).await {
+            Ok(Some(bundle)) => bundle,
+            Ok(None) => return,
+            Err(_) => {
+                readings.unmet();
+                continue;
+            }
+        };
+        readings.met();
+        for publication in &bundle.publications {
+            match publication {
+                Publication::State(state) => metrics.state(state),
+                Publication::Event(event) => metrics.event(&event.kind),
+                _ => {}
+            }
+        }
         publishers.put(&bundle);
     }
 }
 
-/// Persists, then replies: nobody learns of an epoch or a latch that a power cut could take back.
-async fn persist_then_reply(file: StateFile, handoff: Arc<Handoff>) {
-    let mut unsaved = None;
-    while let Some(reply) = handoff.next_reply().await {
+/// Persists, then replies: nobody learns of an epoch that a power cut could take back. What cannot be stored (`unsaved`) is tried again until
+/// it can; the robot says so meanwhile.
+async fn persist_then_reply(
+    file: StateFile,
+    handoff: Arc<Handoff>,
+    mut unsaved: Option<Persisted>,
+    metrics: Arc<RobotMetrics>,
+) {
+    let mut said: Option<String> = None;
+    loop {
+        let next = handoff.next_reply();
+        let next = match &unsaved {
+            None => next.await,
+            Some(_) => match tokio::time::timeout(SAVE_AGAIN, next).await {
+                Ok(next) => next,
+                Err(_) => Some(PersistThenReply::default()),
+            },
+        };
+        let Some(reply) = next else { return };
         unsaved = reply.persist.clone().or(unsaved);
         let failure = match &unsaved {
             None => None,
-            Some(state) => match save(file.clone(), state.clone()).await {
-                Ok(()) => {
-                    unsaved = None;
-                    None
-                }
-                Err(reason) => {
-                    tracing::error!(reason, "done, but not persisted");
-                    Some(Refusal::Internal {
-                        reason: format!("done, but not persisted: {reason}"),
-                    })
-                }
-            },
+            Some(state) => save(file.clone(), state.clone()).await.err(),
         };
-        reply.send(failure.as_ref());
+        if failure.is_some() {
+            metrics.unsaved.inc();
+        }
+        if failure != said {
+            match &failure {
+                Some(reason) => tracing::error!(reason, "the newest epoch and stop are not stored; trying again"),
+                None => tracing::info!("the newest epoch and stop are stored"),
+            }
+            handoff.set_not_stored(failure.clone());
+            said.clone_from(&failure);
+        }
+        if failure.is_none() {
+            unsaved = None;
+        }
+        let refusal =
+            failure.map(|reason| Refusal::internal(format!("no lease, for its epoch cannot be stored: {reason}")));
+        reply.send(refusal.as_ref());
     }
 }
 
-fn save(file: StateFile, state: crate::control_io::Persisted) -> impl Future<Output = Result<(), String>> {
+fn save(file: StateFile, state: Persisted) -> impl Future<Output = Result<(), String>> {
     let saved = tokio::task::spawn_blocking(move || file.save(&state).map_err(|error| error.to_string()));
     async { saved.await.unwrap_or_else(|error| Err(error.to_string())) }
 }

@@ -11,6 +11,8 @@ use crate::blind_spot_grid::SIDE;
 zenav_protocol::settings! {
     /// All tunables of an edge.
     pub struct EdgeSettings {
+        /// The body's readings.
+        pub body: BodySettings;
         /// Lease and link.
         pub lease: LeaseSettings;
         /// Which plans are accepted.
@@ -56,6 +58,14 @@ zenav_protocol::settings! {
 }
 
 zenav_protocol::settings! {
+    /// The body's readings.
+    pub struct BodySettings {
+        /// Longest step of a body's stamps, on the bus, that is believed at once; a longer one when several readings in a row go on from there.
+        pub longest_step: f64 = 1.0, "s", 0.05..=60.0;
+    }
+}
+
+zenav_protocol::settings! {
     /// Lease and link.
     pub struct LeaseSettings {
         /// Time to live of a lease without a heartbeat (contract: 1 s, ten heartbeats).
@@ -76,6 +86,8 @@ zenav_protocol::settings! {
     pub struct AcceptanceSettings {
         /// Longest validity that a plan may claim; a longer one is cut.
         pub max_validity: f64 = 60.0, "s", 0.5..=3600.0;
+        /// Longest step of a writer's counter, and of its incarnation, from one accepted plan of a lease to the next (a plan a second for 11 days).
+        pub longest_step: u64 = 1_000_000, "", 1..=1_000_000_000;
         /// Largest distance between where a trajectory starts and where the robot will be.
         pub start_distance: f64 = 0.25, "m", 0.01..=2.0;
         /// Largest heading difference at the start.

@@ -4,9 +4,10 @@
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
+use zenav_protocol::geometry::Pose2;
 use zenav_protocol::readings::Readings;
 use zenav_protocol::time::Stamp;
-use zenav_sim::{Simulation, Truth};
+use zenav_sim::{SimError, Simulation, Truth};
 
 use crate::body::{Body, BodyError};
 
@@ -155,6 +156,14 @@ impl Referee {
         self.shared.lock().simulation.truth(self.robot)
     }
 
+    /// Carries the robot to another place.
+    ///
+    /// # Errors
+    /// Where it does not fit there.
+    pub fn carry(&self, to: Pose2) -> Result<(), SimError> {
+        self.shared.lock().simulation.carry(self.robot, to)
+    }
+
     /// Simulated time.
     #[must_use]
     pub fn now(&self) -> Stamp {
@@ -165,7 +174,6 @@ impl Referee {
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
-    use zenav_protocol::geometry::Pose2;
     use zenav_protocol::id::Id;
     use zenav_sim::{RobotSpec, World};
 

@@ -1,10 +1,12 @@
 //! State file. What outlives a restart of the edge? The last epoch, the stop latch and which store leads, in one small file that is replaced
 //! atomically: write beside it, fsync, rename, fsync the folder. A lock file beside it keeps a second edge out.
+//!
+//! On a disk that is full or read-only the file is opened all the same: a robot that cannot store anything can still be watched and stopped.
 
 use std::fs::{self, File, TryLockError};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use thiserror::Error;
 use zenav_protocol::id::Id;
@@ -15,8 +17,9 @@ use crate::control_io::Persisted;
 #[derive(Clone, Debug)]
 pub struct StateFile {
     path: PathBuf,
-    /// Locked while the state is in use.
-    _lock: Arc<File>,
+    lock_path: PathBuf,
+    /// Locked while the state is in use; `None` as long as the disk has no room for it.
+    lock: Arc<Mutex<Option<File>>>,
 }
 
 /// Why the state could not be read or written. A robot whose epochs and stop latch are unknown must not start.
@@ -46,31 +49,64 @@ pub enum StateError {
     },
 }
 
+impl StateError {
+    /// Whether it is the disk that has no room, or takes nothing: it may by and by.
+    #[must_use]
+    pub fn may_pass(&self) -> bool {
+        matches!(self, Self::Io { source, .. } if has_no_room(source))
+    }
+}
+
+fn has_no_room(error: &io::Error) -> bool {
+    use io::ErrorKind::{FileTooLarge, QuotaExceeded, ReadOnlyFilesystem, StorageFull};
+    matches!(
+        error.kind(),
+        StorageFull | ReadOnlyFilesystem | QuotaExceeded | FileTooLarge
+    )
+}
+
 impl StateFile {
-    /// The file of a robot in a folder, which is made if need be.
+    /// The file of a robot in a folder, which is made if need be, and if the disk has room.
     ///
     /// # Errors
     /// [`StateError::Io`] when the folder cannot be made; [`StateError::Locked`] while another edge has it.
     pub fn open(folder: &Path, robot: &Id) -> Result<Self, StateError> {
-        fs::create_dir_all(folder).map_err(|source| StateError::Io {
-            path: folder.to_owned(),
+        let file = Self {
+            path: folder.join(format!("edge-{robot}.json")),
+            lock_path: folder.join(format!("edge-{robot}.lock")),
+            lock: Arc::default(),
+        };
+        match file.claim() {
+            Err(error) if !error.may_pass() => Err(error),
+            _ => Ok(file),
+        }
+    }
+
+    /// Locks the state for this edge, unless it has it.
+    fn claim(&self) -> Result<(), StateError> {
+        let mut held = self.lock.lock().unwrap_or_else(PoisonError::into_inner);
+        if held.is_some() {
+            return Ok(());
+        }
+        let path = self.lock_path.clone();
+        let made = match path.parent() {
+            Some(folder) => fs::create_dir_all(folder),
+            None => Ok(()),
+        };
+        // One that is there can be locked on a read-only disk, too.
+        let opened = made
+            .and_then(|()| File::create(&path))
+            .or_else(|error| File::open(&path).map_err(|_| error));
+        let file = opened.map_err(|source| StateError::Io {
+            path: path.clone(),
             source,
         })?;
-        let path = folder.join(format!("edge-{robot}.lock"));
-        let locked = File::create(&path).and_then(|file| match file.try_lock() {
-            Ok(()) => Ok(Some(file)),
-            Err(TryLockError::WouldBlock) => Ok(None),
-            Err(TryLockError::Error(error)) => Err(error),
-        });
-        let lock = match locked {
-            Ok(Some(file)) => Arc::new(file),
-            Ok(None) => return Err(StateError::Locked { path }),
-            Err(source) => return Err(StateError::Io { path, source }),
-        };
-        Ok(Self {
-            path: folder.join(format!("edge-{robot}.json")),
-            _lock: lock,
-        })
+        match file.try_lock() {
+            Ok(()) => *held = Some(file),
+            Err(TryLockError::WouldBlock) => return Err(StateError::Locked { path }),
+            Err(TryLockError::Error(source)) => return Err(StateError::Io { path, source }),
+        }
+        Ok(())
     }
 
     /// The persisted state; the default when there is no file yet.
@@ -94,12 +130,13 @@ impl StateFile {
     /// Persists durably: after a return without an error no power cut loses it.
     ///
     /// # Errors
-    /// [`StateError::Io`]; what was stored before is still there.
+    /// [`StateError::Io`], and [`StateError::Locked`] where another edge came first; what was stored before is still there.
     pub fn save(&self, state: &Persisted) -> Result<(), StateError> {
         let io = |source| StateError::Io {
             path: self.path.clone(),
             source,
         };
+        self.claim()?;
         let bytes = serde_json::to_vec(state).map_err(|source| StateError::Malformed {
             path: self.path.clone(),
             source,

@@ -51,8 +51,8 @@ impl Telemetry {
         }
     }
 
-    /// The messages of sensors and estimator of one tick.
-    pub fn sensors(&mut self, readings: &Readings, estimator: &Estimator, out: &mut Vec<Publication>) {
+    /// The messages of sensors and estimator of one tick, the pose in a `frame` of the map.
+    pub fn sensors(&mut self, readings: &Readings, estimator: &Estimator, frame: u64, out: &mut Vec<Publication>) {
         let now = readings.stamp;
         let velocity: Twist2 = estimator.velocity();
         out.push(Publication::Odometry(Odometry {
@@ -66,6 +66,7 @@ impl Telemetry {
             map_from_base: estimator.map_from_base(),
             covariance: estimator.covariance(),
             velocity,
+            frame,
         }));
         out.extend(readings.imu.clone().map(Publication::Imu));
         out.extend(readings.of_kinds().into_iter().map(Publication::Sensor));

@@ -49,7 +49,7 @@ impl Edge {
             connect: Vec::new(),
             listen: vec!["tcp/127.0.0.1:0".into()],
             name: "edge".into(),
-            retry: true,
+            ..BusConfig::default()
         };
         let bus = Bus::open(listen).await.unwrap();
         let endpoint = bus

@@ -19,6 +19,7 @@
 //! | [`readings`] | sensor readings that a body hands to its edge |
 //! | [`messages`] | everything that crosses the wire |
 //! | [`topics`] | the key table: key, message, quality of service, producer |
+//! | [`member`], [`access`] | who takes part in a fleet, and which keys each may use |
 //! | [`codec`] | JSON and CBOR |
 //! | [`lease`] | lease arbiter: who may command a robot |
 //! | [`map_replica`], [`padding`] | a copy of a map on another machine |
@@ -29,6 +30,7 @@
 // `settings!` names this crate by its name, in here too.
 extern crate self as zenav_protocol;
 
+pub mod access;
 #[cfg(feature = "bus")]
 pub mod bus;
 pub mod codec;
@@ -41,6 +43,7 @@ pub mod grid;
 pub mod id;
 pub mod lease;
 pub mod map_replica;
+pub mod member;
 pub mod messages;
 pub mod padding;
 pub mod polygon;

@@ -2,8 +2,8 @@
 //!
 //! `zenav/{robot}/{side}/{name}`: the third chunk says who may write or serve, so one access rule covers a side.
 //!
-//! A new ask is one row here: key, request, reply, server, size and carrier. A part that serves several asks has them as one type
-//! ([`EdgeRequest`], [`MissionRequest`]): the row adds a variant, the bus serves it, and the part does not compile until its core
+//! A new ask is one row here: key, request, reply, server, who may ask, size and carrier. A part that serves several asks has them as one
+//! type ([`EdgeRequest`], [`MissionRequest`]): the row adds a variant, the bus serves it, and the part does not compile until its core
 //! answers it.
 
 use std::fmt::Debug;
@@ -17,10 +17,10 @@ use crate::messages::{
     AnnotateRequest, Annotations, AttachReply, AttachRequest, Battery, BehaviourReply, BehaviourRequest, Bump,
     CancelRequest, Correction, EdgeState, Event, GoalReply, GoalRequest, GoalState, GoalsReply, GoalsRequest,
     Heartbeat, Imu, InfoReply, InfoRequest, Intent, JoinReply, JoinRequest, JournalEntry, JournalReply, LeaseReply,
-    LeaseRequest, Localisation, LocaliseReply, LocaliseRequest, MapInfo, MapPatch, MapReply, MapRequest, Marker,
-    MissionStatus, ModeReply, ModeRequest, MotionReply, MotionRequest, Obstacles, Odometry, ParamReply, ParamRequest,
-    PauseRequest, Plan, PoseEstimate, RemoteReply, RemoteRequest, ResumeRequest, Scan, SearchTree, SimClock, StopReply,
-    StopRequest, Teleop, WheelSpeeds,
+    LeaseRequest, Localisation, LocaliseReply, LocaliseRequest, LogReply, LogRequest, MapFrame, MapInfo, MapPatch,
+    MapReply, MapRequest, Marker, MissionStatus, ModeReply, ModeRequest, MotionReply, MotionRequest, MoveGoalRequest,
+    Obstacles, Odometry, ParamReply, ParamRequest, PauseRequest, Plan, PoseEstimate, RemoteReply, RemoteRequest,
+    ResumeRequest, Scan, SearchTree, SimClock, StopReply, StopRequest, Teleop, WheelSpeeds,
 };
 use crate::readings::Readings;
 
@@ -51,12 +51,29 @@ pub enum Producer {
     Motion,
     /// The mission that holds the robot's lease, nobody else.
     Mission,
+    /// Who holds the robot's lease: a mission or an operator.
+    Holder,
     /// Whoever operates by hand.
     Operator,
     /// The simulator.
     Sim,
+    /// Any part off board: what every one of them serves.
+    Part,
     /// What carries the robot's sensors and motors, where that is another process than its edge.
     Body,
+}
+
+/// Who may ask, where access is controlled.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Asker {
+    /// Everybody but robots: the ask changes nothing.
+    Viewer,
+    /// Whoever commands, an operator or a service: the ask changes something, or can.
+    Operator,
+    /// The services among themselves.
+    Service,
+    /// A robot, of the world in which its body is simulated.
+    Robot,
 }
 
 /// A key that carries `T`. `{robot}`, `{id}` and `{worker}` in the pattern are filled by [`Topic::key`].
@@ -225,6 +242,8 @@ pub struct Row {
     pub producer: Producer,
     /// How a topic is carried; `None` for an ask.
     pub qos: Option<Qos>,
+    /// Who may ask; `None` for a topic.
+    pub asked_by: Option<Asker>,
     /// Largest payload looked at, bytes.
     pub max_bytes: usize,
 }
@@ -255,9 +274,9 @@ macro_rules! key_table {
     };
     (topics { $($topic:ident: $message:ty = $pattern:literal, $producer:ident, $qos:expr, $max:expr $(, $encoding:ident)?;)* }
      $(part $server:ident, $Request:ident => $Reply:ident {
-        $($part_ask:ident, $variant:ident: $part_request:ty => $part_reply:ty = $part_pattern:literal, $part_max:expr $(, $part_encoding:ident)?;)*
+        $($part_ask:ident, $variant:ident: $part_request:ty => $part_reply:ty = $part_pattern:literal, $part_asker:ident, $part_max:expr $(, $part_encoding:ident)?;)*
      })*
-     asks { $($ask:ident: $request:ty => $reply:ty = $ask_pattern:literal, $ask_server:ident, $ask_max:expr $(, $reply_encoding:ident)?;)* }) => {
+     asks { $($ask:ident: $request:ty => $reply:ty = $ask_pattern:literal, $ask_server:ident, $asker:ident, $ask_max:expr $(, $reply_encoding:ident)?;)* }) => {
         $(
             #[doc = concat!("`", $pattern, "`: ", stringify!($message), ", written by ", stringify!($producer), ".")]
             pub const $topic: Topic<$message> = Topic { pattern: $pattern, qos: $qos, max_bytes: $max, encoding: encoding!($($encoding)?), message: PhantomData };
@@ -308,9 +327,9 @@ macro_rules! key_table {
 
         /// Every topic and ask, in the order of the data way.
         pub const TABLE: &[Row] = &[
-            $(Row { pattern: $pattern, message: stringify!($message), producer: Producer::$producer, qos: Some($qos), max_bytes: $max },)*
-            $($(Row { pattern: $part_pattern, message: concat!(stringify!($part_request), " -> ", stringify!($part_reply)), producer: Producer::$server, qos: None, max_bytes: $part_max },)*)*
-            $(Row { pattern: $ask_pattern, message: concat!(stringify!($request), " -> ", stringify!($reply)), producer: Producer::$ask_server, qos: None, max_bytes: $ask_max },)*
+            $(Row { pattern: $pattern, message: stringify!($message), producer: Producer::$producer, qos: Some($qos), asked_by: None, max_bytes: $max },)*
+            $($(Row { pattern: $part_pattern, message: concat!(stringify!($part_request), " -> ", stringify!($part_reply)), producer: Producer::$server, qos: None, asked_by: Some(Asker::$part_asker), max_bytes: $part_max },)*)*
+            $(Row { pattern: $ask_pattern, message: concat!(stringify!($request), " -> ", stringify!($reply)), producer: Producer::$ask_server, qos: None, asked_by: Some(Asker::$asker), max_bytes: $ask_max },)*
         ];
     };
 }
@@ -342,10 +361,11 @@ crate::sensor_kinds!(key_table [
         MARKER: Marker = "zenav/{robot}/edge/marker", Edge, Qos::Latest, 64 * KIB;
         MAP_INFO: MapInfo = "zenav/{robot}/cloud/map", Mapping, Qos::State, 16 * KIB;
         MAP_PATCH: MapPatch = "zenav/{robot}/cloud/map_patch", Mapping, Qos::Events { cache: 64 }, 64 * MIB, Cbor;
+        MAP_FRAME: MapFrame = "zenav/{robot}/cloud/frame", Mapping, Qos::State, MIB;
         ANNOTATIONS: Annotations = "zenav/{robot}/cloud/annotations", Mapping, Qos::State, 4 * MIB;
         CORRECTION: Correction = "zenav/{robot}/cloud/correction", Mapping, Qos::Latest, 4 * KIB;
         LOCALISATION: Localisation = "zenav/{robot}/cloud/localisation", Mapping, Qos::State, 16 * KIB;
-        HEARTBEAT: Heartbeat = "zenav/{robot}/cloud/heartbeat", Mission, Qos::RealTime, 4 * KIB;
+        HEARTBEAT: Heartbeat = "zenav/{robot}/cloud/heartbeat", Holder, Qos::RealTime, 4 * KIB;
         PLAN: Plan = "zenav/{robot}/cloud/plan", Mission, Qos::State, 4 * MIB;
         TREE: SearchTree = "zenav/{robot}/cloud/tree", Motion, Qos::Latest, 4 * MIB;
         MISSION: MissionStatus = "zenav/{robot}/cloud/mission", Mission, Qos::State, 4 * MIB;
@@ -354,29 +374,33 @@ crate::sensor_kinds!(key_table [
         SIM_CLOCK: SimClock = "zenav/sim/clock", Sim, Qos::Latest, KIB;
     }
     part Edge, EdgeRequest => EdgeReply {
-        LEASE, Lease: LeaseRequest => LeaseReply = "zenav/{robot}/ask/edge/lease", 16 * KIB;
-        STOP, Stop: StopRequest => StopReply = "zenav/{robot}/ask/edge/stop", 16 * KIB;
-        RESUME, Resume: ResumeRequest => StopReply = "zenav/{robot}/ask/edge/resume", 16 * KIB;
-        MODE, Mode: ModeRequest => ModeReply = "zenav/{robot}/ask/edge/mode", 16 * KIB;
-        PARAM, Param: ParamRequest => ParamReply = "zenav/{robot}/ask/edge/param", 16 * KIB;
-        BEHAVIOUR, Behaviour: BehaviourRequest => BehaviourReply = "zenav/{robot}/ask/edge/behaviour", 16 * KIB;
-        EDGE_INFO, Info: InfoRequest => InfoReply = "zenav/{robot}/ask/edge/info", 4 * KIB;
+        LEASE, Lease: LeaseRequest => LeaseReply = "zenav/{robot}/ask/edge/lease", Operator, 16 * KIB;
+        STOP, Stop: StopRequest => StopReply = "zenav/{robot}/ask/edge/stop", Operator, 16 * KIB;
+        RESUME, Resume: ResumeRequest => StopReply = "zenav/{robot}/ask/edge/resume", Operator, 16 * KIB;
+        MODE, Mode: ModeRequest => ModeReply = "zenav/{robot}/ask/edge/mode", Operator, 16 * KIB;
+        PARAM, Param: ParamRequest => ParamReply = "zenav/{robot}/ask/edge/param", Operator, 16 * KIB;
+        BEHAVIOUR, Behaviour: BehaviourRequest => BehaviourReply = "zenav/{robot}/ask/edge/behaviour", Operator, 16 * KIB;
+        EDGE_INFO, Info: InfoRequest => InfoReply = "zenav/{robot}/ask/edge/info", Viewer, 4 * KIB;
     }
     part Mission, MissionRequest => MissionReply {
-        GOAL, Goal: GoalRequest => GoalReply = "zenav/{robot}/ask/cloud/goal", MIB;
-        CANCEL, Cancel: CancelRequest => GoalReply = "zenav/{robot}/ask/cloud/cancel", 16 * KIB;
-        PAUSE, Pause: PauseRequest => GoalReply = "zenav/{robot}/ask/cloud/pause", 16 * KIB;
-        GOALS, Goals: GoalsRequest => GoalsReply = "zenav/{robot}/ask/cloud/goals", 16 * KIB;
-        CLOUD_INFO, Info: InfoRequest => InfoReply = "zenav/{robot}/ask/cloud/info", 4 * KIB;
-        JOIN, Join: JoinRequest => JoinReply = "zenav/{robot}/ask/cloud/join", 4 * MIB;
+        GOAL, Goal: GoalRequest => GoalReply = "zenav/{robot}/ask/cloud/goal", Operator, MIB;
+        CANCEL, Cancel: CancelRequest => GoalReply = "zenav/{robot}/ask/cloud/cancel", Operator, 16 * KIB;
+        PAUSE, Pause: PauseRequest => GoalReply = "zenav/{robot}/ask/cloud/pause", Operator, 16 * KIB;
+        MOVE_GOAL, MoveGoal: MoveGoalRequest => GoalReply = "zenav/{robot}/ask/cloud/move_goal", Operator, 16 * KIB;
+        GOALS, Goals: GoalsRequest => GoalsReply = "zenav/{robot}/ask/cloud/goals", Viewer, 16 * KIB;
+        CLOUD_INFO, Info: InfoRequest => InfoReply = "zenav/{robot}/ask/cloud/info", Viewer, 4 * KIB;
+        JOIN, Join: JoinRequest => JoinReply = "zenav/{robot}/ask/cloud/join", Service, 4 * MIB;
     }
     asks {
-        JOURNAL: JournalEntry => JournalReply = "zenav/{robot}/ask/cloud/journal/{store}", Mission, 16 * MIB;
-        MAP: MapRequest => MapReply = "zenav/{robot}/ask/cloud/map", Mapping, 64 * MIB, Cbor;
-        LOCALISE: LocaliseRequest => LocaliseReply = "zenav/{robot}/ask/cloud/localise", Mapping, 4 * KIB;
-        ANNOTATE: AnnotateRequest => Annotations = "zenav/{robot}/ask/cloud/annotate", Mapping, MIB;
-        MOTION_SERVICE: MotionRequest => MotionReply = "zenav/svc/motion/{worker}", Motion, 4 * MIB;
-        ATTACH: AttachRequest => AttachReply = "zenav/sim/attach", Sim, 64 * KIB;
+        JOURNAL: JournalEntry => JournalReply = "zenav/{robot}/ask/cloud/journal/{store}", Mission, Service, 16 * MIB;
+        MAP: MapRequest => MapReply = "zenav/{robot}/ask/cloud/map", Mapping, Operator, 64 * MIB, Cbor;
+        LOCALISE: LocaliseRequest => LocaliseReply = "zenav/{robot}/ask/cloud/localise", Mapping, Operator, 4 * KIB;
+        ANNOTATE: AnnotateRequest => Annotations = "zenav/{robot}/ask/cloud/annotate", Mapping, Operator, MIB;
+        MOTION_SERVICE: MotionRequest => MotionReply = "zenav/svc/motion/{worker}", Motion, Service, 4 * MIB;
+        EDGE_LOG: LogRequest => LogReply = "zenav/{robot}/ask/edge/log", Edge, Operator, 4 * KIB;
+        PART_LOG: LogRequest => LogReply = "zenav/svc/log/{part}", Part, Operator, 4 * KIB;
+        PART_INFO: InfoRequest => InfoReply = "zenav/svc/info/{part}", Part, Viewer, 4 * KIB;
+        ATTACH: AttachRequest => AttachReply = "zenav/sim/attach", Sim, Robot, 64 * KIB;
     }
 ]);
 
@@ -421,7 +445,12 @@ pub fn table_markdown() -> String {
             Some(Qos::RealTime) => "plain, real-time priority, drop".to_owned(),
             Some(Qos::Events { cache }) => format!("advanced, {cache} kept, gaps recovered"),
             Some(Qos::State) => "advanced, last value kept".to_owned(),
-            None => "ask".to_owned(),
+            None => match row.asked_by {
+                Some(Asker::Viewer) | None => "ask, by everybody".to_owned(),
+                Some(Asker::Operator) => "ask, by operators and services".to_owned(),
+                Some(Asker::Service) => "ask, by services".to_owned(),
+                Some(Asker::Robot) => "ask, by robots".to_owned(),
+            },
         };
         let size = if row.max_bytes >= MIB {
             format!("{} MiB", row.max_bytes / MIB)

@@ -158,6 +158,15 @@ impl Trajectory {
         turned.collect()
     }
 
+    /// The same in another frame.
+    #[must_use]
+    pub fn moved(&self, new_from_old: Pose2) -> Self {
+        let moved = self
+            .iter()
+            .map(|point| TrajectoryPoint::new(point.t, new_from_old * point.pose(), point.twist()));
+        moved.collect()
+    }
+
     /// Its first time, s; zero without points.
     #[must_use]
     pub fn start_time(&self) -> f64 {

@@ -16,10 +16,10 @@ use zenav_protocol::messages::{
     AnnotateRequest, Annotations, AttachReply, AttachRequest, Battery, BehaviourReply, BehaviourRequest, Bump,
     CancelRequest, Correction, EdgeState, Event, GoalReply, GoalRequest, GoalState, GoalsReply, GoalsRequest,
     Heartbeat, Imu, InfoReply, InfoRequest, Intent, JoinReply, JoinRequest, JournalEntry, JournalReply, LeaseReply,
-    LeaseRequest, Localisation, LocaliseReply, LocaliseRequest, MapInfo, MapPatch, MapReply, MapRequest, Marker,
-    MissionStatus, ModeReply, ModeRequest, MotionReply, MotionRequest, Obstacles, Odometry, ParamReply, ParamRequest,
-    PauseRequest, Plan, PoseEstimate, Refusal, RemoteReply, RemoteRequest, ResumeRequest, Scan, SearchTree, SimClock,
-    StopReply, StopRequest, Teleop, Tile, WheelSpeeds,
+    LeaseRequest, Localisation, LocaliseReply, LocaliseRequest, LogReply, LogRequest, MapFrame, MapInfo, MapPatch,
+    MapReply, MapRequest, Marker, MissionStatus, ModeReply, ModeRequest, MotionReply, MotionRequest, MoveGoalRequest,
+    Obstacles, Odometry, ParamReply, ParamRequest, PauseRequest, Plan, PoseEstimate, Refusal, RemoteReply,
+    RemoteRequest, ResumeRequest, Scan, SearchTree, SimClock, StopReply, StopRequest, Teleop, Tile, WheelSpeeds,
 };
 use zenav_protocol::readings::Readings;
 use zenav_protocol::topics::TABLE;
@@ -64,6 +64,7 @@ zenav_protocol::sensor_kinds!(messages [
     Marker
     MapInfo
     MapPatch
+    MapFrame
     Correction
     Heartbeat
     Plan
@@ -76,6 +77,7 @@ zenav_protocol::sensor_kinds!(messages [
     GoalReply
     CancelRequest
     PauseRequest
+    MoveGoalRequest
     GoalsRequest
     GoalsReply
     MapRequest
@@ -85,6 +87,8 @@ zenav_protocol::sensor_kinds!(messages [
     Localisation
     LocaliseReply
     LocaliseRequest
+    LogRequest
+    LogReply
     InfoRequest
     InfoReply
     JoinRequest

@@ -161,6 +161,12 @@ impl Chassis {
         self.motors.command(&model.drive, wheels);
     }
 
+    /// Stands at another pose at once.
+    pub fn carry(&mut self, to: Pose2) {
+        self.truth.map_from_base = to;
+        (self.touching, self.bearing, self.clearance) = (false, None, 0.0);
+    }
+
     /// The truth at the end of the last tick.
     #[must_use]
     pub fn truth(&self) -> Truth {

@@ -1,10 +1,11 @@
-//! What does the typed bus cost over raw Zenoh? `cargo bench -p zenav-tests --bench bus`; the aim is a ratio of 1.15 at the median.
+//! What does the typed bus cost over raw Zenoh, and a protected link over plain TCP?
+//! `cargo bench -p zenav-tests --bench bus`; the aim is a ratio of 1.15 at the median.
 //!
 //! Not criterion's loop: the two ways take turns within one run, and the 99th percentile counts. Under `cargo test` a short run
 //! shows that it works.
 
 use zenav_fixtures::Row;
-use zenav_protocol::bus::overhead;
+use zenav_protocol::bus::{Security, overhead};
 
 #[tokio::main(flavor = "multi_thread")]
 #[allow(clippy::print_stdout, reason = "a bench prints its numbers")]
@@ -15,13 +16,19 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
         20
     };
     println!(
-        "{:26} {:>6} {:>7} {:>10} {:>10} {:>6} {:>10} {:>10} {:>6}",
-        "", "bytes", "samples", "typed p50", "raw p50", "ratio", "typed p99", "raw p99", "ratio"
+        "{:26} {:4} {:>6} {:>7} {:>10} {:>10} {:>6} {:>10} {:>10} {:>6}",
+        "", "over", "bytes", "samples", "typed p50", "raw p50", "ratio", "typed p99", "raw p99", "ratio"
     );
-    for row in overhead::measure(samples).await? {
+    let folder = tempfile::tempdir()?;
+    let identity = zenav::keys::make(&folder.path().join("fleet"), "router.bench")?;
+    let mtls = Security::of(Some(&identity), false)?;
+    let mut rows = overhead::measure(samples, &Security::Loopback).await?;
+    rows.extend(overhead::measure(samples, &mtls).await?);
+    for row in rows {
         println!(
-            "{:26} {:>6} {:>7} {:>7.1} us {:>7.1} us {:>6.3} {:>7.0} us {:>7.0} us {:>6.3}",
+            "{:26} {:4} {:>6} {:>7} {:>7.1} us {:>7.1} us {:>6.3} {:>7.0} us {:>7.0} us {:>6.3}",
             row.what,
+            row.over,
             row.bytes,
             row.samples,
             row.typed.p50_us,
@@ -32,7 +39,10 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
             row.ratio_p99
         );
         Row::new(
-            format!("{} of {} bytes, p50", row.what, row.bytes),
+            match row.over {
+                "TCP" => format!("{} of {} bytes, p50", row.what, row.bytes),
+                over => format!("{} of {} bytes over {over}, p50", row.what, row.bytes),
+            },
             row.typed.p50_us,
             "us",
         )

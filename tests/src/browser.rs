@@ -102,6 +102,15 @@ impl Browser {
         self.call("POST", "/execute/sync", &json!({ "script": script, "args": [] }))
     }
 
+    /// As [`Self::script`], for one that waits: it returns what it calls its last argument with.
+    ///
+    /// # Panics
+    /// When it throws, or does not call it.
+    #[must_use]
+    pub fn script_async(&self, script: &str) -> Value {
+        self.call("POST", "/execute/async", &json!({ "script": script, "args": [] }))
+    }
+
     /// Waits until an expression of the page is true.
     ///
     /// # Panics

@@ -141,6 +141,21 @@ impl Deployment {
         ])
     }
 
+    /// `zenav cloud motion` under a worker's name.
+    #[must_use]
+    pub fn start_motion_worker(&self, worker: &str) -> Process {
+        self.start(&[
+            "cloud",
+            "motion",
+            "--connect",
+            &self.router,
+            "--data",
+            "cloud",
+            "--worker",
+            worker,
+        ])
+    }
+
     /// `zenav cloud mission` under a name, which is its folder's too.
     #[must_use]
     pub fn start_mission(&self, holder: &str) -> Process {
@@ -158,21 +173,27 @@ impl Deployment {
         ])
     }
 
-    /// `zenav cloud mission` for robots, which are part of a deployment file, on the first core alone (by `taskset`, of util-linux).
+    /// `zenav cloud mission` for robots, which are part of a deployment file, under a name, which is its folder's too; `is_pinned`: on the first
+    /// core alone (by `taskset`, of util-linux).
     ///
     /// # Panics
     /// When the file cannot be written.
     #[must_use]
-    pub fn start_missions_on_one_core(&self, robots: &str) -> Process {
-        let file = self.folder().join("fleet.toml");
+    pub fn start_missions(&self, holder: &str, robots: &str, is_pinned: bool) -> Process {
+        let file = format!("{holder}.toml");
         let (world, router) = (&self.world, &self.router);
         let text = format!(
-            "[bus]\nconnect = \"{router}\"\n[simulation]\nworld = '{world}'\n[data]\ndir = \"fleet\"\n{robots}"
+            "[bus]\nconnect = \"{router}\"\n[simulation]\nworld = '{world}'\n[data]\ndir = \"{holder}\"\n{robots}"
         );
-        std::fs::write(file, text).expect("a deployment file");
-        let binary = self.binary.to_string_lossy();
-        let arguments = ["-c", "0", &binary, "cloud", "mission", "--deployment", "fleet.toml"];
-        Process::start("taskset", &arguments, self.folder())
+        std::fs::write(self.folder().join(&file), text).expect("a deployment file");
+        let arguments = ["cloud", "mission", "--holder", holder, "--deployment", &file];
+        if is_pinned {
+            let binary = self.binary.to_string_lossy();
+            let pinned = [&["-c", "0", &binary][..], &arguments].concat();
+            Process::start("taskset", &pinned, self.folder())
+        } else {
+            self.start(&arguments)
+        }
     }
 
     /// `zenav up`: everything in one process, from a deployment file.

@@ -5,6 +5,9 @@
 //! | [`browser`] | a page in headless Chromium, used as a person does |
 //! | [`process`] | real processes, started, paused and killed |
 //! | [`deployment`] | a router, a robot and a cloud, each as a process of its own |
+//! | [`http`] | one HTTP request, by hand |
+//! | [`secured`] | a fleet whose members prove who they are, each part a process of its own |
+//! | [`hosts`] | deployments of many hosts, as containers or in network namespaces |
 //! | [`observer`] | what a robot publishes, and how to wait for it |
 //! | [`acceptance`] | the long runs: many worlds, many kills |
 //! | [`usage`] | processor time and memory of a process |
@@ -12,6 +15,9 @@
 pub mod acceptance;
 pub mod browser;
 pub mod deployment;
+pub mod hosts;
+pub mod http;
 pub mod observer;
 pub mod process;
+pub mod secured;
 pub mod usage;

@@ -132,6 +132,29 @@ impl Process {
         assert!(self.is_running(), "`zenav {}` has ended", self.name);
     }
 
+    /// The first line of its log that contains a text, which may still have to come.
+    ///
+    /// # Panics
+    /// When it does not come in time, or the process ends without it.
+    #[track_caller]
+    pub fn until(&mut self, text: &str, limit: Duration) -> String {
+        let deadline = Instant::now() + limit;
+        if let Some(line) = self.seen.iter().find(|line| line.contains(text)) {
+            return line.clone();
+        }
+        while let Ok(line) = self
+            .log
+            .recv_timeout(deadline.saturating_duration_since(Instant::now()))
+        {
+            let found = line.contains(text);
+            self.seen.push(line.clone());
+            if found {
+                return line;
+            }
+        }
+        panic!("`zenav {}` does not say {text:?}", self.name);
+    }
+
     /// Its log so far.
     pub fn log(&mut self) -> String {
         self.seen.extend(self.log.try_iter());

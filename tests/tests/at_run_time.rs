@@ -3,6 +3,7 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 
+use std::io::BufRead as _;
 use std::process::Output;
 use std::time::Duration;
 
@@ -42,6 +43,41 @@ fn client(deployment: &Deployment, words: &[&str], code: i32) -> String {
 fn json(deployment: &Deployment, words: &[&str]) -> Value {
     let words = [words, &["-o", "json"]].concat();
     serde_json::from_str(&client(deployment, &words, 0)).unwrap()
+}
+
+/// What a shell offers for the last of the words that were typed.
+fn offered(words: &[&str]) -> String {
+    let output = std::process::Command::new(ZENAV)
+        .args(["--", "zenav"])
+        .args(words)
+        .env("COMPLETE", "bash")
+        .env("_CLAP_COMPLETE_INDEX", words.len().to_string())
+        .env("_CLAP_IFS", "\n")
+        .output()
+        .unwrap();
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// Runs `zenav map watch` until it draws this.
+fn watched(deployment: &Deployment, sign: &str) {
+    let mut watch = std::process::Command::new(ZENAV)
+        .args(["map", "watch", "--connect", &deployment.router])
+        .stdout(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    let lines = std::io::BufReader::new(watch.stdout.take().unwrap()).lines();
+    let mut drawn = Vec::new();
+    for line in lines.map_while(Result::ok).take(2000) {
+        drawn.push(line);
+        if drawn.last().is_some_and(|line| line.contains(sign)) {
+            break;
+        }
+    }
+    watch.kill().unwrap();
+    watch.wait().unwrap();
+    let seen = drawn.last().is_some_and(|line| line.contains(sign));
+    let last = drawn.split_off(drawn.len().saturating_sub(40));
+    assert!(seen, "no {sign} in\n{}", last.join("\n"));
 }
 
 /// Waits until a mission commands the robot.
@@ -177,6 +213,9 @@ async fn a_zone_that_is_added_bends_the_plan_that_is_driven_and_places_are_goals
 
     zenav(&["place", "add", "half_way", "6", "0"]);
     assert_eq!(zenav(&["place", "list"])["half_way"]["x"], 6.0);
+    // A shell that completes a place's name is told of both.
+    let names = offered(&["goal", "submit", "--connect", &deployment.router, "--place", ""]);
+    assert!(names.contains("half_way") && names.contains("far_end"), "{names}");
     client(&deployment, &["goal", "submit", "--place", "far_end", "--id", "far"], 0);
     robot
         .until("well on its way", LONG, |state| {
@@ -200,6 +239,7 @@ async fn a_zone_that_is_added_bends_the_plan_that_is_driven_and_places_are_goals
     ];
     assert_eq!(zenav(&wet)[0]["name"], "wet");
     client(&deployment, &["goal", "watch", "far"], 0);
+    watched(&deployment, "◆half_way");
     let plan = robot.plans().last().expect("a plan").clone();
     let entered = |x: f64, y: f64| (9.0..=10.0).contains(&x) && y < 0.2;
     let last = &plan.trajectory;

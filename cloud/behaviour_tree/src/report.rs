@@ -1,10 +1,13 @@
 //! Report. How is a tree shown? One record per node for publishing, and a drawing for a terminal.
 
 use serde::{Deserialize, Serialize};
+use serde_json::Value as Json;
 
 use super::node::NodeId;
+use super::ports::Source;
 use super::status::Status;
 use super::tree::Tree;
+use super::value::Value;
 
 /// One node as others see it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -29,6 +32,43 @@ pub struct NodeReport {
     pub starts: u32,
     /// What a leaf says about itself.
     pub feedback: String,
+}
+
+/// Longest word for a value, characters.
+const LONGEST: usize = 60;
+/// Most fields of structured data that are named.
+const FIELDS: usize = 4;
+
+/// A value in few words; a path of a thousand poses costs no more than its length.
+fn words(value: &Value) -> String {
+    let inner = |value: &Json| match value {
+        Json::Number(number) => number
+            .as_f64()
+            .map_or_else(String::new, |number| format!("{number:.2}")),
+        Json::String(text) => text.chars().take(LONGEST).collect(),
+        Json::Array(items) => format!("{} items", items.len()),
+        Json::Object(_) => "…".to_owned(),
+        other => other.to_string(),
+    };
+    let text = match value {
+        Value::Data(data) => match &**data {
+            Json::Object(fields) => {
+                let named = fields
+                    .iter()
+                    .take(FIELDS)
+                    .map(|(name, value)| format!("{name} {}", inner(value)));
+                named.collect::<Vec<_>>().join(", ")
+            }
+            other => inner(other),
+        },
+        Value::Text(text) => text.chars().take(LONGEST + 1).collect(),
+        scalar => scalar.to_string(),
+    };
+    if text.chars().count() > LONGEST {
+        text.chars().take(LONGEST - 1).chain(std::iter::once('…')).collect()
+    } else {
+        text
+    }
 }
 
 impl<C> Tree<C> {
@@ -60,6 +100,22 @@ impl<C> Tree<C> {
         (1_u16..)
             .zip(&self.states)
             .map(|(uid, state)| (uid, state.status, state.last))
+    }
+
+    /// The ports of a node and what is on them now, as `(port, words)`; a port without a value is left out.
+    ///
+    /// `uid` as in [`NodeReport`]; an unknown one has no ports. Words are short, whatever the value: structured data is told by its fields.
+    pub fn port_values(&self, uid: u16) -> impl Iterator<Item = (&str, String)> {
+        let info = usize::from(uid).checked_sub(1).and_then(|index| self.infos.get(index));
+        let ports = info.map(|info| &*info.ports).unwrap_or_default();
+        ports.iter().filter_map(move |port| {
+            let value = match &port.source {
+                Source::Unset => None,
+                Source::Literal(value) => Some(value),
+                Source::Slot(slot) => self.board.read(*slot),
+            };
+            value.map(|value| (&*port.name, words(value)))
+        })
     }
 
     /// The tree drawn with lines, a node a row: name, id, status where it has one, feedback.

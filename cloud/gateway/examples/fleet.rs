@@ -12,9 +12,10 @@ use tokio::sync::watch;
 use zenav_gateway::{
     Access, Answer, AskFailure, Client, Drive, FleetView, GatewaySettings, Hub, Operator, Update, listen, router, serve,
 };
+use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::{
-    CancelRequest, EdgeState, GoalPoint, GoalReply, GoalRequest, GoalsReply, GoalsRequest, MapReply, PauseRequest,
-    PoseEstimate, Refusal, StopReply,
+    AnnotateAction, Annotations, CancelRequest, EdgeState, GoalPoint, GoalReply, GoalRequest, GoalsReply, GoalsRequest,
+    LocaliseReply, MapReply, MoveGoalRequest, PauseRequest, PoseEstimate, Refusal, StopReply,
 };
 
 const ROBOTS: [&str; 3] = ["anna", "bert", "carl"];
@@ -56,6 +57,15 @@ impl Operator for Stops {
     }
     fn goals(&self, _: &str, _: GoalsRequest) -> Answer<GoalsReply> {
         Box::pin(std::future::ready(Ok(GoalsReply::default())))
+    }
+    fn move_goal(&self, _: &str, _: MoveGoalRequest) -> Answer<GoalReply> {
+        refused()
+    }
+    fn annotate(&self, _: &str, _: AnnotateAction) -> Answer<Annotations> {
+        refused()
+    }
+    fn set_pose(&self, _: &str, _: Pose2, _: &str) -> Answer<LocaliseReply> {
+        refused()
     }
     fn stop(&self, robot: &str, _: &str) -> Answer<StopReply> {
         self.set(robot, true)

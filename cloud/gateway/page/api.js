@@ -48,6 +48,13 @@ export const submitGoal = (robot, goal) => request("POST", `${robotPath(robot)}/
 export const cancelGoal = (robot, id) => request("DELETE", `${robotPath(robot)}/goals/${encodeURIComponent(id)}`);
 export const pauseGoal = (robot, id) => request("POST", `${robotPath(robot)}/goals/${encodeURIComponent(id)}/pause`);
 export const resumeGoal = (robot, id) => request("POST", `${robotPath(robot)}/goals/${encodeURIComponent(id)}/resume`);
+/** Moves a waiting goal before another one; without one, to the end of the queue. */
+export const moveGoal = (robot, id, before) => request("POST", `${robotPath(robot)}/goals/${encodeURIComponent(id)}/move`, { before });
+export const setPose = (robot, pose) => request("POST", `${robotPath(robot)}/pose`, pose);
+export const putPlace = (robot, name, place) => request("PUT", `${robotPath(robot)}/places/${encodeURIComponent(name)}`, place);
+export const deletePlace = (robot, name) => request("DELETE", `${robotPath(robot)}/places/${encodeURIComponent(name)}`);
+export const putZone = (robot, name, zone) => request("PUT", `${robotPath(robot)}/zones/${encodeURIComponent(name)}`, zone);
+export const deleteZone = (robot, name) => request("DELETE", `${robotPath(robot)}/zones/${encodeURIComponent(name)}`);
 export const listGoals = (robot) => request("GET", `${robotPath(robot)}/goals`);
 export const stopRobot = (robot) => request("POST", `${robotPath(robot)}/stop`, undefined, 4000);
 export const resumeRobot = (robot) => request("POST", `${robotPath(robot)}/resume`);

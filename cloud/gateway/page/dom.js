@@ -36,7 +36,7 @@ export function alarm(text) {
 }
 
 /** Asks before something is done; resolves to the text of the field, or `true`, or `null` for no. */
-export function ask({ title, text, yes, field, wanted }) {
+export function ask({ title, text, yes, field, wanted, value = "" }) {
   const dialog = $("dialog");
   setText($("dialog-title"), title);
   setText($("dialog-text"), text);
@@ -44,7 +44,7 @@ export function ask({ title, text, yes, field, wanted }) {
   const input = $("dialog-input");
   $("dialog-field").hidden = !field;
   $("dialog-field").querySelector("span").textContent = field ?? "";
-  input.value = "";
+  input.value = value;
   const check = () => { $("dialog-yes").disabled = Boolean(wanted) && input.value.trim() !== wanted; };
   input.oninput = check;
   check();

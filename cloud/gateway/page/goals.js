@@ -1,10 +1,10 @@
 // Goals. Which run, wait, and have ended, and why?
 
-import { cancelGoal, listGoals, pauseGoal, resumeGoal } from "./api.js";
+import { cancelGoal, listGoals, moveGoal, pauseGoal, resumeGoal } from "./api.js";
 import { $, degrees, duration, el, radians, setText, toast } from "./dom.js";
 import { placeOf } from "./layers.js";
+import { attempt, sendGoal } from "./send.js";
 import { store } from "./store.js";
-import { sendGoal } from "./tools.js";
 
 const SHOWN = 30;
 const SIGNS = {
@@ -28,28 +28,58 @@ function seconds(from, to) {
   return (to - from) / 1e9;
 }
 
-async function act(call, what) {
-  try {
-    await call();
-  } catch (error) {
-    toast(`${what}: ${error.message}`, "bad");
-  }
-}
-
 function outcomeOf(goal) {
   const took = goal.started && goal.ended ? `${duration(seconds(goal.started, goal.ended))}` : "";
   const plans = goal.feedback?.plans ? `${goal.feedback.plans} ${goal.feedback.plans === 1 ? "plan" : "plans"}` : "";
   return [goal.reason, goal.state === "Accepted" ? "waits" : took, plans].filter(Boolean).join(" · ");
 }
 
-function row(goal) {
+/** Goals that wait, the next one first. */
+function queue() {
+  const waiting = [...store.goals.values()].filter((goal) => goal.state === "Accepted");
+  return waiting.sort((a, b) => (a.queue ?? Infinity) - (b.queue ?? Infinity) || a.accepted - b.accepted);
+}
+
+/** Moves a waiting goal to a place in the queue, counted without it. */
+function moveTo(id, place) {
+  const others = queue().filter((goal) => goal.id !== id);
+  return attempt("Not moved", () => moveGoal(store.watched, id, others[place]?.id));
+}
+
+function control(text, name, goal, onclick, disabled = false) {
+  return el("button", { type: "button", title: name, "aria-label": `${name}: goal ${titleOf(goal)}`, onclick, disabled }, text);
+}
+
+/** Buttons of a goal that waits, in its place of so many. */
+function controls(goal, place, count) {
+  return el("span", { class: "controls" },
+    control("↑", "Earlier", goal, () => moveTo(goal.id, place - 1), place === 0),
+    control("↓", "Later", goal, () => moveTo(goal.id, place + 1), place === count - 1),
+    control("Cancel", "Cancel", goal, () => attempt("Not cancelled", () => cancelGoal(store.watched, goal.id))));
+}
+
+/** A waiting goal can be dragged onto another one: it is put before it, or after it where it comes from above. */
+function makeDraggable(item, goal, place) {
+  item.draggable = true;
+  item.addEventListener("dragstart", (event) => event.dataTransfer.setData("text/goal", goal.id));
+  item.addEventListener("dragover", (event) => {
+    if (event.dataTransfer.types.includes("text/goal")) event.preventDefault();
+  });
+  item.addEventListener("drop", (event) => {
+    event.preventDefault();
+    const id = event.dataTransfer.getData("text/goal");
+    if (id && id !== goal.id) moveTo(id, place);
+  });
+}
+
+function row(goal, place, count) {
   const [sign, kind] = SIGNS[goal.state] ?? ["", ""];
-  const cancel = goal.state === "Accepted"
-    ? el("button", { type: "button", "aria-label": `Cancel goal ${titleOf(goal)}`, onclick: () => act(() => cancelGoal(store.watched, goal.id), "Not cancelled") }, "Cancel")
-    : null;
-  return el("li", { title: goal.id },
-    el("span", { class: kind, "aria-label": goal.state, role: "img" }, sign),
-    el("span", {}, titleOf(goal), el("small", {}, outcomeOf(goal))), cancel);
+  const waits = goal.state === "Accepted";
+  const item = el("li", { title: goal.id, class: waits ? "waits" : "" },
+    el("span", { class: kind, "aria-label": waits ? `Waits, place ${place + 1}` : goal.state, role: "img" }, waits ? `${place + 1}.` : sign),
+    el("span", {}, titleOf(goal), el("small", {}, outcomeOf(goal))), waits ? controls(goal, place, count) : null);
+  if (waits) makeDraggable(item, goal, place);
+  return item;
 }
 
 /** The running goal: its card is made once, and then only changed. */
@@ -64,7 +94,7 @@ function drawActive(goal) {
     card = el("div", { class: "card", "data-id": goal.id },
       el("h3", {}, el("span"), el("small", { class: "soft-text" })), el("p"), el("progress", { max: 1, "aria-label": "Progress" }),
       el("div", { class: "row" },
-        el("button", { type: "button", class: "pause" }), el("button", { type: "button", onclick: () => act(() => cancelGoal(store.watched, goal.id), "Not cancelled") }, "Cancel goal")));
+        el("button", { type: "button", class: "pause" }), el("button", { type: "button", onclick: () => attempt("Not cancelled", () => cancelGoal(store.watched, goal.id)) }, "Cancel goal")));
     card.most = 0;
     box.replaceChildren(card);
   }
@@ -87,22 +117,21 @@ function drawActive(goal) {
   }
   const pause = card.querySelector(".pause");
   setText(pause, paused ? "Go on" : "Pause");
-  pause.onclick = () => act(() => (paused ? resumeGoal : pauseGoal)(store.watched, goal.id), paused ? "Does not go on" : "Not paused");
+  pause.onclick = () => attempt(paused ? "Does not go on" : "Not paused", () => (paused ? resumeGoal : pauseGoal)(store.watched, goal.id));
 }
 
 export function drawGoals() {
   const running = store.runningGoal();
   drawActive(running);
   const rest = [...store.goals.values()].filter((goal) => goal !== running);
-  const waiting = rest.filter((goal) => goal.state === "Accepted");
-  waiting.sort((a, b) => (b.request.priority ?? 0) - (a.request.priority ?? 0) || a.accepted - b.accepted);
+  const waiting = queue();
   const ended = rest.filter((goal) => goal.state !== "Accepted").sort((a, b) => (b.ended ?? 0) - (a.ended ?? 0));
   const shown = [...waiting, ...ended].slice(0, SHOWN);
-  const sign = JSON.stringify([store.watched, shown.map((goal) => [goal.id, goal.state, goal.reason]), Boolean(running)]);
+  const sign = JSON.stringify([store.watched, shown.map((goal) => [goal.id, goal.state, goal.reason, goal.queue]), Boolean(running)]);
   if (sign === drawn) return;
   drawn = sign;
   const empty = running ? [] : [el("li", { class: "empty" }, "No goal yet. Click on the map; drag for the heading.")];
-  $("goal-list").replaceChildren(...(shown.length ? shown.map(row) : empty));
+  $("goal-list").replaceChildren(...(shown.length ? shown.map((goal, place) => row(goal, place, waiting.length)) : empty));
 }
 
 let listed = null;

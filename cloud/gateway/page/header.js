@@ -32,13 +32,15 @@ export function linkOf(state) {
   const operator = state.lease.role === "operator" && state.lease.live;
   const trip = store.data("round_trip");
   const ping = store.pings.length ? median(store.pings) : null;
+  const lost = trip ? `${Math.round(trip.loss * 100)} % lost` : "";
   const detail = [
-    trip?.p50_ms != null ? `robot round trip ${trip.p50_ms} ms (p95 ${trip.p95_ms} ms), ${Math.round(trip.loss * 100)} % lost` : null,
+    trip?.p50_ms != null ? `Round trip to the robot in the last two minutes: median ${trip.p50_ms} ms, 95 of 100 within ${trip.p95_ms} ms, ${lost}` : null,
     ping !== null ? `page to gateway ${ping.toFixed(0)} ms` : null,
   ].filter(Boolean).join("; ");
   if (state.link === "Lost" && !operator) return ["cloud lost: the robot is on its own", "bad", detail];
   if (state.link === "Stale") return ["cloud is late", "warn", detail];
-  return [trip?.p50_ms != null ? `link ${trip.p50_ms.toFixed(0)} ms` : "link good", "good", detail];
+  const kind = trip?.loss > 0.05 ? "warn" : "good";
+  return [trip?.p50_ms != null ? `link ${trip.p50_ms.toFixed(0)} ms` : "link good", kind, detail, trip?.p50_ms != null ? `p95 ${trip.p95_ms.toFixed(0)} ms, ${lost}` : ""];
 }
 
 function badge(id, text, kind, title, small) {
@@ -58,8 +60,8 @@ function badge(id, text, kind, title, small) {
 function drawBadges() {
   const state = store.data("state");
   const stale = store.isStale();
-  const [link, kind, title] = linkOf(state);
-  badge("link", link, kind, title);
+  const [link, kind, title, small] = linkOf(state);
+  badge("link", link, kind, title, small);
   if (!state) return;
   const old = stale ? " stale" : "";
   const [mode, modeKind] = MODES[state.mode] ?? [state.mode, ""];

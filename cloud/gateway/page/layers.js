@@ -1,6 +1,7 @@
 // Layers. What is drawn on the map, in which order and colour? Each layer is a function; the list of layers makes the menu.
 
 import { degrees } from "./dom.js";
+import { drawGoal, drawPlace, drawZone, label, path } from "./pen.js";
 import { store } from "./store.js";
 
 const TAU = 2 * Math.PI;
@@ -15,6 +16,7 @@ export const layers = {
   trail: { title: "Trail", on: true, colour: "trail" },
   scan: { title: "Scan", on: true, colour: "scan" },
   plan: { title: "Plan by speed", on: true, colour: "good" },
+  swath: { title: "Body along the plan", on: true, colour: "good" },
   tree: { title: "Search tree", on: false, colour: "tree" },
   obstacles: { title: "Moving obstacles", on: true, colour: "mover" },
   markers: { title: "Markers", on: true, colour: "warn" },
@@ -24,21 +26,6 @@ export const layers = {
   robots: { title: "Other robots", on: true, colour: "other" },
   grid: { title: "Grid of 1 m", on: true, colour: "soft" },
 };
-
-function path(context, camera, points, step = 2) {
-  context.beginPath();
-  for (let at = 0; at + 1 < points.length; at += step) context.lineTo(...camera.toScreen(points[at], points[at + 1]));
-}
-
-function label(context, colours, text, x, y, colour) {
-  context.font = "600 12px system-ui, 'DejaVu Sans', sans-serif";
-  context.lineWidth = 3.5;
-  context.lineJoin = "round";
-  context.strokeStyle = colours["map-free"];
-  context.strokeText(text, x, y);
-  context.fillStyle = colour;
-  context.fillText(text, x, y);
-}
 
 function drawPicture(context, camera, picture) {
   const spec = store.raster.spec;
@@ -108,11 +95,36 @@ function isDriven(plan) {
   return store.data("state")?.plan?.trajectory_id === plan.trajectory_id;
 }
 
+/** Whether a plan counts now: it is driven, or was just made. */
+function isFresh(plan) {
+  return plan.points.length > 5 && (isDriven(plan) || store.age("plan") < 3);
+}
+
+/** What the robot's body will cover: its outline at every pose of the plan. */
+function drawSwath(context, camera, colours, plan) {
+  const outline = store.data("model")?.outline;
+  if (!outline || plan.yaws.length === 0 || !isFresh(plan)) return;
+  context.fillStyle = colours.good;
+  context.globalAlpha = 0.16;
+  context.beginPath();
+  plan.yaws.forEach((yaw, at) => {
+    const [x, y] = [plan.points[at * 3], plan.points[at * 3 + 1]];
+    const [cos, sin] = [Math.cos(yaw), Math.sin(yaw)];
+    outline.forEach(([px, py], corner) => {
+      const place = camera.toScreen(x + px * cos - py * sin, y + px * sin + py * cos);
+      if (corner) context.lineTo(...place);
+      else context.moveTo(...place);
+    });
+    context.closePath();
+  });
+  context.fill();
+  context.globalAlpha = 1;
+}
+
 function drawPlan(context, camera, colours, plan) {
   const points = plan.points;
-  if (points.length < 6 || !(isDriven(plan) || store.age("plan") < 3)) return;
-  let top = 0.05;
-  for (let at = 2; at < points.length; at += 3) top = Math.max(top, Math.abs(points[at]));
+  if (!isFresh(plan)) return;
+  const top = topOf(plan);
   context.lineCap = "round";
   context.lineJoin = "round";
   context.strokeStyle = colours["map-free"];
@@ -134,13 +146,16 @@ function drawPlan(context, camera, colours, plan) {
   }
 }
 
-/** Greatest speed of the plan that shows, m/s, or null. */
-export function planTop() {
-  const plan = store.data("plan");
-  if (!layers.plan.on || !plan || plan.points.length < 6 || !(isDriven(plan) || store.age("plan") < 3)) return null;
+function topOf(plan) {
   let top = 0.05;
   for (let at = 2; at < plan.points.length; at += 3) top = Math.max(top, Math.abs(plan.points[at]));
   return top;
+}
+
+/** The plan that shows with its greatest speed, m/s, or null. */
+export function shownPlan() {
+  const plan = store.data("plan");
+  return layers.plan.on && plan && isFresh(plan) ? { ...plan, top: topOf(plan) } : null;
 }
 
 function drawSearch(context, camera, colours, tree) {
@@ -195,71 +210,18 @@ function drawMarkers(context, camera, colours) {
   }
 }
 
-/** Keep-out zones in red, speed zones in amber with their limit. */
-function drawZones(context, camera, colours) {
+function drawZones(context, camera, colours, edited) {
   for (const zone of store.zones) {
-    const limit = zone.rule?.speed_limit?.max_speed;
-    const colour = limit === undefined ? colours.bad : colours.warn;
-    path(context, camera, zone.points.flat());
-    context.closePath();
-    context.globalAlpha = 0.18;
-    context.fillStyle = colour;
-    context.fill();
-    context.globalAlpha = 1;
-    context.strokeStyle = colour;
-    context.lineWidth = 1.5;
-    context.setLineDash([6, 4]);
-    context.stroke();
-    context.setLineDash([]);
-    const middle = [0, 1].map((axis) => zone.points.reduce((sum, point) => sum + point[axis], 0) / zone.points.length);
-    const [x, y] = camera.toScreen(middle[0], middle[1]);
-    label(context, colours, limit === undefined ? zone.name : `${zone.name}: ${limit} m/s`, x - 20, y + 4, colour);
+    if (edited?.kind === "zone" && edited.original === zone.name) continue;
+    drawZone(context, camera, colours, { ...zone, limit: zone.rule?.speed_limit?.max_speed ?? null });
   }
 }
 
-function drawPlaces(context, camera, colours) {
+function drawPlaces(context, camera, colours, edited) {
   for (const [name, place] of Object.entries(store.places)) {
-    const [x, y] = camera.toScreen(place.x, place.y);
-    context.fillStyle = colours.place;
-    context.beginPath();
-    context.moveTo(x, y - 6);
-    context.lineTo(x + 6, y);
-    context.lineTo(x, y + 6);
-    context.lineTo(x - 6, y);
-    context.fill();
-    label(context, colours, name, x + 10, y + 4, colours.place);
+    if (edited?.kind === "place" && edited.original === name) continue;
+    drawPlace(context, camera, colours, name, place);
   }
-}
-
-/** A goal: a ring, and an arrow for its heading. */
-export function drawGoal(context, camera, colour, goal, { dashed = false, text = "" } = {}, colours) {
-  const [x, y] = camera.toScreen(goal.x, goal.y);
-  const radius = Math.max(9, Math.min(18, camera.scale * 0.12));
-  context.strokeStyle = colour;
-  context.fillStyle = colour;
-  context.lineWidth = 3;
-  context.setLineDash(dashed ? [5, 4] : []);
-  context.beginPath();
-  context.arc(x, y, radius, 0, TAU);
-  context.stroke();
-  context.setLineDash([]);
-  context.beginPath();
-  context.arc(x, y, 3, 0, TAU);
-  context.fill();
-  if (goal.yaw !== null && goal.yaw !== undefined) {
-    const [cos, sin] = [Math.cos(goal.yaw), -Math.sin(goal.yaw)];
-    const tip = radius + 26;
-    context.beginPath();
-    context.moveTo(x + cos * radius, y + sin * radius);
-    context.lineTo(x + cos * (tip - 6), y + sin * (tip - 6));
-    context.stroke();
-    context.beginPath();
-    context.moveTo(x + cos * tip, y + sin * tip);
-    context.lineTo(x + cos * (tip - 11) - sin * 6, y + sin * (tip - 11) + cos * 6);
-    context.lineTo(x + cos * (tip - 11) + sin * 6, y + sin * (tip - 11) - cos * 6);
-    context.fill();
-  }
-  if (text) label(context, colours, text, x + radius + 6, y - radius, colour);
 }
 
 /** Where a goal leads: its own place, a named one, or that of the drive under way. */
@@ -272,25 +234,23 @@ export function placeOf(goal) {
 }
 
 function drawGoals(context, camera, colours) {
-  let waiting = 0;
-  for (const goal of [...store.goals.values()].sort((a, b) => a.accepted - b.accepted)) {
+  for (const goal of store.goals.values()) {
     const open = goal.state === "Active" || goal.state === "Paused" || goal.state === "Accepted";
     const place = open ? placeOf(goal) : null;
     if (!place) continue;
     const waits = goal.state === "Accepted";
-    if (waits) waiting += 1;
-    drawGoal(context, camera, colours.goal, place, { dashed: waits, text: waits ? `${waiting}.` : "" }, colours);
+    drawGoal(context, camera, colours.goal, place, { dashed: waits, text: waits && goal.queue ? `${goal.queue}.` : "" }, colours);
     for (const way of goal.request.waypoints ?? []) drawGoal(context, camera, colours.goal, way, { dashed: true }, colours);
   }
 }
 
-function drawRobot(context, camera, colours, robot, pose, { colour, name }) {
+function drawRobot(context, camera, colours, robot, pose, { colour, name, ghost = false }) {
   const outline = store.data("model", robot)?.outline;
   const [x, y] = camera.toScreen(pose.x, pose.y);
   context.save();
   context.translate(x, y);
   context.rotate(-pose.yaw);
-  context.globalAlpha = store.isStale(robot) ? 0.4 : 1;
+  context.globalAlpha = ghost || store.isStale(robot) ? 0.4 : 1;
   context.fillStyle = colour;
   context.strokeStyle = colours["map-free"];
   context.lineWidth = 2;
@@ -331,9 +291,11 @@ export function drawAll(context, camera, colours, { pose, poseOf, tools }) {
   };
   if (on("tree") && store.age("tree") < 20) detail("tree", drawSearch);
   if (on("trail")) drawTrail(context, camera, colours);
+  if (on("swath")) detail("plan", drawSwath);
   if (on("plan")) detail("plan", drawPlan);
-  if (on("zones")) drawZones(context, camera, colours);
-  if (on("places")) drawPlaces(context, camera, colours);
+  const edited = tools.draft;
+  if (on("zones")) drawZones(context, camera, colours, edited);
+  if (on("places")) drawPlaces(context, camera, colours, edited);
   if (on("goals")) drawGoals(context, camera, colours);
   if (on("scan")) {
     for (const name of store.detail.keys()) {
@@ -352,10 +314,30 @@ export function drawAll(context, camera, colours, { pose, poseOf, tools }) {
     }
   }
   if (pose) drawRobot(context, camera, colours, store.watched, pose, { colour: colours.robot, name: store.fleet.length > 1 });
-  if (tools.draft) {
-    drawGoal(context, camera, colours.goal, tools.draft, { dashed: true }, colours);
-  }
+  if (edited) drawDraft(context, camera, colours, edited, tools.corner);
   if (tools.measure) drawMeasure(context, camera, colours, tools.measure);
+}
+
+/** What waits to be confirmed; the corners of a zone can be taken hold of. */
+function drawDraft(context, camera, colours, draft, held) {
+  if (draft.kind === "goal") drawGoal(context, camera, colours.goal, draft, { dashed: true }, colours);
+  if (draft.kind === "place") drawGoal(context, camera, colours.place, draft, { dashed: true, text: draft.name ?? "" }, colours);
+  if (draft.kind === "pose") {
+    drawGoal(context, camera, colours.robot, draft, { dashed: true }, colours);
+    if (draft.yaw !== null) drawRobot(context, camera, colours, store.watched, draft, { colour: colours.robot, ghost: true });
+  }
+  if (draft.kind !== "zone" || !draft.points.length) return;
+  drawZone(context, camera, colours, { ...draft, name: "" });
+  context.fillStyle = colours.panel;
+  context.lineWidth = 2;
+  draft.points.forEach((point, index) => {
+    const [x, y] = camera.toScreen(...point);
+    context.strokeStyle = index === held ? colours.accent : colours.text;
+    context.beginPath();
+    context.arc(x, y, index === held ? 8 : 6, 0, TAU);
+    context.fill();
+    context.stroke();
+  });
 }
 
 function drawMeasure(context, camera, colours, [from, to]) {

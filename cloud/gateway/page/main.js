@@ -1,15 +1,17 @@
 // Mission control. Joins the parts of the page.
 
-import { $, el, isTyping } from "./dom.js";
+import { startAnnotations } from "./annotations.js";
+import { $, el, isTyping, setText } from "./dom.js";
+import { startDraft } from "./draft.js";
 import { drives, startDrive } from "./drive.js";
 import { drawEvents, startEvents } from "./events.js";
 import { startGoals } from "./goals.js";
 import { drawHeader, startHeader, stop } from "./header.js";
-import { layers, planTop, ramp } from "./layers.js";
+import { layers, ramp, shownPlan } from "./layers.js";
 import { connect } from "./live.js";
 import { startPlots } from "./plots.js";
 import { store } from "./store.js";
-import { tools } from "./tools.js";
+import { TOOLS, tools } from "./tools.js";
 import { drawTree, startTree } from "./tree.js";
 import { fit, panKeys, readColours, redraw, setFollow, startView, view, zoom } from "./view.js";
 
@@ -53,7 +55,7 @@ function startLayers() {
 }
 
 function startTabs() {
-  const tabs = ["tree", "events", "drive", "plots"];
+  const tabs = ["tree", "events", "map", "drive", "plots"];
   const choose = (name, focus) => {
     for (const tab of tabs) {
       const chosen = tab === name;
@@ -75,34 +77,34 @@ function startTabs() {
 }
 
 function startToolbar() {
-  for (const tool of ["goal", "pan", "measure"]) $(`tool-${tool}`).onclick = () => tools.choose(tool);
+  for (const tool of TOOLS) $(`tool-${tool}`).onclick = () => tools.choose(tool);
   $("zoom-in").onclick = () => zoom(1.4);
   $("zoom-out").onclick = () => zoom(1 / 1.4);
   $("fit").onclick = fit;
   $("follow").onclick = () => setFollow($("follow").getAttribute("aria-pressed") !== "true");
-  $("draft").onsubmit = (event) => {
-    event.preventDefault();
-    tools.confirm();
-  };
-  $("draft-cancel").onclick = () => tools.drop();
 }
 
 function drawLegend() {
-  const top = planTop();
-  $("legend").hidden = top === null;
-  if (top === null) return;
+  const plan = shownPlan();
+  $("legend").hidden = !plan;
+  if (!plan) return;
   if (!$("legend").firstChild) {
     const bar = el("b");
     bar.style.background = `linear-gradient(90deg, ${ramp.join(", ")})`;
-    $("legend").append(el("div", {}, "Speed of the plan"), bar, el("span", {}, el("i", {}, "0"), el("i")));
+    $("legend").append(el("div", {}, "Speed of the plan"), bar, el("span", {}, el("i", {}, "0"), el("i")), el("div"));
   }
-  $("legend").lastChild.lastChild.textContent = `${top.toFixed(2)} m/s`;
+  const [, , scale, room] = $("legend").children;
+  setText(scale.lastChild, `${plan.top.toFixed(2)} m/s`);
+  const clearance = plan.min_clearance === null ? "" : `clearance ${plan.min_clearance.toFixed(2)} m`;
+  const corridor = plan.corridor_width === null ? "" : `corridor ${plan.corridor_width.toFixed(2)} m`;
+  setText(room, [clearance, corridor].filter(Boolean).join(", "));
 }
 
 function startKeys() {
   const press = (id) => $(id).click();
   const keys = {
-    g: () => tools.choose("goal"), h: () => tools.choose("pan"), m: () => tools.choose("measure"), f: () => press("follow"), l: () => press("layers-button"),
+    g: () => tools.choose("goal"), h: () => tools.choose("pan"), m: () => tools.choose("measure"), p: () => tools.choose("pose"), n: () => tools.choose("place"),
+    z: () => tools.choose("zone"), delete: () => tools.removeCorner(), backspace: () => tools.removeCorner(), f: () => press("follow"), l: () => press("layers-button"),
     0: fit, "+": () => zoom(1.4), "=": () => zoom(1.4), "-": () => zoom(1 / 1.4), s: () => { if (!drives()) stop(); },
   };
   window.addEventListener("keydown", (event) => {
@@ -136,6 +138,8 @@ startToolbar();
 startKeys();
 startHeader();
 startGoals();
+startDraft(tools);
+startAnnotations();
 startTree();
 startEvents();
 startDrive();

@@ -1,54 +1,114 @@
-// Map tools. What does a press on the map mean? A goal to be confirmed, a distance, or a move of the map.
+// Map tools. What does a press on the map mean? A goal, a pose or a place to be confirmed, a corner of a zone, a distance, or a move of the map.
 
-import { ApiError, freshId, submitGoal } from "./api.js";
-import { $, degrees, setText, toast } from "./dom.js";
+import { $ } from "./dom.js";
+import { dropDraft, hideDraft, readDraft, sendDraft, showDraft } from "./draft.js";
+import { cornerNear, sideNear } from "./polygon.js";
 import { store } from "./store.js";
 
 /** A drag shorter than this is a click, pixels. */
 const CLICK = 14;
+/** A press takes hold of a corner or a side within this distance, pixels. */
+const GRIP = 12;
+export const TOOLS = ["goal", "pan", "measure", "pose", "place", "zone"];
 
 class Tools {
   constructor() {
     this.current = "goal";
-    /** The goal that waits to be confirmed: `{ x, y, yaw }`, yaw null for any. */
+    /**
+     * What waits to be confirmed. `kind` is `goal`, `pose` or `place`, with `x`, `y` and `yaw` (null for any); or `zone`, with `points`,
+     * whether they are `closed`, and its `limit` (null for keep-out). `original` is the name of a place or zone that is edited.
+     */
     this.draft = null;
     this.measure = null;
     this.pressed = null;
+    /** The corner that is held, or was held last. */
+    this.corner = -1;
     this.onchange = () => {};
   }
 
   choose(tool) {
+    if (this.draft && this.draft.kind !== tool && tool !== "pan") this.drop();
     this.current = tool;
-    for (const name of ["goal", "pan", "measure"]) $(`tool-${name}`).setAttribute("aria-pressed", String(name === tool));
+    for (const name of TOOLS) $(`tool-${name}`).setAttribute("aria-pressed", String(name === tool));
     $("map").classList.toggle("pan", tool === "pan");
     if (tool !== "measure") this.measure = null;
     this.onchange();
   }
 
-  down(at) {
+  /** Begins with something that is there: a place or a zone to be edited. */
+  edit(draft) {
+    this.choose(draft.kind);
+    dropDraft();
+    this.draft = draft;
+    this.corner = -1;
+    this.propose();
+  }
+
+  down(at, scale) {
     this.pressed = at;
-    if (this.current === "goal") {
-      this.draft = { x: at[0], y: at[1], yaw: null };
-      $("draft").hidden = true;
-    } else if (this.current === "measure") {
-      this.measure = [at, at];
+    if (this.current === "zone") this.hold(at, GRIP / scale);
+    else if (this.current === "measure") this.measure = [at, at];
+    else if (this.current !== "pan") {
+      const named = this.draft?.kind === this.current ? readDraft(this.draft) : {};
+      this.draft = { ...named, kind: this.current, x: at[0], y: at[1], yaw: null };
+      hideDraft();
+    }
+  }
+
+  /** Takes hold of a corner of the zone that is drawn, of a new one on a side of it, or adds one at its end. */
+  hold(at, reach) {
+    this.draft ??= { kind: "zone", points: [], closed: false, limit: null };
+    const { points, closed } = this.draft;
+    this.corner = cornerNear(points, at, reach);
+    if (!closed && this.corner === 0 && points.length > 2) {
+      this.draft.closed = true;
+      this.corner = -1;
+    } else if (!closed && this.corner < 0) {
+      points.push(at);
+      this.corner = points.length - 1;
+    } else if (closed && this.corner < 0) {
+      const side = sideNear(points, at, reach);
+      if (side < 0) return;
+      points.splice(side + 1, 0, at);
+      this.corner = side + 1;
     }
   }
 
   move(at, scale) {
     if (!this.pressed) return;
-    if (this.current === "goal" && this.draft) {
-      const [dx, dy] = [at[0] - this.draft.x, at[1] - this.draft.y];
-      this.draft.yaw = Math.hypot(dx, dy) * scale > CLICK ? Math.atan2(dy, dx) : null;
+    if (this.current === "zone") {
+      if (this.corner >= 0) this.draft.points[this.corner] = at;
     } else if (this.current === "measure") {
       this.measure = [this.pressed, at];
+    } else if (this.draft) {
+      const [dx, dy] = [at[0] - this.draft.x, at[1] - this.draft.y];
+      this.draft.yaw = Math.hypot(dx, dy) * scale > CLICK ? Math.atan2(dy, dx) : null;
     }
   }
 
   up() {
     if (!this.pressed) return;
     this.pressed = null;
-    if (this.current === "goal" && this.draft) this.propose();
+    if (this.draft?.kind === "pose" && this.draft.yaw === null) this.draft.yaw = store.data("pose")?.yaw ?? 0;
+    if (this.draft && this.current === this.draft.kind) this.propose();
+  }
+
+  /** Ends the drawing of a zone: its corners can then be moved. */
+  close() {
+    this.draft.closed = true;
+    this.corner = -1;
+    this.propose();
+  }
+
+  /** Removes the corner that was held last. */
+  removeCorner() {
+    const { draft, corner } = this;
+    if (draft?.kind !== "zone" || corner < 0 || draft.closed && draft.points.length < 4) return false;
+    draft.points.splice(corner, 1);
+    this.corner = -1;
+    if (draft.points.length) this.propose();
+    else this.drop();
+    return true;
   }
 
   /** Drops what is being drawn: a second finger came. */
@@ -59,54 +119,33 @@ class Tools {
 
   /** Asks for the confirmation of a draft. */
   propose() {
-    const { x, y, yaw } = this.draft;
-    const heading = yaw === null ? "any heading" : `${degrees(yaw)}°`;
-    setText($("draft-text"), `Goal ${x.toFixed(2)}, ${y.toFixed(2)} m, ${heading}`);
-    $("draft-busy").parentElement.hidden = !store.runningGoal();
-    $("draft").hidden = false;
+    showDraft(this.draft);
     this.onchange();
   }
 
   drop() {
     this.draft = null;
-    $("draft").hidden = true;
+    this.corner = -1;
+    dropDraft();
     this.onchange();
   }
 
   async confirm() {
     if (!this.draft) return;
-    const { x, y, yaw } = this.draft;
-    const goal = { x: round(x), y: round(y), on_busy: store.runningGoal() ? $("draft-busy").value : "queue" };
-    if (yaw !== null) goal.yaw = round(yaw);
-    const sent = this.draft;
-    $("draft").hidden = true;
-    if (!(await sendGoal(goal))) {
-      // What was refused can be mended and sent again.
-      if (this.draft === sent) this.propose();
+    if (this.draft.kind === "zone" && !this.draft.closed) {
+      if (this.draft.points.length > 2) this.close();
       return;
     }
-    if (this.draft === sent) this.drop();
-  }
-}
-
-const round = (value) => Math.round(value * 1000) / 1000;
-
-/** Submits a goal to the watched robot; `false` when it was refused. */
-export async function sendGoal(goal) {
-  if (!store.watched) return false;
-  try {
-    await submitGoal(store.watched, { id: freshId(), ...goal });
-    toast("Goal accepted", "good");
-    return true;
-  } catch (error) {
-    if (!(error instanceof ApiError)) throw error;
-    const near = error.body?.nearest_free;
-    toast(`Goal refused: ${error.message}`, "bad");
-    if (near && tools.draft) {
-      tools.draft = { x: near.x, y: near.y, yaw: tools.draft.yaw };
-      toast("The nearest free place is proposed instead");
+    const sent = this.draft;
+    const { done, near } = await sendDraft(sent);
+    if (this.draft !== sent) return;
+    if (done) {
+      this.drop();
+      return;
     }
-    return false;
+    // What was refused can be mended and sent again.
+    if (near) Object.assign(sent, { x: near.x, y: near.y });
+    this.propose();
   }
 }
 

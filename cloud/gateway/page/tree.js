@@ -6,9 +6,9 @@ import { store } from "./store.js";
 const SIGNS = { RUNNING: "▶", SUCCESS: "✓", FAILURE: "✗", SKIPPED: "↷", IDLE: "·" };
 const CLASSES = { RUNNING: "running", SUCCESS: "success", FAILURE: "failure-now", SKIPPED: "skipped", IDLE: "" };
 let shape = "";
-/** Node to its last result, which an idle node keeps, dimmed. */
-let last = new Map();
 let failure = "";
+/** Nodes whose ports show. */
+const open = new Set();
 
 function depths(nodes) {
   const depth = new Map();
@@ -20,12 +20,30 @@ function build(nodes) {
   const depth = depths(nodes);
   $("tree").replaceChildren(...nodes.map((node) => {
     const name = node.name && node.name !== node.id ? `${node.name}` : node.id;
-    const row = el("li", { title: node.id }, el("i", { "aria-hidden": "true" }), el("b", {}, name), el("small"));
+    const toggle = el("button", { type: "button", class: "node", title: node.id, "aria-expanded": "false", onclick: () => {
+      if (!open.delete(node.uid)) open.add(node.uid);
+      drawTree();
+    } }, el("i", { "aria-hidden": "true" }), el("b", {}, name), el("small"), el("span", { class: "hidden" }));
+    const row = el("li", {}, toggle, el("dl", { hidden: true }));
     row.style.paddingLeft = `${depth.get(node.uid) * 14}px`;
     return row;
   }));
-  last = new Map();
+  open.clear();
   failure = "";
+}
+
+/** Ports of a node and what is on them. */
+function drawPorts(row, node) {
+  const ports = Object.entries(node.ports ?? {});
+  const shows = ports.length > 0 && ($("tree-ports").checked || open.has(node.uid));
+  const list = row.lastElementChild;
+  list.hidden = !shows;
+  row.firstElementChild.setAttribute("aria-expanded", String(shows));
+  row.firstElementChild.disabled = ports.length === 0;
+  const sign = shows ? JSON.stringify(ports) : "";
+  if (list.dataset.sign === sign) return;
+  list.dataset.sign = sign;
+  list.replaceChildren(...(shows ? ports.flatMap(([port, words]) => [el("dt", {}, port), el("dd", {}, words)]) : []));
 }
 
 export function drawTree() {
@@ -48,22 +66,24 @@ export function drawTree() {
   const rows = $("tree").children;
   nodes.forEach((node, at) => {
     const row = rows[at];
-    const kept = last.get(node.uid);
-    if (node.status === "FAILURE" && kept !== "FAILURE" && node.feedback) failure = `${node.name || node.id}: ${node.feedback}`;
-    if (node.status !== "IDLE" && node.status !== "RUNNING") last.set(node.uid, node.status);
-    const was = node.status === "IDLE" && kept ? ` was-${kept.toLowerCase()}` : "";
-    const style = `${CLASSES[node.status] ?? ""}${was}`;
+    const [sign, , feedback, spoken] = row.firstElementChild.children;
+    const name = node.name || node.id;
+    // An idle node keeps its last result, dimmed.
+    const kept = node.status === "IDLE" ? node.last : "";
+    if (node.last === "FAILURE" && node.feedback && node.status !== "RUNNING") failure = `${name}: ${node.feedback}`;
+    const style = `${CLASSES[node.status] ?? ""}${kept ? ` was-${kept.toLowerCase()}` : ""}`;
     if (row.className !== style) row.className = style;
-    setText(row.children[0], node.status === "IDLE" && kept ? SIGNS[kept] : SIGNS[node.status] ?? "?");
-    setText(row.children[2], node.status === "IDLE" ? "" : node.feedback ?? "");
-    const spoken = `${node.name || node.id}, ${node.status.toLowerCase()}`;
-    if (row.getAttribute("aria-label") !== spoken) row.setAttribute("aria-label", spoken);
+    setText(sign, SIGNS[kept || node.status] ?? "?");
+    setText(feedback, node.status === "IDLE" ? "" : node.feedback ?? "");
+    setText(spoken, `, ${node.status.toLowerCase()}${kept ? `, last ${kept.toLowerCase()}` : ""}`);
+    drawPorts(row, node);
   });
   $("tree-failure").hidden = !failure;
   setText($("tree-failure"), failure ? `Last failure: ${failure}` : "");
 }
 
 export function startTree() {
+  $("tree-ports").onchange = drawTree;
   store.on("frame", () => {
     if (!$("panel-tree").hidden) drawTree();
   });

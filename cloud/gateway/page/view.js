@@ -122,7 +122,7 @@ function startPointers() {
     pointers.set(event.pointerId, [event.offsetX, event.offsetY]);
     panning = event.button !== 0 || event.shiftKey || tools.current === "pan" || pointers.size > 1;
     if (pointers.size > 1) tools.abort();
-    if (!panning) tools.down(camera.toWorld(event.offsetX, event.offsetY));
+    if (!panning) tools.down(camera.toWorld(event.offsetX, event.offsetY), camera.scale);
     redraw();
   });
   canvas.addEventListener("pointermove", (event) => {

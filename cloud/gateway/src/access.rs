@@ -16,7 +16,7 @@ pub struct Access {
 
 /// Why a request is turned away.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Denied {
+pub enum Denied {
     /// The token is missing or wrong.
     Token,
     /// A page of another origin asks.
@@ -54,7 +54,10 @@ impl Access {
     }
 
     /// Whether a request for data or an act may pass: by its `Host`, its `Origin`, and the token that it carries.
-    pub(crate) fn admit(&self, host: Option<&str>, origin: Option<&str>, token: Option<&str>) -> Result<(), Denied> {
+    ///
+    /// # Errors
+    /// Which of the three turns it away.
+    pub fn admit(&self, host: Option<&str>, origin: Option<&str>, token: Option<&str>) -> Result<(), Denied> {
         self.admit_page(host)?;
         if let Some(origin) = origin
             && !self.is_own(origin, host)

@@ -227,6 +227,7 @@ mod tests {
             map: MapRef {
                 id: "m".into(),
                 revision,
+                frame: 0,
             },
             base_revision,
             spec: GridSpec {

@@ -48,7 +48,7 @@ mod rate;
 mod settings;
 mod view;
 
-pub use access::Access;
+pub use access::{Access, Denied};
 pub use client::{Client, Frame};
 pub use hold::{HOLD_SECS, Hold};
 pub use http::{listen, router, serve};

@@ -8,8 +8,10 @@ use std::pin::Pin;
 
 use thiserror::Error;
 use tokio::sync::watch;
+use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::{
-    CancelRequest, GoalReply, GoalRequest, GoalsReply, GoalsRequest, MapReply, PauseRequest, Refusal, StopReply,
+    AnnotateAction, Annotations, CancelRequest, GoalReply, GoalRequest, GoalsReply, GoalsRequest, LocaliseReply,
+    MapReply, MoveGoalRequest, PauseRequest, Refusal, StopReply,
 };
 
 use crate::hold::Hold;
@@ -47,6 +49,13 @@ pub trait Operator: Send + Sync + 'static {
     fn pause(&self, robot: &str, request: PauseRequest) -> Answer<GoalReply>;
     /// Lists goals.
     fn goals(&self, robot: &str, request: GoalsRequest) -> Answer<GoalsReply>;
+    /// Moves a waiting goal to another place in the queue.
+    fn move_goal(&self, robot: &str, request: MoveGoalRequest) -> Answer<GoalReply>;
+    /// Answers with the places and zones of the robot's map, after a change of them: under the lease in force, so that a robot that drives
+    /// goes on.
+    fn annotate(&self, robot: &str, action: AnnotateAction) -> Answer<Annotations>;
+    /// Tells the robot where it is, `map_from_base`: under an operator's lease, which is given back at once. The robot drops its plan.
+    fn set_pose(&self, robot: &str, pose: Pose2, by: &str) -> Answer<LocaliseReply>;
     /// Stops the robot until it is resumed.
     fn stop(&self, robot: &str, by: &str) -> Answer<StopReply>;
     /// Lifts a stop.

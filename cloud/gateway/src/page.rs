@@ -25,6 +25,11 @@ files! {
     "layers.js": "text/javascript; charset=utf-8";
     "tools.js": "text/javascript; charset=utf-8";
     "header.js": "text/javascript; charset=utf-8";
+    "pen.js": "text/javascript; charset=utf-8";
+    "polygon.js": "text/javascript; charset=utf-8";
+    "draft.js": "text/javascript; charset=utf-8";
+    "send.js": "text/javascript; charset=utf-8";
+    "annotations.js": "text/javascript; charset=utf-8";
     "goals.js": "text/javascript; charset=utf-8";
     "tree.js": "text/javascript; charset=utf-8";
     "events.js": "text/javascript; charset=utf-8";

@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Point2};
 use zenav_protocol::geometry::{Pose2, wrap_angle};
-use zenav_scan_matching::{Window, floored, refine, search, turned};
+use zenav_scan_matching::{Window, floored, refine, search_among, turned};
 
 use crate::evidence::{Evidence, evidence};
 use crate::known_map::KnownMap;
@@ -52,14 +52,26 @@ pub fn find(map: &KnownMap, laser: Point2<f64>, points: &[Point2<f64>], settings
     let stride = points.len().div_ceil(global.points as usize).max(1);
     let thinned: Vec<Point2<f64>> = points.iter().copied().step_by(stride).collect();
     let window = Window {
-        min_score: global.min_score,
         count: global.places as usize,
         apart: global.apart,
         apart_turn: global.apart_turn,
         budget: global.budget as usize,
-        ..Window::around(center, 0.5 * width.max(height), std::f64::consts::PI)
+        across: 0.5 * height,
+        within: global.within,
+        lever: global.lever,
+        min_score: global.good_score.max(global.min_score),
+        ..Window::around(center, 0.5 * width, std::f64::consts::PI)
     };
-    let searched = search(map.pyramid(), &thinned, &window);
+    let look = |window: &Window| search_among(map.pyramid(), Some(map.places()), &thinned, window);
+    // A place that scores well is found soon. Where none does, or others may be about as good, all are looked at that may count.
+    let mut searched = look(&window);
+    let best = searched.found.first().map_or(0.0, |best| best.score);
+    if best - global.within < window.min_score && global.min_score < window.min_score {
+        let min_score = (best - global.within).max(global.min_score);
+        searched = look(&Window { min_score, ..window });
+    }
+    // With so many places some were not looked at.
+    let is_exact = searched.is_exact && searched.found.len() < window.count;
     let mut places: Vec<Hypothesis> = Vec::new();
     for candidate in &searched.found {
         let refined = refine(map.field(), points, candidate.pose, None, &settings.refine);
@@ -80,24 +92,16 @@ pub fn find(map: &KnownMap, laser: Point2<f64>, points: &[Point2<f64>], settings
     }
     places.sort_by(|a, b| b.evidence.agreeing.total_cmp(&a.evidence.agreeing));
     let Some(best) = places.first().copied() else {
-        return if searched.is_exact {
-            Found::Nowhere
-        } else {
-            Found::OutOfBudget
-        };
+        return if is_exact { Found::Nowhere } else { Found::OutOfBudget };
     };
     if best.evidence.agreeing < global.agrees || best.evidence.points < settings.evidence.least_points as usize {
-        return if searched.is_exact {
-            Found::Nowhere
-        } else {
-            Found::OutOfBudget
-        };
+        return if is_exact { Found::Nowhere } else { Found::OutOfBudget };
     }
     places.retain(|place| place.evidence.agreeing > best.evidence.agreeing - global.margin);
     if places.len() > 1 {
         return Found::Ambiguous(places);
     }
-    if searched.is_exact {
+    if is_exact {
         Found::Unique(best)
     } else {
         Found::OutOfBudget

@@ -4,13 +4,15 @@ use nalgebra::Point2;
 use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
 use zenav_scan_matching::{LikelihoodField, Pyramid};
 
-/// Levels of the pyramid: blocks of 64 cells.
-const LEVELS: u32 = 6;
+/// Levels of the pyramid: blocks of 256 cells.
+const LEVELS: u32 = 8;
 
 /// A map that does not change, prepared for matching.
 #[derive(Clone, Debug)]
 pub struct KnownMap {
     pyramid: Pyramid,
+    /// Above zero where a robot may be.
+    places: Pyramid,
     known: Grid<bool>,
 }
 
@@ -26,10 +28,14 @@ impl KnownMap {
         };
         let mut walls = map.clone();
         let mut known = Grid::filled(spec, false);
-        for index in 0..spec.len() {
+        let mut places = vec![0; spec.len()];
+        for (index, place) in places.iter_mut().enumerate() {
             let cell = spec.cell(index);
             let (x, y) = (i64::from(cell.x), i64::from(cell.y));
             known[cell] = Occupancy::of(map[cell]) != Occupancy::Unknown;
+            if Occupancy::of(map[cell]) == Occupancy::Free {
+                *place = u8::MAX;
+            }
             let is_inside = [(1, 0), (-1, 0), (0, 1), (0, -1)]
                 .iter()
                 .all(|(dx, dy)| is_occupied(x + dx, y + dy));
@@ -37,8 +43,12 @@ impl KnownMap {
                 walls[cell] = Occupancy::UNKNOWN;
             }
         }
+        let field = LikelihoodField::from_grid(&walls, sigma);
+        // As many values as cells: they were made so.
+        let places = LikelihoodField::from_values(spec, places).unwrap_or_else(|| field.clone());
         Self {
-            pyramid: Pyramid::new(LikelihoodField::from_grid(&walls, sigma), LEVELS),
+            pyramid: Pyramid::new(field, LEVELS),
+            places: Pyramid::new(places, LEVELS),
             known,
         }
     }
@@ -53,6 +63,12 @@ impl KnownMap {
     #[must_use]
     pub fn pyramid(&self) -> &Pyramid {
         &self.pyramid
+    }
+
+    /// Where a robot may be: above zero in free cells.
+    #[must_use]
+    pub fn places(&self) -> &Pyramid {
+        &self.places
     }
 
     /// Geometry.

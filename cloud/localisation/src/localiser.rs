@@ -113,6 +113,8 @@ impl Localiser {
         let since = last.matched.inverse() * odometry;
         let tracking = &self.settings.tracking;
         let is_near = since.x.hypot(since.y) < tracking.distance && since.yaw.abs() < tracking.turn;
+        // A robot at rest may be carried away, too: what contradicts the map is looked at however little it has moved.
+        let is_near = is_near && !self.is_doubtful(laser, &seen, expected);
         let mut covariance = None;
         if !is_near {
             let refined = self.matched(&now, laser, &seen);
@@ -137,6 +139,13 @@ impl Localiser {
             evidence: self.evidence,
             is_found_anew: false,
         })
+    }
+
+    /// Whether less of a scan agrees with the map than should.
+    fn is_doubtful(&self, laser: Point2<f64>, seen: &[Point2<f64>], pose: Pose2) -> bool {
+        let settings = &self.settings;
+        let here = evidence(&self.map, laser, seen, pose, &settings.evidence);
+        here.points >= settings.evidence.least_points as usize && here.agreeing < settings.tracking.doubtful
     }
 
     /// The scan matched about the expected pose.

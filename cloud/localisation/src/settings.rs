@@ -71,16 +71,22 @@ zenav_protocol::settings! {
     pub struct GlobalSettings {
         /// Places that score less are of no interest.
         pub min_score: f64 = 0.45, "", 0.0..=1.0;
+        /// A place that scores so well is looked for first: with a higher bound the search is much shorter.
+        pub good_score: f64 = 0.8, "", 0.0..=1.0;
+        /// Headings are tried on steps by which points so far out move a cell.
+        pub lever: f64 = 4.0, "m", 0.5..=1000.0;
+        /// Places that score this much less than the best one are of no interest either.
+        pub within: f64 = 0.1, "", 0.0..=1.0;
         /// Places that are looked at closely, best first.
-        pub places: u32 = 12, "", 1..=1000;
+        pub places: u32 = 40, "", 1..=1000;
         /// Places nearer than this are one.
         pub apart: f64 = 0.5, "m", 0.01..=100.0;
         /// Headings nearer than this are one.
         pub apart_turn: f64 = 0.3, "rad", 0.001..=3.15;
         /// Points that the search uses, at most.
-        pub points: u32 = 120, "", 10..=10_000;
+        pub points: u32 = 60, "", 10..=10_000;
         /// Blocks that the search may score.
-        pub budget: u32 = 8_000_000, "", 1000..=1_000_000_000;
+        pub budget: u32 = 60_000_000, "", 1000..=1_000_000_000;
         /// The best place is the answer where at least this share of its points agrees with the map, ...
         pub agrees: f64 = 0.75, "", 0.0..=1.0;
         /// ... and no other place agrees but for less than this.

@@ -112,6 +112,28 @@ fn a_robot_that_was_carried_away_is_lost_at_once_and_found_again() {
 }
 
 #[test]
+fn a_robot_that_is_carried_away_at_rest_notices_and_is_found() {
+    let map = house();
+    let mut localiser = Localiser::new(LocalisationSettings::default(), &map);
+    let (first, elsewhere) = (Pose2::new(1.5, 2.5, 0.3), Pose2::new(9.5, 6.0, 1.0));
+    let look_from = |number: u64, truth: Pose2| look(&map, number * 100_000_000, truth, Pose2::IDENTITY, first);
+    for number in 1..4 {
+        assert!(localiser.step(&look_from(number, first)).unwrap().health.is_trusted());
+    }
+    let mut found = None;
+    let mut was_lost = false;
+    for number in 4..24 {
+        let located = localiser.step(&look_from(number, elsewhere)).unwrap();
+        was_lost |= located.health == Health::Lost;
+        if located.is_found_anew {
+            found = Some(located.pose);
+        }
+    }
+    assert!(was_lost);
+    assert!(found.is_some_and(|found| is_near(found, elsewhere)), "{found:?}");
+}
+
+#[test]
 fn rooms_that_the_map_does_not_know_are_no_contradiction_and_walls_in_the_way_are() {
     let mut map = house();
     let settings = LocalisationSettings::default();

@@ -72,6 +72,14 @@ pub enum MapFileError {
         /// What is wrong with it.
         source: GridError,
     },
+    /// A description of ours says something else than when it was stored.
+    #[error("{}: {what}; put the stored numbers back, or remove the line `# {TAG} …` if the others are meant", path.display())]
+    Changed {
+        /// Path of the description.
+        path: PathBuf,
+        /// What does not fit.
+        what: String,
+    },
     /// The file's extension is not that of a map.
     #[error("{}: expected a map: .yaml, .pgm, .png or .map", path.display())]
     Kind {
@@ -112,6 +120,47 @@ pub fn read_map(path: &Path, resolution: f64) -> Result<OccupancyGrid, MapFileEr
         }
         _ => Err(MapFileError::Kind { path: path.to_owned() }),
     }
+}
+
+/// Reads a map that was stored here: as [`read_map`], but a description of ours that was changed since is refused. One by another tool is
+/// welcome.
+///
+/// # Errors
+/// [`MapFileError::Changed`], and those of [`read_map`].
+pub(super) fn read_stored(path: &Path) -> Result<OccupancyGrid, MapFileError> {
+    let text = read_bytes(path, MAX_YAML)?;
+    let text = String::from_utf8_lossy(&text);
+    if let Some(tag) = own_tag(&text)
+        && let Ok(yaml) = MapYaml::parse(&text)
+    {
+        let stored = MapYaml::new(yaml.image.clone(), tag.resolution, tag.origin);
+        if yaml != stored {
+            let what = format!(
+                "resolution {}, origin ({}, {}), mode {}, negate {}, thresholds {} and {} do not fit what was stored: resolution {}, origin ({}, {}), trinary",
+                yaml.resolution,
+                yaml.origin.x,
+                yaml.origin.y,
+                yaml.mode.name(),
+                yaml.negate,
+                yaml.occupied_thresh,
+                yaml.free_thresh,
+                stored.resolution,
+                stored.origin.x,
+                stored.origin.y
+            );
+            return Err(MapFileError::Changed {
+                path: path.to_owned(),
+                what,
+            });
+        }
+    }
+    read_described(path)
+}
+
+/// The tag in a description of ours.
+fn own_tag(text: &str) -> Option<Tag> {
+    text.lines()
+        .find_map(|line| Tag::parse(line.trim_start_matches('#').trim()))
 }
 
 fn read_described(path: &Path) -> Result<OccupancyGrid, MapFileError> {

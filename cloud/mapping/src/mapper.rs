@@ -35,6 +35,9 @@ const RESTARTED_CLOCK: f64 = 10.0;
 /// Most lidars whose scans are kept in order.
 const MAX_LIDARS: usize = 16;
 
+/// Most tiles of the patch that begins a frame: what its key allows.
+const MOST_TILES: usize = 15_000;
+
 /// Most positions of a trajectory; beyond it every other one is dropped, and the step doubles.
 const MAX_TRAJECTORY: usize = 100_000;
 
@@ -80,6 +83,8 @@ pub struct Mapper {
     trajectory_step: f64,
     stored: bool,
     held: bool,
+    /// Whether the next patch carries all changes: the map is another one as a whole.
+    is_moved: bool,
 }
 
 impl Mapper {
@@ -92,6 +97,7 @@ impl Mapper {
             map: MapRef {
                 id: map_id.into(),
                 revision: 0,
+                frame: 0,
             },
             stamp: Stamp::ZERO,
             newest: Vec::new(),
@@ -100,6 +106,7 @@ impl Mapper {
             trajectory_step: settings.trajectory_step,
             stored: false,
             held: false,
+            is_moved: false,
             settings,
         }
     }
@@ -221,7 +228,13 @@ impl Mapper {
 
     /// Takes the changes since the last patch, as the next revision; `None` without any.
     pub fn take_patch(&mut self) -> Option<MapPatch> {
-        let tiles = self.grid.take_dirty(self.settings.patch_tiles.max(1));
+        // Nobody holds one half of a map in one frame and the other half in another.
+        let most = if std::mem::take(&mut self.is_moved) {
+            MOST_TILES
+        } else {
+            self.settings.patch_tiles.max(1)
+        };
+        let tiles = self.grid.take_dirty(most);
         if tiles.is_empty() {
             return None;
         }
@@ -234,6 +247,12 @@ impl Mapper {
             spec: self.grid.spec(),
             tiles,
         })
+    }
+
+    /// The coordinates of the map are from now on in this frame. The next patch carries all that has changed.
+    pub fn set_frame(&mut self, frame: u64) {
+        self.is_moved |= self.map.frame != frame;
+        self.map.frame = frame;
     }
 
     /// Whether there are changes for another patch.
@@ -297,18 +316,18 @@ impl Mapper {
         &self.map
     }
 
-    /// Begins a new map, all unknown, and inserts scans into it.
+    /// Begins a new map, all unknown, in the frame of the one before, and inserts scans into it.
     pub fn reset(&mut self, map_id: impl Into<String>) {
-        let footprint = self.footprint.take();
+        let (footprint, frame) = (self.footprint.take(), self.map.frame);
         *self = Self::new(self.settings.clone(), map_id);
-        self.footprint = footprint;
+        (self.footprint, self.map.frame) = (footprint, frame);
     }
 
     /// Replaces the map by a stored one, as [`with_stored`](Self::with_stored). The id must be new.
     pub fn load(&mut self, map: MapRef, grid: &OccupancyGrid, trajectory: Vec<Point2<f64>>, scans: u64) {
-        let footprint = self.footprint.take();
+        let (footprint, frame) = (self.footprint.take(), self.map.frame);
         *self = Self::with_stored(self.settings.clone(), map, grid, trajectory, scans);
-        self.footprint = footprint;
+        (self.footprint, self.map.frame) = (footprint, frame);
     }
 
     /// Lets every transient obstacle decay now.

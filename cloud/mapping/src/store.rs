@@ -11,7 +11,7 @@ use zenav_protocol::messages::MapRef;
 use zenav_protocol::time::Stamp;
 
 use crate::atomic::write_atomically;
-use crate::map_file::{MapFileError, read_bytes, read_map, write_map};
+use crate::map_file::{MapFileError, read_bytes, read_stored, write_map};
 
 /// Name of the files, without their extensions.
 const STEM: &str = "map";
@@ -86,13 +86,13 @@ pub fn list(folder: &Path) -> Result<Vec<(String, MapRecord)>, MapFileError> {
 /// Loads the map of a folder; `None` when there is none. Without a readable record the map has an empty one.
 ///
 /// # Errors
-/// [`MapFileError`] for files that exist but are no map.
+/// [`MapFileError`] for files that exist but are no map, or whose description was changed since it was stored.
 pub fn load(folder: &Path) -> Result<Option<StoredMap>, MapFileError> {
     let path = folder.join(format!("{STEM}.yaml"));
     if !path.exists() {
         return Ok(None);
     }
-    let grid = read_map(&path, 1.0)?;
+    let grid = read_stored(&path)?;
     Ok(Some(StoredMap {
         grid,
         record: record(folder),
@@ -133,6 +133,7 @@ mod tests {
             map: MapRef {
                 id: "kitchen".into(),
                 revision: 12,
+                frame: 0,
             },
             stamp: Stamp(7),
             scans: 40,
@@ -163,6 +164,38 @@ mod tests {
         std::fs::create_dir(maps.join("empty")).unwrap();
         let names: Vec<String> = list(&maps).unwrap().into_iter().map(|(name, _)| name).collect();
         assert_eq!(names, ["attic", "house"]);
+    }
+
+    #[test]
+    fn a_description_that_was_changed_since_is_refused_and_another_tool_s_is_welcome() {
+        let folder = tempfile::tempdir().unwrap();
+        save(folder.path(), &stored()).unwrap();
+        let path = folder.path().join("map.yaml");
+        let text = std::fs::read_to_string(&path).unwrap();
+        for (was, is) in [
+            ("resolution: 0.05", "resolution: 0.5"),
+            ("origin: [-1, 2, 0]", "origin: [-1, 20, 0]"),
+            ("negate: 0", "negate: 1"),
+            ("mode: trinary", "mode: scale"),
+        ] {
+            let changed = text.replace(was, is);
+            assert_ne!(changed, text, "{was}");
+            std::fs::write(&path, &changed).unwrap();
+            let error = load(folder.path()).unwrap_err().to_string();
+            assert!(
+                error.contains("map.yaml") && error.contains("do not fit what was stored"),
+                "{error}"
+            );
+            let others: String = changed
+                .lines()
+                .filter(|line| !line.starts_with('#'))
+                .map(|line| format!("{line}\n"))
+                .collect();
+            std::fs::write(&path, others).unwrap();
+            assert!(load(folder.path()).unwrap().is_some(), "{was}");
+        }
+        std::fs::write(&path, text).unwrap();
+        assert_eq!(load(folder.path()).unwrap(), Some(stored()));
     }
 
     #[test]

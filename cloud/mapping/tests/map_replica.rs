@@ -89,7 +89,8 @@ fn a_new_map_takes_the_place_of_the_old_one() {
             replica.holds(mapper.map())
                 && !replica.holds(&MapRef {
                     id: id.into(),
-                    revision: 2
+                    revision: 2,
+                    frame: 0,
                 })
         );
     }

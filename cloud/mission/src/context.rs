@@ -10,6 +10,7 @@ use zenav_protocol::messages::{
 use zenav_protocol::time::Stamp;
 
 use super::config::MissionConfig;
+use super::frames::Frames;
 use super::io::{Answer, Ask, NoAnswer, Ticket};
 use super::lease::{LeaseClient, newer};
 use super::map::RobotMap;
@@ -29,7 +30,7 @@ const MAX_LEGS: usize = 64;
 const PLACES_WITHIN: f64 = 5.0;
 
 /// Pending requests and their answers.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Asks {
     incarnation: u64,
     count: u64,
@@ -129,6 +130,8 @@ pub struct Context {
     pub robot: RobotView,
     /// Its map.
     pub map: RobotMap,
+    /// The frames of its map.
+    pub frames: Frames,
     /// The robot's lease.
     pub lease: LeaseClient,
     /// The plan in force.
@@ -145,6 +148,8 @@ pub struct Context {
     begun: Option<Stamp>,
     /// Whether the annotations of the map have come.
     annotated: bool,
+    /// The places of the annotations, and the frame that they are in.
+    places: (u64, BTreeMap<String, GoalPoint>),
     /// How often a tree has asked to cancel what leaves of this registration id do.
     cancels: BTreeMap<&'static str, u64>,
     routes: VecDeque<Arc<Route>>,
@@ -179,6 +184,8 @@ impl Context {
             now: Stamp::ZERO,
             robot: RobotView::default(),
             map,
+            frames: Frames::default(),
+            places: (0, BTreeMap::new()),
             goal: ActiveGoal::default(),
             plans: Vec::new(),
             nested: 0,
@@ -206,13 +213,36 @@ impl Context {
             }
         };
         self.annotated = true;
+        self.places = (annotations.frame, annotations.places);
+        self.carry_places();
         let config = Arc::make_mut(&mut self.config);
-        config.places = annotations.places;
         if *config.zones != zones {
             tracing::info!(robot = %config.robot, zones = annotations.zones.len(), "the zones of the map have changed");
             config.zones = Arc::new(zones);
             self.map.set_zones(Arc::clone(&config.zones));
         }
+    }
+
+    /// The places, in the present frame of the map.
+    fn carry_places(&mut self) {
+        let (from, places) = &self.places;
+        let here = places.iter();
+        let here = here.map(|(name, place)| (name.clone(), self.frames.place(*from, *place)));
+        Arc::make_mut(&mut self.config).places = here.collect();
+    }
+
+    /// Goes over to the frame of the newest map, with the plan in force and the places. Returns the frame before, where it is another one.
+    pub(super) fn settle(&mut self) -> Option<u64> {
+        let before = self.frames.settle(self.map.newest().as_ref());
+        if before.is_some() {
+            self.motion.settle(&self.frames);
+            if self.annotated {
+                self.carry_places();
+            }
+            tracing::info!(robot = %self.config.robot, frame = self.frames.at(), "the map has moved");
+        }
+        self.robot.settle(&self.frames);
+        before
     }
 
     /// Whether places may be known soon that are not known yet.
@@ -255,6 +285,12 @@ impl Context {
         if !self.robot.is_heard(self.now) || self.robot.pose().is_none() {
             return Some("waiting for the robot".to_owned());
         }
+        if let Some(why) = self.robot.mismatch() {
+            return Some(why.to_owned());
+        }
+        if let Some(why) = self.robot.state().and_then(|state| state.faults.body.as_ref()) {
+            return Some(format!("waiting for the robot's body: {why}"));
+        }
         match self.robot.state().map(|state| state.mode) {
             Some(Mode::Stopped) => Some("the robot is stopped".to_owned()),
             Some(Mode::Teleop) => Some("the robot is in teleoperation".to_owned()),
@@ -285,7 +321,11 @@ impl Context {
     }
 
     /// Publishes a new plan for the active goal.
-    pub fn drive(&mut self, draft: super::motion::PlanDraft) {
+    pub fn drive(&mut self, mut draft: super::motion::PlanDraft) {
+        if draft.map.id.is_empty() {
+            // A plan that no map was needed for is in the present frame all the same.
+            draft.map.frame = self.frames.at();
+        }
         let (Some(epoch), Some(based_on)) = (self.lease.epoch(), self.robot.based_on()) else {
             return;
         };

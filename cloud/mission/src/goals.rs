@@ -4,7 +4,6 @@
 //! remembered within a window: all open goals, the last `MAX_ENDED` ended ones and the last `MAX_ANSWERS` answers. An id
 //! from before that is a new goal, so a client should not resend one after a thousand others have ended.
 
-use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use zenav_protocol::messages::{
@@ -12,7 +11,7 @@ use zenav_protocol::messages::{
 };
 use zenav_protocol::time::Stamp;
 
-use super::records::{Record, StoredGoal};
+use super::records::{Record, StoredGoal, Turn};
 
 /// Ended goals that are kept: the window within which a goal's id is known again.
 const MAX_ENDED: usize = 1000;
@@ -35,6 +34,8 @@ pub struct GoalTable {
     answers: VecDeque<(String, GoalReply)>,
     records: Vec<Record>,
     changed: BTreeSet<u64>,
+    /// Places in the queue as they were published last.
+    told_places: BTreeMap<u64, u64>,
 }
 
 impl GoalTable {
@@ -60,6 +61,7 @@ impl GoalTable {
             open,
             answers: answers.into(),
             records: Vec::new(),
+            told_places: BTreeMap::new(),
         }
     }
 
@@ -79,8 +81,62 @@ impl GoalTable {
     /// The first goal of the queue: preempting goals first, then by priority, then by age.
     #[must_use]
     pub fn next(&self) -> Option<&StoredGoal> {
-        self.waiting()
-            .min_by_key(|goal| (!goal.urgent, Reverse(goal.state.request.priority), goal.sequence))
+        self.waiting().min_by_key(|goal| goal.turn().key())
+    }
+
+    /// Goals that wait, the next one first.
+    fn queue(&self) -> Vec<&StoredGoal> {
+        let mut queue: Vec<&StoredGoal> = self.waiting().collect();
+        queue.sort_by_key(|goal| goal.turn().key());
+        queue
+    }
+
+    /// Places in the queue, from 1, by number of the goal.
+    fn places(&self) -> BTreeMap<u64, u64> {
+        self.queue().into_iter().map(|goal| goal.sequence).zip(1..).collect()
+    }
+
+    /// Moves a waiting goal before another one, or to the end. It takes the other's urgency and priority; among goals of the same, the
+    /// numbers that they have are dealt out anew in the new order.
+    ///
+    /// # Errors
+    /// [`Refusal::Rejected`] for a goal that does not wait.
+    pub fn move_before(&mut self, id: &str, before: Option<&str>) -> Result<(), Refusal> {
+        let queue = self.queue();
+        let place = |id: &str| {
+            queue.iter().position(|goal| goal.state.id == id).ok_or_else(|| {
+                let phase = self.get(id).map(|goal| goal.state.state);
+                let phase = phase.map_or_else(|| "unknown".to_owned(), |phase| format!("{phase:?}"));
+                Refusal::rejected(format!("goal {id} is {phase}: only goals that wait can be moved"))
+            })
+        };
+        let moved = place(id)?;
+        let at = before.map(place).transpose()?;
+        if at == Some(moved) {
+            return Ok(());
+        }
+        let Some(class) = at
+            .map_or_else(|| queue.last(), |at| queue.get(at))
+            .map(|goal| goal.turn())
+        else {
+            return Ok(());
+        };
+        let mut order: Vec<(u64, Turn)> = queue.iter().map(|goal| (goal.sequence, goal.turn())).collect();
+        let (sequence, turn) = order.remove(moved);
+        let at = at.map_or(order.len(), |at| if at > moved { at - 1 } else { at });
+        let number = turn.number;
+        order.insert(at, (sequence, Turn { number, ..class }));
+        order.retain(|(_, turn)| turn.is_beside(&class));
+        let mut numbers: Vec<u64> = order.iter().map(|(_, turn)| turn.number).collect();
+        numbers.sort_unstable();
+        for ((sequence, turn), number) in order.into_iter().zip(numbers) {
+            let turn = Turn { number, ..turn };
+            if let Some(goal) = self.goals.get_mut(&sequence).filter(|goal| goal.turn() != turn) {
+                goal.moved = Some(turn);
+                self.store(sequence);
+            }
+        }
+        Ok(())
     }
 
     fn waiting(&self) -> impl Iterator<Item = &StoredGoal> {
@@ -120,12 +176,14 @@ impl GoalTable {
             robot: robot.to_owned(),
             state: GoalPhase::Accepted,
             reason: None,
+            queue: None,
             accepted: now,
             started: None,
             ended: None,
             feedback: GoalFeedback::default(),
             legs: Vec::new(),
             request,
+            resolved: Vec::new(),
         };
         self.by_id.insert(id, sequence);
         self.open.insert(sequence);
@@ -134,8 +192,10 @@ impl GoalTable {
             StoredGoal {
                 sequence,
                 urgent,
+                moved: None,
                 paused_secs: 0.0,
                 paused_since: None,
+                anchors: None,
                 state,
             },
         );
@@ -202,6 +262,19 @@ impl GoalTable {
         }
     }
 
+    /// The answer to a goal that is there already under the id of `request`: its state, or a refusal where the id is another goal's.
+    #[must_use]
+    pub fn resubmitted(&self, request: &GoalRequest) -> Option<Result<GoalReply, Refusal>> {
+        let known = self.get(request.id.as_ref()?)?;
+        if known.state.request == *request {
+            return Some(Ok(reply(&known.state)));
+        }
+        let id = &known.state.id;
+        Some(Err(Refusal::rejected(format!(
+            "goal {id} exists with different content"
+        ))))
+    }
+
     /// The first answer to a request, if it is remembered.
     #[must_use]
     pub fn answered(&self, request_id: &str) -> Option<&GoalReply> {
@@ -229,12 +302,16 @@ impl GoalTable {
 
     /// Takes the goals to publish.
     pub fn take_changed(&mut self) -> Vec<GoalState> {
-        let changed = std::mem::take(&mut self.changed);
-        changed
+        let places = self.places();
+        let mut changed = std::mem::take(&mut self.changed);
+        let moved = places
             .iter()
-            .filter_map(|sequence| self.goals.get(sequence))
-            .map(|goal| goal.state.clone())
-            .collect()
+            .filter(|&(sequence, place)| self.told_places.get(sequence) != Some(place));
+        changed.extend(moved.map(|(sequence, _)| *sequence));
+        let goals = changed.iter().filter_map(|sequence| self.goals.get(sequence));
+        let states = goals.map(|goal| shown(goal, &places)).collect();
+        self.told_places = places;
+        states
     }
 
     /// Goals by state or id, newest first.
@@ -254,15 +331,24 @@ impl GoalTable {
                 && (request.states.is_empty() || request.states.contains(&goal.state.state))
         };
         let limit = request.limit.unwrap_or(DEFAULT_LIMIT);
+        let places = self.places();
         let goals = self
             .goals
             .values()
             .rev()
             .filter(wanted)
             .take(limit)
-            .map(|goal| goal.state.clone())
+            .map(|goal| shown(goal, &places))
             .collect();
         Ok(GoalsReply { goals, now: None })
+    }
+}
+
+/// A goal's state with its place in the queue.
+fn shown(goal: &StoredGoal, places: &BTreeMap<u64, u64>) -> GoalState {
+    GoalState {
+        queue: places.get(&goal.sequence).copied(),
+        ..goal.state.clone()
     }
 }
 
@@ -310,6 +396,21 @@ mod tests {
     }
 
     #[test]
+    fn a_goal_sent_again_is_the_same_and_its_id_is_no_other_goal_s() {
+        let table = table(&["a"]);
+        let mut request = GoalRequest {
+            id: Some("a".into()),
+            ..table.get("a").unwrap().state.request.clone()
+        };
+        assert!(matches!(
+            table.resubmitted(&request),
+            Some(Err(Refusal::Rejected { .. }))
+        ));
+        request.id = None;
+        assert_eq!(table.resubmitted(&request), None);
+    }
+
+    #[test]
     fn the_queue_is_ordered_by_preemption_priority_and_age() {
         let mut table = table(&["a", "b"]);
         assert_eq!(table.next().unwrap().state.id, "a");
@@ -324,6 +425,90 @@ mod tests {
         assert_eq!(table.next().unwrap().state.id, "c", "urgent goes before any priority");
         assert!(table.end("c", GoalPhase::Canceled, None, Stamp(4)));
         assert_eq!(table.next().unwrap().state.id, "d", "then the greatest priority");
+    }
+
+    fn queue_of(table: &GoalTable) -> Vec<&str> {
+        table.queue().into_iter().map(|goal| goal.state.id.as_str()).collect()
+    }
+
+    #[test]
+    fn a_waiting_goal_is_moved_and_stays_there_after_a_restart() {
+        let mut table = table(&["a", "b", "c", "d"]);
+        table.move_before("d", Some("b")).unwrap();
+        assert_eq!(queue_of(&table), ["a", "d", "b", "c"]);
+        table.move_before("a", None).unwrap();
+        assert_eq!(queue_of(&table), ["d", "b", "c", "a"]);
+        table.move_before("d", Some("a")).unwrap();
+        assert_eq!(queue_of(&table), ["b", "c", "d", "a"]);
+        let mut stored: BTreeMap<u64, StoredGoal> = BTreeMap::new();
+        for record in table.take_records() {
+            if let Record::Goal(goal) = record {
+                stored.insert(goal.sequence, *goal);
+            }
+        }
+        let mut restored = GoalTable::new(stored.into_values().collect(), Vec::new());
+        assert_eq!(queue_of(&restored), ["b", "c", "d", "a"]);
+        restored.accept("r", "e".into(), GoalRequest::default(), false, Stamp(2));
+        assert_eq!(queue_of(&restored), ["b", "c", "d", "a", "e"], "a new goal is the last");
+    }
+
+    #[test]
+    fn a_moved_goal_takes_the_priority_of_the_one_that_it_is_put_before() {
+        let mut table = table(&["a", "b"]);
+        let request = |priority| GoalRequest {
+            priority,
+            ..GoalRequest::default()
+        };
+        table.accept("r", "first".into(), request(5), false, Stamp(2));
+        table.accept("r", "urgent".into(), request(0), true, Stamp(2));
+        assert_eq!(queue_of(&table), ["urgent", "first", "a", "b"]);
+        table.move_before("b", Some("first")).unwrap();
+        assert_eq!(queue_of(&table), ["urgent", "b", "first", "a"]);
+        table.move_before("urgent", None).unwrap();
+        assert_eq!(queue_of(&table), ["b", "first", "a", "urgent"]);
+        table.accept("r", "c".into(), request(1), false, Stamp(3));
+        assert_eq!(queue_of(&table), ["b", "first", "c", "a", "urgent"]);
+        assert_eq!(
+            table.get("b").unwrap().state.request.priority,
+            0,
+            "the request stays as it came"
+        );
+    }
+
+    #[test]
+    fn only_waiting_goals_are_moved() {
+        let mut table = table(&["a", "b"]);
+        table.change("a", |goal| goal.state.state = GoalPhase::Active);
+        let refusal = table.move_before("a", None).unwrap_err().to_string();
+        assert!(refusal.contains("goal a is Active"), "{refusal}");
+        assert!(table.move_before("b", Some("a")).is_err());
+        table.move_before("b", Some("b")).unwrap();
+        table.move_before("b", None).unwrap();
+        assert_eq!(queue_of(&table), ["b"]);
+    }
+
+    #[test]
+    fn whoever_moves_up_is_told_again_with_its_place() {
+        let mut table = table(&["a", "b", "c"]);
+        let places = |table: &mut GoalTable| {
+            let told = table.take_changed().into_iter();
+            told.map(|goal| (goal.id, goal.queue)).collect::<Vec<_>>()
+        };
+        let told = |id: &str, place| (id.to_owned(), place);
+        assert_eq!(
+            places(&mut table),
+            [told("a", Some(1)), told("b", Some(2)), told("c", Some(3))]
+        );
+        table.change("a", |goal| goal.state.state = GoalPhase::Active);
+        assert_eq!(
+            places(&mut table),
+            [told("a", None), told("b", Some(1)), told("c", Some(2))]
+        );
+        assert!(places(&mut table).is_empty());
+        table.move_before("c", Some("b")).unwrap();
+        assert_eq!(places(&mut table), [told("b", Some(2)), told("c", Some(1))]);
+        let listed = table.list(&GoalsRequest::default()).unwrap().goals;
+        assert_eq!(listed[0].queue, Some(1));
     }
 
     #[test]

@@ -4,8 +4,8 @@ use thiserror::Error;
 use zenav_protocol::lease::LONGEST_ROUND_TRIP;
 use zenav_protocol::messages::{
     Annotations, BehaviourReply, BehaviourRequest, EdgeState, Event, GoalState, Heartbeat, InfoReply, InfoRequest,
-    LeaseReply, LeaseRequest, MapInfo, MapPatch, MapReply, MapRequest, MissionStatus, MotionReply, MotionRequest, Plan,
-    PoseEstimate, Refusal, RemoteReply, RemoteRequest,
+    LeaseReply, LeaseRequest, Localisation, LocaliseReply, LocaliseRequest, MapFrame, MapInfo, MapPatch, MapReply,
+    MapRequest, MissionStatus, MotionReply, MotionRequest, Plan, PoseEstimate, Refusal, RemoteReply, RemoteRequest,
 };
 use zenav_protocol::topics::{MissionReply, MissionRequest};
 
@@ -32,6 +32,10 @@ pub struct Inputs {
     pub map_info: Option<MapInfo>,
     /// Map patches, in order.
     pub map_patches: Vec<MapPatch>,
+    /// Whether the robot's place can be trusted, if that was said anew.
+    pub localisation: Option<Localisation>,
+    /// The frame of the map and where its parts lie, if new.
+    pub map_frame: Option<MapFrame>,
     /// The places and zones of the map, if new.
     pub annotations: Option<Annotations>,
     /// Whether the mapper is alive, if that has changed; it counts as alive until reported gone.
@@ -55,6 +59,8 @@ pub enum Ask {
     Motion(Box<MotionRequest>),
     /// To mapping.
     Map(MapRequest),
+    /// To mapping: where the robot is.
+    Localise(LocaliseRequest),
     /// To a program that runs a remote action, on its key.
     Remote(String, Box<RemoteRequest>),
 }
@@ -68,7 +74,7 @@ impl Ask {
             Self::Remote(..) => 2.0,
             // Long enough for a second worker when the first one is silent.
             Self::Motion(request) => 2.0 + 2.0 * request.budget().as_secs_f64(),
-            Self::Map(_) => 5.0,
+            Self::Map(_) | Self::Localise(_) => 5.0,
         }
     }
 }
@@ -86,6 +92,8 @@ pub enum Answer {
     Motion(Box<MotionReply>),
     /// A map.
     Map(Box<MapReply>),
+    /// Whether the robot's place can be trusted.
+    Localised(LocaliseReply),
     /// A remote action's progress.
     Remote(Box<RemoteReply>),
 }
@@ -125,6 +133,4 @@ pub enum Effect {
     Reply(Client, Result<MissionReply, Refusal>),
     /// Another mission leads: drop this one, and follow the leader's journal until this store may lead again.
     StandBy,
-    /// Stop for good: this mission and the robot speak different schema versions.
-    Fatal(String),
 }

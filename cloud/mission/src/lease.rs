@@ -32,7 +32,7 @@ struct Grant {
 }
 
 /// Acquires and renews the lease.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct LeaseClient {
     holder: String,
     incarnation: u64,

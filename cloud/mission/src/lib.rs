@@ -16,7 +16,9 @@
 //! | `requests`, [`goal_validation`], [`goals`] | what are clients told, which goals are taken, which are there? |
 //! | [`records`], [`store`] | what outlives a crash, and where is it kept? |
 //! | [`lease`] | does this mission command the robot? |
+//! | [`membership`], [`standby`] | which standbys hold everything, and when may one lead? |
 //! | [`robot`], [`map`] | what is known of the robot and its map? |
+//! | [`frames`], `spots` | where do goals and plans lie when the map has moved? |
 //! | [`transient`] | what of the map may leave again, and since when has it stood there? |
 //! | [`motion`] | which plan is in force, and is it still good? |
 //! | [`route`] | how does a goal become a motion? plan, then smooth |
@@ -63,12 +65,14 @@
 
 pub mod config;
 pub mod context;
+pub mod frames;
 pub mod goal_validation;
 pub mod goals;
 pub mod io;
 pub mod lease;
 pub mod leaves;
 pub mod map;
+pub mod membership;
 pub mod motion;
 pub mod orchestrator;
 mod publishing;
@@ -77,6 +81,8 @@ mod requests;
 pub mod robot;
 pub mod route;
 mod settings;
+mod spots;
+pub mod standby;
 pub mod store;
 pub mod transient;
 pub mod trees;

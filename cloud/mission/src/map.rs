@@ -33,6 +33,8 @@ pub struct RobotMap {
     mapper_gone: Option<Stamp>,
     spaces: SpaceCache,
     transients: Transients,
+    /// The frame in which they were observed.
+    frame: u64,
     /// Number of changes of the zones.
     zone_changes: u64,
 }
@@ -65,6 +67,13 @@ impl RobotMap {
         for patch in patches {
             // A gap may be closed by a later patch that starts from an unknown map.
             gap = match self.replica.apply(patch) {
+                PatchResult::Applied if patch.map.frame != self.frame => {
+                    // The map has moved as a whole: what was free there says nothing of here.
+                    self.frame = patch.map.frame;
+                    self.transients = Transients::default();
+                    self.transients.observe_all(now, &patch.map.id, self.replica.grid());
+                    false
+                }
                 PatchResult::Applied => {
                     self.transients.observe(now, patch);
                     false
@@ -107,6 +116,10 @@ impl RobotMap {
             if let Ok(Answer::Map(reply)) = answer
                 && self.replica.replace(&reply)
             {
+                if self.replica.map().frame != self.frame {
+                    self.frame = self.replica.map().frame;
+                    self.transients = Transients::default();
+                }
                 let (map, grid) = (&self.replica.map().id, self.replica.grid());
                 self.transients.observe_all(now, map, grid);
                 self.behind = None;

@@ -11,7 +11,9 @@ use zenav_protocol::messages::{
 use zenav_protocol::time::Stamp;
 use zenav_protocol::trajectory::Trajectory;
 
+use super::frames::Frames;
 use super::lease::newer;
+use super::robot::is_rest;
 use zenav_space::ConfigurationSpace;
 
 /// Spacing of the poses that are rechecked, m and rad: between two poses the check is exact at constant velocity.
@@ -66,7 +68,10 @@ pub enum Recheck {
 
 #[derive(Clone, Debug)]
 struct ActivePlan {
+    /// As it was published, in the frame that it names.
     plan: Plan,
+    /// Its trajectory in the mission's frame of the map.
+    here: Trajectory,
     status: PlanStatus,
     /// When it was published, renewed or held last.
     published: Stamp,
@@ -113,6 +118,7 @@ impl MotionKeeper {
         self.was_begun_for_leg = true;
         let long_ago = Stamp::ZERO;
         self.current = Some(ActivePlan {
+            here: plan.trajectory.clone(),
             plan,
             status: PlanStatus::Taken,
             published: long_ago,
@@ -139,6 +145,22 @@ impl MotionKeeper {
     #[must_use]
     pub fn plan(&self) -> Option<&Plan> {
         self.current.as_ref().map(|current| &current.plan)
+    }
+
+    /// The trajectory in force, in the mission's frame of the map.
+    #[must_use]
+    pub fn here(&self) -> Option<&Trajectory> {
+        self.current.as_ref().map(|current| &current.here)
+    }
+
+    /// Takes over the present frame of the map: what is driven moves with the robot's surroundings, as it does on the robot.
+    pub fn settle(&mut self, frames: &Frames) {
+        for active in self.current.iter_mut().chain(&mut self.previous) {
+            match frames.robot(active.plan.map.frame) {
+                Some(moved) => active.here = active.plan.trajectory.moved(moved),
+                None => active.status = PlanStatus::Void("it was made in an older frame of the map".to_owned()),
+            }
+        }
     }
 
     /// Whether it is being let run out.
@@ -190,6 +212,7 @@ impl MotionKeeper {
             .take()
             .filter(|current| current.status == PlanStatus::Taken);
         self.current = Some(ActivePlan {
+            here: plan.trajectory.clone(),
             plan: plan.clone(),
             status: PlanStatus::Sent,
             published: now,
@@ -278,7 +301,9 @@ impl MotionKeeper {
                 current.confirmed = now;
                 if matches!(current.status, PlanStatus::Sent | PlanStatus::Taken) {
                     current.was_taken = true;
-                    current.status = if progress.finished {
+                    // By the state alone: an event may be anybody's, and names no revision.
+                    let is_ours = (progress.epoch, progress.revision) <= (current.plan.epoch, current.plan.revision);
+                    current.status = if progress.finished && is_ours && is_rest(state.velocity) {
                         PlanStatus::Finished
                     } else {
                         PlanStatus::Taken
@@ -307,9 +332,9 @@ impl MotionKeeper {
     /// Rechecks the rest of the trajectory, from plan time `from` on, with the true footprint.
     #[must_use]
     pub fn recheck(&self, space: &ConfigurationSpace, from: f64, escape: f64) -> Recheck {
-        self.current.as_ref().map_or(Recheck::Free, |current| {
-            recheck(&current.plan.trajectory, space, from, escape)
-        })
+        self.current
+            .as_ref()
+            .map_or(Recheck::Free, |current| recheck(&current.here, space, from, escape))
     }
 }
 
@@ -334,9 +359,6 @@ impl ActivePlan {
             } if *trajectory_id == ours && self.refused < Some(*revision) && self.status != PlanStatus::Finished => {
                 self.refused = Some(self.plan.revision);
                 self.status = PlanStatus::Refused(reason.clone());
-            }
-            EventKind::PlanFinished { trajectory_id, .. } if *trajectory_id == ours => {
-                self.status = PlanStatus::Finished
             }
             // Before the plan was taken this is about the one before it.
             EventKind::PlanDiscarded { goal_id, reason }
@@ -395,7 +417,9 @@ pub fn recheck(trajectory: &Trajectory, space: &ConfigurationSpace, from: f64, e
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
+    use zenav_protocol::geometry::Twist2;
     use zenav_protocol::grid::{GridSpec, Occupancy, OccupancyGrid};
+    use zenav_protocol::messages::{Faults, GuardZone, LeaseState, Link, PlanProgress};
     use zenav_protocol::robot::Footprint;
     use zenav_protocol::trajectory::TrajectoryPoint;
     use zenav_space::UnknownPolicy;
@@ -436,6 +460,89 @@ mod tests {
         assert!((5.5..7.6).contains(&ahead), "{ahead}");
         assert_eq!(recheck(&path, &space, 9.0, 0.6), Recheck::Free);
         assert_eq!(recheck(&path, &self::space(&[(4.0, 0.3)]), 0.0, 0.6), Recheck::Free);
+    }
+
+    fn state(velocity: f64, progress: PlanProgress) -> EdgeState {
+        EdgeState {
+            stamp: Stamp(1),
+            boot_id: "b".into(),
+            mode: Mode::Follow,
+            link: Link::Connected,
+            lease: LeaseState::default(),
+            round_trip_secs: None,
+            plan: Some(progress),
+            velocity: Twist2::new(velocity, 0.0),
+            guard: GuardZone::Clear,
+            battery: 1.0,
+            behaviour: None,
+            wall_follower: None,
+            missed_ticks: 0,
+            makes_way: false,
+            frame: 0,
+            faults: Faults::default(),
+        }
+    }
+
+    #[test]
+    fn a_plan_is_finished_by_the_robot_s_own_state_at_rest_and_not_by_an_event() {
+        let mut keeper = MotionKeeper::new(1);
+        let based_on = BasedOn {
+            stamp: Stamp(1),
+            boot_id: "b".into(),
+        };
+        let plan = keeper.begin(PlanDraft::default(), "g", 7, based_on, 5.0, Stamp(1));
+        let forged = Event {
+            stamp: Stamp(2),
+            boot_id: "b".into(),
+            sequence: 9,
+            kind: EventKind::PlanFinished {
+                goal_id: "g".into(),
+                trajectory_id: plan.trajectory_id,
+            },
+        };
+        keeper.observe(Stamp(2), None, &[forged]);
+        assert_eq!(keeper.status(), Some(&PlanStatus::Sent));
+        let end = PlanProgress {
+            epoch: 7,
+            revision: plan.revision,
+            trajectory_id: plan.trajectory_id,
+            finished: true,
+            ..PlanProgress::default()
+        };
+        let later = Revision {
+            counter: u64::MAX,
+            ..plan.revision
+        };
+        let strangers = [
+            state(0.4, end.clone()),
+            state(
+                0.0,
+                PlanProgress {
+                    epoch: 8,
+                    ..end.clone()
+                },
+            ),
+            state(
+                0.0,
+                PlanProgress {
+                    revision: later,
+                    ..end.clone()
+                },
+            ),
+            state(
+                0.0,
+                PlanProgress {
+                    trajectory_id: 0,
+                    ..end.clone()
+                },
+            ),
+        ];
+        for stranger in strangers {
+            keeper.observe(Stamp(3), Some(&stranger), &[]);
+            assert_ne!(keeper.status(), Some(&PlanStatus::Finished), "{stranger:?}");
+        }
+        keeper.observe(Stamp(4), Some(&state(0.0, end)), &[]);
+        assert_eq!(keeper.status(), Some(&PlanStatus::Finished));
     }
 
     #[test]

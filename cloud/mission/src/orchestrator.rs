@@ -8,7 +8,7 @@ use zenav_protocol::topics::{MissionReply, MissionRequest};
 
 use super::config::MissionConfig;
 use super::context::{ActiveGoal, Context};
-use super::goal_validation::{self, Target};
+use super::goal_validation::Target;
 use super::goals::GoalTable;
 use super::io::{Client, Effect, Inputs};
 use super::leaves::{goal_text, goals_value};
@@ -92,6 +92,12 @@ impl Mission {
         ctx.motion.observe(now, inputs.state.as_ref(), &inputs.events);
         ctx.robot.hear(now, &inputs.events);
         ctx.robot.observe(now, inputs.state, inputs.pose);
+        if let Some(said) = inputs.localisation {
+            ctx.robot.observe_localisation(now, said);
+        }
+        if let Some(frame) = inputs.map_frame {
+            ctx.frames.observe(frame);
+        }
         ctx.map.observe(now, inputs.map_info, &inputs.map_patches);
         if let Some(alive) = inputs.mapper_alive {
             ctx.map.observe_mapper(now, alive);
@@ -99,15 +105,14 @@ impl Mission {
         for (ticket, answer) in inputs.answers {
             ctx.asks.answer(ticket, answer);
         }
-        let mut effects = Vec::new();
-        if let Err(why) = ctx.robot.step(now, &mut ctx.asks) {
-            effects.push(Effect::Fatal(why));
-        }
+        ctx.robot.step(now, &mut ctx.asks);
         ctx.map.step(now, &mut ctx.asks);
+        let moved_from = ctx.settle();
         let heartbeat = ctx.lease.step(now, ctx.robot.time(now), &mut ctx.asks);
         if !ctx.lease.leads() {
-            return self.stand_by(inputs.requests, effects);
+            return self.stand_by(inputs.requests);
         }
+        self.keep_spots(moved_from);
         // Goals of an earlier run are active again before any client asks about them.
         self.activate_next();
         for (client, request) in inputs.requests {
@@ -117,7 +122,7 @@ impl Mission {
         self.keep_deadlines();
         self.activate_next();
         self.tick();
-        self.collect(heartbeat, effects)
+        self.collect(heartbeat)
     }
 
     /// The last step took until now, and heartbeats went out meanwhile: this mission was busy, not suspended.
@@ -138,7 +143,8 @@ impl Mission {
     }
 
     /// The step of a standby: it requests the lease, and answers clients that it does not lead.
-    fn stand_by(&mut self, requests: Vec<(Client, MissionRequest)>, mut effects: Vec<Effect>) -> Vec<Effect> {
+    fn stand_by(&mut self, requests: Vec<(Client, MissionRequest)>) -> Vec<Effect> {
+        let mut effects = Vec::new();
         for (client, request) in requests {
             let reply = self.serve(request);
             effects.push(Effect::Reply(client, reply));
@@ -181,7 +187,7 @@ impl Mission {
     /// Shutdown: the robot comes to rest, and the next run continues its goals.
     pub fn leave(&mut self) -> Vec<Effect> {
         self.ctx.hold();
-        self.collect(None, Vec::new())
+        self.collect(None)
     }
 
     /// The lease's epoch, while this mission commands.
@@ -194,6 +200,11 @@ impl Mission {
     #[must_use]
     pub fn goal(&self, id: &str) -> Option<&GoalState> {
         self.goals.get(id).map(|goal| &goal.state)
+    }
+
+    /// The phases of all goals that have not ended.
+    pub fn open_goals(&self) -> impl Iterator<Item = GoalPhase> {
+        self.goals.open().map(|goal| goal.state.state)
     }
 
     /// Builds the tree of the active goal, or of the next in the queue.
@@ -229,7 +240,7 @@ impl Mission {
     fn attach(&mut self, goal: &StoredGoal) -> Result<Running, String> {
         let id = &goal.state.id;
         let request = &goal.state.request;
-        let target = goal_validation::target(request, &self.ctx).map_err(|refusal| refusal.to_string())?;
+        let target = self.target(goal).map_err(|refusal| refusal.to_string())?;
         let name = match (&request.tree, &target) {
             (Some(tree), _) => tree,
             (None, Target::Waypoints(_)) => trees::NAVIGATE_THROUGH,
@@ -344,8 +355,7 @@ impl Mission {
 
     /// Distance from the robot to the place of a goal, m; `None` for a goal without one place.
     fn final_error(&self, id: &str) -> Option<f64> {
-        let request = &self.goals.get(id)?.state.request;
-        let Ok(Target::Pose(goal)) = goal_validation::target(request, &self.ctx) else {
+        let Ok(Target::Pose(goal)) = self.target(self.goals.get(id)?) else {
             return None;
         };
         let pose = self.ctx.robot.pose()?;
@@ -374,7 +384,7 @@ impl Mission {
             self.tree_ended = true;
         }
         if self.goals.end(id, phase, reason.clone(), self.ctx.now) {
-            tracing::info!(goal = id, ?phase, reason, "goal ended");
+            tracing::debug!(goal = id, ?phase, reason, "goal ended");
         }
     }
 }

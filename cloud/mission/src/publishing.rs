@@ -1,6 +1,8 @@
 //! Persisting and publishing. What does a step store, and what does it tell everybody?
 
-use zenav_behaviour_tree::NodeReport;
+use std::collections::BTreeMap;
+
+use zenav_behaviour_tree::{NodeReport, Status};
 use zenav_protocol::messages::{GoalFeedback, Heartbeat, MissionStatus, NodeStatus};
 use zenav_protocol::time::Stamp;
 
@@ -20,7 +22,7 @@ pub(super) struct Published {
 
 impl Mission {
     /// The effects of a step: what is to be persisted first, then everything else.
-    pub(super) fn collect(&mut self, heartbeat: Option<Heartbeat>, mut others: Vec<Effect>) -> Vec<Effect> {
+    pub(super) fn collect(&mut self, heartbeat: Option<Heartbeat>) -> Vec<Effect> {
         self.publish_feedback();
         let mut records = self.goals.take_records();
         if let Some(motion) = self.ctx.motion.take_changed() {
@@ -45,7 +47,6 @@ impl Mission {
             records.push(Record::Now(self.ctx.now));
             effects.push(Effect::Persist(records));
         }
-        effects.append(&mut others);
         effects.extend(heartbeat.map(Effect::Heartbeat));
         effects.extend(self.ctx.plans.drain(..).map(|plan| Effect::Plan(Box::new(plan))));
         effects.extend(
@@ -106,6 +107,10 @@ impl Mission {
         self.published.status = Some(news);
         self.published.next_status = self.ctx.now.plus_secs(self.ctx.config.settings.status_period);
         let nodes = running.map(|running| running.tree.report()).unwrap_or_default();
+        let ports = |uid| {
+            let values = running.into_iter().flat_map(|running| running.tree.port_values(uid));
+            values.map(|(port, words)| (port.to_owned(), words)).collect()
+        };
         let node = |node: NodeReport| NodeStatus {
             uid: u32::from(node.uid),
             parent: node.parent.map(u32::from),
@@ -113,6 +118,16 @@ impl Mission {
             id: node.id,
             status: node.status.as_str().to_owned(),
             feedback: node.feedback,
+            last: if node.last == Status::Idle {
+                String::new()
+            } else {
+                node.last.as_str().to_owned()
+            },
+            ports: if node.starts > 0 {
+                ports(node.uid)
+            } else {
+                BTreeMap::new()
+            },
         };
         Some(MissionStatus {
             stamp: self.ctx.now,

@@ -1,10 +1,38 @@
 //! Records. What survives a crash? Plain data; how it is kept on disk is the store's business.
 
+use std::cmp::Reverse;
+
 use serde::{Deserialize, Serialize};
 use zenav_protocol::messages::{GoalReply, GoalState, Plan};
 use zenav_protocol::time::Stamp;
 
+use super::frames::Anchors;
 use zenav_behaviour_tree::TreeSnapshot;
+
+/// A goal's turn: preempting goals first, then by priority, then by number.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Turn {
+    /// It preempts.
+    pub urgent: bool,
+    /// Its priority, highest first.
+    pub priority: i32,
+    /// Its number, lowest first; no two goals have the same.
+    pub number: u64,
+}
+
+impl Turn {
+    /// What the queue is sorted by.
+    #[must_use]
+    pub const fn key(&self) -> (bool, Reverse<i32>, u64) {
+        (!self.urgent, Reverse(self.priority), self.number)
+    }
+
+    /// Whether only the numbers of two goals say which is first.
+    #[must_use]
+    pub const fn is_beside(&self, other: &Self) -> bool {
+        self.urgent == other.urgent && self.priority == other.priority
+    }
+}
 
 /// A goal as it is stored.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -14,14 +42,32 @@ pub struct StoredGoal {
     /// It preempted another goal: first in the queue.
     #[serde(default)]
     pub urgent: bool,
+    /// Its turn since somebody moved it in the queue.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub moved: Option<Turn>,
     /// Time spent paused, s.
     #[serde(default)]
     pub paused_secs: f64,
     /// Since when it has been paused.
     #[serde(default)]
     pub paused_since: Option<Stamp>,
+    /// What its places are tied to, where the map may move.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub anchors: Option<Anchors>,
     /// The goal.
     pub state: GoalState,
+}
+
+impl StoredGoal {
+    /// Its turn in the queue: as it came, unless somebody moved it.
+    #[must_use]
+    pub fn turn(&self) -> Turn {
+        self.moved.unwrap_or(Turn {
+            urgent: self.urgent,
+            priority: self.state.request.priority,
+            number: self.sequence,
+        })
+    }
 }
 
 /// The tree that runs.

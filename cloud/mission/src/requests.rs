@@ -3,7 +3,8 @@
 use zenav_protocol::SCHEMA_VERSION;
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{
-    GoalPhase, GoalReply, GoalRequest, GoalsReply, InfoReply, InfoRequest, JoinReply, JoinRequest, OnBusy, Refusal,
+    GoalPhase, GoalReply, GoalRequest, GoalsReply, InfoReply, InfoRequest, JoinReply, JoinRequest, MoveGoalRequest,
+    OnBusy, Refusal,
 };
 use zenav_protocol::topics::{MissionReply, MissionRequest};
 
@@ -31,6 +32,11 @@ impl Mission {
                 let id = request.request_id.clone();
                 self.once(id, |mission| mission.pause(request.id, request.resume))
                     .map(MissionReply::Pause)
+            }
+            MissionRequest::MoveGoal(request) => {
+                let id = request.request_id.clone();
+                self.once(id, |mission| mission.move_goal(request))
+                    .map(MissionReply::MoveGoal)
             }
             MissionRequest::Goals(request) => {
                 let now = Some(self.ctx.now);
@@ -71,15 +77,8 @@ impl Mission {
     }
 
     fn submit(&mut self, mut request: GoalRequest) -> Result<GoalReply, Refusal> {
-        if let Some(known) = request.id.as_ref().and_then(|id| self.goals.get(id)) {
-            return if known.state.request == request {
-                Ok(reply(&known.state))
-            } else {
-                Err(Refusal::rejected(format!(
-                    "goal {} exists with different content",
-                    known.state.id
-                )))
-            };
+        if let Some(known) = self.goals.resubmitted(&request) {
+            return known;
         }
         let target = goal_validation::target(&request, &self.ctx)?;
         let tolerance = request.tolerance.unwrap_or(self.ctx.config.settings.tolerance);
@@ -178,6 +177,13 @@ impl Mission {
                 )));
             }
         }
+        self.state_of(&id)
+    }
+
+    fn move_goal(&mut self, request: MoveGoalRequest) -> Result<GoalReply, Refusal> {
+        let id = self.named(Some(request.id))?;
+        let before = request.before.map(|before| self.named(Some(before))).transpose()?;
+        self.goals.move_before(&id, before.as_deref())?;
         self.state_of(&id)
     }
 

@@ -2,11 +2,14 @@
 
 use zenav_protocol::SCHEMA_VERSION;
 use zenav_protocol::geometry::{Pose2, Twist2};
-use zenav_protocol::messages::{BasedOn, EdgeState, Event, EventKind, InfoRequest, PoseEstimate};
+use zenav_protocol::messages::{
+    BasedOn, EdgeState, Event, EventKind, InfoReply, InfoRequest, Localisation, PoseEstimate,
+};
 use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 
 use super::context::Asks;
+use super::frames::Frames;
 use super::io::{Answer, Ask, Ticket};
 
 /// A robot whose newest state is older is silent, s.
@@ -21,11 +24,17 @@ const AT_REST: (f64, f64) = (0.02, 0.04);
 pub struct RobotView {
     state: Option<(Stamp, EdgeState)>,
     pose: Option<(Stamp, PoseEstimate)>,
+    /// From the frame of its pose to that of the mission; `None` where it is not known.
+    here_from_told: Option<Pose2>,
     model: Option<RobotModel>,
     model_boot: Option<String>,
     asking: Option<Ticket>,
     next_ask: Stamp,
     bumped: Option<Stamp>,
+    /// Whether its place can be trusted, and when that was said.
+    localisation: Option<(Stamp, Localisation)>,
+    /// What the last reply of another schema version was.
+    mismatch: Option<String>,
 }
 
 impl RobotView {
@@ -34,6 +43,28 @@ impl RobotView {
         if events.iter().any(|event| matches!(event.kind, EventKind::Bumped)) {
             self.bumped = Some(now);
         }
+    }
+
+    /// Takes what was said of its place.
+    pub fn observe_localisation(&mut self, now: Stamp, said: Localisation) {
+        self.localisation = Some((now, said));
+    }
+
+    /// Why its place cannot be trusted, if it cannot.
+    #[must_use]
+    pub fn lost(&self) -> Option<String> {
+        let (_, said) = self.localisation.as_ref()?;
+        // What was said of another boot says nothing of this one.
+        let is_of_this_boot = self.state().is_none_or(|state| state.boot_id == said.boot_id);
+        (is_of_this_boot && !said.health.is_trusted())
+            .then(|| format!("Lost: nobody knows where the robot is ({})", said.health))
+    }
+
+    /// Whether its place can be trusted by what was said after a time.
+    #[must_use]
+    pub fn is_localised_since(&self, time: Stamp) -> bool {
+        let newer = |(came, _): &&(Stamp, Localisation)| *came > time;
+        self.localisation.as_ref().filter(newer).is_some() && self.lost().is_none()
     }
 
     /// Whether its bumper was hit within the last `secs`.
@@ -52,31 +83,14 @@ impl RobotView {
         }
     }
 
-    /// Requests the model until there is one of the robot's present boot.
-    ///
-    /// # Errors
-    /// Why this mission cannot work with the robot: another schema version.
-    pub fn step(&mut self, now: Stamp, asks: &mut Asks) -> Result<(), String> {
+    /// Requests the model until there is one of the robot's present boot. A reply of another schema version is not believed: it may be
+    /// anybody's, and the robot is asked again.
+    pub fn step(&mut self, now: Stamp, asks: &mut Asks) {
         if let Some(answer) = self.asking.and_then(|ticket| asks.take(ticket)) {
             self.asking = None;
             self.next_ask = now.plus_secs(RETRY);
             if let Ok(Answer::EdgeInfo(info)) = answer {
-                if info.schema != SCHEMA_VERSION {
-                    return Err(format!(
-                        "the robot's edge ({}) speaks schema {}, this mission ({}) schema {SCHEMA_VERSION}: expected the same",
-                        info.version,
-                        info.schema,
-                        env!("CARGO_PKG_VERSION")
-                    ));
-                }
-                match info.model.map(|model| model.checked("the robot's model")) {
-                    Some(Ok(model)) => {
-                        self.model = Some(model);
-                        self.model_boot = info.boot.map(|boot| boot.boot_id);
-                    }
-                    Some(Err(error)) => tracing::warn!(%error, "the robot's model is invalid"),
-                    None => tracing::warn!("the robot's edge has sent no model"),
-                }
+                self.take(*info);
             }
         }
         let boot = self.state.as_ref().map(|(_, state)| &state.boot_id);
@@ -85,7 +99,40 @@ impl RobotView {
         if !known && self.asking.is_none() && now >= self.next_ask {
             self.asking = Some(asks.ask(Ask::EdgeInfo(InfoRequest {})));
         }
-        Ok(())
+    }
+
+    fn take(&mut self, info: InfoReply) {
+        let mismatch = (info.schema != SCHEMA_VERSION).then(|| {
+            format!(
+                "the robot's edge ({}) speaks schema {}, this mission ({}) schema {SCHEMA_VERSION}: expected the same",
+                info.version,
+                info.schema,
+                env!("CARGO_PKG_VERSION")
+            )
+        });
+        if mismatch != self.mismatch
+            && let Some(why) = &mismatch
+        {
+            tracing::error!(why, "the robot is not driven");
+        }
+        self.mismatch = mismatch;
+        if self.mismatch.is_some() {
+            return;
+        }
+        match info.model.map(|model| model.checked("the robot's model")) {
+            Some(Ok(model)) => {
+                self.model = Some(model);
+                self.model_boot = info.boot.map(|boot| boot.boot_id);
+            }
+            Some(Err(error)) => tracing::warn!(%error, "the robot's model is invalid"),
+            None => tracing::warn!("the robot's edge has sent no model"),
+        }
+    }
+
+    /// Why its replies are not believed: the newest was of another schema version.
+    #[must_use]
+    pub fn mismatch(&self) -> Option<&str> {
+        self.mismatch.as_deref().filter(|_| self.model.is_none())
     }
 
     /// Whether its state is recent.
@@ -117,10 +164,22 @@ impl RobotView {
             .map_or(f64::INFINITY, |(came, _)| now.secs_since(*came))
     }
 
-    /// Its pose, map frame.
+    /// Takes over the present frame of the map.
+    pub fn settle(&mut self, frames: &Frames) {
+        self.here_from_told = self.pose.as_ref().and_then(|(_, pose)| frames.robot(pose.frame));
+    }
+
+    /// The frame of the map that its newest state is in; zero before it was heard.
+    #[must_use]
+    pub fn frame(&self) -> u64 {
+        self.state().map_or(0, |state| state.frame)
+    }
+
+    /// Its pose, in the mission's frame of the map.
     #[must_use]
     pub fn pose(&self) -> Option<Pose2> {
-        self.pose.as_ref().map(|(_, pose)| pose.map_from_base)
+        let (_, pose) = self.pose.as_ref()?;
+        Some(self.here_from_told? * pose.map_from_base)
     }
 
     /// Its velocity.
@@ -132,8 +191,7 @@ impl RobotView {
     /// Whether it is at rest.
     #[must_use]
     pub fn is_at_rest(&self) -> bool {
-        let twist = self.velocity();
-        twist.v.abs() < AT_REST.0 && twist.w.abs() < AT_REST.1
+        is_rest(self.velocity())
     }
 
     /// Its model.
@@ -160,30 +218,46 @@ impl RobotView {
     }
 }
 
+/// Whether a robot with this measured velocity is at rest.
+pub(super) fn is_rest(twist: Twist2) -> bool {
+    twist.v.abs() < AT_REST.0 && twist.w.abs() < AT_REST.1
+}
+
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
     use zenav_protocol::messages::InfoReply;
 
-    #[test]
-    fn a_robot_of_another_schema_version_is_refused_with_both_versions_named() {
-        let (mut robot, mut asks) = (RobotView::default(), Asks::new(1));
-        robot.step(Stamp(1), &mut asks).unwrap();
-        let (ticket, _) = asks.take_new().pop().unwrap();
-        let old = InfoReply {
+    fn info(schema: u32) -> Answer {
+        Answer::EdgeInfo(Box::new(InfoReply {
             component: "edge".to_owned(),
             version: "0.0.9".to_owned(),
-            schema: SCHEMA_VERSION - 1,
+            schema,
+            model: Some(zenav_fixtures::robot("tiago")),
             ..InfoReply::default()
-        };
-        asks.answer(ticket, Ok(Answer::EdgeInfo(Box::new(old))));
-        let refusal = robot.step(Stamp(2), &mut asks).unwrap_err();
+        }))
+    }
+
+    #[test]
+    fn a_reply_of_another_schema_version_is_not_believed_with_both_versions_named_and_the_next_is() {
+        let (mut robot, mut asks) = (RobotView::default(), Asks::new(1));
+        robot.step(Stamp::from_secs(1.0), &mut asks);
+        let (ticket, _) = asks.take_new().pop().unwrap();
+        asks.answer(ticket, Ok(info(SCHEMA_VERSION - 1)));
+        robot.step(Stamp::from_secs(1.1), &mut asks);
+        let refusal = robot.mismatch().unwrap();
         for words in [
             format!("schema {}", SCHEMA_VERSION - 1),
             format!("schema {SCHEMA_VERSION}"),
         ] {
             assert!(refusal.contains(&words), "{refusal}");
         }
+        assert_eq!(robot.model(), None);
+        robot.step(Stamp::from_secs(2.2), &mut asks);
+        let (ticket, _) = asks.take_new().pop().unwrap();
+        asks.answer(ticket, Ok(info(SCHEMA_VERSION)));
+        robot.step(Stamp::from_secs(2.3), &mut asks);
+        assert!(robot.model().is_some() && robot.mismatch().is_none());
     }
 }

@@ -3,17 +3,27 @@
 //! Every batch of records is one transaction, on disk before [`Store::write`] returns. Records are JSON, so that a newer
 //! program reads an older one's file. A batch can be applied to a standby's store as well; what the file says of itself (its name, its
 //! leadership) never leaves it.
+//!
+//! A file is believed only if it is whole: it knows its robot, and the checksum of its records fits. An empty file is no new store, for a new
+//! one comes into its place with its name in it.
 
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
+use std::sync::{PoisonError, RwLock};
 
-use redb::{Database, DatabaseError, ReadableDatabase, ReadableTable, Table, TableDefinition};
+use redb::{
+    Database, DatabaseError, ReadTransaction, ReadableDatabase, ReadableTable, Table, TableDefinition, WriteTransaction,
+};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use thiserror::Error;
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::JournalWrite;
 
+use self::checksum::Checksum;
 use super::records::{Leadership, Record, Restored, StoredGoal};
+
+mod checksum;
 
 type Definition = TableDefinition<'static, &'static str, &'static [u8]>;
 
@@ -27,6 +37,14 @@ const OWN: Definition = TableDefinition::new("own");
 
 /// The name of the store.
 const NAME: &str = "name";
+/// The robot whose goals these are.
+const ROBOT: &str = "robot";
+/// What a try to write leaves.
+const TRIED: &str = "tried";
+/// Bytes of a try to write.
+const ROOM: usize = 64 * 1024;
+/// The checksum of all records.
+const CHECKSUM: &str = "checksum";
 /// Its leadership record; stored under its former name.
 const LEADERSHIP: &str = "standing";
 
@@ -42,7 +60,8 @@ const INCARNATION: &str = "incarnation";
 /// A mission's file.
 #[derive(Debug)]
 pub struct Store {
-    database: Database,
+    /// `None` while it could not be opened again.
+    database: RwLock<Option<Database>>,
     path: PathBuf,
     name: String,
 }
@@ -55,6 +74,22 @@ pub enum StoreError {
     Locked {
         /// The file.
         path: String,
+    },
+    /// The disk has no room, or takes nothing: nothing can be stored until it does, and [`Store::reopen`] was called.
+    #[error("{path}: {reason}")]
+    NoRoom {
+        /// The file.
+        path: String,
+        /// What the disk says.
+        reason: String,
+    },
+    /// The file is torn, changed by something else than a mission, or another robot's.
+    #[error("{path}: {reason}")]
+    Foreign {
+        /// The file.
+        path: String,
+        /// What does not fit, and what to do.
+        reason: String,
     },
     /// The file cannot be made, read or written.
     #[error("{path}: {reason}")]
@@ -77,32 +112,101 @@ pub enum StoreError {
 }
 
 impl Store {
-    /// Opens or makes the file.
+    /// Opens or makes the file with the goals of a robot.
     ///
     /// # Errors
-    /// [`StoreError::Locked`] while another process has it; [`StoreError::Io`]; [`StoreError::Record`].
-    pub fn open(path: &Path) -> Result<Self, StoreError> {
-        let shown = path.display().to_string();
-        if let Some(folder) = path.parent() {
-            std::fs::create_dir_all(folder).map_err(|error| StoreError::Io {
-                path: shown.clone(),
-                reason: error.to_string(),
-            })?;
-        }
-        let database = Database::create(path).map_err(|error| match error {
-            DatabaseError::DatabaseAlreadyOpen => StoreError::Locked { path: shown.clone() },
-            other => StoreError::Io {
-                path: shown,
-                reason: other.to_string(),
-            },
-        })?;
+    /// [`StoreError::Locked`] while another process has it; [`StoreError::Foreign`] for a file that is not whole or another robot's;
+    /// [`StoreError::NoRoom`]; [`StoreError::Io`]; [`StoreError::Record`].
+    pub fn open(path: &Path, robot: &str) -> Result<Self, StoreError> {
         let mut store = Self {
-            database,
+            database: RwLock::new(None),
             path: path.to_owned(),
             name: String::new(),
         };
-        store.name = store.christen()?;
+        if let Some(folder) = path.parent() {
+            std::fs::create_dir_all(folder).map_err(|error| store.io(error))?;
+        }
+        match std::fs::metadata(path) {
+            Ok(file) if file.len() == 0 => {
+                return Err(store.foreign("an empty file: the goals that were in it are lost"));
+            }
+            Ok(_) => {}
+            Err(error) if error.kind() == ErrorKind::NotFound => store.make(robot)?,
+            Err(error) => return Err(store.io(error)),
+        }
+        store.reopen()?;
+        store.name = store.christen(robot)?;
         Ok(store)
+    }
+
+    /// Makes a new file beside its place, and puts it there once it has a name: whatever else lies there is no new one.
+    fn make(&self, robot: &str) -> Result<(), StoreError> {
+        let beside = self.path.with_extension(format!("new-{}", Id::unique()));
+        let made = || {
+            let database = Database::create(&beside).map_err(|error| self.io(error))?;
+            *self.database.write().unwrap_or_else(PoisonError::into_inner) = Some(database);
+            self.christen(robot)?;
+            self.database.write().unwrap_or_else(PoisonError::into_inner).take();
+            // Another process may have been faster: then its file is the one.
+            match std::fs::hard_link(&beside, &self.path) {
+                // Not every file system has links.
+                Err(error) if error.kind() != ErrorKind::AlreadyExists => {
+                    std::fs::rename(&beside, &self.path).map_err(|error| self.io(error))
+                }
+                _ => Ok(()),
+            }
+        };
+        let result = made();
+        // It has its own name now, or is of no use.
+        let _ = std::fs::remove_file(&beside);
+        result
+    }
+
+    /// Opens the file anew: after [`StoreError::NoRoom`] nothing is read or written before.
+    ///
+    /// # Errors
+    /// As [`Store::open`]; without room again.
+    pub fn reopen(&self) -> Result<(), StoreError> {
+        let mut database = self.database.write().unwrap_or_else(PoisonError::into_inner);
+        database.take();
+        let opened = Database::open(&self.path).map_err(|error| match error {
+            DatabaseError::DatabaseAlreadyOpen => StoreError::Locked {
+                path: self.path.display().to_string(),
+            },
+            other => self.io(other),
+        })?;
+        *database = Some(opened);
+        Ok(())
+    }
+
+    /// Writes something of no meaning, of about the size of a goal: is there room?
+    ///
+    /// # Errors
+    /// [`StoreError::NoRoom`].
+    pub fn try_to_write(&self) -> Result<(), StoreError> {
+        for text in [" ".repeat(ROOM), String::new()] {
+            let write = self.begin_write()?;
+            {
+                let mut own = write.open_table(OWN).map_err(|error| self.io(error))?;
+                self.insert(&mut own, TRIED, &text)?;
+            }
+            write.commit().map_err(|error| self.io(error))?;
+        }
+        Ok(())
+    }
+
+    fn begin_write(&self) -> Result<WriteTransaction, StoreError> {
+        match self.database.read().unwrap_or_else(PoisonError::into_inner).as_ref() {
+            Some(database) => database.begin_write().map_err(|error| self.io(error)),
+            None => Err(self.no_room("it could not be opened again")),
+        }
+    }
+
+    fn begin_read(&self) -> Result<ReadTransaction, StoreError> {
+        match self.database.read().unwrap_or_else(PoisonError::into_inner).as_ref() {
+            Some(database) => database.begin_read().map_err(|error| self.io(error)),
+            None => Err(self.no_room("it could not be opened again")),
+        }
     }
 
     /// The name of the store, given once and different from every other store's.
@@ -111,14 +215,33 @@ impl Store {
         &self.name
     }
 
-    fn christen(&self) -> Result<String, StoreError> {
-        let write = self.database.begin_write().map_err(|error| self.io(error))?;
+    /// Gives a new file its name and robot, and checks those of an old one; the name.
+    fn christen(&self, robot: &str) -> Result<String, StoreError> {
+        let write = self.begin_write()?;
         let name = {
             let mut own = write.open_table(OWN).map_err(|error| self.io(error))?;
-            for table in SHARED {
-                write.open_table(table).map_err(|error| self.io(error))?;
+            let mut sum = Checksum::default();
+            for definition in SHARED {
+                let table = write.open_table(definition).map_err(|error| self.io(error))?;
+                self.sum(&mut sum, redb::TableHandle::name(&definition), &table)?;
             }
-            match self.single(&own, NAME)? {
+            match self.single::<String>(&own, ROBOT)? {
+                Some(known) if known != robot => {
+                    return Err(self.foreign(&format!("the goals of robot `{known}`; expected those of `{robot}`")));
+                }
+                Some(_) => {}
+                None => self.insert(&mut own, ROBOT, &robot)?,
+            }
+            let name = self.single::<String>(&own, NAME)?;
+            match self.single::<u64>(&own, CHECKSUM)?.map(Checksum) {
+                Some(stored) if stored != sum => {
+                    return Err(self.foreign("its records do not fit its checksum: it was damaged, or changed by hand"));
+                }
+                Some(_) if name.is_none() => return Err(self.foreign("its name is missing: it was damaged")),
+                Some(_) => {}
+                None => self.insert(&mut own, CHECKSUM, &sum.0)?,
+            }
+            match name {
                 Some(name) => name,
                 None => {
                     let name = String::from(Id::unique());
@@ -129,6 +252,19 @@ impl Store {
         };
         write.commit().map_err(|error| self.io(error))?;
         Ok(name)
+    }
+
+    fn sum(
+        &self,
+        sum: &mut Checksum,
+        name: &str,
+        table: &impl ReadableTable<&'static str, &'static [u8]>,
+    ) -> Result<(), StoreError> {
+        for row in table.iter().map_err(|error| self.io(error))? {
+            let (key, value) = row.map_err(|error| self.io(error))?;
+            sum.add(name, key.value(), value.value());
+        }
+        Ok(())
     }
 
     /// Stores a step's records: all of them or, after an error, none. Returns what a standby's store is to write.
@@ -171,30 +307,57 @@ impl Store {
         instead: bool,
         leadership: Option<Leadership>,
     ) -> Result<(), StoreError> {
-        let write = self.database.begin_write().map_err(|error| self.io(error))?;
-        for definition in SHARED {
-            if instead {
-                write.delete_table(definition).map_err(|error| self.io(error))?;
-            }
-            let mut table = write.open_table(definition).map_err(|error| self.io(error))?;
-            let name = redb::TableHandle::name(&definition);
-            for write in writes.iter().filter(|write| write.table == name) {
-                match &write.value {
-                    Some(value) => table.insert(write.key.as_str(), value.as_bytes()),
-                    None => table.remove(write.key.as_str()),
-                }
-                .map_err(|error| self.io(error))?;
-            }
-        }
         let known = |name: &str| SHARED.iter().any(|table| redb::TableHandle::name(table) == name);
         if let Some(stray) = writes.iter().find(|write| !known(&write.table)) {
-            return Err(self.io(format!("the leader writes to an unknown table `{}`", stray.table)));
+            let reason = format!("the leader writes to an unknown table `{}`", stray.table);
+            return Err(self.failed(reason));
         }
-        if let Some(leadership) = leadership {
+        let write = self.begin_write()?;
+        {
             let mut own = write.open_table(OWN).map_err(|error| self.io(error))?;
-            self.insert(&mut own, LEADERSHIP, &leadership)?;
+            let mut sum = match instead {
+                true => Checksum::default(),
+                false => Checksum(self.single(&own, CHECKSUM)?.unwrap_or_default()),
+            };
+            for definition in SHARED {
+                if instead {
+                    write.delete_table(definition).map_err(|error| self.io(error))?;
+                }
+                let mut table = write.open_table(definition).map_err(|error| self.io(error))?;
+                let name = redb::TableHandle::name(&definition);
+                for write in writes.iter().filter(|write| write.table == name) {
+                    let value = write.value.as_ref().map(String::as_bytes);
+                    self.put(&mut table, &mut sum, name, &write.key, value)?;
+                }
+            }
+            self.insert(&mut own, CHECKSUM, &sum.0)?;
+            if let Some(leadership) = leadership {
+                self.insert(&mut own, LEADERSHIP, &leadership)?;
+            }
         }
         write.commit().map_err(|error| self.io(error))
+    }
+
+    /// Writes or removes a record of a shared table, and keeps the checksum.
+    fn put(
+        &self,
+        table: &mut Table<'_, &'static str, &'static [u8]>,
+        sum: &mut Checksum,
+        name: &str,
+        key: &str,
+        value: Option<&[u8]>,
+    ) -> Result<(), StoreError> {
+        let before = match value {
+            Some(value) => table.insert(key, value),
+            None => table.remove(key),
+        };
+        if let Some(before) = before.map_err(|error| self.io(error))? {
+            sum.remove(name, key, before.value());
+        }
+        if let Some(value) = value {
+            sum.add(name, key, value);
+        }
+        Ok(())
     }
 
     /// Everything that a standby's store is to hold.
@@ -202,14 +365,14 @@ impl Store {
     /// # Errors
     /// [`StoreError`].
     pub fn everything(&self) -> Result<Vec<JournalWrite>, StoreError> {
-        let read = self.database.begin_read().map_err(|error| self.io(error))?;
+        let read = self.begin_read()?;
         let mut writes = Vec::new();
         for definition in SHARED {
             let table = read.open_table(definition).map_err(|error| self.io(error))?;
             let name = redb::TableHandle::name(&definition);
             for row in table.iter().map_err(|error| self.io(error))? {
                 let (key, bytes) = row.map_err(|error| self.io(error))?;
-                let value = String::from_utf8(bytes.value().to_vec()).map_err(|error| self.io(error))?;
+                let value = String::from_utf8(bytes.value().to_vec()).map_err(|error| self.failed(error))?;
                 writes.push(JournalWrite {
                     table: name.to_owned(),
                     key: key.value().to_owned(),
@@ -225,7 +388,7 @@ impl Store {
     /// # Errors
     /// [`StoreError`].
     pub fn leadership(&self) -> Result<Leadership, StoreError> {
-        let read = self.database.begin_read().map_err(|error| self.io(error))?;
+        let read = self.begin_read()?;
         let own = read.open_table(OWN).map_err(|error| self.io(error))?;
         Ok(self.single(&own, LEADERSHIP)?.unwrap_or_default())
     }
@@ -235,7 +398,7 @@ impl Store {
     /// # Errors
     /// [`StoreError`].
     pub fn begin_life(&self) -> Result<Restored, StoreError> {
-        let write = self.database.begin_write().map_err(|error| self.io(error))?;
+        let write = self.begin_write()?;
         let restored = {
             let answers = write.open_table(ANSWERS).map_err(|error| self.io(error))?;
             let mut singles = write.open_table(SINGLES).map_err(|error| self.io(error))?;
@@ -260,8 +423,12 @@ impl Store {
                     .answers
                     .push((id.value().to_owned(), self.decode("answer", bytes.value())?));
             }
-            self.insert(&mut singles, INCARNATION, &restored.incarnation)?;
+            let mut sum = Checksum(self.single(&own, CHECKSUM)?.unwrap_or_default());
+            let text = self.encode(INCARNATION, &restored.incarnation)?;
+            let name = redb::TableHandle::name(&SINGLES);
+            self.put(&mut singles, &mut sum, name, INCARNATION, Some(text.as_bytes()))?;
             self.insert(&mut own, INCARNATION, &restored.incarnation)?;
+            self.insert(&mut own, CHECKSUM, &sum.0)?;
             restored
         };
         write.commit().map_err(|error| self.io(error))?;
@@ -273,7 +440,7 @@ impl Store {
     /// # Errors
     /// [`StoreError`].
     pub fn goals(&self) -> Result<Vec<StoredGoal>, StoreError> {
-        let read = self.database.begin_read().map_err(|error| self.io(error))?;
+        let read = self.begin_read()?;
         self.all_goals(&read.open_table(GOALS).map_err(|error| self.io(error))?)
     }
 
@@ -329,7 +496,32 @@ impl Store {
         }
     }
 
-    fn io(&self, error: impl std::fmt::Display) -> StoreError {
+    fn io(&self, error: impl Into<redb::Error>) -> StoreError {
+        match error.into() {
+            redb::Error::Io(error) if has_no_room(&error) => self.no_room(error),
+            redb::Error::PreviousIo => self.no_room("a write failed before"),
+            error => self.failed(error),
+        }
+    }
+
+    fn no_room(&self, reason: impl std::fmt::Display) -> StoreError {
+        StoreError::NoRoom {
+            path: self.path.display().to_string(),
+            reason: reason.to_string(),
+        }
+    }
+
+    fn foreign(&self, what: &str) -> StoreError {
+        StoreError::Foreign {
+            path: self.path.display().to_string(),
+            reason: format!(
+                "{what}; move the file away to begin without goals (where other missions serve the robot, or it refuses this one then, \
+                 `zenav lease forget` gives the old goals up)"
+            ),
+        }
+    }
+
+    fn failed(&self, error: impl std::fmt::Display) -> StoreError {
         StoreError::Io {
             path: self.path.display().to_string(),
             reason: error.to_string(),
@@ -337,125 +529,14 @@ impl Store {
     }
 }
 
-#[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
-mod tests {
-    use super::*;
-    use zenav_protocol::messages::{GoalFeedback, GoalPhase, GoalReply, GoalRequest, GoalState};
-    use zenav_protocol::time::Stamp;
-
-    fn goal(id: &str, sequence: u64) -> Record {
-        let state = GoalState {
-            id: id.into(),
-            robot: "r".into(),
-            state: GoalPhase::Accepted,
-            reason: None,
-            accepted: Stamp(1),
-            started: None,
-            ended: None,
-            feedback: GoalFeedback::default(),
-            legs: Vec::new(),
-            request: GoalRequest {
-                x: Some(0.1),
-                y: Some(0.2),
-                ..GoalRequest::default()
-            },
-        };
-        Record::Goal(Box::new(super::super::records::StoredGoal {
-            sequence,
-            urgent: false,
-            paused_secs: 0.0,
-            paused_since: None,
-            state,
-        }))
-    }
-
-    #[test]
-    fn what_was_written_is_there_in_the_next_life() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("deep/mission.redb");
-        let store = Store::open(&path).unwrap();
-        assert_eq!(store.begin_life().unwrap().incarnation, 1);
-        let reply = GoalReply {
-            robot: None,
-            id: "a".into(),
-            state: GoalPhase::Canceled,
-            reason: None,
-        };
-        store
-            .write(&[
-                goal("a", 1),
-                goal("b", 2),
-                Record::Answer("r1".into(), reply.clone()),
-                Record::Tree(None),
-            ])
-            .unwrap();
-        store.write(&[Record::ForgetGoal("a".into())]).unwrap();
-        let name = store.name().to_owned();
-        drop(store);
-        let again = Store::open(&path).unwrap();
-        assert_eq!(again.name(), name);
-        let second = again.begin_life().unwrap();
-        assert_eq!(second.incarnation, 2);
-        assert_eq!(
-            second
-                .goals
-                .iter()
-                .map(|goal| goal.state.id.as_str())
-                .collect::<Vec<_>>(),
-            ["b"]
-        );
-        assert_eq!(second.answers, [("r1".to_owned(), reply)]);
-        assert_eq!((second.tree, second.motion), (None, None));
-    }
-
-    #[test]
-    fn a_standby_s_store_holds_what_the_leader_s_holds_but_its_name() {
-        let folder = tempfile::tempdir().unwrap();
-        let open = |name: &str| Store::open(&folder.path().join(name)).unwrap();
-        let (leader, standby) = (open("leader"), open("standby"));
-        standby.write(&[goal("stale", 1)]).unwrap();
-        leader.begin_life().unwrap();
-        leader.write(&[goal("a", 1), goal("b", 2)]).unwrap();
-        let leadership = Leadership { epoch: 7, shared: true };
-        standby
-            .apply(&leader.everything().unwrap(), true, Some(leadership))
-            .unwrap();
-        let writes = leader.write(&[Record::ForgetGoal("a".into()), goal("c", 3)]).unwrap();
-        standby.apply(&writes, false, None).unwrap();
-        assert_eq!(standby.everything().unwrap(), leader.everything().unwrap());
-        assert_eq!(
-            (standby.leadership().unwrap(), leader.leadership().unwrap()),
-            (leadership, Leadership::default())
-        );
-        assert_ne!(standby.name(), leader.name());
-        assert_eq!(
-            standby.begin_life().unwrap().incarnation,
-            2,
-            "its lives are newer than the leader's"
-        );
-        let stray = JournalWrite {
-            table: "own".into(),
-            key: "name".into(),
-            value: Some("x".into()),
-        };
-        assert!(standby.apply(&[stray], true, None).is_err());
-        assert_eq!(standby.goals().unwrap().len(), 2, "nothing of a bad batch is written");
-    }
-
-    #[test]
-    fn a_file_in_use_says_so() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("mission.redb");
-        let _store = Store::open(&path).unwrap();
-        assert!(matches!(Store::open(&path), Err(StoreError::Locked { .. })));
-    }
-
-    #[test]
-    fn a_file_that_is_no_store_is_refused() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("mission.redb");
-        std::fs::write(&path, vec![7_u8; 10_000]).unwrap();
-        assert!(matches!(Store::open(&path), Err(StoreError::Io { .. })));
-    }
+/// Whether a disk is full, or takes no writes.
+fn has_no_room(error: &std::io::Error) -> bool {
+    use ErrorKind::{FileTooLarge, QuotaExceeded, ReadOnlyFilesystem, StorageFull, WriteZero};
+    matches!(
+        error.kind(),
+        StorageFull | ReadOnlyFilesystem | QuotaExceeded | FileTooLarge | WriteZero
+    )
 }
+
+#[cfg(test)]
+mod tests;

@@ -22,6 +22,7 @@ pub const SHIPPED: &[(&str, &str)] = &[
     ),
     ("kitchen", include_str!("../trees/kitchen.xml")),
     ("online", include_str!("../trees/online.xml")),
+    ("kidnapped", include_str!("../trees/kidnapped.xml")),
 ];
 
 /// The text of a shipped tree.

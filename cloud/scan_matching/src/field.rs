@@ -61,6 +61,16 @@ impl LikelihoodField {
         field
     }
 
+    /// A field of values that were made elsewhere, row by row from the lower left; `None` where they are not as many as cells.
+    #[must_use]
+    pub fn from_values(spec: GridSpec, values: Vec<u8>) -> Option<Self> {
+        (values.len() == spec.len()).then_some(Self {
+            sigma: spec.resolution,
+            spec,
+            values,
+        })
+    }
+
     /// Adds the points of a scan seen from a pose: `field_from_scan`, points in the scan's frame, m.
     pub fn insert(&mut self, field_from_scan: Pose2, points: &[Point2<f64>]) {
         let placed = placed(field_from_scan, points);

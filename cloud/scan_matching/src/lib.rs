@@ -48,6 +48,6 @@ pub use information::{floored, odometry_information, turned};
 pub use points::points;
 pub use pyramid::Pyramid;
 pub use refine::{Prior, Refined, refine};
-pub use search::{Candidate, Search, Window, heading_step, search};
+pub use search::{Candidate, Search, Window, heading_step, search, search_among};
 pub use settings::{FieldSettings, OdometrySettings, RefineSettings, ScanSettings, VerdictSettings};
 pub use verdict::{Verdict, judge};

@@ -42,6 +42,23 @@ impl BackEnd {
         self.graph.poses()
     }
 
+    /// Moves the nodes, and has every measurement agree with where they lie then.
+    pub(crate) fn bend(&mut self, bend: impl Fn(Pose2) -> Pose2) -> Result<(), GraphError> {
+        let poses: Vec<Pose2> = self.graph.poses().iter().map(|pose| bend(*pose)).collect();
+        let mut graph = PoseGraph::new();
+        for pose in &poses {
+            graph.add_node(*pose)?;
+        }
+        for edge in self.graph.edges() {
+            graph.add_edge(Edge {
+                measurement: poses[edge.from].inverse() * poses[edge.to],
+                ..*edge
+            })?;
+        }
+        self.graph = graph;
+        Ok(())
+    }
+
     /// Drops edges, given by what is to be kept.
     pub(crate) fn keep(&mut self, mut is_kept: impl FnMut(usize) -> bool) -> Result<(), GraphError> {
         let mut graph = PoseGraph::new();

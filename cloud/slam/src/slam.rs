@@ -416,6 +416,24 @@ impl Slam {
         self.back_end.poses()
     }
 
+    /// Where each submap lies, `map_from_submap`, in the order in which they were begun: the parts of the map that closures move.
+    #[must_use]
+    pub fn parts(&self) -> Vec<Pose2> {
+        let poses = self.back_end.poses();
+        self.submaps.iter().map(|submap| poses[submap.anchor]).collect()
+    }
+
+    /// Bends the map, as a closure does that shows all of it to lie elsewhere: each node goes where `bend` says, and everything measured so
+    /// far agrees with that. For trials of what hears of a closure. Returns how the surroundings of the last node moved, `new_from_old`.
+    ///
+    /// # Errors
+    /// [`SlamError::Graph`] where `bend` gives a pose that is not finite.
+    pub fn bend(&mut self, bend: impl Fn(Pose2) -> Pose2) -> Result<Pose2, SlamError> {
+        let last = self.back_end.poses().last().copied().unwrap_or_default();
+        self.back_end.bend(&bend)?;
+        Ok(bend(last) * last.inverse())
+    }
+
     /// Points of an inserted scan in the frame of its base, m.
     #[must_use]
     pub fn scan(&self, node: usize) -> Option<&[Point2<f64>]> {

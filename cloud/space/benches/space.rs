@@ -224,6 +224,7 @@ fn mirrored(side: u32) -> (MapReplica, [MapPatch; 2]) {
     let map = |revision| MapRef {
         id: "bench".to_owned(),
         revision,
+        frame: 0,
     };
     let mut mirror = MapReplica::new();
     assert!(mirror.replace(&MapReply {

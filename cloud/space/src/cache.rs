@@ -137,6 +137,7 @@ mod tests {
             map: MapRef {
                 id: "m".to_owned(),
                 revision: base_revision + 1,
+                frame: 0,
             },
             base_revision,
             spec: GridSpec {

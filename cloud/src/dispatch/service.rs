@@ -70,6 +70,8 @@ pub async fn run(
     let place = |worker: &str| topics::alive_key(topics::ALIVE_WORKER, &[&service, worker]);
     let own = place(&bus.zid());
     let _alive = bus.declare_alive(own.clone())?;
+    bus.serve_info("dispatch", group.as_str())?;
+    bus.started();
     tracing::info!(%group, robots = robots.len(), "accepts goals for a group");
     loop {
         let request = tokio::select! {

@@ -9,13 +9,17 @@ use serde::de::DeserializeOwned;
 use tokio::sync::Semaphore;
 use zenav_gateway::{Answer, AskFailure, Drive, Hub, Operator};
 use zenav_protocol::bus::{AskError, Bus};
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::id::Id;
 use zenav_protocol::messages::{
-    CancelRequest, GoalReply, GoalRequest, GoalsReply, GoalsRequest, MapReply, MapRequest, PauseRequest, ResumeRequest,
+    AnnotateAction, AnnotateRequest, Annotations, CancelRequest, GoalReply, GoalRequest, GoalsReply, GoalsRequest,
+    LocaliseAction, LocaliseReply, LocaliseRequest, MapReply, MapRequest, MoveGoalRequest, PauseRequest, ResumeRequest,
     StopReply, StopRequest,
 };
-use zenav_protocol::topics::{Ask, CANCEL, GOAL, GOALS, MAP, PAUSE, RESUME, STOP};
+use zenav_protocol::topics::{ANNOTATE, Ask, CANCEL, GOAL, GOALS, LOCALISE, MAP, MOVE_GOAL, PAUSE, RESUME, STOP};
 
 use super::drive;
+use crate::operator;
 
 /// Longest wait for an answer.
 const ASK_WITHIN: Duration = Duration::from_secs(8);
@@ -47,9 +51,14 @@ impl BusOperator {
         Q: Serialize + Send + Sync + 'static,
         R: DeserializeOwned + Send + 'static,
     {
+        self.admit(|| self.ask_at_once(ask, robot, request, ASK_WITHIN))
+    }
+
+    /// Begins something, unless too much is under way already.
+    fn admit<R: Send + 'static>(&self, begin: impl FnOnce() -> Answer<R>) -> Answer<R> {
         match Arc::clone(&self.room).try_acquire_owned() {
             Ok(room) => {
-                let answer = self.ask_at_once(ask, robot, request, ASK_WITHIN);
+                let answer = begin();
                 Box::pin(async move {
                     let _room = room;
                     answer.await
@@ -67,16 +76,57 @@ impl BusOperator {
         R: DeserializeOwned + Send + 'static,
     {
         let (bus, robot) = (self.bus.clone(), robot.to_owned());
-        let task = tokio::spawn(async move { bus.ask(ask, &[&robot], &request, within).await });
-        Box::pin(async move {
-            match task.await {
-                Ok(answer) => answer.map_err(failure),
-                Err(error) => Err(AskFailure::Unavailable {
-                    reason: error.to_string(),
-                }),
-            }
-        })
+        spawned(async move { bus.ask(ask, &[&robot], &request, within).await })
     }
+}
+
+/// Carried out in a task of its own.
+fn spawned<R: Send + 'static>(asking: impl Future<Output = Result<R, AskError>> + Send + 'static) -> Answer<R> {
+    let task = tokio::spawn(asking);
+    Box::pin(async move {
+        match task.await {
+            Ok(answer) => answer.map_err(failure),
+            Err(error) => Err(AskFailure::Unavailable {
+                reason: error.to_string(),
+            }),
+        }
+    })
+}
+
+/// Changes the annotations under the lease in force: a robot that drives goes on.
+async fn annotate(bus: Bus, robot: String, action: AnnotateAction) -> Result<Annotations, AskError> {
+    let is_read = action == AnnotateAction::Get;
+    let request = AnnotateRequest {
+        action,
+        request_id: Some(format!("annotate-{}", Id::unique())),
+        epoch: None,
+    };
+    if is_read {
+        return bus.ask(&ANNOTATE, &[&robot], &request, ASK_WITHIN).await;
+    }
+    let (bus, robot) = (&bus, robot.as_str());
+    let ask = |epoch| {
+        let request = AnnotateRequest {
+            epoch,
+            ..request.clone()
+        };
+        async move { bus.ask(&ANNOTATE, &[robot], &request, ASK_WITHIN).await }
+    };
+    operator::in_force(bus, robot, ASK_WITHIN, ask).await
+}
+
+/// Tells the robot where it is, under an operator's lease of its own: it must not drive meanwhile.
+async fn set_pose(bus: Bus, robot: String, pose: Pose2, by: String) -> Result<LocaliseReply, AskError> {
+    let (bus, robot) = (&bus, robot.as_str());
+    let ask = |epoch| async move {
+        let request = LocaliseRequest {
+            action: LocaliseAction::At,
+            pose: Some(pose),
+            epoch,
+        };
+        bus.ask(&LOCALISE, &[robot], &request, ASK_WITHIN).await
+    };
+    operator::at_rest(bus, robot, &by, ASK_WITHIN, ask).await
 }
 
 /// What an error of the bus is to a browser.
@@ -105,6 +155,20 @@ impl Operator for BusOperator {
 
     fn goals(&self, robot: &str, request: GoalsRequest) -> Answer<GoalsReply> {
         self.ask(&GOALS, robot, request)
+    }
+
+    fn move_goal(&self, robot: &str, request: MoveGoalRequest) -> Answer<GoalReply> {
+        self.ask(&MOVE_GOAL, robot, request)
+    }
+
+    fn annotate(&self, robot: &str, action: AnnotateAction) -> Answer<Annotations> {
+        let (bus, robot) = (self.bus.clone(), robot.to_owned());
+        self.admit(|| spawned(annotate(bus, robot, action)))
+    }
+
+    fn set_pose(&self, robot: &str, pose: Pose2, by: &str) -> Answer<LocaliseReply> {
+        let (bus, robot, by) = (self.bus.clone(), robot.to_owned(), by.to_owned());
+        self.admit(|| spawned(set_pose(bus, robot, pose, by)))
     }
 
     fn stop(&self, robot: &str, by: &str) -> Answer<StopReply> {

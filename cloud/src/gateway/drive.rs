@@ -9,15 +9,14 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use tokio::sync::watch;
 use tokio::time::{Instant, MissedTickBehavior, interval};
 use zenav_gateway::{AskFailure, Drive, Hold, Hub};
-use zenav_protocol::bus::{AskError, Bus, BusError, Latest, Publisher};
+use zenav_protocol::bus::{Bus, BusError, Latest, Publisher};
 use zenav_protocol::geometry::Twist2;
 use zenav_protocol::id::Id;
-use zenav_protocol::messages::{
-    EdgeState, Heartbeat, LeaseAction, LeaseReply, LeaseRequest, LeaseRole, Odometry, Teleop,
-};
-use zenav_protocol::topics::{HEARTBEAT, LEASE, ODOMETRY, STATE, TELEOP};
+use zenav_protocol::messages::{EdgeState, Heartbeat, LeaseAction, Odometry, Teleop};
+use zenav_protocol::topics::{HEARTBEAT, ODOMETRY, STATE, TELEOP};
 
 use super::asks::failure;
+use crate::operator::ask_lease;
 
 /// Twists and heartbeats a second.
 const PERIOD: Duration = Duration::from_millis(50);
@@ -33,7 +32,7 @@ pub(super) async fn begin(bus: Bus, hub: Arc<Hub>, robot: String, by: String) ->
     // A name of its own: two browsers that drive one robot take the lease from each other, and see it.
     let unique = Id::unique().to_string();
     let holder = format!("{by}-{}", unique.get(..8).unwrap_or(&unique));
-    let grant = lease(&bus, &robot, &holder, LeaseAction::Acquire, TAKE_WITHIN)
+    let grant = ask_lease(&bus, &robot, &holder, LeaseAction::Acquire, TAKE_WITHIN)
         .await
         .map_err(failure)?;
     let closed = |error: BusError| AskFailure::Unavailable {
@@ -62,22 +61,11 @@ pub(super) async fn begin(bus: Bus, hub: Arc<Hub>, robot: String, by: String) ->
         let why = hand.run().await;
         if why.is_none() {
             // It ends by itself when nobody renews it.
-            let _ = lease(&bus, &robot, &holder, LeaseAction::Release, GIVE_WITHIN).await;
+            let _ = ask_lease(&bus, &robot, &holder, LeaseAction::Release, GIVE_WITHIN).await;
         }
         end.send_replace(why);
     });
     Ok(Drive { commands, ended })
-}
-
-async fn lease(
-    bus: &Bus,
-    robot: &str,
-    holder: &str,
-    action: LeaseAction,
-    within: Duration,
-) -> Result<LeaseReply, AskError> {
-    let request = LeaseRequest::new(holder, LeaseRole::Operator, action, format!("lease-{}", Id::unique()));
-    bus.ask(&LEASE, &[robot], &request, within).await
 }
 
 /// What drives.

@@ -125,6 +125,8 @@ impl Gateway {
             }
         };
         let mut serving = tokio::spawn(zenav_gateway::serve(self.listener, router, ended));
+        bus.serve_info("gateway", "")?;
+        bus.started();
         let details = tokio::spawn(detail::follow(bus.clone(), Arc::clone(&self.hub), shutdown.clone()));
         let fed = tokio::select! {
             fed = feed::run(bus, &self.hub, &shutdown) => fed.map_err(GatewayError::from),

@@ -12,7 +12,7 @@ use zenav_mapping::atomic::write_atomically;
 use zenav_protocol::bus::Request;
 use zenav_protocol::config_text::Number;
 use zenav_protocol::geometry::wrap_angle;
-use zenav_protocol::messages::{AnnotateAction, AnnotateRequest, Annotations, GoalPoint, Refusal, Zone};
+use zenav_protocol::messages::{AnnotateAction, AnnotateRequest, Annotations, GoalPoint, MapFrame, Refusal, Zone};
 use zenav_protocol::time::Stamp;
 use zenav_space::Zones;
 
@@ -74,6 +74,7 @@ impl AnnotationBook {
             revision: 0,
             places,
             zones: with_own_names(zones.to_messages()),
+            frame: 0,
         };
         let now = laid_over(&base, &overlay);
         Ok(Self {
@@ -87,6 +88,35 @@ impl AnnotationBook {
     /// The annotations in force.
     pub(super) fn now(&self) -> &Annotations {
         &self.now
+    }
+
+    /// Places and zones stay where they are in the building: each moves with the part of the map that it belongs to, a zone as a rigid body.
+    pub(super) fn carry_over(&mut self, before: &MapFrame, after: &MapFrame) {
+        let is_same = before.map.id == after.map.id;
+        let moved = |x: f64, y: f64| is_same.then(|| before.moved_at(x, y, after)).flatten();
+        let carry = |place: &mut GoalPoint| {
+            if let Some(moved) = moved(place.x, place.y) {
+                *place = place.moved(moved);
+            }
+        };
+        let carry_zone = |zone: &mut Zone| {
+            let count = zone.points.len().max(1) as f64;
+            let middle = zone
+                .points
+                .iter()
+                .fold((0.0, 0.0), |(x, y), point| (x + point.x / count, y + point.y / count));
+            if let Some(moved) = moved(middle.0, middle.1) {
+                for point in &mut zone.points {
+                    *point = moved.transform_point(*point);
+                }
+            }
+        };
+        self.base.places.values_mut().for_each(carry);
+        self.overlay.places.values_mut().flatten().for_each(carry);
+        self.base.zones.iter_mut().for_each(carry_zone);
+        self.overlay.zones.values_mut().flatten().for_each(carry_zone);
+        self.base.frame = after.map.frame;
+        self.now = laid_over(&self.base, &self.overlay);
     }
 
     /// Carries out a change and stores it; says whether there was one.
@@ -190,6 +220,7 @@ fn laid_over(base: &Annotations, overlay: &Overlay) -> Annotations {
         revision: overlay.revision,
         places,
         zones: zones.into_values().collect(),
+        frame: base.frame,
     }
 }
 
@@ -239,7 +270,8 @@ fn check_name(name: &str) -> Result<(), Refusal> {
     )))
 }
 
-fn checked(at: GoalPoint) -> Result<GoalPoint, Refusal> {
+/// A place that can be: finite, near, its heading in radians.
+pub(super) fn checked(at: GoalPoint) -> Result<GoalPoint, Refusal> {
     let good = |value: f64| value.is_finite() && value.abs() <= FARTHEST;
     if !(good(at.x) && good(at.y)) {
         return Err(Refusal::bad_request(format!(

@@ -6,7 +6,7 @@ use zenav_localisation::LocalisationSettings;
 use zenav_mapping::{Insertion, Mapper};
 use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::grid::OccupancyGrid;
-use zenav_protocol::messages::{Correction, Health, Localisation, MapRef, Refusal, Scan};
+use zenav_protocol::messages::{Correction, Health, Localisation, MapFrame, MapRef, Refusal, Scan};
 use zenav_protocol::time::Stamp;
 use zenav_slam::SlamSettings;
 
@@ -103,6 +103,16 @@ impl Pace {
         }
         is_due
     }
+
+    /// Whether the robot was told longer ago than so many seconds.
+    pub(super) fn is_older(&mut self, now: Stamp, secs: f64) -> bool {
+        let Some((then, last)) = self.0 else { return true };
+        let is_older = now.secs_since(then) >= secs;
+        if is_older {
+            self.0 = Some((now, last));
+        }
+        is_older
+    }
 }
 
 #[derive(Debug)]
@@ -113,11 +123,11 @@ enum Poses {
 }
 
 impl Poses {
-    /// `map`: the one to be found in.
-    fn new(settings: &PoseSettings, map: &OccupancyGrid) -> Self {
+    /// `map`: the one to be found in; `frame`: that of the robot.
+    fn new(settings: &PoseSettings, map: &OccupancyGrid, frame: u64) -> Self {
         match settings.source {
             PoseSource::Edge => Self::Edge,
-            PoseSource::Slam => Self::Slam(Box::new(SlamPoses::new(settings.slam))),
+            PoseSource::Slam => Self::Slam(Box::new(SlamPoses::new(settings.slam, frame))),
             PoseSource::Localise => Self::Localised(Box::new(LocalisedPoses::new(settings.localisation, map))),
         }
     }
@@ -132,6 +142,8 @@ pub struct MappingCore {
     settings: PoseSettings,
     /// Stamp and boot of the newest scan.
     last: Option<(Stamp, String)>,
+    /// The frame that the robot is in, as it says.
+    robot_frame: u64,
 }
 
 /// What became of a scan.
@@ -143,18 +155,40 @@ pub struct Mapped {
     pub correction: Option<Correction>,
     /// How well it is localised, where that changed or is due.
     pub localisation: Option<Localisation>,
+    /// The frame of the map and where its parts lie, where that changed. It is told before the map itself.
+    pub frame: Option<MapFrame>,
 }
 
 impl MappingCore {
     /// A map, and the source of the poses from which scans will be drawn into it.
     #[must_use]
     pub fn new(mapper: Mapper, settings: &PoseSettings) -> Self {
-        let poses = Poses::new(settings, &mapper.grid());
+        let poses = Poses::new(settings, &mapper.grid(), 0);
         Self {
             mapper,
             poses,
             settings: *settings,
             last: None,
+            robot_frame: 0,
+        }
+    }
+
+    /// Takes in which frame of the map the robot is, as its newest state says. Where that is a later one than any that began here, the map
+    /// goes on in it: it was made by an earlier run.
+    pub fn hear_frame(&mut self, robot_frame: u64) {
+        self.robot_frame = robot_frame;
+        if robot_frame > self.mapper.map().frame {
+            self.mapper.set_frame(robot_frame);
+            if let Poses::Slam(slam) = &mut self.poses {
+                slam.number_from(robot_frame);
+            }
+        }
+    }
+
+    /// Bends the map that SLAM makes, as a loop closure does: a node at each pose goes where `bend` says. For trials of what hears of it.
+    pub fn bend(&mut self, bend: impl Fn(Pose2) -> Pose2) {
+        if let Poses::Slam(slam) = &mut self.poses {
+            slam.bend(&self.mapper, bend);
         }
     }
 
@@ -163,15 +197,19 @@ impl MappingCore {
         self.last = Some((scan.stamp, boot_id.to_owned()));
         let posed = match &mut self.poses {
             Poses::Edge => Posed::only(self.mapper.insert(scan)),
-            Poses::Slam(slam) => slam.insert(&mut self.mapper, scan, boot_id),
+            Poses::Slam(slam) => slam.insert(&mut self.mapper, scan, boot_id, self.robot_frame),
             Poses::Localised(localised) => localised.insert(&mut self.mapper, scan, boot_id),
         };
         Mapped {
             insertion: posed.insertion,
             correction: posed
                 .measured
-                .map(|measured| correction(scan.stamp, boot_id, &measured)),
+                .map(|measured| self.correction(scan.stamp, boot_id, &measured)),
             localisation: posed.localisation,
+            frame: match &mut self.poses {
+                Poses::Slam(slam) => slam.untold(&self.mapper, scan.stamp),
+                Poses::Edge | Poses::Localised(_) => None,
+            },
         }
     }
 
@@ -188,7 +226,7 @@ impl MappingCore {
     /// Replaces the map: localisation begins anew in it, SLAM with the next scan.
     pub fn load(&mut self, map: MapRef, grid: &OccupancyGrid, trajectory: Vec<Point2<f64>>, scans: u64) {
         self.mapper.load(map, grid, trajectory, scans);
-        self.poses = Poses::new(&self.settings, grid);
+        self.poses = Poses::new(&self.settings, grid, self.mapper.map().frame);
     }
 
     /// Begins a new map.
@@ -221,7 +259,7 @@ impl MappingCore {
             covariance: Matrix3::from_diagonal(&TOLD.into()),
             is_found_anew: true,
         };
-        Ok(correction(stamp, &boot_id, &measured))
+        Ok(self.correction(stamp, &boot_id, &measured))
     }
 
     /// Has the robot looked for in the whole map.
@@ -248,17 +286,24 @@ impl MappingCore {
             Poses::Localised(localised) => localised.health().clone(),
         }
     }
-}
 
-fn correction(stamp: Stamp, boot_id: &str, measured: &Measured) -> Correction {
-    let (way, turn) = MAP_FLOOR;
-    let floor = Matrix3::from_diagonal(&[way * way, way * way, turn * turn].into());
-    let covariance = measured.covariance + floor;
-    Correction {
-        stamp,
-        boot_id: boot_id.to_owned(),
-        map_from_base: measured.map_from_base,
-        covariance: std::array::from_fn(|index| covariance[(index / 3, index % 3)]),
-        is_found_anew: measured.is_found_anew,
+    fn correction(&self, stamp: Stamp, boot_id: &str, measured: &Measured) -> Correction {
+        let (way, turn) = MAP_FLOOR;
+        let floor = Matrix3::from_diagonal(&[way * way, way * way, turn * turn].into());
+        let covariance = measured.covariance + floor;
+        let (frame, moves, is_too_old) = match &self.poses {
+            Poses::Slam(slam) => slam.frame(self.robot_frame),
+            // Here no map moves: the robot stays in its frame.
+            Poses::Edge | Poses::Localised(_) => (self.robot_frame, Vec::new(), false),
+        };
+        Correction {
+            stamp,
+            boot_id: boot_id.to_owned(),
+            map_from_base: measured.map_from_base,
+            covariance: std::array::from_fn(|index| covariance[(index / 3, index % 3)]),
+            is_found_anew: measured.is_found_anew || is_too_old,
+            frame,
+            moves,
+        }
     }
 }

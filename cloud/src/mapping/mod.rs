@@ -11,12 +11,14 @@
 //! | `requests` | answers, each change once |
 //! | `encodings` | the map as JSON, CBOR, PNG, PGM or YAML |
 //! | `storage` | the map at the start, storing and loading |
+//! | `metrics` | ages, durations and sizes |
 
 mod annotations;
 mod authority;
 mod core;
 mod encodings;
 mod localised_poses;
+mod metrics;
 mod requests;
 mod slam_poses;
 mod storage;
@@ -26,23 +28,25 @@ mod tests;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use thiserror::Error;
 use tokio::task::JoinSet;
 use zenav_mapping::{Insertion, MappingSettings};
+use zenav_observability::trace::{self, Context};
 use zenav_protocol::bus::{AskError, Bus, BusError, Clock, Publisher, Shutdown};
 use zenav_protocol::config_text::OutOfBounds;
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::messages::{
-    Annotations, Correction, EdgeState, GoalPoint, InfoRequest, Localisation, MapInfo, MapPatch, MapReply, Scan,
+    Annotations, Correction, EdgeState, GoalPoint, InfoRequest, Localisation, MapFrame, MapInfo, MapPatch, MapReply,
+    Scan,
 };
 use zenav_protocol::robot::Footprint;
 use zenav_protocol::settings::Settings;
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics::{
-    ALIVE_COMPONENT, ANNOTATE, ANNOTATIONS, CORRECTION, EDGE_INFO, LIDAR_SCAN, LOCALISATION, LOCALISE, MAP, MAP_INFO,
-    MAP_PATCH, SCAN, STATE, alive_key,
+    ALIVE_COMPONENT, ANNOTATE, ANNOTATIONS, CORRECTION, EDGE_INFO, LIDAR_SCAN, LOCALISATION, LOCALISE, MAP, MAP_FRAME,
+    MAP_INFO, MAP_PATCH, SCAN, STATE, alive_key,
 };
 
 use zenav_space::Zones;
@@ -50,6 +54,7 @@ use zenav_space::Zones;
 use annotations::AnnotationBook;
 use authority::Authority;
 pub use core::{Mapped, MappingCore, PoseSettings, PoseSource};
+use metrics::MappingMetrics;
 use requests::FirstAnswers;
 
 /// Configuration of one robot's mapping.
@@ -132,12 +137,14 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
     config.settings.check()?;
     let robot = config.robot.clone();
     let chunks = [robot.as_str()];
+    let loaded = bus.expects("its map is loaded, or begun");
     let mut scans = bus.latest(&SCAN, &chunks)?;
     let mut further_scans = bus.latest(&LIDAR_SCAN, &[robot.as_str(), "*"])?;
     let mut states = bus.latest(&STATE, &chunks)?;
     let mut requests = bus.serve(&MAP, &chunks)?;
     let mut places = bus.serve(&LOCALISE, &chunks)?;
     let mapper = storage::begin(&config).await;
+    loaded.met();
     if config.poses.source == PoseSource::Localise && !mapper.is_stored() {
         let folder = config.folder.as_ref();
         return Err(MappingError::NoMap(folder.map_or_else(
@@ -149,6 +156,8 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
     let mut service = Service {
         info: bus.publisher(&MAP_INFO, &chunks)?,
         patches: bus.publisher(&MAP_PATCH, &chunks)?,
+        frames: bus.publisher(&MAP_FRAME, &chunks)?,
+        frame: MapFrame::default(),
         corrections: bus.publisher(&CORRECTION, &chunks)?,
         localisation: bus.publisher(&LOCALISATION, &chunks)?,
         core: MappingCore::new(mapper, &config.poses),
@@ -162,12 +171,16 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
         authority: Authority::default(),
         answered: FirstAnswers::default(),
         encoding: JoinSet::new(),
+        metrics: MappingMetrics::new(&robot),
+        trace: None,
         config,
     };
     let _alive = bus.declare_alive(alive_key(ALIVE_COMPONENT, &[&robot, "mapping"]))?;
     service.publish(clock.now());
-    service.info.put(&service.core.mapper.info());
+    service.tell_info();
     service.annotations_topic.put(service.annotations.now());
+    bus.serve_info("mapping", &robot)?;
+    bus.started();
     let mut footprint = Box::pin(ask_footprint(&bus, &robot));
     let mut footprint_known = false;
     loop {
@@ -193,11 +206,11 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
                 None => break,
             },
             scan = scans.next() => match scan {
-                Some(scan) => service.insert(&scan.message, clock.now()),
+                Some(scan) => service.insert(&scan.message, scan.trace, clock.now()),
                 None => break,
             },
             scan = further_scans.next() => match scan {
-                Some(scan) => service.insert_further(&scan.message, clock.now()),
+                Some(scan) => service.insert_further(&scan.message, scan.trace, clock.now()),
                 None => break,
             },
             () = clock.sleep_until(due), if service.pending => service.publish(clock.now()),
@@ -240,6 +253,9 @@ struct Service {
     boot_id: String,
     info: Publisher<MapInfo>,
     patches: Publisher<MapPatch>,
+    frames: Publisher<MapFrame>,
+    /// As it was told last.
+    frame: MapFrame,
     corrections: Publisher<Correction>,
     localisation: Publisher<Localisation>,
     /// Least time between two patches.
@@ -255,16 +271,27 @@ struct Service {
     annotated: FirstAnswers<Arc<Annotations>>,
     /// Whole maps being encoded.
     encoding: JoinSet<()>,
+    metrics: MappingMetrics,
+    /// The newest traced scan that is in no patch yet.
+    trace: Option<Context>,
 }
 
 impl Service {
     fn hear(&mut self, now: Stamp, state: EdgeState) {
         self.boot_id = state.boot_id;
+        self.core.hear_frame(state.frame);
         self.authority.hear(now, state.lease);
     }
 
-    fn insert(&mut self, scan: &Scan, now: Stamp) {
-        let mapped = self.core.insert(scan, &self.boot_id);
+    fn insert(&mut self, scan: &Scan, trace: Option<Context>, now: Stamp) {
+        let boot_id = self.boot_id.clone();
+        let mapped = self.draw(scan, trace, now, |core| {
+            let mapped = core.insert(scan, &boot_id);
+            (mapped.insertion, mapped)
+        });
+        if let Some(frame) = mapped.frame {
+            self.tell_frame(frame, now);
+        }
         if let Some(correction) = &mapped.correction {
             self.corrections.put(correction);
         }
@@ -274,9 +301,44 @@ impl Service {
         self.drawn(mapped.insertion, now);
     }
 
-    fn insert_further(&mut self, scan: &Scan, now: Stamp) {
-        let insertion = self.core.insert_further(scan);
+    /// Tells where the parts of the map lie now. A new frame goes out with all that is in it at once: places, zones, and the map.
+    fn tell_frame(&mut self, frame: MapFrame, now: Stamp) {
+        let before = std::mem::replace(&mut self.frame, frame);
+        self.frames.put(&self.frame);
+        if before.map.frame != self.frame.map.frame {
+            self.annotations.carry_over(&before, &self.frame);
+            self.annotations_topic.put(self.annotations.now());
+            self.publish(now);
+        }
+    }
+
+    fn insert_further(&mut self, scan: &Scan, trace: Option<Context>, now: Stamp) {
+        let insertion = self.draw(scan, trace, now, |core| {
+            let insertion = core.insert_further(scan);
+            (insertion, insertion)
+        });
         self.drawn(insertion, now);
+    }
+
+    /// Draws a scan, and observes it.
+    fn draw<R>(
+        &mut self,
+        scan: &Scan,
+        trace: Option<Context>,
+        now: Stamp,
+        insert: impl FnOnce(&mut MappingCore) -> (Insertion, R),
+    ) -> R {
+        self.metrics.took(scan.stamp, now);
+        let began = Instant::now();
+        let span = trace.and_then(|trace| trace::child(&trace, &self.part(), "scan inserted"));
+        let (insertion, done) = insert(&mut self.core);
+        self.metrics.drew(began, insertion);
+        // A process that writes no spans passes the trace on as it came.
+        self.trace = span.as_ref().map(trace::Span::context).or(trace).or(self.trace);
+        if let Some(span) = span {
+            span.end();
+        }
+        done
     }
 
     fn drawn(&mut self, insertion: Insertion, now: Stamp) {
@@ -295,12 +357,32 @@ impl Service {
 
     fn publish(&mut self, now: Stamp) {
         self.published = now;
+        let began = Instant::now();
         let patch = self.core.mapper.take_patch();
         // A map of many tiles goes out in several patches, one each period.
         self.pending = patch.is_some() && self.core.mapper.has_changes();
         if let Some(patch) = patch {
-            self.patches.put(&patch);
-            self.info.put(&self.core.mapper.info());
+            let trace = self.trace.take();
+            let span = trace.and_then(|trace| trace::child(&trace, &self.part(), "map published"));
+            self.patches
+                .put_in(span.as_ref().map(trace::Span::context).or(trace), &patch);
+            if let Some(span) = span {
+                span.with("revision", patch.map.revision).end();
+            }
+            self.tell_info();
+            self.metrics.published(began);
         }
+    }
+
+    /// This part's name in traces.
+    fn part(&self) -> String {
+        format!("mapping-{}", self.config.robot)
+    }
+
+    /// Publishes what the map is now.
+    fn tell_info(&self) {
+        let info = self.core.mapper.info();
+        self.metrics.map(&info);
+        self.info.put(&info);
     }
 }

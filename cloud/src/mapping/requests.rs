@@ -5,10 +5,11 @@ use std::collections::VecDeque;
 use zenav_protocol::bus::Request;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::{
-    LocaliseAction, LocaliseReply, LocaliseRequest, MapAction, MapReply, MapRequest, Refusal, StoredMapInfo,
+    GoalPoint, LocaliseAction, LocaliseReply, LocaliseRequest, MapAction, MapReply, MapRequest, Refusal, StoredMapInfo,
 };
 use zenav_protocol::time::Stamp;
 
+use super::annotations::checked;
 use super::{Service, storage};
 
 /// Most answers that are kept for repeated requests.
@@ -98,6 +99,12 @@ impl Service {
                 "expected `pose` with finite numbers, as in {\"action\": \"at\", \"pose\": {\"x\": 1.0, \"y\": 2.0, \"yaw\": 0.0}}",
             ));
         };
+        let at = GoalPoint {
+            x: pose.x,
+            y: pose.y,
+            yaw: Some(pose.yaw),
+        };
+        checked(at)?;
         let correction = self.core.place(pose)?;
         self.corrections.put(&correction);
         Ok(())
@@ -114,9 +121,8 @@ impl Service {
             MapAction::Forget => self.core.mapper.decay_now(),
         }
         self.publish(now);
-        let reply = self.described(Vec::new());
-        self.info.put(&reply.info);
-        Ok(reply)
+        self.tell_info();
+        Ok(self.described(Vec::new()))
     }
 
     async fn list(&self) -> Answer {

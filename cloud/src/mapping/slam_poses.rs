@@ -2,10 +2,14 @@
 //!
 //! [`Slam`] gives each scan a pose. A loop closure moves older scans too: the map is then drawn anew beside the old one, some scans with
 //! each scan that comes, and takes its place when it is complete. Until then everything stays in the old map: nobody sees half of either.
+//! With the new map the next **frame** begins: the robot is told how its surroundings moved, all others where each part of the map lies now.
+
+use std::collections::VecDeque;
 
 use zenav_mapping::{Insertion, Mapper};
-use zenav_protocol::geometry::Pose2;
-use zenav_protocol::messages::Scan;
+use zenav_protocol::geometry::{Pose2, wrap_angle};
+use zenav_protocol::messages::{MOST_MOVES, MapFrame, Scan};
+use zenav_protocol::time::Stamp;
 use zenav_slam::{Effects, Slam, SlamSettings};
 
 use super::core::{Measured, Pace, Posed};
@@ -14,6 +18,9 @@ use super::core::{Measured, Pace, Posed};
 const REDRAWN_A_STEP: usize = 200;
 /// A move of the surroundings that is shorter, m, and turns less, rad, leaves the map as it is.
 const SMALLEST_MOVE: (f64, f64) = (0.01, 0.002);
+
+/// A robot that has not heard of the frame in force is told again after this time, s.
+const TOLD_AGAIN: f64 = 0.3;
 
 /// The map drawn anew, so far.
 #[derive(Clone, Debug)]
@@ -38,11 +45,24 @@ pub(super) struct SlamPoses {
     /// The robot's boot that odometry belongs to.
     boot_id: String,
     pace: Pace,
+    /// The frame of the map as it is drawn.
+    frame: u64,
+    /// The moves into the last frames, the one into this frame last.
+    moves: VecDeque<Pose2>,
+    /// Where the parts of the map lie as it is drawn.
+    parts: Vec<Pose2>,
+    /// Whether frame or parts are others than was told.
+    is_untold: bool,
 }
 
 impl SlamPoses {
-    pub(super) fn new(settings: SlamSettings) -> Self {
+    /// Begins a map in a frame.
+    pub(super) fn new(settings: SlamSettings, frame: u64) -> Self {
         Self {
+            frame,
+            moves: VecDeque::new(),
+            parts: Vec::new(),
+            is_untold: true,
             settings,
             slam: None,
             scans: Vec::new(),
@@ -56,11 +76,11 @@ impl SlamPoses {
 
     /// Begins anew: the next scan is the first.
     pub(super) fn reset(&mut self) {
-        *self = Self::new(self.settings);
+        *self = Self::new(self.settings, self.frame);
     }
 
     /// Takes in a scan of the main lidar.
-    pub(super) fn insert(&mut self, mapper: &mut Mapper, scan: &Scan, boot_id: &str) -> Posed {
+    pub(super) fn insert(&mut self, mapper: &mut Mapper, scan: &Scan, boot_id: &str, robot_frame: u64) -> Posed {
         if mapper.is_held() {
             return Posed::only(Insertion::Held);
         }
@@ -87,11 +107,12 @@ impl SlamPoses {
         if let Some(moved) = effects.moved {
             self.surroundings_moved(moved, mapper);
         }
+        self.note_new_parts();
         let pose = self.new_from_drawn.inverse() * effects.pose;
         self.map_from_odom = pose * scan.odom_from_base.inverse();
         let insertion = mapper.insert(&self.placed(scan));
         let was_redrawn = self.draw_on(mapper);
-        let measured = self.measured(scan, &effects, was_redrawn);
+        let measured = self.measured(scan, &effects, was_redrawn, robot_frame);
         Posed {
             measured,
             ..Posed::only(insertion)
@@ -106,10 +127,65 @@ impl SlamPoses {
         }
     }
 
+    /// The frame in force, its moves, and whether the robot, in `robot_frame`, can no longer be told how to get there.
+    pub(super) fn frame(&self, robot_frame: u64) -> (u64, Vec<Pose2>, bool) {
+        let is_too_old = robot_frame + (self.moves.len() as u64) < self.frame;
+        (self.frame, self.moves.iter().copied().collect(), is_too_old)
+    }
+
+    /// The robot is in a later frame than any that began here: the map that it makes goes on in that one.
+    pub(super) fn number_from(&mut self, frame: u64) {
+        self.frame = frame;
+        self.moves.clear();
+        self.is_untold = true;
+    }
+
+    /// Frame and parts, where they are others than was told.
+    pub(super) fn untold(&mut self, mapper: &Mapper, stamp: Stamp) -> Option<MapFrame> {
+        (std::mem::take(&mut self.is_untold) && !self.parts.is_empty()).then(|| MapFrame {
+            stamp,
+            map: mapper.map().clone(),
+            moves: self.moves.iter().copied().collect(),
+            parts: self.parts.clone(),
+        })
+    }
+
+    /// Bends the map as a closure does.
+    pub(super) fn bend(&mut self, mapper: &Mapper, bend: impl Fn(Pose2) -> Pose2) {
+        match self.slam.as_mut().map(|slam| slam.bend(bend)) {
+            Some(Ok(moved)) => self.surroundings_moved(moved, mapper),
+            Some(Err(error)) => tracing::warn!(%error, "the map is not bent"),
+            None => {}
+        }
+    }
+
+    /// New parts lie in the map as it is drawn.
+    fn note_new_parts(&mut self) {
+        let Some(slam) = &self.slam else { return };
+        if slam.submaps() > self.parts.len() && self.redraw.is_none() {
+            let drawn_from_new = self.new_from_drawn.inverse();
+            let new = slam.parts().into_iter().skip(self.parts.len());
+            self.parts.extend(new.map(|part| drawn_from_new * part));
+            self.is_untold = true;
+        }
+    }
+
+    /// The largest move of a part since the map was drawn, m and rad.
+    fn largest_move(&self) -> (f64, f64) {
+        let parts = self.slam.as_ref().map(Slam::parts).unwrap_or_default();
+        let moves = self.parts.iter().zip(&parts);
+        moves.fold((0.0, 0.0), |(way, turn): (f64, f64), (drawn, new)| {
+            (
+                way.max(drawn.distance(new)),
+                turn.max(wrap_angle(new.yaw - drawn.yaw).abs()),
+            )
+        })
+    }
+
     fn surroundings_moved(&mut self, moved: Pose2, mapper: &Mapper) {
         self.new_from_drawn = moved * self.new_from_drawn;
-        let by = self.new_from_drawn;
-        if self.redraw.is_some() || by.x.hypot(by.y) > SMALLEST_MOVE.0 || by.yaw.abs() > SMALLEST_MOVE.1 {
+        let (way, turn) = self.largest_move();
+        if self.redraw.is_some() || way > SMALLEST_MOVE.0 || turn > SMALLEST_MOVE.1 {
             self.redraw = Some(Redraw {
                 mapper: mapper.redrawing(),
                 drawn: 0,
@@ -140,17 +216,28 @@ impl SlamPoses {
             *mapper = new.succeed(mapper);
         }
         self.map_from_odom = self.new_from_drawn * self.map_from_odom;
-        self.new_from_drawn = Pose2::IDENTITY;
+        self.frame += 1;
+        if self.moves.len() == MOST_MOVES {
+            self.moves.pop_front();
+        }
+        self.moves
+            .push_back(std::mem::replace(&mut self.new_from_drawn, Pose2::IDENTITY));
+        self.parts = slam.parts();
+        self.is_untold = true;
+        mapper.set_frame(self.frame);
         true
     }
 
-    fn measured(&mut self, scan: &Scan, effects: &Effects, was_redrawn: bool) -> Option<Measured> {
+    fn measured(&mut self, scan: &Scan, effects: &Effects, was_redrawn: bool, robot_frame: u64) -> Option<Measured> {
         let covariance = effects.covariance?;
         let map_from_base = self.map_from_odom * scan.odom_from_base;
         if was_redrawn {
             self.pace = Pace::default();
         }
-        self.pace.is_due(scan.stamp, map_from_base).then_some(Measured {
+        // A robot that has not heard of the frame is told of it again.
+        let is_behind = robot_frame < self.frame && self.pace.is_older(scan.stamp, TOLD_AGAIN);
+        let is_due = self.pace.is_due(scan.stamp, map_from_base) || is_behind;
+        is_due.then_some(Measured {
             map_from_base,
             covariance,
             is_found_anew: false,

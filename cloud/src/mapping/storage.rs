@@ -56,6 +56,7 @@ fn new_map(robot: &str) -> MapRef {
     MapRef {
         id: new_map_id(robot),
         revision: 0,
+        frame: 0,
     }
 }
 

@@ -6,14 +6,13 @@ use std::time::Duration;
 use tokio::time::{Instant, sleep_until, timeout_at};
 use zenav_protocol::bus::BusError;
 use zenav_protocol::id::Id;
-use zenav_protocol::messages::{
-    GoalRequest, JoinRequest, JournalEntry, JournalReply, Leader, LeaseRole, LeaseState, Refusal,
-};
+use zenav_protocol::messages::{GoalRequest, JoinRequest, JournalEntry, JournalReply, Leader, Refusal};
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
 
-use super::{MissionError, Service, Turn, blocking};
+use super::{MissionError, Service, Turn, blocking, metrics};
 use zenav_mission::records::Leadership;
+use zenav_mission::standby::{JournalPosition, Verdict, judge, may_lead};
 use zenav_mission::store::StoreError;
 
 /// A leader that is silent for longer is joined again.
@@ -27,38 +26,15 @@ const WORD: Duration = Duration::from_millis(250);
 /// A mission that led does not request to lead again before.
 const REST: Duration = Duration::from_millis(500);
 
-/// A standby's position in its leader's journal.
-#[derive(Clone, Debug, PartialEq, Eq)]
-struct JournalPosition {
-    session: String,
-    position: u64,
-}
-
-impl JournalPosition {
-    /// The beginning of a fresh session.
-    fn anew() -> Self {
-        Self {
-            session: Id::unique().into(),
-            position: 0,
-        }
-    }
-}
-
-/// What to do with a journal entry.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Verdict {
-    /// Apply it, after what is stored or instead of it.
-    Take { instead: bool },
-    /// It is stored already.
-    Known,
-}
-
 /// Follows until shutdown, or until this mission may request to lead.
 pub(super) async fn follow(service: &mut Service) -> Result<Turn, MissionError> {
+    metrics::leads(service.config.robot.as_str(), false);
+    tracing::info!(robot = %service.config.robot, store = service.store.name(), "stands by");
+    service.role.met();
     let mut states = service.bus.latest(&topics::STATE, &[service.config.robot.as_str()])?;
     let store = service.store.clone();
     let mut epoch = blocking(move || store.leadership()).await??.epoch;
-    let mut place = JournalPosition::anew();
+    let mut place = fresh_session();
     let mut word: Option<Leader> = None;
     let rested = Instant::now() + REST;
     let (mut next_join, mut silence) = (Instant::now(), SILENCE);
@@ -77,7 +53,13 @@ pub(super) async fn follow(service: &mut Service) -> Result<Turn, MissionError> 
                     word = state.message.lease.leader;
                 }
                 let taken = match judge(&entry.body, word.as_ref(), &place) {
-                    Ok(verdict) => take(service, &entry.body, verdict).await.map_err(Refusal::internal),
+                    Ok(verdict) => match take(service, &entry.body, verdict).await {
+                        Err(error @ StoreError::NoRoom { .. }) => {
+                            entry.refuse(&Refusal::internal(&error));
+                            return Err(error.into());
+                        }
+                        taken => taken.map_err(Refusal::internal),
+                    },
                     Err(refusal) => Err(refusal),
                 };
                 match taken {
@@ -91,7 +73,7 @@ pub(super) async fn follow(service: &mut Service) -> Result<Turn, MissionError> 
                         tracing::warn!(robot = %service.config.robot, %refusal, "a journal entry was refused");
                         if entry.body.session == place.session {
                             // Something is missing now: replicate from the beginning, with a growing delay.
-                            place = JournalPosition::anew();
+                            place = fresh_session();
                             silence = (2 * silence).min(LONGEST_SILENCE);
                             next_join = Instant::now() + silence;
                         }
@@ -110,34 +92,10 @@ pub(super) async fn follow(service: &mut Service) -> Result<Turn, MissionError> 
             () = sleep_until(next_join) => {
                 next_join = Instant::now() + silence;
                 // The old session may have a gap: a new one starts with everything.
-                place = JournalPosition::anew();
+                place = fresh_session();
                 join(service, epoch, &place).await?;
             }
         }
-    }
-}
-
-/// Whether an entry is the leader's, by the robot's `word`, and is the next one.
-fn judge(entry: &JournalEntry, word: Option<&Leader>, place: &JournalPosition) -> Result<Verdict, Refusal> {
-    if entry.session != place.session {
-        return Err(Refusal::rejected("the entry belongs to another session"));
-    }
-    let Some(word) = word else {
-        return Err(Refusal::rejected("the robot is silent: the leader is unknown"));
-    };
-    if (&word.store, word.epoch) != (&entry.leader, entry.epoch) {
-        return Err(Refusal::rejected(format!(
-            "the robot says that {} leads, in epoch {}",
-            word.store, word.epoch
-        )));
-    }
-    match entry.position {
-        known if known <= place.position => Ok(Verdict::Known),
-        next if next == place.position + 1 => Ok(Verdict::Take { instead: next == 1 }),
-        late => Err(Refusal::rejected(format!(
-            "entry {late} does not follow {}",
-            place.position
-        ))),
     }
 }
 
@@ -186,93 +144,7 @@ async fn join(service: &Service, epoch: u64, place: &JournalPosition) -> Result<
     Ok(())
 }
 
-/// Whether the robot would grant the lease to the mission with this store.
-fn may_lead(lease: &LeaseState, store: &str) -> bool {
-    let operator = lease.role == Some(LeaseRole::Operator);
-    match &lease.leader {
-        None => !lease.live,
-        Some(leader) if leader.store == store => true,
-        Some(leader) => {
-            let open = !lease.live || operator && !lease.leader_live;
-            open && leader.caught_up.iter().any(|known| known == store)
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn entry(leader: &str, epoch: u64, session: &str, position: u64) -> JournalEntry {
-        JournalEntry {
-            leader: leader.into(),
-            epoch,
-            session: session.into(),
-            position,
-            now: Stamp::ZERO,
-            writes: Vec::new(),
-        }
-    }
-
-    fn word(store: &str, epoch: u64, caught_up: &[&str]) -> Leader {
-        Leader {
-            store: store.into(),
-            epoch,
-            caught_up: caught_up.iter().map(|&store| store.into()).collect(),
-            revision: 1,
-        }
-    }
-
-    #[test]
-    fn only_what_follows_on_what_is_stored_is_taken_and_only_from_whom_the_robot_names() {
-        let named = word("a", 7, &["a"]);
-        let place = |position| JournalPosition {
-            session: "s".into(),
-            position,
-        };
-        let judged = |entry: JournalEntry| judge(&entry, Some(&named), &place(4));
-        assert_eq!(judged(entry("a", 7, "s", 5)), Ok(Verdict::Take { instead: false }));
-        assert_eq!(judged(entry("a", 7, "s", 4)), Ok(Verdict::Known), "sent again");
-        assert_eq!(judged(entry("a", 7, "s", 1)), Ok(Verdict::Known), "sent again late");
-        let strangers = [
-            entry("a", 7, "s", 6),
-            entry("a", 7, "before", 5),
-            entry("b", 7, "s", 5),
-            entry("a", 6, "s", 5),
-            entry("a", u64::MAX, "s", 5),
-        ];
-        for stranger in strangers {
-            assert!(matches!(judged(stranger), Err(Refusal::Rejected { .. })));
-        }
-        let silent = judge(&entry("a", 7, "s", 5), None, &place(4));
-        assert!(
-            matches!(silent, Err(Refusal::Rejected { .. })),
-            "of a robot that is silent"
-        );
-        assert_eq!(
-            judge(&entry("a", 7, "s", 1), Some(&named), &place(0)),
-            Ok(Verdict::Take { instead: true })
-        );
-        assert_ne!(JournalPosition::anew(), JournalPosition::anew());
-    }
-
-    #[test]
-    fn a_standby_asks_to_lead_when_the_lease_has_lapsed_and_it_has_caught_up() {
-        let lease = |live: bool, leader: Option<Leader>| LeaseState {
-            live,
-            leader,
-            ..LeaseState::default()
-        };
-        assert!(may_lead(&lease(false, None), "b"));
-        assert!(!may_lead(&lease(true, None), "b"));
-        assert!(may_lead(&lease(false, Some(word("a", 7, &["a", "b"]))), "b"));
-        assert!(!may_lead(&lease(true, Some(word("a", 7, &["a", "b"]))), "b"));
-        assert!(!may_lead(&lease(false, Some(word("a", 7, &["a"]))), "b"));
-        assert!(may_lead(&lease(true, Some(word("b", 7, &["b"]))), "b"), "it leads");
-        let mut operated = lease(true, Some(word("a", 7, &["a", "b"])));
-        operated.role = Some(LeaseRole::Operator);
-        assert!(may_lead(&operated, "b"), "the leader is silent");
-        operated.leader_live = true;
-        assert!(!may_lead(&operated, "b"));
-    }
+/// The beginning of a fresh session.
+fn fresh_session() -> JournalPosition {
+    JournalPosition::beginning(Id::unique().into())
 }

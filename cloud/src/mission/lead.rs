@@ -6,18 +6,21 @@ use std::time::Duration;
 
 use tokio::sync::mpsc;
 use tokio::time::{Instant, MissedTickBehavior};
-use zenav_protocol::bus::{AliveWatch, Bus, BusError, Clock, Latest, Publisher, Subscription};
+use zenav_protocol::bus::{AliveWatch, Bus, BusError, Clock, KeyedPublisher, Latest, Publisher, Subscription};
 use zenav_protocol::messages::{
-    Annotations, EdgeState, Event, GoalState, Heartbeat, InfoRequest, MapInfo, MapPatch, MissionStatus, Plan,
-    PoseEstimate, Refusal,
+    Annotations, EdgeState, Event, GoalState, Heartbeat, InfoRequest, Localisation, MapFrame, MapInfo, MapPatch,
+    MissionStatus, Plan, PoseEstimate, Refusal,
 };
-use zenav_protocol::topics::{self, MissionRequest};
+use zenav_protocol::topics::{self, MissionReply, MissionRequest};
 
+use super::metrics::{self, MissionMetrics};
 use super::requests::Pending;
 use super::standbys::Standbys;
+use super::trace::MissionTrace;
 use super::workers::{Workers, carry};
 use super::{End, MissionError, Service, Turn, blocking};
 use zenav_mission::io::{Answer, Ask, Client, Effect, Inputs, NoAnswer, Ticket};
+use zenav_mission::membership::HELD_UP;
 use zenav_mission::orchestrator::Mission;
 use zenav_mission::records::{Leadership, Record};
 
@@ -28,7 +31,7 @@ const MAX_ANSWERS: usize = 512;
 /// Events and patches queued for the next step.
 const MAX_WAITING: usize = 512;
 /// Goals whose last state is kept for late joiners.
-const MAX_GOAL_PUBLISHERS: usize = 64;
+const MAX_KEPT_GOALS: usize = 64;
 /// A step that takes longer loses the lease: this mission hangs, and a standby may take over.
 const LONGEST_STEP: Duration = Duration::from_secs(20);
 /// Time between two heartbeats during a step or a write.
@@ -37,8 +40,6 @@ const BEAT: Duration = Duration::from_millis(100);
 const ROLL_CALL: Duration = Duration::from_millis(300);
 /// Time between two checks whether this process was suspended.
 const PULSE: Duration = Duration::from_millis(200);
-/// A leader with standbys that was held up for longer tells nothing more before the robot has said that it leads: others may have led since.
-pub(super) const HELD_UP: Duration = Duration::from_secs(1);
 
 /// Leads, or requests to, until shutdown or until another mission leads.
 pub(super) async fn lead(service: &mut Service) -> Result<Turn, MissionError> {
@@ -52,6 +53,8 @@ pub(super) async fn lead(service: &mut Service) -> Result<Turn, MissionError> {
     let mut shell = Shell::open(service, restored.leadership, restored.incarnation)?;
     // In a box: it goes to a thread of its own and back for every step.
     let mut mission = Box::new(Mission::new(service.config.clone(), restored));
+    metrics::leads(&shell.robot, true);
+    service.role.met();
     let mut ticks = service.clock.interval(PERIOD);
     // The robot's clock may stand still; this one does not.
     let mut pulse = tokio::time::interval(PULSE);
@@ -62,7 +65,7 @@ pub(super) async fn lead(service: &mut Service) -> Result<Turn, MissionError> {
         tokio::select! {
             _ = pulse.tick() => {}
             () = service.shutdown.wait() => {
-                if shell.standbys.are_any() && last.elapsed() > HELD_UP {
+                if shell.standbys.is_held_up(last) {
                     return Ok(Turn::Over);
                 }
                 break;
@@ -79,7 +82,7 @@ pub(super) async fn lead(service: &mut Service) -> Result<Turn, MissionError> {
             },
             Some(answer) = shell.answers.recv() => inputs.answers.push(answer),
         }
-        if shell.standbys.are_any() && last.elapsed() > HELD_UP {
+        if shell.standbys.is_held_up(last) {
             tracing::warn!(robot = %service.config.robot, "this process was suspended: another mission may have led since");
             shell.dismiss();
             return Ok(Turn::Follow);
@@ -174,15 +177,19 @@ struct Shell {
     events: Subscription<Event>,
     map_info: Latest<MapInfo>,
     map_patches: Subscription<MapPatch>,
+    localisation: Latest<Localisation>,
+    map_frame: Latest<MapFrame>,
     annotations: Latest<Annotations>,
     mapper: AliveWatch,
     pulse: Pulse,
     plan: Publisher<Plan>,
     status: Publisher<MissionStatus>,
-    goals: Vec<(String, Publisher<GoalState>)>,
+    goals: KeyedPublisher<GoalState>,
     workers: Workers,
     answers: mpsc::Receiver<(Ticket, Result<Answer, NoAnswer>)>,
     answered: mpsc::Sender<(Ticket, Result<Answer, NoAnswer>)>,
+    metrics: MissionMetrics,
+    trace: MissionTrace,
 }
 
 impl Shell {
@@ -197,6 +204,8 @@ impl Shell {
             events: bus.subscribe(&topics::EVENT, &name, MAX_WAITING)?,
             map_info: bus.latest(&topics::MAP_INFO, &name)?,
             map_patches: bus.subscribe(&topics::MAP_PATCH, &name, MAX_WAITING)?,
+            localisation: bus.latest(&topics::LOCALISATION, &name)?,
+            map_frame: bus.latest(&topics::MAP_FRAME, &name)?,
             annotations: bus.latest(&topics::ANNOTATIONS, &name)?,
             mapper: bus.watch_alive(topics::alive_key(topics::ALIVE_COMPONENT, &[&robot, "mapping"]))?,
             pulse: Pulse {
@@ -206,11 +215,13 @@ impl Shell {
             },
             plan: bus.publisher(&topics::PLAN, &name)?,
             status: bus.publisher(&topics::MISSION, &name)?,
-            goals: Vec::new(),
+            goals: bus.keyed_publisher(&topics::GOAL_STATE, &[&robot, "*"], MAX_KEPT_GOALS)?,
             workers: Workers::watch(bus, crate::motion::SERVICE)?,
             clients: BTreeMap::new(),
             next_client: 0,
             bus: bus.clone(),
+            metrics: MissionMetrics::new(&robot),
+            trace: MissionTrace::new(&robot),
             robot,
             answers,
             answered,
@@ -220,6 +231,9 @@ impl Shell {
     fn receive(&mut self, pending: Pending, inputs: &mut Inputs) {
         self.next_client += 1;
         let client = Client(self.next_client);
+        if matches!(pending.request, MissionRequest::Goal(_)) {
+            self.metrics.asked(client);
+        }
         inputs.requests.push((client, pending.request.clone()));
         self.clients.insert(client, pending);
     }
@@ -245,6 +259,7 @@ impl Shell {
             tokio::select! {
                 stepped = &mut stepping => {
                     let (mut mission, effects) = stepped.map_err(|error| MissionError::Step(error.to_string()))?;
+                    self.metrics.tick.observe(begun.elapsed().as_secs_f64());
                     if kept_alive {
                         mission.was_kept_alive(clock.now());
                     }
@@ -264,17 +279,26 @@ impl Shell {
     /// Takes everything that has arrived.
     fn drain(&mut self, inputs: &mut Inputs) {
         inputs.state = self.state.take();
+        if let Some(state) = &inputs.state {
+            self.standbys.hear(state.lease.leader.as_ref());
+        }
         inputs.pose = self.pose.take();
         inputs.map_info = self.map_info.take();
+        inputs.localisation = self.localisation.take();
+        inputs.map_frame = self.map_frame.take();
         inputs.annotations = self.annotations.take();
         inputs.events.extend(
             std::iter::from_fn(|| self.events.try_next())
                 .map(|received| received.message)
                 .take(MAX_WAITING),
         );
+        self.metrics.heard(&inputs.events);
         inputs.map_patches.extend(
             std::iter::from_fn(|| self.map_patches.try_next())
-                .map(|received| received.message)
+                .map(|received| {
+                    self.trace.heard(received.trace);
+                    received.message
+                })
                 .take(MAX_WAITING),
         );
         while let Some((_, alive)) = self.mapper.try_next() {
@@ -283,16 +307,16 @@ impl Shell {
         inputs
             .answers
             .extend(std::iter::from_fn(|| self.answers.try_recv().ok()).take(MAX_ANSWERS));
+        self.trace.answers(&inputs.answers);
         self.workers.update();
     }
 
     /// `begun` is when the step's inputs were taken.
     async fn carry_out(&mut self, mission: &mut Mission, effects: Vec<Effect>, begun: Instant) -> Result<(), End> {
         self.standbys.lead(mission.term(), mission.now()).await?;
-        let held_up = |standbys: &Standbys| standbys.are_any() && begun.elapsed() > HELD_UP;
         for effect in &effects {
             if let Effect::Heartbeat(heartbeat) = effect
-                && !held_up(&self.standbys)
+                && !self.standbys.is_held_up(begun)
             {
                 self.pulse.beat(heartbeat.clone());
             }
@@ -301,28 +325,46 @@ impl Shell {
             self.pulse.beats = None;
         }
         for effect in effects {
-            if held_up(&self.standbys) {
+            if self.standbys.is_held_up(begun) {
                 return Err(End::Deposed);
             }
             match effect {
-                Effect::Persist(records) => self.store(records).await?,
+                Effect::Persist(records) => {
+                    self.metrics.stored(&records);
+                    self.store(records).await?;
+                }
                 Effect::Heartbeat(_) => {}
-                Effect::Plan(plan) => self.plan.put(&plan),
+                Effect::Plan(plan) => {
+                    let is_new = self.metrics.published(&plan);
+                    let trace = is_new
+                        .then(|| self.trace.planned(&plan.goal_id, plan.trajectory_id))
+                        .flatten();
+                    self.plan.put_in(trace, &plan);
+                }
                 Effect::Status(status) => self.status.put(&status),
-                Effect::Goal(goal) => self.publish_goal(&goal),
-                Effect::Ask(ticket, ask) => self.ask(ticket, ask),
-                Effect::Reply(client, answer) => {
+                Effect::Goal(goal) => self.goals.put(&[&self.robot, &goal.id], &goal),
+                Effect::Ask(ticket, ask) => {
+                    if matches!(ask, Ask::Motion(_)) {
+                        self.trace.asked(ticket);
+                    }
+                    self.ask(ticket, ask);
+                }
+                Effect::Reply(client, mut answer) => {
+                    if let Ok(MissionReply::Info(info)) = &mut answer {
+                        info.process = Some(self.bus.process_info());
+                    }
                     if let Some(pending) = self.clients.remove(&client) {
                         if let (MissionRequest::Join(request), Ok(_)) = (&pending.request, &answer) {
                             self.standbys.join(request).await?;
                         }
+                        self.metrics.answered(client, answer.is_ok());
                         pending.responder.send(answer);
                     }
                 }
                 Effect::StandBy => return Err(End::Deposed),
-                Effect::Fatal(why) => return Err(MissionError::Mismatch(why).into()),
             }
         }
+        self.metrics.observe(mission, self.workers.count());
         self.standbys.maintain().await?;
         mission.share(self.standbys.names(), self.standbys.are_any());
         Ok(())
@@ -330,7 +372,12 @@ impl Shell {
 
     /// Persists here and with the standbys; a slow disk or link does not cost the lease.
     async fn store(&mut self, records: Vec<Record>) -> Result<(), End> {
-        let Self { standbys, pulse, .. } = self;
+        let Self {
+            standbys,
+            pulse,
+            metrics,
+            ..
+        } = self;
         let begun = Instant::now();
         let storing = async {
             let store = standbys.store();
@@ -340,7 +387,10 @@ impl Shell {
         tokio::pin!(storing);
         loop {
             tokio::select! {
-                stored = &mut storing => return stored,
+                stored = &mut storing => {
+                    metrics.write.observe(begun.elapsed().as_secs_f64());
+                    return stored;
+                }
                 () = tokio::time::sleep(BEAT) => if begun.elapsed() < HELD_UP {
                     pulse.beat_again();
                 },
@@ -352,25 +402,6 @@ impl Shell {
     fn dismiss(&mut self) {
         for (_, pending) in std::mem::take(&mut self.clients) {
             pending.responder.send(Err(Refusal::NotLeader));
-        }
-    }
-
-    fn publish_goal(&mut self, goal: &GoalState) {
-        let place = match self.goals.iter().position(|(id, _)| *id == goal.id) {
-            Some(place) => place,
-            None => {
-                if self.goals.len() == MAX_GOAL_PUBLISHERS {
-                    self.goals.remove(0);
-                }
-                match self.bus.publisher(&topics::GOAL_STATE, &[&self.robot, &goal.id]) {
-                    Ok(publisher) => self.goals.push((goal.id.clone(), publisher)),
-                    Err(error) => return tracing::error!(goal = goal.id, %error, "its state cannot be published"),
-                }
-                self.goals.len() - 1
-            }
-        };
-        if let Some((_, publisher)) = self.goals.get(place) {
-            publisher.put(goal);
         }
     }
 

@@ -9,23 +9,34 @@
 //! | `follow` | what does a standby do, and when may it lead? |
 //! | `requests` | where do clients' requests arrive? |
 //! | `workers` | who answers the mission's own requests? |
+//! | `worker_pool` | which of several motion workers is asked, and when is a second one asked as well? |
+//! | `trace` | which scan does a plan come from? |
+//! | `metrics` | how long do goals, steps, writes and plans take? |
+//! | `no_room` | what does a mission do whose disk stores nothing? |
 
 mod follow;
 mod lead;
+mod metrics;
+mod no_room;
 mod replication;
 mod requests;
 mod standbys;
 #[cfg(test)]
 mod tests;
+mod trace;
+mod worker_pool;
 mod workers;
 
 use std::sync::Arc;
 
 use thiserror::Error;
+use zenav_observability::Condition;
 use zenav_protocol::SCHEMA_VERSION;
 use zenav_protocol::bus::{Bus, BusError, Clock, Server, Shutdown};
 use zenav_protocol::messages::{InfoReply, JournalEntry, JournalReply, Refusal};
 use zenav_protocol::topics::{self, MissionReply, MissionRequest};
+
+pub use workers::Workers;
 
 use requests::{Pending, Requests};
 use zenav_mission::config::MissionConfig;
@@ -37,12 +48,9 @@ pub enum MissionError {
     /// The bus.
     #[error(transparent)]
     Bus(#[from] BusError),
-    /// The store failed: nothing more can be acknowledged.
+    /// The store failed for good: nothing more can be acknowledged.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// This mission and the robot speak different schema versions.
-    #[error("{0}")]
-    Mismatch(String),
     /// A step of the mission panicked.
     #[error("a step of the mission failed: {0}")]
     Step(String),
@@ -84,6 +92,8 @@ struct Service {
     /// Offset of the last leader's time to this clock, ns.
     ahead: Option<i64>,
     shutdown: Shutdown,
+    /// Whether it leads or stands by is known: goals are taken, here or there.
+    role: Condition,
 }
 
 impl Service {
@@ -96,6 +106,7 @@ impl Service {
                 schema: SCHEMA_VERSION,
                 robot: self.config.robot.to_string(),
                 store: Some(self.store.name().to_owned()),
+                process: Some(self.bus.process_info()),
                 ..InfoReply::default()
             })),
             _ => Err(Refusal::NotLeader),
@@ -107,10 +118,15 @@ impl Service {
 /// Runs one robot's mission until `shutdown`, or until it fails.
 ///
 /// # Errors
-/// [`MissionError`]; [`StoreError::Locked`] at once when another process has the store.
+/// [`MissionError`]; [`StoreError::Locked`] at once when another process has the store, [`StoreError::Foreign`] when its file is not whole.
+/// A full disk is no error: the mission waits for room.
 pub async fn run(bus: Bus, clock: Clock, config: MissionConfig, shutdown: Shutdown) -> Result<(), MissionError> {
-    let path = config.store.clone();
-    let store = Arc::new(blocking(move || Store::open(&path)).await??);
+    let opened = bus.expects(&format!("the store of {} is open", config.robot));
+    let role = bus.expects(&format!("the mission of {} leads, or stands by", config.robot));
+    let Some(store) = no_room::open(&config, &shutdown).await? else {
+        return Ok(());
+    };
+    opened.met();
     let robot = config.robot.as_str();
     let _alive = bus.declare_alive(topics::alive_key(topics::ALIVE_COMPONENT, &[robot, "mission"]))?;
     let mut service = Service {
@@ -122,13 +138,19 @@ pub async fn run(bus: Bus, clock: Clock, config: MissionConfig, shutdown: Shutdo
         store,
         ahead: None,
         shutdown,
+        role,
     };
+    service.bus.started();
     let mut turn = Turn::Lead;
     loop {
-        turn = match turn {
+        let next = match turn {
             Turn::Over => return Ok(()),
-            Turn::Lead => lead::lead(&mut service).await?,
-            Turn::Follow => follow::follow(&mut service).await?,
+            Turn::Lead => lead::lead(&mut service).await,
+            Turn::Follow => follow::follow(&mut service).await,
+        };
+        turn = match next {
+            Err(MissionError::Store(error @ StoreError::NoRoom { .. })) => no_room::wait(&mut service, &error).await?,
+            next => next?,
         };
     }
 }

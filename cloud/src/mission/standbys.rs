@@ -4,7 +4,7 @@
 //! robot list it, and waits for it from then on. A standby that does not answer in time is first taken off the robot's list; then the leader
 //! continues without it. So every store on the robot's list holds everything that was acknowledged.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -15,11 +15,10 @@ use zenav_protocol::messages::{JoinRequest, JournalWrite, Leader, LeaseAction, L
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
 
-use super::lead::HELD_UP;
 use super::replication::{Batch, Replication};
 use super::{End, blocking};
 use zenav_mission::config::MissionConfig;
-use zenav_mission::lease::newer;
+use zenav_mission::membership::Membership;
 use zenav_mission::records::Leadership;
 use zenav_mission::store::{Store, StoreError};
 
@@ -27,9 +26,6 @@ use zenav_mission::store::{Store, StoreError};
 pub(super) const PATIENCE: Duration = Duration::from_millis(400);
 /// Time between two attempts to update the robot's list, while nothing waits for it.
 const RETRY: Duration = Duration::from_millis(500);
-/// A dropped standby is not waited for again for the first time, doubled each time it is dropped up to the second; after the second without
-/// a drop it starts over.
-const DISTRUST: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(60));
 /// Batches in flight to one standby.
 const MAX_BATCHES: usize = 1024;
 /// Standbys of one leader.
@@ -41,24 +37,12 @@ pub(super) struct Standbys {
     robot: String,
     holder: String,
     store: Arc<Store>,
-    incarnation: u64,
-    /// Epoch under which this mission leads, once the robot has said so.
-    term: Option<u64>,
+    membership: Membership,
     /// The mission's time.
     now: Stamp,
-    /// Number of the newest batch of writes.
-    batch: u64,
     replicators: BTreeMap<String, Replicator>,
-    /// The stores that may be on the robot's list, besides the leader's own.
-    members: BTreeSet<String>,
-    /// Whether the robot's list is known to be exactly these.
-    settled: bool,
-    /// What this store's file says of whether others may hold newer goals.
-    shared: bool,
-    asked: u64,
+    begun: Instant,
     next_try: Instant,
-    /// Until when one that was left behind is not waited for, and for how long that was.
-    distrust: BTreeMap<String, (Instant, Duration)>,
 }
 
 /// The task that replicates to one standby.
@@ -88,18 +72,12 @@ impl Standbys {
             bus: bus.clone(),
             robot: config.robot.to_string(),
             holder: config.holder.clone(),
+            membership: Membership::new(store.name(), leadership, incarnation),
             store,
-            incarnation,
-            term: None,
             now: Stamp::ZERO,
-            batch: 0,
             replicators: BTreeMap::new(),
-            members: BTreeSet::new(),
-            settled: !leadership.shared,
-            shared: leadership.shared,
-            asked: 0,
+            begun: Instant::now(),
             next_try: Instant::now(),
-            distrust: BTreeMap::new(),
         }
     }
 
@@ -110,43 +88,53 @@ impl Standbys {
 
     /// Whether any other store may hold all that this leader has acknowledged.
     pub(super) fn are_any(&self) -> bool {
-        self.shared
+        self.membership.is_shared()
+    }
+
+    /// Whether a leader that last ran then, or began something then, is to say nothing more.
+    pub(super) fn is_held_up(&self, since: Instant) -> bool {
+        self.membership.is_held_up(since.elapsed())
     }
 
     /// The stores that do for sure.
     pub(super) fn names(&self) -> Vec<String> {
-        let members = self.members.iter().filter(|_| self.settled);
-        members.cloned().collect()
+        let members = self.membership.members().iter();
+        members.filter(|_| self.membership.is_settled()).cloned().collect()
     }
 
     /// Takes the epoch under which the robot lets this mission lead.
     pub(super) async fn lead(&mut self, term: Option<u64>, now: Stamp) -> Result<(), StoreError> {
         self.now = now;
-        let Some(epoch) = term.filter(|epoch| self.term != Some(*epoch)) else {
+        if !self.membership.lead(term) {
             return Ok(());
-        };
-        self.term = Some(epoch);
-        // With a new grant the robot's list is empty; where it only said who leads it may not be.
-        self.settled &= self.members.is_empty();
+        }
         self.next_try = Instant::now();
         // Those who follow are to know the new epoch.
         self.send_to_all(Vec::new());
-        self.record_leadership(self.shared).await
+        self.record_leadership(self.membership.is_shared()).await
+    }
+
+    /// Takes the robot's word on who leads. A report that this leader has not made was made by a stranger in its name: it reports anew.
+    pub(super) fn hear(&mut self, leader: Option<&Leader>) {
+        if let Some(leader) = leader
+            && self.membership.hear(leader)
+        {
+            tracing::warn!(robot = self.robot, listed = ?leader.caught_up, "a stranger told the robot who has caught up");
+            self.next_try = Instant::now();
+        }
     }
 
     async fn record_leadership(&mut self, shared: bool) -> Result<(), StoreError> {
-        self.shared = shared;
-        let leadership = Leadership {
-            epoch: self.term.unwrap_or(0),
-            shared,
-        };
+        let leadership = self.membership.share(shared);
         let store = self.store();
         blocking(move || store.apply(&[], false, Some(leadership))).await?
     }
 
     /// Starts replicating to a standby that joins, unless it already does.
     pub(super) async fn join(&mut self, request: &JoinRequest) -> Result<(), End> {
-        let Some(epoch) = self.term else { return Ok(()) };
+        let Some(epoch) = self.membership.term() else {
+            return Ok(());
+        };
         let known = self
             .replicators
             .get(&request.store)
@@ -159,16 +147,18 @@ impl Standbys {
             return Ok(());
         }
         // It begins anew: while it is handed everything it holds nothing whole.
-        if self.members.contains(&request.store) {
+        if self.membership.members().contains(&request.store) {
             self.drop_standbys(std::slice::from_ref(&request.store));
+        }
+        if !self.membership.is_settled() {
             self.update_list().await?;
-            if !self.settled {
-                return Ok(());
-            }
+        }
+        if !self.membership.may_begin(&request.store) {
+            return Ok(());
         }
         let store = self.store();
         let whole = Batch {
-            number: self.batch,
+            number: self.membership.batch(),
             epoch,
             now: self.now,
             writes: blocking(move || store.everything()).await??,
@@ -195,9 +185,9 @@ impl Standbys {
     }
 
     fn send_to_all(&mut self, writes: Vec<JournalWrite>) {
-        let Some(epoch) = self.term else { return };
+        let Some(epoch) = self.membership.term() else { return };
         let batch = Arc::new(Batch {
-            number: self.batch,
+            number: self.membership.batch(),
             epoch,
             now: self.now,
             writes,
@@ -210,14 +200,14 @@ impl Standbys {
     /// Returns once every listed standby has stored the batch, or is off the robot's list.
     pub(super) async fn replicate(&mut self, writes: Vec<JournalWrite>) -> Result<(), End> {
         let begun = Instant::now();
-        self.batch += 1;
+        self.membership.next_batch();
         self.send_to_all(writes);
         let mut late = Vec::new();
-        for member in &self.members {
+        for member in self.membership.members() {
             let stored = match self.replicators.get(member) {
                 Some(replicator) => {
                     let mut stored = replicator.stored.clone();
-                    let there = stored.wait_for(|stored| *stored >= Some(self.batch));
+                    let there = stored.wait_for(|stored| *stored >= Some(self.membership.batch()));
                     let left = PATIENCE.saturating_sub(begun.elapsed());
                     matches!(timeout(left, there).await, Ok(Ok(_)))
                 }
@@ -228,56 +218,50 @@ impl Standbys {
             }
         }
         self.drop_standbys(&late);
-        while !self.settled && self.shared {
+        while !self.may_tell() {
             self.update_list().await?;
-            if begun.elapsed() > HELD_UP {
+            if self.is_held_up(begun) {
                 return Err(End::Deposed);
             }
         }
         Ok(())
     }
 
+    fn may_tell(&self) -> bool {
+        let stored = |name: &str| *self.replicators.get(name)?.stored.borrow();
+        self.membership.may_tell(stored)
+    }
+
     fn drop_standbys(&mut self, late: &[String]) {
         for name in late {
             tracing::warn!(robot = self.robot, standby = name, "a standby is dropped");
             self.replicators.remove(name);
-            self.members.remove(name);
-            self.settled = false;
-            let now = Instant::now();
-            let again = self.distrust.get(name).filter(|(until, _)| now < *until + DISTRUST.1);
-            let time = again.map_or(DISTRUST.0, |(_, time)| (2 * *time).min(DISTRUST.1));
-            self.distrust.insert(name.clone(), (now + time, time));
+            self.membership.drop(name, self.begun.elapsed());
         }
     }
 
     /// Updates the robot's list: who has caught up, and who has been lost.
     pub(super) async fn maintain(&mut self) -> Result<(), End> {
-        let dead = |name: &&String| {
-            self.replicators
-                .get(*name)
-                .is_none_or(|replicator| !replicator.is_alive())
-        };
-        let gone: Vec<String> = self.members.iter().filter(dead).cloned().collect();
+        let is_alive = |name: &String| self.replicators.get(name).is_some_and(Replicator::is_alive);
+        let members = self.membership.members().iter();
+        let gone: Vec<String> = members.filter(|name| !is_alive(name)).cloned().collect();
         self.drop_standbys(&gone);
         self.replicators.retain(|_, replicator| replicator.is_alive());
-        let trusted = |name: &String| self.distrust.get(name).is_none_or(|(until, _)| Instant::now() > *until);
-        let caught_up = |replicator: &Replicator| *replicator.stored.borrow() == Some(self.batch);
-        let new: Vec<String> = self
-            .replicators
-            .iter()
-            .filter(|(name, replicator)| !self.members.contains(*name) && caught_up(replicator) && trusted(name))
-            .map(|(name, _)| name.clone())
-            .collect();
+        let now = self.begun.elapsed();
+        let is_ready = |(name, replicator): &(&String, &Replicator)| {
+            self.membership.is_ready(name, *replicator.stored.borrow(), now)
+        };
+        let ready = self.replicators.iter().filter(is_ready);
+        let new: Vec<String> = ready.map(|(name, _)| name.clone()).collect();
         if !new.is_empty() {
-            if !self.shared {
+            if !self.membership.is_shared() {
                 // On disk before the robot may let another lead.
                 self.record_leadership(true).await?;
             }
-            self.members.extend(new);
-            self.settled = false;
+            self.membership.admit(new);
             self.next_try = Instant::now();
         }
-        if !self.settled && self.shared && Instant::now() >= self.next_try {
+        if !self.membership.is_settled() && Instant::now() >= self.next_try {
             self.update_list().await?;
         }
         Ok(())
@@ -286,33 +270,22 @@ impl Standbys {
     /// Sends the robot's list once.
     async fn update_list(&mut self) -> Result<(), End> {
         self.next_try = Instant::now() + RETRY;
-        let Some(epoch) = self.term else {
+        let Some(report) = self.membership.report() else {
             tokio::time::sleep(PATIENCE / 4).await;
             return Ok(());
         };
-        self.asked += 1;
-        let own = self.store.name().to_owned();
-        let revision = newer(self.incarnation, self.asked);
+        let request_id = format!("caught-up-{}", report.revision);
         let request = LeaseRequest {
-            store: Some(own.clone()),
-            leads: Some(Leader {
-                store: own.clone(),
-                epoch,
-                caught_up: std::iter::once(own).chain(self.members.iter().cloned()).collect(),
-                revision,
-            }),
-            ..LeaseRequest::new(
-                &self.holder,
-                LeaseRole::Mission,
-                LeaseAction::CaughtUp,
-                format!("caught-up-{revision}"),
-            )
+            store: Some(report.store.clone()),
+            leads: Some(report),
+            ..LeaseRequest::new(&self.holder, LeaseRole::Mission, LeaseAction::CaughtUp, request_id)
         };
         match self.bus.ask(&topics::LEASE, &[&self.robot], &request, PATIENCE).await {
             Ok(_) => {
-                self.settled = true;
-                tracing::info!(robot = self.robot, standbys = ?self.members, "the robot lists the standbys");
-                if self.members.is_empty() {
+                self.membership.settle();
+                let standbys = self.membership.members();
+                tracing::info!(robot = self.robot, ?standbys, "the robot lists the standbys");
+                if standbys.is_empty() {
                     self.record_leadership(false).await?;
                 }
                 Ok(())

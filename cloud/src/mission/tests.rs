@@ -161,6 +161,7 @@ async fn arbiter(bus: Bus, shutdown: Shutdown) {
 fn state() -> EdgeState {
     EdgeState {
         stamp: Stamp::ZERO,
+        frame: 0,
         boot_id: "boot".into(),
         mode: Mode::Idle,
         link: Link::Connected,
@@ -174,6 +175,7 @@ fn state() -> EdgeState {
         missed_ticks: 0,
         round_trip_secs: None,
         makes_way: false,
+        faults: Default::default(),
     }
 }
 

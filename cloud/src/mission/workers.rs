@@ -1,18 +1,25 @@
-//! Workers. Who answers the mission's own requests? The robot, mapping, and of several workers one after another until one answers.
+//! Workers. Who answers the mission's own requests? The robot, mapping, and of several workers the one that
+//! [`WorkerPool`] chooses, until one answers.
 
 use std::collections::BTreeSet;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::fmt;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
+use tokio::task::JoinSet;
 use tokio::time::Instant;
+use zenav_mission::io::{Answer, Ask, NoAnswer};
+use zenav_observability::metrics::MOTION_ROUND_TRIP;
 use zenav_protocol::bus::{AliveWatch, AskError, Bus, BusError};
-use zenav_protocol::messages::Refusal;
+use zenav_protocol::messages::{MotionReply, MotionRequest, Refusal};
 use zenav_protocol::topics;
 
-use zenav_mission::io::{Answer, Ask, NoAnswer};
+use super::worker_pool::WorkerPool;
 
 /// What a worker's answer may take beyond its budget.
 const ANSWERED: Duration = Duration::from_millis(500);
+/// Workers that are asked the same at once, at most.
+const AT_ONCE: usize = 2;
 /// Pause before workers are looked for again.
 const NO_WORKER: Duration = Duration::from_millis(100);
 
@@ -20,13 +27,6 @@ const NO_WORKER: Duration = Duration::from_millis(100);
 pub(super) async fn carry(bus: &Bus, robot: &str, workers: &Workers, ask: Ask) -> Result<Answer, NoAnswer> {
     let patience = Duration::from_secs_f64(ask.patience_secs());
     let name = [robot];
-    let no = |error: AskError| match error {
-        AskError::Refused(refusal @ (Refusal::Busy { .. } | Refusal::NotLeader)) => {
-            NoAnswer::Silent(refusal.to_string())
-        }
-        AskError::Refused(refusal) => NoAnswer::Refused(refusal),
-        other => NoAnswer::Silent(other.to_string()),
-    };
     match ask {
         Ask::Lease(request) => bus
             .ask(&topics::LEASE, &name, &request, patience)
@@ -48,100 +48,176 @@ pub(super) async fn carry(bus: &Bus, robot: &str, workers: &Workers, ask: Ask) -
             .await
             .map(|map| Answer::Map(Box::new(map)))
             .map_err(no),
+        Ask::Localise(request) => bus
+            .ask(&topics::LOCALISE, &name, &request, patience)
+            .await
+            .map(Answer::Localised)
+            .map_err(no),
         Ask::Remote(server, request) => bus
             .ask(&topics::REMOTE_ACTION, &[&server], &request, patience)
             .await
             .map(|reply| Answer::Remote(Box::new(reply)))
             .map_err(no),
         Ask::Motion(request) => {
-            let each = request.budget() + ANSWERED;
-            let end = Instant::now() + patience;
-            let mut last = NoAnswer::Silent("no motion worker is there".to_owned());
-            while let Some((worker, deadline)) = workers.next(end, each).await {
-                match bus.ask(&topics::MOTION_SERVICE, &[&worker], &*request, deadline).await {
-                    Ok(reply) => return Ok(Answer::Motion(Box::new(reply))),
-                    Err(error) => match no(error) {
-                        refused @ NoAnswer::Refused(_) => return Err(refused),
-                        silent => last = workers.failed(&worker, silent),
-                    },
-                }
-            }
-            Err(last)
+            let begun = Instant::now();
+            let reply = workers.ask(bus, robot, Arc::new(*request), patience).await;
+            let outcome = match &reply {
+                Ok(_) => "answered",
+                Err(NoAnswer::Refused(_)) => "refused",
+                Err(_) => "silent",
+            };
+            let seconds = begun.elapsed().as_secs_f64();
+            MOTION_ROUND_TRIP.with_label_values(&[robot, outcome]).observe(seconds);
+            reply.map(|reply| Answer::Motion(Box::new(reply)))
         }
     }
 }
 
-/// The live workers of a service, and whose turn it is.
-#[derive(Clone)]
-pub(super) struct Workers {
-    watch: Arc<Mutex<AliveWatch>>,
-    pool: Arc<Mutex<Pool>>,
+/// What an error tells the mission.
+fn no(error: AskError) -> NoAnswer {
+    match error {
+        AskError::Refused(refusal @ (Refusal::Busy { .. } | Refusal::NotLeader)) => {
+            NoAnswer::Silent(refusal.to_string())
+        }
+        AskError::Refused(refusal) => NoAnswer::Refused(refusal),
+        other => NoAnswer::Silent(other.to_string()),
+    }
 }
 
-#[derive(Default)]
-struct Pool {
-    live: BTreeSet<String>,
-    /// Asked last, and the reason why it is not to be asked first again.
-    failed: BTreeSet<String>,
+/// The live workers of a service, as one of its clients knows them.
+#[derive(Clone)]
+pub struct Workers {
+    watch: Arc<Mutex<AliveWatch>>,
+    pool: Arc<Mutex<WorkerPool>>,
+    began: Instant,
+}
+
+/// One worker's answer, or none, and how long it took.
+struct Answered {
+    worker: String,
+    took: Duration,
+    reply: Result<MotionReply, AskError>,
+}
+
+impl fmt::Debug for Workers {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Workers").finish_non_exhaustive()
+    }
 }
 
 impl Workers {
-    pub(super) fn watch(bus: &Bus, service: &str) -> Result<Self, BusError> {
+    /// Watches them come and go.
+    ///
+    /// # Errors
+    /// [`BusError::Closed`].
+    pub fn watch(bus: &Bus, service: &str) -> Result<Self, BusError> {
         let watch = bus.watch_alive(topics::alive_key(topics::ALIVE_WORKER, &[service, "*"]))?;
         Ok(Self {
             watch: Arc::new(Mutex::new(watch)),
             pool: Arc::default(),
+            began: Instant::now(),
         })
+    }
+
+    fn pool(&self) -> MutexGuard<'_, WorkerPool> {
+        self.pool.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// How many there are.
+    pub(super) fn count(&self) -> usize {
+        self.pool().len()
     }
 
     pub(super) fn update(&self) {
         let mut watch = self.watch.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut pool = self.pool.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut pool = self.pool();
         while let Some((key, up)) = watch.try_next() {
-            let Some(worker) = topics::alive_chunks(topics::ALIVE_WORKER, &key)
-                .and_then(|chunks| chunks.get(1).map(|worker| (*worker).to_owned()))
-            else {
+            let chunks = topics::alive_chunks(topics::ALIVE_WORKER, &key);
+            if let Some(worker) = chunks.and_then(|chunks| chunks.get(1).copied()) {
+                pool.set_live(worker, up);
+            }
+        }
+    }
+
+    /// Asks for a robot's motion: one worker after another, and two at once where the first takes long, until one answers or time is up.
+    ///
+    /// # Errors
+    /// What a worker refused, or why none answered.
+    pub async fn ask(
+        &self,
+        bus: &Bus,
+        robot: &str,
+        request: Arc<MotionRequest>,
+        patience: Duration,
+    ) -> Result<MotionReply, NoAnswer> {
+        let each = request.budget() + ANSWERED;
+        let end = Instant::now() + patience;
+        let mut last = NoAnswer::Silent("no motion worker is there".to_owned());
+        // When this ends, those that are still asked are asked no longer.
+        let mut asked = JoinSet::new();
+        let (mut tried, mut running) = (BTreeSet::new(), BTreeSet::new());
+        loop {
+            let left = end.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return Err(last);
+            }
+            self.update();
+            let next = self
+                .pool()
+                .choose(robot, &tried, self.began.elapsed())
+                .map(str::to_owned);
+            let may_hedge = match next {
+                Some(worker) => {
+                    tried.insert(worker.clone());
+                    running.insert(worker.clone());
+                    let (bus, request, deadline) = (bus.clone(), Arc::clone(&request), each.min(left));
+                    asked.spawn(async move {
+                        let began = Instant::now();
+                        let reply = bus.ask(&topics::MOTION_SERVICE, &[&worker], &*request, deadline).await;
+                        Answered {
+                            worker,
+                            took: began.elapsed(),
+                            reply,
+                        }
+                    });
+                    running.len() < AT_ONCE
+                }
+                None if running.is_empty() => {
+                    // All have failed, or there is none: after a pause they all get another chance.
+                    tried.clear();
+                    tokio::time::sleep(NO_WORKER.min(left)).await;
+                    continue;
+                }
+                None => false,
+            };
+            let hedge = self.pool().hedge_after();
+            let done = tokio::select! {
+                done = asked.join_next() => done,
+                () = tokio::time::sleep(hedge), if may_hedge => continue,
+            };
+            let Some(Ok(answered)) = done else {
+                last = NoAnswer::Silent("a request broke off".to_owned());
+                running.clear();
                 continue;
             };
-            pool.failed.remove(&worker);
-            if up {
-                pool.live.insert(worker);
-            } else {
-                pool.live.remove(&worker);
-            }
-        }
-    }
-
-    /// The next worker to ask and for how long; `None` when time is up. One that failed is asked after all others.
-    async fn next(&self, end: Instant, each: Duration) -> Option<(String, Duration)> {
-        loop {
-            let left = end
-                .checked_duration_since(Instant::now())
-                .filter(|left| !left.is_zero())?;
-            self.update();
-            let worker = {
-                let mut pool = self.pool.lock().unwrap_or_else(PoisonError::into_inner);
-                let worker = pool.live.iter().find(|worker| !pool.failed.contains(*worker)).cloned();
-                if worker.is_none() {
-                    // All have failed: after a pause they all get another chance.
-                    pool.failed.clear();
+            running.remove(&answered.worker);
+            match answered.reply.map_err(no) {
+                Ok(reply) => {
+                    let mut pool = self.pool();
+                    pool.answered(&answered.worker, answered.took);
+                    // Who was asked first and is still at it is slow, or frozen.
+                    running
+                        .iter()
+                        .for_each(|worker| pool.failed(worker, self.began.elapsed()));
+                    return Ok(reply);
                 }
-                worker
-            };
-            match worker {
-                Some(worker) => return Some((worker, each.min(left))),
-                None => tokio::time::sleep(NO_WORKER.min(left)).await,
+                Err(refused @ NoAnswer::Refused(_)) => return Err(refused),
+                Err(silent) => {
+                    tracing::info!(worker = answered.worker, why = %silent, "trying another worker");
+                    self.pool().failed(&answered.worker, self.began.elapsed());
+                    last = silent;
+                }
             }
         }
-    }
-
-    fn failed(&self, worker: &str, why: NoAnswer) -> NoAnswer {
-        tracing::info!(worker, %why, "trying another worker");
-        self.pool
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .failed
-            .insert(worker.to_owned());
-        why
     }
 }

@@ -14,10 +14,16 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
-use zenav_protocol::bus::{Bus, BusError, Clock, Latest, Publisher, Shutdown};
+use tokio::sync::mpsc;
+use tokio::task::JoinSet;
+use tokio::time::Instant;
+use zenav_observability::Histogram;
+use zenav_observability::metrics::{MOTION_REQUESTS, PATH_SEARCH, SMOOTHING};
+use zenav_protocol::bus::{Bus, BusError, Clock, Latest, Publisher, Request, Server, Shutdown};
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{
-    Annotations, MotionReply, MotionRequest, PlanOutcome, PlanReply, SearchTree, TrajectoryReply, TrajectoryRequest,
+    Annotations, MotionReply, MotionRequest, PlanOutcome, PlanReply, Refusal, SearchTree, TrajectoryReply,
+    TrajectoryRequest,
 };
 use zenav_protocol::padding::Extent;
 use zenav_protocol::topics::{ALIVE_WORKER, ANNOTATIONS, MOTION_SERVICE, TREE, alive_key};
@@ -32,6 +38,10 @@ use crate::map_subscriber::MapSubscriber;
 pub const SERVICE: &str = "motion";
 /// How long the whole map may take to come.
 const MAP_DEADLINE: Duration = Duration::from_millis(1500);
+/// A request that has waited for longer is refused: its asker has given up or asks again, and others wait.
+const STALE: Duration = Duration::from_secs(2);
+/// Most requests that wait; further ones are refused.
+const MAX_WAITING: usize = 256;
 /// Most robots whose zones are kept; beyond it the first by name is dropped.
 const MAX_ROBOTS: usize = 1024;
 /// Robots whose searches are shown at once; beyond it the first by name goes.
@@ -73,8 +83,11 @@ pub async fn run(
         robots: BTreeMap::new(),
         others: zones,
     };
-    let mut server = bus.serve(&MOTION_SERVICE, &[name.as_str()])?;
+    let mut arrivals = Arrivals::new(bus.serve(&MOTION_SERVICE, &[name.as_str()])?);
     let _alive = bus.declare_alive(alive_key(ALIVE_WORKER, &[SERVICE, name.as_str()]))?;
+    bus.serve_info(SERVICE, "")?;
+    bus.started();
+    let metrics = MotionMetrics::new();
     let mut viewers = TreePublishers {
         bus,
         clock,
@@ -85,7 +98,7 @@ pub async fn run(
         let request = tokio::select! {
             () = shutdown.wait() => return Ok(()),
             open = maps.follow() => { debug_assert!(!open); return Ok(()) }
-            request = server.next() => match request {
+            request = arrivals.next() => match request {
                 Some(request) => request,
                 None => return Ok(()),
             },
@@ -104,7 +117,9 @@ pub async fn run(
             let answer = worker.answer(map.as_ref(), &asked, clock, cancel);
             (worker, answer)
         });
-        match done.await {
+        let done = done.await;
+        metrics.answered(done.as_ref().ok().and_then(|(_, answer)| answer.as_ref().ok()));
+        match done {
             Ok((back, Ok(answer))) => {
                 worker = back;
                 request.reply(&answer);
@@ -119,6 +134,94 @@ pub async fn run(
                 request.refuse(&refusal);
             }
         }
+    }
+}
+
+/// What became of requests, and how long their phases took.
+struct MotionMetrics {
+    search: Histogram,
+    smoothing: Histogram,
+}
+
+impl MotionMetrics {
+    fn new() -> Self {
+        for outcome in ["found", "no_path", "timed_out", "refused"] {
+            // All of them show from the start.
+            let _ = MOTION_REQUESTS.with_label_values(&[outcome]);
+        }
+        Self {
+            search: PATH_SEARCH.with_label_values::<&str>(&[]),
+            smoothing: SMOOTHING.with_label_values::<&str>(&[]),
+        }
+    }
+
+    /// `None`: the request was refused.
+    fn answered(&self, answer: Option<&MotionReply>) {
+        let (plan, smooth) = match answer {
+            Some(MotionReply::Trajectory(reply)) => (Some(&reply.plan), reply.smooth.as_ref()),
+            Some(MotionReply::Plan(plan)) => (Some(plan), None),
+            Some(MotionReply::Smooth(smooth)) => (None, Some(smooth)),
+            None => (None, None),
+        };
+        if let Some(plan) = plan {
+            self.search.observe(plan.search_ms / 1e3);
+        }
+        if let Some(smooth) = smooth {
+            let took = &smooth.statistics;
+            self.smoothing
+                .observe((took.corridor_ms + took.geometry_ms + took.timing_ms) / 1e3);
+        }
+        let outcome = match (answer, plan.map(|plan| &plan.outcome)) {
+            (None, _) => "refused",
+            (Some(_), None | Some(PlanOutcome::Found { .. })) => "found",
+            (Some(_), Some(PlanOutcome::TimedOut)) => "timed_out",
+            (Some(_), Some(_)) => "no_path",
+        };
+        MOTION_REQUESTS.with_label_values(&[outcome]).inc();
+    }
+}
+
+/// Requests in the order of their arrival; those that have waited too long are refused.
+struct Arrivals {
+    waiting: mpsc::Receiver<(Instant, Request<MotionRequest, MotionReply>)>,
+    /// Notes when each came, as long as this lives.
+    _intake: JoinSet<()>,
+}
+
+impl Arrivals {
+    fn new(mut server: Server<MotionRequest, MotionReply>) -> Self {
+        let (sender, waiting) = mpsc::channel(MAX_WAITING);
+        let mut intake = JoinSet::new();
+        intake.spawn(async move {
+            while let Some(request) = server.next().await {
+                match sender.try_send((Instant::now(), request)) {
+                    Ok(()) => {}
+                    Err(mpsc::error::TrySendError::Full((_, request))) => request.refuse(&busy()),
+                    Err(mpsc::error::TrySendError::Closed(_)) => return,
+                }
+            }
+        });
+        Self {
+            waiting,
+            _intake: intake,
+        }
+    }
+
+    /// The next request; `None` after the bus was closed.
+    async fn next(&mut self) -> Option<Request<MotionRequest, MotionReply>> {
+        loop {
+            let (came, request) = self.waiting.recv().await?;
+            if came.elapsed() <= STALE {
+                return Some(request);
+            }
+            request.refuse(&busy());
+        }
+    }
+}
+
+fn busy() -> Refusal {
+    Refusal::Busy {
+        reason: "more motions are asked for than this worker can compute".to_owned(),
     }
 }
 
@@ -239,6 +342,7 @@ mod tests {
         let map = MapRef {
             id: "hall".to_owned(),
             revision: 3,
+            frame: 0,
         };
         let info = MapInfo {
             stamp: Stamp::ZERO,

@@ -23,7 +23,7 @@ use crate::failure::Failure;
 use crate::operator::change;
 
 /// The annotations of a robot's map.
-async fn read(bus: &Bus, robot: &str, within: Duration) -> Result<Annotations, Failure> {
+pub(crate) async fn read(bus: &Bus, robot: &str, within: Duration) -> Result<Annotations, Failure> {
     let request = AnnotateRequest::default();
     Ok(bus.ask(&topics::ANNOTATE, &[robot], &request, within).await?)
 }

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use zenav_protocol::messages::{AnnotateAction, GoalPoint};
 
 use super::{change, read};
+use crate::completion;
 use crate::connect::{self, RobotArgs, finite, heading};
 use crate::exit_code;
 use crate::failure::Outcome;
@@ -47,6 +48,7 @@ enum PlaceCommand {
     /// Remove a place, also one of the world
     Remove {
         /// Name of the place
+        #[arg(add = completion::places())]
         name: String,
     },
 }

@@ -4,6 +4,7 @@ use nalgebra::Point2;
 use zenav_protocol::messages::{AnnotateAction, Zone, ZoneRule};
 
 use super::{change, read};
+use crate::completion;
 use crate::connect::{self, RobotArgs, finite, positive};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
@@ -34,6 +35,7 @@ enum ZoneCommand {
     /// Remove a zone, also one of the deployment's file
     Remove {
         /// Name of the zone
+        #[arg(add = completion::zones())]
         name: String,
     },
     /// Remove all zones

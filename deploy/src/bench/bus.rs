@@ -1,10 +1,11 @@
-//! The typed bus beside raw Zenoh. What does it cost?
+//! The typed bus beside raw Zenoh, over plain TCP and over QUIC with certificates of both sides. What does each cost?
 
-use zenav_protocol::bus::overhead;
+use zenav_protocol::bus::{Security, overhead};
 
 use crate::connect;
 use crate::exit_code;
 use crate::failure::Outcome;
+use crate::keys;
 use crate::output::{self, Format};
 
 /// Arguments of `zenav bench bus`.
@@ -23,12 +24,25 @@ pub struct BusArgs {
 /// # Errors
 /// When this machine does not let it listen and connect.
 pub(super) fn bus(args: &BusArgs) -> Outcome {
-    let rows = connect::block_on(async { Ok(overhead::measure(args.samples as usize).await?) })?;
+    let samples = args.samples as usize;
+    let folder = std::env::temp_dir().join(format!("zenav-bench-{}", std::process::id()));
+    let rows = keys::make(&folder, "router.bench").and_then(|identity| {
+        let mtls = Security::of(Some(&identity), false)?;
+        connect::block_on(async {
+            let mut rows = overhead::measure(samples, &Security::Loopback).await?;
+            rows.extend(overhead::measure(samples, &mtls).await?);
+            Ok(rows)
+        })
+    });
+    // Keys of nobody.
+    let _ = std::fs::remove_dir_all(&folder);
+    let rows = rows?;
     output::values(args.output, &rows, |rows| {
         let row = |row: &overhead::Comparison| {
             let us = |value: f64| format!("{value:.1}");
             vec![
                 row.what.clone(),
+                row.over.to_owned(),
                 row.bytes.to_string(),
                 us(row.typed.p50_us),
                 us(row.raw.p50_us),
@@ -41,6 +55,7 @@ pub(super) fn bus(args: &BusArgs) -> Outcome {
         output::table(
             &[
                 "WHAT",
+                "OVER",
                 "BYTES",
                 "TYPED p50 us",
                 "RAW p50 us",

@@ -8,7 +8,7 @@ use toml::{Table, Value};
 use zenav_protocol::config_text::{OutOfBounds, line_of};
 use zenav_protocol::settings::{Row, Settings as _};
 
-use super::{Deployment, RobotSection};
+use super::{Deployment, HostSection, RobotSection};
 use crate::failure::Failure;
 use crate::files;
 
@@ -69,7 +69,8 @@ impl Layers {
         }
         let mut environment = BTreeMap::new();
         for (variable, text) in variables {
-            let Some(name) = variable.strip_prefix(PREFIX) else {
+            // Without a section it is a flag's variable, such as ZENAV_IDENTITY.
+            let Some(name) = variable.strip_prefix(PREFIX).filter(|name| name.contains("__")) else {
                 continue;
             };
             let key = name.to_lowercase().replace("__", ".");
@@ -104,7 +105,7 @@ impl Layers {
     }
 
     /// Where the value of a key came from.
-    pub(super) fn origin(&self, key: &str) -> String {
+    pub(crate) fn origin(&self, key: &str) -> String {
         if let Some(variable) = self.environment.get(key) {
             return format!("environment {variable}");
         }
@@ -149,9 +150,11 @@ fn parsed(key: &str, text: String) -> Value {
 
 /// The setting of a key.
 fn row_of(key: &str) -> Option<Row> {
-    let (rows, key) = match key.strip_prefix("robots.").and_then(|rest| rest.split_once('.')) {
-        Some((_, key)) => (RobotSection::rows(), key),
-        None => (Deployment::rows(), key),
+    let within = |section: &str| key.strip_prefix(section).and_then(|rest| rest.split_once('.'));
+    let (rows, key) = match (within("robots."), within("hosts.")) {
+        (Some((_, key)), _) => (RobotSection::rows(), key),
+        (_, Some((_, key))) => (HostSection::rows(), key),
+        _ => (Deployment::rows(), key),
     };
     rows.into_iter().find(|row| row.key == key)
 }
@@ -257,6 +260,10 @@ mod tests {
             "{failure}"
         );
         assert!(read("", &[("ZENAV_SIMULATION__SPED", "1")]).is_err());
+        assert!(
+            read("", &[("ZENAV_IMAGE", "zenav:next")]).is_ok(),
+            "no setting of a deployment"
+        );
     }
 
     #[test]

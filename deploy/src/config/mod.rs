@@ -3,11 +3,15 @@
 //! | file | answers |
 //! |---|---|
 //! | `mod` | which sections are there? Those of the libraries are their own settings |
+//! | `security` | how are links protected? |
+//! | `hosts` | sections of a deployment of many hosts |
 //! | `layers` | defaults, a file, the environment: which value counts, and what is wrong with one? |
 //! | `service` | does a service run, and with which of its library's settings? |
 //! | `show` | `zenav config show`: every value with unit, default, bounds and origin |
 
+mod hosts;
 mod layers;
+mod security;
 mod service;
 mod show;
 
@@ -34,8 +38,11 @@ use zenav_smoothing::SmoothingSettings;
 use crate::connect::{DEFAULT_ENDPOINT, ROBOT_ENDPOINT};
 use crate::failure::Failure;
 
+pub use hosts::{HostSection, Role};
 pub(crate) use layers::Layers;
 pub use layers::load;
+pub(crate) use security::SecurityArgs;
+pub use security::{IdentityArgs, Profile, SecuritySection};
 pub use service::Service;
 pub use show::{ConfigArgs, run};
 
@@ -46,10 +53,14 @@ settings! {
         pub router: RouterSection;
         /// How the parts reach the router.
         pub bus: BusSection;
+        /// How links are protected.
+        pub security: SecuritySection;
         /// The simulated world.
         pub simulation: SimulationSection;
         /// The robots, by id; a file that names any means those and no others.
         pub robots: BTreeMap<String, RobotSection> = one_robot();
+        /// The hosts by name, where the parts run on several machines.
+        pub hosts: BTreeMap<String, HostSection> = BTreeMap::new();
         /// Groups of robots by name: a goal for a group is done by the nearest of its robots that is free.
         pub groups: BTreeMap<String, Vec<String>> = BTreeMap::new();
         /// The mapping service.
@@ -83,14 +94,18 @@ settings! {
         pub listen: Vec<String> = vec![DEFAULT_ENDPOINT.to_owned()];
         /// Other routers to link to.
         pub connect: Vec<String> = Vec::new();
+        /// Address of loopback where `GET /KEY` answers with a key's value; empty: none.
+        pub rest: String = String::new();
     }
 }
 
 settings! {
     /// How the parts reach the router.
     pub struct BusSection {
-        /// The router's endpoint.
+        /// The router's endpoint; of several, separated by commas, one is enough.
         pub connect: String = DEFAULT_ENDPOINT.to_owned();
+        /// What Zenoh puts before every key, such as `site1`, so that two deployments on one router do not see one another; empty: nothing.
+        pub namespace: String = String::new();
     }
 }
 
@@ -117,6 +132,8 @@ settings! {
         pub on_lost: LostPolicy = LostPolicy::default();
         /// Whether it is a robot of the world that `zenav sim serve` serves, instead of one simulated in the edge's process.
         pub attach: bool = false;
+        /// Whether its body is a process of its own, which publishes `body/readings` and obeys `edge/wheels`: a driver of real motors.
+        pub driver: bool = false;
         /// Pose in the world at the start; without it, the world's own.
         pub start: Option<Pose2> = None;
         /// Tunables of the robot's side: `[robots.NAME.edge.collision_monitor]` and so on.
@@ -195,6 +212,12 @@ impl Deployment {
     fn fits(&self) -> Result<(), OutOfBounds> {
         for (name, robot) in &self.robots {
             robot.check().map_err(|error| error.within(name).within("robots"))?;
+            if robot.attach && robot.driver {
+                return Err(OutOfBounds {
+                    key: format!("robots.{name}.driver"),
+                    problem: "is set, and so is `attach`: expected one body".to_owned(),
+                });
+            }
         }
         if self.robots.is_empty() {
             return Err(OutOfBounds {

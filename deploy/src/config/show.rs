@@ -8,7 +8,7 @@ use serde_json::Value;
 use zenav_protocol::settings::{Bounds, Row, Settings as _};
 
 use super::layers::Layers;
-use super::{Deployment, RobotSection};
+use super::{Deployment, HostSection, RobotSection};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{Format, table, value, values};
@@ -83,19 +83,28 @@ fn origins(layers: &Layers) -> Result<Vec<Origin>, Failure> {
         });
     };
     for row in Deployment::rows() {
-        if row.key == "robots" {
-            for (name, robot) in values.get("robots").and_then(Value::as_object).into_iter().flatten() {
-                for row in RobotSection::rows() {
-                    let value = robot.pointer(&pointer(&row.key));
-                    push(row.within(name).within("robots"), value);
-                }
-            }
-        } else {
+        let Some(rows) = rows_of_each(&row.key) else {
             let value = values.pointer(&pointer(&row.key));
             push(row, value);
+            continue;
+        };
+        for (name, section) in values.get(&row.key).and_then(Value::as_object).into_iter().flatten() {
+            for inner in rows.clone() {
+                let value = section.pointer(&pointer(&inner.key));
+                push(inner.within(name).within(&row.key), value);
+            }
         }
     }
     Ok(origins)
+}
+
+/// The rows of one section, for a key that holds sections by name.
+fn rows_of_each(key: &str) -> Option<Vec<Row>> {
+    match key {
+        "robots" => Some(RobotSection::rows()),
+        "hosts" => Some(HostSection::rows()),
+        _ => None,
+    }
 }
 
 fn pointer(key: &str) -> String {
@@ -135,12 +144,18 @@ mod tests {
             `WRITE_DOCS=1 cargo test -p zenav --lib reference` writes it.\n"
             .to_owned();
         let robot_file = |section: &str, rows: Vec<Row>| rows.into_iter().map(|row| row.within(section)).collect();
-        let robots = RobotSection::rows()
+        let each = |section: &'static str| {
+            let rows = rows_of_each(section).unwrap_or_default().into_iter();
+            rows.map(move |row| row.within("NAME").within(section))
+        };
+        let deployment = Deployment::rows()
             .into_iter()
-            .map(|row| row.within("NAME").within("robots"));
-        let deployment = Deployment::rows().into_iter().filter(|row| row.key != "robots");
+            .filter(|row| rows_of_each(&row.key).is_none());
         let parts: [(&str, Vec<Row>); 3] = [
-            ("Deployment file", deployment.chain(robots).collect()),
+            (
+                "Deployment file",
+                deployment.chain(each("robots")).chain(each("hosts")).collect(),
+            ),
             (
                 "Robot file: trackers",
                 robot_file("controller", ControllerGains::rows()),

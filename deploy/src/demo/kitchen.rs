@@ -1,9 +1,14 @@
 //! `zenav demo kitchen`: map the kitchen while driving twice around its table, store the map, drive to the corner and to the sink.
 
+use zenav_cloud::mapping::PoseSource;
+
 use super::Script;
 
 pub(super) const SCRIPT: Script = Script {
     name: "kitchen",
+    tree: "kitchen",
+    poses: PoseSource::Edge,
+    carried: None,
     world: "kitchen",
     robot: ("tiago", "tiago"),
     planner: None,

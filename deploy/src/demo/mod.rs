@@ -5,7 +5,7 @@
 //!
 //! | file | answers |
 //! |---|---|
-//! | `kitchen`, `online` | what is each scenario made of? (a new one is a `Script` beside them) |
+//! | `kitchen`, `online`, `slam`, `kidnapped` | what is each scenario made of? (a new one is a `Script` beside them) |
 //! | `wall_follow` | how does a robot follow walls by itself, without a cloud? |
 //! | `watch` | how did it go, as a client and the referee saw it? |
 //! | `refusals` | is a goal that nobody can reach refused, and with which words? |
@@ -13,9 +13,11 @@
 
 mod album;
 mod film;
+mod kidnapped;
 mod kitchen;
 mod online;
 mod refusals;
+mod slam;
 mod wall_follow;
 mod watch;
 
@@ -24,8 +26,11 @@ use std::time::{Duration, Instant};
 
 use clap::{Args, ValueEnum};
 use indicatif::ProgressBar;
+use zenav_cloud::mapping::PoseSource;
+use zenav_mapping::map_file;
 use zenav_planning::Planner;
 use zenav_protocol::bus::{Bus, BusConfig, Router, RouterConfig, interrupted};
+use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::{DrivingProfile, GoalRequest, LostPolicy};
 use zenav_protocol::topics;
 use zenav_sim::World;
@@ -36,7 +41,10 @@ use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::gateway::{self, PageArgs};
+use crate::health::HealthArgs;
 use crate::launch::{KnownMapArgs, PoseArgs, runtime};
+use crate::live_map::LiveMap;
+use crate::lockstep::true_map;
 use crate::output::{Format, spinner, value};
 use crate::record::{self, RecordOptions, Recording, Written};
 use crate::report::{DemoReport, ScenarioOutcome};
@@ -51,8 +59,14 @@ const START_UP: Duration = Duration::from_secs(20);
 /// What a scenario is made of.
 #[derive(Clone, Copy, Debug)]
 struct Script {
-    /// Its name, and that of its tree.
+    /// Its name.
     name: &'static str,
+    /// Its tree.
+    tree: &'static str,
+    /// Where the poses of the map come from; localisation has the true map.
+    poses: PoseSource,
+    /// The robot is carried away.
+    carried: Option<Carried>,
     /// A shipped world.
     world: &'static str,
     /// Name of the robot, and a shipped model.
@@ -71,6 +85,15 @@ struct Script {
     alone: bool,
 }
 
+/// Somebody carries the robot away.
+#[derive(Clone, Copy, Debug)]
+struct Carried {
+    /// Once it has driven so far, m.
+    after: f64,
+    /// Where to.
+    to: Pose2,
+}
+
 /// Scenarios.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Scenario {
@@ -81,6 +104,10 @@ pub enum Scenario {
     WallFollow,
     /// Drive to four rooms of an unknown house, planning while the map grows
     Online,
+    /// The kitchen's errands without GPS and compass, by SLAM
+    Slam,
+    /// A robot that is carried away finds itself in its map
+    Kidnapped,
 }
 
 impl Scenario {
@@ -89,6 +116,8 @@ impl Scenario {
             Self::Kitchen => kitchen::SCRIPT,
             Self::WallFollow => wall_follow::SCRIPT,
             Self::Online => online::SCRIPT,
+            Self::Slam => slam::SCRIPT,
+            Self::Kidnapped => kidnapped::SCRIPT,
         }
     }
 }
@@ -115,7 +144,7 @@ pub struct DemoArgs {
     /// zenav-out/SCENARIO]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Write a moving picture of the run (kitchen and online)
+    /// Write a moving picture of the run (all but wall_follow)
     #[arg(long, value_name = "FILE.gif")]
     film: Option<PathBuf>,
     /// Record the run into a file that must not exist yet, and write its report as report.html
@@ -130,6 +159,8 @@ pub struct DemoArgs {
     begin: PoseArgs,
     #[command(flatten)]
     page: PageArgs,
+    #[command(flatten)]
+    health: HealthArgs,
     /// Output format
     #[arg(short, long, value_enum, default_value_t)]
     output: Format,
@@ -155,7 +186,7 @@ pub fn run(args: &DemoArgs) -> Outcome {
         let ending = film.extension().and_then(|ending| ending.to_str());
         if !ending.is_some_and(|ending| ending.eq_ignore_ascii_case("gif")) || args.scenario.script().alone {
             return Err(Failure::usage(format!(
-                "--film {}: expected a name that ends with .gif, and a run of kitchen or online",
+                "--film {}: expected a name that ends with .gif, and another run than wall_follow",
                 film.display()
             )));
         }
@@ -191,6 +222,7 @@ fn deployment(args: &DemoArgs, script: &Script, endpoint: &str, state: &Path) ->
         speed: args.speed,
     };
     deployment.data.dir = state.to_path_buf();
+    deployment.mapping.run.poses = script.poses;
     let (id, model) = script.robot;
     let robot = RobotSection {
         model: model.to_owned(),
@@ -241,6 +273,7 @@ async fn scenario(args: &DemoArgs) -> Result<DemoReport, Failure> {
     let robot_dir = state.join(script.robot.0);
     let map_found = script.uses_stored_map && !copy_map(&folder, &robot_dir)?.is_empty();
     let result = async {
+        args.health.serve().await?;
         let router = Router::open(&RouterConfig {
             listen: vec!["tcp/127.0.0.1:0".to_owned()],
             ..RouterConfig::default()
@@ -254,6 +287,12 @@ async fn scenario(args: &DemoArgs) -> Result<DemoReport, Failure> {
             .ok_or_else(|| Failure::failed("the router has no endpoint"))?;
         let deployment = deployment(args, &script, &endpoint, &state)?;
         let world = files::world(&deployment.simulation.world)?;
+        let mut deployment = deployment;
+        if script.poses == PoseSource::Localise && !args.known.names_map() {
+            let map = true_map(&world, deployment.mapping.settings.resolution)?;
+            let file = map_file::write_map(&state, "known", &map, "the true map").map_err(Failure::failed)?;
+            deployment.mapping.run.map = Some(file);
+        }
         let mut parts = Parts::default();
         // Before the parts: what they say first is in the record.
         let recording = match &args.record {
@@ -348,13 +387,14 @@ async fn play(
     let page = parts.gateway(deployment, world).await?;
     let bus = Bus::open(BusConfig::command("demo", endpoint)).await?;
     let mut watch = Watch::new(&bus, id, referee, world)?;
+    watch.carried = script.carried;
     if script.drawn {
         watch.album = Some(Album::new(&bus, id, &args.folder(), film::places(world))?);
     }
     let film = film.map(|film| film.start(&bus, id, args.speed)).transpose()?;
     let request = GoalRequest {
         id: Some(format!("{}-{}", script.name, args.seed)),
-        tree: Some(script.name.to_owned()),
+        tree: Some(script.tree.to_owned()),
         profile: args.profile,
         ..GoalRequest::default()
     };
@@ -368,6 +408,10 @@ async fn play(
         gateway::tell(page);
     }
     watch.bar = live_display(args);
+    let drawing = match &watch.bar {
+        Some(bar) => Some(LiveMap::new(&bus, id.as_str())?.above(bar)),
+        None => None,
+    };
     watch.narrate(&format!("goal {} accepted", reply.id));
     let asking = tokio::spawn(refusals::ask(
         bus.clone(),
@@ -379,12 +423,14 @@ async fn play(
         end = watch.until_end(&reply.id, script.time_limit) => end,
         ended = parts.first_end() => { ended?; None }
         () = interrupted() => {
+            drop(drawing);
             if let Some(bar) = &watch.bar {
                 bar.finish_and_clear();
             }
             return Err(Failure::new(exit_code::INTERRUPTED, "interrupted"));
         }
     };
+    drop(drawing);
     if let Some(bar) = &watch.bar {
         bar.finish_and_clear();
     }

@@ -1,11 +1,16 @@
 //! `zenav demo online`: a small robot in a house that it has never seen drives to one room after the other, while the map grows and what
 //! has not been seen counts as free; meanwhile goals that nobody can reach are refused.
 
+use zenav_cloud::mapping::PoseSource;
+
 use super::Script;
 use super::refusals::Impossible;
 
 pub(super) const SCRIPT: Script = Script {
     name: "online",
+    tree: "online",
+    poses: PoseSource::Edge,
+    carried: None,
     world: "house",
     robot: ("waffle", "turtlebot3_waffle"),
     planner: Some("rrt_star"),

@@ -6,6 +6,7 @@ use std::io::Write as _;
 use std::time::{Duration, Instant};
 
 use nalgebra::Point2;
+use zenav_cloud::mapping::PoseSource;
 use zenav_edge::Referee;
 use zenav_protocol::bus::{Bus, BusConfig, Latest, Subscription, interrupted};
 use zenav_protocol::id::Id;
@@ -29,6 +30,9 @@ use crate::wall_following::score::Errors;
 
 pub(super) const SCRIPT: Script = Script {
     name: "wall_follow",
+    tree: "wall_follow",
+    poses: PoseSource::Edge,
+    carried: None,
     world: "wall_follow",
     robot: ("neato", "neato"),
     planner: None,

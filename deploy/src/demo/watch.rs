@@ -17,7 +17,7 @@ use zenav_sim::{Truth, World};
 use super::album::Album;
 use super::{DemoArgs, Script};
 use crate::failure::Failure;
-use crate::report::{DemoReport, GoalReport, Latency, Percentiles, per_metre};
+use crate::report::{DemoReport, GoalReport, Latency, Percentiles, REACHED, per_metre};
 
 /// How often truth is sampled, wall.
 const SAMPLE: Duration = Duration::from_millis(10);
@@ -65,6 +65,8 @@ pub(super) struct Watch {
     ended: usize,
     /// The plan in force.
     planned: Vec<Point2<f64>>,
+    /// The robot is to be carried away.
+    pub carried: Option<super::Carried>,
     /// A live display, where there is one.
     pub bar: Option<ProgressBar>,
     /// Pictures, where they are wanted.
@@ -99,6 +101,7 @@ impl Watch {
             last_log: Instant::now(),
             ended: 0,
             planned: Vec::new(),
+            carried: None,
             bar: None,
             album: None,
         })
@@ -151,6 +154,12 @@ impl Watch {
             now: self.referee.now(),
             truth: self.referee.truth(),
         };
+        if let Some(carried) = self.carried.take_if(|carried| sample.truth.length >= carried.after) {
+            match self.referee.carry(carried.to) {
+                Ok(()) => self.narrate("somebody carries the robot away"),
+                Err(error) => tracing::warn!(%error, "the robot is not carried away"),
+            }
+        }
         if self.samples.last().is_none_or(|last| last.now < sample.now) {
             self.samples.push(sample);
         }
@@ -320,7 +329,7 @@ impl Watch {
         GoalReport {
             name: name_of(leg, &self.places),
             outcome: if leg.state == GoalPhase::Succeeded {
-                "reached".to_owned()
+                REACHED.to_owned()
             } else {
                 leg.reason.clone().unwrap_or_else(|| format!("{:?}", leg.state))
             },

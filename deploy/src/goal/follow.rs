@@ -12,6 +12,7 @@ use super::{Report, phase_code};
 use crate::connect::{self, RobotArgs};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
+use crate::live_map::{Drawing, LiveMap};
 use crate::output::{self, Format};
 
 /// How often the mission is asked besides.
@@ -117,6 +118,7 @@ pub(super) fn watch(robot: &RobotArgs, format: Format, id: &str) -> Outcome {
 /// A goal's progress on stderr: one living line on a terminal, else a line a step.
 pub(super) struct Progress {
     bar: Option<ProgressBar>,
+    drawing: Option<Drawing>,
     last: String,
 }
 
@@ -124,8 +126,14 @@ impl Progress {
     pub(super) fn new() -> Self {
         Self {
             bar: output::spinner(),
+            drawing: None,
             last: String::new(),
         }
+    }
+
+    /// Draws the robot's map above the line, on a terminal.
+    pub(super) fn draw(&mut self, map: LiveMap) {
+        self.drawing = self.bar.as_ref().map(|bar| map.above(bar));
     }
 
     pub(super) fn say(&self, text: &str) {
@@ -137,6 +145,7 @@ impl Progress {
 
     pub(super) fn show(&mut self, state: &GoalState) {
         if state.state.is_end() {
+            self.drawing = None;
             if let Some(bar) = self.bar.take() {
                 bar.finish_and_clear();
             }

@@ -13,6 +13,7 @@ mod submit;
 use serde::Serialize;
 use zenav_protocol::messages::{GoalPhase, GoalPoint, GoalState};
 
+use crate::completion;
 use crate::connect::RobotArgs;
 use crate::exit_code;
 use crate::failure::Outcome;
@@ -43,21 +44,25 @@ enum GoalCommand {
     /// Follow a goal until it ends; Ctrl-C only stops watching
     Watch {
         /// Goal to follow
+        #[arg(add = completion::goals())]
         id: String,
     },
     /// Cancel a goal; without an id, the running one
     Cancel {
         /// Goal to cancel
+        #[arg(add = completion::goals())]
         id: Option<String>,
     },
     /// Pause a goal; without an id, the running one
     Pause {
         /// Goal to pause
+        #[arg(add = completion::goals())]
         id: Option<String>,
     },
     /// Resume a paused goal
     Resume {
         /// Goal to resume
+        #[arg(add = completion::goals())]
         id: Option<String>,
     },
 }

@@ -12,10 +12,12 @@ use zenav_protocol::messages::{DrivingProfile, GoalPhase, GoalPoint, GoalReply, 
 use zenav_protocol::topics;
 
 use super::{Report, follow, phase_code};
+use crate::completion;
 use crate::connect::{self, RobotArgs, check_yaw, finite, fresh_id, heading, positive};
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::inspect::bt::includer;
+use crate::live_map::LiveMap;
 use crate::output::{self, Format};
 
 /// A goal on the command line.
@@ -31,10 +33,10 @@ pub(super) struct SubmitArgs {
     #[arg(allow_negative_numbers = true, value_parser = heading)]
     yaw: Option<f64>,
     /// Named place of the world
-    #[arg(long, conflicts_with = "waypoint")]
+    #[arg(long, conflicts_with = "waypoint", add = completion::places())]
     place: Option<String>,
     /// Behaviour tree to run: an XML file or the name of a shipped tree; a place or waypoints become its goal
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", add = completion::behaviour_trees())]
     tree: Option<String>,
     /// Waypoint to pass through; may be repeated, in order
     #[arg(long, value_name = "X,Y[,YAW]", allow_hyphen_values = true, value_parser = waypoint)]
@@ -177,7 +179,7 @@ async fn submit(bus: &Bus, to: &str, request: &GoalRequest, patience: Duration, 
             let robot = reply.robot.as_deref().unwrap_or(to);
             if wait && !reply.state.is_end() {
                 // The mission keeps the last state for those who come late: no end is missed.
-                return finish(follow::Watch::new(bus, robot, &id)?, &reply, format).await;
+                return finish(bus, robot, &reply, format).await;
             }
             Report::new(robot, &reply.id, reply.state, reply.reason)
         }
@@ -191,8 +193,10 @@ async fn submit(bus: &Bus, to: &str, request: &GoalRequest, patience: Duration, 
     Ok(phase_code(report.state))
 }
 
-async fn finish(watch: follow::Watch, reply: &GoalReply, format: Format) -> Outcome {
+async fn finish(bus: &Bus, robot: &str, reply: &GoalReply, format: Format) -> Outcome {
+    let watch = follow::Watch::new(bus, robot, &reply.id)?;
     let mut progress = follow::Progress::new();
+    progress.draw(LiveMap::new(bus, robot)?);
     progress.say(&format!(
         "{} {:?}; Ctrl-C detaches, the robot keeps driving",
         reply.id, reply.state

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use zenav_protocol::SCHEMA_VERSION;
 use zenav_protocol::messages::{
-    EdgeState, GuardZone, InfoReply, LeaseRole, MapInfo, MissionStatus, Mode, PoseEstimate,
+    EdgeState, Faults, GuardZone, InfoReply, LeaseRole, MapInfo, MissionStatus, Mode, PoseEstimate,
 };
 
 use super::check::Check;
@@ -70,6 +70,7 @@ pub(super) fn judge(robot: &Robot, time: Duration) -> Vec<Check> {
     if let Some(state) = &robot.state.last {
         checks.push(lease(robot, state));
         checks.push(mode(name, state));
+        checks.extend(faults(name, &state.faults));
         if state.missed_ticks > 0 {
             checks.push(Check::warn(
                 name,
@@ -230,6 +231,27 @@ fn lease(robot: &Robot, state: &EdgeState) -> Check {
     }
 }
 
+/// What the robot itself says is wrong.
+fn faults(name: &str, faults: &Faults) -> Vec<Check> {
+    let body = faults.body.iter().map(|why| {
+        Check::fail(
+            name,
+            "body",
+            why,
+            "does the process that reads the sensors run, and nobody else under the robot's name? if its time began anew: restart the edge",
+        )
+    });
+    let storage = faults.storage.iter().map(|why| {
+        Check::fail(
+            name,
+            "storage",
+            format!("epoch and stop are not stored: {why}"),
+            "make room on the robot's disk; before that a restart of its edge forgets a stop, and no lease is granted",
+        )
+    });
+    body.chain(storage).collect()
+}
+
 fn mode(name: &str, state: &EdgeState) -> Check {
     let seen = format!("{:?}, {:+.2} m/s", state.mode, state.velocity.v);
     if state.mode == Mode::Stopped {
@@ -317,6 +339,7 @@ pub(super) mod tests {
     pub(in super::super) fn state() -> EdgeState {
         EdgeState {
             stamp: Stamp(1),
+            frame: 0,
             boot_id: "b".into(),
             mode: Mode::Follow,
             link: Link::Connected,
@@ -337,6 +360,7 @@ pub(super) mod tests {
             missed_ticks: 0,
             round_trip_secs: None,
             makes_way: false,
+            faults: Default::default(),
         }
     }
 
@@ -354,6 +378,7 @@ pub(super) mod tests {
             map_from_base: Pose2::IDENTITY,
             covariance: [0.0; 9],
             velocity: Twist2::ZERO,
+            frame: 0,
         };
         Robot {
             name: "r".into(),
@@ -406,6 +431,21 @@ pub(super) mod tests {
         assert_eq!(
             (worst(&robot, "lease"), worst(&robot, "mode")),
             (Verdict::Fail, Verdict::Warn)
+        );
+    }
+
+    #[test]
+    fn a_silent_body_and_a_full_disk_fail_and_are_named() {
+        let mut robot = well();
+        let mut seen = state();
+        seen.faults = Faults {
+            body: Some("no readings for 200ms".into()),
+            storage: Some("no space left".into()),
+        };
+        robot.state = fresh(seen);
+        assert_eq!(
+            (worst(&robot, "body"), worst(&robot, "storage")),
+            (Verdict::Fail, Verdict::Fail)
         );
     }
 

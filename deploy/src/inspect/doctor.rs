@@ -14,6 +14,8 @@ use zenav_protocol::topics;
 
 use super::check::{Check, Verdict};
 use super::diagnosis::{self, ClockSeen, Heard, Robot};
+use super::hosts;
+use super::parts::parts;
 use crate::connect::{self, RobotArgs};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
@@ -125,6 +127,7 @@ async fn examine(bus: &Bus, wanted: Option<&str>) -> Result<Vec<Check>, Failure>
     let workers = topics::alive_key(topics::ALIVE_WORKER, &["motion", "*"]);
     let workers = bus.list_alive(workers, Duration::from_millis(500)).await?;
     checks.push(diagnosis::workers("motion", workers.len()));
+    checks.extend(hosts::judge(&parts(bus).await?));
     checks.push(diagnosis::clock(&clock?));
     Ok(checks)
 }

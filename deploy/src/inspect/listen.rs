@@ -9,6 +9,7 @@ use zenav_protocol::bus::{Bus, RawSample, RawSubscription};
 
 use super::meter::{Meter, Reading, bytes};
 use super::payload;
+use crate::completion;
 use crate::connect::positive;
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
@@ -24,6 +25,7 @@ const SILENCE: Duration = Duration::from_secs(2);
 #[derive(Debug, clap::Args)]
 pub(super) struct ListenArgs {
     /// A key (`zenav/*/edge/pose`), a side and name (`edge/pose`), or the name of a topic (`pose`)
+    #[arg(add = completion::keys())]
     pub(super) key: String,
     /// End after this many messages
     #[arg(long, value_name = "N")]

@@ -1,6 +1,5 @@
 //! `zenav map`. How are maps shown, saved, loaded, converted and built? From a running robot, from files, from logs.
 
-use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -14,20 +13,21 @@ use zenav_protocol::messages::MapRequest;
 use zenav_protocol::robot::Footprint;
 use zenav_protocol::topics;
 
-use super::draw::{self, Canvas};
 use super::map_control::{self, Mapping};
 use super::{build, convert};
 use crate::connect::{self, RobotArgs};
 use crate::drawing::scene::Scene;
+use crate::drawing::terminal::{self, Mark, Screen};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
+use crate::live_map::LiveMap;
 use crate::output::{self, Format};
 
 /// Maps.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Examples:\n  zenav map show\n  zenav map save kitchen          kitchen.yaml and kitchen.pgm, here\n  zenav map load kitchen.yaml\n  zenav map store                 the next start begins with it\n  zenav map convert den312d.map den312d.yaml"
+    after_help = "Examples:\n  zenav map show\n  zenav map watch\n  zenav map save kitchen          kitchen.yaml and kitchen.pgm, here\n  zenav map load kitchen.yaml\n  zenav map store                 the next start begins with it\n  zenav map convert den312d.map den312d.yaml"
 )]
 pub struct MapArgs {
     /// Connection and robot.
@@ -59,6 +59,8 @@ enum MapCommand {
         #[arg(long, value_name = "FILE.png", conflicts_with = "width")]
         out: Option<PathBuf>,
     },
+    /// Watch a robot on its map: plan, scan, goal, places and other robots, five times a second, until Ctrl-C
+    Watch,
     /// Drive by another map: a file of this machine, or a stored one by its name; the robot comes to rest for it
     Load {
         /// A map file, or the name of a stored map
@@ -102,6 +104,7 @@ pub fn map(args: &MapArgs) -> Outcome {
         MapCommand::Show { file, width, out } => {
             show(&args.robot, args.output, file.as_deref(), *width, out.as_deref())
         }
+        MapCommand::Watch => watch(&args.robot),
         MapCommand::Load { source, live } => map_control::load(&args.robot, args.output, source, *live),
         MapCommand::Store { name } => map_control::store(&args.robot, args.output, name.as_deref()),
         MapCommand::Reset => map_control::reset(&args.robot, args.output),
@@ -236,20 +239,10 @@ fn show(robot: &RobotArgs, format: Format, file: Option<&Path>, width: Option<us
             out.display()
         )));
     }
-    let terminal = std::io::stdout().is_terminal();
-    // A window of no size is one whose size is not known.
-    let size = crossterm::terminal::size()
-        .ok()
-        .filter(|(columns, rows)| terminal && *columns > 0 && *rows > 4);
-    let canvas = Canvas {
-        width: width.unwrap_or_else(|| size.map_or(100, |(columns, _)| usize::from(columns))),
-        height: if width.is_some() {
-            usize::MAX
-        } else {
-            size.map_or(60, |(_, rows)| usize::from(rows) - 3)
-        },
-        colors: terminal && std::env::var_os("NO_COLOR").is_none(),
-    };
+    let mut screen = Screen::of_terminal(3).unwrap_or(PLAIN_SCREEN);
+    if let Some(width) = width {
+        (screen.width, screen.height) = (width, usize::MAX);
+    }
     let (grid, summary, pose) = match file {
         Some(file) => {
             let grid = files::map(file)?;
@@ -275,10 +268,43 @@ fn show(robot: &RobotArgs, format: Format, file: Option<&Path>, width: Option<us
     }
     output::value(format, &summary, |summary| match out {
         Some(out) => format!("{}\nwrote {}", summary.line(), out.display()),
-        None => format!("{}\n{}", draw::map(&grid, pose, canvas), summary.line()),
+        None => {
+            let robot: Vec<Mark<'_>> = pose.map(Mark::Robot).into_iter().collect();
+            format!("{}\n{}", terminal::map(&grid, &robot, screen), summary.line())
+        }
     })?;
     Ok(exit_code::OK)
 }
+
+/// Where stdout is no terminal, a picture a second is written, one below the other.
+fn watch(robot: &RobotArgs) -> Outcome {
+    connect::on_robot(robot, async |bus, robot| {
+        let mut live = LiveMap::new(&bus, &robot)?;
+        let bar = output::display();
+        if let Some(bar) = &bar {
+            bar.set_message("Ctrl-C ends it");
+            let _drawing = live.above(bar);
+            let _ = tokio::signal::ctrl_c().await;
+            return Ok(exit_code::INTERRUPTED);
+        }
+        let mut pace = tokio::time::interval(Duration::from_secs(1));
+        loop {
+            tokio::select! {
+                biased;
+                _ = tokio::signal::ctrl_c() => return Ok(exit_code::INTERRUPTED),
+                _ = pace.tick() => {}
+            }
+            output::line(&live.frame(PLAIN_SCREEN).await);
+        }
+    })
+}
+
+/// Where there is no terminal to ask.
+const PLAIN_SCREEN: Screen = Screen {
+    width: 100,
+    height: 60,
+    colors: false,
+};
 
 /// Pixels of a picture's longer side, about.
 const PICTURE: u32 = 1200;

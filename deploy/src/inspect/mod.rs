@@ -4,10 +4,12 @@
 //! |---|---|
 //! | `topic`, `listen`, `meter`, `payload` | which keys carry what, how often, how much |
 //! | `ask`, `schema` | requests and messages typed by hand, and what may stand in them |
-//! | `map`, `draw`, `convert`, `build` | maps: saved, drawn in the terminal, converted, built from logs |
+//! | `map`, `convert`, `build` | maps: saved, shown, watched, converted, built from logs |
 //! | `map_control` | which map a robot drives by: loaded, stored, held |
 //! | `bt` | behaviour trees: valid? what do they look like, do now, and under a script? |
-//! | `doctor`, `diagnosis`, `check` | is everything there and well? |
+//! | `doctor`, `diagnosis`, `hosts`, `check` | is everything there and well? |
+//! | `logs` | what did the parts say last? |
+//! | `ps`, `parts` | which parts run where, in which version, and what do they take? |
 
 mod ask;
 pub(crate) mod bt;
@@ -16,12 +18,15 @@ mod check;
 mod convert;
 mod diagnosis;
 mod doctor;
-mod draw;
+mod hosts;
 mod listen;
+mod logs;
 mod map;
 mod map_control;
 mod meter;
+mod parts;
 mod payload;
+mod ps;
 mod schema;
 mod topic;
 
@@ -29,7 +34,9 @@ pub use ask::{AskArgs, ask};
 pub use bt::{BtArgs, bt};
 pub(crate) use build::read_log;
 pub use doctor::{DoctorArgs, doctor};
+pub use logs::{LogsArgs, logs};
 pub use map::{MapArgs, map};
+pub use ps::{PsArgs, ps};
 pub use schema::{SchemaArgs, schema};
 pub(crate) use topic::pattern;
 pub use topic::{TopicArgs, topic};

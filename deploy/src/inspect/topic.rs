@@ -10,6 +10,7 @@ use zenav_protocol::topics::{self, Qos, Row, TABLE};
 use super::ask::{PubArgs, publish};
 use super::listen::{ListenArgs, bw_line, echo, hz_line, listen, measure, seconds};
 use super::meter::{Reading, bytes};
+use crate::completion;
 use crate::connect::{self, RobotArgs, positive};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
@@ -53,6 +54,7 @@ enum TopicCommand {
     /// Say what a topic is, and whether it carries something now
     Info {
         /// A key, or the name of a topic or ask
+        #[arg(add = completion::keys())]
         key: String,
     },
 }

@@ -18,8 +18,8 @@ use zenav_mission::{Answer, Ask, Client, Effect, Mission, MissionConfig, NoAnswe
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::map_replica::{MapReplica, PatchResult};
 use zenav_protocol::messages::{
-    Correction, GoalState, Heartbeat, Intent, Localisation, MapAction, MapRef, MapRequest, MotionRequest, Plan,
-    Refusal, Scan,
+    Correction, GoalState, Heartbeat, Intent, Localisation, LocaliseAction, LocaliseReply, MapAction, MapRef,
+    MapRequest, MotionRequest, Plan, Refusal, Scan,
 };
 use zenav_protocol::readings::Readings;
 use zenav_protocol::sensors::DEFAULT_LIDAR;
@@ -186,6 +186,7 @@ impl RobotLoop {
         let map = MapRef {
             id: "lockstep".to_owned(),
             revision: 0,
+            frame: 0,
         };
         let mapper = match &config.known_map {
             Some(grid) => Mapper::with_stored(config.mapping, map, grid, Vec::new(), 0),
@@ -271,7 +272,10 @@ impl RobotLoop {
         for message in self.up.receive(now) {
             match message {
                 Up::Answer(ticket, answer) => self.inputs.answers.push((ticket, answer)),
-                Up::Publication(Publication::State(state)) => self.inputs.state = Some(*state),
+                Up::Publication(Publication::State(state)) => {
+                    self.mapping.hear_frame(state.frame);
+                    self.inputs.state = Some(*state);
+                }
                 Up::Publication(Publication::Pose(pose)) => self.inputs.pose = Some(pose),
                 Up::Publication(Publication::Event(event)) => self.inputs.events.push(event),
                 Up::Publication(Publication::Scan(lidar, scan)) => self.map(now, &lidar, &scan),
@@ -291,10 +295,14 @@ impl RobotLoop {
     fn map(&mut self, now: Stamp, lidar: &str, scan: &Scan) {
         if lidar == DEFAULT_LIDAR {
             let mapped = self.mapping.insert(scan, BOOT);
+            if mapped.frame.is_some() {
+                self.inputs.map_frame = mapped.frame;
+            }
             if let Some(correction) = mapped.correction {
                 self.down.send(now, Down::Correction(correction));
             }
             if let Some(localisation) = mapped.localisation {
+                self.inputs.localisation = Some(localisation.clone());
                 self.down.send(now, Down::Localisation(localisation));
             }
         } else {
@@ -337,6 +345,16 @@ impl RobotLoop {
                         )));
                         return self.inputs.answers.push((ticket, answer));
                     }
+                    Ask::Localise(request) => {
+                        let done = match request.action {
+                            LocaliseAction::Global => self.mapping.look_everywhere(),
+                            LocaliseAction::Report | LocaliseAction::At => Ok(()),
+                        };
+                        let health = self.mapping.health();
+                        let answer = done.map(|()| Answer::Localised(LocaliseReply { health }));
+                        let answer = answer.map_err(NoAnswer::Refused);
+                        return self.inputs.answers.push((ticket, answer));
+                    }
                     Ask::Map(request) => {
                         let answer = self.map_answer(&request);
                         return self.inputs.answers.push((ticket, Ok(answer)));
@@ -345,7 +363,7 @@ impl RobotLoop {
                 self.down.send(now, Down::Request(ticket, request));
             }
             // Nothing outlives a lockstep run, and nobody watches it.
-            Effect::Persist(_) | Effect::Status(_) | Effect::StandBy | Effect::Fatal(_) => {}
+            Effect::Persist(_) | Effect::Status(_) | Effect::StandBy => {}
         }
     }
 

@@ -13,6 +13,7 @@ use zenav_protocol::trajectory::TrajectoryPoint;
 
 use super::referee::{ContactKind, ContactReport};
 use super::scenario::{Entrant, Scenario};
+use crate::completion;
 use crate::config::Layers;
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
@@ -26,11 +27,11 @@ pub struct RunArgs {
     #[arg(long, value_name = "FILE")]
     deployment: Option<PathBuf>,
     /// World file or shipped name, instead of the deployment's
-    #[arg(long)]
+    #[arg(long, add = completion::worlds())]
     world: Option<String>,
     /// A robot of the deployment by name, or a robot file or shipped name instead of its first robot's model; of several robots, once
     /// for all or once for each goal
-    #[arg(long)]
+    #[arg(long, add = completion::models())]
     robot: Vec<String>,
     /// Start, m and rad in the world, instead of the deployment's; of several robots, once for each goal
     #[arg(long, num_args = 3, value_names = ["X", "Y", "YAW"], allow_negative_numbers = true)]

@@ -18,4 +18,4 @@ pub use closed_loop::{ClosedLoop, ClosedLoopConfig, RobotLoop};
 pub(crate) use command::worst;
 pub use command::{RunArgs, RunOutcome, RunReport, run};
 pub use referee::{ContactKind, ContactReport, Referee};
-pub(crate) use scenario::{Entrant, Scenario};
+pub(crate) use scenario::{Entrant, Scenario, true_map};

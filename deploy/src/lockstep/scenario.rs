@@ -301,7 +301,7 @@ fn ending(state: &GoalState, error: f64) -> (RunOutcome, Option<String>) {
 ///
 /// # Errors
 /// A world that is too large to be a map.
-fn true_map(world: &World, resolution: f64) -> Result<OccupancyGrid, Failure> {
+pub(crate) fn true_map(world: &World, resolution: f64) -> Result<OccupancyGrid, Failure> {
     if let Some(map) = world.map() {
         return Ok(map.clone());
     }

@@ -1,133 +1,59 @@
-//! Changes. Under which epoch does a command change something of a robot?
-//!
-//! What changes a robot, its map or what is drawn on it carries the epoch of the lease in force. What a robot that drives need not notice is
-//! changed under the epoch of whoever commands. What pulls the ground from under its plan is changed under the operator's own lease: the
-//! robot is at rest then, and its mission plans anew once the lease is given back.
+//! Changes. In whose name does a command change something of a robot? In this user's, by the rules of [`zenav_cloud::operator`].
 
 use std::time::Duration;
 
-use tokio::time::{Instant, sleep, timeout};
+use zenav_cloud::operator;
 use zenav_protocol::bus::{AskError, Bus};
-use zenav_protocol::messages::{EdgeState, LeaseRole, Refusal};
-use zenav_protocol::topics;
 
 use super::holder;
-use super::lease_session::LeaseSession;
 use crate::failure::Failure;
 
-/// A robot that is there publishes its state within this time.
-const STATE_WITHIN: Duration = Duration::from_millis(1500);
-/// Pause before a refused epoch is tried again: others have not heard of the newest grant yet.
-const AGAIN: Duration = Duration::from_millis(100);
+pub(crate) use operator::Authority;
 
-/// An epoch under which a robot may be commanded, and the lease where it is our own.
-pub(crate) struct Authority {
-    /// The epoch that requests carry; `None` while there is no robot that could be commanded.
-    pub(crate) epoch: Option<u64>,
-    session: Option<LeaseSession>,
-}
-
-impl Authority {
-    /// The operator's lease: this user's own one where another command holds it already, a new one otherwise.
-    ///
-    /// # Errors
-    /// When somebody else operates the robot, or it does not answer.
-    pub(crate) async fn acquire(bus: &Bus, robot: &str, within: Duration) -> Result<Self, Failure> {
-        let Some(state) = heard(bus, robot).await? else {
-            return Ok(Self {
-                epoch: None,
-                session: None,
-            });
-        };
-        let (lease, holder) = (state.lease, holder());
-        let ours = lease.live && lease.role == Some(LeaseRole::Operator) && lease.holder.as_deref() == Some(&holder);
-        if ours {
-            return Ok(Self {
-                epoch: Some(lease.epoch),
-                session: None,
-            });
-        }
-        let session = LeaseSession::acquire(bus, robot, &holder, within).await?;
-        Ok(Self {
-            epoch: Some(session.grant.epoch),
-            session: Some(session),
-        })
-    }
-
-    /// Gives the lease back, where it was taken for this.
-    pub(crate) async fn release(self) {
-        if let Some(session) = self.session {
-            // It ends by itself when nobody renews it.
-            let _ = session.release().await;
-        }
-    }
-}
-
-/// The robot's newest state; `None` for a robot that is not there.
-async fn heard(bus: &Bus, robot: &str) -> Result<Option<EdgeState>, Failure> {
-    let mut states = bus.latest(&topics::STATE, &[robot])?;
-    let next = timeout(STATE_WITHIN, states.next()).await;
-    Ok(next.ok().flatten().map(|received| received.message))
-}
-
-/// Asks under the epoch of the lease in force, whoever holds it; again while that is changing.
+/// Asks under the epoch of the lease in force, whoever holds it.
 ///
 /// # Errors
 /// The ask's own.
-pub(crate) async fn in_force<R>(
+pub(crate) async fn in_force<R, F>(
     bus: &Bus,
     robot: &str,
     within: Duration,
-    ask: impl AsyncFn(Option<u64>) -> Result<R, AskError>,
-) -> Result<R, Failure> {
-    let until = Instant::now() + within;
-    loop {
-        let lease = heard(bus, robot).await?.map(|state| state.lease);
-        let epoch = lease.filter(|lease| lease.live).map(|lease| lease.epoch);
-        match ask(epoch).await {
-            Err(AskError::Refused(Refusal::WrongEpoch { .. })) if Instant::now() < until => sleep(AGAIN).await,
-            answer => return Ok(answer?),
-        }
-    }
+    ask: impl Fn(Option<u64>) -> F,
+) -> Result<R, Failure>
+where
+    F: Future<Output = Result<R, AskError>>,
+{
+    Ok(operator::in_force(bus, robot, within, ask).await?)
 }
 
-/// As [`in_force`], for what the robot itself refuses without a lease: where nobody holds it, the operator's is taken for this.
+/// As [`in_force`]; where nobody holds the lease, the operator's is taken for this.
 ///
 /// # Errors
-/// As [`in_force`] and [`Authority::acquire`].
-pub(crate) async fn in_force_or_own<R>(
+/// As [`in_force`], and a lease that another one holds.
+pub(crate) async fn in_force_or_own<R, F>(
     bus: &Bus,
     robot: &str,
     within: Duration,
-    ask: impl AsyncFn(Option<u64>) -> Result<R, AskError>,
-) -> Result<R, Failure> {
-    let is_live = heard(bus, robot).await?.is_some_and(|state| state.lease.live);
-    if is_live {
-        in_force(bus, robot, within, ask).await
-    } else {
-        at_rest(bus, robot, within, ask).await
-    }
+    ask: impl Fn(Option<u64>) -> F,
+) -> Result<R, Failure>
+where
+    F: Future<Output = Result<R, AskError>>,
+{
+    Ok(operator::in_force_or_own(bus, robot, &holder(), within, ask).await?)
 }
 
 /// Asks under the operator's lease, which is given back at once: the robot comes to rest for it.
 ///
 /// # Errors
-/// As [`Authority::acquire`], or the ask's own.
-pub(crate) async fn at_rest<R>(
+/// As [`in_force_or_own`].
+pub(crate) async fn at_rest<R, F>(
     bus: &Bus,
     robot: &str,
     within: Duration,
-    ask: impl AsyncFn(Option<u64>) -> Result<R, AskError>,
-) -> Result<R, Failure> {
-    let authority = Authority::acquire(bus, robot, within).await?;
-    let until = Instant::now() + within;
-    let answer = loop {
-        match ask(authority.epoch).await {
-            // Whoever is asked has not heard of the grant yet.
-            Err(AskError::Refused(Refusal::WrongEpoch { .. })) if Instant::now() < until => sleep(AGAIN).await,
-            answer => break answer,
-        }
-    };
-    authority.release().await;
-    Ok(answer?)
+    ask: impl Fn(Option<u64>) -> F,
+) -> Result<R, Failure>
+where
+    F: Future<Output = Result<R, AskError>>,
+{
+    Ok(operator::at_rest(bus, robot, &holder(), within, ask).await?)
 }

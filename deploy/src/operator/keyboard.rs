@@ -31,6 +31,8 @@ pub(super) enum Command {
     Resume,
     /// Ctrl-C: stop the robot and leave.
     Quit,
+    /// Escape: give control back where it is here, and leave without a stop.
+    Leave,
 }
 
 /// What a key asks for; `None` for keys without a meaning.

@@ -3,12 +3,12 @@
 use std::time::Duration;
 
 use serde::Serialize;
+use zenav_cloud::operator::{LeaseSession, ask_lease};
 use zenav_protocol::bus::Bus;
 use zenav_protocol::messages::{EdgeState, LeaseAction, LeaseState, Link};
 use zenav_protocol::topics;
 
 use super::holder;
-use super::lease_session::{self, LeaseSession};
 use crate::connect::{self, RobotArgs, positive};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
@@ -114,7 +114,7 @@ pub fn lease(args: &LeaseArgs) -> Outcome {
         Some(LeaseCommand::Release) => {
             let before = state(&bus, &robot, patience).await?;
             let held = before.lease.holder.as_deref() == Some(&name);
-            lease_session::ask(&bus, &robot, &name, LeaseAction::Release, patience).await?;
+            ask_lease(&bus, &robot, &name, LeaseAction::Release, patience).await?;
             if !held {
                 return Err(Failure::not_found(format!(
                     "{name} did not hold the lease of {robot}; {}",
@@ -133,7 +133,7 @@ pub fn lease(args: &LeaseArgs) -> Outcome {
             let Some(leader) = before.lease.leader else {
                 return Err(Failure::not_found(format!("no orchestrator keeps goals of {robot}")));
             };
-            lease_session::ask(&bus, &robot, &name, LeaseAction::Forget, patience).await?;
+            ask_lease(&bus, &robot, &name, LeaseAction::Forget, patience).await?;
             output::value(
                 args.output,
                 &serde_json::json!({ "robot": robot, "forgotten": leader }),

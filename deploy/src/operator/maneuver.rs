@@ -13,6 +13,7 @@ use zenav_protocol::topics;
 
 use super::change::Authority;
 use super::ended;
+use super::holder;
 use crate::connect::{self, RobotArgs, finite, fresh_id, positive};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
@@ -119,7 +120,7 @@ pub fn maneuver(args: &DoArgs) -> Outcome {
     let patience = args.robot.link.patience();
     let id = args.id.clone().unwrap_or_else(|| fresh_id("do"));
     connect::on_robot(&args.robot, async |bus, robot| {
-        let authority = Authority::acquire(&bus, &robot, patience).await?;
+        let authority = Authority::acquire(&bus, &robot, &holder(), patience).await?;
         if authority.epoch.is_none() {
             return Err(Failure::new(
                 exit_code::TIMEOUT,

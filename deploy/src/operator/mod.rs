@@ -5,10 +5,9 @@
 //! |---|---|
 //! | `stop` | stop, resume |
 //! | `lease` | who may command: show, acquire, release |
-//! | `change` | under which epoch a command changes something |
+//! | `change` | in whose name a command changes something |
 //! | `param` | which gains a robot drives with |
 //! | `maneuver` | spin, drive straight, back up, wait |
-//! | `lease_session` | keeping the operator's lease while it is needed |
 //! | `keyboard` | which key means which motion, and for how long (pure) |
 //! | `status` | who commands now, and what is shown of it (pure) |
 //! | `pose` | where the robot is, told or looked for |
@@ -17,7 +16,6 @@
 pub(crate) mod change;
 mod keyboard;
 mod lease;
-mod lease_session;
 mod maneuver;
 mod param;
 mod pose;

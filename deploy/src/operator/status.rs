@@ -136,6 +136,7 @@ mod tests {
     fn state(epoch: u64, holder: Option<&str>, live: bool) -> EdgeState {
         EdgeState {
             stamp: Stamp::ZERO,
+            frame: 0,
             boot_id: "b1".to_owned(),
             mode: Mode::Teleop,
             link: Link::Connected,
@@ -154,6 +155,7 @@ mod tests {
             missed_ticks: 0,
             round_trip_secs: None,
             makes_way: false,
+            faults: Default::default(),
         }
     }
 

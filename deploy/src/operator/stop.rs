@@ -17,6 +17,9 @@ use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
 
+/// A robot tells its state within this time.
+const STATE_WITHIN: Duration = Duration::from_millis(400);
+
 /// Stop or resume.
 #[derive(Debug, clap::Args)]
 #[command(
@@ -84,13 +87,21 @@ fn act(args: &StopArgs, stop: bool) -> Outcome {
             Some(robot) => {
                 tokio::select! {
                     biased;
-                    answer = ask(&bus, robot) => return Ok(BTreeMap::from([(robot.clone(), answer)])),
+                    answer = ask(&bus, robot) => {
+                        if answer.is_ok() {
+                            warn_if_not_stored(&bus, robot).await;
+                        }
+                        return Ok(BTreeMap::from([(robot.clone(), answer)]));
+                    }
                     found = connect::find(&bus, Some(robot)) => found?,
                 }
             }
             None => connect::find(&bus, None).await?,
         };
         let answer = ask(&bus, &robot).await;
+        if answer.is_ok() {
+            warn_if_not_stored(&bus, &robot).await;
+        }
         Ok(BTreeMap::from([(robot, answer)]))
     })?;
     let mut rows = Vec::new();
@@ -120,6 +131,18 @@ fn act(args: &StopArgs, stop: bool) -> Outcome {
         // Asked to stop and not stopped, or the other way round, is no success.
         None if rows.iter().any(|row| row.stopped != stop) => Ok(exit_code::FAILED),
         None => Ok(exit_code::OK),
+    }
+}
+
+/// Says so when the robot obeyed, and cannot store it: its next state tells.
+async fn warn_if_not_stored(bus: &Bus, robot: &str) {
+    let Ok(mut states) = bus.latest(&topics::STATE, &[robot]) else {
+        return;
+    };
+    if let Ok(Some(state)) = tokio::time::timeout(STATE_WITHIN, states.next()).await
+        && let Some(why) = state.message.faults.storage
+    {
+        eprintln!("warning: {robot} has obeyed, but it is not stored: {why}; a restart of its edge would forget it");
     }
 }
 
@@ -163,6 +186,7 @@ mod tests {
     use zenav_protocol::bus::BusConfig;
 
     use super::*;
+    use crate::config::IdentityArgs;
 
     async fn endpoint() -> (Bus, String) {
         let config = BusConfig {
@@ -181,7 +205,12 @@ mod tests {
         let (robot, own) = endpoint().await;
         let mut server = robot.serve(&topics::STOP, &["neo"]).unwrap();
         let serving = tokio::spawn(async move { server.next().await.unwrap().reply(&StopReply { stopped: true }) });
-        let link = |connect| LinkArgs { connect, timeout: 30.0 };
+        let link = |connect| LinkArgs {
+            connect,
+            timeout: 30.0,
+            identity: IdentityArgs::default(),
+            namespace: String::new(),
+        };
         let open = connect::open(&link(vec![dead_end.clone()])).await.unwrap();
         everywhere(&open, &link(vec![dead_end, own]), "neo").await.unwrap();
         serving.await.unwrap();

@@ -1,8 +1,8 @@
 //! `zenav teleop`. How is a robot driven from a terminal? Keys in, twists out twenty times a second, each echoing the newest stamp heard
 //! from the robot: when the link or this program freezes, the echo grows old and the robot brakes by itself.
 //!
-//! Leaving by Ctrl-C, by a closed terminal or by a failure always leaves the robot stopped until `zenav resume`; Enter gives control
-//! back to the mission before.
+//! Leaving by Ctrl-C, by a closed terminal or by a failure always leaves the robot stopped until `zenav resume`. Enter gives control back to the
+//! mission, and Escape leaves the robot to it.
 
 use std::io::{IsTerminal as _, Write as _};
 use std::time::Duration;
@@ -11,6 +11,7 @@ use crossterm::event::{self, KeyCode, KeyEventKind, KeyModifiers};
 use crossterm::terminal;
 use tokio::sync::mpsc;
 use tokio::time::{Instant, MissedTickBehavior};
+use zenav_cloud::operator::LeaseSession;
 use zenav_protocol::bus::{Bus, Latest, Publisher};
 use zenav_protocol::geometry::Twist2;
 use zenav_protocol::messages::{EdgeState, InfoRequest, LostPolicy, ModeRequest, Odometry, ResumeRequest, Teleop};
@@ -18,7 +19,6 @@ use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
 
 use super::keyboard::{Command, Keyboard, command_of};
-use super::lease_session::LeaseSession;
 use super::status::{self, OLD, View};
 use super::{ended, holder, stop};
 use crate::connect::{self, LinkArgs, RobotArgs, positive};
@@ -35,14 +35,14 @@ const ASK_WITHIN: Duration = Duration::from_secs(1);
 const CAREFUL: Twist2 = Twist2 { v: 0.3, w: 1.0 };
 
 const HELP: [&str; 2] = [
-    "Space take control and stop   Enter give back   Ctrl-C stop and leave",
-    "W A S D (Q E) drive   + - speed   R resume",
+    "Space take control and stop   Enter give back   W A S D (Q E) drive   + - speed",
+    "R resume   Ctrl-C stop and leave   Esc leave without a stop",
 ];
 
 /// Keyboard teleoperation.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Space takes control and stops, Enter gives it back, W A S D drive while held (Q E in curves), + and - set the speed, R releases a stop. Ctrl-C leaves the robot stopped; `zenav resume` releases it."
+    after_help = "Space takes control and stops, Enter gives it back, W A S D drive while held (Q E in curves), + and - set the speed, R releases a stop. Ctrl-C leaves the robot stopped; `zenav resume` releases it. Escape gives control back and leaves without a stop."
 )]
 pub struct TeleopArgs {
     /// Connection and robot.
@@ -78,11 +78,16 @@ pub fn teleop(args: &TeleopArgs) -> Outcome {
         let mut session = Session::new(&bus, &robot, top)?;
         session.alone = alone(&bus, &robot).await;
         let driven = session.run(keys()).await;
+        if matches!(driven, Ok(Leaving::AsItIs)) {
+            session.act(Command::Give).await;
+            drop(screen);
+            return Ok(exit_code::OK);
+        }
         let stopped = session.leave(&last).await;
         drop(screen);
         stopped?;
         eprintln!("{robot} is stopped; `zenav resume` releases it");
-        driven.map(|()| exit_code::OK)
+        driven.map(|_| exit_code::OK)
     })
 }
 
@@ -138,6 +143,7 @@ fn keys() -> mpsc::UnboundedReceiver<Command> {
             let found = match key.code {
                 KeyCode::Char(letter) => command_of(letter, control),
                 KeyCode::Enter => command_of('\n', false),
+                KeyCode::Esc => Some(Command::Leave),
                 KeyCode::Up => command_of('w', false),
                 KeyCode::Down => command_of('s', false),
                 KeyCode::Left => command_of('a', false),
@@ -150,6 +156,14 @@ fn keys() -> mpsc::UnboundedReceiver<Command> {
         }
     });
     receiver
+}
+
+/// How a session ends.
+enum Leaving {
+    /// The robot is stopped.
+    Stopped,
+    /// The robot goes on as it does.
+    AsItIs,
 }
 
 /// A session at the keyboard.
@@ -192,7 +206,7 @@ impl Session {
     }
 
     /// Until somebody wants to leave, by key, by signal, or because the terminal is gone.
-    async fn run(&mut self, mut keys: mpsc::UnboundedReceiver<Command>) -> Result<(), Failure> {
+    async fn run(&mut self, mut keys: mpsc::UnboundedReceiver<Command>) -> Result<Leaving, Failure> {
         eprint!("{}\r\n", HELP.join("\r\n"));
         let mut pace = tokio::time::interval(PERIOD);
         pace.set_missed_tick_behavior(MissedTickBehavior::Skip);
@@ -201,9 +215,10 @@ impl Session {
         loop {
             tokio::select! {
                 biased;
-                () = &mut ended => return Ok(()),
+                () = &mut ended => return Ok(Leaving::Stopped),
                 key = keys.recv() => match key {
-                    None | Some(Command::Quit) => return Ok(()),
+                    None | Some(Command::Quit) => return Ok(Leaving::Stopped),
+                    Some(Command::Leave) => return Ok(Leaving::AsItIs),
                     Some(command) => self.act(command).await,
                 },
                 _ = pace.tick() => {
@@ -243,7 +258,7 @@ impl Session {
                     self.tell(format!("not resumed: {error}"));
                 }
             }
-            Command::Quit => {}
+            Command::Quit | Command::Leave => {}
         }
     }
 

@@ -6,7 +6,9 @@
 //! | file | answers |
 //! |---|---|
 //! | `command` | what does `zenav record` do and print? |
-//! | `recorder` | how do samples get from the bus into a file, without ever holding up the bus? |
+//! | `listener` | what comes on the bus, with what a late listener has missed? |
+//! | `recorder` | how do samples get into a file, without ever holding up the bus? |
+//! | `live` | how does Foxglove see a run while it goes on? |
 //! | `format` | how does a run lie in the file, and what is wrong with a file that is no record? |
 //! | `writer`, `reader` | how are samples written and read, also in a file that was cut off? |
 //! | `schema` | which fields have our messages, as JSON Schema? |
@@ -24,6 +26,8 @@ mod diff;
 mod film;
 mod format;
 mod foxglove;
+mod listener;
+mod live;
 mod maps;
 mod reader;
 mod recompute;
@@ -39,6 +43,7 @@ pub use command::{RecordArgs, record};
 pub use diff::{DiffArgs, diff};
 pub use film::{FilmArgs, film};
 pub use format::{Kind, MAPPING_ENTRY, Problem, RecordError, Sample, TITLE_ENTRY};
+pub use live::{DEFAULT_LISTEN as FOXGLOVE_LISTEN, LiveView, ViewArgs, view};
 pub use reader::RecordReader;
 pub use recompute::{MapVerdict, Part, Recomputed, recompute};
 pub use recorder::Recording;

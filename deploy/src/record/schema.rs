@@ -4,6 +4,17 @@
 //! was `null` or empty in the example.
 
 use serde_json::{Map, Value, json};
+use zenav_protocol::topics;
+
+/// What MCAP and Foxglove call JSON Schema.
+pub const ENCODING: &str = "jsonschema";
+
+/// What the messages of a key are called.
+#[must_use]
+pub fn title(key: &str) -> String {
+    let message = topics::row_of(key).map(|row| row.message.rsplit(" -> ").next().unwrap_or(row.message));
+    message.map_or_else(|| key.to_owned(), |message| format!("zenav.{message}"))
+}
 
 /// The schema of an object like this one; `None` for what is no JSON object.
 #[must_use]

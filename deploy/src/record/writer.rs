@@ -26,8 +26,6 @@ use super::foxglove::{Artist, Drawn, Schema};
 use super::maps::Maps;
 use super::schema;
 
-/// Name of JSON Schema in MCAP.
-const JSON_SCHEMA: &str = "jsonschema";
 /// A chunk is written once it has this many bytes, or sooner by [`RecordWriter::flush`].
 const CHUNK: u64 = 1 << 20;
 
@@ -401,7 +399,7 @@ impl RecordFile {
         let text = schema.json().to_string();
         let number = self
             .mcap
-            .add_schema(schema.name(), JSON_SCHEMA, text.as_bytes())
+            .add_schema(schema.name(), schema::ENCODING, text.as_bytes())
             .map_err(|error| broken(&self.path, error))?;
         self.drawn.insert(schema, number);
         Ok(number)
@@ -409,8 +407,7 @@ impl RecordFile {
 
     /// The schema of a key's messages; 0 for what is no JSON object.
     fn message_schema(&mut self, key: &str, example: &[u8]) -> Result<u16, RecordError> {
-        let message = topics::row_of(key).map(|row| row.message.rsplit(" -> ").next().unwrap_or(row.message));
-        let title = message.map_or_else(|| key.to_owned(), |message| format!("zenav.{message}"));
+        let title = schema::title(key);
         if let Some(number) = self.schemas.get(&title) {
             return Ok(*number);
         }
@@ -419,7 +416,7 @@ impl RecordFile {
         };
         let number = self
             .mcap
-            .add_schema(&title, JSON_SCHEMA, schema.to_string().as_bytes())
+            .add_schema(&title, schema::ENCODING, schema.to_string().as_bytes())
             .map_err(|error| broken(&self.path, error))?;
         self.schemas.insert(title, number);
         Ok(number)

@@ -194,8 +194,9 @@ pub fn tune(args: &TuneArgs) -> Outcome {
     let (report, traces) = bench.search(args)?;
     let tuned = toml::to_string(&report.after.on(&model)).map_err(Failure::failed)?;
     let head = format!(
-        "# {}, with the gains of `wall_following` found by: zenav tune wall_follow --robot {} --seed {}\n",
-        model.name, args.robot, args.seed
+        "# {}, with the gains of `wall_following` found by: zenav tune wall_follow --robot {} --rooms {} --generations {} --population {} \
+         --time {} --seed {}\n",
+        model.name, args.robot, args.rooms, args.generations, args.population, args.time, args.seed
     );
     files::write(&report.robot_file, head + &tuned)?;
     let json = serde_json::to_string_pretty(&report).map_err(Failure::failed)?;

@@ -11,17 +11,23 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use clap::Args;
-use zenav_protocol::bus::{AliveToken, Bus, BusConfig, Publisher, Shutdown, interrupted};
+use zenav_observability::Gauge;
+use zenav_observability::metrics::{WORLD_ROBOTS, WORLD_TIME};
+use zenav_protocol::bus::{AliveToken, Bus, BusConfig, Publisher, Shutdown, interrupted, service_manager};
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{AttachReply, SimClock};
 use zenav_protocol::readings::Readings;
+use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
 use zenav_sim::Simulation;
 
-use crate::connect::positive;
+use crate::completion;
+use crate::config::SecurityArgs;
+use crate::connect::{DEFAULT_ENDPOINT, namespace, positive};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
+use crate::health::HealthArgs;
 use crate::launch::runtime;
 use crate::output::{self, Format};
 use host::{Host, RobotReport};
@@ -39,7 +45,7 @@ const LOOK: Duration = Duration::from_secs(1);
 #[derive(Debug, Args)]
 pub struct ServeArgs {
     /// World: a file or shipped name
-    #[arg(long, value_name = "W", default_value = "kitchen")]
+    #[arg(long, value_name = "W", default_value = "kitchen", add = completion::worlds())]
     world: String,
     /// Simulated time against wall time
     #[arg(long, default_value_t = 1.0, value_parser = positive)]
@@ -47,12 +53,16 @@ pub struct ServeArgs {
     /// Seed of all noise and of what walks at random
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Endpoints of a router of its own
-    #[arg(long, default_value = "tcp/127.0.0.1:7447", conflicts_with = "connect")]
+    /// Endpoints of a router of its own [default: tcp/127.0.0.1:7447, without --connect]
+    #[arg(long, value_name = "ENDPOINT")]
     listen: Vec<String>,
-    /// Join this router instead
-    #[arg(long)]
-    connect: Option<String>,
+    /// Routers to join: alone, as a client of one; with --listen, as one more router
+    #[arg(long, value_name = "ENDPOINT")]
+    connect: Vec<String>,
+    #[command(flatten)]
+    security: SecurityArgs,
+    #[command(flatten)]
+    health: HealthArgs,
     /// Output format
     #[arg(short, long, value_enum, default_value_t)]
     output: Format,
@@ -71,32 +81,37 @@ fn lock(host: &Shared) -> MutexGuard<'_, Host> {
 pub fn serve(args: &ServeArgs) -> Outcome {
     let world = files::world(&args.world)?;
     let simulation = Simulation::new(&world, Vec::new(), args.seed).map_err(Failure::usage)?;
-    if args.connect.is_none() {
+    let listen = match (&args.listen[..], &args.connect[..]) {
+        ([], []) => vec![DEFAULT_ENDPOINT.to_owned()],
+        (listen, _) => listen.to_owned(),
+    };
+    let security = args.security.security()?;
+    if !listen.is_empty() {
         crate::receivers::ensure_enough();
     }
     runtime()?.block_on(async {
-        let bus = match &args.connect {
-            Some(endpoint) => Bus::open(BusConfig::service("sim", endpoint)).await?,
-            // A router itself: readings reach the edges' links without a detour.
-            None => {
-                let config = BusConfig {
-                    connect: Vec::new(),
-                    listen: args.listen.clone(),
-                    name: "sim".to_owned(),
-                    retry: false,
-                };
-                Bus::open(config).await?
-            }
+        args.health.serve().await?;
+        // With an endpoint a router itself: readings reach the edges' links without a detour.
+        let config = BusConfig {
+            connect: args.connect.clone(),
+            retry: listen.is_empty(),
+            listen,
+            name: "sim".to_owned(),
+            namespace: namespace(),
+            security,
         };
+        let bus = Bus::open(config).await?;
         // Port 0 is a free one.
-        let endpoint = match &args.connect {
-            Some(endpoint) => endpoint.clone(),
-            None => bus.endpoints().await.join(", "),
-        };
+        let mut endpoints = bus.endpoints().await;
+        if endpoints.is_empty() {
+            endpoints.clone_from(&args.connect);
+        }
+        let endpoint = endpoints.join(", ");
         let _alive = alone(&bus, &endpoint).await?;
         tracing::info!(world = world.name(), endpoint, "the world is served");
         let host = Arc::new(Mutex::new(Host::new(world, simulation)));
         let shutdown = Shutdown::new();
+        service_manager::ready();
         let result = run(&bus, &host, args.speed, &shutdown).await;
         bus.close().await;
         result?;
@@ -138,16 +153,20 @@ async fn run(bus: &Bus, host: &Shared, speed: f64, shutdown: &Shutdown) -> Resul
     let mut attaching = bus.serve(&topics::ATTACH, &[])?;
     let mut wheels = bus.subscribe(&topics::WHEELS, &["*"], QUEUE)?;
     let clock = bus.publisher(&topics::SIM_CLOCK, &[])?;
+    bus.serve_info("sim", "")?;
+    let mut telling = Telling {
+        bus: bus.clone(),
+        clock,
+        readings: BTreeMap::new(),
+        time: WORLD_TIME.with_label_values::<&str>(&[]),
+        robots: WORLD_ROBOTS.with_label_values::<&str>(&[]),
+    };
+    bus.started();
     let tick = lock(host).robots().0.tick();
     let begin = Instant::now();
     let stepping = std::thread::Builder::new().name("zenav-world".to_owned()).spawn({
-        let (bus, host, shutdown) = (bus.clone(), Arc::clone(host), shutdown.clone());
+        let (host, shutdown) = (Arc::clone(host), shutdown.clone());
         move || {
-            let mut telling = Telling {
-                bus,
-                clock,
-                readings: BTreeMap::new(),
-            };
             keep_time(tick.div_f64(speed), &shutdown, || {
                 let mut host = lock(&host);
                 host.step(begin.elapsed());
@@ -194,11 +213,15 @@ struct Telling {
     bus: Bus,
     clock: Publisher<SimClock>,
     readings: BTreeMap<Id, Publisher<Readings>>,
+    time: Gauge,
+    robots: Gauge,
 }
 
 impl Telling {
     fn tell(&mut self, host: &Host) {
         let (simulation, ids) = host.robots();
+        self.time.set(simulation.now().secs_since(Stamp::ZERO));
+        self.robots.set(simulation.robots() as f64);
         self.clock.put(&SimClock {
             stamp: simulation.now(),
         });

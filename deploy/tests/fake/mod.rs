@@ -111,7 +111,7 @@ impl Memory {
                         self.lease.renew(now, &beat);
                     }
                     states.put(&self.state(now));
-                    poses.put(&PoseEstimate { stamp: now, map_from_base: Pose2::new(0.25, 0.125, 0.0), covariance: [0.0; 9], velocity: Twist2::ZERO });
+                    poses.put(&PoseEstimate { stamp: now, map_from_base: Pose2::new(0.25, 0.125, 0.0), covariance: [0.0; 9], velocity: Twist2::ZERO, frame: 0 });
                     self.drive();
                 }
                 Some(request) = stops.next() => request.reply(&StopReply { stopped: true }),
@@ -140,6 +140,7 @@ impl Memory {
     fn state(&self, now: Stamp) -> EdgeState {
         EdgeState {
             stamp: now,
+            frame: 0,
             boot_id: "b".into(),
             mode: Mode::Idle,
             link: Link::Connected,
@@ -153,6 +154,7 @@ impl Memory {
             missed_ticks: 0,
             round_trip_secs: None,
             makes_way: false,
+            faults: Default::default(),
         }
     }
 
@@ -169,6 +171,7 @@ impl Memory {
         }
         let id = request.id.clone().expect("the command makes the id");
         let goal = GoalState {
+            queue: None,
             id: id.clone(),
             robot: self.name.clone(),
             state: GoalPhase::Accepted,
@@ -179,6 +182,7 @@ impl Memory {
             feedback: GoalFeedback::default(),
             legs: Vec::new(),
             request: request.clone(),
+            resolved: Vec::new(),
         };
         let (goal, _) = self.goals.entry(id.clone()).or_insert_with(|| {
             (
@@ -255,6 +259,7 @@ fn map() -> MapReply {
         map: MapRef {
             id: "m".into(),
             revision: 1,
+            frame: 0,
         },
         spec,
         free: 50,

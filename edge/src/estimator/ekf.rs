@@ -65,6 +65,15 @@ impl Input {
         }
     }
 
+    /// The same in another frame of the map. What GPS and compass say is no matter of the map's.
+    pub(super) fn moved(&mut self, new_from_old: Pose2) {
+        if let Self::Correction(pose, noise) | Self::Found(pose, noise) = self {
+            *pose = new_from_old * *pose;
+            let turn = turning(new_from_old.yaw);
+            *noise = turn * *noise * turn.transpose();
+        }
+    }
+
     /// Order of inputs with one stamp: prediction before measurement.
     pub(super) fn rank(&self) -> u8 {
         match self {
@@ -125,6 +134,12 @@ struct WheelTurn {
     gyro_variance: f64,
 }
 
+/// Turns the axes of a pose's covariance.
+fn turning(yaw: f64) -> Matrix3<f64> {
+    let (sin, cos) = yaw.sin_cos();
+    Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0)
+}
+
 /// The state of the filter at one stamp.
 #[derive(Clone, Debug)]
 pub(super) struct Ekf {
@@ -169,6 +184,15 @@ impl Ekf {
     pub(super) fn begin(&mut self, stamp: Stamp, wheels: [f64; 2]) {
         (self.time, self.wheels, self.gyro) = (stamp, (stamp, wheels), None);
         (self.still, self.stood_at) = (0.0, wheels);
+    }
+
+    /// The same estimate in another frame of the map: nothing moves relative to the walls.
+    pub(super) fn moved(&mut self, new_from_old: Pose2) {
+        let moved = new_from_old * self.map_from_base();
+        (self.state[0], self.state[1], self.state[2]) = (moved.x, moved.y, moved.yaw);
+        let mut turn = Covariance::identity();
+        turn.fixed_view_mut::<3, 3>(0, 0).copy_from(&turning(new_from_old.yaw));
+        self.covariance = turn * self.covariance * turn.transpose();
     }
 
     /// Stamp of the estimate.

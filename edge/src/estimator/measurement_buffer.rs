@@ -7,6 +7,7 @@
 
 use std::collections::VecDeque;
 
+use zenav_protocol::geometry::Pose2;
 use zenav_protocol::time::Stamp;
 
 use super::ekf::{Compared, Ekf, Input, Known, Motion};
@@ -91,6 +92,15 @@ impl MeasurementBuffer {
         match self.applied.checked_sub(1).and_then(|last| self.entries.get(last)) {
             Some(entry) => &entry.after,
             None => &self.before,
+        }
+    }
+
+    /// Carries all over to another frame of the map.
+    pub(super) fn moved(&mut self, new_from_old: Pose2) {
+        self.before.moved(new_from_old);
+        for entry in &mut self.entries {
+            entry.input.moved(new_from_old);
+            entry.after.moved(new_from_old);
         }
     }
 

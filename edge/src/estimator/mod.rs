@@ -24,6 +24,9 @@ use measurement_buffer::{Admission, MeasurementBuffer};
 /// After this many readings in a row that are too late, the body's clock has restarted.
 const ANOTHER_CLOCK_AFTER: u32 = 25;
 
+/// Slower than this is rest, m/s and rad/s: a filter alone would take for ever to get there.
+const REST: f64 = 1e-6;
+
 /// Counts of the inputs since start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Tally {
@@ -90,6 +93,14 @@ impl Estimator {
             self.correction(correction);
         }
         self.settle();
+    }
+
+    /// Carries the estimate over to another frame of the map: odometry, and what is believed relative to the walls, stay as they are.
+    pub fn moved(&mut self, new_from_old: Pose2) {
+        self.start.moved(new_from_old);
+        if let Some(buffer) = &mut self.buffer {
+            buffer.moved(new_from_old);
+        }
     }
 
     /// Pose in the map.
@@ -256,9 +267,13 @@ impl Estimator {
         self.history.push(newest, self.odom_from_base);
         let secs = newest.secs_since(last);
         let share = (secs / self.settings.velocity_smoothing).min(1.0);
+        let smoothed = |was: f64, is: f64| {
+            let smoothed = was + share * (is - was);
+            if smoothed.abs() < REST { 0.0 } else { smoothed }
+        };
         self.velocity = Twist2::new(
-            self.velocity.v + share * (way / secs - self.velocity.v),
-            self.velocity.w + share * (turn / secs - self.velocity.w),
+            smoothed(self.velocity.v, way / secs),
+            smoothed(self.velocity.w, turn / secs),
         );
     }
 }

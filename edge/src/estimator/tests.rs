@@ -83,6 +83,8 @@ fn drive(speeds: &[(f64, f64)], noise: &[f64]) -> Vec<(usize, Item)> {
                 map_from_base: Pose2::new(pose.x + 0.1 * wobble(), pose.y + 0.1 * wobble(), pose.yaw),
                 covariance: [0.01, 0.0, 0.0, 0.0, 0.01, 0.0, 0.0, 0.0, 0.01],
                 is_found_anew: false,
+                frame: 0,
+                moves: Vec::new(),
             };
             items.push((tick, Item::Correction(correction)));
         }
@@ -188,7 +190,7 @@ proptest! {
             spoiled.push((tick, Item::Gps(Gps { stamp, x: f64::NAN, y: 0.0, std_dev: 0.02 })));
             spoiled.push((tick, Item::Gps(Gps { stamp, x: 0.0, y: 0.0, std_dev: -1.0 })));
             let covariance = [1.0, 2.0, 0.0, 2.0, 1.0, 0.0, 0.0, 0.0, 1.0];
-            spoiled.push((tick, Item::Correction(Correction { stamp, boot_id: String::new(), map_from_base: Pose2::IDENTITY, covariance, is_found_anew: false })));
+            spoiled.push((tick, Item::Correction(Correction { stamp, boot_id: String::new(), map_from_base: Pose2::IDENTITY, covariance, is_found_anew: false, frame: 0, moves: Vec::new() })));
         }
         let (clean, spoiled) = (estimate(&items, |_| 0), estimate(&spoiled, |_| 0));
         prop_assert_eq!(difference(&clean, &spoiled), 0.0);
@@ -295,6 +297,8 @@ fn a_flood_of_inputs_is_bounded() {
                 map_from_base: Pose2::IDENTITY,
                 covariance: [0.01, 0.0, 0.0, 0.0, 0.01, 0.0, 0.0, 0.0, 0.01],
                 is_found_anew: false,
+                frame: 0,
+                moves: Vec::new(),
             })
             .collect();
         estimator.step(&readings(tick, [0.0; 2]), &corrections);
@@ -338,6 +342,8 @@ fn where_it_was_found_replaces_what_was_believed_at_its_own_time() {
         map_from_base: Pose2::new(7.0, -3.0, 2.0),
         covariance: [0.01, 0.0, 0.0, 0.0, 0.01, 0.0, 0.0, 0.0, 0.01],
         is_found_anew: false,
+        frame: 0,
+        moves: Vec::new(),
     };
     for tick in 0..40 {
         estimator.step(&readings(tick, [0.1 * tick as f64; 2]), []);

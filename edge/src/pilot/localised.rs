@@ -16,9 +16,7 @@ impl Pilot {
     pub(super) fn receive_health(&mut self, now: Stamp, said: Vec<Localisation>, corrections: &[Correction]) {
         let boot_id = self.events.boot_id();
         let newest = said.into_iter().rfind(|said| said.boot_id == boot_id);
-        let is_found_anew = corrections
-            .iter()
-            .any(|correction| correction.is_found_anew && correction.boot_id == boot_id);
+        let is_found_anew = corrections.iter().any(|correction| correction.is_found_anew);
         if let Some(Localisation { health, .. }) = newest {
             let both_trusted = health.is_trusted() && self.health.is_trusted();
             if discriminant(&health) != discriminant(&self.health) && !both_trusted {

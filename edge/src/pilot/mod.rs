@@ -8,21 +8,28 @@
 //! | `sense` | what do the readings of a tick change? |
 //! | `plans` | which plan drives the robot? |
 //! | `arbitrate` | which twist does the source that may move the robot want? |
+//! | `frame` | in which frame of the map is it, and what moves with the map? |
 //! | `localised` | does the robot know where it is, and what if it does not? |
+//! | `faults` | what is wrong with the robot itself, and how does it go on? |
 //! | `report` | what is published at the end of a tick? |
 //! | `intent` | what do other robots learn of its course? |
 
 mod arbitrate;
+mod faults;
+mod frame;
 mod intent;
 mod localised;
 mod plans;
 mod report;
 mod sense;
 
+pub(crate) use plans::{ACCEPTED, RENEWED};
+
 use std::collections::VecDeque;
+use std::time::Duration;
 
 use zenav_protocol::geometry::{Pose2, Twist2};
-use zenav_protocol::messages::{EventKind, Health, Intent, LostPolicy, Mode, Revision, WallFollowerState};
+use zenav_protocol::messages::{EventKind, Faults, Health, Intent, LostPolicy, Mode, Revision, WallFollowerState};
 use zenav_protocol::readings::Readings;
 use zenav_protocol::robot::ControllerGains;
 use zenav_protocol::time::Stamp;
@@ -48,6 +55,7 @@ use crate::telemetry::Telemetry;
 use crate::teleop::DeadMan;
 use crate::wall_follower::WallFollower;
 use crate::wheel_coordination::WheelCoordination;
+use frame::Frame;
 
 /// Longest time step that controllers and limiters integrate, s.
 const LONGEST_TICK: f64 = 0.1;
@@ -94,9 +102,14 @@ pub struct Pilot {
     /// Whether the last published obstacles were any.
     tracked: bool,
     battery_is_low: bool,
+    /// Charge of the battery by the last readings, 0 to 1.
+    charge: f64,
+    faults: Faults,
     mode: Mode,
     /// Whether its place in the map can be trusted, as was last said.
     health: Health,
+    /// The frame of the map that pose and plan are in.
+    frame: Frame,
     missed_ticks: u64,
     pub(crate) loop_timing: LoopTiming,
 }
@@ -141,8 +154,11 @@ impl Pilot {
             pressed: false,
             tracked: false,
             battery_is_low: false,
+            charge: 1.0,
+            faults: Faults::default(),
             mode: Mode::Idle,
             health: Health::default(),
+            frame: Frame::default(),
             missed_ticks: 0,
             loop_timing: LoopTiming::default(),
             config,
@@ -151,6 +167,17 @@ impl Pilot {
 
     /// One control tick at `now` (the stamp of the readings, on the edge's own clock).
     pub fn step(&mut self, now: Stamp, readings: &Readings, inbox: Inbox) -> Outbox {
+        self.timed_step(now, readings, inbox, &mut || Duration::ZERO)
+    }
+
+    /// As [`Self::step`]; `clock` tells how long a phase took, and nothing else depends on it.
+    pub fn timed_step(
+        &mut self,
+        now: Stamp,
+        readings: &Readings,
+        inbox: Inbox,
+        clock: &mut dyn FnMut() -> Duration,
+    ) -> Outbox {
         let mut out = Outbox::default();
         let last = self.last.replace(now);
         if last.is_none() {
@@ -171,15 +198,24 @@ impl Pilot {
         });
         let readings = guessed.as_ref().unwrap_or(readings);
         self.missed_ticks = inbox.missed_ticks;
+        self.charge = readings.battery.charge;
+        self.note_faults(
+            now,
+            Faults {
+                body: None,
+                storage: inbox.not_stored,
+            },
+        );
         if let Some(late) = inbox.late {
             self.loop_timing.record(late);
         }
+        let corrections = self.in_present_frame(inbox.corrections);
         self.other_robots.receive(now, inbox.intents);
         let odom_from_map = self.estimator.map_from_odom().inverse();
         self.obstacles
             .set_robots(self.other_robots.tracks(now, &self.intent, odom_from_map));
-        self.sense(now, readings, &inbox.corrections, &mut out.publications);
-        self.receive_health(now, inbox.localisations, &inbox.corrections);
+        self.sense(now, readings, &corrections, &mut out.publications);
+        self.receive_health(now, inbox.localisations, &corrections);
         for (ticket, request) in inbox.requests {
             let reply = self.answer(now, request);
             out.replies.push((ticket, reply));
@@ -190,7 +226,7 @@ impl Pilot {
         self.dead_man
             .receive(now, &inbox.teleops, &mut self.authority, &mut self.events);
         self.authority.update_link(now, &mut self.events);
-        self.receive_plans(now, inbox.plans);
+        out.verdict = self.receive_plans(now, inbox.plans);
 
         let (wanted, braking) = if inbox.halt {
             (Twist2::ZERO, Braking::Hard)
@@ -206,17 +242,31 @@ impl Pilot {
                 &mut self.events,
             );
         }
+        let began = clock();
         out.wheels = self.command(now, dt, wanted, braking, readings);
+        out.monitor = clock().saturating_sub(began);
         self.end_plan(now);
-        self.report(now, readings, &mut out.publications);
+        self.report(now, &mut out.publications);
         out.persist = self.authority.unpersisted();
         out
+    }
+
+    /// Time of the last readings, by which the robot's clock goes; zero before the first.
+    #[must_use]
+    pub fn now(&self) -> Stamp {
+        self.last.unwrap_or_default()
     }
 
     /// Estimated pose in the map.
     #[must_use]
     pub fn map_from_base(&self) -> Pose2 {
         self.estimator.map_from_base()
+    }
+
+    /// Whether its place in the map can be trusted, as was last said.
+    #[must_use]
+    pub fn health(&self) -> &Health {
+        &self.health
     }
 
     /// Measured velocity, base frame.

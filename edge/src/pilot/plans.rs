@@ -1,5 +1,8 @@
 //! Plan life cycle. Which plan drives the robot? Received, judged, accepted or rejected, discarded, and ended: reached, expired or lost.
 
+use std::cmp::Reverse;
+use zenav_protocol::geometry::Pose2;
+
 use zenav_protocol::messages::{EventKind, LeaseRole, Plan, Revision};
 use zenav_protocol::time::Stamp;
 
@@ -7,27 +10,39 @@ use super::Pilot;
 use crate::acceptance::{Grant, Rejection, judge_head};
 use crate::active_plan::{ActivePlan, Scene, Taken};
 
+/// Verdict on a plan with a new trajectory.
+pub(crate) const ACCEPTED: &str = "accepted";
+/// Verdict on a plan that goes on with the trajectory that is followed.
+pub(crate) const RENEWED: &str = "renewed";
 /// Most discarded trajectories remembered.
 const DISCARDED: usize = 32;
 /// Most rejected plans remembered.
 const REFUSED: usize = 256;
 
 impl Pilot {
-    /// Judges what arrived: of a burst, only the newest plan of the current grant counts.
-    pub(super) fn receive_plans(&mut self, now: Stamp, plans: Vec<Plan>) {
+    /// Judges what arrived: of a burst, the newest plan of the current grant that may be driven counts. Returns the verdict on it, or on the
+    /// last one that was refused, in a word.
+    pub(super) fn receive_plans(&mut self, now: Stamp, mut plans: Vec<Plan>) -> Option<&'static str> {
         let epoch = self.authority.epoch();
-        let Some(plan) = plans
-            .into_iter()
-            .max_by_key(|plan| (plan.epoch == epoch, plan.epoch, plan.revision))
-        else {
-            return;
-        };
+        plans.sort_by_key(|plan| Reverse((plan.epoch == epoch, plan.epoch, plan.revision)));
+        let mut refused = None;
+        for plan in plans {
+            match self.receive_plan(now, epoch, plan) {
+                Ok(verdict) => return Some(verdict),
+                Err(verdict) => refused = verdict.or(refused),
+            }
+        }
+        refused
+    }
+
+    /// Judges one plan: the verdict when it is driven from now on, and when it is not; none on one that was judged before.
+    fn receive_plan(&mut self, now: Stamp, epoch: u64, plan: Plan) -> Result<&'static str, Option<&'static str>> {
         let newest = self.newest.filter(|(of, _)| *of == epoch).map(|(_, revision)| revision);
         let of_epoch = plan.epoch == epoch;
         let again = newest == Some(plan.revision) || self.refused.contains(&(epoch, plan.revision));
         if again && of_epoch {
             // The bus delivers the kept sample again after every reconnection: no event.
-            return;
+            return Err(None);
         }
         let (goal_id, revision, trajectory_id) = (
             plan.goal_id.chars().take(128).collect::<String>(),
@@ -35,10 +50,8 @@ impl Pilot {
             plan.trajectory_id,
         );
         let taken = self.judge_plan(now, plan, newest);
-        // A rejected plan makes older ones stale all the same; but a stranger's revision must not lock the holder out.
-        let of_the_writer =
-            newest.is_some_and(|newest| newest.incarnation == revision.incarnation && revision > newest);
-        if taken.is_ok() || (of_the_writer && of_epoch) {
+        // Only an accepted plan makes others old: a rejected one, whatever its counter says, must not lock the holder out.
+        if taken.is_ok() {
             self.newest = Some((epoch, revision));
         }
         if taken.is_err() && of_epoch {
@@ -47,6 +60,11 @@ impl Pilot {
                 self.refused.pop_front();
             }
         }
+        let verdict = match &taken {
+            Ok(Taken::Renewed) => Ok(RENEWED),
+            Ok(Taken::Begun) => Ok(ACCEPTED),
+            Err(rejection) => Err(Some(rejection.kind())),
+        };
         match taken {
             Ok(Taken::Renewed) => {}
             Ok(Taken::Begun) => self.events.record(
@@ -67,6 +85,7 @@ impl Pilot {
                 },
             ),
         }
+        verdict
     }
 
     fn judge_plan(&mut self, now: Stamp, plan: Plan, newest: Option<Revision>) -> Result<Taken, Rejection> {
@@ -79,6 +98,7 @@ impl Pilot {
             resumed: self.authority.resumed(),
             newest,
             max_validity: self.config.settings.acceptance.max_validity,
+            longest_step: self.config.settings.acceptance.longest_step,
         };
         let expiry = judge_head(&plan, &grant)?;
         if !self.health.is_trusted() {
@@ -98,7 +118,19 @@ impl Pilot {
             obstacles: &self.obstacles,
             settings: &self.config.settings,
         };
-        ActivePlan::take(&mut self.active_plan, plan, expiry, &scene)
+        let renews = |active: &ActivePlan| active.plan().trajectory_id == plan.trajectory_id;
+        let here_from_plan = match self.frame.moved_since(plan.map.frame) {
+            Some(moved) => moved,
+            // What is driven was carried over when it was in force; the same plan for longer needs no move.
+            None if self.active_plan.as_ref().is_some_and(renews) => Pose2::IDENTITY,
+            None => {
+                return Err(Rejection::OldFrame {
+                    got: plan.map.frame,
+                    current: self.frame.number(),
+                });
+            }
+        };
+        ActivePlan::take(&mut self.active_plan, plan, here_from_plan, expiry, &scene)
     }
 
     /// Discards the plan and the maneuver.

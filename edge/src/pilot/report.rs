@@ -1,7 +1,6 @@
 //! Reporting. What does the robot publish at the end of a tick? Events at once, markers, the intent and the state when they are due.
 
 use zenav_protocol::messages::{EdgeState, LostPolicy, Mode};
-use zenav_protocol::readings::Readings;
 use zenav_protocol::time::Stamp;
 
 use super::Pilot;
@@ -9,7 +8,7 @@ use crate::control_io::Publication;
 
 impl Pilot {
     /// Events, markers and state.
-    pub(super) fn report(&mut self, now: Stamp, readings: &Readings, out: &mut Vec<Publication>) {
+    pub(super) fn report(&mut self, now: Stamp, out: &mut Vec<Publication>) {
         let events = self.events.take();
         out.extend(events.into_iter().map(Publication::Event));
         if self.telemetry.marker_due(now) {
@@ -31,11 +30,12 @@ impl Pilot {
         }
         self.tell_intent(now, out);
         if self.telemetry.state_due(now) {
-            out.push(Publication::State(Box::new(self.state(now, readings))));
+            out.push(Publication::State(Box::new(self.state(now))));
         }
     }
 
-    fn state(&self, now: Stamp, readings: &Readings) -> EdgeState {
+    /// What the robot says of itself now.
+    pub(super) fn state(&self, now: Stamp) -> EdgeState {
         let pose = self.estimator.map_from_base();
         EdgeState {
             stamp: now,
@@ -47,11 +47,13 @@ impl Pilot {
             plan: self.active_plan.as_ref().map(|active| active.progress(now, &pose)),
             velocity: self.estimator.velocity(),
             guard: self.collision_monitor.zone(),
-            battery: readings.battery.charge,
+            battery: self.charge,
             behaviour: self.maneuvers.last().cloned(),
             wall_follower: (self.authority.policy() == LostPolicy::WallFollow).then(|| self.wall_follower.state()),
             missed_ticks: self.missed_ticks,
             makes_way: self.avoidance.is_for_robot(),
+            frame: self.frame.number(),
+            faults: self.faults.clone(),
         }
     }
 }

@@ -13,7 +13,7 @@ use crate::telemetry;
 const CHARGED: f64 = 0.05;
 
 impl Pilot {
-    /// Takes in the readings, and the pose corrections made off board for this boot.
+    /// Takes in the readings, and the pose corrections made off board for this boot, in the present frame of the map.
     pub(super) fn sense(
         &mut self,
         now: Stamp,
@@ -21,13 +21,12 @@ impl Pilot {
         corrections: &[Correction],
         out: &mut Vec<Publication>,
     ) {
-        let boot_id = self.events.boot_id();
-        let of_this_boot = corrections.iter().filter(|correction| correction.boot_id == boot_id);
-        self.estimator.step(readings, of_this_boot);
+        self.estimator.step(readings, corrections);
         if let Some(kind) = self.telemetry.dropped(now, self.estimator.tally()) {
             self.events.record(now, kind);
         }
-        self.telemetry.sensors(readings, &self.estimator, out);
+        self.telemetry
+            .sensors(readings, &self.estimator, self.frame.number(), out);
         for sweep in &readings.sweeps {
             let lidar = self.config.model.all_lidars().find(|(name, _)| *name == sweep.lidar);
             let Some((_, lidar)) = lidar else {

@@ -55,6 +55,9 @@ pub trait Tracker: std::fmt::Debug + Send + Sync {
     /// Distance from where the plan has the robot, m, at the last tick.
     fn off_track(&self) -> f64;
 
+    /// Carries the plan over to another frame of the map.
+    fn moved(&mut self, new_from_old: Pose2);
+
     /// A copy.
     fn boxed(&self) -> Box<dyn Tracker>;
 }

@@ -94,6 +94,10 @@ impl<L: PathLaw> Tracker for OnPath<L> {
         self.projection.off_track()
     }
 
+    fn moved(&mut self, new_from_old: Pose2) {
+        self.projection.moved(new_from_old);
+    }
+
     fn boxed(&self) -> Box<dyn Tracker> {
         Box::new(self.clone())
     }

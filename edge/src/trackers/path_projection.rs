@@ -75,6 +75,11 @@ impl PathProjection {
         self.time = self.time.max(nearest.t);
     }
 
+    /// Carries the path over to another frame of the map.
+    pub fn moved(&mut self, new_from_old: Pose2) {
+        self.trajectory = self.trajectory.moved(new_from_old);
+    }
+
     /// Plan time reached, s.
     #[must_use]
     pub fn time(&self) -> f64 {

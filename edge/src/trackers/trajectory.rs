@@ -168,6 +168,10 @@ impl Tracker for TrajectoryTracker {
         self.off
     }
 
+    fn moved(&mut self, new_from_old: Pose2) {
+        self.trajectory = self.trajectory.moved(new_from_old);
+    }
+
     fn boxed(&self) -> Box<dyn Tracker> {
         Box::new(self.clone())
     }

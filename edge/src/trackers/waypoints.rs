@@ -107,6 +107,15 @@ impl<L: WaypointLaw> Tracker for ThroughWaypoints<L> {
         self.projection.as_ref().map_or(0.0, PathProjection::off_track)
     }
 
+    fn moved(&mut self, new_from_old: Pose2) {
+        for waypoint in &mut self.waypoints {
+            *waypoint = new_from_old.transform_point(*waypoint);
+        }
+        if let Some(projection) = &mut self.projection {
+            projection.moved(new_from_old);
+        }
+    }
+
     fn boxed(&self) -> Box<dyn Tracker> {
         Box::new(self.clone())
     }

@@ -220,6 +220,10 @@ impl Bus {
             key: key.to_string(),
             reason: error.to_string(),
         })?;
+        // The server would refuse it, if it came so far: routers drop what is larger.
+        if bytes.len() > ask.max_bytes {
+            return Err(AskError::Refused(Refusal::TooLarge { limit: ask.max_bytes }));
+        }
         let parameters = match ask.reply_encoding {
             Encoding::Json => "",
             Encoding::Cbor => "format=cbor",

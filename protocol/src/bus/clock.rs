@@ -2,6 +2,9 @@
 //!
 //! A service uses only the clock that it is given. The wall clock is UNIX time at the start plus monotonic time since then: it never jumps
 //! when the system time is set. A simulated clock stands still until its handle, or the topic `zenav/sim/clock`, moves it.
+//!
+//! On the topic, one message that leaps far ahead changes nothing: the time is there only when the next message goes on from it, as after a
+//! pause of the link.
 
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -15,6 +18,10 @@ use crate::topics::SIM_CLOCK;
 
 /// A step back by more than this means that the simulation restarted; a smaller one is a reordered message.
 const RESTART: Duration = Duration::from_secs(1);
+/// A longer step forwards on the topic is believed only when the next message goes on from there.
+const LEAP: Duration = Duration::from_secs(10);
+/// No simulation comes this far: 73 years.
+const LATEST: Stamp = Stamp(u64::MAX / 8);
 
 /// Clock of a service. Clones show the same time.
 ///
@@ -34,6 +41,43 @@ pub struct Clock(Kind);
 enum Kind {
     Wall { start: Instant, start_stamp: Stamp },
     Simulated(watch::Receiver<Stamp>),
+}
+
+/// The time that a service shows, by the stamps of the simulation.
+#[derive(Clone, Copy, Debug, Default)]
+struct Follower {
+    shown: Stamp,
+    /// What the service's time is ahead of the simulation's, which began anew.
+    ahead: Duration,
+    /// Where the last message leapt to.
+    leap: Option<Stamp>,
+}
+
+impl Follower {
+    /// The time to show after a stamp; `None` where it tells nothing new, or is not believed yet.
+    fn follow(&mut self, stamp: Stamp) -> Option<Stamp> {
+        if stamp > LATEST {
+            return None;
+        }
+        let now = stamp + self.ahead;
+        if now > self.shown + LEAP {
+            // As far as it leapt at most: the messages of a fast simulation may all be far apart.
+            let goes_on = self.leap.is_some_and(|leap| {
+                let leapt = (leap + self.ahead).since(self.shown);
+                stamp > leap && stamp.since(leap) <= leapt
+            });
+            self.leap = (!goes_on).then_some(stamp);
+            if !goes_on {
+                return None;
+            }
+        }
+        self.leap = None;
+        if self.shown.since(now) > RESTART {
+            self.ahead = self.shown.since(stamp);
+        }
+        self.shown = self.shown.max(stamp + self.ahead);
+        Some(self.shown)
+    }
 }
 
 /// Moves a simulated clock.
@@ -86,7 +130,7 @@ impl Clock {
     pub fn follow(bus: &Bus) -> Result<Self, BusError> {
         let mut topic = bus.latest(&SIM_CLOCK, &[])?;
         let (clock, handle) = Self::simulated(Stamp::ZERO);
-        let mut ahead = Duration::ZERO;
+        let mut follower = Follower::default();
         tokio::spawn(async move {
             loop {
                 tokio::select! {
@@ -94,12 +138,8 @@ impl Clock {
                     () = handle.0.closed() => return,
                     open = topic.changed() => if !open { return },
                 }
-                if let Some(message) = topic.take() {
-                    let shown = *handle.0.borrow();
-                    if shown.since(message.stamp + ahead) > RESTART {
-                        ahead = shown.since(message.stamp);
-                    }
-                    handle.set(message.stamp + ahead);
+                if let Some(now) = topic.take().and_then(|message| follower.follow(message.stamp)) {
+                    handle.set(now);
                 }
             }
         });
@@ -218,6 +258,29 @@ mod tests {
         let (clock, handle) = Clock::simulated(Stamp::from_secs(100.0));
         handle.set(Stamp::from_secs(0.5));
         assert_eq!(clock.now(), Stamp::from_secs(0.5));
+    }
+
+    #[test]
+    fn one_stamp_of_the_far_future_does_not_stop_the_time() {
+        for forged in [Stamp(u64::MAX), Stamp::from_secs(1e9), Stamp::from_secs(100.0)] {
+            let mut follower = Follower::default();
+            for tick in 0..3_u32 {
+                let now = Stamp::from_secs(1.0 + 0.02 * f64::from(tick));
+                assert_eq!(follower.follow(forged), None, "{forged:?}");
+                assert_eq!(follower.follow(now), Some(now));
+            }
+        }
+    }
+
+    #[test]
+    fn a_pause_of_the_link_is_caught_up_and_a_simulation_that_begins_anew_goes_on() {
+        let mut follower = Follower::default();
+        let (late, later) = (Stamp::from_secs(500.0), Stamp::from_secs(500.02));
+        assert_eq!((follower.follow(late), follower.follow(later)), (None, Some(later)));
+        let begun = follower.follow(Stamp::from_secs(0.02)).map(Stamp::as_secs);
+        assert!(begun.is_some_and(|begun| (begun - 500.02).abs() < 1e-6), "{begun:?}");
+        let on = follower.follow(Stamp::from_secs(0.52)).map(Stamp::as_secs);
+        assert!(on.is_some_and(|on| (on - 500.52).abs() < 1e-6), "{on:?}");
     }
 
     #[tokio::test]

@@ -8,6 +8,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use tokio::sync::Notify;
+use zenav_observability::IntGauge;
 
 /// Most keys that a [`Newest`] holds; items of further keys are dropped.
 const MAX_KEYS: usize = 4096;
@@ -100,10 +101,12 @@ impl<K: Hash + Eq + Clone, T> Store for Newest<K, T> {
 }
 
 /// A bounded inbox with one reader.
-pub(super) struct Inbox<S> {
+pub(super) struct Inbox<S: Store> {
     state: Mutex<State<S>>,
     ready: Notify,
     dropped: AtomicU64,
+    /// How many items wait, here and in others that share the gauge.
+    waiting: Option<IntGauge>,
 }
 
 struct State<S> {
@@ -114,12 +117,38 @@ struct State<S> {
 impl<S: Store> Inbox<S> {
     /// An inbox, and the slot that fills it; dropping the slot closes the inbox.
     pub(super) fn new(store: S) -> (Arc<Self>, Slot<S>) {
+        Self::with(store, None)
+    }
+
+    /// As [`Self::new`]; what waits is added to a gauge.
+    pub(super) fn gauged(store: S, waiting: IntGauge) -> (Arc<Self>, Slot<S>) {
+        Self::with(store, Some(waiting))
+    }
+
+    fn with(store: S, waiting: Option<IntGauge>) -> (Arc<Self>, Slot<S>) {
         let inbox = Arc::new(Self {
             state: Mutex::new(State { store, closed: false }),
             ready: Notify::new(),
             dropped: AtomicU64::new(0),
+            waiting,
         });
         (Arc::clone(&inbox), Slot(inbox))
+    }
+
+    /// The store's length changed from `before`.
+    fn gauge(&self, before: usize, after: usize) {
+        if let Some(waiting) = &self.waiting
+            && before != after
+        {
+            waiting.add(after as i64 - before as i64);
+        }
+    }
+
+    fn pop(&self, state: &mut State<S>) -> Option<S::Item> {
+        let before = state.store.len();
+        let item = state.store.pop();
+        self.gauge(before, state.store.len());
+        item
     }
 
     fn lock(&self) -> MutexGuard<'_, State<S>> {
@@ -128,7 +157,7 @@ impl<S: Store> Inbox<S> {
 
     /// The next item, if there is one; never waits.
     pub(super) fn try_next(&self) -> Option<S::Item> {
-        self.lock().store.pop()
+        self.pop(&mut self.lock())
     }
 
     /// Waits for the next item; `None` once the inbox is empty and closed.
@@ -136,7 +165,7 @@ impl<S: Store> Inbox<S> {
         loop {
             {
                 let mut state = self.lock();
-                if let Some(item) = state.store.pop() {
+                if let Some(item) = self.pop(&mut state) {
                     return Some(item);
                 }
                 if state.closed {
@@ -170,16 +199,35 @@ impl<S: Store> Inbox<S> {
     }
 }
 
+impl<S: Store> Drop for Inbox<S> {
+    fn drop(&mut self) {
+        self.gauge(self.lock().store.len(), 0);
+    }
+}
+
 /// The writing end of an inbox.
 pub(super) struct Slot<S: Store>(Arc<Inbox<S>>);
 
 impl<S: Store> Slot<S> {
     /// Adds an item; waits for nothing but the reader's short critical section.
     pub(super) fn put(&self, item: S::Item) {
-        if !self.0.lock().store.put(item) {
+        self.fits(item);
+    }
+
+    /// As [`Self::put`]; `false` when an item had to be dropped.
+    pub(super) fn fits(&self, item: S::Item) -> bool {
+        let fits = {
+            let mut state = self.0.lock();
+            let before = state.store.len();
+            let fits = state.store.put(item);
+            self.0.gauge(before, state.store.len());
+            fits
+        };
+        if !fits {
             self.0.dropped.fetch_add(1, Ordering::Relaxed);
         }
         self.0.ready.notify_one();
+        fits
     }
 
     /// Adds an item unless `capacity` items are waiting; returns it otherwise.
@@ -189,7 +237,9 @@ impl<S: Store> Slot<S> {
             if state.store.len() >= capacity {
                 return Some(item);
             }
+            let before = state.store.len();
             state.store.put(item);
+            self.0.gauge(before, state.store.len());
         }
         self.0.ready.notify_one();
         None

@@ -39,30 +39,44 @@
 //! |---|---|
 //! | `session` | [`Bus`]: a component's session, a client of the router, or a router itself when it listens on an endpoint of its own |
 //! | `router` | [`Router`] |
+//! | `security` | how links are protected: [`Security`] |
+//! | `identity`, `access_control` | who a process is in its fleet: [`Identity`]; what others may do on an endpoint |
 //! | `publish`, `subscribe` | topics: [`Publisher`], [`Latest`] value, [`Subscription`] to all values in order |
+//! | `keyed` | last values on many short-lived keys, from one declaration: [`KeyedPublisher`] |
 //! | `ask`, `serve` | requests with a deadline, and the [`Server`] that answers them |
 //! | `serve_part` | all asks of one component, as its core's own request type |
+//! | `about` | who is this component, and where does it run |
 //! | `alive` | liveliness tokens: which components are there |
 //! | `raw` | untyped bytes, for tools |
 //! | `tap` | everything that comes, as it came and when, for recorders; and publishing it again |
 //! | `clock`, `shutdown` | the only [`Clock`] of a service, and its [`Shutdown`] |
+//! | `service_manager` | what whoever started the process is told: ready, alive, ending |
 //! | `overhead` | cost of the typed bus over raw Zenoh |
+//! | `link`, `flow` | for the metrics and the log: links to routers; what goes over a topic, and what of it is lost |
 //! | `inbox` | bounded queues between Zenoh's threads and the readers |
 //!
 //! No Zenoh callback blocks or decodes: it puts the sample into a bounded queue and wakes the reader. A payload that cannot be decoded is
 //! counted, logged now and then, and otherwise ignored. Declarations are synchronous and work from any thread; inside a Tokio runtime it
 //! must be the multi-threaded one. Every `next` and `changed` is cancel-safe: a `select!` that drops it loses nothing.
 
+mod about;
+mod access_control;
 mod alive;
 mod ask;
 mod clock;
+mod flow;
+mod identity;
 mod inbox;
+mod keyed;
+mod link;
 pub mod overhead;
 mod publish;
 mod raw;
 mod router;
+mod security;
 mod serve;
 mod serve_part;
+pub mod service_manager;
 mod session;
 mod shutdown;
 mod subscribe;
@@ -71,9 +85,12 @@ mod tap;
 pub use alive::{AliveToken, AliveWatch};
 pub use ask::{Answer, AskError};
 pub use clock::{Clock, ClockHandle, Interval};
+pub use identity::{Identity, IdentityError, MEMBERS};
+pub use keyed::KeyedPublisher;
 pub use publish::Publisher;
 pub use raw::{RawReply, RawSample, RawSubscription};
 pub use router::{Router, RouterConfig};
+pub use security::Security;
 pub use serve::{Request, Server};
 pub use serve_part::{Call, PartServer, Responder};
 pub use session::{Bus, BusConfig, BusError};

@@ -1,4 +1,4 @@
-//! Overhead. What does the typed bus cost over raw Zenoh?
+//! Overhead. What does the typed bus cost over raw Zenoh, and what do protected links cost?
 //!
 //! Both send identical bytes by the same codec over the same sessions, and take turns in one run. A sample is the time from before encoding
 //! to after decoding, from one client to another over a router, all in this process on loopback TCP. Raw means Zenoh's own publisher,
@@ -11,7 +11,7 @@ use zenoh::bytes::Encoding as Wire;
 use zenoh::qos::Priority;
 use zenoh::query::{ConsolidationMode, QueryTarget};
 
-use super::{Bus, BusConfig, BusError, Router, RouterConfig};
+use super::{Bus, BusConfig, BusError, Router, RouterConfig, Security};
 use crate::codec::{self, Encoding};
 use crate::geometry::Pose2;
 use crate::messages::{Scan, StopReply, StopRequest};
@@ -28,10 +28,12 @@ const MOST_ROUNDS: usize = 1_000_000;
 const PAUSE: Duration = Duration::from_micros(500);
 
 /// Latency of one operation, typed and raw.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize)]
 pub struct Comparison {
     /// Name of the operation.
     pub what: String,
+    /// Protocol of the links.
+    pub over: &'static str,
     /// Size of the payload, bytes.
     pub bytes: usize,
     /// Number of samples of each.
@@ -56,11 +58,12 @@ pub struct Latency {
 }
 
 impl Comparison {
-    fn new(what: &str, bytes: usize, typed: Vec<Duration>, raw: Vec<Duration>) -> Self {
+    fn new(what: &str, over: &'static str, bytes: usize, typed: Vec<Duration>, raw: Vec<Duration>) -> Self {
         let samples = typed.len().min(raw.len());
         let (typed, raw) = (Latency::of(typed), Latency::of(raw));
         Self {
             what: what.to_owned(),
+            over,
             bytes,
             samples,
             typed,
@@ -85,22 +88,30 @@ impl Latency {
     }
 }
 
-/// Measures the publication of a scan and an ask, `samples` times each, typed and raw, over a router of its own on a free port.
+/// Measures the publication of a scan and an ask, `samples` times each, typed and raw, over a router of its own on a free port. All links
+/// are protected in the same way; an identity is that of a router.
 ///
 /// # Errors
 /// [`BusError`] when the router cannot listen, or a session cannot connect.
-pub async fn measure(samples: usize) -> Result<Vec<Comparison>, BusError> {
+pub async fn measure(samples: usize, security: &Security) -> Result<Vec<Comparison>, BusError> {
     let router = Router::open(&RouterConfig {
         listen: vec!["tcp/127.0.0.1:0".to_owned()],
+        security: security.clone(),
         ..RouterConfig::default()
     })
     .await?;
     let endpoint = router.endpoints().await.into_iter().next().ok_or(BusError::Closed)?;
-    let near = Bus::open(BusConfig::service("near", &endpoint)).await?;
-    let far = Bus::open(BusConfig::service("far", &endpoint)).await?;
+    let open = |name| {
+        Bus::open(BusConfig {
+            security: security.clone(),
+            ..BusConfig::service(name, &endpoint)
+        })
+    };
+    let (near, far) = (open("near").await?, open("far").await?);
+    let over = if security.identity().is_some() { "QUIC" } else { "TCP" };
     let results = vec![
-        publications(&near, &far, samples).await?,
-        asks(&near, &far, samples).await?,
+        publications(&near, &far, samples, over).await?,
+        asks(&near, &far, samples, over).await?,
     ];
     near.close().await;
     far.close().await;
@@ -117,7 +128,7 @@ fn order(round: usize) -> [bool; 2] {
     }
 }
 
-async fn publications(near: &Bus, far: &Bus, samples: usize) -> Result<Comparison, BusError> {
+async fn publications(near: &Bus, far: &Bus, samples: usize, over: &'static str) -> Result<Comparison, BusError> {
     let publisher = near.publisher(&SCAN, &["typed"])?;
     let mut latest = far.latest(&SCAN, &["typed"])?;
     let key = Bus::key(SCAN.key(&["raw"]))?;
@@ -166,10 +177,10 @@ async fn publications(near: &Bus, far: &Bus, samples: usize) -> Result<Compariso
         }
     }
     let bytes = codec::encode(&scan, Encoding::Json).unwrap_or_default().len();
-    Ok(Comparison::new("scan, publish to receive", bytes, typed, raw))
+    Ok(Comparison::new("scan, publish to receive", over, bytes, typed, raw))
 }
 
-async fn asks(near: &Bus, far: &Bus, samples: usize) -> Result<Comparison, BusError> {
+async fn asks(near: &Bus, far: &Bus, samples: usize, over: &'static str) -> Result<Comparison, BusError> {
     let mut server = far.serve(&STOP, &["typed"])?;
     let key = Bus::key(STOP.key(&["raw"]))?;
     let queryable = far.declared(far.session.declare_queryable(key.clone()).await)?;
@@ -238,7 +249,7 @@ async fn asks(near: &Bus, far: &Bus, samples: usize) -> Result<Comparison, BusEr
     serving.abort();
     raw_serving.abort();
     let bytes = codec::encode(&request, Encoding::Json).unwrap_or_default().len();
-    Ok(Comparison::new("ask, question to answer", bytes, typed, raw))
+    Ok(Comparison::new("ask, question to answer", over, bytes, typed, raw))
 }
 
 /// A scan as a robot sends it, with all digits of a float.

@@ -10,10 +10,13 @@ use std::marker::PhantomData;
 use std::time::Duration;
 
 use serde::Serialize;
+use zenav_observability::trace::Context;
 use zenoh::Wait;
+use zenoh::bytes::ZBytes;
 use zenoh::qos::{CongestionControl, Priority};
 use zenoh_ext::{AdvancedPublisher, AdvancedPublisherBuilderExt, CacheConfig, MissDetectionConfig};
 
+use super::flow::Departures;
 use super::inbox::Complaints;
 use super::{Bus, BusError};
 use crate::codec::{self, Encoding};
@@ -28,6 +31,7 @@ pub struct Publisher<T> {
     encoding: Encoding,
     key: String,
     failures: Complaints,
+    flow: Departures,
     message: PhantomData<fn(&T)>,
 }
 
@@ -64,6 +68,7 @@ impl Bus {
             encoding: topic.encoding,
             key,
             failures: Complaints::default(),
+            flow: Departures::new(self, topic.pattern),
             message: PhantomData,
         })
     }
@@ -117,21 +122,31 @@ impl<T: Serialize> Publisher<T> {
     /// Publishes a value, from any thread; the order is kept. A failure (the bus was closed, or the encoding cannot express the value) is
     /// counted and logged now and then.
     pub fn put(&self, message: &T) {
+        self.put_in(None, message);
+    }
+
+    /// As [`Self::put`]; with the trace that the value belongs to attached, where it belongs to one.
+    pub fn put_in(&self, trace: Option<Context>, message: &T) {
+        let attachment = trace.map(|trace| ZBytes::from(trace.to_string()));
         let failure = match codec::encode(message, self.encoding) {
-            Ok(bytes) => self.put_bytes(bytes).err().map(|error| error.to_string()),
+            Ok(bytes) => {
+                self.flow.published(bytes.len());
+                self.put_bytes(bytes, attachment).err().map(|error| error.to_string())
+            }
             Err(error) => Some(error.to_string()),
         };
-        if let Some(reason) = failure
-            && let Some(count) = self.failures.add()
-        {
-            tracing::warn!(key = %self.key, reason, count, "not published");
+        if let Some(reason) = failure {
+            self.flow.failed();
+            if let Some(count) = self.failures.add() {
+                tracing::warn!(key = %self.key, reason, count, "not published");
+            }
         }
     }
 
-    fn put_bytes(&self, bytes: Vec<u8>) -> zenoh::Result<()> {
+    fn put_bytes(&self, bytes: Vec<u8>, attachment: Option<ZBytes>) -> zenoh::Result<()> {
         match &self.carrier {
-            Carrier::Plain(publisher) => publisher.put(bytes).wait(),
-            Carrier::Advanced(publisher) => publisher.put(bytes).wait(),
+            Carrier::Plain(publisher) => publisher.put(bytes).attachment(attachment).wait(),
+            Carrier::Advanced(publisher) => publisher.put(bytes).attachment(attachment).wait(),
         }
     }
 }

@@ -1,9 +1,12 @@
 //! Router. Where do all components meet? At a Zenoh router, which any process can open.
 
+use zenav_observability::Readiness;
 use zenoh::Session;
 use zenoh::config::WhatAmI;
 
-use super::session::{BusError, endpoints, link_settings};
+use super::link;
+use super::security::Security;
+use super::session::{Bus, BusError, endpoints, link_settings};
 
 /// Configuration of a router.
 #[derive(Clone, Debug)]
@@ -14,6 +17,8 @@ pub struct RouterConfig {
     pub connect: Vec<String>,
     /// Name shown by tools that inspect the network.
     pub name: String,
+    /// How the links are protected.
+    pub security: Security,
 }
 
 impl Default for RouterConfig {
@@ -22,6 +27,7 @@ impl Default for RouterConfig {
             listen: vec!["tcp/127.0.0.1:7447".to_owned()],
             connect: Vec::new(),
             name: "zenav-router".to_owned(),
+            security: Security::default(),
         }
     }
 }
@@ -30,25 +36,47 @@ impl Default for RouterConfig {
 #[derive(Debug)]
 pub struct Router {
     session: Session,
+    readiness: Readiness,
 }
 
 impl Router {
     /// Starts a router that listens on the configured endpoints.
     ///
     /// # Errors
-    /// [`BusError::CannotListen`] when an endpoint is in use; [`BusError::Config`] for text that is no endpoint.
+    /// [`BusError::CannotListen`] when an endpoint is in use; [`BusError::Exposed`] for one that nothing protects; [`BusError::Config`] for
+    /// text that is no endpoint.
     pub async fn open(config: &RouterConfig) -> Result<Self, BusError> {
-        let zenoh = link_settings(WhatAmI::Router, &config.connect, &config.listen, &config.name)?;
+        let security = &config.security;
+        let (connect, listen) = (security.endpoints(&config.connect), security.endpoints(&config.listen));
+        let zenoh = link_settings(WhatAmI::Router, &connect, &listen, &config.name, security)?;
         let session = zenoh::open(zenoh).await.map_err(|error| BusError::CannotListen {
-            endpoint: config.listen.join(", "),
+            endpoint: listen.join(", "),
             reason: error.to_string(),
         })?;
-        Ok(Self { session })
+        link::count(&session);
+        let readiness = Readiness::new(&config.name);
+        // Its links to other routers come and go: it carries what is linked to it without them.
+        readiness.started();
+        let router = Self { session, readiness };
+        // Of several routers each by its own key.
+        let name = format!("router-{}", router.session.zid());
+        router.bus(&name).serve_info("router", "")?;
+        Ok(router)
     }
 
     /// Endpoints that the router listens on, with the ports picked for 0.
     pub async fn endpoints(&self) -> Vec<String> {
         endpoints(&self.session).await
+    }
+
+    /// A bus on the router's own session: no link, and gone with the router.
+    #[must_use]
+    pub fn bus(&self, name: &str) -> Bus {
+        Bus {
+            session: self.session.clone(),
+            name: name.into(),
+            readiness: self.readiness.clone(),
+        }
     }
 
     /// Stops the router and closes every link.

@@ -10,10 +10,11 @@ use std::sync::Arc;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use zenoh::Wait;
-use zenoh::bytes::Encoding as Wire;
+use zenoh::bytes::{Encoding as Wire, ZBytes};
 use zenoh::key_expr::KeyExpr;
 use zenoh::query::{Query, Queryable};
 
+use super::flow::Arrivals;
 use super::inbox::{Inbox, Queue};
 use super::subscribe::encoding_of;
 use super::{Bus, BusError};
@@ -29,6 +30,7 @@ pub struct Server<Q, R> {
     inbox: Arc<Inbox<Queue<Query>>>,
     ask: Ask<Q, R>,
     key: KeyExpr<'static>,
+    flow: Arrivals,
     _queryable: Queryable<()>,
 }
 
@@ -45,15 +47,21 @@ impl Bus {
     /// [`BusError::Key`] for chunks that make no key, [`BusError::Closed`] after the bus was closed.
     pub fn serve<Q, R>(&self, ask: &Ask<Q, R>, chunks: &[&str]) -> Result<Server<Q, R>, BusError> {
         let key = Self::key(ask.key(chunks))?;
-        let (inbox, slot) = Inbox::new(Queue::new(MAX_WAITING));
+        let flow = Arrivals::new(self, ask.pattern);
+        let (inbox, slot) = Inbox::gauged(Queue::new(MAX_WAITING), flow.waiting.clone());
         let limit = ask.max_bytes;
+        let arrived = flow.clone();
         let queryable = self
             .session
             .declare_queryable(key.clone())
             .callback(move |query: Query| {
-                if query.payload().is_some_and(|payload| payload.len() > limit) {
+                let got = query.payload().map_or(0, ZBytes::len);
+                arrived.received(got);
+                if got > limit {
+                    arrived.refused(&CodecError::TooLarge { limit, got });
                     refuse(&query, &Refusal::TooLarge { limit });
                 } else if let Some(query) = slot.put_within(query, MAX_WAITING) {
+                    arrived.dropped();
                     refuse(
                         &query,
                         &Refusal::Busy {
@@ -67,6 +75,7 @@ impl Bus {
             inbox,
             ask: *ask,
             key,
+            flow,
             _queryable: self.declared(queryable)?,
         })
     }
@@ -96,7 +105,10 @@ impl<Q: DeserializeOwned, R> Server<Q, R> {
         match read_body(query, self.ask.max_bytes) {
             Ok(body) => Ok((key, body)),
             Err(CodecError::TooLarge { limit, .. }) => Err(Refusal::TooLarge { limit }),
-            Err(error) => Err(Refusal::bad_request(error.to_string())),
+            Err(error) => {
+                self.flow.refused(&error);
+                Err(Refusal::bad_request(error.to_string()))
+            }
         }
     }
 

@@ -11,8 +11,12 @@ use std::time::Duration;
 
 use thiserror::Error;
 use tokio::time::sleep;
+use zenav_observability::{Condition, Readiness};
 use zenoh::config::WhatAmI;
 use zenoh::{Config, Session};
+
+use super::link;
+use super::security::Security;
 
 /// The router's endpoint by default: Zenoh's own port.
 const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
@@ -21,8 +25,8 @@ const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
 const LEASE_MS: u64 = 2000;
 /// Largest message accepted from a link, bytes: more than the largest of the key table.
 const MAX_MESSAGE: usize = 128 * 1024 * 1024;
-/// Longest pause between two attempts to connect, ms.
-const MAX_RETRY_MS: u64 = 1000;
+/// Longest pause between two attempts to connect, ms: on a link that is cut an attempt takes a second, and this much may pass after it heals.
+const MAX_RETRY_MS: u64 = 400;
 /// Shortest pause between two attempts to connect, ms.
 const MIN_RETRY_MS: u64 = 200;
 /// Pause before a router links to the others. Zenoh's routers process arrivals and departures after 0.1 s: one that arrives within that time
@@ -42,6 +46,10 @@ pub struct BusConfig {
     pub name: String,
     /// Whether to wait for a router, or to fail at once without one. A component that listens never waits.
     pub retry: bool,
+    /// How the links are protected.
+    pub security: Security,
+    /// What Zenoh puts before every key of this session, such as `site1`; empty: nothing. Sessions of other namespaces are not seen.
+    pub namespace: String,
 }
 
 impl Default for BusConfig {
@@ -51,18 +59,29 @@ impl Default for BusConfig {
             listen: Vec::new(),
             name: "zenav".to_owned(),
             retry: true,
+            security: Security::default(),
+            namespace: String::new(),
         }
     }
 }
 
 impl BusConfig {
-    /// For a service: waits until the router at `endpoint` is there.
+    /// For a service: waits until the router at `endpoint` is there; of several endpoints, separated by commas, one is enough.
     #[must_use]
     pub fn service(name: &str, endpoint: &str) -> Self {
         Self {
-            connect: vec![endpoint.to_owned()],
+            connect: endpoint.split(',').map(|one| one.trim().to_owned()).collect(),
             name: name.to_owned(),
             ..Self::default()
+        }
+    }
+
+    /// The same in a namespace; an empty one is none.
+    #[must_use]
+    pub fn within(self, namespace: &str) -> Self {
+        Self {
+            namespace: namespace.to_owned(),
+            ..self
         }
     }
 
@@ -93,7 +112,15 @@ pub enum BusError {
         /// What Zenoh reports.
         reason: String,
     },
-    /// An endpoint is malformed, or there is none at all.
+    /// Other machines could reach an endpoint that nothing protects.
+    #[error(
+        "{endpoint} can be reached by other machines, which could then command every robot: expected an identity (`--identity FOLDER`, made by `zenav keys`), an address of loopback, or `--insecure`"
+    )]
+    Exposed {
+        /// The endpoint.
+        endpoint: String,
+    },
+    /// An endpoint is malformed, not for the identity at hand, or there is none at all.
     #[error("bad bus configuration: {reason}")]
     Config {
         /// What Zenoh reports.
@@ -116,7 +143,8 @@ pub enum BusError {
 #[derive(Clone, Debug)]
 pub struct Bus {
     pub(super) session: Session,
-    name: Arc<str>,
+    pub(super) name: Arc<str>,
+    pub(super) readiness: Readiness,
 }
 
 impl Bus {
@@ -124,8 +152,10 @@ impl Bus {
     ///
     /// # Errors
     /// [`BusError::CannotConnect`] unless `retry` is set; with it, this waits until a router is there (drop the future to give up).
-    /// [`BusError::CannotListen`] and [`BusError::Config`] at once.
-    pub async fn open(config: BusConfig) -> Result<Self, BusError> {
+    /// [`BusError::CannotListen`], [`BusError::Exposed`] and [`BusError::Config`] at once.
+    pub async fn open(mut config: BusConfig) -> Result<Self, BusError> {
+        config.connect = config.security.endpoints(&config.connect);
+        config.listen = config.security.endpoints(&config.listen);
         let mode = match (config.listen.is_empty(), config.connect.is_empty()) {
             (true, true) => {
                 return Err(BusError::Config {
@@ -135,17 +165,41 @@ impl Bus {
             (true, false) => WhatAmI::Client,
             (false, _) => WhatAmI::Router,
         };
-        let zenoh = link_settings(mode, &config.connect, &config.listen, &config.name)?;
+        let mut zenoh = link_settings(mode, &config.connect, &config.listen, &config.name, &config.security)?;
+        if !config.namespace.is_empty() {
+            let wrong = |reason: String| BusError::Config {
+                reason: format!("namespace `{}`: {reason}", config.namespace),
+            };
+            if config.namespace.contains(['*', '$', '@', '{']) {
+                return Err(wrong("expected plain names, such as `site1` or `acme/site1`".into()));
+            }
+            let text = serde_json::Value::from(config.namespace.as_str()).to_string();
+            zenoh
+                .insert_json5("namespace", &text)
+                .map_err(|error| wrong(error.to_string()))?;
+        }
         if mode == WhatAmI::Router && !config.connect.is_empty() {
             sleep(SETTLING).await;
         }
+        // What waits for a router, or is one, is a part; anything else is a command's client.
+        let is_part = config.retry || !config.listen.is_empty();
+        let readiness = if is_part {
+            Readiness::new(&config.name)
+        } else {
+            Readiness::unlisted(&config.name)
+        };
+        let linked = (!config.connect.is_empty()).then(|| readiness.expects_silently("a router is linked"));
         let mut wait_ms = MIN_RETRY_MS;
         loop {
             match zenoh::open(zenoh.clone()).await {
                 Ok(session) => {
+                    if let Some(linked) = linked.filter(|_| is_part) {
+                        link::watch_routers(&session, &readiness, linked);
+                    }
                     return Ok(Self {
                         session,
                         name: config.name.into(),
+                        readiness,
                     });
                 }
                 Err(error) if mode == WhatAmI::Router => {
@@ -155,6 +209,13 @@ impl Bus {
                     });
                 }
                 Err(error) if config.retry => {
+                    if wait_ms == MIN_RETRY_MS {
+                        tracing::info!(
+                            part = config.name,
+                            endpoints = config.connect.join(", "),
+                            "waits for a router"
+                        );
+                    }
                     tracing::debug!(endpoints = ?config.connect, %error, "no router yet");
                     sleep(Duration::from_millis(wait_ms)).await;
                     wait_ms = (wait_ms * 2).min(MAX_RETRY_MS);
@@ -173,6 +234,22 @@ impl Bus {
     #[must_use]
     pub fn name(&self) -> &str {
         &self.name
+    }
+
+    /// The kind of component: its name up to the first `-`, such as `mapping` of `mapping-tiago`.
+    pub(super) fn kind(&self) -> &str {
+        self.name.split('-').next().unwrap_or_default()
+    }
+
+    /// From now on this component is not ready before a condition is met: a statement, such as `its map is loaded`.
+    #[must_use]
+    pub fn expects(&self, what: &str) -> Condition {
+        self.readiness.expects(what)
+    }
+
+    /// This component has declared what it serves and hears, and named its conditions; with all of them met it says `ready`.
+    pub fn started(&self) {
+        self.readiness.started();
     }
 
     /// This session's Zenoh id, as the admin space shows it.
@@ -234,7 +311,9 @@ pub(super) fn link_settings(
     connect: &[String],
     listen: &[String],
     name: &str,
+    security: &Security,
 ) -> Result<Config, BusError> {
+    security.check(connect, listen)?;
     // A client tries once, and `Bus::open` repeats; Zenoh itself reconnects after a loss. A router tries for ever in the background.
     let timeout_ms = if mode == WhatAmI::Client { 0 } else { -1 };
     let mut settings = serde_json::json!({
@@ -260,6 +339,7 @@ pub(super) fn link_settings(
         settings["adminspace"] =
             serde_json::json!({ "enabled": true, "permissions": { "read": true, "write": false } });
     }
+    security.settings(mode, listen, &mut settings)?;
     Config::from_json5(&settings.to_string()).map_err(|error| BusError::Config {
         reason: error.to_string(),
     })

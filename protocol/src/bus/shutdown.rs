@@ -4,8 +4,15 @@ use std::sync::Arc;
 
 use tokio::sync::watch;
 
+use super::service_manager;
+
 /// Waits for Ctrl-C, or the service manager's request to end.
 pub async fn interrupted() {
+    asked_to_end().await;
+    service_manager::stopping();
+}
+
+async fn asked_to_end() {
     #[cfg(unix)]
     if let Ok(mut terminate) = tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate()) {
         tokio::select! {

@@ -8,11 +8,13 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use serde::de::DeserializeOwned;
+use zenav_observability::trace::Context;
 use zenoh::Wait;
 use zenoh::key_expr::KeyExpr;
 use zenoh::sample::{Sample, SampleKind};
 use zenoh_ext::{AdvancedSubscriber, AdvancedSubscriberBuilderExt, HistoryConfig, RecoveryConfig};
 
+use super::flow::Arrivals;
 use super::inbox::{Complaints, Inbox, Newest, Queue, Slot, Store};
 use super::publish::kept;
 use super::{Bus, BusError};
@@ -29,6 +31,8 @@ pub struct Received<T> {
     pub chunks: Vec<String>,
     /// The value that was published.
     pub message: T,
+    /// The trace that it belongs to, if its publisher says so.
+    pub trace: Option<Context>,
 }
 
 /// Keeps a subscription alive.
@@ -42,6 +46,7 @@ pub(super) enum Carrier {
 struct Reader<T> {
     topic: Topic<T>,
     unreadable: Arc<Complaints>,
+    flow: Arrivals,
     _carrier: Carrier,
 }
 
@@ -50,7 +55,7 @@ impl<T: DeserializeOwned> Reader<T> {
         match decode_sample(sample, self.topic.max_bytes) {
             Ok(message) => Some(message),
             Err(error) => {
-                complain(&self.unreadable, sample.key_expr(), &error);
+                complain(&self.unreadable, &self.flow, sample.key_expr(), &error);
                 None
             }
         }
@@ -61,6 +66,9 @@ impl<T: DeserializeOwned> Reader<T> {
         Some(Received {
             message: self.read(sample)?,
             chunks: self.topic.chunks(sample.key_expr().as_str()),
+            trace: sample
+                .attachment()
+                .and_then(|attached| Context::parse(&attached.to_bytes())),
         })
     }
 }
@@ -82,7 +90,8 @@ pub(super) fn encoding_of(encoding: &zenoh::bytes::Encoding) -> Encoding {
     }
 }
 
-fn complain(complaints: &Complaints, key: &KeyExpr<'_>, error: &CodecError) {
+fn complain(complaints: &Complaints, flow: &Arrivals, key: &KeyExpr<'_>, error: &CodecError) {
+    flow.refused(error);
     if let Some(count) = complaints.add() {
         tracing::warn!(%key, %error, count, "payload ignored");
     }
@@ -94,8 +103,11 @@ impl Bus {
     /// # Errors
     /// [`BusError::Key`] for chunks that make no key, [`BusError::Closed`] after the bus was closed.
     pub fn latest<T>(&self, topic: &Topic<T>, chunks: &[&str]) -> Result<Latest<T>, BusError> {
-        let (inbox, slot) = Inbox::new(Newest::new());
-        let reader = self.read(topic, chunks, slot, |sample| (sample.key_expr().clone(), sample))?;
+        let flow = Arrivals::new(self, topic.pattern);
+        let (inbox, slot) = Inbox::gauged(Newest::new(), flow.waiting.clone());
+        let reader = self.read(topic, chunks, (slot, flow), |sample| {
+            (sample.key_expr().clone(), sample)
+        })?;
         Ok(Latest {
             inbox,
             reader,
@@ -114,8 +126,9 @@ impl Bus {
         chunks: &[&str],
         capacity: usize,
     ) -> Result<Subscription<T>, BusError> {
-        let (inbox, slot) = Inbox::new(Queue::new(capacity));
-        let reader = self.read(topic, chunks, slot, |sample| sample)?;
+        let flow = Arrivals::new(self, topic.pattern);
+        let (inbox, slot) = Inbox::gauged(Queue::new(capacity), flow.waiting.clone());
+        let reader = self.read(topic, chunks, (slot, flow), |sample| sample)?;
         Ok(Subscription { inbox, reader })
     }
 
@@ -123,7 +136,7 @@ impl Bus {
         &self,
         topic: &Topic<T>,
         chunks: &[&str],
-        slot: Slot<S>,
+        (slot, flow): (Slot<S>, Arrivals),
         item: fn(Sample) -> S::Item,
     ) -> Result<Reader<T>, BusError>
     where
@@ -134,17 +147,19 @@ impl Bus {
         let unreadable = Arc::new(Complaints::default());
         let max_bytes = topic.max_bytes;
         let callback = {
-            let unreadable = Arc::clone(&unreadable);
+            let (unreadable, flow) = (Arc::clone(&unreadable), flow.clone());
             move |sample: Sample| {
                 let got = sample.payload().len();
+                flow.received(got);
                 if got > max_bytes {
                     complain(
                         &unreadable,
+                        &flow,
                         sample.key_expr(),
                         &CodecError::TooLarge { limit: max_bytes, got },
                     );
-                } else if sample.kind() == SampleKind::Put {
-                    slot.put(item(sample));
+                } else if sample.kind() == SampleKind::Put && !slot.fits(item(sample)) {
+                    flow.dropped();
                 }
             }
         };
@@ -166,6 +181,7 @@ impl Bus {
         Ok(Reader {
             topic: *topic,
             unreadable,
+            flow,
             _carrier: carrier,
         })
     }

@@ -45,6 +45,11 @@ use crate::time::Stamp;
 pub const LONGEST_ROUND_TRIP: Duration = Duration::from_secs(10);
 /// Share of its excess that the longest round trip of late keeps from one heartbeat to the next: half of it after 3 s.
 const FORGETS: f64 = 0.977;
+/// Longest step between two reports of one leadership on who has caught up: a leader numbers them one by one, and begins 2^32 higher with
+/// each life. A report that leaps further is nobody's, and would make every later one an old one.
+const LONGEST_STEP: u64 = 1000 << 32;
+/// Greatest number of the first report of a leadership: a million lives.
+const GREATEST_FIRST: u64 = (1 << 20) << 32;
 
 /// Decides who holds the lease of one robot, and which mission leads.
 #[derive(Clone, Debug)]
@@ -99,7 +104,8 @@ impl LeaseArbiter {
     ///
     /// # Errors
     /// [`Refusal::Held`] while somebody of the same or a higher rank holds a live lease; [`Refusal::NotCaughtUp`] for a mission that may not
-    /// lead; [`Refusal::NotLeader`] for a report by a mission that does not lead under that epoch.
+    /// lead; [`Refusal::NotLeader`] for a report by a mission that does not lead under that epoch; [`Refusal::Rejected`] for a report whose
+    /// number leaps.
     pub fn request(&mut self, now: Stamp, request: &LeaseRequest) -> Result<Granted, Refusal> {
         let granted = self.decide(now, request)?;
         Ok(Granted {
@@ -123,6 +129,16 @@ impl LeaseArbiter {
                     if (&leader.store, leader.epoch) == (&report.store, report.epoch)
                         && report.revision > leader.revision =>
                 {
+                    let most = match leader.revision {
+                        0 => GREATEST_FIRST,
+                        last => last.saturating_add(LONGEST_STEP),
+                    };
+                    if report.revision > most {
+                        return Err(Refusal::rejected(format!(
+                            "report {} on who has caught up leaps from {}: expected at most {most}",
+                            report.revision, leader.revision
+                        )));
+                    }
                     self.leader = Some(report.clone());
                     self.leader_heard = Some(now);
                     Ok(self.granted(false))
@@ -207,10 +223,12 @@ impl LeaseArbiter {
     /// Makes this store's mission the leader. No standby has caught up with it yet; its own reports will name them.
     fn lead(&mut self, now: Stamp, store: String) {
         self.leader_heard = Some(now);
+        // A report names its epoch: with a new one the numbers begin anew.
+        let before = self.leader.as_ref().filter(|leader| leader.epoch == self.epoch);
         self.leader = Some(Leader {
             epoch: self.epoch,
             caught_up: vec![store.clone()],
-            revision: self.leader.as_ref().map_or(0, |leader| leader.revision),
+            revision: before.map_or(0, |leader| leader.revision),
             store,
         });
     }

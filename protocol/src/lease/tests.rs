@@ -138,6 +138,49 @@ fn only_a_mission_that_has_caught_up_leads_next() {
 }
 
 #[test]
+fn a_report_whose_number_leaps_is_refused_and_the_leader_is_still_heard() {
+    let mut arbiter = LeaseArbiter::new(Duration::from_secs(1), 0, None);
+    arbiter.request(at(0.0), &keeper("a", TAKE)).unwrap();
+    let life = 7 << 32;
+    for last in [0, life] {
+        for leap in [u64::MAX, u64::MAX - 1, 1 << 60] {
+            let forged = arbiter.request(at(0.1), &caught_up("a", 1, leap, &["a", "nobody"]));
+            assert!(
+                matches!(forged, Err(Refusal::Rejected { .. })),
+                "after {last}: {forged:?}"
+            );
+        }
+        arbiter
+            .request(at(0.1), &caught_up("a", 1, life + u64::from(last > 0), &["a", "b"]))
+            .unwrap();
+    }
+    // The leader's next life, under the lease that an operator holds meanwhile.
+    arbiter
+        .request(at(0.2), &caught_up("a", 1, 8 << 32, &["a", "b"]))
+        .unwrap();
+    assert_eq!(arbiter.request(at(2.0), &keeper("b", TAKE)).unwrap().epoch, 2);
+}
+
+#[test]
+fn a_forged_report_of_one_leadership_does_not_outlive_it() {
+    let mut arbiter = LeaseArbiter::new(Duration::from_secs(1), 0, None);
+    arbiter.request(at(0.0), &keeper("a", TAKE)).unwrap();
+    arbiter
+        .request(at(0.1), &caught_up("a", 1, 1 << 51, &["a", "nobody"]))
+        .unwrap();
+    assert_eq!(
+        arbiter.request(at(0.2), &caught_up("a", 1, 1, &["a", "b"])),
+        Err(Refusal::NotLeader)
+    );
+    // The leader steps down, and asks anew: it leads, and is heard.
+    let again = arbiter.request(at(0.3), &keeper("a", TAKE)).unwrap();
+    arbiter
+        .request(at(0.4), &caught_up("a", again.epoch, 1 << 32, &["a", "b"]))
+        .unwrap();
+    assert!(arbiter.request(at(2.0), &keeper("b", TAKE)).is_ok());
+}
+
+#[test]
 fn a_leader_s_word_of_an_earlier_life_counts_no_more() {
     let mut arbiter = LeaseArbiter::new(Duration::from_secs(1), 0, None);
     arbiter.request(at(0.0), &keeper("a", TAKE)).unwrap();

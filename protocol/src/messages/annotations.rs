@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 
-use super::GoalPoint;
+use super::{GoalPoint, is_first};
 
 /// Places and zones of a robot's map.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -23,6 +23,9 @@ pub struct Annotations {
     /// Zones in the order of their names, each name once.
     #[serde(default)]
     pub zones: Vec<Zone>,
+    /// Frame of the map that their coordinates are in.
+    #[serde(default, skip_serializing_if = "is_first")]
+    pub frame: u64,
 }
 
 /// An area of the map with a rule.

@@ -4,6 +4,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
+use super::is_first;
 use crate::geometry::{Pose2, Twist2};
 use crate::time::Stamp;
 
@@ -33,6 +34,9 @@ pub struct PoseEstimate {
     pub covariance: [f64; 9],
     /// Velocity in the base frame.
     pub velocity: Twist2,
+    /// Frame of the map that the pose is in, as the robot knows it.
+    #[serde(default, skip_serializing_if = "is_first")]
+    pub frame: u64,
 }
 
 /// A pose measurement made off board, for the estimator to gate and fuse.
@@ -50,6 +54,12 @@ pub struct Correction {
     /// The robot was found anew, in a search of the whole map: its belief is replaced, not corrected, and it drives no plan made before.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub is_found_anew: bool,
+    /// Frame of the map that the pose is in. One of an older frame does nothing.
+    #[serde(default, skip_serializing_if = "is_first")]
+    pub frame: u64,
+    /// How the robot's surroundings moved as each of the last frames began, `new_from_old`, the move into `frame` last.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub moves: Vec<Pose2>,
 }
 
 /// Whether the robot's place in the map can be trusted: a statement, not a covariance.

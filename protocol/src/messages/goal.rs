@@ -138,6 +138,9 @@ pub struct GoalState {
     /// For an end other than success: why.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
+    /// Place in the queue while the goal waits: 1 is next.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub queue: Option<u64>,
     /// Time of acceptance, on the mission's clock.
     pub accepted: Stamp,
     /// Time at which its execution began.
@@ -152,6 +155,10 @@ pub struct GoalState {
     pub legs: Vec<Leg>,
     /// The goal as it was submitted.
     pub request: GoalRequest,
+    /// Where the goal's places lie now, where the map has moved since it was submitted: they keep their spot in the building, not their
+    /// numbers.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub resolved: Vec<GoalPoint>,
 }
 
 /// One drive of a goal: the robot follows a path or a list of waypoints.
@@ -242,6 +249,22 @@ pub struct PauseRequest {
     #[serde(default)]
     pub resume: bool,
     /// Identifies the request: a repeated one gets the first answer.
+    pub request_id: Option<String>,
+}
+
+/// Moves a goal that waits to another place in the queue.
+///
+/// It takes the priority of the goal that it is put before, or of the last one, and is an urgent goal where that one is.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct MoveGoalRequest {
+    /// Which goal.
+    pub id: String,
+    /// The waiting goal that it is put before; without it, it becomes the last.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub before: Option<String>,
+    /// Identifies the request: a repeated one gets the first answer.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub request_id: Option<String>,
 }
 

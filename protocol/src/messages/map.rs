@@ -3,6 +3,7 @@
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 
+use super::is_first;
 use crate::grid::{GridError, GridSpec, OccupancyGrid};
 use crate::time::Stamp;
 
@@ -17,6 +18,9 @@ pub struct MapRef {
     pub id: String,
     /// Number of the map's latest change.
     pub revision: u64,
+    /// The frame that its coordinates are in: a loop closure that moves the map begins the next one.
+    #[serde(default, skip_serializing_if = "is_first")]
+    pub frame: u64,
 }
 
 /// Description of a map.

@@ -1,5 +1,7 @@
 //! Mission status. What is the behaviour tree doing, and who is each component?
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 
 use super::{BasedOn, GoalFeedback};
@@ -53,6 +55,12 @@ pub struct NodeStatus {
     /// The node's own words on its status.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub feedback: String,
+    /// What the node answered last, as in `status`: stays when its parent resets it. Empty before its first answer.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub last: String,
+    /// Of a node that has run: its ports and what is on them, in words.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub ports: BTreeMap<String, String>,
 }
 
 /// Asks a component for its name, version and robot.
@@ -64,7 +72,7 @@ pub struct InfoRequest {}
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct InfoReply {
-    /// Kind of component: `edge`, `mapping`, `mission`, `planning`.
+    /// Kind of component: `edge`, `mapping`, `mission`, `motion`, `gateway`, `router`, `sim`.
     pub component: String,
     /// Version of the component's program.
     pub version: String,
@@ -86,6 +94,29 @@ pub struct InfoReply {
     /// From an edge: timing of its control loop.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pacing: Option<Pacing>,
+    /// The process that the component runs in.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub process: Option<ProcessInfo>,
+}
+
+/// Where a component runs, and what its process takes. What the system does not tell is zero.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct ProcessInfo {
+    /// Name of the component's session, such as `mapping-tiago`.
+    pub part: String,
+    /// Name of the machine.
+    pub host: String,
+    /// Id of the process on it.
+    pub pid: u32,
+    /// Time since the start of the process, s.
+    pub uptime_secs: f64,
+    /// Processor time since the start, s.
+    pub cpu_secs: f64,
+    /// Resident memory, bytes.
+    pub memory_bytes: u64,
+    /// The machine's wall clock at the answer, s of UNIX time: for a person who compares logs; nothing is decided by it.
+    pub unix_secs: f64,
 }
 
 /// Loop timing: how late control ticks began, since the start.

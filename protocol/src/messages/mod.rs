@@ -12,6 +12,7 @@
 //! | [`sensors`](crate::sensors) | sensor readings as the robot publishes them |
 //! | `localise` | where the robot is said to be, and whether it is to be looked for |
 //! | `estimate` | the robot's pose estimate, and corrections to it |
+//! | `frame` | how the map moved as loops closed |
 //! | `state`, `event` | what the robot is doing, and what happened on it |
 //! | `obstacles` | the moving obstacles that the robot tracks |
 //! | `intent` | what the robot is about to do, for other robots |
@@ -25,6 +26,7 @@
 //! | `journal` | replication of a mission's store to its standbys |
 //! | `remote` | actions of a behaviour tree in other programs |
 //! | `body` | a robot body in another process |
+//! | `log` | the newest lines of a process's log |
 //! | `refusal` | why a request was refused |
 
 mod annotations;
@@ -33,11 +35,13 @@ mod body;
 mod control;
 mod estimate;
 mod event;
+mod frame;
 mod goal;
 mod intent;
 mod journal;
 mod lease;
 mod localise;
+mod log;
 mod map;
 mod mission;
 mod motion;
@@ -53,11 +57,13 @@ pub use body::*;
 pub use control::*;
 pub use estimate::*;
 pub use event::*;
+pub use frame::*;
 pub use goal::*;
 pub use intent::*;
 pub use journal::*;
 pub use lease::*;
 pub use localise::*;
+pub use log::*;
 pub use map::*;
 pub use mission::*;
 pub use motion::*;

@@ -56,7 +56,7 @@ pub enum Refusal {
         leader: Option<Leader>,
     },
     /// The mission may not lead: it does not hold every goal that was acknowledged for the robot.
-    #[error("may not lead: the robot's goals are in the store {}", .caught_up.join(" or "))]
+    #[error("may not lead: the robot's goals are in the store {}; if no machine has it any more, `zenav lease forget` gives them up", .caught_up.join(" or "))]
     NotCaughtUp {
         /// The stores that hold every goal.
         caught_up: Vec<String>,

@@ -3,7 +3,7 @@
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 
-use super::{BehaviourReport, LeaseState, Revision};
+use super::{BehaviourReport, LeaseState, Revision, is_first};
 use crate::geometry::Twist2;
 use crate::time::Stamp;
 
@@ -149,6 +149,32 @@ pub struct EdgeState {
     /// Whether the robot waits or leaves its plan to make way for another robot.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub makes_way: bool,
+    /// Frame of the map that the robot's pose and plan are in.
+    #[serde(default, skip_serializing_if = "is_first")]
+    pub frame: u64,
+    /// What is wrong with the robot itself, as long as it is.
+    #[serde(default, skip_serializing_if = "Faults::are_none")]
+    pub faults: Faults,
+}
+
+/// What is wrong with the robot itself, in words.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct Faults {
+    /// Why there are no readings of its body: it brakes, takes no plan, and its clock stands.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub body: Option<String>,
+    /// Why its newest epoch and stop are not stored: a restart would forget them, so it grants no lease.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub storage: Option<String>,
+}
+
+impl Faults {
+    /// Whether nothing is wrong.
+    #[must_use]
+    pub const fn are_none(&self) -> bool {
+        self.body.is_none() && self.storage.is_none()
+    }
 }
 
 /// A shape to draw.

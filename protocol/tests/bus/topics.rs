@@ -78,7 +78,7 @@ async fn a_late_joiner_gets_the_last_state_of_every_goal() {
     let mut goals = reader.subscribe(&topics::GOAL_STATE, &["*", "*"], 100).unwrap();
     let mut done = std::collections::BTreeSet::new();
     while done.len() < publishers.len() {
-        let Received { chunks, message } = within("a goal", goals.next()).await.unwrap();
+        let Received { chunks, message, .. } = within("a goal", goals.next()).await.unwrap();
         assert_eq!(chunks, ["r1", &message.id]);
         // An older one may still have been on its way, but never comes after the last.
         assert!(!done.contains(&message.id));
@@ -136,6 +136,96 @@ async fn a_clock_follows_the_simulation_on_the_bus() {
     })
     .await;
     assert!(sleeper.await.unwrap() >= Stamp(700));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_last_values_of_many_keys_reach_early_and_late_readers_of_one_key_and_of_all() {
+    let (_router, endpoint) = router().await;
+    let (writer, reader) = (client(&endpoint, "writer").await, client(&endpoint, "reader").await);
+    let topic = &topics::GOAL_STATE;
+    let mut early = reader.subscribe(topic, &["r1", "*"], 1000).unwrap();
+    let mut early_one = reader.subscribe(topic, &["r1", "g7"], 1000).unwrap();
+    let publisher = writer.keyed_publisher(topic, &["r1", "*"], 8).unwrap();
+    let goal = |id: &str, queued: f64| -> zenav_protocol::messages::GoalState {
+        serde_json::from_value(serde_json::json!({"id": id, "robot": "r1", "state": "Active", "accepted": 1, "started": null, "ended": null,
+            "feedback": {"step": "driving", "distance_left": queued, "time_left": null}, "request": {"x": 1.0, "y": 2.0, "on_busy": "queue", "priority": 0}}))
+        .unwrap()
+    };
+    let left = |state: &zenav_protocol::messages::GoalState| state.feedback.distance_left.unwrap();
+    for number in 0..10 {
+        let id = format!("g{number}");
+        for step in [3.0, 2.0, 1.0] {
+            publisher.put(&["r1", &id], &goal(&id, step));
+        }
+    }
+    let mut seen = std::collections::BTreeMap::new();
+    while seen.get("g9") != Some(&1.0) {
+        let state = within("the last value", early.next()).await.unwrap().message;
+        if let Some(before) = seen.insert(state.id.clone(), left(&state)) {
+            assert!(before > left(&state), "{} goes back", state.id);
+        }
+    }
+    let mut last = 9.0;
+    while last > 1.0 {
+        let state = within("its own last value", early_one.next()).await.unwrap().message;
+        assert_eq!(state.id, "g7");
+        assert!(left(&state) < last);
+        last = left(&state);
+    }
+    // One of all, one of one key, and a tool's.
+    let mut late = reader.subscribe(topic, &["r1", "*"], 1000).unwrap();
+    let mut late_ids = std::collections::BTreeSet::new();
+    while late_ids.len() < 8 {
+        let state = within("a kept value", late.next()).await.unwrap().message;
+        assert!((left(&state) - 1.0).abs() < 1e-9);
+        assert!(late_ids.insert(state.id), "once each");
+    }
+    assert_eq!(late_ids.first().map(String::as_str), Some("g2"), "the newest eight");
+    let mut one = reader.latest(topic, &["r1", "g5"]).unwrap();
+    assert_eq!(within("the kept value", one.next()).await.unwrap().message.id, "g5");
+    // The next value of a key that a late reader has is one more, and comes once.
+    publisher.put(&["r1", "g5"], &goal("g5", 0.0));
+    assert!(left(&within("the next", one.next()).await.unwrap().message).abs() < 1e-9);
+    assert!(left(&within("the next", late.next()).await.unwrap().message).abs() < 1e-9);
+    // Another writer of the same keys, as after a restart.
+    drop(publisher);
+    let again = client(&endpoint, "again").await;
+    let publisher = again.keyed_publisher(topic, &["r1", "*"], 8).unwrap();
+    publisher.put(&["r1", "g5"], &goal("g5", 7.0));
+    assert!((left(&within("the new writer's", one.next()).await.unwrap().message) - 7.0).abs() < 1e-9);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn sessions_of_two_namespaces_on_one_router_do_not_see_one_another() {
+    let (_router, endpoint) = router().await;
+    let open = async |namespace: &str| {
+        let config = zenav_protocol::bus::BusConfig::service("test", &endpoint).within(namespace);
+        within("joining", zenav_protocol::bus::Bus::open(config)).await
+    };
+    let (one, two, reader) = (
+        open("site1").await.unwrap(),
+        open("site2").await.unwrap(),
+        open("site2").await.unwrap(),
+    );
+    let mut heard = reader.subscribe(&topics::EVENT, &["*"], 100).unwrap();
+    let of_one = one.publisher(&topics::EVENT, &["r1"]).unwrap();
+    let of_two = two.publisher(&topics::EVENT, &["r2"]).unwrap();
+    of_one.put(&event(1));
+    of_two.put(&event(2));
+    let received = within("its own site's event", heard.next()).await.unwrap();
+    assert_eq!((received.chunks, received.message.sequence), (vec!["r2".to_owned()], 2));
+    let key = |robot| topics::alive_key(topics::ALIVE_COMPONENT, &[robot, "edge"]);
+    let _tokens = (
+        one.declare_alive(key("r1")).unwrap(),
+        two.declare_alive(key("r2")).unwrap(),
+    );
+    until("its own site's token", async || {
+        let shown = reader.list_alive(key("*"), PATIENCE).await.unwrap();
+        assert!(!shown.contains(&key("r1")), "{shown:?}");
+        shown.contains(&key("r2")).then_some(())
+    })
+    .await;
+    assert!(open("site*").await.is_err());
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -211,6 +211,43 @@ impl Simulation {
         self.bodies[robot].command(wheels);
     }
 
+    /// Carries a robot to another place, where it stands as it is: its sensors notice nothing of the way, and its wheels go on.
+    ///
+    /// # Errors
+    /// [`SimError::Occupied`] where it does not fit there; then it stays.
+    ///
+    /// # Panics
+    /// See [`Self::drive`].
+    pub fn carry(&mut self, robot: usize, to: Pose2) -> Result<(), SimError> {
+        let Self {
+            scene,
+            movers,
+            bodies,
+            crowd,
+            ..
+        } = self;
+        let own = movers.len() + robot;
+        let body = &mut bodies[robot];
+        let footprint = Placed::footprint(&body.model().footprint, to);
+        if !to.is_finite() || (Surroundings { scene, crowd, own }).clearance(&footprint) <= CONTACT {
+            let id = self
+                .ids
+                .iter()
+                .find(|(_, place)| **place == robot)
+                .map(|(id, _)| id.clone());
+            return Err(SimError::Occupied {
+                robot: id.unwrap_or_else(Id::unique),
+                x: to.x,
+                y: to.y,
+            });
+        }
+        body.chassis.carry(to);
+        crowd.place(own, to);
+        crowd.refresh();
+        body.chassis.settle(Surroundings { scene, crowd, own }, self.now);
+        Ok(())
+    }
+
     /// Advances by one step.
     pub fn step(&mut self) {
         let secs = self.tick.as_secs_f64();

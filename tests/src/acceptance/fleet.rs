@@ -1,5 +1,6 @@
-//! Fleet size. How many robots' missions does one process run on one core? A real mission process on a core of its own; robots, planner and
-//! smoother are fakes that answer at once and drive every plan perfectly, so that the missions alone are measured.
+//! Fleet size. How many robots' missions does one process run on one core, and what do shards of a fleet cost? Real mission processes, and a
+//! real router; robots, planner and smoother are fakes that answer at once and drive every plan perfectly, so that the missions alone are
+//! measured. Time may go slower than the clock on the wall, so that this machine holds more robots than in real time.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -23,6 +24,7 @@ use zenav_protocol::topics;
 use zenav_smoothing::unsmoothed;
 
 use crate::deployment::Deployment;
+use crate::process::Process;
 use crate::usage::{cpu_secs, memory};
 
 /// The clock's tick, of which a mission's step is a multiple.
@@ -36,11 +38,11 @@ const SAMPLES: f64 = 0.05;
 const HEARTBEAT_PERIOD: f64 = 0.1;
 /// Bytes of a MiB.
 const MIB: f64 = 1024.0 * 1024.0;
-/// Wall time until every robot has a live lease.
+/// Simulated time until every robot has a live lease.
 const READY: Duration = Duration::from_secs(60);
 /// Lease TTL.
 const LEASE: Duration = Duration::from_secs(1);
-/// Time for maps and first goals before anything is measured.
+/// Simulated time for maps and first goals before anything is measured.
 const SETTLING: Duration = Duration::from_secs(10);
 /// Time between the first goals of two robots.
 const STAGGER: Duration = Duration::from_millis(70);
@@ -61,9 +63,11 @@ pub struct Findings {
     pub robots: usize,
     /// Deviation of each heartbeat interval from its nominal period, s. The mission's step sends a heartbeat, and so does a wait for the disk.
     pub jitter: Vec<f64>,
-    /// Share of the core.
+    /// Processor time of the mission processes, cores, if time went as on the wall.
     pub load: f64,
-    /// Resident memory of the process, MiB.
+    /// The same of the router.
+    pub router: f64,
+    /// Resident memory of the mission processes, MiB.
     pub memory: f64,
     /// Goals driven.
     pub goals: usize,
@@ -202,6 +206,7 @@ impl FakeRobot {
                 map_from_base: self.pose,
                 covariance: [0.0; 9],
                 velocity: self.velocity,
+                frame: 0,
             });
         }
         if count.is_multiple_of(STATE_EVERY) {
@@ -220,6 +225,8 @@ impl FakeRobot {
                 missed_ticks: 0,
                 round_trip_secs: None,
                 makes_way: false,
+                frame: 0,
+                faults: Default::default(),
             });
         }
     }
@@ -244,6 +251,7 @@ fn map_info(now: Stamp) -> MapInfo {
         map: MapRef {
             id: "hall".to_owned(),
             revision: 1,
+            frame: 0,
         },
         spec: MAP,
         free: u64::from(MAP.width) * u64::from(MAP.height),
@@ -254,23 +262,45 @@ fn map_info(now: Stamp) -> MapInfo {
     }
 }
 
-/// Runs the missions of so many robots for a time, the orchestrator on the first core alone.
+/// How a fleet is run.
+#[derive(Clone, Copy, Debug)]
+pub struct Fleet {
+    /// Robots.
+    pub robots: usize,
+    /// Mission processes, each with its share of the robots; one alone has the first core to itself.
+    pub shards: usize,
+    /// Simulated time against wall time.
+    pub speed: f64,
+    /// Time that is measured, simulated, s.
+    pub secs: f64,
+}
+
+/// Runs the missions of a fleet for a time.
 ///
 /// # Errors
 /// When a part cannot be started or joined, or a robot is not led.
-pub async fn run(binary: &str, robots: usize, secs: f64) -> Result<Findings, String> {
+pub async fn run(binary: &str, fleet: Fleet) -> Result<Findings, String> {
+    let Fleet {
+        robots,
+        shards,
+        speed,
+        secs,
+    } = fleet;
     let text = |error: BusError| error.to_string();
     let model = robot("tiago");
     let deployment = Deployment::new(binary, "kitchen", 1.0);
-    let names: Vec<String> = (1..=robots).map(|number| format!("robot{number:03}")).collect();
-    let mut sections = String::new();
-    for name in &names {
-        let _ = writeln!(
-            sections,
-            "[robots.{name}]\nmodel = \"tiago\"\nlisten = \"tcp/127.0.0.1:0\""
-        );
-    }
-    let _router = deployment.start_router();
+    let names: Vec<String> = (1..=robots).map(|number| format!("robot{number:04}")).collect();
+    let sections = |names: &[String]| {
+        let mut sections = String::new();
+        for name in names {
+            let _ = writeln!(
+                sections,
+                "[robots.{name}]\nmodel = \"tiago\"\nlisten = \"tcp/127.0.0.1:0\""
+            );
+        }
+        sections
+    };
+    let router = deployment.start_router();
     let bus = deployment.bus().await;
     let mut fakes = BTreeMap::new();
     for name in &names {
@@ -287,17 +317,28 @@ pub async fn run(binary: &str, robots: usize, secs: f64) -> Result<Findings, Str
     let mut heartbeats = bus.subscribe(&topics::HEARTBEAT, &["*"], 65536).map_err(text)?;
     let mut written = bus.subscribe(&topics::PLAN, &["*"], 65536).map_err(text)?;
     let mut ended = bus.subscribe(&topics::GOAL_STATE, &["*", "*"], 65536).map_err(text)?;
-    let orchestrator = deployment.start_missions_on_one_core(&sections);
-    let used = || cpu_secs(orchestrator.id()).map_err(|error| error.to_string());
+    let orchestrators: Vec<Process> = names
+        .chunks(robots.div_ceil(shards.max(1)))
+        .enumerate()
+        .map(|(nth, names)| deployment.start_missions(&format!("shard{nth}"), &sections(names), shards == 1))
+        .collect();
+    let used = || -> Result<[f64; 2], String> {
+        let of = |process: &Process| cpu_secs(process.id()).map_err(|error| error.to_string());
+        let missions: Vec<f64> = orchestrators.iter().map(of).collect::<Result<_, _>>()?;
+        Ok([missions.iter().sum(), of(&router)?])
+    };
     let start = Instant::now();
-    let now = || Stamp::from_secs(1.0 + start.elapsed().as_secs_f64());
+    // Simulated time since an instant.
+    let since = |instant: Instant| instant.elapsed().mul_f64(speed);
+    let now = || Stamp::from_secs(1.0 + since(start).as_secs_f64());
     let mut findings = Findings {
         robots,
         ..Findings::default()
     };
-    let mut ticks = interval(TICK);
+    let mut ticks = interval(TICK.div_f64(speed));
     ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
-    let (mut count, mut settling, mut measured): (u32, Option<Instant>, Option<(Instant, f64)>) = (0, None, None);
+    let (mut count, mut settling) = (0, None::<Instant>);
+    let mut measured: Option<(Instant, [f64; 2])> = None;
     loop {
         tokio::select! {
                     biased;
@@ -306,7 +347,7 @@ pub async fn run(binary: &str, robots: usize, secs: f64) -> Result<Findings, Str
                         fake.arbiter.renew(now(), &heartbeat.message);
                         let last = fake.heartbeat.replace(Instant::now());
                         if let (Some(last), Some(_)) = (last, measured) {
-                            findings.jitter.push((last.elapsed().as_secs_f64() - HEARTBEAT_PERIOD).abs());
+                            findings.jitter.push((since(last).as_secs_f64() - HEARTBEAT_PERIOD).abs());
                         }
                     }
                     _ = ticks.tick() => {
@@ -317,27 +358,32 @@ pub async fn run(binary: &str, robots: usize, secs: f64) -> Result<Findings, Str
                         }
                         let led = fakes.values().filter(|fake| fake.arbiter.is_live(now())).count();
                         match measured {
-                    None if settling.is_some_and(|since: Instant| since.elapsed() > SETTLING) => {
+                    None if settling.is_some_and(|begun: Instant| since(begun) > SETTLING) => {
                         measured = Some((Instant::now(), used()?));
                     }
                     None if settling.is_some() => {}
                     None if led == robots => {
                         for (turn, fake) in (0_u32..).zip(fakes.values_mut()) {
                             fake.tell_map(now());
-                            submit(&bus, fake, turn * STAGGER);
+                            submit(&bus, fake, (turn * STAGGER).div_f64(speed));
                         }
                         settling = Some(Instant::now());
                     }
-                    None if start.elapsed() > READY => {
+                    None if since(start) > READY => {
                                 return Err(format!("{led} of {robots} robots are led after {READY:?}"));
                             }
                             None => {}
-                            Some((since, before)) => {
+                            Some((begun, before)) => {
                                 findings.faults[0] += robots - led;
-                                let took = since.elapsed().as_secs_f64();
+                                let took = since(begun).as_secs_f64();
                                 if took >= secs {
-                                    findings.load = (used()? - before) / took;
-                                    findings.memory = memory(orchestrator.id()).map_err(|error| error.to_string())? as f64 / MIB;
+                                    let after = used()?;
+                                    findings.load = (after[0] - before[0]) / took;
+                                    findings.router = (after[1] - before[1]) / took;
+                                    for process in &orchestrators {
+                                        let bytes = memory(process.id()).map_err(|error| error.to_string())?;
+                                        findings.memory += bytes as f64 / MIB;
+                                    }
                                     break;
                                 }
                             }

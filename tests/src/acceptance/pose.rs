@@ -136,6 +136,8 @@ impl OffBoard {
                 .try_into()
                 .unwrap_or_default(),
             is_found_anew: false,
+            frame: 0,
+            moves: Vec::new(),
         };
         self.waiting
             .push_back((now.plus_secs(rng.between(least, most)), correction));

@@ -229,6 +229,8 @@ fn correction(rig: &SimRig, rng: &mut Rng) -> Correction {
         ),
         covariance: [xy, 0.0, 0.0, 0.0, xy, 0.0, 0.0, 0.0, yaw],
         is_found_anew: false,
+        frame: 0,
+        moves: Vec::new(),
     }
 }
 

@@ -8,9 +8,14 @@ use crate::workspace::{built_of, metadata, root};
 type Arrows = (&'static str, &'static [&'static str], &'static [&'static str]);
 
 const ARROWS: &[Arrows] = &[
-    ("zenav-protocol", &[], &["zenav-fixtures"]),
+    ("zenav-observability", &[], &[]),
+    ("zenav-protocol", &["zenav-observability"], &["zenav-fixtures"]),
     ("zenav-sim", &["zenav-protocol"], &["zenav-fixtures"]),
-    ("zenav-edge", &["zenav-protocol", "zenav-sim"], &["zenav-fixtures"]),
+    (
+        "zenav-edge",
+        &["zenav-protocol", "zenav-sim", "zenav-observability"],
+        &["zenav-fixtures"],
+    ),
     ("zenav-behaviour-tree", &[], &[]),
     ("zenav-gateway", &["zenav-protocol"], &[]),
     ("zenav-mapping", &["zenav-protocol"], &["zenav-fixtures"]),
@@ -25,7 +30,7 @@ const ARROWS: &[Arrows] = &[
     (
         "zenav-localisation",
         &["zenav-protocol", "zenav-scan-matching"],
-        &["zenav-fixtures"],
+        &["zenav-fixtures", "zenav-mapping"],
     ),
     (
         "zenav-slam",
@@ -52,6 +57,7 @@ const ARROWS: &[Arrows] = &[
         "zenav-cloud",
         &[
             "zenav-protocol",
+            "zenav-observability",
             "zenav-behaviour-tree",
             "zenav-gateway",
             "zenav-localisation",
@@ -68,6 +74,7 @@ const ARROWS: &[Arrows] = &[
         "zenav",
         &[
             "zenav-protocol",
+            "zenav-observability",
             "zenav-sim",
             "zenav-edge",
             "zenav-cloud",
@@ -85,10 +92,16 @@ const ARROWS: &[Arrows] = &[
         &["zenav-fixtures"],
     ),
     ("zenav-fixtures", &["zenav-protocol"], &[]),
+    (
+        "zenav-model",
+        &["zenav-protocol", "zenav-edge", "zenav-mission", "zenav-fixtures"],
+        &[],
+    ),
 ];
 
 /// What a package is never built of, however many packages lie between.
 const WALLS: &[(&str, &[&str])] = &[
+    ("zenav-observability", &["zenoh", "axum", "hyper"]),
     ("zenav-protocol", &["zenoh", "zenoh-ext", "tokio"]),
     ("zenav-sim", &["zenoh", "tokio", "redb", "clarabel"]),
     ("zenav-edge", &["zenav-cloud", "redb", "clarabel", "roxmltree", "axum"]),
@@ -194,11 +207,18 @@ const PERMISSIVE: &[&str] = &[
 ];
 
 /// Packages under another licence, and why they are there.
-const EXCEPTIONS: &[(&str, &str, &str)] = &[(
-    "option-ext",
-    "MPL-2.0",
-    "Zenoh finds the home folder by it; its licence binds its own files alone",
-)];
+const EXCEPTIONS: &[(&str, &str, &str)] = &[
+    (
+        "option-ext",
+        "MPL-2.0",
+        "Zenoh finds the home folder by it; its licence binds its own files alone",
+    ),
+    (
+        "webpki-roots",
+        "CDLA-Permissive-2.0",
+        "Zenoh's QUIC has it: a list of public certificates; its licence asks that it be passed on with the list",
+    ),
+];
 
 /// Whether one may choose permissive licences alone in an SPDX expression; `/` is an old way to write `OR`.
 fn is_permissive(expression: &str) -> bool {

@@ -98,6 +98,11 @@ const CORES: &[&str] = &[
 const EXEMPT: &[(&str, &[Effect], &str)] = &[
     ("protocol/src/bus/", &[Network, Clock], "the bus itself"),
     (
+        "protocol/src/bus/identity.rs",
+        &[Disk],
+        "a process's certificate, and the list of its fleet's members",
+    ),
+    (
         "edge/src/control.rs",
         &[Clock, Threads],
         "the control loop keeps its own time on its own thread",
@@ -114,13 +119,18 @@ const EXEMPT: &[(&str, &[Effect], &str)] = &[
     ),
     (
         "edge/src/remote_body.rs",
-        &[Network, Threads, Chance, Process],
-        "a body in another process; its session has a random name",
+        &[Network, Threads, Chance, Process, Clock],
+        "a body in another process: silent after a while; its session has a random name",
     ),
     (
         "edge/src/service.rs",
         &[Network, Threads, Clock, Process],
         "the service: joins the bus, starts the control thread, names this boot by time and process",
+    ),
+    (
+        "edge/src/trace.rs",
+        &[Clock],
+        "one scan in a second is followed, whatever the robot's own time",
     ),
     (
         "edge/src/state_file.rs",

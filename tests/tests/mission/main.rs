@@ -5,6 +5,7 @@
 mod drives;
 mod goals;
 mod kitchen;
+mod lost;
 mod maneuvers;
 mod nav2_trees;
 mod patience;

@@ -331,7 +331,7 @@ fn what_this_stack_does_not_have_fails_and_names_it() {
     for (node, what) in [
         (r#"<ComputeRoute goal="{goal}" path="{path}"/>"#, "route server"),
         (r#"<DockRobot dock_id="d"/>"#, "docking"),
-        (r#"<ReinitializeGlobalLocalization/>"#, "global localization"),
+        (r#"<ReinitializeGlobalLocalization/>"#, "nothing looks for the robot"),
         (
             r#"<ComputePathToPose goal="{goal}" path="{path}" planner_id="Unheard"/>"#,
             "expected one of GridBased, astar",

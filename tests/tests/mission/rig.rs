@@ -194,7 +194,7 @@ impl Rig {
     /// A (new) process of the mission.
     pub fn start(&mut self) {
         self.kill();
-        let store = Store::open(&self.folder.path().join("mission.redb")).unwrap();
+        let store = Store::open(&self.folder.path().join("mission.redb"), self.config.robot.as_str()).unwrap();
         let restored = store.begin_life().unwrap();
         self.stage.robots[0].start(Mission::new(self.config.clone(), restored));
         self.store = Some(store);
@@ -471,7 +471,6 @@ impl Rig {
                 self.replies.insert(*client, reply.clone());
             }
             Effect::StandBy => panic!("another mission leads"),
-            Effect::Fatal(why) => panic!("{why}"),
             Effect::Heartbeat(_) if self.is_mute => return,
             Effect::Heartbeat(_) => {}
             Effect::Ask(ticket, ask) => {

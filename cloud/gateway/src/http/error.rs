@@ -88,7 +88,8 @@ impl From<Refusal> for ApiError {
                 error.body.nearest_free = nearest_free;
                 error
             }
-            Refusal::BadRequest { reason } => Self::bad_request(reason),
+            // It was read: whoever was asked finds that it cannot be meant.
+            Refusal::BadRequest { reason } => Self::new(StatusCode::UNPROCESSABLE_ENTITY, "Rejected", reason),
             Refusal::TooLarge { .. } => Self::new(StatusCode::PAYLOAD_TOO_LARGE, "TooLarge", reason),
             Refusal::NotFound { .. } => Self::not_found(reason),
             Refusal::NotLeader | Refusal::NotCaughtUp { .. } => Self::new(

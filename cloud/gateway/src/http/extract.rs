@@ -74,19 +74,42 @@ impl<const N: usize, S: Send + Sync> FromRequestParts<S> for Named<N> {
     type Rejection = ApiError;
 
     async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, ApiError> {
-        let Path(chunks) = Path::<Vec<(String, String)>>::from_request_parts(parts, state)
-            .await
-            .map_err(|error| ApiError::not_found(error.body_text()))?;
-        let names: Result<Vec<String>, _> = chunks
-            .into_iter()
-            .map(|(_, value)| Id::new(value))
-            .map(|id| id.map(String::from))
-            .collect();
-        let names = names.map_err(|error| ApiError::not_found(error.to_string()))?;
-        names
-            .try_into()
-            .map(Self)
-            .map_err(|_| ApiError::not_found("this path has other names"))
+        let chunks = chunks_of::<N, S>(parts, state).await?;
+        for chunk in &chunks {
+            checked(chunk)?;
+        }
+        Ok(Self(chunks))
+    }
+}
+
+/// A robot, and a name that people gave to something on its map: it stands in no key, so whoever keeps it says what it may hold.
+#[derive(Debug)]
+pub(super) struct RobotAnd(pub(super) String, pub(super) String);
+
+impl<S: Send + Sync> FromRequestParts<S> for RobotAnd {
+    type Rejection = ApiError;
+
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, ApiError> {
+        let [robot, name] = chunks_of::<2, S>(parts, state).await?;
+        checked(&robot)?;
+        Ok(Self(robot, name))
+    }
+}
+
+async fn chunks_of<const N: usize, S: Send + Sync>(parts: &mut Parts, state: &S) -> Result<[String; N], ApiError> {
+    let Path(chunks) = Path::<Vec<(String, String)>>::from_request_parts(parts, state)
+        .await
+        .map_err(|error| ApiError::not_found(error.body_text()))?;
+    let values: Vec<String> = chunks.into_iter().map(|(_, value)| value).collect();
+    values
+        .try_into()
+        .map_err(|_| ApiError::not_found("this path has other names"))
+}
+
+fn checked(name: &str) -> Result<(), ApiError> {
+    match Id::new(name) {
+        Ok(_) => Ok(()),
+        Err(error) => Err(ApiError::not_found(error.to_string())),
     }
 }
 

@@ -6,11 +6,12 @@ use std::f64::consts::TAU;
 use axum::extract::State;
 use axum::http::StatusCode;
 use axum::response::Response;
-use serde::Deserialize;
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer};
 use serde_json::Value;
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{
-    CancelRequest, DrivingProfile, GoalPoint, GoalRequest, GoalsRequest, OnBusy, PauseRequest,
+    CancelRequest, DrivingProfile, GoalPoint, GoalRequest, GoalsRequest, MoveGoalRequest, OnBusy, PauseRequest,
 };
 
 use super::App;
@@ -39,11 +40,23 @@ pub(super) struct GoalBody {
     blackboard: BTreeMap<String, Value>,
     #[serde(default)]
     on_busy: OnBusy,
-    #[serde(default)]
+    #[serde(default, deserialize_with = "whole")]
     priority: i32,
     deadline_secs: Option<f64>,
     tolerance: Option<f64>,
     profile: Option<DrivingProfile>,
+}
+
+/// A whole number is one however it is written: JSON knows no integers.
+fn whole<'de, D: Deserializer<'de>>(from: D) -> Result<i32, D::Error> {
+    let number = f64::deserialize(from)?;
+    if number.fract() == 0.0 && (f64::from(i32::MIN)..=f64::from(i32::MAX)).contains(&number) {
+        Ok(number as i32)
+    } else {
+        Err(D::Error::custom(format_args!(
+            "`priority` is {number}: expected a whole number of 32 bits"
+        )))
+    }
 }
 
 impl GoalBody {
@@ -54,12 +67,8 @@ impl GoalBody {
                 .into(),
             None => format!("goal-{}", Id::unique()),
         };
-        let yaws = self.waypoints.iter().filter_map(|point| point.yaw).chain(self.yaw);
-        if let Some(yaw) = yaws.into_iter().find(|yaw| yaw.abs() > TAU) {
-            return Err(ApiError::bad_request(format!(
-                "`yaw` is {yaw}: expected radians, -6.283 to 6.283 (90° is 1.571)"
-            )));
-        }
+        let mut yaws = self.waypoints.iter().filter_map(|point| point.yaw).chain(self.yaw);
+        yaws.try_for_each(in_radians)?;
         if self.waypoints.len() > MAX_WAYPOINTS {
             return Err(ApiError::bad_request(format!(
                 "`waypoints`: expected at most {MAX_WAYPOINTS}"
@@ -81,6 +90,24 @@ impl GoalBody {
             profile: self.profile,
         })
     }
+}
+
+/// A heading in degrees is a slip.
+pub(super) fn in_radians(yaw: f64) -> Result<(), ApiError> {
+    if yaw.abs() <= TAU {
+        return Ok(());
+    }
+    Err(ApiError::bad_request(format!(
+        "`yaw` is {yaw}: expected radians, -6.283 to 6.283 (90° is 1.571)"
+    )))
+}
+
+/// Where in the queue a goal is moved to.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct MoveBody {
+    #[serde(default)]
+    before: Option<String>,
 }
 
 /// An id for a request that must not be carried out twice.
@@ -127,6 +154,21 @@ pub(super) async fn cancel(State(shared): App, Named([robot, goal]): Named<2>) -
         request_id: fresh(),
     };
     let reply = shared.operator.cancel(&robot, request).await?;
+    Ok(super::json(StatusCode::OK, &reply))
+}
+
+pub(super) async fn move_in_queue(
+    State(shared): App,
+    Named([robot, goal]): Named<2>,
+    JsonBody(MoveBody { before }): JsonBody<MoveBody>,
+) -> Result<Response, ApiError> {
+    known(&shared, &robot)?;
+    let request = MoveGoalRequest {
+        id: goal,
+        before,
+        request_id: fresh(),
+    };
+    let reply = shared.operator.move_goal(&robot, request).await?;
     Ok(super::json(StatusCode::OK, &reply))
 }
 

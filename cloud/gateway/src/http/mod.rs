@@ -3,12 +3,14 @@
 //! | file | answers |
 //! |---|---|
 //! | `robots` | robots, their events and maps; stop and resume |
-//! | `goals` | goals: submit, list, cancel, pause |
+//! | `goals` | goals: submit, list, cancel, pause, move in the queue |
+//! | `annotations` | places and zones of a robot's map, and where the robot is said to be |
 //! | `live` | the WebSocket: frames out; which robot is watched, and hand control, in |
 //! | `extract` | how does a request become typed values, and may it pass? |
 //! | `error` | which status and which words? |
 //! | `openapi` | what does the API look like? |
 
+mod annotations;
 mod error;
 mod extract;
 mod goals;
@@ -27,7 +29,7 @@ use axum::extract::{DefaultBodyLimit, State};
 use axum::http::{HeaderName, HeaderValue, StatusCode, header};
 use axum::middleware::{from_fn_with_state, map_response};
 use axum::response::{IntoResponse, Response};
-use axum::routing::{get, post};
+use axum::routing::{get, post, put};
 use serde::Serialize;
 use tokio::net::TcpListener;
 use tower_http::catch_panic::CatchPanicLayer;
@@ -74,10 +76,22 @@ pub fn router(hub: Arc<Hub>, operator: Arc<dyn Operator>, access: Access) -> Rou
         .route("/robots/{robot}/map", get(robots::map))
         .route("/robots/{robot}/stop", post(robots::stop))
         .route("/robots/{robot}/resume", post(robots::resume))
+        .route("/robots/{robot}/pose", post(annotations::set_pose))
+        .route("/robots/{robot}/places", get(annotations::places))
+        .route(
+            "/robots/{robot}/places/{place}",
+            put(annotations::put_place).delete(annotations::delete_place),
+        )
+        .route("/robots/{robot}/zones", get(annotations::zones))
+        .route(
+            "/robots/{robot}/zones/{zone}",
+            put(annotations::put_zone).delete(annotations::delete_zone),
+        )
         .route("/robots/{robot}/goals", get(goals::list).post(goals::submit))
         .route("/robots/{robot}/goals/{goal}", get(goals::one).delete(goals::cancel))
         .route("/robots/{robot}/goals/{goal}/pause", post(goals::pause))
         .route("/robots/{robot}/goals/{goal}/resume", post(goals::resume))
+        .route("/robots/{robot}/goals/{goal}/move", post(goals::move_in_queue))
         .route("/live", get(live::upgrade))
         .fallback(nothing_here)
         .method_not_allowed_fallback(wrong_method)

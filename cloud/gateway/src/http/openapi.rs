@@ -51,6 +51,29 @@ fn asked(id: &str, summary: &str, status: &str, schema: &str) -> Value {
     operation(id, summary, &[(status, schema, "Done.")], ASKED)
 }
 
+/// The body of a request, by its schema's name, and what is answered to one that is none.
+fn takes(operation: &mut Value, schema: &str) {
+    for (status, why) in [
+        ("400", "Not what is expected."),
+        ("413", "Too large."),
+        ("415", "Not JSON."),
+    ] {
+        operation["responses"][status] = reply("Error", why);
+    }
+    operation["requestBody"] = json!({
+        "required": true,
+        "content": { "application/json": { "schema": { "$ref": format!("#/components/schemas/{schema}") } } },
+    });
+}
+
+/// A name that people gave.
+fn given_name(name: &str) -> Value {
+    json!({
+        "name": name, "in": "path", "required": true,
+        "schema": { "type": "string", "minLength": 1, "maxLength": 64 },
+    })
+}
+
 fn name_in_path(name: &str) -> Value {
     json!({
         "name": name, "in": "path", "required": true,
@@ -67,13 +90,41 @@ pub(super) fn openapi() -> Value {
         "202",
         "GoalReply",
     );
-    for (status, why) in [("400", "Not a goal."), ("413", "Too large."), ("415", "Not JSON.")] {
-        submit["responses"][status] = reply("Error", why);
-    }
-    submit["requestBody"] = json!({
-        "required": true,
-        "content": { "application/json": { "schema": { "$ref": "#/components/schemas/Goal" } } },
-    });
+    takes(&mut submit, "Goal");
+    let mut move_goal = asked(
+        "moveGoal",
+        "Move a goal that waits before another one, or to the end of the queue; it takes the other's priority.",
+        "200",
+        "GoalReply",
+    );
+    takes(&mut move_goal, "Move");
+    let mut set_pose = asked(
+        "setPose",
+        "Tell the robot where it is, to within some decimetres: it drops its plan, and goes on from there.",
+        "200",
+        "Localisation",
+    );
+    takes(&mut set_pose, "Pose");
+    let mut put_place = asked(
+        "putPlace",
+        "Add a place, or move the one of this name.",
+        "200",
+        "Annotations",
+    );
+    takes(&mut put_place, "Place");
+    let mut put_zone = asked(
+        "putZone",
+        "Add a zone, or replace the one of this name. It acts on the plan that is driven too.",
+        "200",
+        "Annotations",
+    );
+    takes(&mut put_zone, "NewZone");
+    let removal = |id: &str, summary: &str| {
+        let mut removal = asked(id, summary, "200", "Annotations");
+        removal["responses"]["400"] = reply("Error", "Not a name.");
+        removal
+    };
+    let (place, zone) = (given_name("place"), given_name("zone"));
     let read = |id: &str, summary: &str, schema: &str| operation(id, summary, &[("200", schema, "Read.")], &[]);
     let mut stop_all = operation(
         "stopAll",
@@ -128,6 +179,25 @@ pub(super) fn openapi() -> Value {
                 "parameters": [robot],
                 "post": asked("resume", "Lift a stop: the robot takes a new plan from where it stands.", "200", "Stopped"),
             },
+            "/api/v1/robots/{robot}/pose": { "parameters": [robot], "post": set_pose },
+            "/api/v1/robots/{robot}/places": {
+                "parameters": [robot],
+                "get": asked("listPlaces", "Named places of the robot's map.", "200", "Places"),
+            },
+            "/api/v1/robots/{robot}/places/{place}": {
+                "parameters": [robot, place],
+                "put": put_place,
+                "delete": removal("deletePlace", "Remove a place, also one of the world."),
+            },
+            "/api/v1/robots/{robot}/zones": {
+                "parameters": [robot],
+                "get": asked("listZones", "Keep-out and speed zones of the robot's map.", "200", "Zones"),
+            },
+            "/api/v1/robots/{robot}/zones/{zone}": {
+                "parameters": [robot, zone],
+                "put": put_zone,
+                "delete": removal("deleteZone", "Remove a zone, also one of the deployment's file."),
+            },
             "/api/v1/robots/{robot}/goals": {
                 "parameters": [robot],
                 "get": asked("listGoals", "Goals, newest first.", "200", "Goals"),
@@ -146,6 +216,7 @@ pub(super) fn openapi() -> Value {
                 "parameters": [robot, goal],
                 "post": asked("resumeGoal", "Let a paused goal go on.", "200", "GoalReply"),
             },
+            "/api/v1/robots/{robot}/goals/{goal}/move": { "parameters": [robot, goal], "post": move_goal },
             "/api/v1/live": { "get": live },
         },
         "components": {
@@ -156,12 +227,40 @@ pub(super) fn openapi() -> Value {
 }
 
 fn schemas() -> Value {
-    let number = json!({ "type": "number" });
+    let coordinate = json!({ "type": "number", "minimum": -100_000, "maximum": 100_000 });
     let optional = |kind: &str| json!({ "type": [kind, "null"] });
     let point = json!({
         "type": "object", "required": ["x", "y"],
-        "properties": { "x": number, "y": number, "yaw": optional("number") },
+        "properties": {
+            "x": coordinate, "y": coordinate, "yaw": { "type": ["number", "null"], "minimum": -TAU, "maximum": TAU },
+        },
     });
+    let rule = json!({ "oneOf": [
+        { "const": "keep_out" },
+        {
+            "type": "object", "required": ["speed_limit"], "additionalProperties": false,
+            "properties": { "speed_limit": {
+                "type": "object", "required": ["max_speed"], "properties": { "max_speed": { "type": "number", "exclusiveMinimum": 0 } },
+            } },
+        },
+    ] });
+    let corners = json!({
+        "type": "array", "minItems": 3, "maxItems": 1000,
+        "items": { "type": "array", "minItems": 2, "maxItems": 2, "items": coordinate },
+    });
+    let zone = |more: &[(&str, Value)]| {
+        let mut zone = json!({
+            "type": "object", "required": ["rule", "points"], "additionalProperties": false,
+            "description": "Corners of a simple polygon in order, map frame, m.",
+            "properties": { "rule": rule, "points": corners },
+        });
+        for (name, schema) in more {
+            zone["properties"][*name] = schema.clone();
+        }
+        zone
+    };
+    let mut place = point.clone();
+    place["additionalProperties"] = false.into();
     json!({
         "Object": { "type": "object" },
         "Error": {
@@ -172,6 +271,35 @@ fn schemas() -> Value {
             },
         },
         "Point": point,
+        "Pose": {
+            "type": "object", "required": ["x", "y", "yaw"], "additionalProperties": false,
+            "properties": { "x": coordinate, "y": coordinate, "yaw": { "type": "number", "minimum": -TAU, "maximum": TAU } },
+        },
+        "Localisation": { "type": "object", "required": ["health"] },
+        "NewZone": zone(&[]),
+        "Zone": zone(&[("name", json!({ "type": "string" }))]),
+        "Place": place,
+        "Zones": {
+            "type": "object", "required": ["zones"],
+            "properties": { "zones": { "type": "array", "items": { "$ref": "#/components/schemas/Zone" } } },
+        },
+        "Places": {
+            "type": "object", "required": ["places"],
+            "properties": { "places": { "type": "object", "additionalProperties": { "$ref": "#/components/schemas/Point" } } },
+        },
+        "Annotations": {
+            "type": "object", "required": ["revision", "places", "zones"],
+            "properties": {
+                "revision": { "type": "integer" },
+                "places": { "type": "object", "additionalProperties": { "$ref": "#/components/schemas/Point" } },
+                "zones": { "type": "array", "items": { "$ref": "#/components/schemas/Zone" } },
+            },
+        },
+        "Move": {
+            "type": "object", "additionalProperties": false,
+            "description": "The waiting goal that it is put before; without one, it becomes the last.",
+            "properties": { "before": optional("string") },
+        },
         "Health": {
             "type": "object", "required": ["version", "connected", "clients", "robots"],
             "properties": {

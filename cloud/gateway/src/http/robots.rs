@@ -86,8 +86,13 @@ pub(super) async fn map(State(shared): App, Named([robot]): Named<1>) -> Result<
 
 pub(super) async fn stop(State(shared): App, Named([robot]): Named<1>) -> Result<Response, ApiError> {
     // Not looked for first: a robot may hear a stop that nobody has heard of lately.
-    let reply = shared.operator.stop(&robot, BY).await?;
-    Ok(super::json(StatusCode::OK, &reply))
+    match shared.operator.stop(&robot, BY).await {
+        Ok(reply) => Ok(super::json(StatusCode::OK, &reply)),
+        Err(failure) => {
+            known(&shared, &robot)?;
+            Err(failure.into())
+        }
+    }
 }
 
 pub(super) async fn resume(State(shared): App, Named([robot]): Named<1>) -> Result<Response, ApiError> {

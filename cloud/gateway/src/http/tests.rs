@@ -10,9 +10,10 @@ use axum::http::{Method, Request};
 use serde_json::{Value, json};
 use tokio::sync::watch;
 use tower::ServiceExt as _;
+use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::{
-    CancelRequest, GoalPhase, GoalPoint, GoalReply, GoalRequest, GoalsReply, GoalsRequest, MapReply, PauseRequest,
-    Refusal, StopReply,
+    AnnotateAction, Annotations, CancelRequest, GoalPhase, GoalPoint, GoalReply, GoalRequest, GoalsReply, GoalsRequest,
+    Health, LocaliseReply, MapReply, MoveGoalRequest, PauseRequest, Refusal, StopReply,
 };
 
 use super::*;
@@ -83,9 +84,29 @@ impl Operator for Scribe {
         self.note(format!("goals {robot}"), Ok(GoalsReply::default()))
     }
 
+    fn move_goal(&self, robot: &str, request: MoveGoalRequest) -> Answer<GoalReply> {
+        let reply = Self::reply(&request.id, GoalPhase::Accepted);
+        self.note(format!("move {robot} {} {:?}", request.id, request.before), Ok(reply))
+    }
+
+    fn annotate(&self, robot: &str, action: AnnotateAction) -> Answer<Annotations> {
+        let what = serde_json::to_string(&action).unwrap();
+        self.note(format!("annotate {robot} {what}"), Ok(Annotations::default()))
+    }
+
+    fn set_pose(&self, robot: &str, pose: Pose2, by: &str) -> Answer<LocaliseReply> {
+        let reply = LocaliseReply {
+            health: Health::default(),
+        };
+        self.note(
+            format!("pose {robot} {} {} {} {by}", pose.x, pose.y, pose.yaw),
+            Ok(reply),
+        )
+    }
+
     fn stop(&self, robot: &str, by: &str) -> Answer<StopReply> {
         let answer = match robot {
-            "mute" => Err(AskFailure::Timeout { key: "stop".into() }),
+            "mute" | "nobody" => Err(AskFailure::Timeout { key: "stop".into() }),
             _ => Ok(StopReply { stopped: true }),
         };
         self.note(format!("stop {robot} {by}"), answer)
@@ -166,6 +187,8 @@ impl Site {
     }
 }
 
+const POSE: &str = "/api/v1/robots/tiago/pose";
+const ZONE: &str = "/api/v1/robots/tiago/zones/wet";
 const GOALS: &str = "/api/v1/robots/tiago/goals";
 
 #[tokio::test]
@@ -205,6 +228,60 @@ async fn goals_stop_and_resume_reach_the_robot() {
 }
 
 #[tokio::test]
+async fn what_is_drawn_on_the_map_and_where_the_robot_is_reach_whoever_keeps_it() {
+    let site = site(None, GatewaySettings::default());
+    for (method, path, body, wanted) in [
+        (
+            Method::POST,
+            "pose",
+            Some(r#"{"x": 1, "y": 2, "yaw": 0.5}"#),
+            "pose tiago 1 2 0.5 gateway",
+        ),
+        (Method::GET, "places", None, r#"annotate tiago "get""#),
+        (
+            Method::PUT,
+            "places/break%20room",
+            Some(r#"{"x": 1, "y": 2}"#),
+            r#"annotate tiago {"add_place":{"name":"break room","at":{"x":1.0,"y":2.0}}}"#,
+        ),
+        (
+            Method::DELETE,
+            "places/a%2Fb",
+            None,
+            r#"annotate tiago {"remove_place":{"name":"a/b"}}"#,
+        ),
+        (
+            Method::PUT,
+            "zones/wet",
+            Some(r#"{"rule": {"speed_limit": {"max_speed": 0.2}}, "points": [[0, 0], [1, 0], [1, 1]]}"#),
+            r#"annotate tiago {"add_zone":{"zone":{"name":"wet","rule":{"speed_limit":{"max_speed":0.2}},"points":[[0.0,0.0],[1.0,0.0],[1.0,1.0]]}}}"#,
+        ),
+        (
+            Method::DELETE,
+            "zones/wet",
+            None,
+            r#"annotate tiago {"remove_zone":{"name":"wet"}}"#,
+        ),
+        (
+            Method::POST,
+            "goals/g2/move",
+            Some(r#"{"before": "g1"}"#),
+            r#"move tiago g2 Some("g1")"#,
+        ),
+        (Method::POST, "goals/g2/move", Some("{}"), "move tiago g2 None"),
+    ] {
+        let (status, reply) = site
+            .ask(method.clone(), &format!("/api/v1/robots/tiago/{path}"), body)
+            .await;
+        assert_eq!(
+            (status, site.asked()),
+            (StatusCode::OK, vec![wanted.to_owned()]),
+            "{method} {path}: {reply}"
+        );
+    }
+}
+
+#[tokio::test]
 async fn every_error_is_json_with_a_reason_and_its_status() {
     let site = site(None, GatewaySettings::default());
     let large = format!(r#"{{"tree": "{}"}}"#, "x".repeat(MAX_BODY));
@@ -239,10 +316,34 @@ async fn every_error_is_json_with_a_reason_and_its_status() {
             "not a valid name",
         ),
         (Method::POST, GOALS, Some(large.as_str()), 413, "limit"),
+        (Method::POST, POSE, Some(r#"{"x": 1, "y": 1}"#), 400, "yaw"),
+        (
+            Method::POST,
+            POSE,
+            Some(r#"{"x": 1, "y": 1, "yaw": 90}"#),
+            400,
+            "radians",
+        ),
+        (
+            Method::PUT,
+            ZONE,
+            Some(r#"{"rule": "keepout", "points": []}"#),
+            400,
+            "keep_out",
+        ),
+        (
+            Method::PUT,
+            ZONE,
+            Some(r#"{"rule": "keep_out", "points": [[1]]}"#),
+            400,
+            "length 1",
+        ),
+        (Method::GET, ZONE, None, 405, "other methods"),
         (Method::POST, GOALS, None, 415, "application/json"),
         (Method::POST, GOALS, Some(r#"{"x": 200, "y": 1}"#), 422, "occupied"),
         (Method::GET, "/api/v1/robots/tiago/map", None, 503, "4 maps"),
         (Method::POST, "/api/v1/robots/mute/stop", None, 504, "no answer"),
+        (Method::POST, "/api/v1/robots/nobody/stop", None, 404, "there is mute"),
         (Method::GET, "/api/v1/live", None, 400, ""),
     ] {
         let (got, reply) = site.ask(method.clone(), path, body).await;
@@ -338,7 +439,11 @@ async fn the_openapi_document_lists_what_there_is_and_nothing_else() {
     assert_eq!(status, StatusCode::OK);
     let mut routes = 0;
     for (path, item) in document["paths"].as_object().unwrap() {
-        let concrete = path.replace("{robot}", "tiago").replace("{goal}", "g1");
+        let concrete = path
+            .replace("{robot}", "tiago")
+            .replace("{goal}", "g1")
+            .replace("{place}", "sink")
+            .replace("{zone}", "wet");
         for (method, operation) in item
             .as_object()
             .unwrap()
@@ -357,14 +462,9 @@ async fn the_openapi_document_lists_what_there_is_and_nothing_else() {
         }
     }
     let written = include_str!("mod.rs").split("    let site = ").next().unwrap();
-    let declared: usize = ["get(", "post(", ".post(", ".delete("]
-        .iter()
-        .map(|verb| match *verb {
-            "get(" => written.matches(", get(").count(),
-            "post(" => written.matches(", post(").count(),
-            verb => written.matches(&format!("){verb}")).count(),
-        })
-        .sum();
+    let written = written.split("    let api = ").nth(1).unwrap();
+    let verbs = ["get(", "post(", "put(", "delete("].into_iter();
+    let declared: usize = verbs.map(|verb| written.matches(verb).count()).sum();
     assert_eq!(routes, declared, "every route stands in the document");
     let text = document.to_string();
     for (at, _) in text.match_indices("#/components/schemas/") {

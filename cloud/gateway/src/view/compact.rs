@@ -96,19 +96,24 @@ pub(super) struct CompactPlan<'a> {
     length: f64,
     duration: f64,
     min_clearance: Option<f64>,
+    /// Least width of the corridor across the path that the robot's centre has, m.
+    corridor_width: Option<f64>,
     /// x, y (m), speed (m/s) of each point.
     points: Vec<f64>,
+    /// Heading at each point, rad; none for a plain list of waypoints.
+    yaws: Vec<f64>,
 }
 
 impl<'a> From<&'a Plan> for CompactPlan<'a> {
     fn from(plan: &'a Plan) -> Self {
         let driven = plan.trajectory.rest(f64::NEG_INFINITY);
-        let mut points = Vec::new();
+        let (mut points, mut yaws) = (Vec::new(), Vec::new());
         if driven.is_empty() {
             points.extend(plan.waypoints.iter().flat_map(|p| [milli(p.x), milli(p.y), 0.0]));
         } else {
             let every = stride(driven.len(), MAX_PLAN_POINTS);
             let kept = driven.iter().step_by(every).chain(driven.last());
+            yaws.extend(kept.clone().map(|p| milli(p.yaw)));
             points.extend(kept.flat_map(|p| [milli(p.x), milli(p.y), milli(p.v)]));
         }
         let statistics = &plan.statistics;
@@ -120,7 +125,12 @@ impl<'a> From<&'a Plan> for CompactPlan<'a> {
             length: milli(statistics.length),
             duration: milli(statistics.duration),
             min_clearance: statistics.min_clearance.map(milli),
+            corridor_width: statistics
+                .certificate
+                .corridor
+                .map(|corridor| milli(corridor.least_width)),
             points,
+            yaws,
         }
     }
 }

@@ -74,7 +74,7 @@ pub struct FleetView {
     pub(crate) version: u64,
     /// Number of the change that brought or took a robot.
     pub(crate) names_version: u64,
-    /// Round trips of the last minute, by robot.
+    /// Newest round trips, by robot.
     round_trips: BTreeMap<String, Vec<Option<f64>>>,
 }
 

@@ -27,6 +27,8 @@ pub struct ComputePath {
     search: Option<(Search, RouteRequest)>,
     /// Where to, and how often in a row no path was found.
     tried: Option<(GoalPoint, u32)>,
+    /// The frame of the map in which the goal was read.
+    frame: u64,
 }
 
 /// Nav2's code of this node for a reason.
@@ -86,6 +88,7 @@ fn driven(route: &Route) -> Vec<Point2<f64>> {
 
 impl Leaf<Context> for ComputePath {
     fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        self.frame = ctx.frames.at();
         let request = match route_request(io, ctx) {
             Ok(request) => request,
             Err((code, why)) => return fail(io, ctx, Some(code), why),
@@ -108,6 +111,14 @@ impl Leaf<Context> for ComputePath {
     }
 
     fn tick(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        if let Some(why) = ctx.robot.lost() {
+            self.halt(io, ctx);
+            return fail(io, ctx, Some(code(io, error_code::TF_ERROR)), why);
+        }
+        if self.frame != ctx.frames.at() && self.search.is_some() {
+            // The goal's numbers are others now.
+            return self.start(io, ctx);
+        }
         let Some((search, request)) = &mut self.search else {
             return self.start(io, ctx);
         };
@@ -124,6 +135,7 @@ impl Leaf<Context> for ComputePath {
                     points,
                     length,
                     via,
+                    frame: Some(ctx.frames.at()).filter(|frame| *frame > 0),
                     place: io.get("goal").ok().filter(|name| ctx.config.places.contains_key(name)),
                 };
                 let written = data

@@ -25,6 +25,7 @@ use zenav_space::ConfigurationSpace;
 /// Nav2's codes of why a path is not followed.
 mod error_code {
     pub const INVALID_CONTROLLER: i64 = 101;
+    pub const TF_ERROR: i64 = 102;
     pub const INVALID_PATH: i64 = 103;
     pub const FAILED_TO_MAKE_PROGRESS: i64 = 105;
     pub const NO_VALID_CONTROL: i64 = 106;
@@ -42,6 +43,10 @@ const CHOICES: [(&str, Choice); 4] = [
     ("progress_checker_id", Choice::ProgressChecker),
     ("path_handler_id", Choice::PathHandler),
 ];
+/// A goal that has moved this much otherwise than the robot's surroundings is planned to anew, m.
+const PARTED: f64 = 0.01;
+/// Why a path is of no use.
+const OLD_FRAME: &str = "the path is of a frame of the map that is too long ago";
 /// Nearer than this to its goal a robot at rest is there, as a share of the tolerance.
 const THERE: f64 = 0.5;
 
@@ -64,6 +69,8 @@ pub struct FollowPath {
     blocked_at: Option<f64>,
     /// Until then what stands far ahead can wait.
     gathered: Stamp,
+    /// The frame of the map that its numbers are in.
+    frame: u64,
 }
 
 /// What must not be forgotten over a restart.
@@ -71,6 +78,9 @@ pub struct FollowPath {
 struct Memory {
     goal: GoalPoint,
     motion: Option<u64>,
+    /// The frame of the map that the goal's numbers are in.
+    #[serde(default)]
+    frame: u64,
 }
 
 /// Where the robot may be by what the map says now, or why that is not known.
@@ -80,6 +90,9 @@ fn space_now(ctx: &mut Context) -> Result<Arc<ConfigurationSpace>, String> {
     };
     if let Some(why) = ctx.map.unusable(ctx.now, ctx.config.settings.map_timeout) {
         return Err(why);
+    }
+    if !ctx.frames.is_settled() {
+        return Err("the map is about to move".to_owned());
     }
     let space = ctx.map.space(&model.footprint);
     space.ok_or_else(|| "no map has come yet".to_owned())
@@ -106,6 +119,10 @@ impl Leaf<Context> for FollowPath {
             Ok(_) => return fail(io, ctx, Some(error_code::INVALID_PATH), "the path is empty"),
             Err(why) => return fail(io, ctx, Some(error_code::INVALID_PATH), why),
         };
+        let Some(data) = data.here(&ctx.frames) else {
+            return fail(io, ctx, Some(error_code::INVALID_PATH), OLD_FRAME);
+        };
+        self.frame = ctx.frames.at();
         self.path_sequence = io.sequence("path");
         if is_there(ctx, &data.goal) {
             // A path whose end the robot keeps to, as one that follows something does.
@@ -123,6 +140,7 @@ impl Leaf<Context> for FollowPath {
             Memory {
                 goal: data.goal,
                 motion: None,
+                frame: self.frame,
             },
         );
         if self.offered.is_none() {
@@ -155,6 +173,12 @@ impl Leaf<Context> for FollowPath {
             ctx.end_leg(GoalPhase::Canceled, None);
             io.say("canceled by the tree");
             return Status::Success;
+        }
+        if let Some(why) = ctx.robot.lost() {
+            return self.end(io, ctx, error_code::TF_ERROR, why);
+        }
+        if memory.frame != ctx.frames.at() && !self.settle(io, ctx, &mut memory) {
+            return self.end(io, ctx, error_code::INVALID_PATH, OLD_FRAME.to_owned());
         }
         self.look_for_offer(io, ctx, &mut memory);
         self.tracking.observe(io, ctx);
@@ -228,6 +252,26 @@ impl Leaf<Context> for FollowPath {
 }
 
 impl FollowPath {
+    /// Takes over the present frame of the map. The plan in force goes on; where its goal has moved otherwise than the robot's surroundings,
+    /// another one to that is looked for meanwhile. `false` where the frame of the goal is too long ago.
+    fn settle(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, memory: &mut Memory) -> bool {
+        let Some(moved) = ctx.frames.robot(memory.frame) else {
+            return false;
+        };
+        let (before, along) = (memory.frame, memory.goal.moved(moved));
+        memory.goal = ctx.frames.place(before, memory.goal);
+        memory.frame = ctx.frames.at();
+        self.frame = memory.frame;
+        self.remember(io, *memory);
+        self.tracking.settle(before, ctx);
+        self.offered = None;
+        let parted = (along.x - memory.goal.x).hypot(along.y - memory.goal.y) > PARTED;
+        if self.search.is_some() || parted {
+            self.begin_search(ctx, memory.goal, 0.0);
+        }
+        true
+    }
+
     /// The tree may put a newer path on the port while this one is driven.
     fn look_for_offer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, memory: &mut Memory) {
         let sequence = io.sequence("path");
@@ -237,6 +281,7 @@ impl FollowPath {
         self.path_sequence = sequence;
         if let Ok(data) = path_on(io, "path")
             && !data.points.is_empty()
+            && let Some(data) = data.here(&ctx.frames)
         {
             self.offered = ctx.route(data.route);
             if memory.goal != data.goal {
@@ -262,6 +307,9 @@ impl FollowPath {
 
     /// Whether a route begins where the robot will be.
     fn fits(&self, ctx: &Context, route: &Route) -> bool {
+        if route.plan.map.frame != ctx.frames.at() {
+            return false;
+        }
         match route.plan.splice {
             Some(splice) => {
                 ctx.motion.id() == Some(splice.trajectory_id) && ctx.motion.status() == Some(&PlanStatus::Taken)

@@ -24,7 +24,6 @@ fn capability(id: &str) -> (&'static str, i64) {
             "teleoperation within a tree: an operator takes the lease for it",
             SEND_GOAL_FAILURE,
         ),
-        "ReinitializeGlobalLocalization" => ("global localization", SEND_GOAL_FAILURE),
         "IsBatteryCharging" => ("word from the robot whether it charges", SEND_GOAL_FAILURE),
         _ => ("a server for it", SEND_GOAL_FAILURE),
     }

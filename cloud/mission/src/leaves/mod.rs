@@ -8,6 +8,7 @@
 //! | `follow_path`, `tracking` | FollowPath, and where on its path the robot is |
 //! | `follow_waypoints` | FollowWaypoints |
 //! | `mapping` | DoesMapExist, MapEnvironment, SaveMap and what else is done to a map |
+//! | `localisation` | ReinitializeGlobalLocalization, IsLocalised, WaitForLocalisation |
 //! | `behaviours` | Spin, BackUp, DriveOnHeading, DriveToFree |
 //! | `simple` | Wait, GoalReached, IsBatteryLow |
 //! | `conditions` | DistanceTraveled, IsStuck, CheckStopStatus, TransformAvailable |
@@ -28,6 +29,7 @@ mod conditions;
 mod follow_path;
 mod follow_waypoints;
 mod goal_leaves;
+mod localisation;
 mod mapping;
 mod missing;
 mod navigate;
@@ -136,6 +138,19 @@ fn fill(registry: &mut Registry<Context>) -> Result<(), DuplicateNode> {
         .output("error_msg", Text, "error message"),
         |_| Box::<behaviours::Behaviour>::default(),
     )?;
+    registry.leaf(
+        NodeSpec::condition("IsLocalised", "SUCCESS unless the robot is known to be lost."),
+        |_| Box::new(localisation::IsLocalised),
+    )?;
+    registry.leaf(
+        NodeSpec::action("WaitForLocalisation", "Waits until the robot knows where it is.").input_or(
+            "time_allowance",
+            Double,
+            "5.0",
+            "time allowance, s",
+        ),
+        |_| Box::<localisation::WaitForLocalisation>::default(),
+    )?;
     registry.leaf(remote::spec(), |_| Box::<remote::Remote>::default())?;
     let rest: Vec<NodeSpec> = registry
         .declared()
@@ -161,6 +176,7 @@ fn nav2_leaf(site: LeafSite<'_>) -> Box<dyn Leaf<Context>> {
     }
     match site.id {
         "ComputePathThroughPoses" => Box::<compute_path::ComputePath>::default(),
+        "ReinitializeGlobalLocalization" => Box::<localisation::Reinitialize>::default(),
         "SmoothPath" => Box::<smooth_path::SmoothPath>::default(),
         "NavigateToPose" | "NavigateThroughPoses" => Box::<navigate::Navigate>::default(),
         // Its name until Nav2's Kilted.

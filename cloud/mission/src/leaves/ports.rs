@@ -216,6 +216,7 @@ impl RouteData {
             points,
             via: Vec::new(),
             place: None,
+            frame: None,
         }
     }
 

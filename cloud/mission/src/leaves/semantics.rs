@@ -59,11 +59,12 @@ impl Stand {
         let name = MapRef {
             id: "m".into(),
             revision: 0,
+            frame: 0,
         };
         let mut mapper = Mapper::with_stored(settings, name, map, Vec::new(), 1);
         let patches: Vec<_> = std::iter::from_fn(|| mapper.take_patch()).collect();
         ctx.map.observe(Stamp(1), Some(mapper.info()), &patches);
-        ctx.robot.step(Stamp(1), &mut ctx.asks).unwrap();
+        ctx.robot.step(Stamp(1), &mut ctx.asks);
         let (ticket, ask) = ctx.asks.take_new().pop().unwrap();
         assert!(matches!(ask, Ask::EdgeInfo(_)));
         let info = InfoReply {
@@ -75,7 +76,7 @@ impl Stand {
             ..InfoReply::default()
         };
         ctx.asks.answer(ticket, Ok(Answer::EdgeInfo(Box::new(info))));
-        ctx.robot.step(Stamp(2), &mut ctx.asks).unwrap();
+        ctx.robot.step(Stamp(2), &mut ctx.asks);
         let text = format!("<root BTCPP_format=\"4\"><BehaviorTree ID=\"Main\">{node}</BehaviorTree></root>");
         Stand {
             tree: build(&text).unwrap_or_else(|error| panic!("{error}")),
@@ -108,6 +109,7 @@ impl Stand {
             map_from_base: self.pose,
             covariance: [0.0; 9],
             velocity: self.velocity,
+            frame: 0,
         };
         let state = EdgeState {
             velocity: self.velocity,
@@ -115,6 +117,7 @@ impl Stand {
         };
         self.ctx.robot.hear(now, &std::mem::take(&mut self.events));
         self.ctx.robot.observe(now, Some(state), Some(pose));
+        self.ctx.settle();
         self.tree.tick(Duration::from_millis(self.ms), &mut self.ctx).unwrap()
     }
 
@@ -140,6 +143,7 @@ impl Stand {
 fn state(now: Stamp) -> EdgeState {
     EdgeState {
         stamp: now,
+        frame: 0,
         boot_id: "b".into(),
         mode: Mode::Idle,
         link: Link::Connected,
@@ -152,6 +156,7 @@ fn state(now: Stamp) -> EdgeState {
         missed_ticks: 0,
         round_trip_secs: None,
         makes_way: false,
+        faults: Default::default(),
         wall_follower: None,
     }
 }

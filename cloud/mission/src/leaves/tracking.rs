@@ -62,6 +62,17 @@ impl Tracking {
         self.path = Some(data);
     }
 
+    /// Carries the path over to the present frame of the map.
+    pub fn settle(&mut self, from: u64, ctx: &Context) {
+        self.path = self.path.take().and_then(|data| {
+            let data = RouteData {
+                frame: Some(from),
+                ..data
+            };
+            data.here(&ctx.frames)
+        });
+    }
+
     /// Looks where the robot is by now, and tells it on the port for those who listen.
     pub fn observe(&mut self, io: &mut LeafIo<'_>, ctx: &Context) {
         let (Some(pose), Some(data)) = (ctx.robot.pose(), &self.path) else {

@@ -44,14 +44,13 @@ pub(super) fn predicted(ctx: &mut Context, from_rest: bool) -> Result<Begin, &'s
         .filter(|_| ctx.motion.status() == Some(&PlanStatus::Taken));
     // A trajectory that is held runs on to where the new one begins, if slower.
     let follows = state.mode == Mode::Follow && !from_rest;
-    if let (Some(time), true, Some(plan)) = (ahead, follows, ctx.motion.plan()) {
+    if let (Some(time), true, Some(trajectory), Some(trajectory_id)) =
+        (ahead, follows, ctx.motion.here(), ctx.motion.id())
+    {
         let time = (time + ctx.latency_budget()).max(0.0);
-        if time + SHORT_REST < plan.trajectory.end_time() {
-            let point = plan.trajectory.sample(time);
-            let splice = Splice {
-                trajectory_id: plan.trajectory_id,
-                time,
-            };
+        if time + SHORT_REST < trajectory.end_time() {
+            let point = trajectory.sample(time);
+            let splice = Splice { trajectory_id, time };
             return Ok(Begin {
                 pose: point.pose(),
                 twist: point.twist(),

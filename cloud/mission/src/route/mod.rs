@@ -22,6 +22,7 @@ use zenav_protocol::time::Stamp;
 use zenav_protocol::trajectory::Trajectory;
 
 use super::context::Context;
+use super::frames::{Frames, moved_points};
 use super::io::{Answer, Ask, NoAnswer, Ticket};
 use super::leaves::path;
 use super::motion::PlanDraft;
@@ -38,6 +39,8 @@ pub mod error_code {
     pub const NONE: i64 = 0;
     /// Something else.
     pub const UNKNOWN: i64 = 200;
+    /// It is not known where the robot is.
+    pub const TF_ERROR: i64 = 202;
     /// There is no such planner.
     pub const INVALID_PLANNER: i64 = 201;
     /// The start lies outside the map.
@@ -91,6 +94,29 @@ pub struct RouteData {
     /// The place that the goal is, where it was named.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub place: Option<String>,
+    /// The frame of the map that its numbers are in; without it, the present one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frame: Option<u64>,
+}
+
+impl RouteData {
+    /// The same in the present frame of the map: the way with the robot's surroundings, the goals with theirs. `None` where it is of a frame
+    /// that is too long ago.
+    #[must_use]
+    pub fn here(self, frames: &Frames) -> Option<Self> {
+        let from = self.frame.unwrap_or(frames.at());
+        if from == frames.at() {
+            return Some(self);
+        }
+        let moved = frames.robot(from)?;
+        Some(Self {
+            goal: frames.place(from, self.goal),
+            points: moved_points(&self.points, moved),
+            via: self.via.iter().map(|goal| frames.place(from, *goal)).collect(),
+            frame: Some(frames.at()),
+            ..self
+        })
+    }
 }
 
 /// Why there is no route.
@@ -153,6 +179,8 @@ pub struct Search {
     waiting: Option<Waiting>,
     /// When a path was asked for last.
     asked: Stamp,
+    /// The frame of the map in which it was asked for.
+    frame: u64,
 }
 
 impl Search {
@@ -171,6 +199,7 @@ impl Search {
             cleared: Vec::new(),
             waiting: None,
             asked: from,
+            frame: ctx.frames.at(),
         }
     }
 
@@ -241,6 +270,10 @@ impl Search {
         let Some(map) = ctx.map.newest() else {
             return Searching::Wait("waits for a map");
         };
+        if !ctx.frames.is_settled() || ctx.robot.frame() != ctx.frames.at() {
+            return Searching::Wait("waits until robot and map are in one frame");
+        }
+        self.frame = ctx.frames.at();
         let begin = match self.request.from {
             Some(pose) => Ok(Begin::at_rest(pose)),
             None => predicted(ctx, self.from_rest),
@@ -331,6 +364,9 @@ impl Search {
             MotionReply::Trajectory(reply) if self.request.from.is_none() => (reply.plan, reply.smooth),
             _ => return off_topic(),
         };
+        if plan.map.frame != ctx.frames.at() || self.frame != ctx.frames.at() {
+            return self.again(ctx, "plans anew: the map has moved");
+        }
         let path = match plan.outcome {
             PlanOutcome::Found { ref path, .. } => path.clone(),
             PlanOutcome::NoMap if ctx.now.secs_since(self.begun) < ctx.config.settings.retries.map_wait => {
@@ -390,6 +426,9 @@ impl Search {
     ) -> Searching {
         let why = match answer {
             Ok(Answer::Motion(reply)) => match *reply {
+                MotionReply::Smooth(reply) if reply.map.frame != ctx.frames.at() || self.frame != ctx.frames.at() => {
+                    return self.again(ctx, "plans anew: the map has moved");
+                }
                 MotionReply::Smooth(reply) if !reply.trajectory.is_empty() || path::length(&path) < AT_GOAL => {
                     return self.found(begin, path, reply.map, reply.trajectory, reply.statistics);
                 }

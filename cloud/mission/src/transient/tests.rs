@@ -44,6 +44,7 @@ impl Shown {
         let map = MapRef {
             id: "m".to_owned(),
             revision: self.secs as u64,
+            frame: 0,
         };
         let patch = MapPatch {
             stamp: Stamp::ZERO,

@@ -25,6 +25,7 @@ fn map_info() -> MapInfo {
         map: MapRef {
             id: "hall".to_owned(),
             revision: 1,
+            frame: 0,
         },
         spec: spec(),
         free: 0,

@@ -172,6 +172,8 @@ mod tests {
             id: name.into(),
             status: status.into(),
             feedback: String::new(),
+            last: String::new(),
+            ports: std::collections::BTreeMap::new(),
         };
         let status = MissionStatus {
             stamp: Stamp(0),

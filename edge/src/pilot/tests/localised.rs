@@ -84,6 +84,8 @@ fn a_robot_that_is_found_somewhere_else_believes_it_at_once_and_drops_its_plan()
         map_from_base: found,
         covariance: std::array::from_fn(|index| Matrix3::from_diagonal(&[0.01, 0.01, 0.001].into())[index]),
         is_found_anew: true,
+        frame: 0,
+        moves: Vec::new(),
     });
     rig.tick();
     assert!(

@@ -2,6 +2,8 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 
+mod faults;
+mod frames;
 mod localised;
 mod rig;
 mod wall;

@@ -6,15 +6,20 @@
 
 mod demo;
 mod drives;
+mod faults;
 mod footprint;
 mod guard;
+mod hosts;
 mod missions;
+mod page;
 mod pose;
+mod whereabouts;
 
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Parser;
+use zenav_tests::acceptance::fleet::Fleet;
 
 /// Whether what was found is as it should be.
 type Verdict = Result<bool, Box<dyn std::error::Error>>;
@@ -42,6 +47,25 @@ enum Run {
         #[arg(default_value_t = 1)]
         first_seed: u64,
     },
+    /// Loop closures that move the map by a metre while the robot drives
+    Closure {
+        runs: u64,
+        #[arg(default_value_t = 1)]
+        first_seed: u64,
+    },
+    /// Robots that are carried away while they drive
+    Kidnapped {
+        runs: u64,
+        #[arg(default_value_t = 1)]
+        first_seed: u64,
+    },
+    /// Global localisation from random places: of an office of 100 m by 100 m, and of these maps
+    Localise {
+        places: usize,
+        maps: Vec<PathBuf>,
+        #[arg(long, default_value_t = 1)]
+        seed: u64,
+    },
     /// The collision monitor in random worlds with movers and adversarial commands
     Guard {
         worlds: u64,
@@ -64,11 +88,48 @@ enum Run {
         #[arg(default_value_t = 1)]
         seed: u64,
     },
-    /// Missions of many robots in one process on one core
+    /// Bad links, and parts that are killed, frozen, or started in any order: a table
+    Faults(faults::Faults),
+    /// Missions of many robots, in one process on one core or in several
     Fleet {
         robots: usize,
+        /// Simulated time that is measured, s
         #[arg(default_value_t = 60.0)]
         secs: f64,
+        /// Mission processes that share the robots
+        #[arg(long, default_value_t = 1)]
+        shards: usize,
+        /// Simulated time against wall time: slower for more robots than this machine holds
+        #[arg(long, default_value_t = 1.0)]
+        speed: f64,
+    },
+    /// Motion requests of many robots, to one worker and to two, of which one freezes
+    Workers {
+        robots: usize,
+        #[arg(default_value_t = 20.0)]
+        secs: f64,
+        #[arg(default_value_t = 1)]
+        seed: u64,
+    },
+    /// A deployment of many hosts as containers, or in network namespaces: every part killed, frozen, cut off and replaced, so many times; 0 is
+    /// the short trial of the tests
+    Compose {
+        #[arg(default_value_t = 1)]
+        rounds: usize,
+    },
+    /// The mission-control page with so many robots: processor time of the gateway, frames of a headless Chromium
+    Page {
+        #[arg(default_value_t = 20)]
+        robots: usize,
+        #[arg(default_value_t = 20)]
+        secs: u64,
+    },
+    /// Browsers that watch and never read: memory of the gateway
+    SlowSockets {
+        #[arg(default_value_t = 1000)]
+        sockets: usize,
+        #[arg(default_value_t = 60)]
+        secs: u64,
     },
     /// Size, processor time, memory and loop jitter of the robot's own binary
     Footprint {
@@ -92,11 +153,29 @@ fn main() -> ExitCode {
         Run::Track { maps } => drives::track(&maps),
         Run::Economy { maps } => drives::economy(&maps),
         Run::Pose { runs, first_seed } => pose::pose(runs, first_seed),
+        Run::Closure { runs, first_seed } => whereabouts::closure(runs, first_seed),
+        Run::Kidnapped { runs, first_seed } => whereabouts::kidnapped(runs, first_seed),
+        Run::Localise { places, maps, seed } => whereabouts::localise(places, &maps, seed),
         Run::Guard { worlds, first_seed } => guard::guard(worlds, first_seed),
         Run::Replay { seed } => guard::replay(seed),
         Run::Kills { kills, seed } => missions::kills(kills, seed),
         Run::Handover { deaths, pauses, seed } => missions::handover(deaths, pauses, seed),
-        Run::Fleet { robots, secs } => missions::fleet(robots, secs),
+        Run::Fleet {
+            robots,
+            secs,
+            shards,
+            speed,
+        } => missions::fleet(Fleet {
+            robots,
+            shards,
+            speed,
+            secs,
+        }),
+        Run::Workers { robots, secs, seed } => missions::workers(robots, secs, seed),
+        Run::Compose { rounds } => hosts::compose(rounds),
+        Run::Page { robots, secs } => page::page(robots, secs),
+        Run::SlowSockets { sockets, secs } => page::slow_sockets(sockets, secs),
+        Run::Faults(arguments) => faults::run(&arguments),
         Run::Footprint { secs } => footprint::footprint(secs),
     };
     match verdict {

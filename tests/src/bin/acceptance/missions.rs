@@ -2,10 +2,11 @@
 
 use tokio::runtime::Runtime;
 use zenav_fixtures::Row;
+use zenav_tests::acceptance::fleet::Fleet;
 use zenav_tests::acceptance::handover::Fault;
 use zenav_tests::acceptance::invariants::Findings;
 use zenav_tests::acceptance::tracking::percentile;
-use zenav_tests::acceptance::{fleet, handover, kills};
+use zenav_tests::acceptance::{fleet, handover, kills, workers};
 
 use crate::{Verdict, zenav};
 
@@ -32,21 +33,33 @@ pub fn handover(deaths: usize, pauses: usize, seed: u64) -> Verdict {
 /// Largest median and 99th percentile of the lateness of a mission's step, s.
 const JITTER: (f64, f64) = (0.01, 0.1);
 
-/// Runs the mission of one robot, then those of many, in one process on one core.
-pub fn fleet(robots: usize, secs: f64) -> Verdict {
+/// Runs the mission of one robot, then those of many, in one process on one core or in shards.
+pub fn fleet(fleet: Fleet) -> Verdict {
+    let Fleet {
+        robots, shards, speed, ..
+    } = fleet;
+    let one = Fleet {
+        robots: 1,
+        shards: 1,
+        speed: 1.0,
+        secs: 10.0,
+    };
     let run = async {
-        let alone = fleet::run(&zenav().to_string_lossy(), 1, 10.0).await?;
-        let many = fleet::run(&zenav().to_string_lossy(), robots, secs).await?;
+        let alone = fleet::run(&zenav().to_string_lossy(), one).await?;
+        let many = fleet::run(&zenav().to_string_lossy(), fleet).await?;
         Ok::<_, String>((alone, many))
     };
     let (alone, mut many) = Runtime::new()?.block_on(run)?;
-    let each = (many.memory - alone.memory) / (robots.saturating_sub(1).max(1) as f64);
+    let added = many.memory - shards as f64 * alone.memory;
+    let each = added / (robots.saturating_sub(shards).max(1) as f64);
     let mut jitter = |share| percentile(&mut many.jitter, share);
     let (p50, p99, most) = (jitter(0.5), jitter(0.99), jitter(1.0));
     println!(
-        "{robots} robots: {:.0} % of a core; a step is off by {:.1} ms (p50), {:.1} ms (p99), {:.1} ms (most); {:.0} MiB, {each:.2} MiB a robot; \
-         {} goals driven; {} ticks without a lease, {} plans refused, {} goals failed",
+        "{robots} robots in {shards} processes, at {speed} x: {:.0} % of a core, and the router {:.0} %; a step is off by {:.1} ms (p50), \
+         {:.1} ms (p99), {:.1} ms (most); {:.0} MiB, {each:.2} MiB a robot; {} goals driven; {} ticks without a lease, {} plans refused, \
+         {} goals failed",
         100.0 * many.load,
+        100.0 * many.router,
         1e3 * p50,
         1e3 * p99,
         1e3 * most,
@@ -58,6 +71,7 @@ pub fn fleet(robots: usize, secs: f64) -> Verdict {
     );
     let rows = [
         ("processor", 100.0 * many.load, "% of a core"),
+        ("processor of the router", 100.0 * many.router, "% of a core"),
         ("memory a robot", each, "MiB"),
         ("heartbeat off by, p50", 1e3 * p50, "ms"),
         ("heartbeat off by, p99", 1e3 * p99, "ms"),
@@ -67,6 +81,48 @@ pub fn fleet(robots: usize, secs: f64) -> Verdict {
         Row::new(format!("{robots} robots: {name}"), value, unit).print();
     }
     Ok(many.faults == [0; 3] && many.goals > 0 && p50 < JITTER.0 && p99 < JITTER.1)
+}
+
+/// Longest 99th percentile of the time to a trajectory with two workers, s.
+const ANSWERED: f64 = 0.25;
+
+/// Lets many robots ask one motion worker, then two, and freezes one of them.
+pub fn workers(robots: usize, secs: f64, seed: u64) -> Verdict {
+    let mut is_good = true;
+    let binary = zenav().to_string_lossy().into_owned();
+    for count in [1, 2] {
+        let run = workers::run(&binary, count, robots, secs, seed);
+        let mut found = Runtime::new()?.block_on(run)?;
+        let mut time = |share| percentile(&mut found.answers, share);
+        let (p50, p99) = (time(0.5), time(0.99));
+        println!(
+            "{count} workers, {robots} robots: {:.1} ms (p50), {:.1} ms (p99), {:.0} trajectories a second, {} requests lost",
+            1e3 * p50,
+            1e3 * p99,
+            found.throughput,
+            found.lost
+        );
+        let rows = [
+            ("trajectory, p50", 1e3 * p50, "ms"),
+            ("trajectory, p99", 1e3 * p99, "ms"),
+            ("trajectories a second", found.throughput, "1/s"),
+        ];
+        for (name, value, unit) in rows {
+            Row::new(format!("{count} workers, {robots} robots: {name}"), value, unit).print();
+        }
+        if !found.frozen.is_empty() {
+            let mut time = |share| percentile(&mut found.frozen, share);
+            let (p99, most) = (time(0.99), time(1.0));
+            println!(
+                "one of {count} workers frozen: {:.1} ms (p99), {:.1} ms (most)",
+                1e3 * p99,
+                1e3 * most
+            );
+            Row::new("one of two workers frozen: trajectory, p99", 1e3 * p99, "ms").print();
+        }
+        is_good &= found.lost == 0 && (count == 1 || p99 < ANSWERED);
+    }
+    Ok(is_good)
 }
 
 /// Prints what was found when missions died or froze.

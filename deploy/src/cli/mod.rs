@@ -1,14 +1,18 @@
 //! Command line. Which commands are there? One enum; each command's arguments and work live in its own module.
 
+#[cfg(test)]
+mod reference;
+
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
+use zenav_observability::logging;
 
 use crate::exit_code;
 use crate::failure::Outcome;
 use crate::{
-    annotations, batch, bench, config, demo, gateway, goal, inspect, launch, lockstep, netem, operator, record, slam,
-    wall_following,
+    annotations, batch, bench, completion, config, demo, gateway, goal, hosts, inspect, keys, launch, localise,
+    lockstep, netem, operator, output, record, slam, wall_following,
 };
 
 /// The commands in groups, as `--help` shows them: clap knows groups of options only.
@@ -19,14 +23,25 @@ const GROUPS: [(&str, &[&str]); 7] = [
         &["goal", "stop", "resume", "teleop", "do", "pose", "lease", "param"],
     ),
     ("Map", &["map", "place", "zone"]),
-    ("Look", &["gateway", "topic", "ask", "schema", "bt", "doctor", "config"]),
+    (
+        "Look",
+        &[
+            "gateway", "view", "ps", "logs", "topic", "ask", "schema", "bt", "doctor", "config",
+        ],
+    ),
     (
         "Run parts on several machines",
-        &["router", "edge", "cloud", "sim", "netem"],
+        &["deploy", "keys", "router", "edge", "cloud", "sim", "netem"],
     ),
     ("Record", &["record", "replay", "diff", "report", "film"]),
-    ("Offline", &["plan", "smooth", "slam", "tune", "bench", "completions"]),
+    (
+        "Offline",
+        &["plan", "smooth", "slam", "localise", "tune", "bench", "completions"],
+    ),
 ];
+
+/// What is logged unless `RUST_LOG` says otherwise; logs go to stderr.
+const LOGGED: &str = "info,zenoh=off,zenoh_link=off,zenoh_transport=off";
 
 /// What stands below the commands.
 const FOOTER: &str = "\
@@ -43,6 +58,10 @@ Exit codes:
 Environment:
   RUST_LOG              what is logged, such as info or zenav_cloud=debug
   NO_COLOR              no colours
+  ZENAV_IDENTITY        folder of this process's identity (`zenav keys`)
+  ZENAV_LOG_FORMAT      log lines as text or json
+  ZENAV_TRACE           where one writes its spans: a file
+  ZENAV_METRICS         where a long-running command serves its health: ADDRESS:PORT
   ZENAV_SECTION__KEY    a value of a deployment (`zenav config show --origin`)
   USER                  the name under which this user commands";
 
@@ -57,6 +76,16 @@ Environment:
     after_help = overview()
 )]
 struct Cli {
+    /// Log lines as text or json
+    #[arg(
+        long,
+        global = true,
+        value_name = "FORMAT",
+        default_value = "text",
+        env = "ZENAV_LOG_FORMAT",
+        hide_env_values = true
+    )]
+    log_format: logging::Format,
     #[command(subcommand)]
     command: Command,
 }
@@ -89,14 +118,20 @@ enum Command {
     Up(launch::UpArgs),
     /// Run a router
     Router(launch::RouterArgs),
+    /// Render the units, containers and manifests of a deployment of many hosts, and check it
+    Deploy(hosts::DeployArgs),
     /// Pass TCP connections on over a bad link: delay, jitter, rate, stalls, cuts
     Netem(netem::NetemArgs),
+    /// Make, list and revoke the certificates of a fleet
+    Keys(keys::KeysArgs),
     /// Run the robot side of a deployment
     Edge(launch::EdgeArgs),
     /// Run off-board services: mapping, motion, mission, or all
     Cloud(launch::CloudArgs),
     /// Serve the mission-control page: live map, goals, stop and teleop in a browser
     Gateway(gateway::GatewayArgs),
+    /// Serve what goes over the bus to Foxglove, live
+    View(record::ViewArgs),
     /// Submit, list, watch and cancel goals
     Goal(goal::GoalArgs),
     /// Stop a robot; the stop latches until `zenav resume`
@@ -137,6 +172,10 @@ enum Command {
     Report(record::ReportArgs),
     /// Make a moving picture of a record
     Film(record::FilmArgs),
+    /// List the parts of a running deployment: hosts, versions, roles, load, clocks
+    Ps(inspect::PsArgs),
+    /// Show what the parts of a running deployment logged last
+    Logs(inspect::LogsArgs),
     /// Check a running deployment: what is wrong, and what to do
     Doctor(inspect::DoctorArgs),
     /// Plan a batch of queries offline
@@ -145,6 +184,8 @@ enum Command {
     Smooth(batch::SmoothArgs),
     /// Map a log of scans and odometry, or solve and certify a pose graph, offline
     Slam(slam::SlamArgs),
+    /// Follow the robot that made a log through a map, offline, without a guess where need be
+    Localise(localise::LocaliseArgs),
     /// Tune gains in simulation; writes a robot file
     Tune(wall_following::TuneArgs),
     /// Draw a world, serve one to robots on several machines, measure the simulator
@@ -162,9 +203,11 @@ enum Command {
 
 /// Runs the command line of this process.
 pub(crate) fn main() -> ExitCode {
+    completion::answer(Cli::command);
     // clap exits by itself with 2 on wrong usage and 0 on help.
     let cli = Cli::parse();
-    init_logging();
+    // A second initialisation (tests in one process) changes nothing.
+    logging::init(cli.log_format, LOGGED, || output::LogWriter);
     match run(cli.command) {
         Ok(code) => ExitCode::from(code),
         Err(failure) => {
@@ -174,31 +217,19 @@ pub(crate) fn main() -> ExitCode {
     }
 }
 
-/// Logs go to stderr; `RUST_LOG` overrides what is shown.
-fn init_logging() {
-    use std::io::IsTerminal as _;
-    let filter = tracing_subscriber::EnvFilter::try_from_default_env()
-        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("info,zenoh=off,zenoh_link=off,zenoh_transport=off"));
-    let colors = std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none();
-    // A second initialisation (tests in one process) changes nothing.
-    let _ = tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_writer(std::io::stderr)
-        .with_ansi(colors)
-        .with_target(false)
-        .try_init();
-}
-
 fn run(command: Command) -> Outcome {
     match command {
         Command::Demo(args) => demo::run(&args),
         Command::Run(args) => lockstep::run(&args),
         Command::Up(args) => launch::up(&args),
         Command::Router(args) => launch::router(&args),
+        Command::Deploy(args) => hosts::deploy(&args),
         Command::Netem(args) => netem::run(&args),
+        Command::Keys(args) => keys::run(&args),
         Command::Edge(args) => launch::edge(&args),
         Command::Cloud(args) => launch::cloud(&args),
         Command::Gateway(args) => gateway::gateway(&args),
+        Command::View(args) => record::view(&args),
         Command::Goal(args) => goal::run(&args),
         Command::Stop(args) => operator::stop(&args),
         Command::Resume(args) => operator::resume(&args),
@@ -219,10 +250,13 @@ fn run(command: Command) -> Outcome {
         Command::Diff(args) => record::diff(&args),
         Command::Report(args) => record::report(&args),
         Command::Film(args) => record::film(&args),
+        Command::Ps(args) => inspect::ps(&args),
+        Command::Logs(args) => inspect::logs(&args),
         Command::Doctor(args) => inspect::doctor(&args),
         Command::Plan(args) => batch::plan(&args),
         Command::Smooth(args) => batch::smooth(&args),
         Command::Slam(args) => slam::slam(&args),
+        Command::Localise(args) => localise::localise(&args),
         Command::Tune(args) => wall_following::tune(&args),
         Command::Sim(args) => batch::sim(&args),
         Command::Bench(args) => bench::bench(&args),
@@ -230,7 +264,7 @@ fn run(command: Command) -> Outcome {
         Command::Completions { shell } => {
             // Into memory first: a closed pipe is no reason to panic.
             let mut script = Vec::new();
-            clap_complete::generate(shell, &mut Cli::command(), "zenav", &mut script);
+            completion::register(shell, &mut script)?;
             crate::output::line(String::from_utf8_lossy(&script).trim_end());
             Ok(exit_code::OK)
         }
@@ -238,6 +272,7 @@ fn run(command: Command) -> Outcome {
 }
 
 #[cfg(test)]
+#[allow(clippy::expect_used, reason = "tests")]
 mod tests {
     use std::collections::BTreeSet;
 
@@ -250,6 +285,20 @@ mod tests {
         let grouped: Vec<&str> = GROUPS.iter().flat_map(|(_, names)| names.iter().copied()).collect();
         assert_eq!(grouped.iter().copied().collect::<BTreeSet<_>>(), known);
         assert_eq!(grouped.len(), known.len());
+    }
+
+    #[test]
+    fn the_surface_is_frozen_in_the_reference() {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/commands.md");
+        let page = reference::page(Cli::command());
+        if std::env::var_os("WRITE_DOCS").is_some() {
+            std::fs::write(path, &page).expect("docs can be written");
+        }
+        let frozen = std::fs::read_to_string(path).unwrap_or_default();
+        assert!(
+            frozen == page,
+            "docs/commands.md is not what is declared; WRITE_DOCS=1 writes it"
+        );
     }
 
     #[test]

@@ -5,11 +5,9 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use tokio::task::JoinHandle;
 use tokio::time::MissedTickBehavior;
 use zenav_protocol::bus::{AskError, Bus};
+use zenav_protocol::id::Id;
 use zenav_protocol::messages::{Heartbeat, LeaseAction, LeaseReply, LeaseRequest, LeaseRole};
 use zenav_protocol::topics;
-
-use crate::connect::fresh_id;
-use crate::failure::Failure;
 
 /// Heartbeats a second; the robot waits for one a second at most.
 const PERIOD: Duration = Duration::from_millis(50);
@@ -17,32 +15,39 @@ const PERIOD: Duration = Duration::from_millis(50);
 const RELEASE_WITHIN: Duration = Duration::from_millis(800);
 
 /// Asks for the operator's lease, or gives it back.
-pub(super) async fn ask(
+///
+/// # Errors
+/// [`AskError::Refused`] where somebody else may not lose it; no answer within the time.
+pub async fn ask_lease(
     bus: &Bus,
     robot: &str,
     holder: &str,
     action: LeaseAction,
     within: Duration,
 ) -> Result<LeaseReply, AskError> {
-    let request = LeaseRequest::new(holder.to_owned(), LeaseRole::Operator, action, fresh_id("lease"));
+    let request = LeaseRequest::new(holder, LeaseRole::Operator, action, format!("lease-{}", Id::unique()));
     bus.ask(&topics::LEASE, &[robot], &request, within).await
 }
 
 /// A lease, renewed until it is released or dropped.
-pub(super) struct LeaseSession {
+#[derive(Debug)]
+pub struct LeaseSession {
     bus: Bus,
     robot: String,
     holder: String,
     /// What the robot granted.
-    pub(super) grant: LeaseReply,
+    pub grant: LeaseReply,
     heartbeats: JoinHandle<()>,
 }
 
 impl LeaseSession {
     /// Takes the lease and begins to renew it.
-    pub(super) async fn acquire(bus: &Bus, robot: &str, holder: &str, within: Duration) -> Result<Self, Failure> {
+    ///
+    /// # Errors
+    /// As [`ask_lease`].
+    pub async fn acquire(bus: &Bus, robot: &str, holder: &str, within: Duration) -> Result<Self, AskError> {
         let publisher = bus.publisher(&topics::HEARTBEAT, &[robot])?;
-        let grant = ask(bus, robot, holder, LeaseAction::Acquire, within).await?;
+        let grant = ask_lease(bus, robot, holder, LeaseAction::Acquire, within).await?;
         // A holder who asks again, from another process too, may get the same epoch: the count goes on above what was sent before.
         let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let mut heartbeat = Heartbeat {
@@ -70,10 +75,13 @@ impl LeaseSession {
     }
 
     /// Gives the lease back.
-    pub(super) async fn release(self) -> Result<(), AskError> {
+    ///
+    /// # Errors
+    /// As [`ask_lease`]; the lease then ends by itself.
+    pub async fn release(self) -> Result<(), AskError> {
         self.heartbeats.abort();
         let (bus, robot, holder) = (&self.bus, &self.robot, &self.holder);
-        ask(bus, robot, holder, LeaseAction::Release, RELEASE_WITHIN).await?;
+        ask_lease(bus, robot, holder, LeaseAction::Release, RELEASE_WITHIN).await?;
         Ok(())
     }
 }

@@ -1,0 +1,91 @@
+// Panel of the map. Which places and zones does it have, and how are they added, changed and removed? By a click, or by numbers.
+
+import { deletePlace, deleteZone } from "./api.js";
+import { $, ask, degrees, el, radians, toast } from "./dom.js";
+import { cornersOf } from "./polygon.js";
+import { attempt, savePlace, saveZone, sendPose } from "./send.js";
+import { store } from "./store.js";
+import { tools } from "./tools.js";
+
+const limitOf = (zone) => zone.rule?.speed_limit?.max_speed ?? null;
+let drawn = "";
+
+async function remove(kind, name, call) {
+  const yes = await ask({ title: `Remove ${kind} “${name}”?`, text: `Everybody loses it, also the missions of ${store.watched}.`, yes: "Remove" });
+  if (yes && await attempt(`The ${kind} is not removed`, () => call(store.watched, name))) toast(`${kind} “${name}” is removed`, "good");
+}
+
+/** Asks for another name; the thing itself stays. */
+async function rename(kind, name, save) {
+  const given = await ask({ title: `Rename ${kind}`, text: `“${name}” gets another name.`, yes: "Rename", field: "Name", value: name });
+  if (given && given !== name) save(given);
+}
+
+function row(kind, name, words, { edit, save, call }) {
+  const button = (text, onclick) => el("button", { type: "button", "aria-label": `${text} ${kind} ${name}`, onclick }, text);
+  return el("li", {}, el("span", {}, name, el("small", {}, words)), el("span", { class: "controls" },
+    button("Edit", edit), button("Rename", () => rename(kind, name, save)), button("Remove", () => remove(kind, name, call))));
+}
+
+function placeRow([name, place]) {
+  const heading = Number.isFinite(place.yaw) ? `, ${degrees(place.yaw)}°` : "";
+  return row("place", name, `${place.x.toFixed(2)}, ${place.y.toFixed(2)} m${heading}`, {
+    edit: () => tools.edit({ kind: "place", original: name, name, x: place.x, y: place.y, yaw: place.yaw ?? null }),
+    save: (given) => savePlace(name, given, place),
+    call: deletePlace,
+  });
+}
+
+function zoneRow(zone) {
+  const limit = limitOf(zone);
+  return row("zone", zone.name, `${limit === null ? "keep out" : `at most ${limit} m/s`}, ${zone.points.length} corners`, {
+    edit: () => tools.edit({ kind: "zone", original: zone.name, name: zone.name, limit, closed: true, points: zone.points.map((point) => [...point]) }),
+    save: (given) => saveZone(zone.name, given, { rule: zone.rule, points: zone.points }),
+    call: deleteZone,
+  });
+}
+
+function draw() {
+  const sign = JSON.stringify([store.watched, store.places, store.zones]);
+  if (sign === drawn) return;
+  drawn = sign;
+  const none = (text) => [el("li", { class: "empty" }, text)];
+  const [places, zones] = [Object.entries(store.places), store.zones];
+  $("places").replaceChildren(...(places.length ? places.map(placeRow) : none("No place yet. The tool N adds one.")));
+  $("zones").replaceChildren(...(zones.length ? zones.map(zoneRow) : none("No zone yet. The tool Z draws one.")));
+}
+
+/** What stands in the fields for a place: null where a number is missing. */
+function numbers() {
+  const [x, y, heading] = ["at-x", "at-y", "at-yaw"].map((id) => $(id).valueAsNumber);
+  if (!Number.isFinite(x) || !Number.isFinite(y)) {
+    toast("Expected x and y in metres", "bad");
+    return null;
+  }
+  return { x, y, ...(Number.isFinite(heading) ? { yaw: radians(heading) } : {}) };
+}
+
+export function startAnnotations() {
+  $("add-place").onclick = () => {
+    const at = numbers();
+    if (at) savePlace(null, $("at-name").value.trim(), at);
+  };
+  $("set-pose").onclick = async () => {
+    const at = numbers();
+    if (!at) return;
+    const pose = { ...at, yaw: at.yaw ?? store.data("pose")?.yaw ?? 0 };
+    const yes = await ask({ title: `Set the pose of ${store.watched}?`, text: "It stops, drops its plan, and goes on from there.", yes: "Set pose" });
+    if (yes) sendPose(pose);
+  };
+  $("add-zone").onclick = () => {
+    const points = cornersOf($("zone-corners").value);
+    if (!points) {
+      toast("Expected x and y of three corners or more, in metres", "bad");
+      return;
+    }
+    const limit = $("zone-limit").valueAsNumber;
+    saveZone(null, $("zone-name").value.trim(), { rule: Number.isFinite(limit) ? { speed_limit: { max_speed: limit } } : "keep_out", points });
+  };
+  store.on("frame", draw);
+  store.on("watch", draw);
+}

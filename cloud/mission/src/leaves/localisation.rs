@@ -1,0 +1,146 @@
+//! ReinitializeGlobalLocalization, IsLocalised, WaitForLocalisation: a robot that does not know where it is has itself looked for.
+//!
+//! Nav2's service call succeeds once the search has begun, and so does the leaf; whether the robot was found is the business of the one
+//! after it.
+
+use zenav_protocol::messages::{LocaliseAction, LocaliseRequest, Refusal};
+use zenav_protocol::time::Stamp;
+
+use super::{fail, no_error, step};
+use crate::context::Context;
+use crate::io::{Ask, NoAnswer, Ticket};
+use zenav_behaviour_tree::{Leaf, LeafIo, Status};
+
+/// Nav2's code for a server that cannot be reached.
+const SEND_GOAL_FAILURE: i64 = 2;
+/// For so long mapping is asked again, s.
+const PATIENCE: f64 = 10.0;
+/// Mapping may take so long to hear of a new grant, s.
+const EPOCH_WAIT: f64 = 0.3;
+/// For so long a robot is looked for unless the tree says otherwise, s.
+const ALLOWANCE: f64 = 5.0;
+
+/// Has the robot looked for in the whole map: SUCCESS once that has begun, FAILURE where nobody localises.
+#[derive(Default)]
+pub struct Reinitialize {
+    since: Stamp,
+    not_before: Stamp,
+    ticket: Option<Ticket>,
+}
+
+impl Leaf<Context> for Reinitialize {
+    fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        *self = Self {
+            since: ctx.now,
+            ..Self::default()
+        };
+        self.tick(io, ctx)
+    }
+
+    fn tick(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        let waits = ctx.now.secs_since(self.since) < PATIENCE;
+        let Some(epoch) = ctx.lease.epoch() else {
+            return step(io, ctx, "waiting for the lease");
+        };
+        if ctx.now < self.not_before {
+            return Status::Running;
+        }
+        let ticket = *self.ticket.get_or_insert_with(|| {
+            ctx.asks.ask(Ask::Localise(LocaliseRequest {
+                action: LocaliseAction::Global,
+                epoch: Some(epoch),
+                ..LocaliseRequest::default()
+            }))
+        });
+        let why = match ctx.asks.take(ticket) {
+            None => return step(io, ctx, "has the robot looked for"),
+            Some(Ok(_)) => {
+                no_error(io);
+                io.say("the robot is being looked for in the whole map");
+                return Status::Success;
+            }
+            // Mapping has not heard of the grant yet.
+            Some(Err(NoAnswer::Refused(Refusal::WrongEpoch { .. }))) if waits => "waiting for mapping".to_owned(),
+            Some(Err(NoAnswer::Silent(why))) if waits => why,
+            Some(Err(no)) => {
+                let status = fail(io, ctx, Some(SEND_GOAL_FAILURE), no.to_string());
+                // That it is lost is why the goal ends, not that nobody looks.
+                if let Some(lost) = ctx.robot.lost() {
+                    ctx.goal.failure = Some(format!("{lost}; {no}"));
+                }
+                return status;
+            }
+        };
+        self.ticket = None;
+        self.not_before = ctx.now.plus_secs(EPOCH_WAIT);
+        step(io, ctx, &why)
+    }
+
+    /// To look once more does no harm.
+    fn resume(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        self.start(io, ctx)
+    }
+
+    fn halt(&mut self, _io: &mut LeafIo<'_>, ctx: &mut Context) {
+        if let Some(ticket) = self.ticket.take() {
+            ctx.asks.forget(ticket);
+        }
+    }
+}
+
+/// SUCCESS unless it is known that the robot does not know where it is.
+pub struct IsLocalised;
+
+impl Leaf<Context> for IsLocalised {
+    fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        match ctx.robot.lost() {
+            None => Status::Success,
+            // Not `fail`: that it is lost is an answer, no fault.
+            Some(why) => io.fail(why),
+        }
+    }
+}
+
+/// SUCCESS once the robot knows where it is by a word that came after the start, FAILURE when none did within `time_allowance`.
+#[derive(Default)]
+pub struct WaitForLocalisation {
+    since: Stamp,
+    allowance: f64,
+}
+
+impl Leaf<Context> for WaitForLocalisation {
+    fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        let allowance = match io.get_optional::<f64>("time_allowance") {
+            Ok(secs) => secs.unwrap_or(ALLOWANCE),
+            Err(error) => return fail(io, ctx, None, error.to_string()),
+        };
+        if !(allowance.is_finite() && allowance >= 0.0) {
+            return fail(io, ctx, None, "`time_allowance`: expected seconds, at least 0");
+        }
+        (self.since, self.allowance) = (ctx.now, allowance);
+        self.tick(io, ctx)
+    }
+
+    fn tick(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        if ctx.robot.is_localised_since(self.since) {
+            no_error(io);
+            io.say("the robot knows where it is");
+            return Status::Success;
+        }
+        if ctx.now.secs_since(self.since) < self.allowance {
+            return step(io, ctx, "waiting until the robot knows where it is");
+        }
+        let health = ctx
+            .robot
+            .lost()
+            .unwrap_or_else(|| "nobody says where the robot is".to_owned());
+        let why = format!("{health}, after a search of {:.0} s", self.allowance);
+        let status = fail(io, ctx, None, why.clone());
+        ctx.goal.failure = Some(why);
+        status
+    }
+
+    fn resume(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        self.start(io, ctx)
+    }
+}

@@ -1,0 +1,254 @@
+//! Claims about the store: what was written is there, and what is not whole is refused.
+
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use super::*;
+use zenav_protocol::messages::{GoalFeedback, GoalPhase, GoalReply, GoalRequest, GoalState};
+use zenav_protocol::time::Stamp;
+
+fn goal(id: &str, sequence: u64) -> Record {
+    let state = GoalState {
+        queue: None,
+        resolved: Vec::new(),
+        id: id.into(),
+        robot: "r".into(),
+        state: GoalPhase::Accepted,
+        reason: None,
+        accepted: Stamp(1),
+        started: None,
+        ended: None,
+        feedback: GoalFeedback::default(),
+        legs: Vec::new(),
+        request: GoalRequest {
+            x: Some(0.1),
+            y: Some(0.2),
+            ..GoalRequest::default()
+        },
+    };
+    Record::Goal(Box::new(super::super::records::StoredGoal {
+        moved: None,
+        anchors: None,
+        sequence,
+        urgent: false,
+        paused_secs: 0.0,
+        paused_since: None,
+        state,
+    }))
+}
+
+#[test]
+fn what_was_written_is_there_in_the_next_life() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("deep/mission.redb");
+    let store = Store::open(&path, "r").unwrap();
+    assert_eq!(store.begin_life().unwrap().incarnation, 1);
+    let reply = GoalReply {
+        robot: None,
+        id: "a".into(),
+        state: GoalPhase::Canceled,
+        reason: None,
+    };
+    store
+        .write(&[
+            goal("a", 1),
+            goal("b", 2),
+            Record::Answer("r1".into(), reply.clone()),
+            Record::Tree(None),
+        ])
+        .unwrap();
+    store.write(&[Record::ForgetGoal("a".into())]).unwrap();
+    let name = store.name().to_owned();
+    drop(store);
+    let again = Store::open(&path, "r").unwrap();
+    assert_eq!(again.name(), name);
+    let second = again.begin_life().unwrap();
+    assert_eq!(second.incarnation, 2);
+    assert_eq!(
+        second
+            .goals
+            .iter()
+            .map(|goal| goal.state.id.as_str())
+            .collect::<Vec<_>>(),
+        ["b"]
+    );
+    assert_eq!(second.answers, [("r1".to_owned(), reply)]);
+    assert_eq!((second.tree, second.motion), (None, None));
+}
+
+#[test]
+fn a_standby_s_store_holds_what_the_leader_s_holds_but_its_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let open = |name: &str| Store::open(&folder.path().join(name), "r").unwrap();
+    let (leader, standby) = (open("leader"), open("standby"));
+    standby.write(&[goal("stale", 1)]).unwrap();
+    leader.begin_life().unwrap();
+    leader.write(&[goal("a", 1), goal("b", 2)]).unwrap();
+    let leadership = Leadership { epoch: 7, shared: true };
+    standby
+        .apply(&leader.everything().unwrap(), true, Some(leadership))
+        .unwrap();
+    let writes = leader.write(&[Record::ForgetGoal("a".into()), goal("c", 3)]).unwrap();
+    standby.apply(&writes, false, None).unwrap();
+    assert_eq!(standby.everything().unwrap(), leader.everything().unwrap());
+    assert_eq!(
+        (standby.leadership().unwrap(), leader.leadership().unwrap()),
+        (leadership, Leadership::default())
+    );
+    assert_ne!(standby.name(), leader.name());
+    assert_eq!(
+        standby.begin_life().unwrap().incarnation,
+        2,
+        "its lives are newer than the leader's"
+    );
+    let stray = JournalWrite {
+        table: "own".into(),
+        key: "name".into(),
+        value: Some("x".into()),
+    };
+    assert!(standby.apply(&[stray], true, None).is_err());
+    assert_eq!(standby.goals().unwrap().len(), 2, "nothing of a bad batch is written");
+}
+
+#[test]
+fn a_file_in_use_says_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("mission.redb");
+    let _store = Store::open(&path, "r").unwrap();
+    assert!(matches!(Store::open(&path, "r"), Err(StoreError::Locked { .. })));
+}
+
+#[test]
+fn a_file_that_is_no_store_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("mission.redb");
+    std::fs::write(&path, vec![7_u8; 10_000]).unwrap();
+    assert!(matches!(Store::open(&path, "r"), Err(StoreError::Io { .. })));
+}
+
+/// A store with three goals, closed.
+fn three(path: &Path) {
+    let store = Store::open(path, "r").unwrap();
+    store.begin_life().unwrap();
+    store.write(&[goal("a", 1), goal("b", 2), goal("c", 3)]).unwrap();
+    store
+        .write(&[goal("b", 4), Record::Answer("r".into(), reply())])
+        .unwrap();
+    store.write(&[Record::ForgetAnswer("r".into())]).unwrap();
+}
+
+fn reply() -> GoalReply {
+    GoalReply {
+        robot: None,
+        id: "a".into(),
+        state: GoalPhase::Canceled,
+        reason: None,
+    }
+}
+
+fn refused(path: &Path) -> String {
+    match Store::open(path, "r") {
+        Err(error @ StoreError::Foreign { .. }) => error.to_string(),
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn an_emptied_file_is_not_taken_for_a_new_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("mission.redb");
+    three(&path);
+    std::fs::write(&path, b"").unwrap();
+    let said = refused(&path);
+    assert!(
+        said.contains("mission.redb: an empty file") && said.contains("move the file away"),
+        "{said}"
+    );
+    assert_eq!(std::fs::metadata(&path).unwrap().len(), 0, "it is left as it is");
+    std::fs::remove_file(&path).unwrap();
+    assert!(Store::open(&path, "r").unwrap().goals().unwrap().is_empty());
+    assert_eq!(
+        std::fs::read_dir(folder.path()).unwrap().count(),
+        1,
+        "nothing lies beside it"
+    );
+}
+
+#[test]
+fn a_record_that_is_gone_added_or_changed_is_found() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("mission.redb");
+    type Change = fn(&mut Table<'_, &'static str, &'static [u8]>);
+    let change = |change: Change| {
+        let _ = std::fs::remove_file(&path);
+        three(&path);
+        let database = Database::open(&path).unwrap();
+        let write = database.begin_write().unwrap();
+        change(&mut write.open_table(GOALS).unwrap());
+        write.commit().unwrap();
+    };
+    let changes: [Change; 3] = [
+        |goals| drop(goals.remove("b").unwrap()),
+        |goals| drop(goals.insert("d", b"{}".as_slice()).unwrap()),
+        |goals| {
+            let other = goals.get("a").unwrap().unwrap().value().to_vec();
+            goals.insert("b", other.as_slice()).unwrap();
+        },
+    ];
+    for made in changes {
+        change(made);
+        assert!(refused(&path).contains("checksum"));
+    }
+    change(|_| {});
+    assert_eq!(Store::open(&path, "r").unwrap().goals().unwrap().len(), 3);
+}
+
+#[test]
+fn every_byte_that_is_spoilt_costs_no_goal_in_silence() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("mission.redb");
+    three(&path);
+    let whole = std::fs::read(&path).unwrap();
+    let expected = {
+        let store = Store::open(&path, "r").unwrap();
+        store.goals().unwrap()
+    };
+    // Wherever a goal's text stands in the file.
+    let places: Vec<usize> = (0..whole.len() - 8)
+        .filter(|at| whole[*at..].starts_with(b"accepted"))
+        .collect();
+    assert!(!places.is_empty());
+    for at in places {
+        let mut spoilt = whole.clone();
+        spoilt[at] ^= 0x20;
+        std::fs::write(&path, &spoilt).unwrap();
+        match Store::open(&path, "r").and_then(|store| store.goals()) {
+            Ok(goals) => assert_eq!(goals, expected, "at {at}: an old copy, or all is well"),
+            Err(error) => assert!(error.to_string().contains("mission.redb"), "{error}"),
+        }
+    }
+}
+
+#[test]
+fn another_robot_s_file_is_refused_with_both_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("mission.redb");
+    three(&path);
+    let error = Store::open(&path, "other").unwrap_err().to_string();
+    assert!(error.contains("`r`") && error.contains("`other`"), "{error}");
+}
+
+#[test]
+fn a_store_of_before_the_checksum_is_taken_up() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("mission.redb");
+    three(&path);
+    let database = Database::open(&path).unwrap();
+    let write = database.begin_write().unwrap();
+    for key in [CHECKSUM, ROBOT] {
+        write.open_table(OWN).unwrap().remove(key).unwrap();
+    }
+    write.commit().unwrap();
+    drop(database);
+    assert_eq!(Store::open(&path, "r").unwrap().goals().unwrap().len(), 3);
+    assert_eq!(Store::open(&path, "r").unwrap().goals().unwrap().len(), 3);
+}

@@ -1,0 +1,73 @@
+//! Mapping metrics. How old are scans when they come, how long does drawing them take, and how large is the map?
+
+use std::time::Instant;
+
+use zenav_mapping::Insertion;
+use zenav_observability::metrics::{MAP_CELLS, MAP_PUBLISH, MAP_REVISION, SCAN_AGE, SCAN_INSERTION, SCANS};
+use zenav_observability::{Gauge, Histogram, IntCounter};
+use zenav_protocol::messages::MapInfo;
+use zenav_protocol::time::Stamp;
+
+/// Counts of one robot's mapping.
+#[derive(Debug)]
+pub(super) struct MappingMetrics {
+    age: Histogram,
+    insertion: Histogram,
+    publish: Histogram,
+    inserted: IntCounter,
+    held: IntCounter,
+    left_out: IntCounter,
+    free: Gauge,
+    occupied: Gauge,
+    unknown: Gauge,
+    revision: Gauge,
+}
+
+impl MappingMetrics {
+    pub(super) fn new(robot: &str) -> Self {
+        let scans = |outcome| SCANS.with_label_values(&[robot, outcome]);
+        let cells = |state| MAP_CELLS.with_label_values(&[robot, state]);
+        Self {
+            age: SCAN_AGE.with_label_values(&[robot]),
+            insertion: SCAN_INSERTION.with_label_values(&[robot]),
+            publish: MAP_PUBLISH.with_label_values(&[robot]),
+            inserted: scans("inserted"),
+            held: scans("held"),
+            left_out: scans("left_out"),
+            free: cells("free"),
+            occupied: cells("occupied"),
+            unknown: cells("unknown"),
+            revision: MAP_REVISION.with_label_values(&[robot]),
+        }
+    }
+
+    /// A scan of this stamp is taken at `now`, by a clock that follows the robot's, maybe a message behind; one that nobody moves tells nothing.
+    pub(super) fn took(&self, stamp: Stamp, now: Stamp) {
+        if now != Stamp::ZERO {
+            self.age.observe(now.secs_since(stamp).max(0.0));
+        }
+    }
+
+    /// The scan that was begun then has been dealt with.
+    pub(super) fn drew(&self, began: Instant, insertion: Insertion) {
+        self.insertion.observe(began.elapsed().as_secs_f64());
+        match insertion {
+            Insertion::Inserted => self.inserted.inc(),
+            Insertion::Held => self.held.inc(),
+            _ => self.left_out.inc(),
+        }
+    }
+
+    /// A patch that was begun then went out.
+    pub(super) fn published(&self, began: Instant) {
+        self.publish.observe(began.elapsed().as_secs_f64());
+    }
+
+    /// How the map is now.
+    pub(super) fn map(&self, info: &MapInfo) {
+        self.free.set(info.free as f64);
+        self.occupied.set(info.occupied as f64);
+        self.unknown.set(info.unknown as f64);
+        self.revision.set(info.map.revision as f64);
+    }
+}

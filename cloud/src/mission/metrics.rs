@@ -1,0 +1,152 @@
+//! Mission metrics. How long do goals, steps, writes and plans take, and how many goals wait, drive and end?
+
+use std::collections::{BTreeMap, VecDeque};
+
+use tokio::time::Instant;
+use zenav_mission::io::Client;
+use zenav_mission::orchestrator::Mission;
+use zenav_mission::records::Record;
+use zenav_observability::metrics::{
+    GOAL_ACCEPTANCE, GOALS, GOALS_ENDED, MISSION_LEADS, PLAN_ACCEPTANCE, STORE_WRITE, TREE_TICK, WORKERS,
+};
+use zenav_observability::{Gauge, Histogram};
+use zenav_protocol::messages::{Event, EventKind, GoalPhase, Plan};
+
+/// New plans whose acceptance is waited for; one that is never accepted is forgotten.
+const MAX_PLANS: usize = 32;
+
+/// Phases of goals that have not ended, and their names.
+const OPEN: [(GoalPhase, &str); 3] = [
+    (GoalPhase::Accepted, "accepted"),
+    (GoalPhase::Active, "active"),
+    (GoalPhase::Paused, "paused"),
+];
+
+/// The name of a phase.
+fn name(phase: GoalPhase) -> &'static str {
+    match phase {
+        GoalPhase::Accepted => "accepted",
+        GoalPhase::Active => "active",
+        GoalPhase::Paused => "paused",
+        GoalPhase::Succeeded => "succeeded",
+        GoalPhase::Aborted => "aborted",
+        GoalPhase::Canceled => "canceled",
+        GoalPhase::Rejected => "rejected",
+    }
+}
+
+/// Says whether a mission leads or stands by.
+pub(super) fn leads(robot: &str, leads: bool) {
+    MISSION_LEADS
+        .with_label_values(&[robot])
+        .set(f64::from(u8::from(leads)));
+}
+
+/// Counts of a mission that leads.
+pub(super) struct MissionMetrics {
+    robot: String,
+    acceptance: Histogram,
+    pub(super) tick: Histogram,
+    pub(super) write: Histogram,
+    plan_acceptance: Histogram,
+    workers: Gauge,
+    open: [Gauge; 3],
+    /// When goals were asked for.
+    asked: BTreeMap<Client, Instant>,
+    /// Trajectories that went out, and when.
+    plans: VecDeque<(u64, Instant)>,
+    /// What the log said last of a goal.
+    said: Option<(String, GoalPhase)>,
+}
+
+impl MissionMetrics {
+    pub(super) fn new(robot: &str) -> Self {
+        for state in ["succeeded", "aborted", "canceled", "rejected"] {
+            // All of them show from the start.
+            let _ = GOALS_ENDED.with_label_values(&[robot, state]);
+        }
+        Self {
+            acceptance: GOAL_ACCEPTANCE.with_label_values(&[robot]),
+            tick: TREE_TICK.with_label_values(&[robot]),
+            write: STORE_WRITE.with_label_values(&[robot]),
+            plan_acceptance: PLAN_ACCEPTANCE.with_label_values(&[robot]),
+            workers: WORKERS.with_label_values(&[robot]),
+            open: OPEN.map(|(_, state)| GOALS.with_label_values(&[robot, state])),
+            asked: BTreeMap::new(),
+            plans: VecDeque::new(),
+            said: None,
+            robot: robot.to_owned(),
+        }
+    }
+
+    /// A goal is asked for.
+    pub(super) fn asked(&mut self, client: Client) {
+        self.asked.insert(client, Instant::now());
+    }
+
+    /// A client is answered.
+    pub(super) fn answered(&mut self, client: Client, is_accepted: bool) {
+        if let Some(asked) = self.asked.remove(&client)
+            && is_accepted
+        {
+            self.acceptance.observe(asked.elapsed().as_secs_f64());
+        }
+    }
+
+    /// What is stored: each change of a goal stands in the log, each end in a counter.
+    pub(super) fn stored(&mut self, records: &[Record]) {
+        for record in records {
+            let Record::Goal(goal) = record else { continue };
+            let (goal, state) = (&goal.state, name(goal.state.state));
+            // Progress is stored, too.
+            let said = (goal.id.clone(), goal.state);
+            if self.said.as_ref() == Some(&said) {
+                continue;
+            }
+            self.said = Some(said);
+            tracing::info!(robot = self.robot, goal = goal.id, state, reason = goal.reason, "goal");
+            if goal.state.is_end() {
+                GOALS_ENDED.with_label_values(&[&self.robot, state]).inc();
+            }
+        }
+    }
+
+    /// How many goals there are, and workers.
+    pub(super) fn observe(&self, mission: &Mission, workers: usize) {
+        for ((phase, _), gauge) in OPEN.iter().zip(&self.open) {
+            gauge.set(mission.open_goals().filter(|open| open == phase).count() as f64);
+        }
+        self.workers.set(workers as f64);
+    }
+
+    /// A plan goes out. Returns whether its trajectory is new: a renewal goes on with one that is known.
+    pub(super) fn published(&mut self, plan: &Plan) -> bool {
+        if self.plans.iter().any(|(known, _)| *known == plan.trajectory_id) {
+            return false;
+        }
+        tracing::debug!(
+            robot = self.robot,
+            goal = plan.goal_id,
+            plan = plan.trajectory_id,
+            "plan published"
+        );
+        if self.plans.len() == MAX_PLANS {
+            self.plans.pop_front();
+        }
+        self.plans.push_back((plan.trajectory_id, Instant::now()));
+        true
+    }
+
+    /// The robot says what it accepted.
+    pub(super) fn heard(&mut self, events: &[Event]) {
+        for event in events {
+            if let EventKind::PlanAccepted { trajectory_id, .. } = &event.kind {
+                for (known, published) in &self.plans {
+                    if known == trajectory_id {
+                        self.plan_acceptance.observe(published.elapsed().as_secs_f64());
+                    }
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,70 @@
+//! Reference of the command line. Which commands, arguments and options are there? A page of the docs, written from what is declared: what changes
+//! there is seen in it.
+
+use clap::{Arg, Command};
+
+/// Options of every command, told once.
+const EVERYWHERE: [&str; 3] = ["help", "version", "log_format"];
+
+/// The page.
+pub(super) fn page(mut root: Command) -> String {
+    root.build();
+    let mut text = "# Commands\n\n\
+        Every command, with its arguments and options; `zenav COMMAND --help` tells the same with examples. \
+        Names, options and defaults stay: scripts may rely on them. `--log-format text|json` goes with each.\n"
+        .to_owned();
+    for command in visible(&root) {
+        describe(command, "zenav", 2, &mut text);
+    }
+    text
+}
+
+fn visible(command: &Command) -> impl Iterator<Item = &Command> {
+    let subcommands = command.get_subcommands();
+    subcommands.filter(|command| !command.is_hide_set() && command.get_name() != "help")
+}
+
+fn describe(command: &Command, above: &str, level: usize, text: &mut String) {
+    let name = format!("{above} {}", command.get_name());
+    let marks = "#".repeat(level);
+    let about = command.get_about().map(ToString::to_string).unwrap_or_default();
+    text.push_str(&format!("\n{marks} {name}\n\n{about}\n"));
+    let told = |arg: &&Arg| !arg.is_hide_set() && !EVERYWHERE.contains(&arg.get_id().as_str());
+    // What is inherited stands with the command above.
+    let inherited = |arg: &Arg| level > 2 && arg.is_global_set();
+    let rows: Vec<String> = command
+        .get_arguments()
+        .filter(told)
+        .filter(|arg| !inherited(arg))
+        .map(row)
+        .collect();
+    if !rows.is_empty() {
+        text.push_str("\n| | | default |\n|---|---|---|\n");
+        text.push_str(&rows.concat());
+    }
+    for subcommand in visible(command) {
+        describe(subcommand, &name, level + 1, text);
+    }
+}
+
+fn row(arg: &Arg) -> String {
+    let help = arg.get_help().map(ToString::to_string).unwrap_or_default();
+    let default: Vec<String> = arg
+        .get_default_values()
+        .iter()
+        .map(|value| format!("`{}`", value.to_string_lossy()))
+        .collect();
+    // A switch has no value to default to.
+    let default = if arg.get_action().takes_values() {
+        default.join(" ")
+    } else {
+        String::new()
+    };
+    let cell = |text: &str| text.replace('|', "\\|");
+    format!(
+        "| `{}` | {} | {} |\n",
+        arg.to_string().replace('|', "\\|"),
+        cell(&help),
+        cell(&default)
+    )
+}

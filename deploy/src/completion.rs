@@ -1,0 +1,214 @@
+//! Completion. What may stand here? Names that a shell asks for while somebody types: of shipped files, and of what lives on the bus now.
+
+use std::ffi::OsStr;
+use std::io::Write;
+use std::time::Duration;
+
+use clap::ValueEnum as _;
+use clap_complete::Shell;
+use clap_complete::engine::{
+    ArgValueCandidates, ArgValueCompleter, CompletionCandidate, PathCompleter, ValueCompleter as _,
+};
+use clap_complete::env::{CompleteEnv, Shells};
+use zenav_mission::trees;
+use zenav_protocol::bus::Bus;
+use zenav_protocol::messages::GoalsRequest;
+use zenav_protocol::{robot, topics};
+use zenav_sim::world;
+
+use crate::config::IdentityArgs;
+use crate::connect::{self, DEFAULT_ENDPOINT, LinkArgs};
+use crate::failure::Failure;
+use crate::{annotations, exit_code};
+
+/// The variable by which a shell asks; clap's own default.
+const ASKED_BY: &str = "COMPLETE";
+/// Nobody waits longer for a key press.
+const WITHIN: Duration = Duration::from_millis(700);
+
+/// Answers a shell that asks for completions, and ends the process; does nothing in any other.
+pub(crate) fn answer(command: impl Fn() -> clap::Command) {
+    CompleteEnv::with_factory(command).var(ASKED_BY).complete();
+}
+
+/// Writes what a shell is to run at its start.
+///
+/// # Errors
+/// For a shell that cannot ask, and when `out` takes nothing.
+pub(crate) fn register(shell: Shell, out: &mut dyn Write) -> Result<(), Failure> {
+    let name = shell.to_possible_value().map(|value| value.get_name().to_owned());
+    let shells = Shells::builtins();
+    let completer = name
+        .as_deref()
+        .and_then(|name| shells.completer(name))
+        .ok_or_else(|| Failure::new(exit_code::USAGE, format!("no completions for {shell}")))?;
+    completer.write_registration(ASKED_BY, "zenav", "zenav", "zenav", out)?;
+    Ok(())
+}
+
+/// Shipped worlds, and files.
+pub fn worlds() -> ArgValueCompleter {
+    shipped_or_file(world::SHIPPED)
+}
+
+/// Shipped robots, and files.
+pub fn models() -> ArgValueCompleter {
+    shipped_or_file(robot::SHIPPED)
+}
+
+/// Shipped behaviour trees, and files.
+pub fn behaviour_trees() -> ArgValueCompleter {
+    shipped_or_file(trees::SHIPPED)
+}
+
+fn shipped_or_file(shipped: &'static [(&'static str, &'static str)]) -> ArgValueCompleter {
+    ArgValueCompleter::new(move |typed: &OsStr| {
+        let start = typed.to_string_lossy();
+        let names = shipped.iter().map(|(name, _)| *name);
+        let names = names.filter(|name| name.starts_with(start.as_ref()));
+        let mut found: Vec<CompletionCandidate> = names.map(CompletionCandidate::new).collect();
+        found.extend(PathCompleter::file().complete(typed));
+        found
+    })
+}
+
+/// Robots on the bus.
+pub fn robots() -> ArgValueCandidates {
+    ArgValueCandidates::new(|| {
+        let robots = on_bus(async |bus, _| Ok(connect::robots(&bus).await?.into_keys().collect()));
+        candidates(robots)
+    })
+}
+
+/// Places of the robot's map.
+pub fn places() -> ArgValueCandidates {
+    ArgValueCandidates::new(|| {
+        candidates(on_robot(async |bus, robot| {
+            let known = annotations::read(&bus, &robot, WITHIN).await?;
+            Ok(known.places.into_keys().collect())
+        }))
+    })
+}
+
+/// Zones of the robot's map.
+pub fn zones() -> ArgValueCandidates {
+    ArgValueCandidates::new(|| {
+        candidates(on_robot(async |bus, robot| {
+            let known = annotations::read(&bus, &robot, WITHIN).await?;
+            Ok(known.zones.into_iter().map(|zone| zone.name).collect())
+        }))
+    })
+}
+
+/// Goals of the robot that have not ended.
+pub fn goals() -> ArgValueCandidates {
+    ArgValueCandidates::new(|| {
+        candidates(on_robot(async |bus, robot| {
+            let request = GoalsRequest::default();
+            let known = bus.ask(&topics::GOALS, &[&robot], &request, WITHIN).await?.goals;
+            let open = known.into_iter().filter(|goal| !goal.state.is_end());
+            Ok(open.map(|goal| goal.id).collect())
+        }))
+    })
+}
+
+/// Topics of the robot, as `zenav topic` takes them.
+pub fn keys() -> ArgValueCandidates {
+    ArgValueCandidates::new(|| {
+        let of_a_robot = topics::TABLE
+            .iter()
+            .filter_map(|row| row.pattern.strip_prefix("zenav/{robot}/"));
+        let fixed = of_a_robot.filter(|key| !key.contains('{'));
+        fixed.map(CompletionCandidate::new).collect()
+    })
+}
+
+fn candidates(names: Vec<String>) -> Vec<CompletionCandidate> {
+    names.into_iter().map(CompletionCandidate::new).collect()
+}
+
+/// What is on the bus that the words typed so far name; nothing where nobody answers at once.
+fn on_bus(look: impl AsyncFnOnce(Bus, Option<String>) -> Result<Vec<String>, Failure>) -> Vec<String> {
+    let words: Vec<String> = std::env::args().collect();
+    let link = LinkArgs {
+        connect: option(&words, "--connect").map_or_else(
+            || vec![DEFAULT_ENDPOINT.to_owned()],
+            |endpoints| endpoints.split(',').map(str::to_owned).collect(),
+        ),
+        namespace: option(&words, "--namespace").unwrap_or_else(connect::namespace),
+        timeout: WITHIN.as_secs_f64(),
+        identity: IdentityArgs {
+            identity: option(&words, "--identity")
+                .map(Into::into)
+                .or_else(|| std::env::var_os("ZENAV_IDENTITY").map(Into::into)),
+        },
+    };
+    let robot = option(&words, "--robot");
+    let found = connect::on_bus(&link, async |bus| {
+        tokio::time::timeout(WITHIN, look(bus, robot))
+            .await
+            .unwrap_or_else(|_| Ok(Vec::new()))
+    });
+    found.unwrap_or_default()
+}
+
+fn on_robot(look: impl AsyncFnOnce(Bus, String) -> Result<Vec<String>, Failure>) -> Vec<String> {
+    on_bus(async |bus, robot| {
+        let robot = connect::find(&bus, robot.as_deref()).await?;
+        look(bus, robot).await
+    })
+}
+
+/// The value of an option among the words of a command line, behind a blank or a `=`.
+fn option(words: &[String], name: &str) -> Option<String> {
+    let at = words.iter().position(|word| {
+        word.strip_prefix(name)
+            .is_some_and(|rest| rest.is_empty() || rest.starts_with('='))
+    })?;
+    let word = words.get(at)?;
+    match word.split_once('=') {
+        Some((_, value)) => Some(value.to_owned()),
+        None => words.get(at + 1).cloned(),
+    }
+    .filter(|value| !value.is_empty())
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn options_are_found_among_the_words_typed_so_far() {
+        let words: Vec<String> = [
+            "zenav",
+            "goal",
+            "--robot=neato",
+            "--connect",
+            "tcp/127.0.0.1:1",
+            "--robots",
+            "x",
+        ]
+        .map(str::to_owned)
+        .into();
+        assert_eq!(option(&words, "--robot").as_deref(), Some("neato"));
+        assert_eq!(option(&words, "--connect").as_deref(), Some("tcp/127.0.0.1:1"));
+        assert_eq!(option(&words, "--place"), None);
+        assert_eq!(option(&words[..4], "--connect"), None);
+    }
+
+    #[test]
+    fn every_shell_is_told_how_to_ask() {
+        for shell in Shell::value_variants() {
+            let mut script = Vec::new();
+            register(*shell, &mut script).unwrap();
+            assert!(String::from_utf8(script).unwrap().contains("zenav"), "{shell}");
+        }
+    }
+
+    #[test]
+    fn shipped_names_come_before_files() {
+        let found = worlds().complete(OsStr::new("ki"));
+        assert_eq!(found.first().unwrap().get_value(), "kitchen");
+    }
+}

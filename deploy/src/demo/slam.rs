@@ -1,0 +1,20 @@
+//! `zenav demo slam`: the kitchen's errands by a robot without GPS and compass, in a map that SLAM makes on the way.
+
+use zenav_cloud::mapping::PoseSource;
+
+use super::Script;
+
+pub(super) const SCRIPT: Script = Script {
+    name: "slam",
+    tree: "kitchen",
+    poses: PoseSource::Slam,
+    carried: None,
+    world: "kitchen",
+    robot: ("tiago", "tiago+indoor"),
+    planner: None,
+    time_limit: 300.0,
+    uses_stored_map: false,
+    impossible: &[],
+    drawn: false,
+    alone: false,
+};

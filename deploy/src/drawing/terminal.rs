@@ -1,0 +1,351 @@
+//! Map in a terminal. How is it drawn? Half-block characters, two cells' heights to a row, scaled to a width; over it marks: robots as arrows,
+//! paths, scans, places. Pure, but for the terminal's size: text out of a grid.
+
+use std::collections::HashMap;
+use std::io::IsTerminal as _;
+
+use nalgebra::Point2;
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
+
+/// How to draw.
+#[derive(Clone, Copy, Debug)]
+pub struct Screen {
+    /// Columns at most.
+    pub width: usize,
+    /// Rows at most; the map is scaled to fit both.
+    pub height: usize,
+    /// Whether the terminal shows colours.
+    pub colors: bool,
+}
+
+impl Screen {
+    /// The terminal that stdout is, some rows of it left free; `None` where it is none, or its size is not known.
+    pub fn of_terminal(free: u16) -> Option<Self> {
+        let (columns, rows) = crossterm::terminal::size().ok()?;
+        // A window of no size is one whose size is not known.
+        (std::io::stdout().is_terminal() && columns > 0 && rows > free + 1).then(|| Self {
+            width: usize::from(columns),
+            height: usize::from(rows - free),
+            colors: std::env::var_os("NO_COLOR").is_none(),
+        })
+    }
+}
+
+/// A colour of the 256-colour palette.
+type Color = u8;
+const RED: Color = 196;
+const ORANGE: Color = 208;
+const BLUE: Color = 27;
+const GREEN: Color = 28;
+const MAGENTA: Color = 164;
+
+/// Something to draw over a map, map frame; what comes later covers what came before.
+#[derive(Clone, Copy, Debug)]
+pub enum Mark<'a> {
+    /// A path to drive.
+    Path(&'a [Point2<f64>]),
+    /// Where the beams of a lidar ended.
+    Scan(&'a [Point2<f64>]),
+    /// A named place.
+    Place(&'a str, Point2<f64>),
+    /// Where a robot is to go.
+    Goal(Point2<f64>),
+    /// A robot, as an arrow.
+    Robot(Pose2),
+    /// Another robot, with its name.
+    OtherRobot(&'a str, Pose2),
+}
+
+/// Arrows from east, counter-clockwise.
+const ARROWS: [char; 8] = ['→', '↗', '↑', '↖', '←', '↙', '↓', '↘'];
+
+/// The known part of a map and its robots, highest row first, and a line that gives its place and scale.
+pub fn map(grid: &OccupancyGrid, marks: &[Mark<'_>], screen: Screen) -> String {
+    let robots = marks.iter().filter_map(|mark| match mark {
+        Mark::Robot(pose) | Mark::OtherRobot(_, pose) => Some(pose.position()),
+        _ => None,
+    });
+    let Some(window) = Window::around(grid, robots) else {
+        return "(the map is empty)".to_owned();
+    };
+    let pixels = window.pixels(grid, window.scale(screen));
+    let (columns, rows) = (pixels.spec().width, pixels.spec().height);
+    let signs = signs(pixels.spec(), marks);
+    let mut text = String::new();
+    for row in (0..rows.div_ceil(2)).rev() {
+        for x in 0..columns {
+            let at = |y: u32| pixels.get(Cell::new(x, y)).copied().unwrap_or(Occupancy::Unknown);
+            let (upper, lower) = (at(2 * row + 1), at(2 * row));
+            match signs.get(&(x, row)) {
+                Some((sign, color)) if screen.colors => {
+                    text.push_str(&format!("\x1b[1;38;5;{color};48;5;{}m{sign}\x1b[22m", shade(lower)));
+                }
+                Some((sign, _)) => text.push(*sign),
+                None if screen.colors => push_colored(&mut text, upper, lower),
+                None => text.push(plain(upper, lower)),
+            }
+        }
+        if screen.colors {
+            text.push_str("\x1b[0m");
+        }
+        text.push('\n');
+    }
+    let spec = pixels.spec();
+    let upper = spec.upper();
+    let robot = marks.iter().find_map(|mark| match mark {
+        Mark::Robot(pose) => Some(pose),
+        _ => None,
+    });
+    let robot = robot
+        .map(|pose| {
+            // Not "-0.00".
+            let [x, y, yaw] = [pose.x, pose.y, pose.yaw].map(|value| (100.0 * value).round() / 100.0 + 0.0);
+            format!(", robot at ({x:.2}, {y:.2}) heading {yaw:.2} rad")
+        })
+        .unwrap_or_default();
+    text.push_str(&format!(
+        "x {:.2} to {:.2} m, y {:.2} to {:.2} m, a column is {:.2} m{robot}",
+        spec.origin.x, upper.x, spec.origin.y, upper.y, spec.resolution
+    ));
+    text
+}
+
+/// The characters that marks put over the map, by column and row from below.
+fn signs(pixels: &GridSpec, marks: &[Mark<'_>]) -> HashMap<(u32, u32), (char, Color)> {
+    let mut signs = HashMap::new();
+    let at = |point: Point2<f64>| pixels.cell_at(point).map(|cell| (cell.x, cell.y / 2));
+    for mark in marks {
+        match mark {
+            Mark::Path(points) => {
+                for pair in points.windows(2) {
+                    // Two steps to a column leave no hole.
+                    let steps = ((pair[1] - pair[0]).norm() / (0.5 * pixels.resolution))
+                        .ceil()
+                        .clamp(1.0, 1e4);
+                    for step in 0..=steps as u32 {
+                        let point = pair[0] + (pair[1] - pair[0]) * (f64::from(step) / steps);
+                        signs.extend(at(point).map(|at| (at, ('·', BLUE))));
+                    }
+                }
+            }
+            Mark::Scan(points) => {
+                signs.extend(points.iter().filter_map(|point| Some((at(*point)?, ('▪', ORANGE)))));
+            }
+            Mark::Place(name, point) => label(&mut signs, at(*point), pixels.width, ('◆', name), GREEN),
+            Mark::Goal(point) => signs.extend(at(*point).map(|at| (at, ('✕', MAGENTA)))),
+            Mark::Robot(pose) => signs.extend(at(pose.position()).map(|at| (at, (arrow(*pose), RED)))),
+            Mark::OtherRobot(name, pose) => {
+                label(&mut signs, at(pose.position()), pixels.width, (arrow(*pose), name), RED);
+            }
+        }
+    }
+    signs
+}
+
+/// A sign with a name to the right of it, as far as there is room.
+fn label(
+    signs: &mut HashMap<(u32, u32), (char, Color)>,
+    at: Option<(u32, u32)>,
+    width: u32,
+    (sign, name): (char, &str),
+    color: Color,
+) {
+    let Some((x, row)) = at else { return };
+    let name = name.chars().map(|c| if c.is_control() { ' ' } else { c });
+    for (column, sign) in (x..width).zip(std::iter::once(sign).chain(name)) {
+        signs.insert((column, row), (sign, color));
+    }
+}
+
+fn arrow(pose: Pose2) -> char {
+    let eighth = (pose.yaw / std::f64::consts::FRAC_PI_4).round() as i64;
+    ARROWS[eighth.rem_euclid(8) as usize]
+}
+
+/// Without colours only obstacles have edges; between them half a cell of doubt is no news.
+fn plain(upper: Occupancy, lower: Occupancy) -> char {
+    use Occupancy::{Free, Occupied};
+    match (upper, lower) {
+        (Occupied, Occupied) => '█',
+        (Occupied, _) => '▀',
+        (_, Occupied) => '▄',
+        (Free, _) | (_, Free) => ' ',
+        _ => '░',
+    }
+}
+
+/// A shade of the 256-colour palette, much like a map file's picture.
+const fn shade(occupancy: Occupancy) -> u8 {
+    match occupancy {
+        Occupancy::Free => 255,
+        Occupancy::Unknown => 244,
+        Occupancy::Occupied => 16,
+    }
+}
+
+fn push_colored(text: &mut String, upper: Occupancy, lower: Occupancy) {
+    text.push_str(&format!("\x1b[38;5;{};48;5;{}m▀", shade(upper), shade(lower)));
+}
+
+/// The part of a grid that is worth drawing, cells, ends excluded.
+#[derive(Clone, Copy, Debug)]
+struct Window {
+    x: (u32, u32),
+    y: (u32, u32),
+}
+
+impl Window {
+    fn around(grid: &OccupancyGrid, robots: impl Iterator<Item = Point2<f64>>) -> Option<Self> {
+        let spec = grid.spec();
+        let known = grid
+            .values()
+            .iter()
+            .enumerate()
+            .filter(|(_, value)| Occupancy::of(**value) != Occupancy::Unknown)
+            .map(|(index, _)| spec.cell(index));
+        let cells = known.chain(robots.filter_map(|robot| spec.cell_at(robot)));
+        let bounds = cells.fold(None, |bounds: Option<Self>, cell| {
+            let Self { x, y } = bounds.unwrap_or(Self {
+                x: (cell.x, cell.x + 1),
+                y: (cell.y, cell.y + 1),
+            });
+            Some(Self {
+                x: (x.0.min(cell.x), x.1.max(cell.x + 1)),
+                y: (y.0.min(cell.y), y.1.max(cell.y + 1)),
+            })
+        });
+        // All is unknown: the whole of it.
+        bounds.or_else(|| {
+            (!spec.is_empty()).then_some(Self {
+                x: (0, spec.width),
+                y: (0, spec.height),
+            })
+        })
+    }
+
+    /// Cells to a column; a row shows twice as many.
+    fn scale(&self, screen: Screen) -> u32 {
+        let across = (self.x.1 - self.x.0).div_ceil(u32::try_from(screen.width.max(1)).unwrap_or(u32::MAX));
+        let along = (self.y.1 - self.y.0).div_ceil(
+            u32::try_from(screen.height.max(1))
+                .unwrap_or(u32::MAX)
+                .saturating_mul(2),
+        );
+        across.max(along).max(1)
+    }
+
+    /// Blocks of cells as one: occupied wherever one is, free where one is and none is occupied.
+    fn pixels(&self, grid: &OccupancyGrid, scale: u32) -> Grid<Occupancy> {
+        let from = grid.spec();
+        let origin = Point2::new(
+            from.origin.x + f64::from(self.x.0) * from.resolution,
+            from.origin.y + f64::from(self.y.0) * from.resolution,
+        );
+        let side = |(low, high): (u32, u32)| (high - low).div_ceil(scale);
+        let spec = GridSpec {
+            origin,
+            resolution: from.resolution * f64::from(scale),
+            width: side(self.x),
+            height: side(self.y),
+        };
+        let mut pixels = Grid::filled(spec, Occupancy::Unknown);
+        for y in self.y.0..self.y.1 {
+            for x in self.x.0..self.x.1 {
+                let seen = grid
+                    .get(Cell::new(x, y))
+                    .map_or(Occupancy::Unknown, |value| Occupancy::of(*value));
+                let pixel = &mut pixels[Cell::new((x - self.x.0) / scale, (y - self.y.0) / scale)];
+                *pixel = match (*pixel, seen) {
+                    (Occupancy::Occupied, _) | (_, Occupancy::Occupied) => Occupancy::Occupied,
+                    (Occupancy::Free, _) | (_, Occupancy::Free) => Occupancy::Free,
+                    _ => Occupancy::Unknown,
+                };
+            }
+        }
+        pixels
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    /// From rows counted from the top: `#` occupied, `.` free, `?` unknown; cells of 1 m from the origin.
+    fn grid(rows: &[&str]) -> OccupancyGrid {
+        zenav_fixtures::drawn_map(1.0, rows)
+    }
+
+    const PLAIN: Screen = Screen {
+        width: 80,
+        height: 40,
+        colors: false,
+    };
+
+    fn lines(grid: &OccupancyGrid, marks: &[Mark<'_>], screen: Screen) -> Vec<String> {
+        map(grid, marks, screen).lines().map(str::to_owned).collect()
+    }
+
+    #[test]
+    fn two_cells_make_a_character_and_north_is_up() {
+        let drawn = lines(&grid(&["####", "#...", "#..#", "...."]), &[], PLAIN);
+        assert_eq!(drawn[..2], ["█▀▀▀", "▀  ▀"]);
+    }
+
+    #[test]
+    fn the_robot_is_an_arrow_where_it_stands() {
+        let drawn = lines(
+            &grid(&["....", "....", "....", "...."]),
+            &[Mark::Robot(Pose2::new(2.5, 0.5, std::f64::consts::FRAC_PI_2))],
+            PLAIN,
+        );
+        assert_eq!(drawn[..2], ["    ", "  ↑ "]);
+        assert!(drawn[2].contains("robot at (2.50, 0.50)"), "{}", drawn[2]);
+    }
+
+    #[test]
+    fn marks_cover_the_map_the_later_the_more() {
+        let path = [Point2::new(0.5, 0.5), Point2::new(5.5, 0.5)];
+        let marks = [
+            Mark::Path(&path),
+            Mark::Goal(path[1]),
+            Mark::Place("sink", Point2::new(1.5, 3.5)),
+            Mark::Place("far", Point2::new(-9.0, 0.0)),
+            Mark::Robot(Pose2::new(0.5, 0.5, 0.0)),
+        ];
+        let drawn = lines(&grid(&["......", "......", "......", "......"]), &marks, PLAIN);
+        assert_eq!(drawn[..2], [" ◆sink", "→····✕"]);
+    }
+
+    #[test]
+    fn a_large_map_is_scaled_and_no_wall_gets_lost() {
+        let mut rows = vec![".".repeat(100); 60];
+        rows[17].replace_range(0..100, &"#".repeat(100));
+        let rows: Vec<&str> = rows.iter().map(String::as_str).collect();
+        let drawn = lines(&grid(&rows), &[], Screen { width: 20, ..PLAIN });
+        assert!(
+            drawn
+                .iter()
+                .take(drawn.len() - 1)
+                .all(|line| line.chars().count() == 20)
+        );
+        assert!(
+            drawn.iter().any(|line| line.chars().all(|c| c == '▀' || c == '▄')),
+            "{drawn:?}"
+        );
+    }
+
+    #[test]
+    fn unknown_margins_are_left_out_and_nothing_is_said_of_an_empty_map() {
+        assert_eq!(lines(&grid(&["????", "?#.?", "?..?", "????"]), &[], PLAIN)[0], "▀ ");
+        assert_eq!(lines(&grid(&["??"]), &[], PLAIN)[0], "░░");
+        let empty = GridSpec {
+            origin: Point2::origin(),
+            resolution: 1.0,
+            width: 0,
+            height: 0,
+        };
+        assert_eq!(map(&OccupancyGrid::filled(empty, 0), &[], PLAIN), "(the map is empty)");
+    }
+}

@@ -1,0 +1,41 @@
+//! Health. Where does a long-running command tell how it is? At `--metrics`, where one is named: `/livez`, `/readyz`, `/metrics`; its spans in the
+//! file `--trace`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use zenav_observability::{server, trace};
+
+use crate::exit_code;
+use crate::failure::Failure;
+
+/// Address of the health endpoint, and the trace file.
+#[derive(Debug, Default, Args)]
+pub(crate) struct HealthArgs {
+    /// Serve /livez, /readyz and /metrics here; port 0 takes a free one
+    #[arg(long, value_name = "ADDRESS:PORT", env = "ZENAV_METRICS", hide_env_values = true)]
+    metrics: Option<String>,
+    /// Write spans of what goes from part to part into this file: OTLP in JSON, one a line
+    #[arg(long, value_name = "FILE", env = "ZENAV_TRACE", hide_env_values = true)]
+    trace: Option<PathBuf>,
+}
+
+impl HealthArgs {
+    /// Serves as long as the runtime runs. Before anything else: a part that waits for a router is asked why, too.
+    ///
+    /// # Errors
+    /// What is no address, or one that is taken; a file that cannot be made.
+    pub(crate) async fn serve(&self) -> Result<(), Failure> {
+        if let Some(file) = &self.trace {
+            trace::start(file).map_err(|error| Failure::failed(format!("--trace {}: {error}", file.display())))?;
+        }
+        let Some(address) = &self.metrics else {
+            return Ok(());
+        };
+        let served = server::serve(address)
+            .await
+            .map_err(|error| Failure::new(exit_code::CANNOT_CONNECT, format!("--metrics {address}: {error}")))?;
+        tracing::info!("health: http://{served}/readyz, http://{served}/metrics");
+        Ok(())
+    }
+}

@@ -1,0 +1,163 @@
+//! Command line of a part. What is `zenav` started with on a host, in a container, in a pod? Pure.
+//!
+//! Settings come from the deployment file, which is the same everywhere; what differs from host to host is said by flags.
+
+use super::layout::{Host, Layout, METRICS_PORT};
+use super::part::Part;
+use crate::config::Profile;
+
+/// Folder of the deployment file and of the files that it names.
+pub(super) const CONFIG: &str = "/etc/zenav";
+/// Folder of what a part keeps, in a container.
+pub(super) const DATA: &str = "/var/lib/zenav";
+/// Folder of a part's identity, in a container.
+pub(super) const IDENTITY: &str = "/etc/zenav-identity";
+
+/// The token of the page, in a container.
+pub(super) const TOKEN: &str = "/etc/zenav-page/token";
+
+/// Where a part is started.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Place {
+    /// How others are dialled.
+    pub(super) addresses: Addresses,
+    /// Folder of what it keeps.
+    pub(super) data: String,
+    /// Folder of its identity.
+    pub(super) identity: String,
+    /// File of the page's token, where it asks for one.
+    pub(super) token: String,
+    /// Address and port of its health and metrics.
+    pub(super) metrics: String,
+    /// Name of its motion workers.
+    pub(super) worker: String,
+}
+
+/// How a part is dialled.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Addresses {
+    /// By the address of its host.
+    Hosts,
+    /// By the name of its container or service: each has an address of its own.
+    Names,
+}
+
+impl Place {
+    /// In a container or pod of its own, which is called `name` there.
+    pub(super) fn container(name: &str) -> Self {
+        Self {
+            addresses: Addresses::Names,
+            data: DATA.to_owned(),
+            identity: IDENTITY.to_owned(),
+            token: TOKEN.to_owned(),
+            metrics: format!("0.0.0.0:{METRICS_PORT}"),
+            worker: name.to_owned(),
+        }
+    }
+}
+
+/// Name of a part among all of a deployment: of its container, service or pod.
+pub(super) fn name(host: &Host, part: &Part) -> String {
+    format!("{}-{}", host.name, part.name())
+}
+
+/// The arguments of `zenav` for a part.
+pub(super) fn arguments(layout: &Layout<'_>, host: &Host, part: &Part, place: &Place) -> Vec<String> {
+    let mut line = Line(Vec::new());
+    let listen = host
+        .port(layout.deployment, part)
+        .map(|port| format!("{}/0.0.0.0:{port}", layout.protocol()));
+    let dial = |host: &Host, part: &Part| {
+        let address = match place.addresses {
+            Addresses::Hosts => host.address.clone(),
+            Addresses::Names => name(host, part),
+        };
+        let port = host.port(layout.deployment, part).unwrap_or_default();
+        format!("{}/{address}:{port}", layout.protocol())
+    };
+    let routers: Vec<String> = host
+        .routers
+        .iter()
+        .filter_map(|name| layout.host(name))
+        .map(|router| dial(router, &Part::Router))
+        .collect();
+    let service = |line: &mut Line, words: &[&str]| {
+        line.words(words);
+        line.flag("--deployment", format!("{CONFIG}/deployment.toml"));
+        line.flag("--connect", routers.join(","));
+    };
+    match part {
+        Part::Router => {
+            line.words(&["router"]);
+            for other in layout.dialled_by_router(host) {
+                line.flag("--connect", dial(other, &Part::Router));
+            }
+        }
+        Part::World => {
+            let simulation = &layout.deployment.simulation;
+            line.words(&["sim", "serve"]);
+            line.flag("--world", simulation.world.clone());
+            line.flag("--speed", simulation.speed.to_string());
+            line.flag("--seed", simulation.seed.to_string());
+            for router in &routers {
+                line.flag("--connect", router.clone());
+            }
+        }
+        Part::Edge(_) => {
+            service(&mut line, &["edge"]);
+            let section = part
+                .robot()
+                .and_then(|robot| layout.deployment.robots.get(robot.as_str()));
+            let world = layout.world().filter(|_| section.is_some_and(|section| section.attach));
+            if let Some(world) = world {
+                line.flag("--attach-to", dial(world, &Part::World));
+            }
+        }
+        Part::Mapping(_) => service(&mut line, &["cloud", "mapping"]),
+        Part::Motion => {
+            service(&mut line, &["cloud", "motion"]);
+            line.flag("--worker", place.worker.clone());
+        }
+        Part::Mission(_) => {
+            service(&mut line, &["cloud", "mission"]);
+            line.flag("--holder", host.name.clone());
+        }
+        Part::Gateway => {
+            service(&mut line, &["gateway"]);
+            if layout.token_file().is_some() {
+                line.flag("--token-file", place.token.clone());
+            }
+        }
+    }
+    if let Some(robot) = part.robot() {
+        line.flag("--robot", robot.to_string());
+    }
+    if matches!(part, Part::Edge(_) | Part::Mapping(_) | Part::Mission(_)) {
+        line.flag("--data", place.data.clone());
+    }
+    match (listen, layout.profile) {
+        (Some(listen), Profile::Open) => {
+            line.flag("--listen", listen);
+            line.words(&["--insecure"]);
+        }
+        (Some(listen), Profile::Mtls) => line.flag("--listen", listen),
+        (None, _) => {}
+    }
+    if layout.profile == Profile::Mtls {
+        line.flag("--identity", place.identity.clone());
+    }
+    line.flag("--metrics", place.metrics.clone());
+    line.0
+}
+
+struct Line(Vec<String>);
+
+impl Line {
+    fn words(&mut self, words: &[&str]) {
+        self.0.extend(words.iter().map(|word| (*word).to_owned()));
+    }
+
+    fn flag(&mut self, flag: &str, value: String) {
+        self.0.extend([flag.to_owned(), value]);
+    }
+}

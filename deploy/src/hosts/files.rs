@@ -1,0 +1,89 @@
+//! Rendered files. Which files does a deployment of many hosts consist of? Pure: a layout in, paths and texts out.
+//!
+//! ```text
+//! README.md                       what to do with the rest
+//! etc/                            the deployment file and what it names, copied: /etc/zenav on every host
+//! hosts/NAME/systemd/*.service    units of a host
+//! hosts/NAME/compose.yaml         the same parts as containers of that host
+//! compose.yaml                    all parts as containers of one engine
+//! kubernetes/*.yaml               kustomize base of the parts of cloud and edge sites, and the files of etc/
+//! ```
+
+use std::collections::BTreeMap;
+
+use serde_json::Value;
+
+use super::layout::Layout;
+use super::{compose, kubernetes, readme, systemd};
+use crate::config::Role;
+
+/// What is written for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Target {
+    /// Units of systemd for each host
+    Systemd,
+    /// Compose files: one for each host, and one for all on one engine
+    Compose,
+    /// A kustomize base
+    Kubernetes,
+    /// All of them
+    All,
+}
+
+/// A file by its path within the folder.
+pub type Files = BTreeMap<String, String>;
+
+/// Renders a deployment. `etc` names the deployment file and the files that it names, which are copied as they are.
+///
+/// # Errors
+/// What cannot be written as YAML: nothing that is rendered.
+pub fn render(layout: &Layout<'_>, etc: &[String], target: Target) -> Result<Files, String> {
+    let wanted = |one: Target| target == Target::All || target == one;
+    let mut files = Files::new();
+    files.insert("README.md".to_owned(), readme::text(layout, &wanted));
+    let hosts = layout.hosts.iter().filter(|host| !host.parts.is_empty());
+    if wanted(Target::Systemd) {
+        for host in hosts.clone() {
+            for part in &host.parts {
+                let path = format!("hosts/{}/systemd/{}", host.name, systemd::unit_name(part));
+                files.insert(path, systemd::unit(layout, host, part));
+            }
+        }
+    }
+    if wanted(Target::Compose) {
+        for host in hosts {
+            let path = format!("hosts/{}/compose.yaml", host.name);
+            files.insert(path, yaml(&[compose::of_host(layout, host)])?);
+        }
+        files.insert("compose.yaml".to_owned(), yaml(&[compose::whole(layout)])?);
+    }
+    if wanted(Target::Kubernetes)
+        && layout
+            .hosts
+            .iter()
+            .any(|host| host.role != Role::Robot && !host.parts.is_empty())
+    {
+        for (path, value) in kubernetes::base(layout, etc) {
+            let text = match &value {
+                Value::Array(documents) => yaml(documents)?,
+                one => yaml(std::slice::from_ref(one))?,
+            };
+            files.insert(format!("kubernetes/{path}"), text);
+        }
+    }
+    Ok(files)
+}
+
+/// Documents of a YAML file.
+fn yaml(documents: &[Value]) -> Result<String, String> {
+    let mut text = "# Written by `zenav deploy render`: change the deployment file, and render again.\n".to_owned();
+    for (number, document) in documents.iter().enumerate() {
+        if number > 0 {
+            text.push_str("---\n");
+        }
+        let written = serde_saphyr::to_string(document).map_err(|error| error.to_string())?;
+        text.push_str(written.trim_end());
+        text.push('\n');
+    }
+    Ok(text)
+}

@@ -1,0 +1,71 @@
+//! Health of a part on this machine. Is it ready? What a container's engine asks, by the binary itself: there is no shell in its image.
+
+use std::io::{Read as _, Write as _};
+use std::net::{SocketAddr, TcpStream};
+use std::time::Duration;
+
+/// Longest wait for a connection, and for each piece of the answer.
+const PATIENCE: Duration = Duration::from_secs(2);
+/// Most of an answer that is read, bytes.
+const MOST: u64 = 4096;
+
+/// Asks `GET /readyz`; the answer's text.
+///
+/// # Errors
+/// What is not as it should be: nobody listens, or the part says that it is not ready.
+pub(super) fn ready(address: SocketAddr) -> Result<String, String> {
+    let failed = |error: std::io::Error| format!("{address}: {error}");
+    let mut stream = TcpStream::connect_timeout(&address, PATIENCE).map_err(failed)?;
+    stream.set_read_timeout(Some(PATIENCE)).map_err(failed)?;
+    stream.set_write_timeout(Some(PATIENCE)).map_err(failed)?;
+    let request = format!("GET /readyz HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n");
+    stream.write_all(request.as_bytes()).map_err(failed)?;
+    let mut answer = Vec::new();
+    stream.take(MOST).read_to_end(&mut answer).map_err(failed)?;
+    let answer = String::from_utf8_lossy(&answer);
+    let (head, body) = answer.split_once("\r\n\r\n").unwrap_or((&answer, ""));
+    let mut words = head.split(' ');
+    match (words.next(), words.next()) {
+        (Some("HTTP/1.1" | "HTTP/1.0"), Some("200")) => Ok(body.trim().to_owned()),
+        _ => {
+            let first = head.lines().next().unwrap_or_default();
+            Err(format!("{address}: {first}: {}", body.trim()))
+        }
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use std::io::{BufRead as _, BufReader};
+    use std::net::TcpListener;
+
+    use super::*;
+
+    fn answering(answer: &'static str) -> SocketAddr {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = listener.local_addr().unwrap();
+        std::thread::spawn(move || {
+            let (mut stream, _) = listener.accept().unwrap();
+            let mut request = String::new();
+            BufReader::new(stream.try_clone().unwrap())
+                .read_line(&mut request)
+                .unwrap();
+            assert_eq!(request, "GET /readyz HTTP/1.1\r\n");
+            stream.write_all(answer.as_bytes()).unwrap();
+        });
+        address
+    }
+
+    #[test]
+    fn a_part_is_ready_when_it_says_so_and_only_then() {
+        let yes = answering("HTTP/1.1 200 OK\r\nContent-Length: 2\r\n\r\nok");
+        assert_eq!(ready(yes), Ok("ok".to_owned()));
+        let no = answering("HTTP/1.1 503 Service Unavailable\r\n\r\nno router");
+        let error = ready(no).unwrap_err();
+        assert!(error.contains("503") && error.contains("no router"), "{error}");
+        assert!(ready(answering("SSH-2.0\r\n")).is_err());
+        let nobody = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+        assert!(ready(nobody).is_err());
+    }
+}

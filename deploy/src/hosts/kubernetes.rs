@@ -1,0 +1,312 @@
+//! Kubernetes manifests. How do the parts of cloud and edge sites run in a cluster? A kustomize base: one workload a part, with probes,
+//! resources, disruption budgets, policies of the network, and more motion workers under load.
+//!
+//! Robots and operators are outside: they reach the routers' services. What differs from cluster to cluster (number of workers, classes of
+//! storage, how the page is exposed) is laid over the base by kustomize itself.
+
+use std::collections::BTreeSet;
+
+use serde_json::{Value, json};
+
+use super::command_line::{CONFIG, DATA, IDENTITY, Place, TOKEN, arguments, name};
+use super::compose::USER;
+use super::layout::{Host, Layout, METRICS_PORT, ROUTER_PORT, WORLD_PORT};
+use super::part::Part;
+use crate::config::{Profile, Role};
+
+/// Label of what belongs to zenav.
+const APP: &str = "app.kubernetes.io/name";
+/// Label of a part's kind.
+const COMPONENT: &str = "app.kubernetes.io/component";
+/// Label of the one part.
+const INSTANCE: &str = "app.kubernetes.io/instance";
+/// Secret with the page's token.
+pub(super) const PAGE_SECRET: &str = "zenav-page";
+/// Most motion workers of a host under load.
+const MOST_WORKERS: u32 = 8;
+/// Load at which another motion worker is started, percent of the processor time that one asks for.
+const BUSY: u32 = 70;
+
+/// The files of the base by name; `config` are the files that are mounted where a part runs.
+pub(super) fn base(layout: &Layout<'_>, config: &[String]) -> Vec<(String, Value)> {
+    let hosts = layout
+        .hosts
+        .iter()
+        .filter(|host| matches!(host.role, Role::Cloud | Role::EdgeSite));
+    let parts: Vec<(&Host, &Part)> = hosts
+        .flat_map(|host| host.parts.iter().map(move |part| (host, part)))
+        .collect();
+    let mut files = Vec::new();
+    for (host, part) in &parts {
+        files.push((
+            format!("{}.yaml", name(host, part)),
+            Value::Array(of_part(layout, host, part)),
+        ));
+    }
+    let kinds: BTreeSet<&str> = parts.iter().map(|(_, part)| part.kind()).collect();
+    files.push(("disruption.yaml".to_owned(), disruption_budgets(&kinds)));
+    files.push(("network.yaml".to_owned(), network_policies(layout, &kinds)));
+    let resources: Vec<&String> = files.iter().map(|(file, _)| file).collect();
+    let kustomization = json!({
+        "apiVersion": "kustomize.config.k8s.io/v1beta1",
+        "kind": "Kustomization",
+        "namespace": "zenav",
+        "resources": resources,
+        "configMapGenerator": [{ "name": "zenav", "files": config }],
+        "images": [{ "name": "zenav", "newTag": env!("CARGO_PKG_VERSION") }],
+    });
+    files.insert(0, ("kustomization.yaml".to_owned(), kustomization));
+    files
+}
+
+/// What a part is given, and the most that it may take: (processor, memory, most memory).
+fn resources(part: &Part) -> (&'static str, &'static str, &'static str) {
+    match part {
+        Part::Router => ("100m", "64Mi", "512Mi"),
+        Part::World | Part::Edge(_) => ("500m", "128Mi", "512Mi"),
+        Part::Mapping(_) => ("250m", "128Mi", "2Gi"),
+        Part::Motion => ("500m", "128Mi", "1Gi"),
+        Part::Mission(_) => ("250m", "128Mi", "1Gi"),
+        Part::Gateway => ("100m", "64Mi", "512Mi"),
+    }
+}
+
+fn labels(instance: &str, part: &Part) -> Value {
+    json!({ APP: "zenav", COMPONENT: part.kind(), INSTANCE: instance })
+}
+
+/// Workload, service and autoscaler of a part.
+fn of_part(layout: &Layout<'_>, host: &Host, part: &Part) -> Vec<Value> {
+    let name = name(host, part);
+    let keeps = matches!(part, Part::Edge(_) | Part::Mapping(_) | Part::Mission(_));
+    let mut spec = json!({
+        "selector": { "matchLabels": labels(&name, part) },
+        "template": {
+            "metadata": { "labels": labels(&name, part) },
+            "spec": pod(layout, host, part, &name),
+        },
+    });
+    if *part != Part::Motion {
+        // Those are the autoscaler's to count.
+        spec["replicas"] = json!(1);
+    }
+    let kind = if keeps {
+        spec["serviceName"] = json!(name);
+        spec["volumeClaimTemplates"] = json!([{
+            "metadata": { "name": "data" },
+            "spec": { "accessModes": ["ReadWriteOnce"], "resources": { "requests": { "storage": "1Gi" } } },
+        }]);
+        "StatefulSet"
+    } else {
+        spec["strategy"] = match part {
+            // A second one under the same name would be another router, or another world.
+            Part::Router | Part::World => json!({ "type": "Recreate" }),
+            _ => json!({ "type": "RollingUpdate", "rollingUpdate": { "maxSurge": 1, "maxUnavailable": 0 } }),
+        };
+        "Deployment"
+    };
+    let mut all = vec![json!({
+        "apiVersion": "apps/v1",
+        "kind": kind,
+        "metadata": { "name": name, "labels": labels(&name, part) },
+        "spec": spec,
+    })];
+    if let Some(ports) = service_ports(layout, part) {
+        let kind = if *part == Part::Router {
+            "LoadBalancer"
+        } else {
+            "ClusterIP"
+        };
+        all.push(service(&name, part, json!({ "type": kind, "ports": ports })));
+    } else if keeps {
+        all.push(service(
+            &name,
+            part,
+            json!({ "clusterIP": "None", "ports": [{ "name": "metrics", "port": METRICS_PORT, "targetPort": "metrics" }] }),
+        ));
+    }
+    if *part == Part::Motion {
+        all.push(autoscaler(&name, part));
+    }
+    all
+}
+
+fn service(name: &str, part: &Part, mut spec: Value) -> Value {
+    spec["selector"] = labels(name, part);
+    json!({
+        "apiVersion": "v1",
+        "kind": "Service",
+        "metadata": { "name": name, "labels": labels(name, part) },
+        "spec": spec,
+    })
+}
+
+/// Ports at which others reach a part.
+fn service_ports(layout: &Layout<'_>, part: &Part) -> Option<Value> {
+    let port = match part {
+        Part::Router => ROUTER_PORT,
+        Part::World => WORLD_PORT,
+        Part::Gateway => layout.page_port()?,
+        _ => return None,
+    };
+    let name = if *part == Part::Gateway { "page" } else { "zenoh" };
+    let protocol = if *part == Part::Gateway {
+        "TCP"
+    } else {
+        layout.transport()
+    };
+    Some(json!([{ "name": name, "port": port, "protocol": protocol, "targetPort": name }]))
+}
+
+fn pod(layout: &Layout<'_>, host: &Host, part: &Part, name: &str) -> Value {
+    let mut place = Place::container(name);
+    // Set by the variable of that name in the container.
+    place.worker = "$(POD_NAME)".to_owned();
+    let mut ports = vec![json!({ "name": "metrics", "containerPort": METRICS_PORT })];
+    if let Some(own) = service_ports(layout, part) {
+        ports.push(json!({ "name": own[0]["name"], "containerPort": own[0]["port"], "protocol": own[0]["protocol"] }));
+    }
+    let mut mounts = vec![json!({ "name": "config", "mountPath": CONFIG, "readOnly": true })];
+    let mut volumes = vec![json!({ "name": "config", "configMap": { "name": "zenav" } })];
+    if matches!(part, Part::Edge(_) | Part::Mapping(_) | Part::Mission(_)) {
+        mounts.push(json!({ "name": "data", "mountPath": DATA }));
+    }
+    if layout.profile == Profile::Mtls {
+        mounts.push(json!({ "name": "identity", "mountPath": IDENTITY, "readOnly": true }));
+        let secret = super::part::label(&layout.identity(host, part));
+        volumes.push(json!({ "name": "identity", "secret": { "secretName": secret, "defaultMode": 0o440 } }));
+    }
+    if *part == Part::Gateway && layout.token_file().is_some() {
+        let folder = TOKEN.trim_end_matches("/token");
+        mounts.push(json!({ "name": "page", "mountPath": folder, "readOnly": true }));
+        volumes.push(json!({ "name": "page", "secret": { "secretName": PAGE_SECRET, "defaultMode": 0o440 } }));
+    }
+    let (cpu, memory, most) = resources(part);
+    let probe = |path: &str, period: u32, failures: u32| {
+        json!({
+            "httpGet": { "path": path, "port": "metrics" },
+            "periodSeconds": period,
+            "timeoutSeconds": 3,
+            "failureThreshold": failures,
+        })
+    };
+    json!({
+        "automountServiceAccountToken": false,
+        // Their variables would be read as settings: ZENAV_...
+        "enableServiceLinks": false,
+        "terminationGracePeriodSeconds": 15,
+        "securityContext": {
+            "runAsNonRoot": true,
+            "runAsUser": USER,
+            "runAsGroup": USER,
+            "fsGroup": USER,
+            "seccompProfile": { "type": "RuntimeDefault" },
+        },
+        "topologySpreadConstraints": [{
+            "maxSkew": 1,
+            "topologyKey": "kubernetes.io/hostname",
+            "whenUnsatisfiable": "ScheduleAnyway",
+            "labelSelector": { "matchLabels": { APP: "zenav", COMPONENT: part.kind() } },
+        }],
+        "containers": [{
+            "name": part.kind(),
+            "image": "zenav",
+            "args": arguments(layout, host, part, &place),
+            "workingDir": CONFIG,
+            "env": [{ "name": "POD_NAME", "valueFrom": { "fieldRef": { "fieldPath": "metadata.name" } } }],
+            "ports": ports,
+            "startupProbe": probe("/livez", 2, 30),
+            "livenessProbe": probe("/livez", 5, 4),
+            "readinessProbe": probe("/readyz", 5, 2),
+            "resources": {
+                "requests": { "cpu": cpu, "memory": memory },
+                "limits": { "memory": most },
+            },
+            "securityContext": {
+                "allowPrivilegeEscalation": false,
+                "readOnlyRootFilesystem": true,
+                "capabilities": { "drop": ["ALL"] },
+            },
+            "volumeMounts": mounts,
+        }],
+        "volumes": volumes,
+    })
+}
+
+fn autoscaler(name: &str, part: &Part) -> Value {
+    json!({
+        "apiVersion": "autoscaling/v2",
+        "kind": "HorizontalPodAutoscaler",
+        "metadata": { "name": name, "labels": labels(name, part) },
+        "spec": {
+            "scaleTargetRef": { "apiVersion": "apps/v1", "kind": "Deployment", "name": name },
+            "minReplicas": 1,
+            "maxReplicas": MOST_WORKERS,
+            "metrics": [{
+                "type": "Resource",
+                "resource": { "name": "cpu", "target": { "type": "Utilization", "averageUtilization": BUSY } },
+            }],
+        },
+    })
+}
+
+/// At most one of a kind is away by intent: the other router, worker or orchestrator goes on meanwhile.
+fn disruption_budgets(kinds: &BTreeSet<&str>) -> Value {
+    let budget = |kind: &&str| {
+        json!({
+            "apiVersion": "policy/v1",
+            "kind": "PodDisruptionBudget",
+            "metadata": { "name": format!("zenav-{kind}") },
+            "spec": {
+                "maxUnavailable": 1,
+                "selector": { "matchLabels": { APP: "zenav", COMPONENT: kind } },
+            },
+        })
+    };
+    Value::Array(kinds.iter().map(budget).collect())
+}
+
+/// Nobody reaches a pod but: routers from anywhere, the world from its robots, the page from anywhere (it asks for a token), health and
+/// metrics from the cluster.
+fn network_policies(layout: &Layout<'_>, kinds: &BTreeSet<&str>) -> Value {
+    let policy = |name: &str, selected: Value, ingress: Value| {
+        json!({
+            "apiVersion": "networking.k8s.io/v1",
+            "kind": "NetworkPolicy",
+            "metadata": { "name": name },
+            "spec": {
+                "podSelector": { "matchLabels": selected },
+                "policyTypes": ["Ingress"],
+                "ingress": ingress,
+            },
+        })
+    };
+    let tcp = |port: u16| json!([{ "protocol": "TCP", "port": port }]);
+    let zenoh = |port: u16| json!([{ "protocol": layout.transport(), "port": port }]);
+    let of_kind = |kind: &str| json!({ APP: "zenav", COMPONENT: kind });
+    let metrics = json!([{ "from": [{ "namespaceSelector": {} }], "ports": tcp(METRICS_PORT) }]);
+    let mut all = vec![policy("zenav", json!({ APP: "zenav" }), metrics)];
+    if kinds.contains("router") {
+        all.push(policy(
+            "zenav-router",
+            of_kind("router"),
+            json!([{ "ports": zenoh(ROUTER_PORT) }]),
+        ));
+    }
+    if kinds.contains("world") {
+        let robots = json!([{ "podSelector": { "matchLabels": of_kind("edge") } }]);
+        all.push(policy(
+            "zenav-world",
+            of_kind("world"),
+            json!([{ "from": robots, "ports": zenoh(WORLD_PORT) }]),
+        ));
+    }
+    if let Some(port) = layout.page_port().filter(|_| kinds.contains("gateway")) {
+        all.push(policy(
+            "zenav-gateway",
+            of_kind("gateway"),
+            json!([{ "ports": tcp(port) }]),
+        ));
+    }
+    Value::Array(all)
+}

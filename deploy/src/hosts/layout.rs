@@ -1,0 +1,238 @@
+//! Layout. Which part runs on which host, where does it listen, and whom does it dial? Pure: made of a deployment alone.
+//!
+//! Robots dial out, to the routers of the cloud (or of their site); nobody dials a robot but to stop it. A part beside a router dials that
+//! one first, and the others when it is gone. Of two routers of one role the second by name dials the first.
+
+use std::path::{Path, PathBuf};
+
+use zenav_protocol::config_text::OutOfBounds;
+
+use super::part::Part;
+use super::problems;
+use crate::config::{Deployment, Profile, Role};
+
+/// Zenoh's own port, where routers listen.
+pub const ROUTER_PORT: u16 = 7447;
+/// Where a served world listens for the robots in it.
+pub const WORLD_PORT: u16 = 7446;
+/// Where the first robot of a host listens itself; further ones take the next ports.
+pub const EDGE_PORT: u16 = 7450;
+/// Where the first part of a host serves its health and metrics; further ones take the next ports.
+pub const METRICS_PORT: u16 = 9464;
+
+/// A deployment on its hosts.
+#[derive(Clone, Debug)]
+pub struct Layout<'d> {
+    /// The deployment.
+    pub deployment: &'d Deployment,
+    /// How links are protected.
+    pub profile: Profile,
+    /// Its hosts, by name.
+    pub hosts: Vec<Host>,
+}
+
+/// A host.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Host {
+    /// Its name.
+    pub name: String,
+    /// What it is for.
+    pub role: Role,
+    /// Name or address at which others reach it.
+    pub address: String,
+    /// What runs there, in the order of the file.
+    pub parts: Vec<Part>,
+    /// Hosts whose routers its parts dial, the one to try first before the others.
+    pub routers: Vec<String>,
+}
+
+impl Host {
+    /// Whether a part runs there.
+    #[must_use]
+    pub fn runs(&self, kind: &str) -> bool {
+        self.parts.iter().any(|part| part.kind() == kind)
+    }
+
+    /// Its own port for a part of it that listens: Zenoh's link.
+    #[must_use]
+    pub fn port(&self, deployment: &Deployment, part: &Part) -> Option<u16> {
+        match part {
+            Part::Router => Some(ROUTER_PORT),
+            Part::World => Some(WORLD_PORT),
+            Part::Edge(robot) => {
+                let named = deployment
+                    .robots
+                    .get(robot.as_str())
+                    .and_then(|robot| port_of(&robot.listen));
+                let edges = self.parts.iter().filter(|part| part.kind() == "edge");
+                let place = edges.take_while(|other| *other != part).count();
+                named.or_else(|| u16::try_from(place).ok().map(|place| EDGE_PORT + place))
+            }
+            Part::Mapping(_) | Part::Motion | Part::Mission(_) | Part::Gateway => None,
+        }
+    }
+
+    /// Its own port for the health of a part.
+    #[must_use]
+    pub fn metrics_port(&self, part: &Part) -> u16 {
+        let place = self.parts.iter().take_while(|other| *other != part).count();
+        METRICS_PORT + u16::try_from(place).unwrap_or_default()
+    }
+}
+
+/// Whether an endpoint is of loopback alone.
+pub(super) fn is_loopback(endpoint: &str) -> bool {
+    ["127.", "localhost", "[::1]"]
+        .iter()
+        .any(|loopback| endpoint.contains(loopback))
+}
+
+/// The port of an endpoint, but for 0.
+pub(super) fn port_of(endpoint: &str) -> Option<u16> {
+    let (_, port) = endpoint.rsplit_once(':')?;
+    port.parse().ok().filter(|port| *port != 0)
+}
+
+impl<'d> Layout<'d> {
+    /// Lays a deployment out.
+    ///
+    /// # Errors
+    /// All that is wrong with its hosts, by key.
+    pub fn of(deployment: &'d Deployment) -> Result<Self, Vec<OutOfBounds>> {
+        let problems = problems::of(deployment);
+        if !problems.is_empty() {
+            return Err(problems);
+        }
+        let hosts = deployment.hosts.iter().filter_map(|(name, section)| {
+            Some(Host {
+                name: name.clone(),
+                role: section.role?,
+                address: section.address.clone(),
+                parts: section.runs.iter().filter_map(|entry| entry.parse().ok()).collect(),
+                routers: routers(deployment, name),
+            })
+        });
+        Ok(Self {
+            deployment,
+            profile: deployment.security.profile.unwrap_or(Profile::Mtls),
+            hosts: hosts.collect(),
+        })
+    }
+
+    /// All parts with their hosts.
+    pub fn parts(&self) -> impl Iterator<Item = (&Host, &Part)> {
+        self.hosts
+            .iter()
+            .flat_map(|host| host.parts.iter().map(move |part| (host, part)))
+    }
+
+    /// A host by name.
+    #[must_use]
+    pub fn host(&self, name: &str) -> Option<&Host> {
+        self.hosts.iter().find(|host| host.name == name)
+    }
+
+    /// The host that serves the world.
+    #[must_use]
+    pub fn world(&self) -> Option<&Host> {
+        self.hosts.iter().find(|host| host.runs("world"))
+    }
+
+    /// Whose routers a router dials itself: both ends of a link dialling one another would make it twice.
+    #[must_use]
+    pub fn dialled_by_router<'h>(&'h self, host: &'h Host) -> Vec<&'h Host> {
+        let others = host.routers.iter().filter(|name| **name != host.name);
+        others
+            .filter_map(|name| self.host(name))
+            .filter(|other| !other.routers.contains(&host.name) || other.name < host.name)
+            .collect()
+    }
+
+    /// What a certificate must say of a part: its common name.
+    #[must_use]
+    pub fn identity(&self, host: &Host, part: &Part) -> String {
+        match part {
+            Part::Router | Part::World => format!("router.{}", host.name),
+            // A robot that is simulated in its own process gives everybody the time, which no robot may.
+            Part::Edge(robot) if self.is_simulated(robot.as_str()) => format!("router.{}", host.name),
+            Part::Edge(robot) => format!("robot.{robot}"),
+            Part::Gateway => format!("operator.{}", host.name),
+            Part::Mapping(_) | Part::Motion | Part::Mission(_) => format!("service.{}", host.name),
+        }
+    }
+
+    /// Whether a robot's body is simulated in its own process.
+    fn is_simulated(&self, robot: &str) -> bool {
+        let robot = self.deployment.robots.get(robot);
+        robot.is_some_and(|robot| !robot.attach && !robot.driver)
+    }
+
+    /// The files of a part's identity: who is dialled must know who belongs to the fleet.
+    #[must_use]
+    pub fn identity_files(&self, host: &Host, part: &Part) -> Vec<&'static str> {
+        let mut files = vec!["ca.pem", "cert.pem", "key.pem"];
+        if host.port(self.deployment, part).is_some() {
+            files.push("members.txt");
+        }
+        files
+    }
+
+    /// Where a host keeps the token that the page asks for.
+    #[must_use]
+    pub fn token_file(&self) -> Option<PathBuf> {
+        let file = self.deployment.gateway.settings.token_file.as_ref();
+        file.map(|file| Path::new(super::command_line::CONFIG).join(file))
+    }
+
+    /// The port of the page where other machines reach it.
+    #[must_use]
+    pub fn page_port(&self) -> Option<u16> {
+        let listen = &self.deployment.gateway.settings.listen;
+        port_of(listen).filter(|_| self.token_file().is_some() && !is_loopback(listen))
+    }
+
+    /// The transport below Zenoh's links, as Kubernetes names it.
+    #[must_use]
+    pub fn transport(&self) -> &'static str {
+        match self.profile {
+            Profile::Open => "TCP",
+            Profile::Mtls => "UDP",
+        }
+    }
+
+    /// `tcp` or `quic`.
+    #[must_use]
+    pub fn protocol(&self) -> &'static str {
+        match self.profile {
+            Profile::Open => "tcp",
+            Profile::Mtls => "quic",
+        }
+    }
+}
+
+/// Hosts whose routers a host's parts dial.
+fn routers(deployment: &Deployment, name: &str) -> Vec<String> {
+    let Some(section) = deployment.hosts.get(name) else {
+        return Vec::new();
+    };
+    let has_router = |host: &&String| {
+        let runs = deployment.hosts.get(*host).map(|host| &host.runs);
+        runs.is_some_and(|runs| runs.iter().any(|part| part == "router"))
+    };
+    let of_role = |role: Role| -> Vec<String> {
+        let hosts = deployment.hosts.iter().filter(|(_, host)| host.role == Some(role));
+        hosts.map(|(name, _)| name).filter(has_router).cloned().collect()
+    };
+    let mut routers = section.connect.clone();
+    if routers.is_empty() {
+        routers = of_role(Role::Cloud);
+    }
+    if routers.is_empty() {
+        routers = of_role(Role::EdgeSite);
+    }
+    routers.retain(|router| router != name);
+    if has_router(&&name.to_owned()) {
+        routers.insert(0, name.to_owned());
+    }
+    routers
+}

@@ -1,0 +1,113 @@
+//! Named files. Which files does a deployment name, which its hosts need too? They stand beside the deployment file, and go with it to
+//! `/etc/zenav`, where parts look for them by the same names.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use zenav_protocol::config_text::OutOfBounds;
+use zenav_protocol::robot;
+use zenav_sim::world;
+
+use crate::config::Deployment;
+use crate::failure::Failure;
+
+/// Largest file that is copied, bytes: a map of a large building.
+const MOST: u64 = 64 * 1024 * 1024;
+
+/// Names of files in `folder` that a deployment names, sorted.
+///
+/// # Errors
+/// Names that are no files there, by key.
+pub(super) fn of(deployment: &Deployment, folder: &Path) -> Result<Vec<String>, Vec<OutOfBounds>> {
+    let mut found = BTreeSet::new();
+    let mut problems = Vec::new();
+    let mut name = |key: String, name: &str, is_shipped: bool| {
+        let is_plain = Path::new(name).components().count() == 1 && !name.starts_with('.');
+        let problem = if folder.join(name).is_file() && is_plain {
+            found.insert(name.to_owned());
+            return;
+        } else if is_shipped {
+            return;
+        } else if is_plain {
+            "neither shipped nor a file beside the deployment file"
+        } else {
+            "a path: expected a file beside the deployment file, from where it goes to all hosts"
+        };
+        problems.push(OutOfBounds {
+            key,
+            problem: format!("is `{name}`: {problem}"),
+        });
+    };
+    let simulated = deployment.robots.values().any(|robot| !robot.driver);
+    let places = &deployment.simulation.world;
+    name(
+        "simulation.world".to_owned(),
+        places,
+        world::shipped(places).is_some() || (!simulated && places.is_empty()),
+    );
+    for (id, section) in &deployment.robots {
+        for part in section.model.split('+') {
+            let shipped = robot::SHIPPED
+                .iter()
+                .chain(robot::OPTIONS)
+                .any(|(known, _)| *known == part);
+            name(format!("robots.{id}.model"), part, shipped);
+        }
+    }
+    for (key, file) in [
+        ("mapping.map", &deployment.mapping.run.map),
+        ("zones.file", &deployment.zones.file),
+    ] {
+        if let Some(file) = file {
+            name(key.to_owned(), &file.to_string_lossy(), false);
+        }
+    }
+    if !problems.is_empty() {
+        return Err(problems);
+    }
+    // A map, or a world that is one, is a description and an image.
+    let images: Vec<String> = found.iter().flat_map(|name| images(&folder.join(name))).collect();
+    found.extend(images.into_iter().filter(|image| folder.join(image).is_file()));
+    Ok(found.into_iter().collect())
+}
+
+/// Files that a file names itself: the image of a map's description, the description of a world's map.
+fn images(file: &Path) -> Vec<String> {
+    let Ok(text) = std::fs::read_to_string(file) else {
+        return Vec::new();
+    };
+    let named = text.lines().filter_map(|line| {
+        let (key, value) = line.split_once([':', '='])?;
+        let value = value.split('#').next()?.trim().trim_matches(['"', '\'']);
+        matches!(key.trim(), "image" | "yaml").then(|| value.to_owned())
+    });
+    let named: Vec<String> = named.collect();
+    let deeper = named
+        .iter()
+        .filter(|name| name.ends_with(".yaml"))
+        .flat_map(|name| images(&file.with_file_name(name)));
+    let deeper: Vec<String> = deeper.collect();
+    [named, deeper].concat()
+}
+
+/// Copies the named files of a folder, and the deployment file as `deployment.toml`.
+///
+/// # Errors
+/// A file that cannot be read or written, or is larger than a map of a building.
+pub(super) fn copy(deployment: &Path, names: &[String], into: &Path) -> Result<(), Failure> {
+    std::fs::create_dir_all(into).map_err(Failure::failed_at(into))?;
+    let folder = deployment.parent().unwrap_or_else(|| Path::new("."));
+    let named = names.iter().map(|name| (folder.join(name), into.join(name)));
+    let own = (deployment.to_owned(), into.join("deployment.toml"));
+    for (from, to) in std::iter::once(own).chain(named) {
+        let size = std::fs::metadata(&from).map_err(Failure::failed_at(&from))?.len();
+        if size > MOST {
+            return Err(Failure::usage(format!(
+                "{}: expected at most {MOST} bytes",
+                from.display()
+            )));
+        }
+        std::fs::copy(&from, &to).map_err(Failure::failed_at(&to))?;
+    }
+    Ok(())
+}

@@ -1,0 +1,271 @@
+//! Problems. What is wrong with the hosts of a deployment? Every problem by its key, with what was expected.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use zenav_protocol::config_text::OutOfBounds;
+use zenav_protocol::id::Id;
+
+use super::layout::{EDGE_PORT, Host, is_loopback, port_of};
+use super::part::{Part, is_label};
+use crate::config::{Deployment, HostSection, Role};
+
+/// Most letters of a part's name with its host's: Kubernetes adds eleven to make a label of 63.
+const MOST_LETTERS: usize = 52;
+
+/// All that is wrong, in the order of the file's sections.
+pub(super) fn of(deployment: &Deployment) -> Vec<OutOfBounds> {
+    let mut found = Found(Vec::new());
+    if deployment.hosts.is_empty() {
+        found.add("hosts", "names no host: expected at least one section [hosts.NAME]");
+        return found.0;
+    }
+    let mut parsed = BTreeMap::new();
+    for (name, section) in &deployment.hosts {
+        found.of_host(deployment, name, section);
+        parsed.insert(name.as_str(), found.parts(deployment, name, section));
+    }
+    found.of_places(deployment, &parsed);
+    found.of_ports(deployment, &parsed);
+    found.of_robots(deployment, &parsed);
+    found.0
+}
+
+type Parsed<'d> = BTreeMap<&'d str, Vec<Part>>;
+
+struct Found(Vec<OutOfBounds>);
+
+impl Found {
+    fn add(&mut self, key: impl Into<String>, problem: impl Into<String>) {
+        self.0.push(OutOfBounds {
+            key: key.into(),
+            problem: problem.into(),
+        });
+    }
+
+    fn of_host(&mut self, deployment: &Deployment, name: &str, section: &HostSection) {
+        let key = |field: &str| format!("hosts.{name}.{field}");
+        if !is_label(name) {
+            self.add(
+                format!("hosts.{name}"),
+                "is no name of a host: expected 1 to 30 of a-z 0-9 -, which every target can use",
+            );
+        }
+        if section.role.is_none() {
+            self.add(key("role"), "is not set: expected robot, edge_site, cloud or operator");
+        }
+        let address = &section.address;
+        let is_address = address.parse::<std::net::IpAddr>().is_ok_and(|ip| ip.is_ipv4())
+            || (!address.is_empty()
+                && address
+                    .bytes()
+                    .all(|b| b.is_ascii_alphanumeric() || matches!(b, b'-' | b'.' | b'_')));
+        if !is_address {
+            self.add(
+                key("address"),
+                format!("is `{address}`: expected a name or an IPv4 address, without a port"),
+            );
+        }
+        for router in &section.connect {
+            let problem = match deployment.hosts.get(router) {
+                None => "no such host",
+                Some(_) if router == name => "this host itself, whose router comes first anyway",
+                Some(host) if !host.runs.iter().any(|part| part == "router") => "a host that runs no router",
+                Some(_) => continue,
+            };
+            self.add(key("connect"), format!("names `{router}`: {problem}"));
+        }
+    }
+
+    fn parts(&mut self, deployment: &Deployment, name: &str, section: &HostSection) -> Vec<Part> {
+        let key = format!("hosts.{name}.runs");
+        let mut parts = Vec::new();
+        for entry in &section.runs {
+            match entry.parse::<Part>() {
+                Err(problem) => self.add(&key, problem),
+                Ok(part) if parts.iter().any(|other: &Part| other.name() == part.name()) => {
+                    let more = if part == Part::Motion {
+                        ": `planning.workers` says how many workers it has"
+                    } else {
+                        ""
+                    };
+                    self.add(&key, format!("has `{entry}` twice{more}"));
+                }
+                Ok(part) => {
+                    if let Some(robot) = part
+                        .robot()
+                        .filter(|robot| !deployment.robots.contains_key(robot.as_str()))
+                    {
+                        let known: Vec<&str> = deployment.robots.keys().map(String::as_str).collect();
+                        self.add(
+                            &key,
+                            format!("has `{entry}`: no robot `{robot}`; there is {}", known.join(", ")),
+                        );
+                    }
+                    let length = name.len() + 1 + part.name().len();
+                    if length > MOST_LETTERS {
+                        self.add(
+                            &key,
+                            format!("has `{entry}`, which is called {name}-{} in a cluster: {length} letters, expected at most {MOST_LETTERS}", part.name()),
+                        );
+                    }
+                    parts.push(part);
+                }
+            }
+        }
+        let misplaced = parts.iter().find(|part| match section.role {
+            Some(Role::Robot) => !matches!(part, Part::Edge(_) | Part::Router),
+            Some(Role::Operator) => **part != Part::Gateway,
+            _ => false,
+        });
+        if let Some(part) = misplaced {
+            let (role, expected) = match section.role {
+                Some(Role::Robot) => ("robot", "edge:ROBOT or router"),
+                _ => ("operator", "gateway, or nothing"),
+            };
+            self.add(
+                key,
+                format!("has `{part}` on a host of role {role}: expected {expected}"),
+            );
+        }
+        parts
+    }
+
+    /// What runs nowhere, or in two places where it may be in one only.
+    fn of_places(&mut self, deployment: &Deployment, parsed: &Parsed<'_>) {
+        let places = |wanted: &dyn Fn(&Part) -> bool| -> Vec<&str> {
+            let hosts = parsed.iter().filter(|(_, parts)| parts.iter().any(wanted));
+            hosts.map(|(name, _)| *name).collect()
+        };
+        for kind in ["router", "motion"] {
+            if places(&|part| part.kind() == kind).is_empty() {
+                self.add(
+                    "hosts",
+                    format!("run no {kind}: expected `{kind}` in the `runs` of a host"),
+                );
+            }
+        }
+        let worlds = places(&|part| *part == Part::World);
+        let attached: Vec<&String> = deployment
+            .robots
+            .iter()
+            .filter(|(_, robot)| robot.attach)
+            .map(|(id, _)| id)
+            .collect();
+        match (&worlds[..], &attached[..]) {
+            ([], [robot, ..]) => self.add(
+                format!("robots.{robot}.attach"),
+                "is set, and no host runs a `world` to attach to",
+            ),
+            ([host, ..], []) => self.add(
+                format!("hosts.{host}.runs"),
+                "has `world`, in which no robot is: expected `attach = true` of a robot",
+            ),
+            ([_, host, ..], _) => self.add(
+                format!("hosts.{host}.runs"),
+                format!("has `world`, which {} serves already: expected one world", worlds[0]),
+            ),
+            _ => {}
+        }
+        for robot in deployment.robots.keys() {
+            let key = format!("robots.{robot}");
+            let edges = places(&|part| part.kind() == "edge" && part.serves(robot));
+            match edges[..] {
+                [] => self.add(
+                    &key,
+                    format!("has no host: expected `edge:{robot}` in the `runs` of one"),
+                ),
+                [one] => {
+                    let role = deployment.hosts.get(one).and_then(|host| host.role);
+                    if deployment.robots[robot].driver && role != Some(Role::Robot) {
+                        self.add(
+                            format!("{key}.driver"),
+                            format!("is set, and its edge runs on {one}: expected a host of role robot"),
+                        );
+                    }
+                }
+                [first, second, ..] => self.add(
+                    format!("hosts.{second}.runs"),
+                    format!("has `edge:{robot}`, which {first} runs already"),
+                ),
+            }
+            let mappers = places(&|part| part.kind() == "mapping" && part.serves(robot));
+            match mappers[..] {
+                [] if deployment.mapping.run.enabled => {
+                    self.add(&key, "is mapped nowhere: expected `mapping` in the `runs` of a host");
+                }
+                [first, second, ..] => self.add(
+                    format!("hosts.{second}.runs"),
+                    format!("has a mapper of {robot}, which {first} maps already"),
+                ),
+                _ => {}
+            }
+            if deployment.mission.run.enabled
+                && places(&|part| part.kind() == "mission" && part.serves(robot)).is_empty()
+            {
+                self.add(
+                    &key,
+                    "has no mission anywhere: expected `mission` in the `runs` of a host",
+                );
+            }
+        }
+    }
+
+    /// Two that listen on one port of one address.
+    fn of_ports(&mut self, deployment: &Deployment, parsed: &Parsed<'_>) {
+        let mut taken = BTreeMap::new();
+        for (name, parts) in parsed {
+            let Some(section) = deployment.hosts.get(*name) else {
+                continue;
+            };
+            let host = Host {
+                name: (*name).to_owned(),
+                role: section.role.unwrap_or(Role::Cloud),
+                address: section.address.clone(),
+                parts: parts.clone(),
+                routers: Vec::new(),
+            };
+            for part in parts {
+                let listens = host.port(deployment, part);
+                let page = port_of(&deployment.gateway.settings.listen).filter(|_| *part == Part::Gateway);
+                for port in [listens, page, Some(host.metrics_port(part))].into_iter().flatten() {
+                    let who = format!("`{part}` of {name}");
+                    if let Some(other) = taken.insert((section.address.as_str(), port), who.clone()) {
+                        self.add(
+                            format!("hosts.{name}.address"),
+                            format!(
+                                "is `{}`, where {other} and {who} would both listen on port {port}",
+                                section.address
+                            ),
+                        );
+                        return;
+                    }
+                }
+            }
+        }
+    }
+
+    /// Robots whose own endpoint nobody could reach, and names that are one for a unit or a container.
+    fn of_robots(&mut self, deployment: &Deployment, parsed: &Parsed<'_>) {
+        let edges: BTreeSet<&Id> = parsed
+            .values()
+            .flatten()
+            .filter(|part| part.kind() == "edge")
+            .filter_map(Part::robot)
+            .collect();
+        for (name, robot) in &deployment.robots {
+            if is_loopback(&robot.listen)
+                && port_of(&robot.listen).is_some()
+                && edges.iter().any(|edge| edge.as_str() == name)
+            {
+                self.add(
+                    format!("robots.{name}.listen"),
+                    format!(
+                        "is `{}`: on a host of its own nobody could stop it there; expected another address, or none (port {} and on)",
+                        robot.listen,
+                        EDGE_PORT
+                    ),
+                );
+            }
+        }
+    }
+}

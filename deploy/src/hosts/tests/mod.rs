@@ -1,0 +1,266 @@
+//! Tests of deployments of many hosts: what is rendered, what is refused, what is seen missing.
+
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use super::files::{Target, render};
+use super::layout::Layout;
+use super::running::{Seen, State, compare};
+use crate::config::Deployment;
+
+const FLEET: &str = include_str!("fleet.toml");
+
+fn deployment(text: &str) -> Deployment {
+    toml::from_str(text).unwrap()
+}
+
+/// What is wrong with the fleet once a piece of its text is another.
+#[track_caller]
+fn problems(from: &str, to: &str) -> Vec<String> {
+    assert!(FLEET.contains(from), "{from}");
+    let changed = deployment(&FLEET.replace(from, to));
+    let problems = Layout::of(&changed).map(|_| ()).unwrap_err();
+    problems.iter().map(ToString::to_string).collect()
+}
+
+/// `WRITE_DOCS=1` writes what is rendered anew.
+#[test]
+fn a_deployment_is_rendered_as_it_was_looked_through() {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/src/hosts/tests/rendered.golden");
+    let fleet = deployment(FLEET);
+    let layout = Layout::of(&fleet).unwrap();
+    let files = render(&layout, &["deployment.toml".to_owned()], Target::All).unwrap();
+    let text: String = files.iter().map(|(path, text)| format!("=== {path}\n{text}")).collect();
+    if std::env::var_os("WRITE_DOCS").is_some() {
+        std::fs::write(path, &text).unwrap();
+    }
+    let golden = std::fs::read_to_string(path).unwrap_or_default();
+    assert!(
+        golden == text,
+        "rendered.golden is not what is rendered; WRITE_DOCS=1 writes it"
+    );
+}
+
+#[test]
+fn one_target_s_files_are_a_part_of_all() {
+    let fleet = deployment(FLEET);
+    let layout = Layout::of(&fleet).unwrap();
+    let of = |target| render(&layout, &[], target).unwrap();
+    let all = of(Target::All);
+    for (target, within) in [
+        (Target::Systemd, "systemd/"),
+        (Target::Compose, "compose.yaml"),
+        (Target::Kubernetes, "kubernetes/"),
+    ] {
+        let files = of(target);
+        assert!(files.len() > 1, "{target:?}");
+        for (path, text) in files.iter().filter(|(path, _)| *path != "README.md") {
+            assert!(
+                path.contains(within) && all.get(path) == Some(text),
+                "{target:?}: {path}"
+            );
+        }
+    }
+}
+
+#[test]
+fn every_part_dials_routers_that_are_there_and_two_routers_have_one_link() {
+    let fleet = deployment(FLEET);
+    let layout = Layout::of(&fleet).unwrap();
+    let dials = |host: &str| layout.host(host).unwrap().routers.clone();
+    assert_eq!(dials("fleet-a"), ["fleet-a", "fleet-b"], "its own first");
+    assert_eq!(dials("site"), ["site", "fleet-a", "fleet-b"]);
+    assert_eq!(dials("robot-a"), ["site"]);
+    assert_eq!(dials("robot-c"), ["fleet-a", "fleet-b"]);
+    let linked = |host: &str| -> Vec<String> {
+        let others = layout.dialled_by_router(layout.host(host).unwrap());
+        others.into_iter().map(|host| host.name.clone()).collect()
+    };
+    assert_eq!(linked("fleet-a"), Vec::<String>::new());
+    assert_eq!(linked("fleet-b"), ["fleet-a"]);
+    assert_eq!(linked("site"), ["fleet-a", "fleet-b"]);
+}
+
+#[test]
+fn what_cannot_be_is_told_by_key_and_with_what_was_expected() {
+    for (from, to, key, why) in [
+        (
+            "role = \"operator\"\n",
+            "",
+            "hosts.desk.role",
+            "expected robot, edge_site",
+        ),
+        ("10.0.3.20", "10.0.3.20:80", "hosts.desk.address", "without a port"),
+        ("[hosts.desk]", "[hosts.Desk_1]", "hosts.Desk_1", "a-z 0-9 -"),
+        (
+            "[\"edge:carl\"]",
+            "[\"edge:carol\"]",
+            "hosts.robot-c.runs",
+            "no robot `carol`; there is anna, bert_2, carl",
+        ),
+        ("[\"edge:carl\"]", "[]", "robots.carl", "expected `edge:carl`"),
+        (
+            "[\"edge:carl\"]",
+            "[\"edge:carl\", \"edge:anna\"]",
+            "hosts.robot-c.runs",
+            "robot-a runs already",
+        ),
+        (
+            "[\"edge:carl\"]",
+            "[\"edge:carl\", \"mission\"]",
+            "hosts.robot-c.runs",
+            "on a host of role robot",
+        ),
+        (
+            "connect = [\"site\"]",
+            "connect = [\"sight\"]",
+            "hosts.robot-a.connect",
+            "no such host",
+        ),
+        (
+            "connect = [\"site\"]",
+            "connect = [\"desk\"]",
+            "hosts.robot-a.connect",
+            "runs no router",
+        ),
+        (
+            "\"gateway\"]",
+            "\"gateway\", \"mapping\"]",
+            "hosts.site.runs",
+            "which fleet-b maps already",
+        ),
+        (", \"mapping:carl\"", "", "robots.carl", "is mapped nowhere"),
+        (
+            "\"motion\", \"mission\"]",
+            "\"motion\", \"motion\", \"mission\"]",
+            "hosts.fleet-a.runs",
+            "planning.workers",
+        ),
+        ("\"world\", ", "", "robots.anna.attach", "no host runs a `world`"),
+        ("10.0.3.12", "10.0.3.11", "hosts.robot-b.address", "port 7450"),
+        (
+            "tcp/0.0.0.0:7460",
+            "tcp/127.0.0.1:7460",
+            "robots.carl.listen",
+            "nobody could stop it",
+        ),
+        (
+            "runs = [\"router\", \"motion\", \"mission\", \"gateway\"]",
+            "runs = [\"rooter\"]",
+            "hosts.fleet-b.runs",
+            "expected router, world",
+        ),
+    ] {
+        let problems = problems(from, to);
+        let told = problems
+            .iter()
+            .any(|problem| problem.starts_with(&format!("`{key}` ")) && problem.contains(why));
+        assert!(told, "{key}: {why}: {problems:#?}");
+    }
+    let none = Layout::of(&Deployment::default()).map(|_| ()).unwrap_err();
+    assert!(none[0].to_string().contains("[hosts.NAME]"));
+}
+
+#[test]
+fn what_runs_nowhere_is_told_once_each() {
+    let text = FLEET
+        .replace("\"router\", ", "")
+        .replace("\"motion\", ", "")
+        .replace(", \"mission\"", "");
+    let text = text
+        .replace("[\"mission\"", "[")
+        .replace("[, ", "[")
+        .replace("connect = [\"site\"]", "");
+    let changed = deployment(&text);
+    let problems: Vec<String> = Layout::of(&changed)
+        .map(|_| ())
+        .unwrap_err()
+        .iter()
+        .map(ToString::to_string)
+        .collect();
+    for part in ["run no router", "run no motion", "has no mission anywhere"] {
+        assert!(
+            problems.iter().any(|problem| problem.contains(part)),
+            "{part}: {problems:#?}"
+        );
+    }
+}
+
+#[test]
+fn what_does_not_show_on_the_bus_is_missing_and_what_nobody_named_is_told() {
+    let fleet = deployment(FLEET);
+    let layout = Layout::of(&fleet).unwrap();
+    let set = |names: &[&str]| -> BTreeSet<String> { names.iter().map(|name| (*name).to_owned()).collect() };
+    let all = set(&["edge", "mapping", "mission"]);
+    let robots = |names: &[&str]| -> BTreeMap<String, BTreeSet<String>> {
+        names.iter().map(|name| ((*name).to_owned(), all.clone())).collect()
+    };
+    let seen = Seen {
+        routers: set(&["fleet-a", "fleet-b", "site"]),
+        robots: robots(&["anna", "bert_2", "carl"]),
+        workers: [
+            ("motion".to_owned(), set(&["fleet-a-1", "fleet-b-1", "fleet-b-2"])),
+            ("world".to_owned(), set(&["x"])),
+        ]
+        .into(),
+        orchestrators: ["anna", "bert_2", "carl"].map(|robot| (robot.to_owned(), 2)).into(),
+    };
+    let is_well = |state| matches!(state, State::Runs | State::NotAnnounced);
+    let well = compare(&layout, &seen);
+    assert!(well.iter().all(|finding| is_well(finding.state)), "{well:#?}");
+    assert_eq!(well.len(), layout.parts().count());
+
+    let worse = Seen {
+        routers: set(&["fleet-a", "site"]),
+        robots: robots(&["anna", "carl", "stranger"]),
+        workers: [("motion".to_owned(), set(&["fleet-a-1", "elsewhere-1"]))].into(),
+        orchestrators: [("anna".to_owned(), 1), ("carl".to_owned(), 2)].into(),
+    };
+    let found: BTreeSet<String> = compare(&layout, &worse)
+        .into_iter()
+        .filter(|finding| !is_well(finding.state))
+        .map(|finding| format!("{} {} {:?}", finding.host, finding.part, finding.state))
+        .collect();
+    let expected = [
+        "fleet-b router Missing",
+        "fleet-b motion Missing",
+        "fleet-a mission Missing",
+        "fleet-b mission Missing",
+        "site world Missing",
+        "site mapping:bert_2 Missing",
+        "robot-b edge:bert_2 Missing",
+        "- edge:stranger Unnamed",
+        "- motion worker elsewhere-1 Unnamed",
+    ];
+    assert_eq!(found, set(&expected));
+}
+
+#[test]
+fn files_that_a_deployment_names_stand_beside_it_and_go_along() {
+    let folder = tempfile::tempdir().unwrap();
+    let write = |name: &str, text: &str| std::fs::write(folder.path().join(name), text).unwrap();
+    write("hall.toml", "[map]\nyaml = \"hall.yaml\"\n");
+    write("hall.yaml", "image: hall.pgm\nresolution: 0.05\n");
+    write("hall.pgm", "P5");
+    write("lidar.toml", "");
+    let named = |text: &str| super::named_files::of(&deployment(text), folder.path());
+    let text = "[simulation]\nworld = \"hall.toml\"\n[robots.a]\nmodel = \"jackal+lidar.toml\"\n";
+    assert_eq!(
+        named(text).unwrap(),
+        ["hall.pgm", "hall.toml", "hall.yaml", "lidar.toml"]
+    );
+    assert_eq!(named("").unwrap(), Vec::<String>::new());
+    for (text, key) in [
+        ("[simulation]\nworld = \"hole.toml\"", "simulation.world"),
+        ("[mapping]\nmap = \"/maps/hall.yaml\"", "mapping.map"),
+        ("[zones]\nfile = \"../zones.toml\"", "zones.file"),
+    ] {
+        assert_eq!(named(text).unwrap_err()[0].key, key);
+    }
+    let into = folder.path().join("etc");
+    super::named_files::copy(&folder.path().join("hall.toml"), &["hall.pgm".to_owned()], &into).unwrap();
+    assert_eq!(std::fs::read_to_string(into.join("hall.pgm")).unwrap(), "P5");
+    assert!(Path::new(&into).join("deployment.toml").is_file());
+}

@@ -1,0 +1,91 @@
+//! Hosts. Do the machines of a deployment fit together? One check a host, by what its parts say of themselves. Pure.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use zenav_protocol::SCHEMA_VERSION;
+
+use super::check::Check;
+use super::parts::Part;
+
+/// A host whose clock is off by more confuses whoever reads its log, s.
+const CLOCK: f64 = 1.0;
+
+/// Judges every host by what its parts say: versions of their messages, and its clock.
+pub(super) fn judge(parts: &[Part]) -> Vec<Check> {
+    let mut hosts: BTreeMap<&str, Vec<&Part>> = BTreeMap::new();
+    for part in parts.iter().filter(|part| !part.host.is_empty()) {
+        hosts.entry(&part.host).or_default().push(part);
+    }
+    let mut checks = Vec::new();
+    for (host, parts) in hosts {
+        for part in parts.iter().filter(|part| part.schema != SCHEMA_VERSION) {
+            checks.push(Check::fail(
+                host,
+                "version",
+                format!(
+                    "{}: zenav {}, messages version {}, this program has {SCHEMA_VERSION}",
+                    part.part, part.version, part.schema
+                ),
+                "install the same zenav everywhere",
+            ));
+        }
+        let processes: BTreeSet<u32> = parts.iter().map(|part| part.pid).collect();
+        let seen = format!("{} parts in {} processes", parts.len(), processes.len());
+        checks.push(match parts.iter().find(|part| part.clock_is_off(CLOCK)) {
+            Some(off) => Check::warn(
+                host,
+                "host",
+                format!("{seen}, its clock is {:+.1} s off this machine's", off.clock_ahead_secs),
+                "set its clock: no robot minds, but logs of two hosts are hard to compare",
+            ),
+            None => Check::ok(host, "host", seen),
+        });
+    }
+    checks
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::check::Verdict;
+    use super::*;
+
+    fn part(host: &str, pid: u32, schema: u32, clock_ahead_secs: f64) -> Part {
+        Part {
+            part: "mapping-a".to_owned(),
+            component: "mapping".to_owned(),
+            robot: "a".to_owned(),
+            leads: None,
+            host: host.to_owned(),
+            pid,
+            version: "0.1.0".to_owned(),
+            schema,
+            uptime_secs: 1.0,
+            load: None,
+            memory_bytes: 0,
+            clock_ahead_secs,
+            clock_uncertainty_secs: 0.1,
+        }
+    }
+
+    #[test]
+    fn a_host_with_another_schema_fails_and_one_with_another_time_is_warned_of() {
+        let parts = [
+            part("cloud", 1, SCHEMA_VERSION, 0.05),
+            part("cloud", 1, SCHEMA_VERSION, 0.05),
+            part("site", 2, SCHEMA_VERSION + 1, 3600.0),
+            // It is too old to tell where it runs.
+            part("", 0, SCHEMA_VERSION, 0.0),
+        ];
+        let checks = judge(&parts);
+        let seen: Vec<_> = checks
+            .iter()
+            .map(|check| (check.about.as_str(), check.verdict))
+            .collect();
+        assert_eq!(
+            seen,
+            [("cloud", Verdict::Ok), ("site", Verdict::Fail), ("site", Verdict::Warn)]
+        );
+        assert_eq!(checks[0].seen, "2 parts in 1 processes");
+        assert!(checks[2].seen.contains("+3600.0 s"), "{}", checks[2].seen);
+    }
+}

@@ -1,0 +1,230 @@
+//! `zenav logs`. What did the parts of a deployment say last, on whatever host they run?
+//!
+//! Each process keeps its newest lines and answers with them. Nothing is published: a storm of log lines costs the bus nothing, and a robot's link
+//! carries them only while somebody asks.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+use clap::ValueEnum;
+use serde::Serialize;
+use zenav_protocol::bus::Bus;
+use zenav_protocol::messages::{LogLine, LogReply, LogRequest};
+use zenav_protocol::topics;
+
+use crate::connect::{self, LinkArgs};
+use crate::exit_code;
+use crate::failure::{Failure, Outcome};
+use crate::output::{self, Format};
+
+/// Longest wait for answers: whoever is silent by then is passed over.
+const ANSWER_WITHIN: Duration = Duration::from_millis(1500);
+/// Time between two looks while following.
+const PERIOD: Duration = Duration::from_secs(1);
+
+/// Arguments of `zenav logs`.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Each process keeps its last 256 lines; the whole log is where its service manager puts stderr.\n\nExamples:\n  zenav logs --level warn\n  zenav logs --robot tiago --follow"
+)]
+pub struct LogsArgs {
+    #[command(flatten)]
+    link: LinkArgs,
+    /// Only lines about this robot
+    #[arg(long)]
+    robot: Option<String>,
+    /// Least level shown
+    #[arg(long, value_enum, default_value_t)]
+    level: Level,
+    /// Go on with what comes, until Ctrl-C
+    #[arg(short, long)]
+    follow: bool,
+    /// Output format; a table is a line of text each
+    #[arg(short, long, value_enum, default_value_t)]
+    output: Format,
+}
+
+/// Level of a line.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, ValueEnum)]
+enum Level {
+    /// What a person wants to know
+    #[default]
+    Info,
+    /// What somebody should look at
+    Warn,
+    /// What does not work
+    Error,
+}
+
+impl Level {
+    fn of(name: &str) -> Self {
+        match name {
+            "ERROR" => Self::Error,
+            "WARN" => Self::Warn,
+            _ => Self::Info,
+        }
+    }
+}
+
+/// A line, and where it was said.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+struct Said {
+    host: String,
+    pid: u32,
+    #[serde(flatten)]
+    line: LogLine,
+}
+
+/// Shows the newest lines of all processes in the order of their times.
+///
+/// # Errors
+/// [`exit_code::CANNOT_CONNECT`] without a router.
+pub fn logs(args: &LogsArgs) -> Outcome {
+    connect::on_bus(&args.link, async |bus| {
+        let mut seen = BTreeMap::new();
+        loop {
+            let lines = newest(ask(&bus).await?, &mut seen);
+            let shown: Vec<Said> = lines.into_iter().filter(|said| fits(args, &said.line)).collect();
+            // What is followed has no end: no array.
+            if args.follow && args.output == Format::Json {
+                output::values(Format::Ndjson, &shown, text)?;
+            } else if !(shown.is_empty() && (args.follow || args.output == Format::Table)) {
+                output::values(args.output, &shown, text)?;
+            }
+            if !args.follow {
+                return Ok(exit_code::OK);
+            }
+            tokio::select! {
+                () = zenav_protocol::bus::interrupted() => return Ok(exit_code::OK),
+                () = tokio::time::sleep(PERIOD) => {}
+            }
+        }
+    })
+}
+
+/// Asks every part. Parts of one process answer alike.
+async fn ask(bus: &Bus) -> Result<Vec<LogReply>, Failure> {
+    let request = LogRequest::default();
+    let (edges, parts) = tokio::join!(
+        bus.ask_all(&topics::EDGE_LOG, &["*"], &request, ANSWER_WITHIN),
+        bus.ask_all(&topics::PART_LOG, &["*"], &request, ANSWER_WITHIN)
+    );
+    let answers = edges?.into_iter().chain(parts?);
+    Ok(answers.filter_map(|answer| answer.result.ok()).collect())
+}
+
+/// The lines that were not seen before, each once, by their times; remembers the last of each process.
+fn newest(replies: Vec<LogReply>, seen: &mut BTreeMap<(String, u32), u64>) -> Vec<Said> {
+    let mut processes = BTreeSet::new();
+    let mut lines = Vec::new();
+    for LogReply {
+        host, pid, lines: said, ..
+    } in replies
+    {
+        if !processes.insert((host.clone(), pid)) {
+            continue;
+        }
+        let last = seen.entry((host.clone(), pid)).or_default();
+        for line in said
+            .into_iter()
+            .filter(|line| line.sequence > *last)
+            .collect::<Vec<_>>()
+        {
+            *last = line.sequence.max(*last);
+            lines.push(Said {
+                host: host.clone(),
+                pid,
+                line,
+            });
+        }
+    }
+    lines.sort_by(|a, b| a.line.unix_secs.total_cmp(&b.line.unix_secs));
+    lines
+}
+
+fn fits(args: &LogsArgs, line: &LogLine) -> bool {
+    let about = |robot: &String| {
+        let is_of = |name: &str| line.fields.get(name);
+        is_of("robot") == Some(robot) || is_of("part").is_some_and(|part| part.ends_with(&format!("-{robot}")))
+    };
+    Level::of(&line.level) >= args.level && args.robot.as_ref().is_none_or(about)
+}
+
+fn text(lines: &[Said]) -> String {
+    let one = |said: &Said| {
+        let line = &said.line;
+        let fields: Vec<String> = line
+            .fields
+            .iter()
+            .map(|(name, value)| format!("{name}={value}"))
+            .collect();
+        let text = format!(
+            "{} {:<5} {}[{}] {} {}",
+            clock(line.unix_secs),
+            line.level,
+            said.host,
+            said.pid,
+            line.message,
+            fields.join(" ")
+        );
+        // What another process says must not move this terminal's cursor.
+        text.trim_end()
+            .chars()
+            .map(|letter| if letter.is_control() { '\u{fffd}' } else { letter })
+            .collect::<String>()
+    };
+    lines.iter().map(one).collect::<Vec<_>>().join("\n")
+}
+
+/// Time of the day, UTC.
+fn clock(unix_secs: f64) -> String {
+    let millis = (unix_secs.max(0.0) * 1e3) as u64;
+    let secs = millis / 1000;
+    format!(
+        "{:02}:{:02}:{:02}.{:03}",
+        secs / 3600 % 24,
+        secs / 60 % 60,
+        secs % 60,
+        millis % 1000
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn reply(part: &str, sequences: &[u64]) -> LogReply {
+        let line = |sequence: &u64| LogLine {
+            sequence: *sequence,
+            unix_secs: *sequence as f64,
+            message: "ready\x1b[2J".to_owned(),
+            ..LogLine::default()
+        };
+        LogReply {
+            host: "site-1".to_owned(),
+            pid: 7,
+            part: part.to_owned(),
+            lines: sequences.iter().map(line).collect(),
+        }
+    }
+
+    #[test]
+    fn lines_of_a_process_show_once_whatever_parts_answer_and_however_often() {
+        let mut seen = BTreeMap::new();
+        let numbers = |lines: Vec<Said>| lines.iter().map(|said| said.line.sequence).collect::<Vec<_>>();
+        let first = newest(vec![reply("edge-a", &[1, 2]), reply("mapping-a", &[1, 2])], &mut seen);
+        assert_eq!(numbers(first), [1, 2]);
+        assert_eq!(numbers(newest(vec![reply("mapping-a", &[1, 2, 3])], &mut seen)), [3]);
+    }
+
+    #[test]
+    fn a_line_of_another_process_is_text_and_nothing_else() {
+        let lines = newest(vec![reply("edge-a", &[3_661])], &mut BTreeMap::new());
+        let text = text(&lines);
+        assert!(
+            text.starts_with("01:01:01.000") && text.contains("site-1[7] ready"),
+            "{text}"
+        );
+        assert!(!text.contains('\x1b'), "{text}");
+    }
+}

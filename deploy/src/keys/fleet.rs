@@ -1,0 +1,243 @@
+//! Fleet. Which members does a fleet have, and where do their keys stand?
+//!
+//! | path in the fleet's folder | holds |
+//! |---|---|
+//! | `ca.pem`, `ca.key` | the certificate authority; its key never leaves this folder |
+//! | `issued/ROLE.NAME/` | the identity of a member, to be copied to its machine: `ca.pem`, `cert.pem`, `key.pem`; of routers and robots also `members.txt` |
+//! | `members.txt` | everybody who was issued and not revoked |
+//! | `revoked.txt` | a line for each who was revoked: name, serial number, time |
+
+use std::fs;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+
+use time::OffsetDateTime;
+use time::format_description::well_known::Rfc3339;
+use zenav_protocol::bus::MEMBERS;
+use zenav_protocol::member::Member;
+
+use super::certificate::{self, Facts, Pair};
+use crate::failure::Failure;
+
+const AUTHORITY: &str = "ca.pem";
+const AUTHORITY_KEY: &str = "ca.key";
+const REVOKED: &str = "revoked.txt";
+const ISSUED: &str = "issued";
+
+/// A fleet's folder.
+pub(super) struct Fleet {
+    folder: PathBuf,
+    authority: Pair,
+}
+
+/// A member as it stands in the folder.
+pub(super) struct Issued {
+    pub(super) member: Member,
+    pub(super) facts: Facts,
+    pub(super) is_revoked: bool,
+}
+
+impl Fleet {
+    /// Makes a fleet.
+    ///
+    /// # Errors
+    /// A folder that holds a fleet already, or that cannot be written.
+    pub(super) fn create(folder: &Path, days: f64) -> Result<(), Failure> {
+        for name in [AUTHORITY, AUTHORITY_KEY] {
+            if folder.join(name).exists() {
+                return Err(Failure::usage(format!(
+                    "{} holds a fleet already ({name}): a new authority would make all its certificates void",
+                    folder.display()
+                )));
+            }
+        }
+        private_folder(&folder.join(ISSUED))?;
+        let authority = certificate::authority(days).map_err(Failure::failed)?;
+        write_private(&folder.join(AUTHORITY_KEY), &authority.key)?;
+        write(&folder.join(AUTHORITY), &authority.certificate)?;
+        write(&folder.join(MEMBERS), "")
+    }
+
+    /// Opens a fleet.
+    ///
+    /// # Errors
+    /// A folder that holds none.
+    pub(super) fn open(folder: &Path) -> Result<Self, Failure> {
+        let read = |name: &str| {
+            fs::read_to_string(folder.join(name)).map_err(|error| {
+                Failure::not_found(format!(
+                    "{} holds no fleet: {name}: {error} (`zenav keys init --dir {}` makes one)",
+                    folder.display(),
+                    folder.display()
+                ))
+            })
+        };
+        Ok(Self {
+            folder: folder.to_owned(),
+            authority: Pair {
+                certificate: read(AUTHORITY)?,
+                key: read(AUTHORITY_KEY)?,
+            },
+        })
+    }
+
+    /// Where a member's identity stands.
+    pub(super) fn identity(&self, member: &Member) -> PathBuf {
+        self.folder.join(ISSUED).join(member.to_string())
+    }
+
+    /// Issues a certificate; a new one for the same key when it is to be renewed.
+    ///
+    /// # Errors
+    /// A name that exists, that was revoked, or, to be renewed, that there is not; more days than the authority has.
+    pub(super) fn issue(&self, member: &Member, hosts: &[String], days: f64, renew: bool) -> Result<Facts, Failure> {
+        let folder = self.identity(member);
+        if self.revoked()?.contains(member) {
+            return Err(Failure::usage(format!(
+                "{member} was revoked: a certificate of this name would let the old one in again; expected another name"
+            )));
+        }
+        let old = folder.join("cert.pem");
+        if renew != old.exists() {
+            return Err(match renew {
+                true => Failure::not_found(format!("{member} was never issued in {}", self.folder.display())),
+                false => Failure::usage(format!(
+                    "{member} exists: {} (--renew makes a new certificate for its key)",
+                    folder.display()
+                )),
+            });
+        }
+        let authority = certificate::facts(self.authority.certificate.as_bytes()).map_err(Failure::failed)?;
+        let left = (authority.expires - OffsetDateTime::now_utc()).as_seconds_f64() / 86400.0;
+        if days > left {
+            return Err(Failure::usage(format!(
+                "--days {days}: the authority itself ends in {left:.1} days; expected less"
+            )));
+        }
+        let mut hosts = hosts.to_vec();
+        let mut key = None;
+        if renew {
+            if hosts.is_empty() {
+                hosts = read_facts(&old)?.hosts;
+            }
+            key =
+                Some(fs::read_to_string(folder.join("key.pem")).map_err(Failure::failed_at(&folder.join("key.pem")))?);
+        }
+        let pair = certificate::member(member, &hosts, days, &self.authority, key.as_deref())
+            .map_err(|error| Failure::usage(format!("{member}: {error} (--host {})", hosts.join(", "))))?;
+        private_folder(&folder)?;
+        if key.is_none() {
+            write_private(&folder.join("key.pem"), &pair.key)?;
+        }
+        write(&folder.join("ca.pem"), &self.authority.certificate)?;
+        write(&old, &pair.certificate)?;
+        self.tell_members()?;
+        read_facts(&old)
+    }
+
+    /// Revokes a member, and tells the folders of those who listen; `None` when it was revoked before.
+    ///
+    /// # Errors
+    /// A member that was never issued.
+    pub(super) fn revoke(&self, member: &Member) -> Result<Option<Facts>, Failure> {
+        let certificate = self.identity(member).join("cert.pem");
+        if !certificate.exists() {
+            return Err(Failure::not_found(format!(
+                "{member} was never issued in {}",
+                self.folder.display()
+            )));
+        }
+        if self.revoked()?.contains(member) {
+            return Ok(None);
+        }
+        let facts = read_facts(&certificate)?;
+        let path = self.folder.join(REVOKED);
+        let mut text = fs::read_to_string(&path).unwrap_or_default();
+        let now = OffsetDateTime::now_utc().format(&Rfc3339).map_err(Failure::failed)?;
+        text.push_str(&format!("{member} {} {now}\n", facts.serial));
+        write(&path, &text)?;
+        self.tell_members()?;
+        Ok(Some(facts))
+    }
+
+    /// Everybody who was issued, by name.
+    ///
+    /// # Errors
+    /// A certificate that cannot be read.
+    pub(super) fn issued(&self) -> Result<Vec<Issued>, Failure> {
+        let revoked = self.revoked()?;
+        let folder = self.folder.join(ISSUED);
+        let mut issued = Vec::new();
+        for entry in fs::read_dir(&folder).map_err(Failure::failed_at(&folder))? {
+            let entry = entry.map_err(Failure::failed_at(&folder))?;
+            let Ok(member) = entry.file_name().to_string_lossy().parse::<Member>() else {
+                continue;
+            };
+            issued.push(Issued {
+                facts: read_facts(&entry.path().join("cert.pem"))?,
+                is_revoked: revoked.contains(&member),
+                member,
+            });
+        }
+        issued.sort_by(|a, b| a.member.cmp(&b.member));
+        Ok(issued)
+    }
+
+    fn revoked(&self) -> Result<Vec<Member>, Failure> {
+        let path = self.folder.join(REVOKED);
+        if !path.exists() {
+            return Ok(Vec::new());
+        }
+        let text = fs::read_to_string(&path).map_err(Failure::failed_at(&path))?;
+        let names = text.lines().filter_map(|line| line.split_whitespace().next());
+        names
+            .map(|name| name.parse().map_err(Failure::failed_at(&path)))
+            .collect()
+    }
+
+    /// Writes who belongs to the fleet, for everybody who listens.
+    fn tell_members(&self) -> Result<(), Failure> {
+        let issued = self.issued()?;
+        let current = issued.iter().filter(|issued| !issued.is_revoked);
+        let mut text =
+            "# Who belongs to the fleet, written by `zenav keys`: who does not stand here may do nothing.\n".to_owned();
+        text.extend(current.map(|issued| format!("{}\n", issued.member)));
+        write(&self.folder.join(MEMBERS), &text)?;
+        for issued in issued.iter().filter(|issued| issued.member.role.listens()) {
+            write(&self.identity(&issued.member).join(MEMBERS), &text)?;
+        }
+        Ok(())
+    }
+}
+
+fn read_facts(path: &Path) -> Result<Facts, Failure> {
+    let bytes = fs::read(path).map_err(Failure::failed_at(path))?;
+    certificate::facts(&bytes).map_err(Failure::failed_at(path))
+}
+
+/// A folder that only its owner may look into.
+fn private_folder(path: &Path) -> Result<(), Failure> {
+    let mut builder = fs::DirBuilder::new();
+    builder.recursive(true);
+    #[cfg(unix)]
+    std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);
+    builder.create(path).map_err(Failure::failed_at(path))
+}
+
+/// Writes a file whole or not at all.
+fn write(path: &Path, text: &str) -> Result<(), Failure> {
+    zenav_mapping::atomic::write_atomically(path, text.as_bytes()).map_err(Failure::failed)
+}
+
+/// Writes a file that was not there, and that only its owner may read.
+fn write_private(path: &Path, text: &str) -> Result<(), Failure> {
+    let mut options = fs::OpenOptions::new();
+    options.write(true).create_new(true);
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
+    let written = options.open(path).and_then(|mut file| {
+        file.write_all(text.as_bytes())?;
+        file.sync_all()
+    });
+    written.map_err(Failure::failed_at(path))
+}

@@ -1,0 +1,285 @@
+//! `zenav keys`: who belongs to a fleet, and how do its members prove it? Certificates of the fleet's own authority.
+//!
+//! | file | answers |
+//! |---|---|
+//! | `certificate` | how is a certificate made, and what does one say? |
+//! | `fleet` | which members are there, and where do their keys stand? |
+
+mod certificate;
+mod fleet;
+
+use std::path::{Path, PathBuf};
+
+use clap::{Args, Subcommand};
+use serde::Serialize;
+use time::OffsetDateTime;
+use time::format_description::well_known::Rfc3339;
+use zenav_protocol::member::Member;
+
+use crate::connect::positive;
+use crate::exit_code;
+use crate::failure::{Failure, Outcome};
+use crate::output::{self, Format};
+use fleet::{Fleet, Issued};
+
+/// Arguments of `zenav keys`.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Example: a router, a robot, the services and a person\n  zenav keys init\n  zenav keys issue router.site1 --host site1.local --host 10.0.0.2\n  zenav keys issue robot.tiago\n  zenav keys issue service.site1\n  zenav keys issue operator.anna\n  zenav router --listen quic/0.0.0.0:7447 --identity fleet-keys/issued/router.site1\n\nEach folder under fleet-keys/issued goes to the machine of its member; ca.key goes nowhere."
+)]
+pub struct KeysArgs {
+    #[command(subcommand)]
+    command: KeysCommand,
+    /// Folder of the fleet
+    #[arg(long, global = true, value_name = "FOLDER", default_value = "fleet-keys")]
+    dir: PathBuf,
+}
+
+#[derive(Debug, Subcommand)]
+enum KeysCommand {
+    /// Make a certificate authority
+    Init {
+        /// Days that it is valid
+        #[arg(long, default_value_t = 3650.0, value_parser = days)]
+        days: f64,
+    },
+    /// Issue the certificate of a member
+    Issue {
+        /// ROLE.NAME; roles are router, robot, service, operator, viewer
+        member: Member,
+        /// Name or address under which others dial a router or robot, beside localhost; may be repeated
+        #[arg(long, value_name = "HOST")]
+        host: Vec<String>,
+        /// Days that it is valid; parts of a day are
+        #[arg(long, default_value_t = 365.0, value_parser = days)]
+        days: f64,
+        /// A new certificate for the key of a member that exists
+        #[arg(long)]
+        renew: bool,
+    },
+    /// Revoke a member: it stands no more in the members.txt of those who listen
+    Revoke {
+        /// ROLE.NAME
+        member: Member,
+    },
+    /// List the members
+    List {
+        /// Output format
+        #[arg(short, long, value_enum, default_value_t)]
+        output: Format,
+    },
+}
+
+fn days(text: &str) -> Result<f64, String> {
+    match positive(text)? {
+        days if days <= 36_500.0 => Ok(days),
+        _ => Err("expected up to 36500 days".to_owned()),
+    }
+}
+
+/// A member, as it is listed.
+#[derive(Debug, Serialize)]
+struct Row {
+    role: &'static str,
+    name: String,
+    serial: String,
+    expires: String,
+    expired: bool,
+    revoked: bool,
+    hosts: Vec<String>,
+}
+
+impl Row {
+    fn of(issued: Issued) -> Result<Self, Failure> {
+        Ok(Self {
+            role: issued.member.role.as_str(),
+            name: issued.member.name.to_string(),
+            serial: issued.facts.serial,
+            expires: issued.facts.expires.format(&Rfc3339).map_err(Failure::failed)?,
+            expired: issued.facts.expires <= OffsetDateTime::now_utc(),
+            revoked: issued.is_revoked,
+            hosts: issued.facts.hosts,
+        })
+    }
+
+    fn cells(&self) -> Vec<String> {
+        let state = match (self.revoked, self.expired) {
+            (true, _) => "revoked",
+            (false, true) => "expired",
+            (false, false) => "",
+        };
+        let hosts = self.hosts.join(" ");
+        let cells = [self.role, &self.name, &self.serial, &self.expires, state, &hosts];
+        cells.map(str::to_owned).into()
+    }
+}
+
+/// `zenav keys`.
+///
+/// # Errors
+/// A folder that is no fleet, or is one already; a name that exists, was revoked, or was never issued.
+pub fn run(args: &KeysArgs) -> Outcome {
+    let dir = &args.dir;
+    match &args.command {
+        KeysCommand::Init { days } => {
+            Fleet::create(dir, *days)?;
+            eprintln!(
+                "{}: an authority; who has its ca.key makes members of the fleet",
+                dir.display()
+            );
+        }
+        KeysCommand::Issue {
+            member,
+            host,
+            days,
+            renew,
+        } => {
+            if !host.is_empty() && !member.role.listens() {
+                return Err(Failure::usage(format!(
+                    "--host: nobody dials {member}; expected it for a router or a robot"
+                )));
+            }
+            let fleet = Fleet::open(dir)?;
+            let facts = fleet.issue(member, host, *days, *renew)?;
+            let expires = facts.expires.format(&Rfc3339).map_err(Failure::failed)?;
+            eprintln!("{}: valid until {expires}", fleet.identity(member).display());
+        }
+        KeysCommand::Revoke { member } => {
+            let fleet = Fleet::open(dir)?;
+            if fleet.revoke(member)?.is_none() {
+                eprintln!("{member} was revoked before");
+                return Ok(exit_code::OK);
+            }
+            let listens: Vec<String> = fleet
+                .issued()?
+                .into_iter()
+                .filter(|issued| issued.member.role.listens() && !issued.is_revoked)
+                .map(|issued| issued.member.to_string())
+                .collect();
+            eprintln!(
+                "{member} is revoked. Copy members.txt to the machines of {}: a router lets it in no more a second later, a robot from its next start on",
+                listens.join(", ")
+            );
+        }
+        KeysCommand::List { output } => {
+            let rows: Vec<Row> = Fleet::open(dir)?
+                .issued()?
+                .into_iter()
+                .map(Row::of)
+                .collect::<Result<_, _>>()?;
+            output::values(*output, &rows, |rows| {
+                let header = ["ROLE", "NAME", "SERIAL", "EXPIRES", "STATE", "HOSTS"];
+                output::table(&header, &rows.iter().map(Row::cells).collect::<Vec<_>>())
+            })?;
+        }
+    }
+    Ok(exit_code::OK)
+}
+
+/// Makes a fleet of one member for a month; its identity's folder.
+///
+/// # Errors
+/// As [`run`]; a name that is no member's.
+pub fn make(folder: &Path, member: &str) -> Result<PathBuf, Failure> {
+    let member: Member = member.parse().map_err(Failure::usage)?;
+    Fleet::create(folder, 60.0)?;
+    let fleet = Fleet::open(folder)?;
+    fleet.issue(&member, &[], 30.0, false)?;
+    Ok(fleet.identity(&member))
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    fn keys(dir: &Path, command: KeysCommand) -> Outcome {
+        run(&KeysArgs {
+            command,
+            dir: dir.to_owned(),
+        })
+    }
+
+    fn issue(member: &str) -> KeysCommand {
+        KeysCommand::Issue {
+            member: member.parse().unwrap(),
+            host: Vec::new(),
+            days: 1.0,
+            renew: false,
+        }
+    }
+
+    fn revoke(member: &str) -> KeysCommand {
+        KeysCommand::Revoke {
+            member: member.parse().unwrap(),
+        }
+    }
+
+    #[test]
+    fn whoever_listens_knows_who_was_issued_and_not_revoked() {
+        let dir = tempfile::tempdir().unwrap();
+        let dir = dir.path().join("fleet");
+        keys(&dir, KeysCommand::Init { days: 10.0 }).unwrap();
+        for member in ["router.r", "operator.anna", "viewer.wall", "robot.tiago"] {
+            keys(&dir, issue(member)).unwrap();
+        }
+        keys(&dir, revoke("operator.anna")).unwrap();
+        let told = |member: &str| std::fs::read_to_string(dir.join("issued").join(member).join("members.txt"));
+        for member in ["router.r", "robot.tiago"] {
+            let text = told(member).unwrap();
+            let names: Vec<&str> = text.lines().filter(|line| !line.starts_with('#')).collect();
+            assert_eq!(names, ["router.r", "robot.tiago", "viewer.wall"], "{member}");
+        }
+        assert!(told("viewer.wall").is_err());
+        let issued = Fleet::open(&dir).unwrap().issued().unwrap();
+        assert_eq!(issued.iter().filter(|issued| issued.is_revoked).count(), 1);
+    }
+
+    #[test]
+    fn what_cannot_be_is_refused_with_what_was_expected() {
+        let dir = tempfile::tempdir().unwrap();
+        let dir = dir.path().join("fleet");
+        let refused = |command: KeysCommand, code: u8, part: &str| {
+            let failure = keys(&dir, command).unwrap_err();
+            assert!(
+                failure.code == code && failure.message.contains(part),
+                "{}: {failure}",
+                failure.code
+            );
+        };
+        refused(issue("robot.a"), exit_code::NOT_FOUND, "zenav keys init");
+        keys(&dir, KeysCommand::Init { days: 10.0 }).unwrap();
+        refused(
+            KeysCommand::Init { days: 10.0 },
+            exit_code::USAGE,
+            "holds a fleet already",
+        );
+        keys(&dir, issue("robot.a")).unwrap();
+        refused(issue("robot.a"), exit_code::USAGE, "--renew");
+        refused(revoke("robot.b"), exit_code::NOT_FOUND, "never issued");
+        keys(&dir, revoke("robot.a")).unwrap();
+        keys(&dir, revoke("robot.a")).unwrap();
+        refused(issue("robot.a"), exit_code::USAGE, "another name");
+        let long = KeysCommand::Issue {
+            member: "robot.c".parse().unwrap(),
+            host: Vec::new(),
+            days: 20.0,
+            renew: false,
+        };
+        refused(long, exit_code::USAGE, "authority itself ends");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn private_keys_are_their_owner_s_alone() {
+        use std::os::unix::fs::PermissionsExt as _;
+        let dir = tempfile::tempdir().unwrap();
+        let dir = dir.path().join("fleet");
+        keys(&dir, KeysCommand::Init { days: 10.0 }).unwrap();
+        keys(&dir, issue("robot.a")).unwrap();
+        for file in ["ca.key", "issued/robot.a/key.pem"] {
+            let mode = std::fs::metadata(dir.join(file)).unwrap().permissions().mode();
+            assert_eq!(mode & 0o777, 0o600, "{file}");
+        }
+    }
+}

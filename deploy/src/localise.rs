@@ -1,0 +1,225 @@
+//! `zenav localise`. Where in a map was the robot that made a log, and how sure is that?
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use nalgebra::{Point2, Vector2};
+use serde::Serialize;
+use zenav_localisation::{LocalisationSettings, Localiser, Located};
+use zenav_mapping::read_map;
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::grid::OccupancyGrid;
+use zenav_protocol::messages::{Health, Scan};
+
+use crate::batch::thread_time;
+use crate::drawing::plane::{Mark, Plane, ROBOT, UNKNOWN};
+use crate::exit_code;
+use crate::failure::{Failure, Outcome};
+use crate::inspect::read_log;
+use crate::output::Format;
+use crate::{files, output};
+
+/// Where the robot was not sure of its place.
+const UNSURE: [u8; 3] = [215, 60, 40];
+/// Pixels of the picture's longer side.
+const SIZE: u32 = 1400;
+
+/// Follow the robot that made a log through a map.
+///
+/// The log's poses are taken for raw odometry. Without `--start` the robot is looked for in the whole map with its first scan. The time is that
+/// of the thread: what others do on the machine does not count.
+#[derive(Debug, clap::Args)]
+pub struct LocaliseArgs {
+    /// Map: a `map_server` description or image
+    #[arg(long, value_name = "FILE")]
+    map: PathBuf,
+    /// CARMEN log of scans and raw odometry, compressed by gzip or not
+    #[arg(long, value_name = "FILE")]
+    log: PathBuf,
+    /// Look for the robot in the whole map (the default)
+    #[arg(long, conflicts_with = "start")]
+    global: bool,
+    /// Where it is at its first scan, to within some decimetres: m, m, rad
+    #[arg(long, num_args = 3, value_names = ["X", "Y", "YAW"], allow_negative_numbers = true, value_parser = crate::connect::finite)]
+    start: Option<Vec<f64>>,
+    /// Folder for trajectory.csv and localise.png
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Side of a cell of a map that does not say it, m
+    #[arg(long, value_name = "M", default_value_t = 0.05, value_parser = crate::connect::positive)]
+    resolution: f64,
+    /// Output format
+    #[arg(short, long, value_enum, default_value_t)]
+    output: Format,
+}
+
+/// What is printed.
+#[derive(Debug, Serialize)]
+struct Followed {
+    scans: usize,
+    /// Scans by what was said of the robot's place.
+    tracking: usize,
+    degraded: usize,
+    lost: usize,
+    ambiguous: usize,
+    /// Scans from which the robot was found by a search of the whole map, and the first of them, s after the log's beginning.
+    found: usize,
+    found_after_s: Option<f64>,
+    /// Mean share of the scans' points that agree with the map, where the place was trusted.
+    agreeing: f64,
+    /// Processor time of a scan, searches included.
+    cpu_ms_per_scan: Times,
+    /// Where it was at the end.
+    last: Pose2,
+}
+
+/// Processor time, ms.
+#[derive(Debug, Serialize)]
+struct Times {
+    mean: f64,
+    p50: f64,
+    p99: f64,
+    max: f64,
+}
+
+/// One scan: when, s, and what was made of it.
+type Step = (f64, Located);
+
+/// Follows a log.
+///
+/// # Errors
+/// Exit code 3 when a file is missing, 2 when it is bad, 1 when the robot was never found.
+pub fn localise(args: &LocaliseArgs) -> Outcome {
+    if !args.map.is_file() {
+        return Err(Failure::not_found(format!("{}: no such map", args.map.display())));
+    }
+    let map = read_map(&args.map, args.resolution).map_err(Failure::usage)?;
+    let scans = read_log(&args.log)?;
+    let (steps, mut times) = follow(&map, &scans, args.start.as_deref());
+    let Some((begun, _)) = steps.first() else {
+        return Err(Failure::usage(format!(
+            "{}: no scan of it makes sense",
+            args.log.display()
+        )));
+    };
+    if let Some(out) = &args.out {
+        write(out, &map, &steps)?;
+    }
+    let count = |is: fn(&Health) -> bool| steps.iter().filter(|(_, located)| is(&located.health)).count();
+    let trusted = steps.iter().filter(|(_, located)| located.health.is_trusted());
+    let agreeing: Vec<f64> = trusted.map(|(_, located)| located.evidence.agreeing).collect();
+    let first = steps.iter().find(|(_, located)| located.is_found_anew);
+    times.sort_by(f64::total_cmp);
+    let at = |share: f64| 1e3 * times[((times.len() - 1) as f64 * share).round() as usize];
+    let followed = Followed {
+        scans: steps.len(),
+        tracking: count(|health| matches!(health, Health::Tracking)),
+        degraded: count(|health| matches!(health, Health::Degraded { .. })),
+        lost: count(|health| matches!(health, Health::Lost)),
+        ambiguous: count(|health| matches!(health, Health::Ambiguous { .. })),
+        found: steps.iter().filter(|(_, located)| located.is_found_anew).count(),
+        found_after_s: first.map(|(stamp, _)| stamp - begun),
+        agreeing: agreeing.iter().sum::<f64>() / agreeing.len().max(1) as f64,
+        cpu_ms_per_scan: Times {
+            mean: 1e3 * times.iter().sum::<f64>() / times.len() as f64,
+            p50: at(0.5),
+            p99: at(0.99),
+            max: at(1.0),
+        },
+        last: steps.last().map(|(_, located)| located.pose).unwrap_or_default(),
+    };
+    output::value(args.output, &followed, |followed| {
+        let found = followed.found_after_s.map_or_else(String::new, |secs| {
+            format!("; found {} times, first after {secs:.1} s", followed.found)
+        });
+        format!(
+            "{} scans: {} tracking, {} degraded, {} lost, {} ambiguous{found}\n{:.0} % of the scans agree with the map; {:.2} ms a scan, {:.0} ms at most; last at ({:.2}, {:.2}), {:.2} rad",
+            followed.scans,
+            followed.tracking,
+            followed.degraded,
+            followed.lost,
+            followed.ambiguous,
+            100.0 * followed.agreeing,
+            followed.cpu_ms_per_scan.mean,
+            followed.cpu_ms_per_scan.max,
+            followed.last.x,
+            followed.last.y,
+            followed.last.yaw
+        )
+    })?;
+    Ok(if agreeing.is_empty() {
+        exit_code::FAILED
+    } else {
+        exit_code::OK
+    })
+}
+
+/// What localisation makes of each scan, and its time, s.
+fn follow(map: &OccupancyGrid, scans: &[Scan], start: Option<&[f64]>) -> (Vec<Step>, Vec<f64>) {
+    let mut localiser = Localiser::new(LocalisationSettings::default(), map);
+    if start.is_none() {
+        localiser.lose();
+    }
+    let (mut steps, mut times) = (Vec::new(), Vec::new());
+    for scan in scans {
+        let guess = match start {
+            Some([x, y, yaw]) => Pose2::new(*x, *y, *yaw) * scan.odom_from_base.inverse(),
+            _ => scan.map_from_odom,
+        };
+        let scan = Scan {
+            map_from_odom: guess,
+            ..scan.clone()
+        };
+        let begun = thread_time();
+        let located = localiser.step(&scan);
+        times.push(thread_time().saturating_sub(begun).as_secs_f64());
+        steps.extend(located.map(|located| (scan.stamp.as_secs(), located)));
+    }
+    (steps, times)
+}
+
+/// Writes the way and its picture into a folder.
+fn write(out: &Path, map: &OccupancyGrid, steps: &[Step]) -> Result<(), Failure> {
+    std::fs::create_dir_all(out).map_err(Failure::failed_at(out))?;
+    let mut rows = "t,x,y,yaw,health\n".to_owned();
+    for (stamp, located) in steps {
+        let Pose2 { x, y, yaw } = located.pose;
+        let health = match located.health {
+            Health::Tracking => "tracking",
+            Health::Degraded { .. } => "degraded",
+            Health::Lost => "lost",
+            Health::Ambiguous { .. } => "ambiguous",
+        };
+        // Writing to a string does not fail.
+        let _ = writeln!(rows, "{stamp},{x},{y},{yaw},{health}");
+    }
+    files::write(&out.join("trajectory.csv"), rows)?;
+    let spec = map.spec();
+    let margin = Vector2::repeat(0.02 * (spec.upper() - spec.origin).amax());
+    let mut plane = Plane::new(
+        spec.origin - margin,
+        spec.upper() + margin,
+        SIZE,
+        "Localisation",
+        UNKNOWN,
+    )?;
+    plane.map(map);
+    // A stretch ends where trust does, and where the robot is found somewhere else.
+    let mut stretch: Vec<Point2<f64>> = Vec::new();
+    let mut is_sure = true;
+    for (_, located) in steps {
+        let now = located.health.is_trusted();
+        if now != is_sure || located.is_found_anew {
+            plane.polyline(&stretch, if is_sure { ROBOT } else { UNSURE }, 1.5);
+            stretch.clear();
+            is_sure = now;
+        }
+        stretch.push(located.pose.position());
+    }
+    plane.polyline(&stretch, if is_sure { ROBOT } else { UNSURE }, 1.5);
+    plane.map_legend();
+    plane.gap();
+    plane.legend(Mark::Line, ROBOT, "way in the map");
+    plane.legend(Mark::Line, UNSURE, "not to be trusted");
+    files::write(&out.join("localise.png"), plane.finish()?.png()?)
+}

@@ -1,0 +1,78 @@
+//! Faults. What is wrong with the robot itself, and how does it go on? Readings that do not come, and a disk that stores nothing.
+//!
+//! The state names each fault as long as it lasts; an event tells when it begins and ends. Without readings the robot's clock stands: it
+//! brakes, takes no plan, and still answers, a stop above all.
+
+use zenav_protocol::messages::{EventKind, Faults, Mode};
+use zenav_protocol::time::Stamp;
+
+use super::Pilot;
+use crate::control_io::{Inbox, Outbox, Publication};
+
+impl Pilot {
+    /// Takes in what is wrong now; a change is an event.
+    pub(super) fn note_faults(&mut self, now: Stamp, faults: Faults) {
+        if faults == self.faults {
+            return;
+        }
+        let before = std::mem::replace(&mut self.faults, faults);
+        let parts = [
+            ("body", "heard", "silent", before.body, self.faults.body.clone()),
+            (
+                "storage",
+                "stored",
+                "not_stored",
+                before.storage,
+                self.faults.storage.clone(),
+            ),
+        ];
+        for (behaviour, well, ill, before, after) in parts {
+            if before.is_some() == after.is_some() {
+                continue;
+            }
+            let (from, to) = if after.is_some() { (well, ill) } else { (ill, well) };
+            self.events.record(
+                now,
+                EventKind::Transition {
+                    behaviour: behaviour.to_owned(),
+                    from: from.to_owned(),
+                    to: to.to_owned(),
+                    reason: after.unwrap_or_default(),
+                },
+            );
+        }
+    }
+
+    /// A tick without readings, for the reason `why`: the robot brakes and answers. Plans, corrections and teleop that came meanwhile are
+    /// dropped: they would be old by the time it may move.
+    pub fn step_blind(&mut self, inbox: Inbox, why: &str) -> Outbox {
+        let now = self.now();
+        let mut out = Outbox::default();
+        self.note_faults(
+            now,
+            Faults {
+                body: Some(why.to_owned()),
+                storage: inbox.not_stored,
+            },
+        );
+        for (ticket, request) in inbox.requests {
+            let reply = self.answer(now, request);
+            out.replies.push((ticket, reply));
+        }
+        for heartbeat in &inbox.heartbeats {
+            self.authority.heartbeat(now, heartbeat);
+        }
+        self.authority.update_link(now, &mut self.events);
+        self.mode = if self.authority.is_stopped() {
+            Mode::Stopped
+        } else {
+            Mode::Idle
+        };
+        self.dead_man.release();
+        out.publications
+            .extend(self.events.take().into_iter().map(Publication::Event));
+        out.publications.push(Publication::State(Box::new(self.state(now))));
+        out.persist = self.authority.unpersisted();
+        out
+    }
+}

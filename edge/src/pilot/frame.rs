@@ -1,0 +1,90 @@
+//! Frame of the map. Which coordinates hold now, and what is carried over when the map moves?
+//!
+//! A loop closure moves the map: it begins the next frame, and corrections carry how the robot's surroundings moved. Before such a correction
+//! is fused, the belief, the plan in force and the way home move with the surroundings: relative to the walls nothing moves, so the robot
+//! neither twitches nor stops. A correction of an older frame, or of one that the robot cannot reach by moves that it was told, does nothing.
+
+use std::collections::VecDeque;
+
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::messages::{Correction, MOST_MOVES, moved_between};
+
+use super::Pilot;
+
+/// The present frame, and how the map moved of late.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Frame {
+    /// `None` before anything was said of a frame: what is believed then is tied to none.
+    number: Option<u64>,
+    /// `new_from_old`, the move into the present frame last.
+    moves: VecDeque<Pose2>,
+}
+
+impl Frame {
+    /// Its number.
+    pub(super) fn number(&self) -> u64 {
+        self.number.unwrap_or(0)
+    }
+
+    /// How the map has moved since another frame; `None` where that is not known, and for a later frame.
+    pub(super) fn moved_since(&self, frame: u64) -> Option<Pose2> {
+        let moves: Vec<Pose2> = self.moves.iter().copied().collect();
+        moved_between(frame, self.number(), &moves)
+    }
+
+    /// Goes on to the frame of a correction. Returns how the map moved, or `None` where the correction does nothing.
+    fn advance(&mut self, correction: &Correction) -> Option<Pose2> {
+        let frame = correction.frame;
+        let moved = match self.number {
+            Some(present) if frame < present => return None,
+            Some(present) => moved_between(present, frame, &correction.moves),
+            None => Some(Pose2::IDENTITY),
+        };
+        match moved {
+            Some(moved) => {
+                let told = self.number.map_or(0, |present| (frame - present) as usize);
+                let first = correction.moves.len() - told.min(correction.moves.len());
+                self.moves.extend(&correction.moves[first..]);
+                let over = self.moves.len().saturating_sub(MOST_MOVES);
+                self.moves.drain(..over);
+                self.number = Some(frame);
+                Some(moved)
+            }
+            // Where the robot is found anew, nothing that it believed counts.
+            None if correction.is_found_anew => {
+                self.moves.clear();
+                self.number = Some(frame);
+                Some(Pose2::IDENTITY)
+            }
+            None => None,
+        }
+    }
+}
+
+impl Pilot {
+    /// The corrections for this boot that count, in the present frame: where one is of a later frame, all that the robot keeps in the map is
+    /// carried over to it.
+    pub(super) fn in_present_frame(&mut self, mut corrections: Vec<Correction>) -> Vec<Correction> {
+        let boot_id = self.events.boot_id();
+        corrections.retain(|correction| correction.boot_id == boot_id);
+        // Of a burst only those of the newest frame that can be reached count.
+        corrections.sort_by_key(|correction| correction.frame);
+        for correction in &corrections {
+            let before = self.frame.number;
+            let Some(moved) = self.frame.advance(correction) else {
+                continue;
+            };
+            if self.frame.number == before || moved == Pose2::IDENTITY {
+                continue;
+            }
+            self.estimator.moved(moved);
+            self.return_home.moved(moved);
+            if let Some(active) = &mut self.active_plan {
+                active.moved(moved);
+            }
+        }
+        let present = self.frame.number();
+        corrections.retain(|correction| correction.frame == present);
+        corrections
+    }
+}

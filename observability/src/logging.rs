@@ -1,0 +1,70 @@
+//! Logging. How does a process write its log? One line an event on stderr, as text for people or as JSON for collectors; fields keep their names
+//! (`robot`, `part`, `goal`, `plan`) in both.
+
+use std::io::IsTerminal as _;
+use std::str::FromStr;
+
+use tracing_subscriber::fmt::MakeWriter;
+use tracing_subscriber::layer::SubscriberExt as _;
+use tracing_subscriber::util::SubscriberInitExt as _;
+use tracing_subscriber::{EnvFilter, fmt, registry};
+
+use crate::recent::KeepRecent;
+
+/// Form of a log line.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Format {
+    /// For people; coloured on a terminal, unless `NO_COLOR` is set.
+    #[default]
+    Text,
+    /// One JSON object: `timestamp`, `level`, `message`, `target`, and the event's fields.
+    Json,
+}
+
+impl FromStr for Format {
+    type Err = String;
+
+    fn from_str(name: &str) -> Result<Self, String> {
+        match name {
+            "text" => Ok(Self::Text),
+            "json" => Ok(Self::Json),
+            _ => Err(format!("`{name}`: expected text or json")),
+        }
+    }
+}
+
+/// Whether what goes to stderr may be coloured: on a terminal, without `NO_COLOR`.
+#[must_use]
+pub fn colors() -> bool {
+    std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty())
+}
+
+/// Begins to log. `RUST_LOG` says what is shown, `filter` where it does not. A second call (tests in one process) changes nothing.
+pub fn init<W>(format: Format, filter: &str, writer: W)
+where
+    W: for<'a> MakeWriter<'a> + Send + Sync + 'static,
+{
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(filter));
+    let all = registry().with(filter).with(KeepRecent);
+    let lines = fmt::layer().with_writer(writer);
+    let _ = match format {
+        Format::Text => all.with(lines.with_ansi(colors()).with_target(false)).try_init(),
+        Format::Json => {
+            let lines = lines.json().flatten_event(true);
+            all.with(lines.with_current_span(false).with_span_list(false))
+                .try_init()
+        }
+    };
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn there_are_two_formats_and_others_are_refused_with_their_names() {
+        assert_eq!("json".parse(), Ok(Format::Json));
+        assert_eq!("text".parse(), Ok(Format::default()));
+        assert_eq!("xml".parse::<Format>(), Err("`xml`: expected text or json".to_owned()));
+    }
+}

@@ -1,0 +1,212 @@
+//! Readiness. Can a part do its work now, and if not, what is missing?
+//!
+//! A part is ready when it has started and every condition that it named is met. It says so in its log, once; what it misses later it says too.
+//! The link to the router is a condition with words of its own: `router lost`, `router back`.
+
+use std::sync::{Arc, LazyLock, Mutex, MutexGuard, PoisonError, Weak};
+
+use crate::metrics::PART_READY;
+
+/// The condition that every part has: it has declared what it serves and hears.
+const STARTED: &str = "it has started";
+
+/// Every part of this process.
+static PARTS: LazyLock<Mutex<Vec<Weak<Part>>>> = LazyLock::new(Mutex::default);
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A part of this process, and what it waits for. Clones are the same part; it is forgotten with the last.
+#[derive(Clone, Debug)]
+pub struct Readiness(Arc<Part>);
+
+#[derive(Debug)]
+struct Part {
+    name: String,
+    state: Mutex<State>,
+}
+
+#[derive(Debug)]
+struct State {
+    conditions: Vec<(String, bool)>,
+    /// Whether the log says that it is ready.
+    said_ready: bool,
+}
+
+impl State {
+    fn is_ready(&self) -> bool {
+        self.conditions.iter().all(|(_, met)| *met)
+    }
+}
+
+/// Something that a part waits for.
+#[derive(Clone, Debug)]
+pub struct Condition {
+    part: Arc<Part>,
+    index: usize,
+    /// Its changes are told by whoever watches it.
+    silent: bool,
+}
+
+impl Readiness {
+    /// A part that has not started.
+    #[must_use]
+    pub fn new(name: &str) -> Self {
+        let part = Self::unlisted(name);
+        let mut parts = lock(&PARTS);
+        parts.retain(|part| part.strong_count() > 0);
+        parts.push(Arc::downgrade(&part.0));
+        drop(parts);
+        part
+    }
+
+    /// What is no part of this process: a command's client. It shows nowhere and says nothing.
+    #[must_use]
+    pub fn unlisted(name: &str) -> Self {
+        let part = Arc::new(Part {
+            name: name.to_owned(),
+            state: Mutex::new(State {
+                conditions: vec![(STARTED.to_owned(), false)],
+                said_ready: false,
+            }),
+        });
+        Self(part)
+    }
+
+    /// The part's name.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.0.name
+    }
+
+    /// From now on the part is not ready before this is met: a statement, such as `its map is loaded`.
+    #[must_use]
+    pub fn expects(&self, what: &str) -> Condition {
+        self.condition(what, false)
+    }
+
+    /// As [`Self::expects`]; losing it is told by whoever watches it, not here.
+    #[must_use]
+    pub fn expects_silently(&self, what: &str) -> Condition {
+        self.condition(what, true)
+    }
+
+    fn condition(&self, what: &str, silent: bool) -> Condition {
+        let mut state = lock(&self.0.state);
+        state.conditions.push((what.to_owned(), false));
+        Condition {
+            part: Arc::clone(&self.0),
+            index: state.conditions.len() - 1,
+            silent,
+        }
+    }
+
+    /// The part has declared what it serves and hears, and named its conditions.
+    pub fn started(&self) {
+        let started = Condition {
+            part: Arc::clone(&self.0),
+            index: 0,
+            silent: false,
+        };
+        started.met();
+    }
+
+    /// Whether the part is ready.
+    #[must_use]
+    pub fn is_ready(&self) -> bool {
+        lock(&self.0.state).is_ready()
+    }
+}
+
+impl Condition {
+    /// It holds.
+    pub fn met(&self) {
+        self.set(true);
+    }
+
+    /// It does not hold any more.
+    pub fn unmet(&self) {
+        self.set(false);
+    }
+
+    fn set(&self, met: bool) {
+        let mut state = lock(&self.part.state);
+        let Some((what, known)) = state.conditions.get_mut(self.index) else {
+            return;
+        };
+        if std::mem::replace(known, met) == met {
+            return;
+        }
+        let what = what.clone();
+        let ready = state.is_ready();
+        if ready && !state.said_ready {
+            state.said_ready = true;
+            tracing::info!(part = self.part.name, "ready");
+        } else if !met && state.said_ready && !self.silent {
+            state.said_ready = false;
+            tracing::warn!(part = self.part.name, missing = what, "not ready");
+        }
+    }
+}
+
+/// A line for each condition of each part of this process, those that are not met first, and whether all are met. A process of no parts is
+/// not ready.
+#[must_use]
+pub fn report() -> (bool, String) {
+    let parts: Vec<Arc<Part>> = lock(&PARTS).iter().filter_map(Weak::upgrade).collect();
+    let mut lines = Vec::new();
+    for part in &parts {
+        for (what, met) in &lock(&part.state).conditions {
+            let word = if *met { "ok     " } else { "missing" };
+            lines.push((*met, format!("{word} {}: {what}", part.name)));
+        }
+    }
+    lines.sort();
+    let ready = !lines.is_empty() && lines.iter().all(|(met, _)| *met);
+    let text: Vec<String> = lines.into_iter().map(|(_, line)| line + "\n").collect();
+    (ready, text.concat())
+}
+
+/// Brings the gauges up to date.
+pub(crate) fn observe() {
+    PART_READY.reset();
+    let parts: Vec<Arc<Part>> = lock(&PARTS).iter().filter_map(Weak::upgrade).collect();
+    for part in parts {
+        let ready = lock(&part.state).is_ready();
+        PART_READY
+            .with_label_values(&[&part.name])
+            .set(f64::from(u8::from(ready)));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_part_is_ready_when_it_has_started_and_all_it_named_is_met() {
+        let part = Readiness::new("mapping-readiness");
+        let (map, link) = (
+            part.expects("its map is loaded"),
+            part.expects_silently("a router is linked"),
+        );
+        part.started();
+        map.met();
+        assert!(!part.is_ready());
+        assert!(report().1.contains("missing mapping-readiness: a router is linked\n"));
+        link.met();
+        assert!(part.is_ready());
+        assert!(report().1.contains("ok      mapping-readiness: its map is loaded\n"));
+        link.unmet();
+        assert!(!part.is_ready(), "what is met may be lost again");
+    }
+
+    #[test]
+    fn a_part_that_has_ended_is_forgotten() {
+        let part = Readiness::new("gateway-readiness");
+        assert!(report().1.contains("gateway-readiness"));
+        drop(part);
+        assert!(!report().1.contains("gateway-readiness"));
+    }
+}

@@ -1,0 +1,144 @@
+//! Recent log. What did this process say last? The newest lines are kept, bounded in number and length, for whoever asks from another machine.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::fmt::{Debug, Write as _};
+use std::sync::{LazyLock, Mutex, MutexGuard, PoisonError};
+
+use tracing::field::{Field, Visit};
+use tracing::{Event, Level, Subscriber};
+use tracing_subscriber::Layer;
+use tracing_subscriber::layer::Context;
+
+use crate::process::unix_secs;
+
+/// Lines that are kept.
+const MOST_LINES: usize = 256;
+/// Longest message or field, characters; what is longer is cut.
+const LONGEST: usize = 400;
+/// Most fields of a line.
+const MOST_FIELDS: usize = 16;
+
+static KEPT: LazyLock<Mutex<Kept>> = LazyLock::new(Mutex::default);
+
+#[derive(Default)]
+struct Kept {
+    next: u64,
+    lines: VecDeque<Line>,
+}
+
+fn kept() -> MutexGuard<'static, Kept> {
+    KEPT.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A line of the log.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Line {
+    /// Number within this process, from one.
+    pub sequence: u64,
+    /// When, by the machine's wall clock, s of UNIX time.
+    pub unix_secs: f64,
+    /// `ERROR`, `WARN` or `INFO`.
+    pub level: &'static str,
+    /// What happened.
+    pub message: String,
+    /// To whom and with what.
+    pub fields: BTreeMap<&'static str, String>,
+}
+
+/// The lines after a number, oldest first, as far as they are kept.
+#[must_use]
+pub fn since(sequence: u64) -> Vec<Line> {
+    let kept = kept();
+    kept.lines
+        .iter()
+        .filter(|line| line.sequence > sequence)
+        .cloned()
+        .collect()
+}
+
+/// Keeps what is logged at `INFO` and above.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct KeepRecent;
+
+impl<S: Subscriber> Layer<S> for KeepRecent {
+    fn on_event(&self, event: &Event<'_>, _: Context<'_, S>) {
+        let metadata = event.metadata();
+        if *metadata.level() > Level::INFO {
+            return;
+        }
+        let mut words = Words::default();
+        event.record(&mut words);
+        let mut kept = kept();
+        kept.next += 1;
+        let line = Line {
+            sequence: kept.next,
+            unix_secs: unix_secs(),
+            level: metadata.level().as_str(),
+            message: words.message,
+            fields: words.fields,
+        };
+        if kept.lines.len() == MOST_LINES {
+            kept.lines.pop_front();
+        }
+        kept.lines.push_back(line);
+    }
+}
+
+#[derive(Default)]
+struct Words {
+    message: String,
+    fields: BTreeMap<&'static str, String>,
+}
+
+impl Words {
+    fn put(&mut self, field: &Field, text: &str) {
+        let text = text.chars().take(LONGEST).collect();
+        if field.name() == "message" {
+            self.message = text;
+        } else if self.fields.len() < MOST_FIELDS {
+            self.fields.insert(field.name(), text);
+        }
+    }
+}
+
+impl Visit for Words {
+    fn record_str(&mut self, field: &Field, value: &str) {
+        self.put(field, value);
+    }
+
+    fn record_debug(&mut self, field: &Field, value: &dyn Debug) {
+        let mut text = String::new();
+        // Writing to memory does not fail.
+        let _ = write!(text, "{value:?}");
+        self.put(field, &text);
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use tracing_subscriber::layer::SubscriberExt as _;
+
+    use super::*;
+
+    #[test]
+    fn the_newest_lines_are_kept_short_and_few_and_details_are_not() {
+        let subscriber = tracing_subscriber::registry().with(KeepRecent);
+        tracing::subscriber::with_default(subscriber, || {
+            for number in 0..2 * MOST_LINES {
+                tracing::warn!(robot = "recent", number, reason = "x".repeat(5000), "plan rejected");
+            }
+            tracing::debug!(robot = "recent", "a detail");
+        });
+        let lines = since(0);
+        assert!(lines.len() <= MOST_LINES);
+        let last = lines.last().unwrap();
+        assert_eq!((last.level, last.message.as_str()), ("WARN", "plan rejected"));
+        assert_eq!(
+            (last.fields["robot"].as_str(), last.fields["reason"].len()),
+            ("recent", LONGEST)
+        );
+        assert_eq!(last.fields["number"], (2 * MOST_LINES - 1).to_string());
+        assert!(since(last.sequence).is_empty());
+    }
+}

@@ -1,0 +1,269 @@
+//! Access control. Which messages may a link carry to and from a session that listens? Zenoh's settings, made from what the key table grants
+//! each member.
+//!
+//! Zenoh denies what no rule allows. A rule must include the key of the message: who asks all robots at once needs a rule for all. `**`
+//! does not reach chunks that begin with `@`, under which advanced publishers keep samples, count them and show themselves: each key of
+//! theirs has a second one. A reply needs a rule of its own on its way in and on its way out.
+
+use std::collections::BTreeMap;
+
+use serde_json::{Value, json};
+
+use crate::access::Grants;
+use crate::member::{Member, Role};
+use crate::topics::{TABLE, alive_key};
+
+/// What a message may carry beside its payload, bytes.
+const ATTACHMENT: usize = 1024;
+/// Every key of the stack, and every one of advanced publishers.
+const EVERYTHING: [&str; 2] = ["zenav/**", "zenav/**/@adv/**"];
+
+/// `access_control` of a session of `own` that listens to these members: what each may do, and nothing else.
+pub(super) fn rules(fleet: &[Member], own: &Member) -> Value {
+    let mut groups: BTreeMap<Grants, Vec<&Member>> = BTreeMap::new();
+    for member in fleet {
+        groups.entry(Grants::of(member)).or_default().push(member);
+    }
+    let (mut rules, mut subjects, mut policies) = (Vec::new(), Vec::new(), Vec::new());
+    for (number, (grants, members)) in groups.into_iter().enumerate() {
+        let is_router = members.iter().any(|member| member.role == Role::Router);
+        let names: Vec<String> = members.iter().map(ToString::to_string).collect();
+        let mut ids = Vec::new();
+        let all = allowed(&grants).into_iter().map(|rule| ("allow", rule));
+        // Nobody but the robot itself writes its own side, not even through a router.
+        let guarded = is_router && own.role == Role::Robot;
+        let own_side = guarded.then(|| Rule {
+            flow: "ingress",
+            messages: &["put"],
+            keys: vec![format!("zenav/{}/edge/**", own.name.as_str())],
+        });
+        for (permission, rule) in all.chain(own_side.map(|rule| ("deny", rule))) {
+            if rule.keys.is_empty() {
+                continue;
+            }
+            let id = format!("{number}-{}", ids.len());
+            rules.push(json!({
+                "id": id,
+                "permission": permission,
+                "flows": [rule.flow],
+                "messages": rule.messages,
+                "key_exprs": rule.keys,
+            }));
+            ids.push(id);
+        }
+        subjects.push(json!({ "id": number.to_string(), "cert_common_names": names }));
+        policies.push(json!({ "rules": ids, "subjects": [number.to_string()] }));
+    }
+    json!({
+        "enabled": true,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": subjects,
+        "policies": policies,
+    })
+}
+
+struct Rule {
+    flow: &'static str,
+    messages: &'static [&'static str],
+    keys: Vec<String>,
+}
+
+/// What the far end of a link with these grants may send, and what may be sent to it.
+fn allowed(grants: &Grants) -> Vec<Rule> {
+    let rule = |flow, messages, keys| Rule { flow, messages, keys };
+    let (kept, heard) = (advanced(&grants.keeps), advanced(&grants.hears));
+    let everything: Vec<String> = EVERYTHING.map(str::to_owned).into();
+    let seen = if grants.sees_alive {
+        everything.clone()
+    } else {
+        Vec::new()
+    };
+    vec![
+        // What it publishes, and keeps for late joiners.
+        rule("ingress", &["put"], [&grants.writes[..], &kept].concat()),
+        rule("ingress", &["declare_queryable", "liveliness_token"], kept.clone()),
+        rule("ingress", &["reply"], [&grants.keeps[..], &kept].concat()),
+        // What it answers.
+        rule("ingress", &["declare_queryable", "reply"], grants.serves.clone()),
+        rule("ingress", &["liveliness_token"], grants.alive.clone()),
+        // What it asks.
+        rule("ingress", &["query"], grants.asks.clone()),
+        rule("egress", &["reply"], grants.asks.clone()),
+        // What it hears, from what is kept on.
+        rule("ingress", &["declare_subscriber"], [&grants.hears[..], &heard].concat()),
+        rule(
+            "ingress",
+            &["query", "liveliness_query", "declare_liveliness_subscriber"],
+            heard.clone(),
+        ),
+        rule("egress", &["put", "reply"], [&grants.hears[..], &heard].concat()),
+        rule("ingress", &["liveliness_query", "declare_liveliness_subscriber"], seen),
+        // What others want of it: they were allowed to want it where they are linked.
+        rule(
+            "egress",
+            &[
+                "query",
+                "declare_subscriber",
+                "declare_queryable",
+                "liveliness_token",
+                "liveliness_query",
+                "declare_liveliness_subscriber",
+            ],
+            [&everything[..], &grants.serves].concat(),
+        ),
+    ]
+}
+
+/// Under which keys advanced publishers on these keys keep, count and show themselves.
+fn advanced(keys: &[String]) -> Vec<String> {
+    keys.iter().map(|key| format!("{key}/@adv/**")).collect()
+}
+
+/// `low_pass_filter`: messages above the size of their key go no farther. What a reader would refuse is not even passed on.
+pub(super) fn size_limits() -> Value {
+    let rows = TABLE.iter().map(|row| {
+        json!({
+            "flows": ["ingress"],
+            "messages": [if row.qos.is_some() { "put" } else { "query" }],
+            "key_exprs": [alive_key(row.pattern, &[])],
+            "size_limit": row.max_bytes + ATTACHMENT,
+        })
+    });
+    rows.collect()
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use zenoh::key_expr::KeyExpr;
+
+    use super::*;
+
+    fn fleet() -> Vec<Member> {
+        let names = ["robot.a", "robot.b", "router.r", "service.s", "operator.o", "viewer.v"];
+        names.iter().map(|name| name.parse().unwrap()).collect()
+    }
+
+    /// Whether the rules let a message through, by Zenoh's own way to compare keys.
+    fn passes(rules: &Value, member: &str, flow: &str, message: &str, key: &str) -> bool {
+        let has = |list: &Value, text: &str| list.as_array().unwrap().iter().any(|entry| entry == text);
+        let key = KeyExpr::new(key).unwrap();
+        let entries = |name: &str| rules[name].as_array().unwrap().clone();
+        let subject = entries("subjects")
+            .into_iter()
+            .find(|subject| has(&subject["cert_common_names"], member));
+        let Some(subject) = subject else { return false };
+        let policy = entries("policies")
+            .into_iter()
+            .find(|policy| policy["subjects"][0] == subject["id"])
+            .unwrap();
+        let met: Vec<String> = entries("rules")
+            .into_iter()
+            .filter(|rule| has(&policy["rules"], rule["id"].as_str().unwrap()))
+            .filter(|rule| has(&rule["flows"], flow) && has(&rule["messages"], message))
+            .filter(|rule| {
+                let keys = rule["key_exprs"].as_array().unwrap();
+                keys.iter()
+                    .any(|known| KeyExpr::new(known.as_str().unwrap()).unwrap().includes(&key))
+            })
+            .map(|rule| rule["permission"].as_str().unwrap().to_owned())
+            .collect();
+        met.iter().any(|permission| permission == "allow") && !met.iter().any(|permission| permission == "deny")
+    }
+
+    #[test]
+    fn each_role_may_do_its_part_and_no_other() {
+        let rules = rules(&fleet(), &"router.r".parse().unwrap());
+        let may = |member: &str, flow: &str, message: &str, key: &str| passes(&rules, member, flow, message, key);
+        for (member, message, key) in [
+            ("robot.a", "put", "zenav/a/edge/state"),
+            ("robot.a", "put", "zenav/a/edge/event/@adv/pub/1/2/_"),
+            ("robot.a", "liveliness_token", "zenav/a/edge/event/@adv/pub/1/2/_"),
+            ("robot.a", "declare_queryable", "zenav/a/edge/event/@adv/pub/1/2/_"),
+            ("robot.a", "declare_queryable", "zenav/a/ask/edge/stop"),
+            ("robot.a", "reply", "zenav/a/ask/edge/stop"),
+            ("robot.a", "declare_subscriber", "zenav/*/edge/intent"),
+            ("robot.a", "declare_subscriber", "zenav/a/cloud/plan"),
+            ("robot.a", "query", "zenav/a/cloud/plan/@adv/**"),
+            ("robot.a", "query", "zenav/sim/attach"),
+            ("service.s", "put", "zenav/a/cloud/plan"),
+            ("service.s", "query", "zenav/a/ask/edge/lease"),
+            ("service.s", "query", "zenav/*/ask/cloud/goals"),
+            ("service.s", "declare_queryable", "zenav/svc/motion/w-1"),
+            ("service.s", "declare_queryable", "action/gripper"),
+            ("operator.o", "put", "zenav/a/operator/teleop"),
+            ("operator.o", "query", "zenav/a/ask/edge/stop"),
+            ("operator.o", "query", "zenav/a/ask/cloud/goal"),
+            ("viewer.v", "declare_subscriber", "zenav/**"),
+            ("viewer.v", "query", "zenav/**/@adv/**"),
+            ("viewer.v", "query", "zenav/*/ask/edge/info"),
+            ("viewer.v", "liveliness_query", "zenav/*/alive/*"),
+            ("router.r", "put", "zenav/b/cloud/plan"),
+        ] {
+            assert!(may(member, "ingress", message, key), "{member} {message} {key}");
+        }
+        for (member, message, key) in [
+            ("robot.a", "put", "zenav/b/edge/state"),
+            ("robot.a", "put", "zenav/*/edge/state"),
+            ("robot.a", "put", "zenav/a/cloud/plan"),
+            ("robot.a", "put", "zenav/a/operator/teleop"),
+            ("robot.a", "put", "zenav/sim/clock"),
+            ("robot.a", "query", "zenav/b/ask/edge/stop"),
+            ("robot.a", "query", "zenav/a/ask/cloud/goal"),
+            ("robot.a", "declare_queryable", "zenav/b/ask/edge/stop"),
+            ("robot.a", "declare_subscriber", "zenav/**"),
+            ("robot.a", "declare_subscriber", "zenav/b/edge/scan"),
+            ("robot.a", "liveliness_token", "zenav/b/alive/edge"),
+            ("service.s", "put", "zenav/a/edge/wheels"),
+            ("service.s", "put", "zenav/a/body/readings"),
+            ("service.s", "put", "zenav/a/operator/teleop"),
+            ("service.s", "declare_queryable", "zenav/a/ask/edge/stop"),
+            ("operator.o", "put", "zenav/a/cloud/plan"),
+            ("operator.o", "put", "zenav/a/edge/wheels"),
+            ("operator.o", "query", "zenav/a/ask/cloud/journal/x"),
+            ("operator.o", "declare_queryable", "zenav/a/ask/cloud/goal"),
+            ("operator.o", "query", "zenav/svc/motion/w-1"),
+            ("viewer.v", "put", "zenav/a/operator/teleop"),
+            ("viewer.v", "query", "zenav/a/ask/edge/stop"),
+            ("viewer.v", "query", "zenav/a/ask/cloud/map"),
+            ("viewer.v", "query", "zenav/**"),
+            ("viewer.v", "declare_queryable", "zenav/a/ask/edge/info"),
+            ("viewer.v", "liveliness_token", "zenav/a/alive/edge"),
+            ("viewer.v", "query", "@/*/router"),
+            ("viewer.stranger", "declare_subscriber", "zenav/a/edge/state"),
+        ] {
+            assert!(!may(member, "ingress", message, key), "{member} {message} {key}");
+        }
+        assert!(may("robot.a", "egress", "put", "zenav/a/cloud/plan"));
+        assert!(may("robot.a", "egress", "query", "zenav/*/ask/edge/info"));
+        assert!(!may("robot.a", "egress", "put", "zenav/b/edge/scan"));
+        assert!(may("operator.o", "egress", "reply", "zenav/a/ask/edge/stop"));
+    }
+
+    #[test]
+    fn on_a_robot_s_own_endpoint_not_even_a_router_writes_its_side() {
+        let rules = rules(&fleet(), &"robot.a".parse().unwrap());
+        let may = |key: &str| passes(&rules, "router.r", "ingress", "put", key);
+        assert!(may("zenav/a/cloud/plan") && may("zenav/b/edge/intent") && may("zenav/a/body/readings"));
+        assert!(!may("zenav/a/edge/wheels"));
+        assert!(passes(
+            &rules,
+            "operator.o",
+            "ingress",
+            "query",
+            "zenav/a/ask/edge/stop"
+        ));
+    }
+
+    #[test]
+    fn zenoh_takes_the_settings() {
+        for members in [fleet(), Vec::new()] {
+            let settings = json!({
+                "access_control": rules(&members, &"router.r".parse().unwrap()),
+                "low_pass_filter": size_limits(),
+            });
+            zenoh::Config::from_json5(&settings.to_string()).unwrap();
+        }
+    }
+}

@@ -1,0 +1,86 @@
+//! Flow. How much goes over a topic, and what of it is lost? The counts of one part's side of a topic, for the metrics.
+
+use zenav_observability::metrics::{
+    BUS_DISCARDED, BUS_PUBLISHED, BUS_PUBLISHED_BYTES, BUS_RECEIVED, BUS_RECEIVED_BYTES, BUS_WAITING,
+};
+use zenav_observability::{IntCounter, IntGauge};
+
+use super::Bus;
+use crate::codec::CodecError;
+
+/// What arrives on a topic or an ask.
+#[derive(Clone, Debug)]
+pub(super) struct Arrivals {
+    received: IntCounter,
+    bytes: IntCounter,
+    dropped: IntCounter,
+    too_large: IntCounter,
+    undecodable: IntCounter,
+    pub(super) waiting: IntGauge,
+}
+
+impl Arrivals {
+    /// Of a key pattern, at a part.
+    pub(super) fn new(bus: &Bus, pattern: &str) -> Self {
+        let part = bus.kind();
+        let discarded = |reason: &str| BUS_DISCARDED.with_label_values(&[part, pattern, reason]);
+        Self {
+            received: BUS_RECEIVED.with_label_values(&[part, pattern]),
+            bytes: BUS_RECEIVED_BYTES.with_label_values(&[part, pattern]),
+            dropped: discarded("dropped"),
+            too_large: discarded("too_large"),
+            undecodable: discarded("undecodable"),
+            waiting: BUS_WAITING.with_label_values(&[part, pattern]),
+        }
+    }
+
+    /// A payload of so many bytes.
+    pub(super) fn received(&self, bytes: usize) {
+        self.received.inc();
+        self.bytes.inc_by(bytes as u64);
+    }
+
+    /// One was dropped because the reader is too slow.
+    pub(super) fn dropped(&self) {
+        self.dropped.inc();
+    }
+
+    /// One is not read.
+    pub(super) fn refused(&self, error: &CodecError) {
+        match error {
+            CodecError::TooLarge { .. } => self.too_large.inc(),
+            _ => self.undecodable.inc(),
+        }
+    }
+}
+
+/// What is published on a topic.
+#[derive(Clone, Debug)]
+pub(super) struct Departures {
+    published: IntCounter,
+    bytes: IntCounter,
+    unpublished: IntCounter,
+}
+
+impl Departures {
+    /// Of a key pattern, at a part.
+    pub(super) fn new(bus: &Bus, pattern: &str) -> Self {
+        let part = bus.kind();
+        Self {
+            published: BUS_PUBLISHED.with_label_values(&[part, pattern]),
+            bytes: BUS_PUBLISHED_BYTES.with_label_values(&[part, pattern]),
+            unpublished: BUS_DISCARDED.with_label_values(&[part, pattern, "unpublished"]),
+        }
+    }
+
+    /// A payload of so many bytes.
+    pub(super) fn published(&self, bytes: usize) {
+        self.published.inc();
+        self.bytes.inc_by(bytes as u64);
+    }
+
+    /// One could not be published.
+    pub(super) fn failed(&self) {
+        self.unpublished.inc();
+    }
+}

@@ -1,0 +1,236 @@
+//! Keyed publisher. How are the last values of many short-lived keys published without a declaration for each?
+//!
+//! A router keeps a few kilobytes of every declaration that ever was on a key of its own, also after its end: a key for every goal would
+//! fill it. So a [`KeyedPublisher`] declares once, on the pattern, what an advanced publisher declares for its key (a cache that can be
+//! asked, and a token that tells late subscribers of it), and puts on the concrete keys. On the wire each key is a source of its own, with
+//! its own numbers: an advanced subscriber gets the last value of each key, in order, and asks again for one that was lost.
+
+use std::collections::VecDeque;
+use std::fmt;
+use std::marker::PhantomData;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use serde::Serialize;
+use tokio::task::JoinHandle;
+use zenoh::bytes::ZBytes;
+use zenoh::key_expr::KeyExpr;
+use zenoh::liveliness::LivelinessToken;
+use zenoh::qos::{CongestionControl, Priority};
+use zenoh::query::{Query, Queryable};
+use zenoh::sample::SourceInfo;
+use zenoh::session::{EntityGlobalId, EntityId, ZenohId};
+use zenoh::{Session, Wait};
+
+use super::inbox::Complaints;
+use super::{Bus, BusError};
+use crate::codec::{self, Encoding};
+use crate::topics::Topic;
+
+/// Period at which the number of a key's last value is repeated once, so that a subscriber that lost it asks for it.
+const HEARTBEAT: Duration = Duration::from_millis(500);
+/// Numbers of the keys as sources: above those that a session gives to its own entities.
+const FIRST_SOURCE: EntityId = 1 << 31;
+
+/// Publishes on the keys of a topic that match a pattern, and keeps the last value of the newest of them.
+pub struct KeyedPublisher<T> {
+    session: Session,
+    topic: Topic<T>,
+    kept: Arc<Mutex<Kept>>,
+    failures: Complaints,
+    heartbeat: JoinHandle<()>,
+    _cache: Queryable<()>,
+    _token: LivelinessToken,
+    message: PhantomData<fn(&T)>,
+}
+
+/// The newest keys and their last values.
+struct Kept {
+    values: VecDeque<Value>,
+    most: usize,
+    next: EntityId,
+}
+
+/// The last value of a key.
+#[derive(Clone)]
+struct Value {
+    key: KeyExpr<'static>,
+    /// Where an advanced subscriber asks for it: the key, and who it is as a source.
+    cache_key: KeyExpr<'static>,
+    source: EntityId,
+    number: u32,
+    bytes: ZBytes,
+    /// Whether its number was repeated.
+    is_told: bool,
+}
+
+impl<T> fmt::Debug for KeyedPublisher<T> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("KeyedPublisher")
+            .field("pattern", &self.topic.pattern)
+            .finish_non_exhaustive()
+    }
+}
+
+impl<T> Drop for KeyedPublisher<T> {
+    fn drop(&mut self) {
+        self.heartbeat.abort();
+    }
+}
+
+impl Bus {
+    /// A publisher on all keys of a topic with these chunks, of which the last is `*`; the last values of the `most` newest keys are kept for
+    /// late joiners. In a Tokio runtime only.
+    ///
+    /// # Errors
+    /// [`BusError::Key`] for chunks that make no key, [`BusError::Closed`] after the bus was closed.
+    pub fn keyed_publisher<T>(
+        &self,
+        topic: &Topic<T>,
+        chunks: &[&str],
+        most: usize,
+    ) -> Result<KeyedPublisher<T>, BusError> {
+        let zid = self.session.zid();
+        let kept = Arc::new(Mutex::new(Kept {
+            values: VecDeque::new(),
+            most: most.max(1),
+            next: FIRST_SOURCE,
+        }));
+        let pattern = topic.key(chunks);
+        let all = Self::key(format!("{pattern}/@adv/pub/{zid}/**"))?;
+        let token_key = Self::key(cache_key(&pattern, zid, FIRST_SOURCE - 1))?;
+        let answer = {
+            let (kept, token_key, encoding) = (Arc::clone(&kept), token_key.clone(), topic.encoding);
+            move |query: Query| lock(&kept).answer(&query, zid, &token_key, encoding)
+        };
+        let cache = self.declared(self.session.declare_queryable(all).callback(answer).wait())?;
+        let token = self.declared(self.session.liveliness().declare_token(token_key).wait())?;
+        let heartbeat = tokio::spawn({
+            let (kept, session) = (Arc::clone(&kept), self.session.clone());
+            async move {
+                loop {
+                    tokio::time::sleep(HEARTBEAT).await;
+                    let news: Vec<Value> = lock(&kept).untold().collect();
+                    for value in news {
+                        let number = zenoh_ext::z_serialize(&value.number);
+                        // The next one tells as well.
+                        let _ = session.put(value.cache_key, number).await;
+                    }
+                }
+            }
+        });
+        Ok(KeyedPublisher {
+            session: self.session.clone(),
+            topic: *topic,
+            kept,
+            failures: Complaints::default(),
+            heartbeat,
+            _cache: cache,
+            _token: token,
+            message: PhantomData,
+        })
+    }
+}
+
+impl<T: Serialize> KeyedPublisher<T> {
+    /// Publishes a value on the key with these chunks, from any thread; the order is kept. A failure is counted and logged now and then.
+    pub fn put(&self, chunks: &[&str], message: &T) {
+        if let Err(reason) = self.try_put(self.topic.key(chunks), message)
+            && let Some(count) = self.failures.add()
+        {
+            tracing::warn!(pattern = self.topic.pattern, reason, count, "not published");
+        }
+    }
+
+    fn try_put(&self, key: String, message: &T) -> Result<(), String> {
+        let bytes = codec::encode(message, self.topic.encoding).map_err(|error| error.to_string())?;
+        let key = Bus::key(key).map_err(|error| error.to_string())?;
+        let zid = self.session.zid();
+        // Held while it is sent: numbers leave in their order.
+        let mut kept = lock(&self.kept);
+        let value = kept.set(key, zid, bytes.into())?;
+        self.session
+            .put(value.key, value.bytes)
+            .encoding(zenoh::bytes::Encoding::from(self.topic.encoding.mime()))
+            .congestion_control(CongestionControl::Drop)
+            .priority(Priority::DataHigh)
+            .source_info(SourceInfo::new(EntityGlobalId::new(zid, value.source), value.number))
+            .wait()
+            .map_err(|error| error.to_string())
+    }
+}
+
+impl Kept {
+    /// Takes in the newest value of a key.
+    fn set(&mut self, key: KeyExpr<'static>, zid: ZenohId, bytes: ZBytes) -> Result<Value, String> {
+        let (source, number) = match self.values.iter().position(|value| value.key == key) {
+            Some(place) => {
+                let before = self.values.remove(place).ok_or("no such value")?;
+                (before.source, before.number.wrapping_add(1))
+            }
+            None => {
+                if self.values.len() == self.most {
+                    self.values.pop_front();
+                }
+                let source = self.next;
+                self.next = source.checked_add(1).unwrap_or(FIRST_SOURCE);
+                (source, 0)
+            }
+        };
+        let value = Value {
+            cache_key: Bus::key(cache_key(key.as_str(), zid, source)).map_err(|error| error.to_string())?,
+            key,
+            source,
+            number,
+            bytes,
+            is_told: false,
+        };
+        self.values.push_back(value.clone());
+        Ok(value)
+    }
+
+    /// The values whose number was not repeated yet.
+    fn untold(&mut self) -> impl Iterator<Item = Value> {
+        let untold = self.values.iter_mut().filter(|value| !value.is_told);
+        untold.map(|value| {
+            value.is_told = true;
+            value.clone()
+        })
+    }
+
+    /// Answers an advanced subscriber: who asks the token's own key asks for all.
+    fn answer(&self, query: &Query, zid: ZenohId, token_key: &KeyExpr<'static>, encoding: Encoding) {
+        let of_all = query.key_expr().as_str() == token_key.as_str();
+        let range = query.parameters().get("_sn").map(numbers);
+        for value in &self.values {
+            let is_asked = of_all || query.key_expr().intersects(&value.cache_key);
+            if !is_asked || range.is_some_and(|(from, to)| !(from..=to).contains(&value.number)) {
+                continue;
+            }
+            let info = SourceInfo::new(EntityGlobalId::new(zid, value.source), value.number);
+            let replied = query
+                .reply(value.key.clone(), value.bytes.clone())
+                .encoding(zenoh::bytes::Encoding::from(encoding.mime()))
+                .source_info(info)
+                .wait();
+            if let Err(error) = replied {
+                tracing::debug!(key = %value.key, %error, "its last value was asked for, and is not told");
+            }
+        }
+    }
+}
+
+/// The key of a source's cache, as advanced publishers declare it.
+fn cache_key(key: &str, zid: ZenohId, source: EntityId) -> String {
+    format!("{key}/@adv/pub/{zid}/{source}/_")
+}
+
+/// The numbers that a subscriber lacks: `3..7`, both ends included, either one left out.
+fn numbers(range: &str) -> (u32, u32) {
+    let (from, to) = range.split_once("..").unwrap_or((range, range));
+    (from.parse().unwrap_or(0), to.parse().unwrap_or(u32::MAX))
+}
+
+fn lock(kept: &Mutex<Kept>) -> MutexGuard<'_, Kept> {
+    kept.lock().unwrap_or_else(PoisonError::into_inner)
+}

@@ -1,0 +1,194 @@
+//! Security. How are a session's links protected, and what may others do over them?
+//!
+//! Without anything, plain TCP: sessions listen on loopback alone. With an identity, TLS 1.3 with a certificate of each side, over QUIC:
+//! endpoints are `quic/HOST:PORT`, on UDP; names are verified, links end with their certificates, and a session that listens lets others do
+//! what the key table grants them (`access_control`), and nothing else.
+//!
+//! QUIC and not TLS over TCP, for Zenoh 1.10 lets its sending and its receiving thread into one rustls connection at a time there, and
+//! crashes (<https://github.com/eclipse-zenoh/zenoh/issues/2557>). A QUIC link has a stream for each direction, and for each priority.
+
+use std::net::IpAddr;
+use std::path::Path;
+
+use serde_json::{Value, json};
+use zenoh::config::WhatAmI;
+
+use super::access_control;
+use super::identity::{Identity, IdentityError};
+use super::session::BusError;
+use crate::id::Id;
+use crate::member::Role;
+
+/// How links are protected.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub enum Security {
+    /// Neither encrypted nor authenticated; only programs of this machine reach an endpoint.
+    #[default]
+    Loopback,
+    /// Neither encrypted nor authenticated, on every address: whoever reaches an endpoint commands every robot.
+    Insecure,
+    /// TLS over QUIC, with a certificate of each side.
+    Mtls(Box<Identity>),
+}
+
+impl Security {
+    /// As told by a user: an identity, or none, and whether to listen to other machines without one.
+    ///
+    /// # Errors
+    /// As [`Identity::load`].
+    pub fn of(identity: Option<&Path>, insecure: bool) -> Result<Self, IdentityError> {
+        Ok(match (identity, insecure) {
+            (Some(folder), _) => Self::Mtls(Box::new(Identity::load(folder)?)),
+            (None, true) => Self::Insecure,
+            (None, false) => Self::Loopback,
+        })
+    }
+
+    /// The identity, where there is one.
+    #[must_use]
+    pub fn identity(&self) -> Option<&Identity> {
+        match self {
+            Self::Mtls(identity) => Some(identity),
+            Self::Loopback | Self::Insecure => None,
+        }
+    }
+
+    /// Whether this process may be a robot's edge. With a simulated body in the process it also gives the time of the simulation, which is a
+    /// router's word.
+    ///
+    /// # Errors
+    /// [`IdentityError`]: the identity of another robot, or of none.
+    pub fn check_robot(&self, robot: &Id, is_simulated: bool) -> Result<(), IdentityError> {
+        let Some(identity) = self.identity() else {
+            return Ok(());
+        };
+        let own = identity.member();
+        let problem = match own.role {
+            Role::Router => return Ok(()),
+            Role::Robot if own.name == *robot && !is_simulated => return Ok(()),
+            Role::Robot if own.name == *robot => format!(
+                "{own} has a simulated body in its own process, and would give everybody the time: expected a world that `zenav sim serve` serves (--attach), or an identity router.NAME"
+            ),
+            _ => format!("is of {own}: expected robot.{}", robot.as_str()),
+        };
+        Err(IdentityError {
+            folder: identity.folder().to_owned(),
+            problem,
+        })
+    }
+
+    /// Endpoints as this profile reaches them: `tcp/HOST:PORT` and `tls/HOST:PORT` are `quic/HOST:PORT` for who has an identity.
+    pub(super) fn endpoints(&self, given: &[String]) -> Vec<String> {
+        let reached = |endpoint: &String| match (self, endpoint.split_once('/')) {
+            (Self::Mtls(_), Some(("tcp" | "tls", address))) => format!("quic/{address}"),
+            _ => endpoint.clone(),
+        };
+        given.iter().map(reached).collect()
+    }
+
+    /// Whether these endpoints may be dialled and listened on.
+    pub(super) fn check(&self, connect: &[String], listen: &[String]) -> Result<(), BusError> {
+        for endpoint in connect.iter().chain(listen) {
+            let protocol = endpoint.split_once('/').map(|(protocol, _)| protocol);
+            let expected = match self {
+                Self::Mtls(_) if protocol != Some("quic") => "quic/HOST:PORT, as this has an identity",
+                Self::Loopback | Self::Insecure if matches!(protocol, Some("quic" | "tls")) => {
+                    "an identity (`--identity FOLDER`, ZENAV_IDENTITY; `zenav keys issue` makes one)"
+                }
+                _ => continue,
+            };
+            return Err(BusError::Config {
+                reason: format!("{endpoint}: expected {expected}"),
+            });
+        }
+        match (self, listen.iter().find(|endpoint| !is_loopback(endpoint))) {
+            (Self::Loopback, Some(endpoint)) => Err(BusError::Exposed {
+                endpoint: endpoint.clone(),
+            }),
+            _ => Ok(()),
+        }
+    }
+
+    /// Adds Zenoh's settings of this profile.
+    pub(super) fn settings(&self, mode: WhatAmI, listen: &[String], settings: &mut Value) -> Result<(), BusError> {
+        let Self::Mtls(identity) = self else {
+            return Ok(());
+        };
+        let (certificate, key) = (identity.file("cert.pem"), identity.file("key.pem"));
+        settings["transport"]["link"]["tls"] = json!({
+            "root_ca_certificate": identity.file("ca.pem"),
+            "listen_certificate": certificate,
+            "listen_private_key": key,
+            "connect_certificate": certificate,
+            "connect_private_key": key,
+            "enable_mtls": true,
+            "verify_name_on_connect": true,
+            "close_link_on_expiration": true,
+        });
+        if mode == WhatAmI::Router && !listen.is_empty() {
+            let fleet = identity.fleet()?;
+            settings["access_control"] = access_control::rules(fleet, identity.member());
+            settings["low_pass_filter"] = access_control::size_limits();
+        }
+        Ok(())
+    }
+}
+
+/// Whether only programs of this machine reach an endpoint.
+fn is_loopback(endpoint: &str) -> bool {
+    let address = endpoint.split_once('/').map_or(endpoint, |(_, address)| address);
+    let address = address.split(['#', '?', ';']).next().unwrap_or_default();
+    let host = address.rsplit_once(':').map_or(address, |(host, _)| host);
+    let host = host.trim_start_matches('[').trim_end_matches(']');
+    host == "localhost" || host.parse::<IpAddr>().is_ok_and(|address| address.is_loopback())
+}
+
+impl From<IdentityError> for BusError {
+    fn from(error: IdentityError) -> Self {
+        Self::Config {
+            reason: error.to_string(),
+        }
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn without_an_identity_only_this_machine_is_listened_to() {
+        for near in [
+            "tcp/127.0.0.1:7447",
+            "tcp/[::1]:0",
+            "tcp/localhost:7447",
+            "tcp/127.9.9.9:1#iface=lo",
+        ] {
+            assert_eq!(Security::Loopback.check(&[], &[near.to_owned()]), Ok(()), "{near}");
+        }
+        for far in [
+            "tcp/0.0.0.0:7447",
+            "tcp/[::]:7447",
+            "tcp/10.0.0.2:7447",
+            "tcp/robot.local:7447",
+            "tcp/127.0.0.1.example.org:1",
+        ] {
+            let error = Security::Loopback.check(&[], &[far.to_owned()]).unwrap_err();
+            let text = error.to_string();
+            assert!(
+                text.contains(far) && text.contains("--identity") && text.contains("--insecure"),
+                "{text}"
+            );
+            assert_eq!(Security::Insecure.check(&[], &[far.to_owned()]), Ok(()));
+        }
+        assert_eq!(Security::Loopback.check(&["tcp/10.0.0.2:7447".to_owned()], &[]), Ok(()));
+    }
+
+    #[test]
+    fn a_protected_endpoint_needs_an_identity() {
+        let error = Security::Insecure
+            .check(&["quic/10.0.0.2:7447".to_owned()], &[])
+            .unwrap_err();
+        assert!(error.to_string().contains("--identity"), "{error}");
+    }
+}

@@ -1,0 +1,117 @@
+//! Map frame. How did the map move as loops closed, and where do its parts lie now?
+//!
+//! A loop closure moves parts of a map that SLAM makes, each as a rigid body. Such a change begins the next **frame**: frames are numbered,
+//! and a coordinate holds in one of them. Who keeps coordinates carries them over: the robot by [`Correction::moves`](super::Correction), all
+//! others by [`MapFrame`].
+
+use serde::{Deserialize, Serialize};
+
+use super::{GoalPoint, MapRef};
+use crate::geometry::Pose2;
+use crate::time::Stamp;
+
+/// Most moves that are told: who has not heard of more frames than these begins anew.
+pub const MOST_MOVES: usize = 16;
+
+/// A place farther than this from where each part was begun belongs to the frame alone, m: nobody has seen it from near.
+const PART_REACH: f64 = 10.0;
+
+/// The frame of a map, and where its parts lie in it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct MapFrame {
+    /// Stamp of the newest scan in the map, on the robot's clock.
+    pub stamp: Stamp,
+    /// The map and its frame. The first revision that is drawn in it comes later.
+    pub map: MapRef,
+    /// How the robot's surroundings moved as each of the last frames began, `new_from_old`, the move into this frame last.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub moves: Vec<Pose2>,
+    /// Where each part of the map lies, `map_from_part`, in the order in which they were begun. A part keeps its number.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub parts: Vec<Pose2>,
+}
+
+impl MapFrame {
+    /// The part of the map that a place belongs to: the nearest, of equally near ones the newest; none where all are far.
+    #[must_use]
+    pub fn part_at(&self, x: f64, y: f64) -> Option<usize> {
+        let distance = |part: &Pose2| (part.x - x).hypot(part.y - y);
+        let parts = self.parts.iter().enumerate().rev();
+        parts
+            .map(|(number, part)| (number, distance(part)))
+            .min_by(|(_, a), (_, b)| a.total_cmp(b))
+            .filter(|(_, distance)| *distance <= PART_REACH)
+            .map(|(number, _)| number)
+    }
+
+    /// How the surroundings of a place moved until a later frame of the map, `new_from_old`; `None` where the place belongs to no part.
+    #[must_use]
+    pub fn moved_at(&self, x: f64, y: f64, later: &Self) -> Option<Pose2> {
+        let part = self.part_at(x, y)?;
+        Some(*later.parts.get(part)? * self.parts.get(part)?.inverse())
+    }
+
+    /// Whether its numbers are usable: all moves and poses are finite, and no more moves than frames.
+    #[must_use]
+    pub fn is_sane(&self) -> bool {
+        self.moves.len() <= MOST_MOVES
+            && self.moves.len() as u64 <= self.map.frame
+            && self.moves.iter().chain(&self.parts).all(Pose2::is_finite)
+    }
+}
+
+/// How the robot's surroundings moved from frame `from` to frame `to`, `new_from_old`, by the `moves` that led to `to`; `None` where that is not
+/// known, and for a later frame.
+///
+/// ```
+/// use zenav_protocol::geometry::Pose2;
+/// use zenav_protocol::messages::moved_between;
+///
+/// let moves = [Pose2::new(1.0, 0.0, 0.0), Pose2::new(0.0, 2.0, 0.0)];
+/// assert_eq!(moved_between(5, 7, &moves), Some(Pose2::new(1.0, 2.0, 0.0)));
+/// assert_eq!(moved_between(7, 7, &moves), Some(Pose2::IDENTITY));
+/// assert_eq!(moved_between(4, 7, &moves), None, "too long ago");
+/// ```
+#[must_use]
+pub fn moved_between(from: u64, to: u64, moves: &[Pose2]) -> Option<Pose2> {
+    let count = usize::try_from(to.checked_sub(from)?).ok()?;
+    let since = moves.get(moves.len().checked_sub(count)?..)?;
+    let moved = since.iter().fold(Pose2::IDENTITY, |moved, next| *next * moved);
+    moved.is_finite().then_some(moved)
+}
+
+impl GoalPoint {
+    /// The place after a move of what it belongs to.
+    #[must_use]
+    pub fn moved(&self, new_from_old: Pose2) -> Self {
+        let place = new_from_old * Pose2::new(self.x, self.y, self.yaw.unwrap_or(0.0));
+        Self {
+            x: place.x,
+            y: place.y,
+            yaw: self.yaw.map(|_| place.yaw),
+        }
+    }
+}
+
+/// For `skip_serializing_if`: the first frame is not written.
+#[allow(clippy::trivially_copy_pass_by_ref, reason = "serde asks for a reference")]
+pub(crate) const fn is_first(frame: &u64) -> bool {
+    *frame == 0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_place_belongs_to_the_part_beside_it() {
+        let frame = MapFrame {
+            parts: vec![Pose2::IDENTITY, Pose2::new(5.0, 0.0, 1.0), Pose2::new(5.0, 0.0, 0.5)],
+            ..MapFrame::default()
+        };
+        assert_eq!(frame.part_at(1.0, 1.0), Some(0));
+        assert_eq!(frame.part_at(4.0, 1.0), Some(2), "the newest of those that lie there");
+        assert_eq!(MapFrame::default().part_at(0.0, 0.0), None);
+    }
+}

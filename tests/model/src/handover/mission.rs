@@ -1,0 +1,258 @@
+//! Mission. What is on its disk, and what does it know while it leads and while it follows?
+
+use std::collections::BTreeMap;
+
+use zenav_mission::context::Asks;
+use zenav_mission::lease::LeaseClient;
+use zenav_mission::membership::Membership;
+use zenav_mission::records::Leadership;
+use zenav_mission::standby::{JournalPosition, Verdict, judge};
+use zenav_protocol::messages::JournalEntry;
+use zenav_protocol::time::Stamp;
+
+use super::system::Message;
+use super::{List, Rule, store};
+use crate::text::Text;
+
+/// Writes of a batch: a goal, and who ended it; zero for an open one.
+pub type Writes = Vec<(u8, u8)>;
+
+/// A mission's store.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
+pub struct Disk {
+    /// Goals, and who ended each; zero for an open one.
+    pub goals: BTreeMap<u8, u8>,
+    pub epoch: u64,
+    pub shared: bool,
+    pub incarnation: u8,
+}
+
+impl Disk {
+    pub fn record(&mut self, leadership: Leadership) {
+        (self.epoch, self.shared) = (leadership.epoch, leadership.shared);
+    }
+}
+
+/// A mission: a process and its disk.
+#[derive(Clone, Debug, PartialEq, Hash)]
+pub struct Mission {
+    pub disk: Disk,
+    pub life: Life,
+}
+
+/// What the process does.
+#[derive(Clone, Debug, PartialEq, Hash)]
+pub enum Life {
+    Down,
+    Following(Following),
+    Leading(Box<Leading>),
+}
+
+/// A standby.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
+pub struct Following {
+    /// Session of its join, if its place in it is known.
+    pub session: Option<u8>,
+    pub position: u64,
+    /// The robot's word, as it was heard last.
+    pub word: Option<List>,
+}
+
+/// A mission that leads or asks to.
+#[derive(Clone, Debug, PartialEq, Hash)]
+pub struct Leading {
+    pub client: Text<LeaseClient>,
+    pub asks: Text<Asks>,
+    pub membership: Membership,
+    pub replica: Option<Replica>,
+    /// A write whose effects have not been told, and when its step began.
+    pub write: Option<(u8, Tell)>,
+    /// The report that the robot has not answered.
+    pub reporting: Option<u64>,
+    /// The last step's tick.
+    pub stepped: u8,
+    /// Tick of the last heartbeat that renewed the lease.
+    pub renewed: Option<u8>,
+}
+
+/// What is told once a write is done.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Tell {
+    /// A goal is accepted.
+    Accepted(u8),
+    /// A goal was ended by this mission in this life.
+    Ended(u8, u8),
+}
+
+/// What the leader knows of its standby's store.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub struct Replica {
+    pub session: u8,
+    /// Position of the entry that is not answered, or of the last one.
+    position: u64,
+    is_waiting: bool,
+    /// Number of the batch that the last entry completes.
+    batch: u64,
+    /// The rest of the leader's store.
+    pieces: Vec<Writes>,
+    /// Batches after that.
+    batches: Writes,
+    newest: u64,
+    /// The newest batch that is on the standby's disk.
+    pub stored: Option<u64>,
+}
+
+impl Replica {
+    /// Hands everything over in two pieces, however little it is.
+    pub fn new(session: u8, goals: &BTreeMap<u8, u8>, batch: u64) -> Self {
+        let all: Writes = goals.iter().map(|(goal, end)| (*goal, *end)).collect();
+        Self {
+            session,
+            position: 0,
+            is_waiting: false,
+            batch,
+            pieces: vec![Vec::new(), all],
+            batches: Vec::new(),
+            newest: batch,
+            stored: None,
+        }
+    }
+
+    pub const fn is_waiting(&self) -> bool {
+        self.is_waiting
+    }
+
+    /// A batch to send.
+    pub fn push(&mut self, batch: u64, writes: &[(u8, u8)]) {
+        self.batches.extend(writes);
+        self.newest = batch;
+    }
+
+    /// The next entry, if nothing waits for an answer.
+    pub fn next(&mut self, from: u8, epoch: u64) -> Option<Message> {
+        if self.is_waiting {
+            return None;
+        }
+        let writes = if self.pieces.is_empty() {
+            if self.batch == self.newest {
+                return None;
+            }
+            self.batch = self.newest;
+            std::mem::take(&mut self.batches)
+        } else {
+            self.pieces.remove(0)
+        };
+        self.position += 1;
+        self.is_waiting = true;
+        Some(Message::Entry {
+            from,
+            epoch,
+            session: self.session,
+            position: self.position,
+            writes,
+        })
+    }
+
+    /// The standby has everything up to a position on its disk.
+    pub fn stored(&mut self, position: u64) {
+        if self.is_waiting && position == self.position {
+            self.is_waiting = false;
+            if self.pieces.is_empty() {
+                self.stored = Some(self.batch);
+            }
+        }
+    }
+}
+
+impl Leading {
+    /// Begins a new life that asks for the lease.
+    pub fn begin(own: u8, disk: &mut Disk, now: u8) -> Self {
+        disk.incarnation += 1;
+        let leadership = Leadership {
+            epoch: disk.epoch,
+            shared: disk.shared,
+        };
+        let incarnation = disk.incarnation.into();
+        Self {
+            client: Text(LeaseClient::new(&store(own), incarnation, Some(store(own)), leadership)),
+            asks: Text(Asks::new(incarnation)),
+            membership: Membership::new(&store(own), leadership, incarnation),
+            replica: None,
+            write: None,
+            reporting: None,
+            stepped: now,
+            renewed: None,
+        }
+    }
+
+    /// Whether it waits for nothing.
+    pub const fn is_idle(&self) -> bool {
+        self.write.is_none() && self.reporting.is_none()
+    }
+
+    /// Begins a write: it is on the own disk, and on its way to the standby.
+    pub fn write(&mut self, disk: &mut Disk, goal: u8, end: u8, tell: Tell) {
+        disk.goals.insert(goal, end);
+        self.membership.next_batch();
+        let batch = self.membership.batch();
+        if let Some(replica) = self.replica.as_mut().filter(|_| self.membership.term().is_some()) {
+            replica.push(batch, &[(goal, end)]);
+        }
+        self.write = Some((self.stepped, tell));
+    }
+}
+
+impl Following {
+    /// Takes an entry of the journal; whether it is on disk.
+    pub fn take(&mut self, disk: &mut Disk, message: &Message, without: Option<Rule>) -> Option<bool> {
+        let Message::Entry {
+            from,
+            epoch,
+            session,
+            position,
+            writes,
+        } = message
+        else {
+            return None;
+        };
+        let place = JournalPosition {
+            session: self.session.map_or_else(String::new, |session| session.to_string()),
+            position: self.position,
+        };
+        let newest = without == Some(Rule::Session) && self.session.is_some();
+        let entry = JournalEntry {
+            leader: store(*from),
+            epoch: *epoch,
+            session: if newest {
+                place.session.clone()
+            } else {
+                session.to_string()
+            },
+            position: *position,
+            now: Stamp::ZERO,
+            writes: Vec::new(),
+        };
+        let word = self.word.as_ref().map(List::leader);
+        match judge(&entry, word.as_ref(), &place) {
+            Ok(Verdict::Known) => Some(true),
+            Ok(Verdict::Take { instead }) => {
+                if instead {
+                    disk.goals.clear();
+                }
+                disk.goals.extend(writes.iter().copied());
+                disk.record(Leadership {
+                    epoch: *epoch,
+                    shared: true,
+                });
+                self.position = entry.position;
+                Some(true)
+            }
+            Err(_) => {
+                if self.session == Some(*session) {
+                    (self.session, self.position) = (None, 0);
+                }
+                Some(false)
+            }
+        }
+    }
+}

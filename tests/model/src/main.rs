@@ -1,0 +1,100 @@
+//! Checks the contract's model and prints what was found: `cargo run --release -p zenav-model -- --bounds large`.
+
+#![expect(clippy::print_stdout, reason = "a command that prints its findings")]
+
+use std::process::ExitCode;
+
+use clap::Parser;
+use zenav_model::check::{Outcome, Part, Size, check};
+use zenav_model::goals::Goals;
+use zenav_model::handover::Handover;
+use zenav_model::lease::Lease;
+use zenav_model::plan::PlanValidity;
+
+/// Checks the contract's model: all rules, then without each of them
+#[derive(Debug, Parser)]
+struct Arguments {
+    /// How far the bounds reach
+    #[arg(long, value_enum, default_value = "small")]
+    bounds: Size,
+    /// Only this part: lease, plan, goals or handover
+    #[arg(long)]
+    part: Option<String>,
+    /// With all rules only
+    #[arg(long)]
+    rules: bool,
+}
+
+/// Checks and prints a part; whether it is as it should be.
+type Run = fn(&Arguments) -> bool;
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    let parts: [(&str, Run); 4] = [
+        (Lease::NAME, part::<Lease>),
+        (PlanValidity::NAME, part::<PlanValidity>),
+        (Goals::NAME, part::<Goals>),
+        (Handover::NAME, part::<Handover>),
+    ];
+    let wanted = |name: &str| arguments.part.as_deref().is_none_or(|part| part == name);
+    let mut holds = true;
+    for (_, run) in parts.iter().filter(|(name, _)| wanted(name)) {
+        holds &= run(&arguments);
+    }
+    if holds { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+}
+
+/// Prints a part as `docs/model.md` shows it; whether it holds, and fails without each rule.
+fn part<P: Part>(arguments: &Arguments) -> bool {
+    println!("## {}\n", P::NAME);
+    let mut holds = true;
+    let mut claims = Vec::new();
+    println!("| bounds | states | transitions | actions deep | seconds | |\n|---|---|---|---|---|---|");
+    for (which, bounds) in P::bounds(arguments.bounds).iter().enumerate() {
+        let outcome = check(|| P::system(arguments.bounds, which));
+        holds &= outcome.holds();
+        print(bounds, &outcome);
+        claims.push(outcome);
+    }
+    println!("\n| claim | |\n|---|---|");
+    for claim in claims.first().map(|outcome| outcome.claims.clone()).unwrap_or_default() {
+        let is_broken = |outcome: &Outcome| outcome.violation.as_ref().is_some_and(|(broken, _)| *broken == claim);
+        let verdict = if claims.iter().any(is_broken) {
+            "BROKEN"
+        } else if claims.iter().all(|outcome| outcome.missing.contains(&claim)) {
+            holds = false;
+            "NOT SEEN"
+        } else {
+            "holds"
+        };
+        println!("| {claim} | {verdict} |");
+    }
+    if arguments.rules {
+        return holds;
+    }
+    println!("\n| without the rule | does not hold | shortest trace |\n|---|---|---|");
+    for (rule, says) in P::RULES {
+        let outcome = check(|| P::without(*rule));
+        let (claim, trace) = outcome.violation.unwrap_or(("nothing is broken", Vec::new()));
+        holds &= !trace.is_empty();
+        println!("| {says} | {claim} | {} |", trace.join(" → "));
+    }
+    println!();
+    holds
+}
+
+fn print(bounds: &str, outcome: &Outcome) {
+    let secs = outcome.took.as_secs_f64();
+    let verdict = match &outcome.violation {
+        Some((claim, _)) => *claim,
+        None if outcome.is_complete => "holds",
+        None => "given up: too many states",
+    };
+    println!(
+        "| {bounds} | {} | {} | {} | {secs:.1} | {verdict} |",
+        outcome.states, outcome.transitions, outcome.depth
+    );
+    if let Some((_, trace)) = &outcome.violation {
+        trace.iter().for_each(|action| println!("  {action}"));
+    }
+}

@@ -1,0 +1,655 @@
+//! Plan validity. How long does a plan move the robot? Two missions write plans, one after the other; the robot judges them by its own clock,
+//! may be stopped and resumed, and may restart with a clock that begins anew.
+//!
+//! The header is judged by [`judge_head`], an accepted plan is an [`ActivePlan`], what may move the robot is [`Authority::motion_source`].
+//! The robot moves where a plan is its source of motion and lets it go faster than zero.
+//!
+//! There is no network to see: any plan that could have been sent by now may arrive now. It is written under any grant that there was, based on
+//! any state that there was, however long ago, with any number, for the trajectory before or a new one. Missions have no clock, and may be
+//! wrong about validity and stamps.
+
+use std::hash::{Hash, Hasher};
+
+use nalgebra::Point2;
+use stateright::{Model, Property};
+use zenav_edge::acceptance::{Grant, judge_head};
+use zenav_edge::active_plan::{ActivePlan, Scene};
+use zenav_edge::arbitration::MotionSource;
+use zenav_edge::authority::Authority;
+use zenav_edge::config::EdgeConfig;
+use zenav_edge::control_io::Persisted;
+use zenav_edge::event_log::EventLog;
+use zenav_edge::local_obstacles::LocalObstacles;
+use zenav_protocol::geometry::{Pose2, Twist2};
+use zenav_protocol::messages::{
+    BasedOn, Heartbeat, LeaseAction, LeaseRequest, LeaseRole, LostPolicy, MapRef, Plan, PlanStatistics, ResumeRequest,
+    Revision, StopRequest,
+};
+use zenav_protocol::time::Stamp;
+use zenav_protocol::trajectory::Trajectory;
+
+use crate::check::{Part, Size};
+use crate::lease::{TICK, config};
+use crate::text::Text;
+
+/// Validity of an honest plan, ticks.
+const VALID: u8 = 2;
+/// Longest validity that the robot believes, ticks.
+const LONGEST: u8 = 3;
+
+/// What bounds the motion that a plan makes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Rule {
+    /// Validity counts from the state that the plan was made from.
+    FromState,
+    /// An expired plan moves nothing.
+    Expiry,
+    /// No plan is believed for longer than the longest validity.
+    Longest,
+    /// A plan based on the future is refused.
+    Future,
+    /// A plan based on another boot is refused.
+    Boot,
+    /// A plan that is not newer than the newest is refused.
+    Newer,
+    /// A plan of another epoch is refused.
+    Epoch,
+    /// A plan is refused while no mission holds a live lease.
+    Live,
+    /// Another holder's lease discards the plan.
+    HandoverDiscards,
+    /// A stop latches.
+    Latch,
+    /// The latch is on disk.
+    LatchOnDisk,
+    /// A stop discards the plan.
+    StopDiscards,
+    /// A plan from before the resume is refused.
+    Resume,
+    /// By the policy `stop`, a robot without a live lease brakes.
+    Policy,
+}
+
+/// A plan that arrives.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Letter {
+    /// The grant that it was written under.
+    grant: u8,
+    /// Its number among the plans of its writer.
+    revision: u8,
+    /// When the state was that it is based on, in ticks of true time.
+    born: u8,
+    /// Whether it renews the trajectory that is followed.
+    renews: bool,
+    mistake: Option<Mistake>,
+}
+
+/// What a mission gets wrong.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Mistake {
+    /// It asks for validity for ever.
+    Endless,
+    /// It bases the plan on a state two ticks ahead.
+    Ahead,
+}
+
+/// What may happen.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Action {
+    /// A mission asks for the lease and gets an answer.
+    Acquire(u8),
+    /// The holder's heartbeat arrives.
+    Beat,
+    /// A plan arrives.
+    Plan(Letter),
+    /// Time passes.
+    Tick,
+    /// Somebody stops the robot.
+    Stop,
+    /// Somebody releases the stop.
+    Resume,
+    /// The robot restarts, and its clock begins anew.
+    Restart,
+}
+
+/// How much happens at most.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Bounds {
+    ticks: u8,
+    grants: u8,
+    beats: u8,
+    plans: u8,
+    stops: u8,
+    restarts: u8,
+    mistakes: u8,
+}
+
+/// A grant that there was: to which mission, in which epoch.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+struct Given {
+    mission: u8,
+    epoch: u64,
+}
+
+/// The plan that is followed, as it should be.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+struct Followed {
+    writer: u8,
+    /// True time of the state that it claims to be based on, and for how long it is valid from then on.
+    born: u8,
+    valid: u8,
+    /// True time when it was accepted, and whether a lease was live then.
+    accepted: u8,
+    with_lease: bool,
+}
+
+/// The plan in force. Its tracker never steps here, so that it is what it was made of, and when it expires.
+#[derive(Clone, Debug)]
+struct InForce(Option<ActivePlan>);
+
+impl InForce {
+    fn key(&self) -> Option<(u64, u64, Revision, u64)> {
+        let active = self.0.as_ref()?;
+        let expiry = active.progress(Stamp::ZERO, &Pose2::default()).valid_for;
+        let plan = active.plan();
+        Some((plan.trajectory_id, plan.epoch, plan.revision, expiry.to_bits()))
+    }
+}
+
+impl PartialEq for InForce {
+    fn eq(&self, other: &Self) -> bool {
+        self.key() == other.key()
+    }
+}
+
+impl Hash for InForce {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        self.key().hash(state);
+    }
+}
+
+/// The robot, and what missions can have sent.
+#[derive(Clone, Debug, PartialEq, Hash)]
+pub struct State {
+    /// The policy for a lost lease: brake at once, or finish the plan's horizon.
+    brakes: bool,
+    robot: Text<Authority>,
+    plan: InForce,
+    newest: Option<(u64, Revision)>,
+    disk: Text<Persisted>,
+    /// True times at which the robot started; its clock begins anew then.
+    boots: Vec<u8>,
+    time: u8,
+    given: Vec<Given>,
+    beats: u8,
+    trajectories: u8,
+    left: Bounds,
+    followed: Option<Followed>,
+    /// The holder by the robot's own grants.
+    granted: Option<u8>,
+    /// Heartbeats or grants arrived last at this true time.
+    renewed: u8,
+    taken: Option<(u64, u8)>,
+    older_taken: bool,
+    stopped: bool,
+    resumed: Option<u8>,
+    moved: bool,
+}
+
+/// The system, without a rule if told so.
+#[derive(Debug)]
+pub struct System {
+    bounds: Bounds,
+    without: Option<Rule>,
+    config: EdgeConfig,
+    obstacles: LocalObstacles,
+}
+
+fn clock(ticks: u8) -> Stamp {
+    Stamp::from_secs(10.0 + TICK * f64::from(ticks))
+}
+
+fn secs(ticks: u8) -> f64 {
+    TICK * f64::from(ticks)
+}
+
+const fn name(mission: u8) -> &'static str {
+    if mission == 0 { "mission-a" } else { "mission-b" }
+}
+
+impl System {
+    fn has(&self, rule: Rule) -> bool {
+        self.without != Some(rule)
+    }
+
+    fn robot(&self, brakes: bool, persisted: Persisted) -> Authority {
+        let on_lost = if brakes {
+            LostPolicy::Stop
+        } else {
+            LostPolicy::FinishHorizon
+        };
+        let config = EdgeConfig {
+            on_lost,
+            ..self.config.clone()
+        };
+        Authority::new(&config, persisted)
+    }
+
+    fn is_moving(&self, state: &State) -> bool {
+        let now = state.clock();
+        let Some(plan) = &state.plan.0 else { return false };
+        let source = state.robot.motion_source(now, plan.is_valid(now));
+        let rolls = source == MotionSource::Brake && !self.has(Rule::Policy);
+        (source == MotionSource::Plan || rolls) && plan.speed_cap(now, self.config.tick, &self.config.model.drive) > 0.0
+    }
+
+    fn judge(&self, state: &mut State, letter: Letter) -> Option<()> {
+        let now = state.clock();
+        let epoch = state.robot.epoch();
+        let given = *state.given.get(usize::from(letter.grant))?;
+        let ahead = if letter.mistake == Some(Mistake::Ahead) { 2 } else { 0 };
+        let valid = if letter.mistake == Some(Mistake::Endless) {
+            100
+        } else {
+            VALID
+        };
+        let (boot, ticks) = state.at(letter.born);
+        let boot = if self.has(Rule::Boot) { boot } else { state.boots.len() };
+        let stamp = if self.has(Rule::FromState) {
+            clock(ticks + ahead)
+        } else {
+            now
+        };
+        state.trajectories += u8::from(!letter.renews);
+        let trajectory = state.trajectories;
+        let plan = Plan {
+            goal_id: "g".to_owned(),
+            epoch: if self.has(Rule::Epoch) { given.epoch } else { epoch },
+            revision: Revision {
+                incarnation: given.mission.into(),
+                counter: letter.revision.into(),
+            },
+            trajectory_id: trajectory.into(),
+            map: MapRef::default(),
+            frame: "map".to_owned(),
+            based_on: BasedOn {
+                stamp,
+                boot_id: boot_id(boot),
+            },
+            valid_for: secs(valid),
+            waypoints: vec![Point2::new(5.0, f64::from(trajectory))],
+            trajectory: Trajectory::default(),
+            splice: None,
+            statistics: PlanStatistics::default(),
+        };
+        let newest = state.newest.filter(|(of, _)| *of == epoch && self.has(Rule::Newer));
+        let live = state.robot.is_live_as(now, LeaseRole::Mission);
+        let grant = Grant {
+            now: if self.has(Rule::Future) { now } else { now.max(stamp) },
+            boot_id: &boot_id(state.boots.len()),
+            epoch,
+            mission_live: live || !self.has(Rule::Live),
+            stopped: state.robot.is_stopped(),
+            resumed: state.robot.resumed().filter(|_| self.has(Rule::Resume)),
+            newest: newest.map(|(_, revision)| revision),
+            longest_step: self.config.settings.acceptance.longest_step,
+            max_validity: if self.has(Rule::Longest) { secs(LONGEST) } else { 1e6 },
+        };
+        let expiry = judge_head(&plan, &grant).ok()?;
+        let expiry = if self.has(Rule::Expiry) {
+            expiry
+        } else {
+            expiry.plus_secs(1e6)
+        };
+        let revision = plan.revision;
+        let scene = Scene {
+            model: &self.config.model,
+            map_from_base: Pose2::default(),
+            map_from_odom: Pose2::default(),
+            velocity: Twist2::ZERO,
+            obstacles: &self.obstacles,
+            settings: &self.config.settings,
+        };
+        ActivePlan::take(&mut state.plan.0, plan, Pose2::IDENTITY, expiry, &scene).ok()?;
+        state.newest = Some((epoch, revision));
+        let rank = (epoch, letter.revision);
+        state.older_taken |= state.taken.is_some_and(|taken| taken >= rank);
+        state.taken = Some(rank);
+        state.followed = Some(Followed {
+            writer: given.mission,
+            born: letter.born + ahead,
+            valid: valid.min(LONGEST),
+            accepted: state.time,
+            with_lease: live,
+        });
+        Some(())
+    }
+
+    fn discard(state: &mut State, reason: Option<&str>) {
+        if reason.is_some() {
+            state.plan.0 = None;
+        }
+    }
+}
+
+fn boot_id(boot: usize) -> String {
+    format!("boot{boot}")
+}
+
+fn log(state: &State) -> EventLog {
+    EventLog::new(boot_id(state.boots.len()))
+}
+
+impl State {
+    /// Ticks of the robot's clock at a true time, and which boot that was.
+    fn at(&self, time: u8) -> (usize, u8) {
+        let boot = self.boots.iter().filter(|began| **began <= time).count();
+        let began = boot.checked_sub(1).and_then(|last| self.boots.get(last));
+        (boot, time - began.copied().unwrap_or_default())
+    }
+
+    fn clock(&self) -> Stamp {
+        clock(self.at(self.time).1)
+    }
+
+    fn is_past(&self, born: u8, ticks: u8) -> bool {
+        self.time >= born + ticks
+    }
+}
+
+impl Model for System {
+    type State = State;
+    type Action = Action;
+
+    fn init_states(&self) -> Vec<State> {
+        let begins = |brakes| State {
+            brakes,
+            robot: Text(self.robot(brakes, Persisted::default())),
+            plan: InForce(None),
+            newest: None,
+            disk: Text::default(),
+            boots: vec![0],
+            time: 0,
+            given: Vec::new(),
+            beats: 0,
+            trajectories: 0,
+            left: self.bounds,
+            followed: None,
+            granted: None,
+            renewed: 0,
+            taken: None,
+            older_taken: false,
+            stopped: false,
+            resumed: None,
+            moved: false,
+        };
+        vec![begins(false), begins(true)]
+    }
+
+    fn actions(&self, state: &State, actions: &mut Vec<Action>) {
+        let left = &state.left;
+        if left.grants > 0 {
+            actions.extend([Action::Acquire(0), Action::Acquire(1)]);
+        }
+        actions.extend((!state.given.is_empty() && left.beats > 0).then_some(Action::Beat));
+        if left.plans > 0 {
+            let mistakes = [None, Some(Mistake::Endless), Some(Mistake::Ahead)];
+            let mistakes = mistakes
+                .get(..if left.mistakes > 0 { 3 } else { 1 })
+                .unwrap_or_default();
+            for grant in (0..).take(state.given.len()) {
+                for (revision, born, mistake) in (1..=self.bounds.plans)
+                    .flat_map(|revision| (0..=state.time).map(move |born| (revision, born)))
+                    .flat_map(|(revision, born)| mistakes.iter().map(move |mistake| (revision, born, *mistake)))
+                {
+                    let letter = |renews| Letter {
+                        grant,
+                        revision,
+                        born,
+                        renews,
+                        mistake,
+                    };
+                    actions.push(Action::Plan(letter(false)));
+                    actions.extend((state.trajectories > 0).then(|| Action::Plan(letter(true))));
+                }
+            }
+        }
+        actions.extend((left.ticks > 0).then_some(Action::Tick));
+        actions.extend((left.stops > 0 && !state.stopped).then_some(Action::Stop));
+        actions.extend(state.stopped.then_some(Action::Resume));
+        actions.extend((left.restarts > 0).then_some(Action::Restart));
+    }
+
+    fn next_state(&self, last: &State, action: Action) -> Option<State> {
+        let mut state = last.clone();
+        let now = state.clock();
+        let mut log = log(last);
+        match action {
+            Action::Acquire(mission) => {
+                state.left.grants -= 1;
+                let request_id = format!("r{}", state.left.grants);
+                let request = LeaseRequest::new(name(mission), LeaseRole::Mission, LeaseAction::Acquire, request_id);
+                let decision = state.robot.lease(now, &request, &mut log);
+                *state.disk = state.robot.unpersisted().unwrap_or(state.disk.0.clone());
+                let reply = decision.answer.ok()?;
+                if self.has(Rule::HandoverDiscards) {
+                    Self::discard(&mut state, decision.discard_reason);
+                }
+                state.granted = Some(mission);
+                state.renewed = state.time;
+                state.beats = 0;
+                state.given.push(Given {
+                    mission,
+                    epoch: reply.epoch,
+                });
+            }
+            Action::Beat => {
+                state.left.beats -= 1;
+                state.beats += 1;
+                let given = state.given.last()?;
+                let beat = Heartbeat {
+                    holder: name(given.mission).to_owned(),
+                    epoch: given.epoch,
+                    counter: state.beats.into(),
+                    echo: None,
+                };
+                let live = state.robot.is_live_as(now, LeaseRole::Mission);
+                state.robot.heartbeat(now, &beat);
+                if live {
+                    state.renewed = state.time;
+                }
+            }
+            Action::Plan(letter) => {
+                state.left.plans -= 1;
+                state.left.mistakes -= u8::from(letter.mistake.is_some());
+                self.judge(&mut state, letter)?;
+            }
+            Action::Tick => {
+                state.left.ticks -= 1;
+                state.time += 1;
+            }
+            Action::Stop => {
+                state.left.stops -= 1;
+                let decision = state.robot.stop(now, &StopRequest::default(), &mut log);
+                *state.disk = state.robot.unpersisted().unwrap_or(state.disk.0.clone());
+                if self.has(Rule::StopDiscards) {
+                    Self::discard(&mut state, decision.discard_reason);
+                }
+                if !self.has(Rule::Latch) {
+                    // The plan is discarded, and that is all.
+                    state.robot.resume(Stamp::ZERO, &ResumeRequest::default(), &mut log);
+                }
+                state.stopped = true;
+            }
+            Action::Resume => {
+                state.robot.resume(now, &ResumeRequest::default(), &mut log);
+                *state.disk = state.robot.unpersisted().unwrap_or(state.disk.0.clone());
+                state.stopped = false;
+                state.resumed = Some(state.time);
+            }
+            Action::Restart => {
+                state.left.restarts -= 1;
+                let mut disk = state.disk.0.clone();
+                disk.stopped &= self.has(Rule::LatchOnDisk);
+                *state.robot = self.robot(state.brakes, disk);
+                state.boots.push(state.time);
+                (state.plan.0, state.newest, state.followed, state.granted) = (None, None, None, None);
+            }
+        }
+        state.moved |= self.is_moving(&state);
+        Some(state)
+    }
+
+    fn properties(&self) -> Vec<Property<Self>> {
+        vec![
+            Property::always("no motion past a plan's validity", |system: &Self, state: &State| {
+                let is_past = |followed: &Followed| state.is_past(followed.born, followed.valid);
+                !system.is_moving(state) || !state.followed.as_ref().is_none_or(is_past)
+            }),
+            Property::always(
+                "no plan moves the robot for longer than the longest validity",
+                |system: &Self, state: &State| {
+                    let is_past = |followed: &Followed| state.is_past(followed.accepted, LONGEST);
+                    !system.is_moving(state) || !state.followed.as_ref().is_none_or(is_past)
+                },
+            ),
+            Property::always("a plan is not replaced by an older one", |_, state: &State| {
+                !state.older_taken
+            }),
+            Property::always(
+                "no motion on a plan of somebody who holds the lease no more",
+                |system: &Self, state: &State| {
+                    !system.is_moving(state) || state.followed.as_ref().map(|followed| followed.writer) == state.granted
+                },
+            ),
+            Property::always("no plan is accepted without a live lease", |_, state: &State| {
+                state.followed.as_ref().is_none_or(|followed| followed.with_lease)
+            }),
+            Property::always("no motion while stopped", |system: &Self, state: &State| {
+                !(state.stopped && system.is_moving(state))
+            }),
+            Property::always(
+                "after a stop, no motion but on a plan made after the resume",
+                |system: &Self, state: &State| {
+                    !system.is_moving(state)
+                        || state
+                            .followed
+                            .as_ref()
+                            .is_none_or(|followed| state.resumed.is_none_or(|resumed| followed.born >= resumed))
+                },
+            ),
+            Property::always(
+                "by the policy `stop`, no motion without a live lease",
+                |system: &Self, state: &State| {
+                    !state.brakes || !system.is_moving(state) || state.time - state.renewed <= 1
+                },
+            ),
+            Property::sometimes("a plan moves the robot", |_, state: &State| state.moved),
+            Property::sometimes("a robot that was resumed moves", |system: &Self, state: &State| {
+                state.resumed.is_some() && system.is_moving(state)
+            }),
+        ]
+    }
+}
+
+/// This part of the contract.
+#[derive(Debug)]
+pub struct PlanValidity;
+
+impl Part for PlanValidity {
+    type Rule = Rule;
+    type System = System;
+    const NAME: &'static str = "plan";
+    const RULES: &'static [(Rule, &'static str)] = &[
+        (
+            Rule::FromState,
+            "a plan's validity counts from the state that it was made from, not from its arrival",
+        ),
+        (Rule::Expiry, "an expired plan moves nothing"),
+        (
+            Rule::Longest,
+            "no plan is believed for longer than the longest validity",
+        ),
+        (Rule::Future, "a plan based on a state of the future is refused"),
+        (
+            Rule::Boot,
+            "a plan based on a state of another boot is refused: its stamps are another clock's",
+        ),
+        (
+            Rule::Newer,
+            "a plan that is not newer than the newest of its epoch is refused",
+        ),
+        (Rule::Epoch, "a plan of another epoch is refused"),
+        (Rule::Live, "a plan is refused while no mission holds a live lease"),
+        (
+            Rule::HandoverDiscards,
+            "a lease that goes to somebody else discards the plan",
+        ),
+        (Rule::Latch, "a stop latches until it is resumed"),
+        (Rule::LatchOnDisk, "the latch is on disk: a restart does not release it"),
+        (Rule::StopDiscards, "a stop discards the plan"),
+        (Rule::Resume, "a plan made before the resume is refused"),
+        (
+            Rule::Policy,
+            "by the policy `stop`, a robot whose lease lapses brakes at once",
+        ),
+    ];
+
+    fn bounds(size: Size) -> Vec<String> {
+        let Bounds {
+            ticks,
+            grants,
+            beats,
+            plans,
+            stops,
+            restarts,
+            mistakes,
+        } = bounds(size);
+        vec![format!(
+            "two missions; {grants} grants, {beats} heartbeats, {plans} plans ({mistakes} of them wrong about stamp or validity), {stops} stops, \
+             {restarts} restarts of the robot whose clock begins anew, {ticks} ticks of {TICK} s; a plan is valid for {VALID} ticks, the \
+             longest validity is {LONGEST}; both policies for a lost lease"
+        )]
+    }
+
+    fn system(size: Size, _which: usize) -> System {
+        system(size, None)
+    }
+
+    fn without(rule: Rule) -> System {
+        system(Size::Small, Some(rule))
+    }
+}
+
+fn system(size: Size, without: Option<Rule>) -> System {
+    let config = config();
+    System {
+        bounds: bounds(size),
+        without,
+        obstacles: LocalObstacles::new(&config.model),
+        config,
+    }
+}
+
+const fn bounds(size: Size) -> Bounds {
+    match size {
+        Size::Small => Bounds {
+            ticks: 4,
+            grants: 2,
+            beats: 1,
+            plans: 2,
+            stops: 1,
+            restarts: 1,
+            mistakes: 1,
+        },
+        Size::Large => Bounds {
+            ticks: 5,
+            grants: 2,
+            beats: 1,
+            plans: 3,
+            stops: 1,
+            restarts: 1,
+            mistakes: 1,
+        },
+    }
+}

@@ -1,0 +1,266 @@
+//! A map that moves. Does a loop closure harm a robot that is driving?
+//!
+//! A robot without GPS and compass drives through a corridor, mapping. On its way to a goal that it has a map of, a closure is injected: the
+//! map behind it bends, and everything about robot and goal moves by a metre. The same drive without the closure is what it is compared with.
+
+use std::fmt::Write as _;
+
+use nalgebra::{Point2, Vector2};
+use zenav::lockstep::{ClosedLoop, ClosedLoopConfig};
+use zenav_cloud::mapping::{PoseSettings, PoseSource};
+use zenav_cloud::motion::MotionSettings;
+use zenav_edge::EdgeConfig;
+use zenav_mapping::MappingSettings;
+use zenav_mission::MissionConfig;
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::id::Id;
+use zenav_protocol::messages::{GoalPhase, GoalRequest};
+use zenav_protocol::robot::RobotModel;
+use zenav_protocol::topics::MissionRequest;
+use zenav_sim::{RobotSpec, Simulation, TICK, World};
+
+use super::worlds::Rng;
+
+/// The corridor: length and width, m.
+const CORRIDOR: (f64, f64) = (24.0, 3.0);
+/// Where the map bends, m along the corridor: from the first place on the map turns, behind the second it moves as one body.
+const HINGE: (f64, f64) = (5.0, 9.0);
+/// How far the robot's surroundings move, m.
+const MOVE: f64 = 1.0;
+/// Longest drive, s.
+const LONGEST: f64 = 150.0;
+/// Slower than this is at rest, m/s.
+const AT_REST: f64 = 0.03;
+/// So near to the goal the robot brakes for it, m.
+const BRAKING: f64 = 1.5;
+
+/// How a drive went.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Closing {
+    /// The seed.
+    pub seed: u64,
+    /// Whether the mission took the goal for reached.
+    pub succeeded: bool,
+    /// Distance of the robot from the goal's spot in the building at the end, by truth, m.
+    pub error: f64,
+    /// Largest distance from the way that is driven without the closure, m.
+    pub beside: f64,
+    /// Time from the closure to the goal beyond that without the closure, s.
+    pub later: f64,
+    /// Time at rest between the closure and the goal beyond that without the closure, s.
+    pub stood: f64,
+    /// How far the goal's numbers moved, m.
+    pub moved: f64,
+    /// Frames that began.
+    pub frames: u64,
+    /// Contacts.
+    pub collisions: u32,
+    /// Plans that replaced one.
+    pub replans: u64,
+}
+
+impl Closing {
+    /// Whether the closure did no harm.
+    #[must_use]
+    pub fn is_good(&self) -> bool {
+        self.succeeded
+            && self.error <= 0.05
+            && self.beside <= 0.03
+            && self.later <= 0.5
+            && self.stood <= 0.1
+            && self.collisions == 0
+            && self.frames > 0
+            && (self.moved - MOVE).abs() < 0.5 * MOVE
+    }
+}
+
+/// One drive.
+struct Drive {
+    end: Closing,
+    /// Places after the closure would have been injected, with the speed and the distance from the goal's spot.
+    way: Vec<(Point2<f64>, f64, f64)>,
+}
+
+/// Drives with and without a closure.
+///
+/// # Errors
+/// What cannot be set up.
+pub fn drive(seed: u64) -> Result<Closing, String> {
+    let plain = run(seed, false)?;
+    let closed = run(seed, true)?;
+    let apart = |place: Point2<f64>| {
+        let ways = plain.way.windows(2);
+        ways.map(|pair| distance(place, pair[0].0, pair[1].0))
+            .fold(f64::INFINITY, f64::min)
+    };
+    let stood = |drive: &Drive| {
+        let at_rest = drive
+            .way
+            .iter()
+            .filter(|(_, speed, left)| *left > BRAKING && speed.abs() < AT_REST);
+        TICK.as_secs_f64() * at_rest.count() as f64
+    };
+    Ok(Closing {
+        beside: closed.way.iter().map(|(place, ..)| apart(*place)).fold(0.0, f64::max),
+        later: TICK.as_secs_f64() * (closed.way.len() as f64 - plain.way.len() as f64),
+        stood: stood(&closed) - stood(&plain),
+        ..closed.end
+    })
+}
+
+fn run(seed: u64, closes: bool) -> Result<Drive, String> {
+    let mut rng = Rng::new(seed, 7);
+    let world = World::from_toml(&corridor(&mut rng), "corridor", &|name| Err(name.to_owned()))
+        .map_err(|error| error.to_string())?;
+    let model =
+        RobotModel::with_options("tiago+indoor", |name| Err(name.to_owned())).map_err(|error| error.to_string())?;
+    let id = Id::robot("tiago").map_err(|error| error.to_string())?;
+    let start = world.start();
+    let config = ClosedLoopConfig {
+        edge: EdgeConfig::new(id.clone(), model.clone(), start),
+        mission: MissionConfig::new(id.clone(), "mission", "unused".into()),
+        mapping: MappingSettings::default(),
+        poses: PoseSettings {
+            source: PoseSource::Slam,
+            ..PoseSettings::default()
+        },
+        motion: MotionSettings::default(),
+        known_map: None,
+        cloud_delay: rng.between(0.05, 0.4),
+        seed,
+    };
+    let spec = RobotSpec { id, model, start };
+    let simulation = Simulation::new(&world, vec![spec], seed).map_err(|error| error.to_string())?;
+    let mut stage = ClosedLoop::new(simulation, vec![config]);
+    let goal = |id: &str, x: f64, y: f64| {
+        MissionRequest::Goal(GoalRequest {
+            id: Some(id.to_owned()),
+            x: Some(x),
+            y: Some(y),
+            ..GoalRequest::default()
+        })
+    };
+    let turn_to = if rng.chance(0.5) { 1.0 } else { -1.0 };
+    let closes_at = rng.between(15.0, 17.5);
+    let (first, second) = (
+        (13.0, 1.5 + rng.between(-0.3, 0.3)),
+        (20.5, 1.5 + rng.between(-0.3, 0.3)),
+    );
+    stage.robots[0].ask(goal("there", first.0, first.1));
+    let mut drive = Drive {
+        end: Closing {
+            seed,
+            ..Closing::default()
+        },
+        way: Vec::new(),
+    };
+    let mut spot: Option<Point2<f64>> = None;
+    let mut is_bent = false;
+    while stage.now().as_secs() < LONGEST {
+        stage.tick();
+        let truth = stage.truth(0);
+        let robot = &mut stage.robots[0];
+        let Some(state) = robot.goal().cloned() else { continue };
+        let Some(spot) = spot else {
+            if state.state == GoalPhase::Succeeded {
+                // Where the numbers of the goal are in the building, by where the robot is in both.
+                let building_from_map = truth.map_from_base * robot.pilot.map_from_base().inverse();
+                spot = Some(building_from_map.transform_point(Point2::new(second.0, second.1)));
+                robot.ask(goal("on", second.0, second.1));
+            } else if state.state.is_end() {
+                return Err(format!(
+                    "seed {seed}: the first goal ended: {:?} {:?}",
+                    state.state, state.reason
+                ));
+            }
+            continue;
+        };
+        let here = truth.map_from_base;
+        if here.x >= closes_at {
+            if closes && !is_bent {
+                robot.mapping.bend(|pose| bent(pose, closes_at, turn_to));
+                is_bent = true;
+            }
+            drive
+                .way
+                .push((here.position(), truth.twist.v, (here.position() - spot).norm()));
+        }
+        if state.id == "on" && state.state.is_end() {
+            let now = state.resolved.first();
+            drive.end = Closing {
+                succeeded: state.state == GoalPhase::Succeeded,
+                error: (here.position() - spot).norm(),
+                moved: now.map_or(0.0, |now| (now.x - second.0).hypot(now.y - second.1)),
+                frames: robot.mapping.mapper.map().frame,
+                collisions: truth.collisions,
+                replans: state.feedback.replans,
+                ..drive.end
+            };
+            break;
+        }
+    }
+    Ok(drive)
+}
+
+/// Where a node goes: what lies behind the hinge stays, what lies beyond turns about it, so far that at `x` everything moves by [`MOVE`].
+fn bent(pose: Pose2, x: f64, turn_to: f64) -> Pose2 {
+    let (from, to) = HINGE;
+    let long = to - from;
+    let curvature = turn_to * MOVE / (0.5 * long * long + long * (x - to));
+    let within = (pose.x - from).clamp(0.0, long);
+    let beyond = (pose.x - to).max(0.0);
+    // An arc of the hinge, then straight on.
+    let yaw = curvature * within;
+    let along = from.min(pose.x);
+    let arc = Vector2::new(within, 0.5 * curvature * within * within);
+    let (sin, cos) = yaw.sin_cos();
+    let middle = 1.5;
+    let across = pose.y - middle;
+    Pose2::new(
+        along + arc.x + beyond * cos - across * sin,
+        middle + arc.y + beyond * sin + across * cos,
+        pose.yaw + yaw,
+    )
+}
+
+/// Distance of a point from a segment, m.
+fn distance(point: Point2<f64>, from: Point2<f64>, to: Point2<f64>) -> f64 {
+    let way = to - from;
+    let share = (way.dot(&(point - from)) / way.norm_squared().max(1e-12)).clamp(0.0, 1.0);
+    (point - (from + way * share)).norm()
+}
+
+/// A corridor with things along its walls.
+fn corridor(rng: &mut Rng) -> String {
+    let (long, wide) = CORRIDOR;
+    let mut text = format!(
+        "name = \"corridor\"\nsize = [{long}, {wide}]\norigin = [0.0, 0.0]\n[start]\nx = 1.5\ny = 1.5\nyaw = 0.0\n"
+    );
+    let mut wall = |from: (f64, f64), to: (f64, f64)| {
+        let _ = write!(
+            text,
+            "[[wall]]\nfrom = [{}, {}]\nto = [{}, {}]\nthickness = 0.1\n",
+            from.0, from.1, to.0, to.1
+        );
+    };
+    for (from, to) in [
+        ((0.0, 0.0), (long, 0.0)),
+        ((0.0, wide), (long, wide)),
+        ((0.0, 0.0), (0.0, wide)),
+        ((long, 0.0), (long, wide)),
+    ] {
+        wall(from, to);
+    }
+    let mut x = 1.0;
+    while x < long - 1.0 {
+        let depth = rng.between(0.1, 0.3);
+        let y = if rng.chance(0.5) {
+            (0.0, depth)
+        } else {
+            (wide, wide - depth)
+        };
+        wall((x, y.0), (x, y.1));
+        x += rng.between(0.8, 2.2);
+    }
+    text
+}

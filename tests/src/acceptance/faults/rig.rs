@@ -1,0 +1,261 @@
+//! Rig. How are the parts started, cut off, killed and frozen?
+
+use std::fmt::Write as _;
+use std::path::PathBuf;
+use std::process::Command;
+use std::time::Duration;
+
+use tempfile::TempDir;
+use zenav_protocol::bus::{Bus, BusConfig};
+use zenav_protocol::messages::LostPolicy;
+
+use super::OWN_NETWORK;
+use super::rows::{Line, Part, Place, Row};
+use crate::deployment::ROBOT;
+use crate::process::{Process, free_endpoint};
+use crate::usage::memory;
+
+/// Wall time for a part to take a session.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// The parts of one deployment, and the robot's link.
+pub struct Rig {
+    binary: PathBuf,
+    folder: TempDir,
+    /// The router, for everybody but the robot.
+    router: String,
+    /// The router, for the robot; with a proxy in between, the proxy.
+    line: String,
+    /// The robot's own endpoint.
+    robot: String,
+    proxy: Option<Process>,
+    parts: Vec<(Part, Process)>,
+    lossy: Option<u32>,
+    cut: bool,
+}
+
+/// Whether the kernel may impair this process's network: it is the row's own.
+fn own_network() -> bool {
+    std::env::var_os(OWN_NETWORK).is_some()
+}
+
+impl Rig {
+    /// Starts the parts of a row, in its order.
+    ///
+    /// # Errors
+    /// When a file cannot be written or the network cannot be impaired.
+    pub fn start(binary: PathBuf, row: &Row) -> Result<Self, String> {
+        let folder = tempfile::tempdir().map_err(|error| error.to_string())?;
+        let mut rig = Self {
+            binary,
+            folder,
+            router: free_endpoint(),
+            line: free_endpoint(),
+            robot: free_endpoint(),
+            proxy: None,
+            parts: Vec::new(),
+            lossy: None,
+            cut: false,
+        };
+        rig.write_deployment(row).map_err(|error| error.to_string())?;
+        rig.impair(row.line)?;
+        for part in row.order {
+            let process = rig.process(part);
+            rig.parts.push((part, process));
+        }
+        Ok(rig)
+    }
+
+    fn write_deployment(&self, row: &Row) -> std::io::Result<()> {
+        let world = match row.place {
+            Place::Kitchen => "kitchen".to_owned(),
+            Place::Depot => {
+                let file = self.folder.path().join("depot.toml");
+                std::fs::write(&file, depot())?;
+                file.to_string_lossy().into_owned()
+            }
+        };
+        let on_lost = match row.policy {
+            LostPolicy::Stop => "stop",
+            _ => "finish_horizon",
+        };
+        let Self {
+            router, line, robot, ..
+        } = self;
+        for (name, connect) in [("cloud.toml", router), ("edge.toml", line)] {
+            let text = format!(
+                "[bus]\nconnect = \"{connect}\"\n[simulation]\nworld = '{world}'\n[robots.{ROBOT}]\nmodel = \"tiago\"\nlisten = \"{robot}\"\n\
+                 on_lost = \"{on_lost}\"\n"
+            );
+            std::fs::write(self.folder.path().join(name), text)?;
+        }
+        Ok(())
+    }
+
+    fn impair(&mut self, line: Line) -> Result<(), String> {
+        let mut arguments = vec!["netem", "--listen", &self.line, "--to", &self.router];
+        let (delay, rate, stall);
+        match line {
+            Line::Good if own_network() => return Ok(()),
+            Line::Loss(percent) if own_network() => {
+                self.lossy = Some(percent);
+                return self.drop_segments("-A", Some(percent));
+            }
+            Line::Good => {}
+            Line::RoundTrip(millis) => {
+                delay = format!("{}us", 500 * millis);
+                arguments.extend(["--delay", &delay]);
+            }
+            Line::Rate(kbit) => {
+                rate = format!("{kbit}kbit");
+                arguments.extend(["--rate", &rate]);
+            }
+            Line::Loss(percent) => {
+                // A lost segment holds up those behind it for a retransmission; some 50 segments pass in a second.
+                stall = format!("200ms/{}ms", 2000 / percent.max(1));
+                arguments.extend(["--stall", &stall]);
+            }
+        }
+        self.proxy = Some(Process::start(&self.binary, &arguments, self.folder.path()));
+        Ok(())
+    }
+
+    /// Drops segments of the robot's link in the kernel, both ways: a share of them, or all.
+    fn drop_segments(&self, how: &str, percent: Option<u32>) -> Result<(), String> {
+        let port = self.line.rsplit(':').next().unwrap_or_default();
+        for way in ["--dport", "--sport"] {
+            let mut command = Command::new("iptables");
+            command.args(["-w", how, "INPUT", "-p", "tcp", way, port]);
+            if let Some(percent) = percent {
+                let share = format!("{:.2}", f64::from(percent) / 100.0);
+                command.args(["-m", "statistic", "--mode", "random", "--probability", &share]);
+            }
+            let output = command.args(["-j", "DROP"]).output();
+            let output = output.map_err(|error| format!("iptables: {error}"))?;
+            if !output.status.success() {
+                return Err(format!("iptables: {}", String::from_utf8_lossy(&output.stderr)));
+            }
+        }
+        Ok(())
+    }
+
+    /// Cuts the robot's link.
+    ///
+    /// # Errors
+    /// When the network cannot be impaired.
+    pub fn cut(&mut self) -> Result<(), String> {
+        self.cut = true;
+        match &self.proxy {
+            Some(proxy) => proxy.pause(),
+            None => self.drop_segments("-I", None),
+        }
+    }
+
+    /// Heals the robot's link.
+    ///
+    /// # Errors
+    /// When the network cannot be healed.
+    pub fn heal(&mut self) -> Result<(), String> {
+        self.cut = false;
+        match &self.proxy {
+            Some(proxy) => proxy.resume(),
+            None => self.drop_segments("-D", None),
+        }
+    }
+
+    fn process(&self, part: Part) -> Process {
+        let start = |arguments: &[&str]| Process::start(&self.binary, arguments, self.folder.path());
+        let cloud = |service| start(&["cloud", service, "--deployment", "cloud.toml", "--data", "cloud"]);
+        match part {
+            // Without a proxy the robot comes to an endpoint of its own: that link alone is impaired.
+            Part::Router if self.proxy.is_none() => {
+                start(&["router", "--listen", &self.router, "--listen", &self.line])
+            }
+            Part::Router => start(&["router", "--listen", &self.router]),
+            Part::Edge => start(&["edge", "--deployment", "edge.toml", "--data", "edge"]),
+            Part::Mapping => cloud("mapping"),
+            Part::Motion => cloud("planning"),
+            Part::Mission => cloud("mission"),
+        }
+    }
+
+    /// Kills a part and starts another one in its place.
+    pub fn replace(&mut self, part: Part) {
+        let old = self.parts.iter().position(|(known, _)| *known == part);
+        if let Some(place) = old {
+            let (_, mut process) = self.parts.swap_remove(place);
+            process.kill();
+        }
+        let new = self.process(part);
+        self.parts.push((part, new));
+    }
+
+    /// A part's process.
+    pub fn part(&self, part: Part) -> Option<&Process> {
+        self.parts
+            .iter()
+            .find(|(known, _)| *known == part)
+            .map(|(_, process)| process)
+    }
+
+    /// What every part has in memory, MiB.
+    #[must_use]
+    pub fn memory(&self) -> Vec<(&'static str, f64)> {
+        let mut parts: Vec<_> = self.parts.iter().collect();
+        parts.sort_by_key(|(part, _)| *part);
+        let resident = |(part, process): &(Part, Process)| {
+            let bytes = memory(process.id()).unwrap_or_default();
+            (part.name(), bytes as f64 / (1024.0 * 1024.0))
+        };
+        parts.into_iter().map(resident).collect()
+    }
+
+    /// The parts that have ended by themselves, each with the end of its log.
+    pub fn ended(&mut self) -> Vec<String> {
+        let mut ended = Vec::new();
+        for (part, process) in &mut self.parts {
+            if !process.is_running() {
+                let log = process.log();
+                let mut text = format!("{} has ended", part.name());
+                let _ = write!(text, ": {}", log.lines().last().unwrap_or_default());
+                ended.push(text);
+            }
+        }
+        ended
+    }
+
+    /// Joins beside the cloud's parts, and at the robot: both links are good.
+    ///
+    /// # Errors
+    /// When nobody listens in time.
+    pub async fn join(&self) -> Result<(Bus, Bus), String> {
+        let open = async |name: &'static str, endpoint: &str| {
+            let opened = tokio::time::timeout(PATIENCE, Bus::open(BusConfig::service(name, endpoint))).await;
+            let opened = opened.map_err(|_| format!("nobody listens on {endpoint}"))?;
+            opened.map_err(|error| error.to_string())
+        };
+        Ok((open("client", &self.router).await?, open("watch", &self.robot).await?))
+    }
+}
+
+/// A hall of 20 m by 10 m with three rows of shelves and aisles of 1.9 m.
+fn depot() -> String {
+    let mut text = String::from("name = \"depot\"\nsize = [20.0, 10.0]\norigin = [-1.0, -5.0]\n");
+    let mut wall = |from: (f64, f64), to: (f64, f64), thickness: f64| {
+        let _ = writeln!(
+            text,
+            "[[wall]]\nfrom = [{:?}, {:?}]\nto = [{:?}, {:?}]\nthickness = {thickness:?}",
+            from.0, from.1, to.0, to.1
+        );
+    };
+    for y in [-4.9, 4.9] {
+        wall((-0.9, y), (18.9, y), 0.1);
+    }
+    for x in [-0.9, 18.9] {
+        wall((x, -4.9), (x, 4.9), 0.1);
+    }
+    for y in [-2.4, 0.9, 3.2] {
+        wall((2.0, y), (15.5, y), 0.6);
+    }
+    text
+}

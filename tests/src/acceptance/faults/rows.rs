@@ -1,0 +1,208 @@
+//! Rows. Which faults are there? Each with its world, its policy for a lost link, and how often it is injected.
+
+use zenav_protocol::messages::LostPolicy;
+
+/// A part of a deployment that is a process of its own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Part {
+    /// The router.
+    Router,
+    /// The robot.
+    Edge,
+    /// The mapper.
+    Mapping,
+    /// The motion worker.
+    Motion,
+    /// The orchestrator.
+    Mission,
+}
+
+/// All parts, in the order in which they are started.
+pub const PARTS: [Part; 5] = [Part::Router, Part::Edge, Part::Mapping, Part::Motion, Part::Mission];
+
+impl Part {
+    /// Its name in the table.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Router => "router",
+            Self::Edge => "edge",
+            Self::Mapping => "mapping",
+            Self::Motion => "motion",
+            Self::Mission => "mission",
+        }
+    }
+}
+
+/// Where the robot drives.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Place {
+    /// The shipped kitchen.
+    Kitchen,
+    /// A hall of 20 m with three rows of shelves.
+    Depot,
+}
+
+/// What the robot's link is like all the time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Line {
+    /// As loopback is.
+    Good,
+    /// A round trip of so many milliseconds.
+    RoundTrip(u32),
+    /// So many of a hundred segments are lost, each way.
+    Loss(u32),
+    /// So many kbit/s each way.
+    Rate(u32),
+}
+
+/// What happens again and again.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Fault {
+    /// Nothing.
+    None,
+    /// The robot's link is cut for so many seconds.
+    Cut(u32),
+    /// A part is killed, and another one started at once.
+    Kill(Part),
+    /// A part is frozen for so many seconds.
+    Freeze(Part, u32),
+}
+
+/// One row of the table.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Row {
+    /// Names it on the command line.
+    pub name: String,
+    /// Where the robot drives.
+    pub place: Place,
+    /// The robot's policy for a lost link.
+    pub policy: LostPolicy,
+    /// Its link.
+    pub line: Line,
+    /// What happens.
+    pub fault: Fault,
+    /// How often.
+    pub times: usize,
+    /// Missions, at least.
+    pub missions: usize,
+    /// In which order the parts are started.
+    pub order: [Part; 5],
+}
+
+impl Row {
+    fn new(place: Place, what: &str) -> Self {
+        let world = match place {
+            Place::Kitchen => "kitchen",
+            Place::Depot => "depot",
+        };
+        Self {
+            name: format!("{world}: {what}"),
+            place,
+            policy: LostPolicy::FinishHorizon,
+            line: Line::Good,
+            fault: Fault::None,
+            times: 0,
+            missions: 2,
+            order: PARTS,
+        }
+    }
+
+    fn line(place: Place, what: &str, line: Line) -> Self {
+        Self {
+            line,
+            ..Self::new(place, what)
+        }
+    }
+
+    fn fault(place: Place, what: &str, fault: Fault, times: usize) -> Self {
+        Self {
+            fault,
+            times,
+            ..Self::new(place, what)
+        }
+    }
+
+    fn braking(self) -> Self {
+        Self {
+            name: format!("{}, policy `stop`", self.name),
+            policy: LostPolicy::Stop,
+            ..self
+        }
+    }
+}
+
+/// The rows of the whole table.
+#[must_use]
+pub fn all() -> Vec<Row> {
+    let mut rows = Vec::new();
+    for place in [Place::Depot, Place::Kitchen] {
+        rows.push(Row::new(place, "no fault"));
+        for millis in [50, 200, 500, 1000] {
+            rows.push(Row::line(
+                place,
+                &format!("round trip {millis} ms"),
+                Line::RoundTrip(millis),
+            ));
+        }
+        for percent in [5, 20] {
+            rows.push(Row::line(place, &format!("loss {percent} %"), Line::Loss(percent)));
+        }
+        rows.push(Row::line(place, "256 kbit/s", Line::Rate(256)));
+        for (secs, times) in [(1, 3), (5, 3), (15, 2)] {
+            rows.push(Row::fault(place, &format!("cuts of {secs} s"), Fault::Cut(secs), times));
+        }
+    }
+    let depot = Place::Depot;
+    rows.push(Row::fault(depot, "cut of 60 s", Fault::Cut(60), 1));
+    for part in PARTS {
+        let name = if part == Part::Router {
+            "router replaced".to_owned()
+        } else {
+            format!("{} killed", part.name())
+        };
+        rows.push(Row::fault(depot, &name, Fault::Kill(part), 3));
+    }
+    for part in PARTS {
+        rows.push(Row::fault(
+            depot,
+            &format!("{} frozen for 5 s", part.name()),
+            Fault::Freeze(part, 5),
+            2,
+        ));
+    }
+    for (what, order) in orders() {
+        rows.push(Row {
+            order,
+            missions: 1,
+            ..Row::new(depot, what)
+        });
+    }
+    rows.push(Row::fault(depot, "cuts of 5 s", Fault::Cut(5), 2).braking());
+    rows.push(Row::fault(depot, "cuts of 15 s", Fault::Cut(15), 1).braking());
+    rows.push(Row::fault(depot, "mission frozen for 5 s", Fault::Freeze(Part::Mission, 5), 2).braking());
+    rows.push(Row::line(depot, "loss 20 %", Line::Loss(20)).braking());
+    rows
+}
+
+/// A few that show the most, within a minute and a half.
+#[must_use]
+pub fn short() -> Vec<Row> {
+    let one = |row: Row| Row { missions: 1, ..row };
+    [
+        Row::line(Place::Kitchen, "round trip 200 ms", Line::RoundTrip(200)),
+        Row::fault(Place::Kitchen, "cut of 5 s", Fault::Cut(5), 1),
+        Row::fault(Place::Kitchen, "mission killed", Fault::Kill(Part::Mission), 1),
+    ]
+    .map(one)
+    .into()
+}
+
+fn orders() -> [(&'static str, [Part; 5]); 3] {
+    use Part::{Edge, Mapping, Mission, Motion, Router};
+    [
+        ("started backwards", [Mission, Motion, Mapping, Edge, Router]),
+        ("robot first, router last", [Edge, Mapping, Motion, Mission, Router]),
+        ("motion worker last", [Router, Mission, Mapping, Edge, Motion]),
+    ]
+}

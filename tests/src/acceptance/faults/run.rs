@@ -1,0 +1,278 @@
+//! Run. How does one row go? Goals come one after the other; while the robot drives, the fault is injected and healed.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use rand::{RngExt as _, SeedableRng as _};
+use rand_pcg::Pcg64Mcg;
+use serde::{Deserialize, Serialize};
+use tokio::time::{Instant, sleep, timeout};
+use zenav_protocol::bus::{Bus, Latest};
+use zenav_protocol::messages::{GoalPhase, GoalRequest, GoalState, GoalsRequest};
+use zenav_protocol::topics;
+
+use super::rig::Rig;
+use super::rows::{Fault, Place, Row};
+use super::watch::Watch;
+use crate::deployment::ROBOT;
+
+/// Wall time in which a goal is acknowledged.
+const ACKNOWLEDGED: Duration = Duration::from_secs(60);
+/// Wall time in which a mission ends, beyond the faults in it.
+const ENDS: Duration = Duration::from_secs(150);
+/// Longest wait for a robot to drive on.
+const RESUMES: Duration = Duration::from_secs(30);
+/// A fault is injected while so much of the plan is left, s: the robot would not be there before it.
+const LEFT: f64 = 6.0;
+/// Longest time of driving before a fault, s.
+const LONGEST_DRIVE: f64 = 2.0;
+/// Missions at most, however few faults were injected.
+const MOST_MISSIONS: usize = 12;
+
+/// A row as it was found.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Result {
+    /// Its name.
+    pub name: String,
+    /// Missions that were acknowledged, and that succeeded.
+    pub missions: (usize, usize),
+    /// Acknowledged goals that nobody knows.
+    pub lost: usize,
+    /// Contacts.
+    pub collisions: usize,
+    /// Motion without a valid horizon.
+    pub invalid: Vec<String>,
+    /// Times from healing until the robot drove again, s; zero where it had not come to rest.
+    pub resumes: Vec<f64>,
+    /// Wall time of each mission, s.
+    pub secs: Vec<f64>,
+    /// Share of this time in which the robot did not drive.
+    pub rest: f64,
+    /// Memory of each part at the end, MiB.
+    pub memory: Vec<(String, f64)>,
+    /// What else went wrong.
+    pub failures: Vec<String>,
+}
+
+impl Result {
+    /// Whether it kept every promise.
+    #[must_use]
+    pub fn is_good(&self) -> bool {
+        let (asked, succeeded) = self.missions;
+        asked > 0
+            && asked == succeeded
+            && self.lost == 0
+            && self.collisions == 0
+            && self.invalid.is_empty()
+            && self.failures.is_empty()
+    }
+}
+
+/// What a row needs while it runs.
+struct Running<'a> {
+    row: &'a Row,
+    rig: Rig,
+    watch: Watch,
+    random: Pcg64Mcg,
+    found: Result,
+    faults: usize,
+    observed: (u32, u32),
+}
+
+/// Runs a row.
+///
+/// # Errors
+/// When its parts cannot be started or joined.
+pub async fn run(binary: PathBuf, row: &Row, seed: u64) -> std::result::Result<Result, String> {
+    let rig = Rig::start(binary, row)?;
+    let (client, robot) = rig.join().await?;
+    let watch = Watch::new(&robot, row.policy).map_err(|error| error.to_string())?;
+    let mut running = Running {
+        row,
+        rig,
+        watch,
+        random: Pcg64Mcg::seed_from_u64(seed),
+        found: Result {
+            name: row.name.clone(),
+            ..Result::default()
+        },
+        faults: 0,
+        observed: (0, 0),
+    };
+    while running.found.missions.0 < row.missions || running.faults < row.times {
+        if running.found.missions.0 == MOST_MISSIONS {
+            let text = format!("only {} of {} faults were injected", running.faults, row.times);
+            running.found.failures.push(text);
+            break;
+        }
+        let number = running.found.missions.0;
+        if let Err(why) = running.mission(&client, number).await {
+            running.found.failures.push(why);
+            break;
+        }
+    }
+    running.check_goals(&client).await;
+    let mut found = running.found;
+    found.failures.extend(running.rig.ended());
+    found.memory = running
+        .rig
+        .memory()
+        .into_iter()
+        .map(|(part, mib)| (part.to_owned(), mib))
+        .collect();
+    found.collisions = running.watch.collisions;
+    found.invalid = running.watch.invalid;
+    let (at_rest, all) = running.observed;
+    found.rest = f64::from(at_rest) / f64::from(all.max(1));
+    Ok(found)
+}
+
+impl Running<'_> {
+    /// Ends of the way, of which the next goal is one.
+    fn goal(&self, number: usize) -> GoalRequest {
+        let ends = match self.row.place {
+            Place::Kitchen => [(-1.46, -3.12), (0.88, 0.09)],
+            Place::Depot => [(17.2, 2.0), (0.6, -3.6)],
+        };
+        let (x, y) = if number.is_multiple_of(2) { ends[0] } else { ends[1] };
+        GoalRequest {
+            id: Some(format!("goal{number}")),
+            x: Some(x),
+            y: Some(y),
+            ..GoalRequest::default()
+        }
+    }
+
+    async fn pass(&mut self) {
+        self.watch.listen();
+        self.observed.1 += 1;
+        self.observed.0 += u32::from(!self.watch.drives());
+        sleep(Duration::from_millis(20)).await;
+    }
+
+    /// Submits a goal, and injects faults until it has ended.
+    async fn mission(&mut self, client: &Bus, number: usize) -> std::result::Result<(), String> {
+        let request = self.goal(number);
+        let id = format!("goal{number}");
+        let mut states = client
+            .latest(&topics::GOAL_STATE, &[ROBOT, &id])
+            .map_err(|error| error.to_string())?;
+        let submitted = client.ask(&topics::GOAL, &[ROBOT], &request, ACKNOWLEDGED).await;
+        submitted.map_err(|error| format!("{id} was not acknowledged: {error}"))?;
+        self.found.missions.0 += 1;
+        let begun = Instant::now();
+        let mut deadline = begun + ENDS;
+        let mut drive: Option<Instant> = None;
+        loop {
+            self.pass().await;
+            if let Some(state) = states.borrow().filter(|state| state.state.is_end()).cloned() {
+                self.ended(&state, begun);
+                return Ok(());
+            }
+            if Instant::now() > deadline {
+                return Err(format!(
+                    "{id} has not ended after {:.0} s",
+                    begun.elapsed().as_secs_f64()
+                ));
+            }
+            let is_due = self.faults < self.row.times && self.watch.is_under_way(LEFT);
+            if is_due && self.row.fault != Fault::None {
+                let wait = self.random.random_range(0.0..LONGEST_DRIVE);
+                let at = *drive.get_or_insert_with(|| Instant::now() + Duration::from_secs_f64(wait));
+                if Instant::now() >= at {
+                    drive = None;
+                    let since = Instant::now();
+                    self.inject(&mut states).await?;
+                    deadline += since.elapsed();
+                }
+            } else {
+                drive = None;
+            }
+        }
+    }
+
+    fn ended(&mut self, state: &GoalState, begun: Instant) {
+        self.found.secs.push(begun.elapsed().as_secs_f64());
+        if state.state == GoalPhase::Succeeded {
+            self.found.missions.1 += 1;
+        } else {
+            let reason = state.reason.as_deref().unwrap_or_default();
+            self.found
+                .failures
+                .push(format!("{} ended {:?}: {reason}", state.id, state.state));
+        }
+    }
+
+    /// Injects the fault once, heals it, and waits until the robot drives on.
+    async fn inject(&mut self, goal: &mut Latest<GoalState>) -> std::result::Result<(), String> {
+        self.faults += 1;
+        match self.row.fault {
+            Fault::None => return Ok(()),
+            Fault::Cut(secs) => {
+                self.rig.cut()?;
+                self.pass_for(Duration::from_secs(secs.into())).await;
+                self.rig.heal()?;
+            }
+            Fault::Kill(part) => self.rig.replace(part),
+            Fault::Freeze(part, secs) => {
+                let frozen = self.rig.part(part).ok_or_else(|| format!("{part:?} does not run"))?;
+                frozen.pause()?;
+                self.pass_for(Duration::from_secs(secs.into())).await;
+                let frozen = self.rig.part(part).ok_or_else(|| format!("{part:?} does not run"))?;
+                frozen.resume()?;
+            }
+        }
+        let healed = Instant::now();
+        self.watch.listen();
+        // A robot that drives on when the fault is healed was not stopped by it; one that was killed, or will stop yet, was.
+        let mut stopped = None;
+        while healed.elapsed() < RESUMES {
+            self.pass().await;
+            if goal.borrow().is_some_and(|state| state.state.is_end()) {
+                return Ok(());
+            }
+            if !self.watch.drives() {
+                stopped.get_or_insert_with(Instant::now);
+            } else if stopped.is_some() || healed.elapsed() > Duration::from_secs(2) {
+                let resumed = if stopped.is_some() {
+                    healed.elapsed().as_secs_f64()
+                } else {
+                    0.0
+                };
+                self.found.resumes.push(resumed);
+                return Ok(());
+            }
+        }
+        self.found
+            .failures
+            .push(format!("it does not drive on within {RESUMES:?}"));
+        Ok(())
+    }
+
+    async fn pass_for(&mut self, time: Duration) {
+        let end = Instant::now() + time;
+        while Instant::now() < end {
+            self.pass().await;
+        }
+    }
+
+    /// Every acknowledged goal is known to the mission.
+    async fn check_goals(&mut self, client: &Bus) {
+        let request = GoalsRequest {
+            limit: Some(100),
+            ..GoalsRequest::default()
+        };
+        let listed = timeout(
+            ACKNOWLEDGED,
+            client.ask(&topics::GOALS, &[ROBOT], &request, ACKNOWLEDGED),
+        )
+        .await;
+        match listed {
+            Ok(Ok(listed)) => {
+                let is_known = |number: &usize| listed.goals.iter().any(|goal| goal.id == format!("goal{number}"));
+                self.found.lost = (0..self.found.missions.0).filter(|number| !is_known(number)).count();
+            }
+            _ => self.found.failures.push("nobody lists the goals".to_owned()),
+        }
+    }
+}

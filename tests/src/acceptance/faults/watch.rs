@@ -1,0 +1,115 @@
+//! Watch. What does the robot do meanwhile? Its states and events over a link that is not impaired, checked as they come.
+
+use std::time::Duration;
+
+use tokio::time::Instant;
+use zenav_protocol::bus::{Bus, BusError, Subscription};
+use zenav_protocol::messages::{EdgeState, Event, EventKind, LostPolicy};
+use zenav_protocol::time::Stamp;
+use zenav_protocol::topics;
+
+use crate::deployment::ROBOT;
+use crate::observer::is_rest;
+
+/// Time in which a robot brakes whose plan was taken from it, s of its clock.
+const BRAKES: f64 = 1.5;
+/// Faster than this it drives, m/s.
+const DRIVES: f64 = 0.05;
+
+/// What was seen.
+pub struct Watch {
+    states: Subscription<EdgeState>,
+    events: Subscription<Event>,
+    policy: LostPolicy,
+    last: Option<EdgeState>,
+    /// When a plan was in force last, and when the lease lived last, on the robot's clock.
+    planned: Stamp,
+    leased: Stamp,
+    boot: String,
+    /// Wall time of the last state.
+    pub heard: Instant,
+    /// Contacts.
+    pub collisions: usize,
+    /// What must not happen of motion, each once.
+    pub invalid: Vec<String>,
+}
+
+impl Watch {
+    /// From now on.
+    ///
+    /// # Errors
+    /// When the bus is closed.
+    pub fn new(robot: &Bus, policy: LostPolicy) -> Result<Self, BusError> {
+        Ok(Self {
+            states: robot.subscribe(&topics::STATE, &[ROBOT], 4096)?,
+            events: robot.subscribe(&topics::EVENT, &[ROBOT], 4096)?,
+            policy,
+            last: None,
+            planned: Stamp::ZERO,
+            leased: Stamp::ZERO,
+            boot: String::new(),
+            heard: Instant::now(),
+            collisions: 0,
+            invalid: Vec::new(),
+        })
+    }
+
+    /// Takes in what has come.
+    pub fn listen(&mut self) {
+        while let Some(event) = self.events.try_next() {
+            self.collisions += usize::from(event.message.kind == EventKind::Bumped);
+        }
+        while let Some(state) = self.states.try_next() {
+            self.heard = Instant::now();
+            self.check(state.message);
+        }
+    }
+
+    fn check(&mut self, state: EdgeState) {
+        if state.boot_id != self.boot {
+            // Another clock.
+            (self.planned, self.leased) = (state.stamp, state.stamp);
+            self.boot.clone_from(&state.boot_id);
+        }
+        if state.plan.is_some() {
+            self.planned = state.stamp;
+        }
+        if state.lease.live {
+            self.leased = state.stamp;
+        }
+        if !is_rest(state.velocity) {
+            let expired = state
+                .plan
+                .as_ref()
+                .is_some_and(|plan| plan.valid_for <= 0.0 && !plan.finished);
+            let without = state.stamp.secs_since(self.planned) > BRAKES;
+            let alone = self.policy == LostPolicy::Stop && state.stamp.secs_since(self.leased) > BRAKES;
+            let what = match (expired, without, alone) {
+                (true, ..) => Some("its plan has expired"),
+                (_, true, _) => Some("it has no plan"),
+                (.., true) => Some("its lease has lapsed, by the policy `stop`"),
+                _ => None,
+            };
+            if let Some(what) = what {
+                let (secs, v) = (state.stamp.as_secs(), state.velocity.v);
+                self.invalid
+                    .push(format!("at {secs:.2} s it moves at {v:.2} m/s, and {what}"));
+            }
+        }
+        self.last = Some(state);
+    }
+
+    /// Whether it drives.
+    #[must_use]
+    pub fn drives(&self) -> bool {
+        self.last.as_ref().is_some_and(|state| state.velocity.v.abs() > DRIVES)
+            && self.heard.elapsed() < Duration::from_millis(500)
+    }
+
+    /// Whether it is well on its way: it drives, with so much of its plan left, s.
+    #[must_use]
+    pub fn is_under_way(&self, left: f64) -> bool {
+        let plan = self.last.as_ref().and_then(|state| state.plan.as_ref());
+        self.drives() && plan.is_some_and(|plan| plan.time_left > left)
+    }
+}

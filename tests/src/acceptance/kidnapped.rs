@@ -1,0 +1,278 @@
+//! Kidnappings. Does a robot that is carried away while it drives notice, and where is it then found?
+//!
+//! In lockstep, in a known map of rooms that look different: a robot drives from goal to goal; at a random moment it stands somewhere else.
+
+use std::fmt::Write as _;
+
+use nalgebra::Point2;
+use zenav::lockstep::{ClosedLoop, ClosedLoopConfig};
+use zenav_cloud::mapping::{PoseSettings, PoseSource};
+use zenav_cloud::motion::MotionSettings;
+use zenav_edge::EdgeConfig;
+use zenav_mapping::MappingSettings;
+use zenav_mission::MissionConfig;
+use zenav_protocol::geometry::{Pose2, wrap_angle};
+use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
+use zenav_protocol::id::Id;
+use zenav_protocol::messages::{GoalPhase, GoalRequest, Health, Mode};
+use zenav_protocol::robot::{Footprint, RobotModel};
+use zenav_protocol::topics::MissionRequest;
+use zenav_sim::{RobotSpec, Simulation, World};
+
+use super::worlds::Rng;
+
+/// The house, m.
+const HOUSE: (f64, f64) = (16.0, 10.0);
+/// Cells of the known map, m.
+const RESOLUTION: f64 = 0.05;
+/// A robot is right where it is so near to the truth, m and rad.
+const RIGHT: (f64, f64) = (0.1, 0.035);
+/// How long a robot may stay unfound until it counts as never found, s.
+const LONGEST: f64 = 30.0;
+/// It is carried at least so far, m.
+const FAR: f64 = 1.5;
+
+/// What became of a kidnapping.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Kidnapping {
+    /// The seed.
+    pub seed: u64,
+    /// Time until the robot no longer trusted its place, or was right again, s; `None`: never.
+    pub noticed_after: Option<f64>,
+    /// Way driven until then, m.
+    pub driven: f64,
+    /// Time from the kidnapping until it was right again, s; `None`: not within half a minute.
+    pub found_after: Option<f64>,
+    /// Time in which it drove by a plan while its place was not trusted, s.
+    pub drove_lost: f64,
+    /// Whether it ever trusted a wrong place after it had noticed.
+    pub trusted_wrong: bool,
+    /// Whether the goal that it was on the way to ended well.
+    pub succeeded: bool,
+    /// How the goal ended.
+    pub end: String,
+    /// Distance of what it believes from the truth at the end, m.
+    pub off: f64,
+    /// Where it stood at the end.
+    pub truth: Pose2,
+    /// Contacts.
+    pub collisions: u32,
+}
+
+impl Kidnapping {
+    /// Noticed within a second or half a metre, right again within three seconds of that, no plan driven while lost.
+    #[must_use]
+    pub fn is_good(&self) -> bool {
+        self.is_noticed() && self.is_found() && self.drove_lost == 0.0 && !self.trusted_wrong && self.collisions == 0
+    }
+
+    /// Whether it was noticed in time.
+    #[must_use]
+    pub fn is_noticed(&self) -> bool {
+        self.noticed_after.is_some_and(|secs| secs <= 1.0 || self.driven <= 0.5)
+    }
+
+    /// Whether it was found in time.
+    #[must_use]
+    pub fn is_found(&self) -> bool {
+        let both = self.found_after.zip(self.noticed_after);
+        both.is_some_and(|(found, noticed)| found - noticed <= 3.0)
+    }
+}
+
+/// One kidnapping, by a seed.
+///
+/// # Errors
+/// What cannot be set up.
+pub fn kidnap(seed: u64) -> Result<Kidnapping, String> {
+    let mut rng = Rng::new(seed, 11);
+    let world = World::from_toml(&house(&mut Rng::new(seed % 8, 12)), "house", &|name| {
+        Err(name.to_owned())
+    })
+    .map_err(|error| error.to_string())?;
+    let model =
+        RobotModel::with_options("tiago+indoor", |name| Err(name.to_owned())).map_err(|error| error.to_string())?;
+    let id = Id::robot("tiago").map_err(|error| error.to_string())?;
+    let start = world.start();
+    let room = Footprint::Radius(model.footprint.circumscribed_radius() + 0.1);
+    let mut free = |from: Point2<f64>, far: f64| -> Pose2 {
+        loop {
+            let pose = Pose2::new(
+                rng.between(0.5, HOUSE.0 - 0.5),
+                rng.between(0.5, HOUSE.1 - 0.5),
+                rng.between(-3.1, 3.1),
+            );
+            if world.clearance(&room, pose) > 0.0 && (pose.position() - from).norm() >= far {
+                return pose;
+            }
+        }
+    };
+    let goal = free(start.position(), 4.0);
+    let to = free(start.position(), FAR);
+    let kidnapped_at = free(start.position(), 0.0).x / HOUSE.0;
+    let config = ClosedLoopConfig {
+        edge: EdgeConfig::new(id.clone(), model.clone(), start),
+        mission: MissionConfig::new(id.clone(), "mission", "unused".into()),
+        mapping: MappingSettings::default(),
+        poses: PoseSettings {
+            source: PoseSource::Localise,
+            ..PoseSettings::default()
+        },
+        motion: MotionSettings::default(),
+        known_map: Some(known(&world)),
+        cloud_delay: 0.1,
+        seed,
+    };
+    let spec = RobotSpec { id, model, start };
+    let simulation = Simulation::new(&world, vec![spec], seed).map_err(|error| error.to_string())?;
+    let mut stage = ClosedLoop::new(simulation, vec![config]);
+    stage.robots[0].ask(MissionRequest::Goal(GoalRequest {
+        id: Some("g".to_owned()),
+        x: Some(goal.x),
+        y: Some(goal.y),
+        ..GoalRequest::default()
+    }));
+    let way = 0.2 + kidnapped_at * (0.8 * (goal.position() - start.position()).norm() - 0.2);
+    let mut told = Kidnapping {
+        seed,
+        ..Kidnapping::default()
+    };
+    // When it was carried away, and the way driven until then.
+    let mut carried: Option<(f64, f64)> = None;
+    let tick = stage.simulation.tick().as_secs_f64();
+    while stage.now().as_secs() < 120.0 {
+        stage.tick();
+        let (now, truth) = (stage.now().as_secs(), stage.truth(0));
+        let state = stage.robots[0].goal().cloned();
+        let Some((since, length)) = carried else {
+            if state.as_ref().is_some_and(|state| state.state.is_end()) {
+                return Err(format!("seed {seed}: the goal ended before: {state:?}"));
+            }
+            let here = truth.map_from_base;
+            let is_moving = stage.robots[0].pilot.mode() == Mode::Follow && truth.twist.v > 0.1;
+            if truth.length >= way && is_moving && (here.position() - to.position()).norm() >= FAR {
+                if stage.simulation.carry(0, to).is_err() {
+                    return Err(format!("seed {seed}: it does not fit where it is to be carried"));
+                }
+                carried = Some((now, truth.length));
+            }
+            continue;
+        };
+        let pilot = &stage.robots[0].pilot;
+        let believed = pilot.map_from_base();
+        let is_right = believed.distance(&truth.map_from_base) <= RIGHT.0
+            && wrap_angle(believed.yaw - truth.map_from_base.yaw).abs() <= RIGHT.1;
+        let is_trusted = pilot.health().is_trusted();
+        if told.noticed_after.is_none() && (!is_trusted || is_right) {
+            told.noticed_after = Some(now - since);
+            told.driven = truth.length - length;
+        }
+        if told.noticed_after.is_some() {
+            if !is_trusted && pilot.mode() == Mode::Follow {
+                told.drove_lost += tick;
+            }
+            if is_right && is_trusted && told.found_after.is_none() {
+                told.found_after = Some(now - since);
+            }
+            told.trusted_wrong |= is_trusted
+                && !is_right
+                && told.found_after.is_none()
+                && !matches!(
+                    stage.robots[0].mapping.health(),
+                    Health::Lost | Health::Ambiguous { .. }
+                )
+                && now - since > told.noticed_after.unwrap_or(0.0) + 1.0;
+        }
+        told.collisions = truth.collisions;
+        (told.off, told.truth) = (believed.distance(&truth.map_from_base), truth.map_from_base);
+        if let Some(state) = state.filter(|state| state.state.is_end()) {
+            told.succeeded = state.state == GoalPhase::Succeeded;
+            told.end = state.reason.unwrap_or_default();
+            break;
+        }
+        if now - since > LONGEST && told.found_after.is_none() {
+            break;
+        }
+    }
+    Ok(told)
+}
+
+/// The world as a map.
+fn known(world: &World) -> OccupancyGrid {
+    let spec = GridSpec {
+        origin: Point2::new(-0.5, -0.5),
+        resolution: RESOLUTION,
+        width: ((HOUSE.0 + 1.0) / RESOLUTION) as u32,
+        height: ((HOUSE.1 + 1.0) / RESOLUTION) as u32,
+    };
+    let mut map = Grid::filled(spec, Occupancy::FREE);
+    let half = 0.5 * RESOLUTION;
+    let cell = Footprint::Polygon(
+        [(-half, -half), (half, -half), (half, half), (-half, half)]
+            .map(|(x, y)| Point2::new(x, y))
+            .to_vec(),
+    );
+    for y in 0..spec.height {
+        for x in 0..spec.width {
+            let center = spec.center(Cell::new(x, y));
+            if world.clearance(&cell, Pose2::new(center.x, center.y, 0.0)) <= 0.0 {
+                map[Cell::new(x, y)] = Occupancy::OCCUPIED;
+            }
+        }
+    }
+    map
+}
+
+/// Rooms with doors and furniture.
+fn house(rng: &mut Rng) -> String {
+    let (long, wide) = HOUSE;
+    let mut text = format!(
+        "name = \"house\"\nsize = [{}, {}]\norigin = [-0.5, -0.5]\n[start]\nx = 1.5\ny = 1.5\nyaw = 0.5\n",
+        long + 1.0,
+        wide + 1.0
+    );
+    let mut wall = |from: (f64, f64), to: (f64, f64)| {
+        let _ = write!(
+            text,
+            "[[wall]]\nfrom = [{}, {}]\nto = [{}, {}]\nthickness = 0.1\n",
+            from.0, from.1, to.0, to.1
+        );
+    };
+    for (from, to) in [
+        ((0.0, 0.0), (long, 0.0)),
+        ((0.0, wide), (long, wide)),
+        ((0.0, 0.0), (0.0, wide)),
+        ((long, 0.0), (long, wide)),
+    ] {
+        wall(from, to);
+    }
+    // Two walls across, one along, each with doors.
+    for (x, door) in [(5.5, rng.between(1.0, 3.0)), (10.5, rng.between(6.0, 8.0))] {
+        wall((x, 0.0), (x, door));
+        wall((x, door + 1.2), (x, wide));
+    }
+    let y = rng.between(4.5, 5.5);
+    for (from, to) in [(0.0, 5.5), (5.5, 10.5), (10.5, long)] {
+        let door = rng.between(from + 0.5, to - 1.7);
+        wall((from, y), (door, y));
+        wall((door + 1.2, y), (to, y));
+    }
+    let mut boxes = String::new();
+    for _ in 0..14 {
+        let (x, y) = (rng.between(0.3, long - 1.0), rng.between(0.3, wide - 1.0));
+        let (w, h) = (rng.between(0.2, 0.8), rng.between(0.2, 0.8));
+        // The start stays free.
+        if x < 3.0 && y < 3.0 {
+            continue;
+        }
+        let _ = write!(
+            boxes,
+            "[[polygon]]\npoints = [[{x}, {y}], [{}, {y}], [{}, {}], [{x}, {}]]\n",
+            x + w,
+            x + w,
+            y + h,
+            y + h
+        );
+    }
+    text + &boxes
+}

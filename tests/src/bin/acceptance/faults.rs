@@ -1,0 +1,144 @@
+//! Faults. Runs the rows of the fault suite, each as a process in a network of its own, and writes their table.
+
+use std::path::PathBuf;
+use std::process::{Command, Stdio};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use tokio::runtime::Runtime;
+use zenav_tests::acceptance::faults::{self, OWN_NETWORK, OwnNetwork, Result, Row};
+
+use crate::{Verdict, zenav};
+
+/// Begins the line in which a row's process tells what it found.
+const FOUND: &str = "found: ";
+
+/// What is run, and where it is written.
+#[derive(Debug, clap::Args)]
+pub struct Faults {
+    /// A few rows only
+    #[arg(long)]
+    short: bool,
+    /// Rows whose names contain this
+    #[arg(long, default_value = "")]
+    only: String,
+    /// Rows at a time
+    #[arg(long, default_value_t = 1)]
+    parallel: usize,
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// File for the table
+    #[arg(long)]
+    write: Option<PathBuf>,
+    /// Run one row here and tell what was found
+    #[arg(long, hide = true)]
+    row: Option<String>,
+}
+
+/// Runs the rows.
+pub fn run(arguments: &Faults) -> Verdict {
+    let rows = if arguments.short {
+        faults::short()
+    } else {
+        faults::all()
+    };
+    if let Some(name) = &arguments.row {
+        let row = rows.iter().find(|row| row.name == *name).ok_or("no such row")?;
+        let found = Runtime::new()?.block_on(faults::run(zenav(), row, arguments.seed))?;
+        println!("{FOUND}{}", serde_json::to_string(&found)?);
+        return Ok(found.is_good());
+    }
+    let rows: Vec<Row> = rows
+        .into_iter()
+        .filter(|row| row.name.contains(&arguments.only))
+        .collect();
+    let network = if can_unshare() { OwnNetwork::Yes } else { OwnNetwork::No };
+    println!("{} rows, network of their own: {network:?}", rows.len());
+    let (next, found) = (AtomicUsize::new(0), Mutex::new(vec![None; rows.len()]));
+    std::thread::scope(|scope| {
+        for _ in 0..arguments.parallel.max(1) {
+            scope.spawn(|| {
+                loop {
+                    let place = next.fetch_add(1, Ordering::Relaxed);
+                    let Some(row) = rows.get(place) else { return };
+                    let result = child(row, arguments, network);
+                    println!("{}", line(&result));
+                    if let Ok(mut found) = found.lock()
+                        && let Some(slot) = found.get_mut(place)
+                    {
+                        *slot = Some(result);
+                    }
+                }
+            });
+        }
+    });
+    let found: Vec<Result> = found
+        .into_inner()
+        .map_err(|_| "a row panicked")?
+        .into_iter()
+        .flatten()
+        .collect();
+    let short = if arguments.short { " --short" } else { "" };
+    let command = format!("acceptance faults{short} --seed {}", arguments.seed);
+    let page = faults::markdown(&command, &found, network);
+    match &arguments.write {
+        Some(path) => std::fs::write(path, page)?,
+        None => println!("{page}"),
+    }
+    Ok(found.len() == rows.len() && found.iter().all(Result::is_good))
+}
+
+fn line(found: &Result) -> String {
+    let verdict = if found.is_good() { "good" } else { "FELL SHORT" };
+    let (asked, succeeded) = found.missions;
+    format!(
+        "{}: {verdict}; {succeeded} of {asked} missions, resumes {:.2?}, {:.0} % at rest; {:?} {:?}",
+        found.name,
+        found.resumes,
+        100.0 * found.rest,
+        found.failures,
+        found.invalid.first()
+    )
+}
+
+/// Whether a process may have a network of its own here, and impair it.
+fn can_unshare() -> bool {
+    let try_it =
+        "ip link set lo up && iptables -A INPUT -p tcp --dport 1 -m statistic --mode random --probability 0.5 -j DROP";
+    let mut command = Command::new("unshare");
+    command.args(["--net", "sh", "-c", try_it]);
+    command.stdout(Stdio::null()).stderr(Stdio::null());
+    command.status().is_ok_and(|status| status.success())
+}
+
+/// A row in a process of its own.
+fn child(row: &Row, arguments: &Faults, network: OwnNetwork) -> Result {
+    let own = std::env::current_exe().unwrap_or_default();
+    let mut command = match network {
+        OwnNetwork::Yes => {
+            let mut command = Command::new("unshare");
+            command.args(["--net", "sh", "-c", "ip link set lo up && exec \"$@\"", "sh"]);
+            command.arg(&own).env(OWN_NETWORK, "1");
+            command
+        }
+        OwnNetwork::No => Command::new(&own),
+    };
+    command.args(["faults", "--row", &row.name, "--seed", &arguments.seed.to_string()]);
+    if arguments.short {
+        command.arg("--short");
+    }
+    let failed = |why: String| Result {
+        name: row.name.clone(),
+        failures: vec![why],
+        ..Result::default()
+    };
+    let output = match command.output() {
+        Ok(output) => output,
+        Err(error) => return failed(error.to_string()),
+    };
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    let found = text
+        .lines()
+        .find_map(|line| serde_json::from_str(line.strip_prefix(FOUND)?).ok());
+    found.unwrap_or_else(|| failed(String::from_utf8_lossy(&output.stderr).trim().to_owned()))
+}

@@ -1,0 +1,361 @@
+//! Trials. Do the missions of three robots get done while parts of a deployment die, freeze, are cut off and replaced? No goal is lost, nothing
+//! is touched, and where another part can stand in no robot rests longer than a plan's horizon.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use tokio::task::block_in_place;
+use zenav_protocol::bus::{AskError, Bus, BusConfig};
+use zenav_protocol::messages::{GoalPhase, GoalRequest, GoalsRequest, Refusal};
+use zenav_protocol::topics::{self, Ask};
+
+use super::Site;
+use super::truth::Truth;
+
+/// Each robot with the y of its lane, m.
+const LANES: [(&str, f64); 3] = [("anna", 3.0), ("bert", 0.0), ("carl", -3.0)];
+/// The ends of a lane, m.
+const ENDS: [f64; 2] = [0.0, 10.5];
+/// Where the first goal of each robot is, m: near.
+const FIRST: f64 = 3.0;
+/// Validity of a plan without a slow link, s: what a robot drives on that hears nothing more.
+pub const HORIZON: f64 = 5.0;
+/// Wall time for anything to happen: much more than it takes on a busy machine.
+const LONG: Duration = Duration::from_secs(90);
+/// Wall time for an answer, until the same is asked anew.
+const ANSWERED: Duration = Duration::from_secs(2);
+/// Goals of a robot that wait or run at a time.
+const OUTSTANDING: usize = 3;
+/// A robot that rested less than this drives.
+const DRIVES: f64 = 0.5;
+
+/// Something that happens to a part.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fault {
+    /// Killed, and started again once the robots drive.
+    Kill(&'static str),
+    /// Frozen for so many seconds.
+    Pause(&'static str, u32),
+    /// Its host is cut off until its robot rests, then put back.
+    Cut(&'static str, &'static str),
+    /// Replaced by a new one.
+    Update(&'static str),
+}
+
+impl fmt::Display for Fault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Kill(part) => write!(f, "{part} killed, for {} s", HORIZON + 1.0),
+            Self::Pause(part, secs) => write!(f, "{part} frozen for {secs} s"),
+            Self::Cut(part, robot) => write!(f, "{part} cut off until {robot} rests"),
+            Self::Update(part) => write!(f, "{part} replaced"),
+        }
+    }
+}
+
+/// What a fault did.
+#[derive(Clone, Debug)]
+pub struct Row {
+    /// What happened.
+    pub fault: Fault,
+    /// Longest rest of a robot until all drove again, s of the world's time.
+    pub rest: f64,
+    /// Whose it was.
+    pub robot: String,
+    /// Wall time that all of it took, s.
+    pub took: f64,
+}
+
+/// What a trial found.
+#[derive(Clone, Debug, Default)]
+pub struct Findings {
+    /// Wall time from the first part's start until three robots had finished a goal each, s.
+    pub first_mission: f64,
+    /// One row a fault.
+    pub rows: Vec<Row>,
+    /// Goals acknowledged.
+    pub goals: usize,
+    /// How many ended in which phase.
+    pub ends: BTreeMap<String, usize>,
+    /// What is not as it should be.
+    pub failures: Vec<String>,
+}
+
+/// A fault of each kind, and a rolling update of all parts: what fits into a run of the tests.
+#[must_use]
+pub fn short() -> Vec<Fault> {
+    vec![
+        Fault::Kill("fleet-a-router"),
+        Fault::Pause("fleet-b-motion", 4),
+        Fault::Cut("robot-b-edge-bert", "bert"),
+        Fault::Kill("fleet-b-mission"),
+        Fault::Update("fleet-a-motion"),
+        Fault::Update("fleet-b-motion"),
+        Fault::Update("fleet-a-mission"),
+        Fault::Update("fleet-b-mission"),
+        Fault::Update("fleet-a-mapping"),
+        Fault::Update("fleet-b-gateway"),
+        Fault::Update("fleet-a-router"),
+        Fault::Update("fleet-b-router"),
+        Fault::Update("robot-a-edge-anna"),
+    ]
+}
+
+/// Every part killed, frozen, cut off and replaced, so many times.
+#[must_use]
+pub fn long(rounds: usize) -> Vec<Fault> {
+    let parts = [
+        "fleet-a-router",
+        "fleet-b-router",
+        "fleet-a-motion",
+        "fleet-b-motion",
+        "fleet-a-mission",
+        "fleet-b-mission",
+        "fleet-a-mapping",
+        "fleet-b-gateway",
+    ];
+    let robots = [
+        ("robot-a-edge-anna", "anna"),
+        ("robot-b-edge-bert", "bert"),
+        ("robot-c-edge-carl", "carl"),
+    ];
+    let mut faults = Vec::new();
+    for _ in 0..rounds {
+        faults.extend(parts.map(Fault::Kill));
+        faults.extend(parts.map(|part| Fault::Pause(part, 4)));
+        faults.extend(robots.map(|(part, robot)| Fault::Cut(part, robot)));
+        faults.extend(parts.map(Fault::Update));
+        faults.extend(robots.map(|(part, _)| Fault::Kill(part)));
+        faults.extend(robots.map(|(part, _)| Fault::Update(part)));
+    }
+    faults
+}
+
+/// Runs the missions, and the faults one after the other.
+///
+/// # Errors
+/// What keeps the trial from being run, or a robot from driving on.
+pub async fn run(site: &mut dyn Site, faults: &[Fault], begun: Instant) -> Result<Findings, String> {
+    let mut truth = Truth::listen(&site.world()).await?;
+    let client = Client::join(&site.routers()).await?;
+    let mut findings = Findings::default();
+    for (robot, _) in LANES {
+        client.submit(robot, 0).await?;
+    }
+    client.all_end(LONG).await?;
+    findings.first_mission = begun.elapsed().as_secs_f64();
+
+    let client = Arc::new(client);
+    let ending = Arc::new(AtomicBool::new(false));
+    let feeding = tokio::spawn({
+        let (client, ending) = (Arc::clone(&client), Arc::clone(&ending));
+        async move { client.feed(&ending).await }
+    });
+    let drives = |_: &str, rest: f64| rest < DRIVES;
+    for fault in faults {
+        truth
+            .until(&format!("all robots drive before {fault:?}"), LONG, drives)
+            .await?;
+        truth.reset();
+        let again = format!("all robots drive after {fault:?}");
+        let since = Instant::now();
+        match fault {
+            Fault::Kill(part) => {
+                block_in_place(|| site.kill(part))?;
+                truth.during(HORIZON + 1.0).await?;
+                block_in_place(|| site.start(part))?;
+            }
+            Fault::Pause(part, secs) => {
+                block_in_place(|| site.pause(part))?;
+                truth.during(f64::from(*secs)).await?;
+                block_in_place(|| site.resume(part))?;
+            }
+            Fault::Cut(part, robot) => {
+                block_in_place(|| site.cut(part))?;
+                let rests = |name: &str, rest: f64| name != *robot || rest > 1.0;
+                truth.until(&format!("{robot} rests when cut off"), LONG, rests).await?;
+                block_in_place(|| site.heal(part))?;
+            }
+            Fault::Update(part) => {
+                block_in_place(|| site.update(part))?;
+                truth.during(2.0).await?;
+            }
+        }
+        truth.until(&again, LONG, drives).await?;
+        let (rest, robot) = truth.longest_rest();
+        findings.rows.push(Row {
+            fault: *fault,
+            rest,
+            robot,
+            took: since.elapsed().as_secs_f64(),
+        });
+    }
+    ending.store(true, Ordering::Relaxed);
+    feeding.await.map_err(|error| error.to_string())??;
+    client.all_end(2 * LONG).await?;
+    findings.count(&client).await?;
+    findings.judge(&truth);
+    Ok(findings)
+}
+
+impl Fault {
+    /// Longest rest that it may cause, s of the world's time; none where a robot cannot but rest: its own side is gone, or cut off.
+    fn most(self) -> Option<f64> {
+        match self {
+            Self::Cut(..) => None,
+            Self::Kill(part) | Self::Pause(part, _) | Self::Update(part) if part.contains("-edge-") => None,
+            Self::Kill(_) | Self::Pause(..) | Self::Update(_) => Some(HORIZON),
+        }
+    }
+}
+
+impl Findings {
+    async fn count(&mut self, client: &Client) -> Result<(), String> {
+        let acknowledged = client.acknowledged();
+        self.goals = acknowledged.len();
+        let mut listed = BTreeMap::new();
+        for (robot, _) in LANES {
+            listed.extend(client.goals(robot).await?);
+        }
+        for id in &acknowledged {
+            match listed.get(id) {
+                Some(phase) => *self.ends.entry(format!("{phase:?}")).or_default() += 1,
+                None => self.failures.push(format!("{id} was acknowledged and is lost")),
+            }
+        }
+        Ok(())
+    }
+
+    fn judge(&mut self, truth: &Truth) {
+        for row in &self.rows {
+            if let Some(most) = row.fault.most().filter(|most| row.rest > *most) {
+                self.failures.push(format!(
+                    "{:?}: {} rested for {:.1} s, longer than {most} s",
+                    row.fault, row.robot, row.rest
+                ));
+            }
+        }
+        for (phase, count) in self.ends.iter().filter(|(phase, _)| phase.as_str() != "Succeeded") {
+            self.failures.push(format!("{count} goals ended {phase}"));
+        }
+        if self.goals < self.rows.len() {
+            self.failures
+                .push(format!("only {} goals in {} faults", self.goals, self.rows.len()));
+        }
+        self.failures.extend(
+            truth
+                .touched()
+                .into_iter()
+                .map(|robot| format!("{robot} touched something")),
+        );
+    }
+}
+
+/// Who gives the robots their goals: a client of whichever router is there.
+struct Client {
+    bus: Bus,
+    acknowledged: std::sync::Mutex<Vec<String>>,
+}
+
+impl Client {
+    async fn join(routers: &str) -> Result<Self, String> {
+        let opening = Bus::open(BusConfig::service("trial", routers));
+        let bus = tokio::time::timeout(LONG, opening).await;
+        Ok(Self {
+            bus: bus
+                .map_err(|_| format!("no router at {routers}"))?
+                .map_err(|error| error.to_string())?,
+            acknowledged: std::sync::Mutex::default(),
+        })
+    }
+
+    fn acknowledged(&self) -> Vec<String> {
+        self.acknowledged.lock().map(|ids| ids.clone()).unwrap_or_default()
+    }
+
+    /// Submits the goal of this number of a robot, again until it is acknowledged: at the one end of its lane, then at the other.
+    async fn submit(&self, robot: &str, number: usize) -> Result<(), String> {
+        let lane = LANES.iter().find(|(name, _)| *name == robot).map_or(0.0, |(_, y)| *y);
+        let id = format!("{robot}-{number}");
+        let request = GoalRequest {
+            id: Some(id.clone()),
+            x: Some(if number == 0 { FIRST } else { ENDS[number % 2] }),
+            y: Some(lane),
+            ..GoalRequest::default()
+        };
+        self.asked(&topics::GOAL, robot, &request)
+            .await
+            .map_err(|error| format!("{id}: {error}"))?;
+        if let Ok(mut ids) = self.acknowledged.lock() {
+            ids.push(id);
+        }
+        Ok(())
+    }
+
+    /// Asks again and again: an answer may be lost with the router that it came over.
+    async fn asked<Q: Serialize, R: DeserializeOwned>(
+        &self,
+        ask: &Ask<Q, R>,
+        robot: &str,
+        request: &Q,
+    ) -> Result<R, AskError> {
+        let end = Instant::now() + LONG;
+        loop {
+            match self.bus.ask(ask, &[robot], request, ANSWERED).await {
+                Err(AskError::Timeout { .. } | AskError::Refused(Refusal::NotLeader)) if Instant::now() < end => {}
+                answer => return answer,
+            }
+        }
+    }
+
+    async fn goals(&self, robot: &str) -> Result<BTreeMap<String, GoalPhase>, String> {
+        let reply = self.asked(&topics::GOALS, robot, &GoalsRequest::default()).await;
+        let reply = reply.map_err(|error| format!("goals of {robot}: {error}"))?;
+        Ok(reply.goals.into_iter().map(|goal| (goal.id, goal.state)).collect())
+    }
+
+    /// Keeps goals outstanding until the end.
+    async fn feed(&self, ending: &AtomicBool) -> Result<(), String> {
+        let mut next = [1; LANES.len()];
+        while !ending.load(Ordering::Relaxed) {
+            for ((robot, _), next) in LANES.into_iter().zip(&mut next) {
+                let goals = self.goals(robot).await?;
+                let open = goals.values().filter(|phase| !phase.is_end()).count();
+                for _ in open..OUTSTANDING {
+                    self.submit(robot, *next).await?;
+                    *next += 1;
+                }
+            }
+            tokio::time::sleep(Duration::from_millis(500)).await;
+        }
+        Ok(())
+    }
+
+    async fn all_end(&self, limit: Duration) -> Result<(), String> {
+        let deadline = Instant::now() + limit;
+        let acknowledged = self.acknowledged();
+        loop {
+            let mut open = Vec::new();
+            for (robot, _) in LANES {
+                let goals = self.goals(robot).await?;
+                open.extend(
+                    goals
+                        .into_iter()
+                        .filter(|(id, phase)| acknowledged.contains(id) && !phase.is_end()),
+                );
+            }
+            if open.is_empty() {
+                return Ok(());
+            }
+            if Instant::now() > deadline {
+                return Err(format!("not ended within {limit:?}: {open:?}"));
+            }
+            tokio::time::sleep(Duration::from_millis(300)).await;
+        }
+    }
+}

@@ -1,0 +1,173 @@
+//! Secured deployments. How does a fleet run whose members prove who they are? Each part as a process of its own, with keys that `zenav keys`
+//! made, on endpoints over QUIC.
+
+#![allow(clippy::expect_used, reason = "a test cannot go on without its rig")]
+
+use std::path::{Path, PathBuf};
+use std::process::Output;
+use std::time::Duration;
+
+use tempfile::TempDir;
+use zenav_protocol::bus::{Bus, BusConfig, BusError, Security};
+
+use crate::process::{Process, free_endpoint, run};
+
+/// Longest run of a command.
+const COMMAND: Duration = Duration::from_secs(90);
+/// Longest wait for a session.
+const JOIN: Duration = Duration::from_secs(20);
+
+/// Keys, endpoints and files of one fleet.
+#[derive(Debug)]
+pub struct SecuredFleet {
+    binary: PathBuf,
+    folder: TempDir,
+    speed: f64,
+    /// The router's endpoint.
+    pub router: String,
+    /// The robot's own endpoint.
+    pub edge: String,
+}
+
+impl SecuredFleet {
+    /// Makes a fleet with these members; starts nothing yet.
+    ///
+    /// # Panics
+    /// When the machine gives no folder or port, or `zenav keys` fails.
+    #[must_use]
+    pub fn new(binary: &str, speed: f64, members: &[&str]) -> Self {
+        let fleet = Self {
+            binary: binary.into(),
+            folder: tempfile::tempdir().expect("a temporary folder"),
+            speed,
+            router: free_endpoint().replace("tcp/", "quic/"),
+            edge: free_endpoint().replace("tcp/", "quic/"),
+        };
+        fleet.keys(&["init"]);
+        for member in members {
+            fleet.keys(&["issue", member]);
+        }
+        fleet
+    }
+
+    /// The folder of all files.
+    #[must_use]
+    pub fn folder(&self) -> &Path {
+        self.folder.path()
+    }
+
+    /// `zenav keys`, which must succeed.
+    ///
+    /// # Panics
+    /// When it fails.
+    pub fn keys(&self, arguments: &[&str]) {
+        let output = self.zenav(&[&["keys"], arguments].concat());
+        assert!(
+            output.status.success(),
+            "zenav keys {arguments:?}: {}",
+            String::from_utf8_lossy(&output.stderr)
+        );
+    }
+
+    /// Folder of a member's identity.
+    #[must_use]
+    pub fn identity(&self, member: &str) -> PathBuf {
+        self.folder().join("fleet-keys/issued").join(member)
+    }
+
+    fn start(&self, member: &str, arguments: &[&str]) -> Process {
+        let identity = self.identity(member).to_string_lossy().into_owned();
+        let more = ["--identity", &identity];
+        Process::start(&self.binary, &[arguments, &more[..]].concat(), self.folder())
+    }
+
+    /// `zenav router`.
+    #[must_use]
+    pub fn start_router(&self, member: &str) -> Process {
+        self.start(member, &["router", "--listen", &self.router])
+    }
+
+    /// `zenav sim serve` on the router.
+    #[must_use]
+    pub fn start_world(&self, member: &str) -> Process {
+        let speed = self.speed.to_string();
+        self.start(
+            member,
+            &[
+                "sim",
+                "serve",
+                "--connect",
+                &self.router,
+                "--world",
+                "kitchen",
+                "--speed",
+                &speed,
+            ],
+        )
+    }
+
+    /// `zenav edge` of a robot in the served world.
+    #[must_use]
+    pub fn start_edge(&self, member: &str) -> Process {
+        self.start(
+            member,
+            &[
+                "edge",
+                "--attach",
+                "--connect",
+                &self.router,
+                "--listen",
+                &self.edge,
+                "--data",
+                "edge",
+            ],
+        )
+    }
+
+    /// `zenav cloud all`.
+    #[must_use]
+    pub fn start_cloud(&self, member: &str) -> Process {
+        self.start(member, &["cloud", "all", "--connect", &self.router, "--data", "cloud"])
+    }
+
+    /// Runs a command to its end.
+    #[must_use]
+    pub fn zenav(&self, arguments: &[&str]) -> Output {
+        run(&self.binary, arguments, self.folder(), COMMAND)
+    }
+
+    /// Runs a client command of a member to its end, at the router or at another endpoint.
+    #[must_use]
+    pub fn client(&self, member: &str, endpoint: &str, arguments: &[&str]) -> Output {
+        let identity = self.identity(member).to_string_lossy().into_owned();
+        let more = ["--connect", endpoint, "--identity", &identity];
+        self.zenav(&[arguments, &more[..]].concat())
+    }
+
+    /// Joins as a member at an endpoint.
+    ///
+    /// # Panics
+    /// When it cannot.
+    pub async fn join(&self, member: &str, endpoint: &str) -> Bus {
+        let security = Security::of(Some(&self.identity(member)), false).expect("an identity");
+        let config = BusConfig {
+            security,
+            ..BusConfig::service(member, endpoint)
+        };
+        let joined = tokio::time::timeout(JOIN, Bus::open(config)).await;
+        joined.expect("somebody lets it in in time").expect("the bus opens")
+    }
+
+    /// Tries once to join at the router with another fleet's identity, or with none.
+    ///
+    /// # Errors
+    /// Why it cannot.
+    pub async fn try_to_join(&self, identity: Option<&Path>, endpoint: &str) -> Result<Bus, BusError> {
+        let security = Security::of(identity, false).expect("an identity");
+        Bus::open(BusConfig {
+            security,
+            ..BusConfig::command("stranger", endpoint)
+        })
+        .await
+    }
+}

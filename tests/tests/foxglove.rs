@@ -1,0 +1,152 @@
+//! What does Foxglove see of a running robot, and how does it send one somewhere? Its protocol, spoken by a client that is not ours.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use futures_util::{SinkExt as _, StreamExt as _};
+use serde_json::{Value, json};
+use tokio::net::TcpStream;
+use tokio::time::timeout;
+use tokio_tungstenite::tungstenite::Message;
+use tokio_tungstenite::tungstenite::client::IntoClientRequest as _;
+use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async};
+use zenav_protocol::messages::{GoalPhase, GoalState};
+use zenav_protocol::topics;
+use zenav_tests::deployment::{Deployment, ROBOT};
+use zenav_tests::observer::Observer;
+use zenav_tests::process::Process;
+
+const ZENAV: &str = env!("CARGO_BIN_EXE_zenav-under-test");
+/// Longest wait for anything, wall time: much more than it takes on a busy machine.
+const LONG: Duration = Duration::from_secs(60);
+/// A message of a channel, in either direction: this byte, a number, and from the server the time.
+const MESSAGE_DATA: u8 = 1;
+
+/// A viewer.
+struct Viewer {
+    socket: WebSocketStream<MaybeTlsStream<TcpStream>>,
+    /// Channels by topic: number, schema, encoding.
+    channels: BTreeMap<String, (u64, String, String)>,
+    subscribed: BTreeMap<u32, String>,
+}
+
+impl Viewer {
+    async fn connect(address: &str) -> Self {
+        let mut request = address.into_client_request().unwrap();
+        let protocol = "foxglove.sdk.v1".parse().unwrap();
+        request.headers_mut().insert("Sec-WebSocket-Protocol", protocol);
+        let (socket, response) = connect_async(request).await.unwrap();
+        assert_eq!(response.headers()["sec-websocket-protocol"], "foxglove.sdk.v1");
+        Self {
+            socket,
+            channels: BTreeMap::new(),
+            subscribed: BTreeMap::new(),
+        }
+    }
+
+    async fn say(&mut self, message: Value) {
+        self.socket.send(Message::text(message.to_string())).await.unwrap();
+    }
+
+    /// The next message of a channel that was subscribed to, and its topic. What else comes is taken in.
+    async fn next(&mut self) -> Option<(String, Value)> {
+        match timeout(LONG, self.socket.next()).await.unwrap().unwrap().unwrap() {
+            Message::Text(text) => {
+                let message: Value = serde_json::from_str(&text).unwrap();
+                if message["op"] == "advertise" {
+                    for channel in message["channels"].as_array().unwrap() {
+                        let text = |field: &str| channel[field].as_str().unwrap().to_owned();
+                        let told = (channel["id"].as_u64().unwrap(), text("schemaName"), text("encoding"));
+                        assert!(serde_json::from_str::<Value>(&text("schema")).unwrap().is_object());
+                        self.channels.insert(text("topic"), told);
+                    }
+                }
+                None
+            }
+            Message::Binary(bytes) if bytes[0] == MESSAGE_DATA => {
+                let number = u32::from_le_bytes(bytes[1..5].try_into().unwrap());
+                let topic = self.subscribed[&number].clone();
+                Some((topic, serde_json::from_slice(&bytes[13..]).unwrap()))
+            }
+            _ => None,
+        }
+    }
+
+    /// The first message of a channel, from when it was subscribed to.
+    async fn first(&mut self, topic: &str, schema: &str) -> Value {
+        while !self.channels.contains_key(topic) {
+            self.next().await;
+        }
+        let (channel, name, encoding) = self.channels[topic].clone();
+        assert_eq!((name.as_str(), encoding.as_str()), (schema, "json"), "{topic}");
+        let number = self.subscribed.len() as u32 + 1;
+        self.subscribed.insert(number, topic.to_owned());
+        self.say(json!({ "op": "subscribe", "subscriptions": [{ "id": number, "channelId": channel }] }))
+            .await;
+        loop {
+            if let Some((from, message)) = self.next().await
+                && from == topic
+            {
+                return message;
+            }
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn foxglove_sees_a_robot_and_a_pose_published_there_becomes_its_goal() {
+    let deployment = Deployment::new(ZENAV, "kitchen", 4.0);
+    let _up = deployment.start_up();
+    let bus = deployment.bus().await;
+    Observer::new(&bus, ROBOT)
+        .until("a mission commands the robot", LONG, |state| state.lease.live)
+        .await;
+    let arguments = [
+        "view",
+        "--listen",
+        "127.0.0.1:0",
+        "--goals",
+        "--connect",
+        &deployment.router,
+    ];
+    let mut view = Process::start(ZENAV, &arguments, deployment.folder());
+    let address = view.until("Foxglove: ", LONG).replace("Foxglove: ", "");
+    let mut viewer = Viewer::connect(address.trim()).await;
+
+    let scan = viewer.first("/tiago/scan", "foxglove.LaserScan").await;
+    assert!(scan["ranges"].as_array().unwrap().len() > 100);
+    let state = viewer.first("zenav/tiago/edge/state", "zenav.EdgeState").await;
+    assert!(state["velocity"]["v"].is_number(), "{state}");
+    // Nothing changes the map of a robot at rest: it is the last one that this viewer gets.
+    let map = viewer.first("/tiago/map", "foxglove.Grid").await;
+    assert!(map["column_count"].as_u64().unwrap() > 10);
+
+    let mut goals = bus.latest::<GoalState>(&topics::GOAL_STATE, &[ROBOT, "*"]).unwrap();
+    viewer
+        .say(json!({
+            "op": "advertise",
+            "channels": [{ "id": 7, "topic": "/goal", "encoding": "json", "schemaName": "foxglove.PoseInFrame" }],
+        }))
+        .await;
+    let pose = json!({
+        "frame_id": "map",
+        "pose": { "position": { "x": 0.3, "y": -0.5, "z": 0.0 }, "orientation": { "x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0 } },
+    });
+    let mut message = vec![MESSAGE_DATA];
+    message.extend(7_u32.to_le_bytes());
+    message.extend(pose.to_string().as_bytes());
+    viewer.socket.send(Message::binary(message)).await.unwrap();
+    let ended = async {
+        loop {
+            let goal = goals.next().await.expect("the bus is open").message;
+            if goal.state.is_end() {
+                return goal;
+            }
+        }
+    };
+    // Whoever views and never reads must not stop the others: the viewer takes nothing meanwhile.
+    let ended = timeout(LONG, ended).await.unwrap();
+    assert_eq!(ended.state, GoalPhase::Succeeded, "{ended:?}");
+}

@@ -1,0 +1,116 @@
+//! A disk that takes no more: who goes on, what is told, and what is stored once there is room?
+//!
+//! A limit on the size of files stands for the full disk: it needs no rights, and is lifted from outside.
+
+use std::path::Path;
+
+use rustix::process::{Pid, Resource, Rlimit};
+use zenav_protocol::messages::Mode;
+use zenav_tests::deployment::{Deployment, ROBOT};
+use zenav_tests::observer::Observer;
+use zenav_tests::process::Process;
+
+use super::{LONG, ZENAV, drive, said};
+
+/// Starts a command that gets an error, and no signal, from a write that finds no room; with room at first or not.
+fn start(arguments: &[&str], folder: &Path, room: bool) -> Process {
+    let limit = if room { "" } else { "ulimit -S -f 0;" };
+    let script = format!("trap '' XFSZ; {limit} exec \"$0\" \"$@\"");
+    Process::start("sh", &[&["-c", &script, ZENAV], arguments].concat(), folder)
+}
+
+/// Lets a process write files, or not.
+fn set_room(process: &Process, room: bool) {
+    let pid = Pid::from_raw(i32::try_from(process.id()).unwrap());
+    let current = if room { None } else { Some(0) };
+    rustix::process::prlimit(pid, Resource::Fsize, Rlimit { current, maximum: None }).unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn a_mission_on_a_full_disk_acknowledges_nothing_lives_and_goes_on_when_there_is_room() {
+    let deployment = Deployment::new(ZENAV, "kitchen", 4.0);
+    let _router = deployment.start_router();
+    deployment.bus().await.close().await;
+    let _edge = deployment.start_edge();
+    let arguments = [
+        "cloud",
+        "all",
+        "--connect",
+        &deployment.router,
+        "--data",
+        "cloud",
+        "--world",
+        "kitchen",
+    ];
+    let mut cloud = start(&arguments, deployment.folder(), true);
+    drive(&deployment, "-0.9", "-0.2");
+
+    set_room(&cloud, false);
+    let submit = ["goal", "submit", "-0.9", "0.3", "--id", "full", "--timeout", "10"];
+    let refused = deployment.client(&submit);
+    assert_ne!(refused.status.code(), Some(0), "{}", said(&refused));
+    assert!(said(&refused).contains("nothing can be stored"), "{}", said(&refused));
+    assert!(
+        said(&refused).contains("mission.redb"),
+        "it names the file: {}",
+        said(&refused)
+    );
+    cloud.until("waits for room", LONG);
+    cloud.assert_running();
+
+    set_room(&cloud, true);
+    let done = deployment.client(&[&submit[..6], &["--wait", "--timeout", "40"]].concat());
+    assert_eq!(done.status.code(), Some(0), "{}", said(&done));
+    cloud.assert_running();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn an_edge_on_a_full_disk_starts_obeys_a_stop_says_that_it_is_not_stored_and_stores_it_when_there_is_room() {
+    let deployment = Deployment::new(ZENAV, "kitchen", 4.0);
+    let _router = deployment.start_router();
+    let bus = deployment.bus().await;
+    let mut robot = Observer::new(&bus, ROBOT);
+    let arguments = [
+        "edge",
+        "--connect",
+        &deployment.router,
+        "--listen",
+        &deployment.edge,
+        "--data",
+        "edge",
+        "--world",
+        "kitchen",
+    ];
+    let mut edge = start(&arguments, deployment.folder(), false);
+    robot
+        .until("it says so", LONG, |state| state.faults.storage.is_some())
+        .await;
+    let stopped = deployment.client(&["stop", "--timeout", "20"]);
+    assert_eq!(stopped.status.code(), Some(0), "{}", said(&stopped));
+    assert!(said(&stopped).contains("not stored"), "{}", said(&stopped));
+    let lease = deployment.client(&["lease", "acquire", "--for", "1", "--timeout", "5"]);
+    assert_ne!(
+        lease.status.code(),
+        Some(0),
+        "an epoch must not come twice: {}",
+        said(&lease)
+    );
+    let health = said(&deployment.client(&["doctor"]));
+    assert!(health.contains("not stored"), "{health}");
+    robot
+        .until("it is stopped", LONG, |state| {
+            state.mode == Mode::Stopped && state.faults.storage.is_some()
+        })
+        .await;
+
+    set_room(&edge, true);
+    robot
+        .until("it is stored", LONG, |state| state.faults.storage.is_none())
+        .await;
+    edge.kill();
+    let _edge = deployment.start_edge();
+    let state = robot
+        .until("it runs again", LONG, |state| state.stamp.as_secs() < 5.0)
+        .await;
+    assert_eq!(state.mode, Mode::Stopped);
+}

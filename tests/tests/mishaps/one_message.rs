@@ -1,0 +1,211 @@
+//! One message from anybody on the bus: does the robot still drive?
+
+use tokio::time::timeout;
+use zenav_protocol::SCHEMA_VERSION;
+use zenav_protocol::bus::{Bus, Publisher};
+use zenav_protocol::messages::{
+    EdgeState, Event, EventKind, InfoReply, Leader, LeaseAction, LeaseRequest, LeaseRole, Mode, Plan, Revision,
+    SimClock,
+};
+use zenav_protocol::readings::Readings;
+use zenav_protocol::time::Stamp;
+use zenav_protocol::topics;
+use zenav_tests::deployment::{Deployment, ROBOT};
+use zenav_tests::observer::{Observer, is_rest};
+use zenav_tests::process::Process;
+
+use super::{LONG, ZENAV, drive, said};
+
+/// The robot of the served world, with an endpoint of its own.
+fn attached(deployment: &Deployment) -> Process {
+    let edge = &deployment.edge;
+    deployment.start_up_attached(&format!(
+        "[robots.{ROBOT}]\nmodel = \"tiago\"\nlisten = \"{edge}\"\nattach = true\n"
+    ))
+}
+
+/// Waits until somebody hears what is published.
+async fn heard<T>(publisher: &Publisher<T>) {
+    let heard = async {
+        while !publisher.may_be_heard() {
+            tokio::task::yield_now().await;
+        }
+    };
+    timeout(LONG, heard).await.expect("somebody listens");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn readings_of_the_far_future_are_not_believed_and_a_silent_body_is_named_while_a_stop_is_obeyed() {
+    let deployment = Deployment::new(ZENAV, "kitchen", 4.0);
+    let world = deployment.start_served_world();
+    let bus = deployment.bus().await;
+    let mut parts = attached(&deployment);
+    let mut robot = Observer::new(&bus, ROBOT);
+    drive(&deployment, "-0.9", "-0.2");
+
+    let forger = bus.publisher(&topics::READINGS, &[ROBOT]).unwrap();
+    heard(&forger).await;
+    for stamp in [Stamp(u64::MAX), Stamp::from_secs(1e6)] {
+        forger.put(&Readings::new(stamp));
+        robot.until("it goes on", LONG, |state| state.faults.are_none()).await;
+    }
+    drive(&deployment, "-0.9", "0.3");
+    let stopped = deployment.client(&["stop"]);
+    assert_eq!(stopped.status.code(), Some(0), "{}", said(&stopped));
+    let resumed = deployment.client(&["resume"]);
+    assert_eq!(resumed.status.code(), Some(0), "{}", said(&resumed));
+
+    // The world freezes, and the router with it: nothing comes from the body any more.
+    world.pause().unwrap();
+    let own = deployment.bus_at(&deployment.edge).await;
+    let mut alone = Observer::new(&own, ROBOT);
+    let silent = alone
+        .until("it says so", LONG, |state| state.faults.body.is_some())
+        .await;
+    assert!(silent.faults.body.unwrap().contains("no readings"));
+    let at_its_own = |command: &[&str]| deployment.zenav(&[command, &["--connect", &deployment.edge]].concat());
+    let stopped = at_its_own(&["stop"]);
+    assert_eq!(stopped.status.code(), Some(0), "{}", said(&stopped));
+    let health = said(&at_its_own(&["doctor"]));
+    assert!(health.contains("body") && health.contains("no readings"), "{health}");
+
+    world.resume().unwrap();
+    let heard_again = |state: &EdgeState| state.faults.are_none() && state.mode == Mode::Stopped;
+    robot.until("its body is heard again", LONG, heard_again).await;
+    assert_eq!(deployment.client(&["resume"]).status.code(), Some(0));
+    drive(&deployment, "-0.9", "-0.2");
+    parts.assert_running();
+}
+
+/// The lease as the robot shows it.
+async fn leader(robot: &mut Observer) -> Leader {
+    let leads = |state: &EdgeState| state.lease.live && state.lease.leader.is_some();
+    robot.until("a mission leads", LONG, leads).await.lease.leader.unwrap()
+}
+
+/// A plan that says it is the holder's last word for ever, and cannot be driven.
+fn last_word(plan: &Plan) -> Plan {
+    Plan {
+        revision: Revision {
+            incarnation: plan.revision.incarnation,
+            counter: u64::MAX,
+        },
+        trajectory_id: u64::MAX,
+        valid_for: 0.0,
+        ..plan.clone()
+    }
+}
+
+async fn caught_up(bus: &Bus, leader: &Leader) {
+    let forged = LeaseRequest {
+        store: Some(leader.store.clone()),
+        leads: Some(Leader {
+            caught_up: vec![leader.store.clone(), "nobody".to_owned()],
+            revision: u64::MAX,
+            ..leader.clone()
+        }),
+        ..LeaseRequest::new("stranger", LeaseRole::Mission, LeaseAction::CaughtUp, "forged")
+    };
+    let answer = bus.ask(&topics::LEASE, &[ROBOT], &forged, LONG).await;
+    assert!(answer.is_err(), "{answer:?}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn plans_reports_and_clocks_that_leap_change_nothing() {
+    let deployment = Deployment::new(ZENAV, "kitchen", 4.0);
+    let mut up = deployment.start_up();
+    let bus = deployment.bus().await;
+    let mut robot = Observer::new(&bus, ROBOT);
+    drive(&deployment, "-0.9", "-0.2");
+
+    let plan = robot.plans().last().expect("it drove by a plan").clone();
+    let plans = bus.publisher(&topics::PLAN, &[ROBOT]).unwrap();
+    heard(&plans).await;
+    plans.put(&last_word(&plan));
+    let rejected = |events: &[EventKind]| {
+        let forged = |event: &EventKind| matches!(event, EventKind::PlanRejected { trajectory_id, .. } if *trajectory_id == u64::MAX);
+        events.iter().any(forged)
+    };
+    while !rejected(robot.events()) {
+        robot.next(LONG).await;
+    }
+    drive(&deployment, "-0.9", "0.3");
+
+    let leads = leader(&mut robot).await;
+    caught_up(&bus, &leads).await;
+    assert_eq!(leader(&mut robot).await.caught_up, leads.caught_up);
+
+    let clock = bus.publisher(&topics::SIM_CLOCK, &[]).unwrap();
+    heard(&clock).await;
+    for stamp in [Stamp(u64::MAX), Stamp::from_secs(1e9)] {
+        clock.put(&SimClock { stamp });
+        robot.next(LONG).await;
+    }
+    drive(&deployment, "-0.9", "-0.2");
+
+    // A mission of a restart leads the same store, and the robot still drives.
+    up.kill();
+    let _up = deployment.start_up();
+    bus.close().await;
+    deployment.bus().await.close().await;
+    drive(&deployment, "-0.9", "0.3");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn a_stranger_s_word_neither_ends_a_goal_nor_the_mission() {
+    let deployment = Deployment::new(ZENAV, zenav_tests::deployment::CORRIDOR, 4.0);
+    let _router = deployment.start_router();
+    let bus = deployment.bus().await;
+    // A stranger answers for the robot, before it is there and as long as it is asked.
+    let mut stranger = bus.serve(&topics::EDGE_INFO, &[ROBOT]).unwrap();
+    let lying = tokio::spawn(async move {
+        while let Some(request) = stranger.next().await {
+            request.reply(&InfoReply {
+                component: "edge".to_owned(),
+                version: "9.9.9".to_owned(),
+                schema: SCHEMA_VERSION + 7,
+                robot: ROBOT.to_owned(),
+                ..InfoReply::default()
+            });
+        }
+    });
+    let mut cloud = deployment.start_cloud();
+    let said = cloud.until("9.9.9", LONG);
+    assert!(said.contains(&format!("schema {}", SCHEMA_VERSION + 7)), "{said}");
+    lying.abort();
+    let _edge = deployment.start_edge();
+    let mut robot = Observer::new(&bus, ROBOT);
+    let submitted = deployment.client(&["goal", "submit", "--place", "far_end", "--id", "far", "--timeout", "40"]);
+    assert_eq!(submitted.status.code(), Some(0), "{submitted:?}");
+    let driving = robot
+        .until("it drives", LONG, |state| {
+            state.velocity.v > 0.2 && state.plan.is_some()
+        })
+        .await;
+    cloud.assert_running();
+
+    let plan = driving.plan.unwrap();
+    let events = bus.publisher(&topics::EVENT, &[ROBOT]).unwrap();
+    heard(&events).await;
+    events.put(&Event {
+        stamp: driving.stamp,
+        boot_id: driving.boot_id,
+        sequence: 1_000_000,
+        kind: EventKind::PlanFinished {
+            goal_id: plan.goal_id,
+            trajectory_id: plan.trajectory_id,
+        },
+    });
+    robot.during(2.0).await;
+    let listed = deployment.client(&["goal", "list", "-o", "json"]);
+    let goals: serde_json::Value = serde_json::from_slice(&listed.stdout).unwrap();
+    assert_eq!(goals[0]["state"], "Active", "{goals}");
+    let watched = deployment.client(&["goal", "watch", "far", "-o", "json"]);
+    assert_eq!(watched.status.code(), Some(0), "{watched:?}");
+    robot
+        .until("it rests there", LONG, |state| is_rest(state.velocity))
+        .await;
+    let pose = robot.pose().map_from_base;
+    assert!((pose.x - 15.0).hypot(pose.y) < 0.3, "{pose:?}");
+    cloud.assert_running();
+}

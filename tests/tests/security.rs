@@ -1,0 +1,305 @@
+//! Who may do what in a fleet whose members prove who they are? With real processes: a router, a world, a robot, a cloud, and keys of `zenav keys`.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
+
+use std::process::Output;
+use std::time::Duration;
+
+use zenav_protocol::bus::{AskError, Bus};
+use zenav_protocol::geometry::Twist2;
+use zenav_protocol::messages::{InfoRequest, Mode, StopReply, StopRequest, Teleop};
+use zenav_protocol::time::Stamp;
+use zenav_protocol::topics;
+use zenav_tests::observer::{Observer, assert_rests};
+use zenav_tests::process::{Process, run};
+use zenav_tests::secured::SecuredFleet;
+
+const ZENAV: &str = env!("CARGO_BIN_EXE_zenav-under-test");
+const ROBOT: &str = "tiago";
+/// Far longer than anything here takes.
+const LIMIT: Duration = Duration::from_secs(60);
+/// What nobody answers is waited for so long.
+const IN_VAIN: Duration = Duration::from_secs(2);
+const JSON: &str = "application/json";
+
+fn said(output: &Output) -> String {
+    let text = [&output.stdout[..], &output.stderr].concat();
+    String::from_utf8_lossy(&text).into_owned()
+}
+
+/// A fleet at work: its keys, and the processes of router, world, robot and cloud.
+struct Running {
+    fleet: SecuredFleet,
+    router: Process,
+    _parts: [Process; 3],
+}
+
+/// Starts everything, and waits until the mission answers an operator.
+async fn running(members: &[&str]) -> Running {
+    let own = [
+        "router.site1",
+        "router.world",
+        "robot.tiago",
+        "service.site1",
+        "operator.anna",
+    ];
+    let fleet = SecuredFleet::new(ZENAV, 4.0, &[&own[..], members].concat());
+    let mut router = fleet.start_router("router.site1");
+    router.until("router up", LIMIT);
+    let parts = [
+        fleet.start_world("router.world"),
+        fleet.start_edge("robot.tiago"),
+        fleet.start_cloud("service.site1"),
+    ];
+    let operator = fleet.join("operator.anna", &fleet.router).await;
+    info(&operator, LIMIT).await.unwrap();
+    let request = InfoRequest::default();
+    operator
+        .ask(&topics::CLOUD_INFO, &[ROBOT], &request, LIMIT)
+        .await
+        .unwrap();
+    operator.close().await;
+    Running {
+        fleet,
+        router,
+        _parts: parts,
+    }
+}
+
+async fn info(bus: &Bus, within: Duration) -> Result<(), AskError> {
+    let request = InfoRequest::default();
+    bus.ask(&topics::EDGE_INFO, &[ROBOT], &request, within)
+        .await
+        .map(|_| ())
+}
+
+async fn stop(bus: &Bus, within: Duration) -> Result<StopReply, AskError> {
+    let request = StopRequest {
+        by: Some("test".into()),
+    };
+    bus.ask(&topics::STOP, &[ROBOT], &request, within).await
+}
+
+/// Publishes `forged` where the sender may not, then `fair` where it may: the one who hears everything hears only `fair`, which came later
+/// over the same link.
+async fn only_the_second_passes(sender: &Bus, viewer: &Bus, forged: &str, fair: &str) {
+    let mut heard = viewer.raw_subscribe("zenav/**", 4096).unwrap();
+    let mark = format!("{{\"mark\":\"{}\"}}", zenav_protocol::id::Id::unique());
+    let deadline = tokio::time::Instant::now() + LIMIT;
+    loop {
+        sender.raw_put(forged, mark.clone().into_bytes(), JSON).unwrap();
+        sender.raw_put(fair, mark.clone().into_bytes(), JSON).unwrap();
+        let next = async {
+            loop {
+                let sample = heard.next().await.unwrap();
+                if sample.bytes == mark.as_bytes() {
+                    return sample.key;
+                }
+            }
+        };
+        match tokio::time::timeout(Duration::from_millis(500), next).await {
+            Ok(key) => return assert_eq!(key, fair, "{forged} passed"),
+            // The router did not know of the subscription yet.
+            Err(_) => assert!(tokio::time::Instant::now() < deadline, "{fair} does not pass either"),
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn every_role_does_its_part_in_a_mission_and_no_other() {
+    let running = running(&["robot.neato", "viewer.wall"]).await;
+    let fleet = &running.fleet;
+    let viewer = fleet.join("viewer.wall", &fleet.router).await;
+    let operator = fleet.join("operator.anna", &fleet.router).await;
+    let service = fleet.join("service.site1", &fleet.router).await;
+    let neato = fleet.join("robot.neato", &fleet.router).await;
+    let mut observer = Observer::new(&viewer, ROBOT);
+    let commands = ["cloud/plan", "cloud/heartbeat", "operator/teleop", "edge/wheels"];
+    let mut recorded = viewer
+        .tap(&commands.map(|key| format!("zenav/{ROBOT}/{key}")), 64 << 20)
+        .unwrap();
+
+    // The positive control: the operator's goal drives the robot there.
+    let goal = [
+        "goal",
+        "submit",
+        "0.88",
+        "0.09",
+        "--robot",
+        ROBOT,
+        "--wait",
+        "--timeout",
+        "60",
+    ];
+    let drive = fleet.client("operator.anna", &fleet.router, &goal);
+    assert!(drive.status.success(), "{}", said(&drive));
+    observer.assert_untouched();
+    let there = observer.pose().map_from_base;
+    assert!((there.x - 0.88).hypot(there.y - 0.09) < 0.5, "{there:?}");
+
+    // A stranger: without an identity, with plain TCP, with the identity of another fleet.
+    let plain = fleet.router.replace("quic/", "tcp/");
+    assert!(fleet.try_to_join(None, &plain).await.is_err());
+    let other = tempfile::tempdir().unwrap();
+    let of_another_fleet = zenav::keys::make(&other.path().join("fleet"), "router.site1").unwrap();
+    assert!(fleet.try_to_join(Some(&of_another_fleet), &fleet.router).await.is_err());
+    let nobody = fleet.zenav(&["stop", "--connect", &fleet.router]);
+    assert!(
+        nobody.status.code() == Some(2) && said(&nobody).contains("--identity"),
+        "{}",
+        said(&nobody)
+    );
+
+    // A robot speaks for itself alone.
+    let own = |key: &str| format!("zenav/neato/edge/{key}");
+    for forged in ["edge/state", "cloud/plan", "operator/teleop", "body/readings"] {
+        only_the_second_passes(&neato, &viewer, &format!("zenav/{ROBOT}/{forged}"), &own("state")).await;
+    }
+    assert!(matches!(stop(&neato, IN_VAIN).await, Err(AskError::Timeout { .. })));
+    // An operator drives by hand, and publishes no plan.
+    let teleop = format!("zenav/{ROBOT}/operator/teleop");
+    for forged in ["cloud/plan", "edge/wheels", "body/readings"] {
+        only_the_second_passes(&operator, &viewer, &format!("zenav/{ROBOT}/{forged}"), &teleop).await;
+    }
+    // A service plans, and moves no wheel.
+    let correction = format!("zenav/{ROBOT}/cloud/correction");
+    for forged in ["edge/wheels", "body/readings", "edge/event"] {
+        only_the_second_passes(&service, &viewer, &format!("zenav/{ROBOT}/{forged}"), &correction).await;
+    }
+    // A viewer looks, and neither stops nor steers.
+    info(&viewer, LIMIT).await.unwrap();
+    assert!(matches!(stop(&viewer, IN_VAIN).await, Err(AskError::Timeout { .. })));
+    let steer = Teleop {
+        epoch: 1,
+        twist: Twist2 { v: 0.3, w: 0.0 },
+        echo: Stamp::ZERO,
+    };
+    viewer.publisher(&topics::TELEOP, &[ROBOT]).unwrap().put(&steer);
+
+    // A replay of everything that drove the robot, by one who may write plans.
+    let mut replayed = 0;
+    while let Some(tapped) = recorded.try_next() {
+        service
+            .raw_put(&tapped.sample.key, tapped.sample.bytes, &tapped.sample.encoding)
+            .unwrap();
+        replayed += 1;
+    }
+    assert!(replayed > 10, "{replayed}");
+    let states = Observer::new(&viewer, ROBOT).during(4.0).await;
+    assert_rests(
+        &states,
+        "commands of the past, and of who may not command, move nothing",
+    );
+    assert!(
+        states.iter().all(|state| state.mode != Mode::Stopped),
+        "nobody who may has stopped it"
+    );
+
+    // An operator stops it; on the robot's own endpoint too, where a viewer may as little as at the router.
+    let at_the_robot = fleet.join("viewer.wall", &fleet.edge).await;
+    info(&at_the_robot, LIMIT).await.unwrap();
+    assert!(matches!(
+        stop(&at_the_robot, IN_VAIN).await,
+        Err(AskError::Timeout { .. })
+    ));
+    let stopped = fleet.client("operator.anna", &fleet.edge, &["stop", "--robot", ROBOT]);
+    assert!(stopped.status.success(), "{}", said(&stopped));
+    observer
+        .until("it is stopped", LIMIT, |state| state.mode == Mode::Stopped)
+        .await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn who_was_revoked_is_let_in_no_more_and_the_others_are() {
+    let mut running = running(&["operator.bert"]).await;
+    let fleet = &running.fleet;
+    let bert = fleet.join("operator.bert", &fleet.router).await;
+    info(&bert, LIMIT).await.unwrap();
+    fleet.keys(&["revoke", "operator.bert"]);
+    running.router.until("starts anew", LIMIT);
+    let anna = fleet.join("operator.anna", &fleet.router).await;
+    info(&anna, LIMIT).await.unwrap();
+    assert!(matches!(info(&bert, IN_VAIN).await, Err(AskError::Timeout { .. })));
+    assert!(matches!(stop(&bert, IN_VAIN).await, Err(AskError::Timeout { .. })));
+    let stopped = fleet.client(
+        "operator.bert",
+        &fleet.router,
+        &["stop", "--robot", ROBOT, "--timeout", "3"],
+    );
+    assert!(!stopped.status.success());
+    let mut observer = Observer::new(&anna, ROBOT);
+    assert!(
+        observer
+            .during(1.0)
+            .await
+            .iter()
+            .all(|state| state.mode != Mode::Stopped)
+    );
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn a_link_ends_with_its_certificate() {
+    let running = running(&[]).await;
+    let fleet = &running.fleet;
+    // 26 s.
+    fleet.keys(&["issue", "operator.guest", "--days", "0.0003"]);
+    let mut router = running.router;
+    router.until("starts anew", LIMIT);
+    let guest = fleet.join("operator.guest", &fleet.router).await;
+    info(&guest, LIMIT).await.unwrap();
+    let deadline = tokio::time::Instant::now() + LIMIT;
+    while guest.is_connected().await {
+        assert!(
+            tokio::time::Instant::now() < deadline,
+            "the link outlives its certificate"
+        );
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+    assert!(info(&guest, IN_VAIN).await.is_err());
+    let late = fleet.client("operator.guest", &fleet.router, &["stop", "--robot", ROBOT]);
+    assert!(
+        late.status.code() == Some(2) && said(&late).contains("expired"),
+        "{}",
+        said(&late)
+    );
+}
+
+#[test]
+fn nobody_listens_to_other_machines_by_mistake() {
+    let folder = tempfile::tempdir().unwrap();
+    let everywhere = "tcp/0.0.0.0:0";
+    for arguments in [
+        &["router", "--listen", everywhere][..],
+        &["up", "--listen", everywhere, "--no-gateway"],
+        &["sim", "serve", "--listen", everywhere],
+        &["edge", "--listen", everywhere],
+    ] {
+        let output = run(ZENAV, arguments, folder.path(), LIMIT);
+        let text = said(&output);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {text}");
+        assert!(
+            text.contains("--identity") && text.contains("--insecure"),
+            "{arguments:?}: {text}"
+        );
+    }
+    let mut router = Process::start(ZENAV, &["router", "--listen", everywhere, "--insecure"], folder.path());
+    router.until("router up", LIMIT);
+    let output = run(ZENAV, &["router", "--listen", "quic/127.0.0.1:0"], folder.path(), LIMIT);
+    assert!(
+        output.status.code() == Some(2) && said(&output).contains("--identity"),
+        "{}",
+        said(&output)
+    );
+}
+
+#[test]
+fn an_identity_is_of_the_robot_that_it_is_used_for() {
+    let fleet = SecuredFleet::new(ZENAV, 1.0, &["robot.neato", "service.site1"]);
+    for member in ["robot.neato", "service.site1"] {
+        let edge = ["edge", "--attach", "--listen", "quic/127.0.0.1:0"];
+        let output = fleet.client(member, &fleet.router, &edge);
+        let text = said(&output);
+        assert_eq!(output.status.code(), Some(2), "{text}");
+        assert!(text.contains(member) && text.contains("robot.tiago"), "{text}");
+    }
+}
