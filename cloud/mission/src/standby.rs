@@ -28,11 +28,13 @@ pub enum Verdict {
         /// In place of what is stored, rather than after it.
         instead: bool,
     },
-    /// It is stored already.
+    /// It writes nothing: the leader is alive.
     Known,
 }
 
-/// Judges a journal entry: it is the leader's by the robot's `word`, and the next one.
+/// Judges a journal entry: it is the leader's by the robot's `word`, and the next one. No entry is sent twice, so writes under a number that
+/// is stored are of another replication, which a join that came twice began: they are refused, for what is stored under that number is not
+/// what the leader believes to be stored.
 ///
 /// # Errors
 /// [`Refusal::Rejected`] with what stands against it.
@@ -50,8 +52,9 @@ pub fn judge(entry: &JournalEntry, word: Option<&Leader>, place: &JournalPositio
         )));
     }
     match entry.position {
-        known if known <= place.position => Ok(Verdict::Known),
         next if next == place.position + 1 => Ok(Verdict::Take { instead: next == 1 }),
+        known if known <= place.position && entry.writes.is_empty() => Ok(Verdict::Known),
+        known if known <= place.position => Err(Refusal::rejected(format!("entry {known} is stored already"))),
         late => Err(Refusal::rejected(format!(
             "entry {late} does not follow {}",
             place.position
@@ -76,6 +79,7 @@ pub fn may_lead(lease: &LeaseState, store: &str) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use zenav_protocol::messages::JournalWrite;
     use zenav_protocol::time::Stamp;
 
     fn entry(leader: &str, epoch: u64, session: &str, position: u64) -> JournalEntry {
@@ -106,10 +110,20 @@ mod tests {
             position,
         };
         let judged = |entry: JournalEntry| judge(&entry, Some(&named), &place(4));
-        assert_eq!(judged(entry("a", 7, "s", 5)), Ok(Verdict::Take { instead: false }));
-        assert_eq!(judged(entry("a", 7, "s", 4)), Ok(Verdict::Known), "sent again");
-        assert_eq!(judged(entry("a", 7, "s", 1)), Ok(Verdict::Known), "sent again late");
+        let with_writes = |position| JournalEntry {
+            writes: vec![JournalWrite {
+                table: "goals".into(),
+                key: "g".into(),
+                value: None,
+            }],
+            ..entry("a", 7, "s", position)
+        };
+        assert_eq!(judged(with_writes(5)), Ok(Verdict::Take { instead: false }));
+        assert_eq!(judged(entry("a", 7, "s", 4)), Ok(Verdict::Known), "alive");
+        assert_eq!(judged(entry("a", 7, "s", 1)), Ok(Verdict::Known), "alive, and late");
         let strangers = [
+            with_writes(4),
+            with_writes(1),
             entry("a", 7, "s", 6),
             entry("a", 7, "before", 5),
             entry("b", 7, "s", 5),

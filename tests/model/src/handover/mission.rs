@@ -7,7 +7,7 @@ use zenav_mission::lease::LeaseClient;
 use zenav_mission::membership::Membership;
 use zenav_mission::records::Leadership;
 use zenav_mission::standby::{JournalPosition, Verdict, judge};
-use zenav_protocol::messages::JournalEntry;
+use zenav_protocol::messages::{JournalEntry, JournalWrite};
 use zenav_protocol::time::Stamp;
 
 use super::system::Message;
@@ -164,6 +164,14 @@ impl Replica {
     }
 }
 
+fn record((goal, end): &(u8, u8)) -> JournalWrite {
+    JournalWrite {
+        table: "goals".to_owned(),
+        key: goal.to_string(),
+        value: Some(end.to_string()),
+    }
+}
+
 impl Leading {
     /// Begins a new life that asks for the lease.
     pub fn begin(own: u8, disk: &mut Disk, now: u8) -> Self {
@@ -230,7 +238,7 @@ impl Following {
             },
             position: *position,
             now: Stamp::ZERO,
-            writes: Vec::new(),
+            writes: writes.iter().map(record).collect(),
         };
         let word = self.word.as_ref().map(List::leader);
         match judge(&entry, word.as_ref(), &place) {

@@ -367,6 +367,9 @@ impl State {
             Message::Join { by, session } => {
                 let leader = other(*by);
                 let (disk, leading) = self.leading(leader)?;
+                if leading.replica.as_ref().is_some_and(|replica| replica.session == *session) {
+                    return Some(());
+                }
                 if leading.membership.members().contains(&store(*by)) && system.has(Rule::OffListAnew) {
                     // It begins anew, once the robot does not list it any more.
                     leading.replica = None;
