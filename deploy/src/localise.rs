@@ -133,7 +133,7 @@ pub fn localise(args: &LocaliseArgs) -> Outcome {
             format!("; found {} times, first after {secs:.1} s", followed.found)
         });
         format!(
-            "{} scans: {} tracking, {} degraded, {} lost, {} ambiguous{found}\n{:.0} % of the scans agree with the map; {:.2} ms a scan, {:.0} ms at most; last at ({:.2}, {:.2}), {:.2} rad",
+            "{} scans: {} tracking, {} degraded, {} lost, {} ambiguous{found}\non average {:.0} % of a scan agrees with the map; {:.2} ms a scan, {:.0} ms at most; last at ({:.2}, {:.2}), {:.2} rad",
             followed.scans,
             followed.tracking,
             followed.degraded,
