@@ -1,14 +1,14 @@
 //! Localiser. Where is the robot now, and is that right?
 
 use nalgebra::{Matrix3, Point2};
-use zenav_protocol::geometry::Pose2;
+use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::messages::{Health, Scan};
 use zenav_protocol::time::Stamp;
 use zenav_scan_matching::{Prior, Refined, Window, floored, odometry_information, points, refine, search, turned};
 
 use crate::evidence::{Evidence, evidence};
-use crate::global::{Found, find};
+use crate::global::{Found, Hypothesis, find};
 use crate::known_map::KnownMap;
 use crate::settings::LocalisationSettings;
 
@@ -18,6 +18,8 @@ const SEARCH_POINTS: usize = 120;
 const GUESSED: [f64; 3] = [0.25, 0.25, 0.1];
 /// Time between two global searches, s.
 const SEARCH_PERIOD: f64 = 0.5;
+/// Time until the whole map is looked at again while the scans contradict the place: it doubles from the first to the second, s.
+const DOUBT: (f64, f64) = (0.5, 30.0);
 
 /// What a scan tells of the robot's place.
 #[derive(Clone, Debug, PartialEq)]
@@ -44,6 +46,8 @@ pub struct Localiser {
     /// Scans in a row that contradict the map.
     contradictions: u32,
     searched_at: Option<Stamp>,
+    /// How long the last doubt keeps the next one away, s.
+    doubt: f64,
     evidence: Evidence,
 }
 
@@ -70,6 +74,7 @@ impl Localiser {
             health: Health::Tracking,
             contradictions: 0,
             searched_at: None,
+            doubt: DOUBT.0,
             evidence: Evidence::default(),
         }
     }
@@ -117,7 +122,7 @@ impl Localiser {
         let is_near = is_near && !self.is_doubtful(laser, &seen, expected);
         let mut covariance = None;
         if !is_near {
-            let refined = self.matched(&now, laser, &seen);
+            let (refined, is_jump) = self.matched(&now, laser, &seen);
             let scan_information = floored(&refined.information, tracking.floor, tracking.floor_turn);
             let prior = now.covariance.try_inverse().unwrap_or_else(Matrix3::zeros);
             now.covariance = (prior + scan_information).try_inverse().unwrap_or(now.covariance);
@@ -127,6 +132,9 @@ impl Localiser {
                 .try_inverse()
                 .map(|covariance| turned(&covariance, refined.pose.yaw));
             self.note(laser, &seen, &refined);
+            if let Some(elsewhere) = self.look_elsewhere(now, laser, &seen, is_jump) {
+                return Some(elsewhere);
+            }
             if self.health == Health::Lost {
                 covariance = None;
             }
@@ -148,8 +156,8 @@ impl Localiser {
         here.points >= settings.evidence.least_points as usize && here.agreeing < settings.tracking.doubtful
     }
 
-    /// The scan matched about the expected pose.
-    fn matched(&self, now: &Last, laser: Point2<f64>, seen: &[Point2<f64>]) -> Refined {
+    /// The scan matched about the expected pose, and whether that is farther away than odometry can be wrong.
+    fn matched(&self, now: &Last, laser: Point2<f64>, seen: &[Point2<f64>]) -> (Refined, bool) {
         let settings = &self.settings;
         let information = now.covariance.try_inverse().unwrap_or_else(Matrix3::zeros);
         let prior = Prior::of_odometry(now.pose, &information);
@@ -159,7 +167,7 @@ impl Localiser {
         let agreeing = weigh(near.pose);
         if agreeing.agreeing >= settings.tracking.doubtful || agreeing.points < settings.evidence.least_points as usize
         {
-            return near;
+            return (near, false);
         }
         let stride = seen.len().div_ceil(SEARCH_POINTS).max(1);
         let thinned: Vec<Point2<f64>> = seen.iter().copied().step_by(stride).collect();
@@ -173,8 +181,47 @@ impl Localiser {
             .found
             .first()
             .map(|best| refine(field, seen, best.pose, None, &settings.refine));
-        wide.filter(|wide| weigh(wide.pose).agreeing > agreeing.agreeing + settings.global.margin)
-            .unwrap_or(near)
+        match wide.filter(|wide| weigh(wide.pose).agreeing > agreeing.agreeing + settings.global.margin) {
+            Some(wide) => (wide, true),
+            None => (near, false),
+        }
+    }
+
+    /// Looks at the whole map where the scan contradicts the place that was matched, or that is a jump: the robot may have been carried away, or
+    /// told a wrong place. `None` while no other place explains the scan clearly better: then the building has changed.
+    fn look_elsewhere(
+        &mut self,
+        now: Last,
+        laser: Point2<f64>,
+        seen: &[Point2<f64>],
+        is_jump: bool,
+    ) -> Option<Located> {
+        let (here, settings) = (self.evidence, &self.settings);
+        let says_much = here.points >= settings.evidence.least_points as usize;
+        let agrees = here.agreeing >= settings.global.agrees && here.through_walls <= settings.tracking.through_walls;
+        if !is_jump && (agrees || !says_much) {
+            self.doubt = DOUBT.0;
+            return None;
+        }
+        let is_due = |then: Stamp| now.stamp.secs_since(then) >= self.doubt;
+        if !is_jump && !self.searched_at.is_none_or(is_due) {
+            return None;
+        }
+        self.searched_at = Some(now.stamp);
+        self.doubt = (2.0 * self.doubt).min(DOUBT.1);
+        let is_elsewhere = |place: &Hypothesis| {
+            let apart = place.pose.distance(&now.pose) >= settings.global.apart
+                || wrap_angle(place.pose.yaw - now.pose.yaw).abs() >= settings.global.apart_turn;
+            apart && place.evidence.agreeing >= here.agreeing + settings.tracking.elsewhere
+        };
+        let found = find(&self.map, laser, seen, settings);
+        let is_doubted = match &found {
+            Found::Unique(place) => is_elsewhere(place),
+            // After a jump none of several places is believed; without one, whoever was right until now still is.
+            Found::Ambiguous(places) => is_jump || places.iter().all(is_elsewhere),
+            Found::Nowhere | Found::OutOfBudget => false,
+        };
+        is_doubted.then(|| self.settle(now, found))
     }
 
     /// Notes what a match says of the robot's health.
@@ -201,22 +248,35 @@ impl Localiser {
 
     /// Looks for a robot that is lost.
     fn search(&mut self, now: Last, laser: Point2<f64>, seen: &[Point2<f64>]) -> Located {
-        let mut located = Located {
-            pose: now.pose,
-            covariance: None,
-            health: self.health.clone(),
-            evidence: self.evidence,
-            is_found_anew: false,
-        };
-        self.last = Some(now);
         if self
             .searched_at
             .is_some_and(|then| now.stamp.secs_since(then) < SEARCH_PERIOD)
         {
-            return located;
+            self.last = Some(now);
+            return Located {
+                pose: now.pose,
+                covariance: None,
+                health: self.health.clone(),
+                evidence: self.evidence,
+                is_found_anew: false,
+            };
         }
         self.searched_at = Some(now.stamp);
-        match find(&self.map, laser, seen, &self.settings) {
+        let found = find(&self.map, laser, seen, &self.settings);
+        self.settle(now, found)
+    }
+
+    /// What a search of the whole map makes of the robot's place.
+    fn settle(&mut self, now: Last, found: Found) -> Located {
+        let mut located = Located {
+            pose: now.pose,
+            covariance: None,
+            health: Health::Lost,
+            evidence: self.evidence,
+            is_found_anew: false,
+        };
+        self.last = Some(now);
+        match found {
             Found::Unique(place) => {
                 self.health = Health::Tracking;
                 self.contradictions = 0;

@@ -43,6 +43,11 @@ zenav_protocol::settings! {
         pub floor: f64 = 0.01, "m", 0.0001..=1.0;
         /// Standard deviation of the heading that a match has at least.
         pub floor_turn: f64 = 0.003, "rad", 0.0001..=1.0;
+        /// Where more of a scan goes through walls, the whole map is looked at for a place that explains it better: people and things that
+        /// were brought in do not do that, a wrong place does.
+        pub through_walls: f64 = 0.1, "", 0.0..=1.0;
+        /// So much more of the scan must agree with the map there.
+        pub elsewhere: f64 = 0.15, "", 0.0..=1.0;
         /// Scans in a row that contradict the map before the robot is lost.
         pub patience: u32 = 4, "", 1..=1000;
     }

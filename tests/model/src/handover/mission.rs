@@ -65,6 +65,8 @@ pub struct Leading {
     pub asks: Text<Asks>,
     pub membership: Membership,
     pub replica: Option<Replica>,
+    /// Replications that have begun, over all lives.
+    pub feeds: u8,
     /// A write whose effects have not been told, and when its step began.
     pub write: Option<(u8, Tell)>,
     /// The report that the robot has not answered.
@@ -88,6 +90,8 @@ pub enum Tell {
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Replica {
     pub session: u8,
+    /// Which replication of the leader's life it is: an answer belongs to the one that asked.
+    pub feed: u8,
     /// Position of the entry that is not answered, or of the last one.
     position: u64,
     is_waiting: bool,
@@ -104,10 +108,11 @@ pub struct Replica {
 
 impl Replica {
     /// Hands everything over in two pieces, however little it is.
-    pub fn new(session: u8, goals: &BTreeMap<u8, u8>, batch: u64) -> Self {
+    pub fn new(session: u8, feed: u8, goals: &BTreeMap<u8, u8>, batch: u64) -> Self {
         let all: Writes = goals.iter().map(|(goal, end)| (*goal, *end)).collect();
         Self {
             session,
+            feed,
             position: 0,
             is_waiting: false,
             batch,
@@ -148,6 +153,7 @@ impl Replica {
             from,
             epoch,
             session: self.session,
+            feed: self.feed,
             position: self.position,
             writes,
         })
@@ -186,6 +192,7 @@ impl Leading {
             asks: Text(Asks::new(incarnation)),
             membership: Membership::new(&store(own), leadership, incarnation),
             replica: None,
+            feeds: 16 * disk.incarnation,
             write: None,
             reporting: None,
             stepped: now,
@@ -211,14 +218,15 @@ impl Leading {
 }
 
 impl Following {
-    /// Takes an entry of the journal; whether it is on disk.
-    pub fn take(&mut self, disk: &mut Disk, message: &Message, without: Option<Rule>) -> Option<bool> {
+    /// Takes an entry of the journal; answers with the newest one on disk, or refuses.
+    pub fn take(&mut self, disk: &mut Disk, message: &Message, without: Option<Rule>) -> Option<Option<u64>> {
         let Message::Entry {
             from,
             epoch,
             session,
             position,
             writes,
+            ..
         } = message
         else {
             return None;
@@ -238,11 +246,15 @@ impl Following {
             },
             position: *position,
             now: Stamp::ZERO,
-            writes: writes.iter().map(record).collect(),
+            writes: if without == Some(Rule::StoredOnce) && *position <= self.position {
+                Vec::new()
+            } else {
+                writes.iter().map(record).collect()
+            },
         };
         let word = self.word.as_ref().map(List::leader);
         match judge(&entry, word.as_ref(), &place) {
-            Ok(Verdict::Known) => Some(true),
+            Ok(Verdict::Known) => Some(Some(self.position)),
             Ok(Verdict::Take { instead }) => {
                 if instead {
                     disk.goals.clear();
@@ -253,13 +265,13 @@ impl Following {
                     shared: true,
                 });
                 self.position = entry.position;
-                Some(true)
+                Some(Some(self.position))
             }
             Err(_) => {
                 if self.session == Some(*session) {
                     (self.session, self.position) = (None, 0);
                 }
-                Some(false)
+                Some(None)
             }
         }
     }

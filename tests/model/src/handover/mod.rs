@@ -47,6 +47,8 @@ pub enum Rule {
     ReportEpoch,
     /// An entry belongs to the standby's newest join.
     Session,
+    /// Writes under a number that is stored are refused.
+    StoredOnce,
     /// That others may have newer goals is on the leader's disk before the robot lists them.
     SharedOnDisk,
     /// A leader with standbys that was held up says nothing more.

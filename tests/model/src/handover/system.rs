@@ -51,6 +51,8 @@ pub enum Message {
         epoch: u64,
         /// The standby's session.
         session: u8,
+        /// Which replication asks.
+        feed: u8,
         /// Number in the session.
         position: u64,
         /// What is to be written.
@@ -260,9 +262,9 @@ impl State {
 
     /// A standby's answer to an entry arrives: what it has, or that it refuses. One that comes late, or never, is an entry that arrives once
     /// its leader has dropped the standby.
-    fn answered(&mut self, leader: u8, session: u8, position: Option<u64>) -> Option<()> {
+    fn answered(&mut self, leader: u8, feed: u8, position: Option<u64>) -> Option<()> {
         let (_, leading) = self.leading(leader)?;
-        let replica = leading.replica.as_mut().filter(|replica| replica.session == session)?;
+        let replica = leading.replica.as_mut().filter(|replica| replica.feed == feed)?;
         match position {
             Some(position) => {
                 replica.stored(position);
@@ -367,7 +369,11 @@ impl State {
             Message::Join { by, session } => {
                 let leader = other(*by);
                 let (disk, leading) = self.leading(leader)?;
-                if leading.replica.as_ref().is_some_and(|replica| replica.session == *session) {
+                if leading
+                    .replica
+                    .as_ref()
+                    .is_some_and(|replica| replica.session == *session)
+                {
                     return Some(());
                 }
                 if leading.membership.members().contains(&store(*by)) && system.has(Rule::OffListAnew) {
@@ -377,25 +383,20 @@ impl State {
                     self.network.send(message.clone());
                     return Some(());
                 }
-                let replica = Replica::new(*session, &disk.goals, leading.membership.batch());
+                leading.feeds += 1;
+                let replica = Replica::new(*session, leading.feeds, &disk.goals, leading.membership.batch());
                 leading.replica = Some(replica);
                 self.replicate(leader);
             }
-            Message::Entry { from, session, .. } => {
+            Message::Entry { from, feed, .. } => {
                 let by = other(*from);
                 let mission = self.mission(by)?;
                 let position = match &mut mission.life {
-                    Life::Following(following) => {
-                        let is_stored = following.take(&mut mission.disk, message, system.without)?;
-                        is_stored.then_some(match message {
-                            Message::Entry { position, .. } => *position,
-                            _ => 0,
-                        })
-                    }
+                    Life::Following(following) => following.take(&mut mission.disk, message, system.without)?,
                     Life::Leading(_) => None,
                     Life::Down => return Some(()),
                 };
-                self.answered(*from, *session, position);
+                self.answered(*from, *feed, position);
             }
         }
         Some(())
@@ -792,6 +793,7 @@ impl Part for Handover {
             "a report counts for the leader and the epoch that it names",
         ),
         (Rule::Session, "an entry is taken only in the standby's newest session"),
+        (Rule::StoredOnce, "writes under a number that is stored are refused"),
         (
             Rule::SharedOnDisk,
             "that others may hold newer goals is on the leader's disk before the robot lists them",
@@ -896,7 +898,7 @@ const OPERATED: Bounds = Bounds {
     operators: 1,
     crashes: 0,
     reports: 1,
-    ticks: 4,
+    ticks: 3,
     ..TAKEOVER
 };
 
@@ -920,6 +922,7 @@ fn scenarios(size: Size) -> Vec<Bounds> {
 const fn breaks_in(rule: Rule) -> Bounds {
     match rule {
         Rule::ListOnDisk => RESTARTS,
+        Rule::StoredOnce => COPIES,
         Rule::Session | Rule::OffListAnew => REJOINS,
         Rule::HeldUp => ENDS,
         _ => TAKEOVER,
