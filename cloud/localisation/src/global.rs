@@ -11,6 +11,13 @@ use crate::settings::LocalisationSettings;
 /// Standard deviation of a place that was found, at least, m and rad: one scan says no more.
 const FOUND: (f64, f64) = (0.05, 0.02);
 
+/// How thick walls may be whose far face is mistaken for the near one, m.
+const THICKNESSES: [f64; 3] = [0.06, 0.12, 0.18];
+/// So many more beams must end at the first wall for another pose.
+const BETTER: f64 = 0.02;
+/// Likelihood of a point in a wall's own cell, at least.
+const A_WALL: f64 = 0.99;
+
 /// A place from which the scan could be.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hypothesis {
@@ -102,10 +109,55 @@ pub fn find(map: &KnownMap, laser: Point2<f64>, points: &[Point2<f64>], settings
         return Found::Ambiguous(places);
     }
     if is_exact {
-        Found::Unique(best)
+        Found::Unique(Hypothesis {
+            pose: at_near_faces(map, laser, points, best.pose, settings),
+            ..best
+        })
     } else {
         Found::OutOfBudget
     }
+}
+
+/// The pose near a found one from which most beams end at the first wall on their way. A thin wall has two faces, and a scan that sees only one
+/// of them fits the other one as well, a wall's thickness off.
+fn at_near_faces(
+    map: &KnownMap,
+    laser: Point2<f64>,
+    points: &[Point2<f64>],
+    found: Pose2,
+    settings: &LocalisationSettings,
+) -> Pose2 {
+    let (mut best, mut most) = (found, first_hits(map, laser, points, found));
+    for direction in 0..8 {
+        let (sin, cos) = (f64::from(direction) * std::f64::consts::FRAC_PI_4).sin_cos();
+        for shift in THICKNESSES {
+            let shifted = Pose2::new(found.x + shift * cos, found.y + shift * sin, found.yaw);
+            let pose = refine(map.field(), points, shifted, None, &settings.refine).pose;
+            let hits = first_hits(map, laser, points, pose);
+            let is_near =
+                pose.distance(&found) < settings.global.apart && turns_less(pose, found, settings.global.apart_turn);
+            if is_near && hits > most + BETTER {
+                (best, most) = (pose, hits);
+            }
+        }
+    }
+    best
+}
+
+/// Share of the beams that end at the first wall on their way, 0 to 1.
+fn first_hits(map: &KnownMap, laser: Point2<f64>, points: &[Point2<f64>], map_from_base: Pose2) -> f64 {
+    let field = map.field();
+    let step = 0.5 * map.spec().resolution;
+    let from = map_from_base.transform_point(laser);
+    let is_first = |point: &&Point2<f64>| {
+        let beam = map_from_base.transform_point(**point) - from;
+        let length = beam.norm();
+        let along = beam / length.max(f64::MIN_POSITIVE);
+        let steps = (length / step) as usize + 3;
+        let first = (0..steps).find(|count| field.at(from + along * (step * *count as f64)) >= A_WALL);
+        first.is_some_and(|count| (step * count as f64 - length).abs() <= 3.0 * step)
+    };
+    points.iter().filter(is_first).count() as f64 / points.len().max(1) as f64
 }
 
 fn turns_less(a: Pose2, b: Pose2, turn: f64) -> bool {
