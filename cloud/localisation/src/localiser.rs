@@ -132,8 +132,10 @@ impl Localiser {
                 .try_inverse()
                 .map(|covariance| turned(&covariance, refined.pose.yaw));
             self.note(laser, &seen, &refined);
-            if let Some(elsewhere) = self.look_elsewhere(now, laser, &seen, is_jump) {
-                return Some(elsewhere);
+            if self.is_elsewhere(&now, laser, &seen, is_jump) {
+                // The robot brakes and drops its plan; it is looked for with the next scan.
+                self.health = Health::Lost;
+                self.searched_at = None;
             }
             if self.health == Health::Lost {
                 covariance = None;
@@ -187,41 +189,34 @@ impl Localiser {
         }
     }
 
-    /// Looks at the whole map where the scan contradicts the place that was matched, or that is a jump: the robot may have been carried away, or
-    /// told a wrong place. `None` while no other place explains the scan clearly better: then the building has changed.
-    fn look_elsewhere(
-        &mut self,
-        now: Last,
-        laser: Point2<f64>,
-        seen: &[Point2<f64>],
-        is_jump: bool,
-    ) -> Option<Located> {
+    /// Whether the robot is rather somewhere else: the whole map is looked at where the scan contradicts the place that was matched, or that is
+    /// a jump, for the robot may have been carried away, or told a wrong place. While no other place explains the scan clearly better the
+    /// building has changed.
+    fn is_elsewhere(&mut self, now: &Last, laser: Point2<f64>, seen: &[Point2<f64>], is_jump: bool) -> bool {
         let (here, settings) = (self.evidence, &self.settings);
         let says_much = here.points >= settings.evidence.least_points as usize;
         let agrees = here.agreeing >= settings.global.agrees && here.through_walls <= settings.tracking.through_walls;
         if !is_jump && (agrees || !says_much) {
             self.doubt = DOUBT.0;
-            return None;
+            return false;
         }
         let is_due = |then: Stamp| now.stamp.secs_since(then) >= self.doubt;
         if !is_jump && !self.searched_at.is_none_or(is_due) {
-            return None;
+            return false;
         }
         self.searched_at = Some(now.stamp);
         self.doubt = (2.0 * self.doubt).min(DOUBT.1);
-        let is_elsewhere = |place: &Hypothesis| {
+        let is_better = |place: &Hypothesis| {
             let apart = place.pose.distance(&now.pose) >= settings.global.apart
                 || wrap_angle(place.pose.yaw - now.pose.yaw).abs() >= settings.global.apart_turn;
             apart && place.evidence.agreeing >= here.agreeing + settings.tracking.elsewhere
         };
-        let found = find(&self.map, laser, seen, settings);
-        let is_doubted = match &found {
-            Found::Unique(place) => is_elsewhere(place),
+        match find(&self.map, laser, seen, settings) {
+            Found::Unique(place) => is_better(&place),
             // After a jump none of several places is believed; without one, whoever was right until now still is.
-            Found::Ambiguous(places) => is_jump || places.iter().all(is_elsewhere),
+            Found::Ambiguous(places) => is_jump || places.iter().all(is_better),
             Found::Nowhere | Found::OutOfBudget => false,
-        };
-        is_doubted.then(|| self.settle(now, found))
+        }
     }
 
     /// Notes what a match says of the robot's health.
@@ -248,35 +243,22 @@ impl Localiser {
 
     /// Looks for a robot that is lost.
     fn search(&mut self, now: Last, laser: Point2<f64>, seen: &[Point2<f64>]) -> Located {
-        if self
-            .searched_at
-            .is_some_and(|then| now.stamp.secs_since(then) < SEARCH_PERIOD)
-        {
-            self.last = Some(now);
-            return Located {
-                pose: now.pose,
-                covariance: None,
-                health: self.health.clone(),
-                evidence: self.evidence,
-                is_found_anew: false,
-            };
-        }
-        self.searched_at = Some(now.stamp);
-        let found = find(&self.map, laser, seen, &self.settings);
-        self.settle(now, found)
-    }
-
-    /// What a search of the whole map makes of the robot's place.
-    fn settle(&mut self, now: Last, found: Found) -> Located {
         let mut located = Located {
             pose: now.pose,
             covariance: None,
-            health: Health::Lost,
+            health: self.health.clone(),
             evidence: self.evidence,
             is_found_anew: false,
         };
         self.last = Some(now);
-        match found {
+        if self
+            .searched_at
+            .is_some_and(|then| now.stamp.secs_since(then) < SEARCH_PERIOD)
+        {
+            return located;
+        }
+        self.searched_at = Some(now.stamp);
+        match find(&self.map, laser, seen, &self.settings) {
             Found::Unique(place) => {
                 self.health = Health::Tracking;
                 self.contradictions = 0;
@@ -314,6 +296,7 @@ impl Localiser {
     pub fn place(&mut self, map_from_base: Pose2) {
         self.health = Health::Tracking;
         self.contradictions = 0;
+        self.doubt = DOUBT.0;
         if let Some(last) = &mut self.last {
             last.pose = map_from_base;
             last.matched = Pose2::new(f64::INFINITY, 0.0, 0.0);

@@ -6,6 +6,7 @@ use nalgebra::Point2;
 use zenav_fixtures::{map_where, spec};
 use zenav_localisation::{Found, KnownMap, LocalisationSettings, Localiser, evidence, find};
 use zenav_protocol::geometry::{Pose2, wrap_angle};
+use zenav_protocol::grid::Occupancy;
 use zenav_protocol::messages::Health;
 use zenav_scan_matching::{ScanSettings, points};
 
@@ -131,6 +132,55 @@ fn a_robot_that_is_carried_away_at_rest_notices_and_is_found() {
     }
     assert!(was_lost);
     assert!(found.is_some_and(|found| is_near(found, elsewhere)), "{found:?}");
+}
+
+#[test]
+fn a_robot_that_is_told_a_wrong_room_is_lost_and_found() {
+    let map = house();
+    let mut localiser = Localiser::new(LocalisationSettings::default(), &map);
+    let (truth, told) = (Pose2::new(1.5, 2.5, 0.3), Pose2::new(8.5, 3.0, 2.0));
+    let all = (1..20).map(|number| {
+        let scan = look(&map, number * 100_000_000, truth, Pose2::IDENTITY, told);
+        localiser.step(&scan).unwrap()
+    });
+    let found: Vec<_> = all.filter(|located| located.is_found_anew).collect();
+    assert!(found.len() == 1 && is_near(found[0].pose, truth), "{found:?}");
+}
+
+#[test]
+fn a_house_whose_furniture_was_moved_is_still_that_house() {
+    let map = house();
+    // Two boxes are gone, a wall has another door, and something stands where nothing stood.
+    let mut changed = map.clone();
+    let inside =
+        |at: Point2<f64>, x: [f64; 2], y: [f64; 2]| (x[0]..x[1]).contains(&at.x) && (y[0]..y[1]).contains(&at.y);
+    for index in 0..changed.spec().len() {
+        let cell = changed.spec().cell(index);
+        let at = changed.spec().center(cell);
+        if inside(at, [0.9, 1.9], [6.1, 7.1])
+            || inside(at, [3.1, 4.3], [0.4, 1.0])
+            || inside(at, [4.9, 5.2], [1.0, 2.0])
+        {
+            changed[cell] = Occupancy::FREE;
+        }
+        if inside(at, [2.2, 2.8], [4.6, 5.0]) || inside(at, [3.6, 4.0], [5.6, 6.2]) {
+            changed[cell] = Occupancy::OCCUPIED;
+        }
+    }
+    let mut localiser = Localiser::new(LocalisationSettings::default(), &map);
+    let guess = Pose2::new(1.0, 2.0, 0.6);
+    for (number, (truth, odometry)) in drive().into_iter().enumerate() {
+        let scan = look(&changed, 100 + 100_000_000 * number as u64, truth, odometry, guess);
+        let located = localiser.step(&scan).unwrap();
+        assert!(
+            located.health.is_trusted() && !located.is_found_anew,
+            "scan {number}: {located:?}"
+        );
+        assert!(
+            located.pose.distance(&truth) < 0.1,
+            "scan {number}: {located:?} instead of {truth:?}"
+        );
+    }
 }
 
 #[test]
