@@ -235,15 +235,10 @@ impl Following {
             session: self.session.map_or_else(String::new, |session| session.to_string()),
             position: self.position,
         };
-        let newest = without == Some(Rule::Session) && self.session.is_some();
         let entry = JournalEntry {
             leader: store(*from),
             epoch: *epoch,
-            session: if newest {
-                place.session.clone()
-            } else {
-                session.to_string()
-            },
+            session: session.to_string(),
             position: *position,
             now: Stamp::ZERO,
             writes: if without == Some(Rule::StoredOnce) && *position <= self.position {

@@ -37,16 +37,12 @@ pub enum Rule {
     CaughtUp,
     /// The robot lets only who is on the list lead.
     Listed,
-    /// A grant makes the new leader the only one on the list.
-    NewList,
     /// The list is on the robot's disk.
     ListOnDisk,
     /// Reports are numbered.
     Numbered,
     /// A report carries the epoch of its leader's grant.
     ReportEpoch,
-    /// An entry belongs to the standby's newest join.
-    Session,
     /// Writes under a number that is stored are refused.
     StoredOnce,
     /// That others may have newer goals is on the leader's disk before the robot lists them.

@@ -301,8 +301,7 @@ impl State {
         let (tick, now) = (self.now, clock(self.now));
         match message {
             Message::Acquire { by, ticket } => {
-                let before = self.robot.leader().cloned();
-                if let Some(leader) = before.clone().filter(|_| !system.has(Rule::Listed)) {
+                if let Some(leader) = self.robot.leader().cloned().filter(|_| !system.has(Rule::Listed)) {
                     let leads = Leader {
                         caught_up: vec![store(0), store(1)],
                         revision: leader.revision + 1,
@@ -315,16 +314,6 @@ impl State {
                     Err(Refusal::Held { leader, .. }) => Err(Some(leader.as_ref().map(List::of))),
                     Err(_) => Err(None),
                 };
-                if let (Ok(_), Some(before), Some(leader)) = (&answer, before, self.robot.leader().cloned())
-                    && !system.has(Rule::NewList)
-                {
-                    let leads = Leader {
-                        caught_up: before.caught_up,
-                        revision: leader.revision + 1,
-                        ..leader
-                    };
-                    let _ = self.robot.request(now, &caught_up(leads));
-                }
                 self.operator &= self.robot.role() == Some(LeaseRole::Operator);
                 self.network.send(Message::Granted {
                     to: *by,
@@ -785,14 +774,12 @@ impl Part for Handover {
             "only a standby that holds everything gets onto the list",
         ),
         (Rule::Listed, "the robot lets only a mission on its list lead"),
-        (Rule::NewList, "a grant makes the new leader the only one on the list"),
         (Rule::ListOnDisk, "the list is on the robot's disk"),
         (Rule::Numbered, "reports are numbered, and a late one changes nothing"),
         (
             Rule::ReportEpoch,
             "a report counts for the leader and the epoch that it names",
         ),
-        (Rule::Session, "an entry is taken only in the standby's newest session"),
         (Rule::StoredOnce, "writes under a number that is stored are refused"),
         (
             Rule::SharedOnDisk,
@@ -923,7 +910,7 @@ const fn breaks_in(rule: Rule) -> Bounds {
     match rule {
         Rule::ListOnDisk => RESTARTS,
         Rule::StoredOnce => COPIES,
-        Rule::Session | Rule::OffListAnew => REJOINS,
+        Rule::OffListAnew => REJOINS,
         Rule::HeldUp => ENDS,
         _ => TAKEOVER,
     }
