@@ -24,9 +24,10 @@ pub fn closure(runs: u64, first: u64) -> Verdict {
     }
     let most = |of: fn(&closure::Closing) -> f64| all.iter().map(of).fold(f64::NEG_INFINITY, f64::max);
     println!(
-        "{good} of {runs} drives unharmed: at most {:.3} m beside the way, {:.3} m from the goal's spot, {:.2} s later and {:.2} s more at rest than without the closure",
+        "{good} of {runs} drives unharmed: at most {:.3} m beside the way, {:.3} m from the goal's spot ({:.3} m without the closure), {:.2} s later and {:.2} s more at rest than without the closure",
         most(|closing| closing.beside),
         most(|closing| closing.error),
+        most(|closing| closing.error_without),
         most(|closing| closing.later),
         most(|closing| closing.stood),
     );
