@@ -18,9 +18,9 @@ use crate::messages::{
     CancelRequest, Correction, EdgeState, Event, GoalReply, GoalRequest, GoalState, GoalsReply, GoalsRequest,
     Heartbeat, Imu, InfoReply, InfoRequest, Intent, JoinReply, JoinRequest, JournalEntry, JournalReply, LeaseReply,
     LeaseRequest, Localisation, LocaliseReply, LocaliseRequest, LogReply, LogRequest, MapFrame, MapInfo, MapPatch,
-    MapReply, MapRequest, Marker, MissionStatus, ModeReply, ModeRequest, MotionReply, MotionRequest, MoveGoalRequest,
-    Obstacles, Odometry, ParamReply, ParamRequest, PauseRequest, Plan, PoseEstimate, RemoteReply, RemoteRequest,
-    ResumeRequest, Scan, SearchTree, SimClock, StopReply, StopRequest, Teleop, WheelSpeeds,
+    MapReply, MapRequest, Marker, MissionStatus, ModeReply, ModeRequest, MotionRecord, MotionReply, MotionRequest,
+    MoveGoalRequest, Obstacles, Odometry, ParamReply, ParamRequest, PauseRequest, Plan, PoseEstimate, RemoteReply,
+    RemoteRequest, ResumeRequest, Scan, SearchTree, SimClock, StopReply, StopRequest, Teleop, WheelSpeeds,
 };
 use crate::readings::Readings;
 
@@ -368,6 +368,7 @@ crate::sensor_kinds!(key_table [
         HEARTBEAT: Heartbeat = "zenav/{robot}/cloud/heartbeat", Holder, Qos::RealTime, 4 * KIB;
         PLAN: Plan = "zenav/{robot}/cloud/plan", Mission, Qos::State, 4 * MIB;
         TREE: SearchTree = "zenav/{robot}/cloud/tree", Motion, Qos::Latest, 4 * MIB;
+        MOTION: MotionRecord = "zenav/{robot}/cloud/motion", Motion, Qos::Events { cache: 16 }, 8 * MIB;
         MISSION: MissionStatus = "zenav/{robot}/cloud/mission", Mission, Qos::State, 4 * MIB;
         GOAL_STATE: GoalState = "zenav/{robot}/cloud/goal/{id}", Mission, Qos::State, 64 * KIB;
         TELEOP: Teleop = "zenav/{robot}/operator/teleop", Operator, Qos::RealTime, 4 * KIB;

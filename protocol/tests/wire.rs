@@ -17,9 +17,10 @@ use zenav_protocol::messages::{
     CancelRequest, Correction, EdgeState, Event, GoalReply, GoalRequest, GoalState, GoalsReply, GoalsRequest,
     Heartbeat, Imu, InfoReply, InfoRequest, Intent, JoinReply, JoinRequest, JournalEntry, JournalReply, LeaseReply,
     LeaseRequest, Localisation, LocaliseReply, LocaliseRequest, LogReply, LogRequest, MapFrame, MapInfo, MapPatch,
-    MapReply, MapRequest, Marker, MissionStatus, ModeReply, ModeRequest, MotionReply, MotionRequest, MoveGoalRequest,
-    Obstacles, Odometry, ParamReply, ParamRequest, PauseRequest, Plan, PoseEstimate, Refusal, RemoteReply,
-    RemoteRequest, ResumeRequest, Scan, SearchTree, SimClock, StopReply, StopRequest, Teleop, Tile, WheelSpeeds,
+    MapReply, MapRequest, Marker, MissionStatus, ModeReply, ModeRequest, MotionRecord, MotionReply, MotionRequest,
+    MoveGoalRequest, Obstacles, Odometry, ParamReply, ParamRequest, PauseRequest, Plan, PoseEstimate, Refusal,
+    RemoteReply, RemoteRequest, ResumeRequest, Scan, SearchTree, SimClock, StopReply, StopRequest, Teleop, Tile,
+    WheelSpeeds,
 };
 use zenav_protocol::readings::Readings;
 use zenav_protocol::topics::TABLE;
@@ -69,6 +70,7 @@ zenav_protocol::sensor_kinds!(messages [
     Heartbeat
     Plan
     SearchTree
+    MotionRecord
     MissionStatus
     GoalState
     Teleop

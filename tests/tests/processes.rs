@@ -403,6 +403,28 @@ fn goals_and_stops_are_given_from_the_command_line_and_answered_by_exit_codes() 
     let text = assert_code(&["goal", "list", "-o", "ndjson"], 0);
     assert_eq!(text.lines().filter(|line| line.starts_with('{')).count(), 2, "{text}");
     assert_code(&["stop"], 0);
+    // No goal ends while the robot is stopped: those behind it wait, and can be moved.
+    for id in ["third", "fourth", "fifth"] {
+        assert_code(&["goal", "submit", "--id", id, "0.9", "0.0"], 0);
+    }
+    let moved = |place: &[&str]| {
+        let text = assert_code(&[&["goal", "move", "fifth"], place].concat(), 0);
+        let rows = text.lines().filter_map(|line| line.split_whitespace().nth(1));
+        rows.filter(|id| ["third", "fourth", "fifth"].contains(id))
+            .map(str::to_owned)
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(moved(&["--before", "fourth"]), ["third", "fifth", "fourth"]);
+    assert_eq!(moved(&["--first"]), ["fifth", "third", "fourth"]);
+    assert_eq!(moved(&["--last"]), ["third", "fourth", "fifth"]);
+    let text = assert_code(&["goal", "move", "first", "--last"], 7);
+    assert!(text.contains("only goals that wait can be moved"), "{text}");
+    assert_code(&["goal", "move", "no_such_goal", "--first"], 3);
+    assert_code(&["goal", "move", "third", "--before", "no_such_goal"], 3);
+    assert_code(&["goal", "move", "third"], 2);
+    for id in ["third", "fourth", "fifth"] {
+        assert_code(&["goal", "cancel", id], 0);
+    }
     assert_code(&["resume"], 0);
     assert_code(&["goal", "cancel", "second"], 0);
     assert_code(&["goal", "watch", "second"], 6);

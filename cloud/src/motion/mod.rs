@@ -4,9 +4,11 @@
 //! |---|---|
 //! | [`worker`] | which path can the robot drive, and what is its trajectory? Pure |
 //! | `via` | how is a path with stops on its way smoothed? |
+//! | `shown` | what do others see of its work? |
 //! | `host` | how is one request worked on, away from the async threads and within its budget? |
 
 mod host;
+mod shown;
 mod via;
 pub mod worker;
 
@@ -19,16 +21,14 @@ use tokio::task::JoinSet;
 use tokio::time::Instant;
 use zenav_observability::Histogram;
 use zenav_observability::metrics::{MOTION_REQUESTS, PATH_SEARCH, SMOOTHING};
-use zenav_protocol::bus::{Bus, BusError, Clock, Latest, Publisher, Request, Server, Shutdown};
+use zenav_protocol::bus::{Bus, BusError, Clock, Latest, Request, Server, Shutdown};
 use zenav_protocol::id::Id;
-use zenav_protocol::messages::{
-    Annotations, MotionReply, MotionRequest, PlanOutcome, PlanReply, Refusal, SearchTree, TrajectoryReply,
-    TrajectoryRequest,
-};
+use zenav_protocol::messages::{Annotations, MotionReply, MotionRequest, PlanOutcome, Refusal, TrajectoryRequest};
 use zenav_protocol::padding::Extent;
-use zenav_protocol::topics::{ALIVE_WORKER, ANNOTATIONS, MOTION_SERVICE, TREE, alive_key};
+use zenav_protocol::topics::{ALIVE_WORKER, ANNOTATIONS, MOTION_SERVICE, alive_key};
 use zenav_space::Zones;
 
+use self::shown::{Shown, Work};
 use self::worker::MotionWorker;
 
 pub use self::worker::MotionSettings;
@@ -44,10 +44,6 @@ const STALE: Duration = Duration::from_secs(2);
 const MAX_WAITING: usize = 256;
 /// Most robots whose zones are kept; beyond it the first by name is dropped.
 const MAX_ROBOTS: usize = 1024;
-/// Robots whose searches are shown at once; beyond it the first by name goes.
-const MAX_SHOWN: usize = 64;
-/// Most edges of a tree that are shown: the first ones, which reach out farthest.
-const MAX_EDGES: usize = 20_000;
 
 /// How far beyond the map its copy must reach for a request; `None` where no unknown cell may be driven through.
 #[must_use]
@@ -88,11 +84,7 @@ pub async fn run(
     bus.serve_info(SERVICE, "")?;
     bus.started();
     let metrics = MotionMetrics::new();
-    let mut viewers = TreePublishers {
-        bus,
-        clock,
-        publishers: BTreeMap::new(),
-    };
+    let mut shown = Shown::new(&bus, clock, name);
     let mut worker = MotionWorker::new(Arc::clone(&all_zones.others), settings.clone());
     loop {
         let request = tokio::select! {
@@ -110,24 +102,32 @@ pub async fn run(
             }
             replica.clone()
         });
-        worker.set_zones(all_zones.of(robot));
-        let (robot, asked) = (robot.to_owned(), request.body.clone());
+        let zones = all_zones.of(robot);
+        worker.set_zones(Arc::clone(&zones));
+        let (asked, used) = (request.body.clone(), map.as_ref().map(|map| map.map().clone()));
         let budgets = [asked.search_budget(), asked.budget()];
         let done = host::within(budgets, &shutdown, move |clock, cancel| {
             let answer = worker.answer(map.as_ref(), &asked, clock, cancel);
-            (worker, answer)
+            let work = Work {
+                map: used,
+                zones,
+                cut_short: cancel.has_cut_short(&asked),
+                request: asked,
+                answer,
+            };
+            (worker, work)
         });
         let done = done.await;
-        metrics.answered(done.as_ref().ok().and_then(|(_, answer)| answer.as_ref().ok()));
+        metrics.answered(done.as_ref().ok().and_then(|(_, work)| work.answer.as_ref().ok()));
+        shown.begin();
         match done {
-            Ok((back, Ok(answer))) => {
+            Ok((back, work)) => {
                 worker = back;
-                request.reply(&answer);
-                viewers.show(&worker, &robot, &answer);
-            }
-            Ok((back, Err(refusal))) => {
-                worker = back;
-                request.refuse(&refusal);
+                match &work.answer {
+                    Ok(answer) => request.reply(answer),
+                    Err(refusal) => request.refuse(refusal),
+                }
+                shown.show(&worker, work);
             }
             Err(refusal) => {
                 worker = MotionWorker::new(Arc::clone(&all_zones.others), settings.clone());
@@ -256,61 +256,6 @@ impl RobotZones {
     }
 }
 
-/// Publishes what was searched, to whoever looks.
-struct TreePublishers {
-    bus: Bus,
-    clock: Clock,
-    publishers: BTreeMap<String, Publisher<SearchTree>>,
-}
-
-impl TreePublishers {
-    fn show(&mut self, worker: &MotionWorker, robot: &str, answer: &MotionReply) {
-        let (MotionReply::Plan(PlanReply { outcome, .. })
-        | MotionReply::Trajectory(TrajectoryReply {
-            plan: PlanReply { outcome, .. },
-            ..
-        })) = answer
-        else {
-            return;
-        };
-        if !self.is_watched(robot) {
-            return;
-        }
-        let path = match outcome {
-            PlanOutcome::Found { path, .. } => path.clone(),
-            _ => Vec::new(),
-        };
-        let tree = SearchTree {
-            stamp: self.clock.now(),
-            edges: worker.tree(MAX_EDGES),
-            path,
-        };
-        if let Some(publisher) = self.publishers.get(robot) {
-            publisher.put(&tree);
-        }
-    }
-
-    /// Whether somebody may look at this robot's searches. A publisher that is new cannot know yet.
-    fn is_watched(&mut self, robot: &str) -> bool {
-        if let Some(publisher) = self.publishers.get(robot) {
-            return publisher.may_be_heard();
-        }
-        if self.publishers.len() >= MAX_SHOWN {
-            self.publishers.pop_first();
-        }
-        match self.bus.publisher(&TREE, &[robot]) {
-            Ok(publisher) => {
-                self.publishers.insert(robot.to_owned(), publisher);
-                true
-            }
-            Err(error) => {
-                tracing::warn!(robot, %error, "the robot's searches cannot be shown");
-                false
-            }
-        }
-    }
-}
-
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
@@ -320,7 +265,7 @@ mod tests {
     use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
     use zenav_protocol::messages::{DrivingProfile, MapInfo, MapRef, MapReply, PlanRequest, Refusal, SmoothRequest};
     use zenav_protocol::time::Stamp;
-    use zenav_protocol::topics::MAP;
+    use zenav_protocol::topics::{MAP, MOTION, TREE};
 
     use super::*;
     use crate::testing::router;
@@ -400,6 +345,7 @@ mod tests {
             seed: 1,
         };
         let mut trees = client.subscribe(&TREE, &["tiago"], 8).unwrap();
+        let mut records = client.subscribe(&MOTION, &["tiago"], 64).unwrap();
         let ask = |request: MotionRequest| {
             let client = &client;
             async move { client.ask(&MOTION_SERVICE, &["*"], &request, DEADLINE).await }
@@ -473,6 +419,24 @@ mod tests {
             plan(&elsewhere).await,
             Ok(MotionReply::Plan(reply)) if reply.outcome == PlanOutcome::OutOfMap
         ));
+
+        // Whoever listens hears what was asked and answered, in order, refusals too.
+        let mut numbers = Vec::new();
+        let record = loop {
+            let record = tokio::time::timeout(DEADLINE, records.next())
+                .await
+                .unwrap()
+                .unwrap()
+                .message;
+            numbers.push(record.number);
+            if matches!(&record.answer, Err(Refusal::BadRequest { .. })) {
+                break record;
+            }
+        };
+        assert!(numbers.windows(2).all(|pair| pair[1] == pair[0] + 1), "{numbers:?}");
+        assert_eq!(record.request, MotionRequest::Plan(strange));
+        assert_eq!((record.worker.as_str(), record.map), ("w1", Some(map().info.map)));
+        assert!(!record.cut_short);
 
         shutdown.trigger();
         service.await.unwrap().unwrap();

@@ -8,6 +8,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use nalgebra::Point2;
+use serde::{Deserialize, Serialize};
 use zenav_planning::{Budget, PlanOptions, Planned, Planner, PlanningSettings, Replanner, Searcher};
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::map_replica::MapReplica;
@@ -29,7 +30,8 @@ const MAX_POINTS: usize = 100_000;
 const MAX_VIA: usize = 1000;
 
 /// Settings of a motion worker's libraries.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct MotionSettings {
     /// How paths are planned.
     pub planning: PlanningSettings,
@@ -51,6 +53,13 @@ impl Cancel {
     pub fn all(&self) {
         self.search.store(true, Ordering::Relaxed);
         self.smoothing.store(true, Ordering::Relaxed);
+    }
+
+    /// Whether a phase that this request has was ended, or would have been had it still run.
+    #[must_use]
+    pub fn has_cut_short(&self, request: &MotionRequest) -> bool {
+        let searches = !matches!(request, MotionRequest::Smooth(_));
+        searches && self.search.load(Ordering::Relaxed) || self.smoothing.load(Ordering::Relaxed)
     }
 }
 

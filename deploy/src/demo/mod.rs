@@ -336,11 +336,13 @@ async fn begin_record(
     file: &Path,
 ) -> Result<(Bus, Recording), Failure> {
     let title = format!("{}, seed {}, speed {}", script.name, args.seed, args.speed);
-    let settings = serde_json::to_string(&deployment.mapping.settings).map_err(Failure::failed)?;
+    let mapping = serde_json::to_string(&deployment.mapping.settings).map_err(Failure::failed)?;
+    let motion = serde_json::to_string(&deployment.motion()).map_err(Failure::failed)?;
     let options = RecordOptions {
         about: [
             (record::TITLE_ENTRY.to_owned(), title),
-            (record::MAPPING_ENTRY.to_owned(), settings),
+            (record::MAPPING_ENTRY.to_owned(), mapping),
+            (record::MOTION_ENTRY.to_owned(), motion),
         ]
         .into(),
         ..RecordOptions::default()

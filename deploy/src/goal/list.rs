@@ -141,7 +141,7 @@ fn age(secs: f64) -> String {
     }
 }
 
-fn target(request: &GoalRequest) -> String {
+pub(super) fn target(request: &GoalRequest) -> String {
     if let Some(place) = &request.place {
         return place.clone();
     }

@@ -1,13 +1,15 @@
-//! `zenav goal`. How are goals submitted, watched and cancelled from anywhere?
+//! `zenav goal`. How are goals submitted, watched, reordered and cancelled from anywhere?
 //!
 //! | file | answers |
 //! |---|---|
 //! | `submit` | what the command line asks for, as a request; sending it |
 //! | `follow` | how it goes, until it ends or the watcher leaves |
 //! | `list` | which goals there are; cancel, pause, resume |
+//! | `queue` | which goal waits at which place; another place for one |
 
 mod follow;
 mod list;
+mod queue;
 mod submit;
 
 use serde::Serialize;
@@ -19,10 +21,10 @@ use crate::exit_code;
 use crate::failure::Outcome;
 use crate::output::Format;
 
-/// Goals: submit, list, watch, cancel.
+/// Goals: submit, list, watch, move, cancel.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Examples:\n  zenav goal submit 0.88 0.09 --wait\n  zenav goal submit --place sink --on-busy preempt\n  zenav goal submit --tree patrol.xml --wait\n  zenav goal list --state active,accepted\n\nExit codes of a goal that is waited for: 0 reached, 1 aborted, 6 cancelled, 7 rejected, 130 detached by Ctrl-C."
+    after_help = "Examples:\n  zenav goal submit 0.88 0.09 --wait\n  zenav goal submit --place sink --on-busy preempt\n  zenav goal submit --tree patrol.xml --wait\n  zenav goal list --state active,accepted\n  zenav goal move patrol --before delivery\n\nExit codes of a goal that is waited for: 0 reached, 1 aborted, 6 cancelled, 7 rejected, 130 detached by Ctrl-C."
 )]
 pub struct GoalArgs {
     /// Connection and robot.
@@ -47,6 +49,8 @@ enum GoalCommand {
         #[arg(add = completion::goals())]
         id: String,
     },
+    /// Move a goal that waits to another place in the queue, and show the new order
+    Move(queue::MoveArgs),
     /// Cancel a goal; without an id, the running one
     Cancel {
         /// Goal to cancel
@@ -76,6 +80,7 @@ pub fn run(args: &GoalArgs) -> Outcome {
         GoalCommand::Submit(submit) => submit::run(&args.robot, args.output, submit),
         GoalCommand::List(list) => list::run(&args.robot, args.output, list),
         GoalCommand::Watch { id } => follow::watch(&args.robot, args.output, id),
+        GoalCommand::Move(place) => queue::run(&args.robot, args.output, place),
         GoalCommand::Cancel { id } => list::cancel(&args.robot, args.output, id.clone()),
         GoalCommand::Pause { id } => list::pause(&args.robot, args.output, id.clone(), false),
         GoalCommand::Resume { id } => list::pause(&args.robot, args.output, id.clone(), true),

@@ -36,6 +36,8 @@ pub const SCHEMA_ENTRY: &str = "schema";
 pub const STARTED_ENTRY: &str = "started";
 /// The mapper's settings as JSON, where they are known.
 pub const MAPPING_ENTRY: &str = "mapping";
+/// The motion workers' settings as JSON, where they are known.
+pub const MOTION_ENTRY: &str = "motion";
 /// A title for people.
 pub const TITLE_ENTRY: &str = "title";
 

@@ -5,7 +5,7 @@ use std::time::Duration;
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 
-use super::{MapRef, PlanStatistics};
+use super::{MapRef, PlanStatistics, Refusal, Zone};
 use crate::geometry::{Pose2, Twist2};
 use crate::robot::RobotModel;
 use crate::time::Stamp;
@@ -303,6 +303,31 @@ pub struct SmoothReply {
     pub trajectory: Trajectory,
     /// Status, times, certificate.
     pub statistics: PlanStatistics,
+}
+
+/// What a motion worker was asked, and what it answered: enough to compute it again.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct MotionRecord {
+    /// When it was answered, on the worker's clock.
+    pub stamp: Stamp,
+    /// The worker's name.
+    pub worker: String,
+    /// Which of the worker's requests it was, counted from 1 since its start, over all robots. What a worker keeps of one request for the
+    /// next is known to whoever has all of them.
+    pub number: u64,
+    /// The map that it was answered on; `None` without one.
+    pub map: Option<MapRef>,
+    /// Zones of that map.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub zones: Vec<Zone>,
+    /// What was asked.
+    pub request: MotionRequest,
+    /// What was answered.
+    pub answer: Result<MotionReply, Refusal>,
+    /// Whether its time ran out while it was worked on: it might have come out otherwise.
+    #[serde(default)]
+    pub cut_short: bool,
 }
 
 /// A search tree or path, to be drawn.

@@ -1,4 +1,4 @@
-//! `zenav replay --recompute`. Do the cores make the same of the same inputs? Of recorded scans the map, byte for byte.
+//! Recomputed maps. Does mapping make the recorded map of the recorded scans, byte for byte?
 //!
 //! Two things that mapping was told are on no key: which scans it never saw, as it keeps only the newest of those that wait, and when it
 //! learnt the robot's footprint. Both are searched for: a patch that some choice of them explains to the last byte is the same patch.
@@ -6,7 +6,6 @@
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::path::Path;
 
-use clap::ValueEnum;
 use serde::Serialize;
 use zenav_mapping::{Mapper, MappingSettings};
 use zenav_protocol::codec::{self, Encoding};
@@ -16,12 +15,9 @@ use zenav_protocol::messages::{MapPatch, MapRef, Scan};
 use zenav_protocol::robot::Footprint;
 use zenav_protocol::topics;
 
-use super::format::{Kind, MAPPING_ENTRY, Sample};
-use super::reader::RecordReader;
-use crate::config;
-use crate::exit_code;
-use crate::failure::{Failure, Outcome};
-use crate::output::{self, Format};
+use crate::failure::Failure;
+use crate::record::format::{Kind, Sample};
+use crate::record::reader::RecordReader;
 
 /// Patches that wait for the description that says how many scans are in them.
 const WAITING: usize = 4;
@@ -29,32 +25,6 @@ const WAITING: usize = 4;
 const HISTORIES: usize = 8;
 /// Most choices of scans that are tried for one patch.
 const CHOICES: usize = 128;
-
-/// What can be computed again.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Part {
-    /// Maps from scans
-    Mapping,
-    /// Trajectories from requests
-    Motion,
-}
-
-/// What came of a record's inputs.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct Recomputed {
-    /// The map of each robot.
-    pub maps: Vec<MapVerdict>,
-    /// What could not be computed again, and why.
-    pub notes: Vec<String>,
-}
-
-impl Recomputed {
-    /// Whether there is something, and all of it is what was recorded.
-    #[must_use]
-    pub fn is_identical(&self) -> bool {
-        !self.maps.is_empty() && self.maps.iter().all(|map| map.identical)
-    }
-}
 
 /// How a recomputed map compares with the recorded one.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -79,46 +49,32 @@ pub struct MapVerdict {
     pub difference: Option<String>,
 }
 
-/// `zenav replay FILE --recompute PARTS`.
-pub(super) fn run(file: &Path, parts: &[Part], deployment: Option<&Path>, format: Format) -> Outcome {
-    let told = deployment.map(|path| config::load(Some(path))).transpose()?;
-    let recomputed = recompute(file, parts, told.map(|deployment| deployment.mapping.settings))?;
-    output::value(format, &recomputed, table)?;
-    Ok(if recomputed.is_identical() {
-        exit_code::OK
-    } else {
-        exit_code::FAILED
-    })
+impl MapVerdict {
+    pub(super) fn line(&self) -> String {
+        let verdict = match &self.difference {
+            None => "identical, byte for byte".to_owned(),
+            Some(why) if self.cells == 0 => format!("not computed again: {why}"),
+            Some(why) => format!(
+                "different: {why}; {} of {} cells of the last map differ",
+                self.differing_cells, self.cells
+            ),
+        };
+        let unseen = match self.unseen_scans {
+            0 => String::new(),
+            count => format!(", {count} of them never reached mapping"),
+        };
+        format!(
+            "{}: map {verdict} ({} of {} patches the same; {} scans{unseen})",
+            self.robot, self.same_patches, self.patches, self.scans
+        )
+    }
 }
 
-/// Computes parts of a record again. The mapper's settings are those given, else the record's, else the defaults.
-///
-/// # Errors
-/// A bad record, or one of other messages.
-pub fn recompute(file: &Path, parts: &[Part], settings: Option<MappingSettings>) -> Result<Recomputed, Failure> {
-    let mut recomputed = Recomputed::default();
-    if parts.contains(&Part::Motion) {
-        recomputed.notes.push(
-            "motion: not computed again: requests to motion workers are asks, which are on no key that a recorder hears".to_owned(),
-        );
-    }
-    if !parts.contains(&Part::Mapping) {
-        return Ok(recomputed);
-    }
-    let mut reader = RecordReader::open(file)?;
-    reader.check_messages()?;
-    let settings = match (settings, reader.about().get(MAPPING_ENTRY)) {
-        (Some(settings), _) => settings,
-        (None, Some(text)) => serde_json::from_str(text).map_err(Failure::usage_at(file))?,
-        (None, None) => {
-            recomputed
-                .notes
-                .push("mapping: the record does not say the mapper's settings; taken are the defaults".to_owned());
-            MappingSettings::default()
-        }
-    };
+/// The maps of all robots, computed again.
+pub(super) fn recompute(file: &Path, settings: &MappingSettings) -> Result<Vec<MapVerdict>, Failure> {
     // Known from the beginning, although the recorder may have asked for them later than mapping did.
     let footprints = footprints(file)?;
+    let mut reader = RecordReader::open(file)?;
     let mut robots = BTreeMap::<String, MapHistory>::new();
     while let Some(sample) = reader.next_sample()? {
         let mut chunks = sample.key.split('/');
@@ -132,17 +88,8 @@ pub fn recompute(file: &Path, parts: &[Part], settings: Option<MappingSettings>)
             }
         }
     }
-    recomputed.maps = robots
-        .into_values()
-        .filter(|history| history.verdict.patches > 0)
-        .map(MapHistory::end)
-        .collect();
-    if recomputed.maps.is_empty() {
-        recomputed
-            .notes
-            .push("mapping: no patch of a map is in the record".to_owned());
-    }
-    Ok(recomputed)
+    let seen = robots.into_values().filter(|history| history.verdict.patches > 0);
+    Ok(seen.map(MapHistory::end).collect())
 }
 
 /// The footprint of each robot, as its edge told the recorder.
@@ -428,33 +375,6 @@ fn compare(recorded: &OccupancyGrid, made: &OccupancyGrid) -> (u64, u64) {
     (spec.len() as u64, differing as u64)
 }
 
-fn table(recomputed: &Recomputed) -> String {
-    let mut lines: Vec<String> = recomputed
-        .maps
-        .iter()
-        .map(|map| {
-            let verdict = match &map.difference {
-                None => "identical, byte for byte".to_owned(),
-                Some(why) if map.cells == 0 => format!("not computed again: {why}"),
-                Some(why) => format!(
-                    "different: {why}; {} of {} cells of the last map differ",
-                    map.differing_cells, map.cells
-                ),
-            };
-            let unseen = match map.unseen_scans {
-                0 => String::new(),
-                count => format!(", {count} of them never reached mapping"),
-            };
-            format!(
-                "{}: map {verdict} ({} of {} patches the same; {} scans{unseen})",
-                map.robot, map.same_patches, map.patches, map.scans
-            )
-        })
-        .collect();
-    lines.extend(recomputed.notes.iter().map(|note| format!("note: {note}")));
-    lines.join("\n")
-}
-
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
@@ -463,8 +383,8 @@ mod tests {
     use zenav_protocol::geometry::Pose2;
     use zenav_protocol::messages::InfoReply;
 
-    use super::super::writer::{RecordOptions, RecordWriter};
     use super::*;
+    use crate::record::writer::{RecordOptions, RecordWriter};
 
     fn sample<T: Serialize>(key: &str, message: &T, kind: Kind, logged: u64) -> Sample {
         let encoding = if key.ends_with("map_patch") {
@@ -542,9 +462,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path: PathBuf = folder.path().join("run.mcap");
         record(&path, unseen, learnt, changed);
-        let recomputed = recompute(&path, &[Part::Mapping], None).unwrap();
-        assert_eq!(recomputed.maps.len(), 1);
-        recomputed.maps.into_iter().next().unwrap()
+        let maps = recompute(&path, &MappingSettings::default()).unwrap();
+        assert_eq!(maps.len(), 1);
+        maps.into_iter().next().unwrap()
     }
 
     #[test]
@@ -587,7 +507,7 @@ mod tests {
             }
         }
         writer.finish(0).unwrap();
-        let map = &recompute(&part, &[Part::Mapping], None).unwrap().maps[0];
+        let map = &recompute(&part, &MappingSettings::default()).unwrap()[0];
         assert!(!map.identical && map.same_patches == 0, "{map:?}");
         assert!(map.difference.as_ref().unwrap().contains("began later"), "{map:?}");
     }
