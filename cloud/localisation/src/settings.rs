@@ -95,6 +95,6 @@ zenav_protocol::settings! {
         /// The best place is the answer where at least this share of its points agrees with the map, ...
         pub agrees: f64 = 0.75, "", 0.0..=1.0;
         /// ... and no other place agrees but for less than this.
-        pub margin: f64 = 0.08, "", 0.0..=1.0;
+        pub margin: f64 = 0.15, "", 0.0..=1.0;
     }
 }
