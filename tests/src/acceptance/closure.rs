@@ -3,8 +3,6 @@
 //! A robot without GPS and compass drives through a corridor, mapping. On its way to a goal that it has a map of, a closure is injected: the
 //! map behind it bends, and everything about robot and goal moves by a metre. The same drive without the closure is what it is compared with.
 
-use std::fmt::Write as _;
-
 use nalgebra::{Point2, Vector2};
 use zenav::lockstep::{ClosedLoop, ClosedLoopConfig};
 use zenav_cloud::mapping::{PoseSettings, PoseSource};
@@ -19,7 +17,7 @@ use zenav_protocol::robot::RobotModel;
 use zenav_protocol::topics::MissionRequest;
 use zenav_sim::{RobotSpec, Simulation, TICK, World};
 
-use super::worlds::Rng;
+use super::worlds::{Rng, outer_walls, wall};
 
 /// The corridor: length and width, m.
 const CORRIDOR: (f64, f64) = (24.0, 3.0);
@@ -239,21 +237,7 @@ fn corridor(rng: &mut Rng) -> String {
     let mut text = format!(
         "name = \"corridor\"\nsize = [{long}, {wide}]\norigin = [0.0, 0.0]\n[start]\nx = 1.5\ny = 1.5\nyaw = 0.0\n"
     );
-    let mut wall = |from: (f64, f64), to: (f64, f64)| {
-        let _ = write!(
-            text,
-            "[[wall]]\nfrom = [{}, {}]\nto = [{}, {}]\nthickness = 0.1\n",
-            from.0, from.1, to.0, to.1
-        );
-    };
-    for (from, to) in [
-        ((0.0, 0.0), (long, 0.0)),
-        ((0.0, wide), (long, wide)),
-        ((0.0, 0.0), (0.0, wide)),
-        ((long, 0.0), (long, wide)),
-    ] {
-        wall(from, to);
-    }
+    outer_walls(&mut text, CORRIDOR);
     let mut x = 1.0;
     while x < long - 1.0 {
         let depth = rng.between(0.1, 0.3);
@@ -262,7 +246,7 @@ fn corridor(rng: &mut Rng) -> String {
         } else {
             (wide, wide - depth)
         };
-        wall((x, y.0), (x, y.1));
+        wall(&mut text, (x, y.0), (x, y.1));
         x += rng.between(0.8, 2.2);
     }
     text

@@ -19,7 +19,7 @@ use zenav_protocol::robot::{Footprint, RobotModel};
 use zenav_protocol::topics::MissionRequest;
 use zenav_sim::{RobotSpec, Simulation, World};
 
-use super::worlds::Rng;
+use super::worlds::{Rng, outer_walls, wall};
 
 /// The house, m.
 const HOUSE: (f64, f64) = (16.0, 10.0);
@@ -231,31 +231,17 @@ fn house(rng: &mut Rng) -> String {
         long + 1.0,
         wide + 1.0
     );
-    let mut wall = |from: (f64, f64), to: (f64, f64)| {
-        let _ = write!(
-            text,
-            "[[wall]]\nfrom = [{}, {}]\nto = [{}, {}]\nthickness = 0.1\n",
-            from.0, from.1, to.0, to.1
-        );
-    };
-    for (from, to) in [
-        ((0.0, 0.0), (long, 0.0)),
-        ((0.0, wide), (long, wide)),
-        ((0.0, 0.0), (0.0, wide)),
-        ((long, 0.0), (long, wide)),
-    ] {
-        wall(from, to);
-    }
+    outer_walls(&mut text, HOUSE);
     // Two walls across, one along, each with doors.
     for (x, door) in [(5.5, rng.between(1.0, 3.0)), (10.5, rng.between(6.0, 8.0))] {
-        wall((x, 0.0), (x, door));
-        wall((x, door + 1.2), (x, wide));
+        wall(&mut text, (x, 0.0), (x, door));
+        wall(&mut text, (x, door + 1.2), (x, wide));
     }
     let y = rng.between(4.5, 5.5);
     for (from, to) in [(0.0, 5.5), (5.5, 10.5), (10.5, long)] {
         let door = rng.between(from + 0.5, to - 1.7);
-        wall((from, y), (door, y));
-        wall((door + 1.2, y), (to, y));
+        wall(&mut text, (from, y), (door, y));
+        wall(&mut text, (door + 1.2, y), (to, y));
     }
     let mut boxes = String::new();
     for _ in 0..14 {

@@ -158,3 +158,20 @@ fn is_free(walls: &World, radius: f64, corners: &[Point2<f64>]) -> bool {
         })
     })
 }
+
+/// Writes a wall 0.1 m thick into a world's file.
+pub fn wall(text: &mut String, from: (f64, f64), to: (f64, f64)) {
+    let _ = write!(
+        text,
+        "[[wall]]\nfrom = [{}, {}]\nto = [{}, {}]\nthickness = 0.1\n",
+        from.0, from.1, to.0, to.1
+    );
+}
+
+/// Writes the four walls around a floor with a corner at the origin; `size`: length and width, m.
+pub fn outer_walls(text: &mut String, (long, wide): (f64, f64)) {
+    let corners = [(0.0, 0.0), (long, 0.0), (long, wide), (0.0, wide)];
+    for (nth, from) in corners.into_iter().enumerate() {
+        wall(text, from, corners[(nth + 1) % 4]);
+    }
+}
