@@ -163,3 +163,30 @@ fn first_hits(map: &KnownMap, laser: Point2<f64>, points: &[Point2<f64>], map_fr
 fn turns_less(a: Pose2, b: Pose2, turn: f64) -> bool {
     wrap_angle(a.yaw - b.yaw).abs() < turn
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use zenav_fixtures::{map_where, spec};
+
+    #[test]
+    fn of_the_two_faces_of_a_thin_wall_the_near_one_is_meant() {
+        let map = map_where(spec(120, 100, 0.05), |at| {
+            (1.95..2.1).contains(&at.x) || (0.95..1.1).contains(&at.y)
+        });
+        let settings = LocalisationSettings::default();
+        let map = KnownMap::new(&map, settings.tracking.sigma);
+        // A corner, seen from its inside: nothing but the near faces.
+        let truth = Pose2::new(3.0, 2.0, 0.0);
+        let points: Vec<Point2<f64>> = (0..50)
+            .map(|nth| 1.1 + 0.04 * f64::from(nth))
+            .flat_map(|along| [Point2::new(2.1, along), Point2::new(along + 1.0, 1.1)])
+            .map(|point| truth.inverse().transform_point(point))
+            .collect();
+        let behind = Pose2::new(2.88, 1.88, 0.0);
+        let refined = refine(map.field(), &points, behind, None, &settings.refine).pose;
+        assert!(refined.distance(&truth) > 0.1, "{refined:?}: refining alone would do");
+        let near = at_near_faces(&map, Point2::origin(), &points, refined, &settings);
+        assert!(near.distance(&truth) < 0.06, "{near:?}");
+    }
+}

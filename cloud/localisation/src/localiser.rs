@@ -158,7 +158,7 @@ impl Localiser {
         here.points >= settings.evidence.least_points as usize && here.agreeing < settings.tracking.doubtful
     }
 
-    /// The scan matched about the expected pose, and whether that is farther away than odometry can be wrong.
+    /// The scan matched about the expected pose, and whether that took a search beyond what odometry says: a jump.
     fn matched(&self, now: &Last, laser: Point2<f64>, seen: &[Point2<f64>]) -> (Refined, bool) {
         let settings = &self.settings;
         let information = now.covariance.try_inverse().unwrap_or_else(Matrix3::zeros);
