@@ -11,14 +11,18 @@
 //! Of a robot that tells its course that course is believed. Who of two has right of way minds the other only where there is no time left
 //! to make way; the other one keeps clear of the whole course, and tells where to ([`Avoidance::course`]).
 //!
+//! Who is touched gets away first (`touched`): then every motion counts that does not lead farther into what touches.
+//!
 //! It works in the odometry frame and never leaves floor that a lidar sees free, except along the plan. The collision monitor keeps the
 //! last word.
 
 mod clearance_grid;
+mod touched;
 mod value_function;
 
-use nalgebra::Point2;
+use nalgebra::{Point2, Vector2};
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
+use zenav_protocol::messages::Bump;
 use zenav_protocol::robot::{Drive, Footprint, RobotModel};
 use zenav_protocol::time::Stamp;
 
@@ -28,27 +32,38 @@ use crate::course::Way;
 use crate::field_of_view::rigid;
 use crate::local_obstacles::LocalObstacles;
 use crate::obstacle_tracks::Track;
-use crate::passive_safety::Mover;
+use crate::passive_safety::{GENTLE, outline_samples};
 use crate::settings::AvoidanceSettings;
 use clearance_grid::ClearanceGrid;
+use touched::Touched;
 use value_function::ValueFunction;
 
-/// Arcs last this long, s, in so many steps.
+/// Arcs last this long, s, and in contact, where the robot only creeps, in so many steps.
 const ARC_SECS: f64 = 1.2;
+const TOUCHED_ARC_SECS: f64 = 4.8;
 const ARC_STEPS: u32 = 12;
 /// Speeds and yaw rates of the window.
 const SPEEDS: i32 = 8;
 const YAW_RATES: i32 = 6;
 /// Share of the top speed that is used backwards.
 const BACKWARDS: f64 = 0.4;
+/// Spacing of the points of the outline, m.
+const OUTLINE_STEP: f64 = 0.1;
+/// Nearer than this to what stands, or to a track, is a contact, m.
+const LEAST_CLEARANCE: f64 = 0.02;
+const LEAST_DISTANCE: f64 = 0.03;
 /// Cost of a contact at the end of an arc, s; at its beginning twice that.
 const CONTACT_COST: f64 = 12.0;
+/// Where the end of the plan cannot be reached it counts as this far, s.
+const MOST_VALUE: f64 = 60.0;
+/// Cost of the end of an arc that has no way on, at most, s.
+const DOOMED_COST: f64 = 10.0;
 /// Cost of an arc all along the way of a track, s.
 const NEARNESS_COST: f64 = 15.0;
-/// Cost of an arc that the collision monitor would stop, s.
-const SLOWED_COST: f64 = 4.0;
-/// Cost of a twist that the collision monitor holds back entirely, s.
-const HELD_COST: f64 = 1.5;
+/// Cost of each second in contact, s; none beyond this distance, m.
+const TOUCHED_COST: (f64, f64) = (2.0, 0.15);
+/// The clearance grid with the covering discs is this coarse, m.
+const COARSE: f64 = 0.08;
 /// Off the plan by this much the tracker takes over again, m and rad.
 const REJOINED: (f64, f64) = (0.15, 0.5);
 /// Time without a conflict after which the robot returns to the plan, s.
@@ -84,6 +99,8 @@ pub struct AvoidanceInput<'a> {
     pub blind_speed: f64,
     /// Has the last word: what it would slow down is no way out.
     pub monitor: &'a CollisionMonitor,
+    /// What the bumper feels.
+    pub bump: &'a Bump,
     /// The rest of the plan, from where the robot should be now.
     pub ahead: &'a [Ahead],
     /// Obstacles and tracks.
@@ -101,19 +118,29 @@ pub enum Control {
     Evade(Twist2),
 }
 
+/// Where a robot is before an arc: its distance from what stands, and from each track, m.
+struct Start {
+    /// Time to the end of the plan, s.
+    value: f64,
+    clear: f64,
+    tracks: Vec<f64>,
+}
+
 /// Keeps the robot out of the way of moving obstacles.
 #[derive(Clone, Debug)]
 pub struct Avoidance {
     settings: AvoidanceSettings,
     drive: Drive,
+    footprint: Footprint,
+    /// Points on the outline with their outward normals, base frame.
+    outline: Vec<(Point2<f64>, Vector2<f64>)>,
     /// Discs that cover the footprint: place on the x axis of the base, and radius, m.
     discs: Vec<(f64, f64)>,
-    /// Time before braking begins, and until the motors' lag has faded, s.
-    reaction: f64,
     /// Radius of the whole outline, m.
     circumscribed: f64,
     evading: bool,
     calm_for: f64,
+    touched: Touched,
     /// Whether what it makes way for is a robot.
     for_robot: bool,
     /// Where it makes way to.
@@ -133,11 +160,13 @@ impl Avoidance {
         let drive = model.drive.clone();
         Self {
             settings: settings.clone(),
+            footprint: model.footprint.clone(),
+            outline: outline_samples(&model.footprint, OUTLINE_STEP, 0.0),
             discs: covering_discs(&model.footprint),
             circumscribed: model.footprint.circumscribed_radius(),
-            reaction: 0.06 + 4.0 * drive.motor_lag,
             evading: false,
             calm_for: 0.0,
+            touched: Touched::default(),
             for_robot: false,
             course: Vec::new(),
             hit_for: 0.0,
@@ -194,10 +223,12 @@ impl Avoidance {
             .collect();
         if input.ahead.is_empty() || (tracks.is_empty() && !self.evading) {
             self.reset();
+            self.touched.reset();
             return Control::Follow;
         }
+        self.touched.update(&self.footprint, input);
         let foremost = tracks.iter().find(|track| self.conflicts(input, track));
-        let conflict = foremost.is_some();
+        let conflict = foremost.is_some() || self.touched.is_so();
         if !conflict && !self.evading {
             return Control::Follow;
         }
@@ -212,7 +243,10 @@ impl Avoidance {
         self.evading = true;
         self.standing.clear();
         self.standing.extend(input.obstacles.standing());
-        self.values.fill(input, &self.standing, &tracks);
+        let base_from_odom = input.odom_from_base.inverse();
+        let leans = |track: &&Track| self.touched.leans(&self.footprint, base_from_odom, track);
+        let (leaning, tracks): (Vec<&Track>, Vec<&Track>) = tracks.into_iter().partition(leans);
+        self.values.fill(input, &self.standing, &tracks, &leaning);
         let hits = self.values.course(input.odom_from_base.position(), &mut self.course);
         let (most, after, lasts) = TRAPPED;
         self.hit_for = if hits > most { self.hit_for + input.dt } else { 0.0 };
@@ -220,7 +254,7 @@ impl Avoidance {
             self.trapped_for = lasts;
         }
         self.clearances.fill(input.odom_from_base.position(), &self.standing);
-        Control::Evade(self.best_arc(input, &tracks))
+        Control::Evade(self.best_arc(input, &tracks, &leaning))
     }
 
     /// Whether the plan, at its own pace, comes too near to where a track is predicted.
@@ -271,21 +305,25 @@ impl Avoidance {
     }
 
     /// The twist whose arc costs least.
-    fn best_arc(&self, input: &AvoidanceInput<'_>, tracks: &[&Track]) -> Twist2 {
+    fn best_arc(&self, input: &AvoidanceInput<'_>, tracks: &[&Track], leaning: &[&Track]) -> Twist2 {
         let (top, turn) = (self.drive.top_speed(), self.drive.top_yaw_rate().min(3.0));
         let backwards = if input.obstacles.blind_spots().leads_into_blind_spot(-1.0) {
             0.9 * input.blind_speed.min(BACKWARDS * top)
         } else {
             BACKWARDS * top
         };
-        let base_from_odom = rigid(input.odom_from_base).inverse();
-        let mover = |track: &&Track| {
-            let at = base_from_odom * track.at(input.now.secs_since(track.stamp));
-            // The monitor looks at the outline of a robot that tells its course.
-            let turns_at_will = !track.is_robot();
-            turns_at_will.then(|| Mover::at_will(at, track.radius, track.most_speed()))
+        let touched = self.touched.is_so();
+        let value = self.values.at(input.odom_from_base, 0.0, self.drive.top_yaw_rate());
+        let start = Start {
+            value: value.min(MOST_VALUE),
+            clear: self.clear(input.odom_from_base),
+            tracks: tracks
+                .iter()
+                .map(|track| {
+                    self.distance(input.odom_from_base, track.at(input.now.secs_since(track.stamp))) - track.radius
+                })
+                .collect(),
         };
-        let movers: Vec<Mover> = tracks.iter().filter_map(mover).collect();
         let mut best = (f64::INFINITY, Twist2::ZERO);
         for nth in -3..=SPEEDS {
             let v = if nth < 0 {
@@ -300,12 +338,12 @@ impl Avoidance {
                 if self.drive.surface_speed(wanted) > input.speed_cap + 1e-9 {
                     continue;
                 }
-                let share =
-                    input
-                        .monitor
-                        .share_among(input.now, wanted, &movers, input.obstacles, input.odom_from_base);
-                let driven = Twist2::new(share * wanted.v, share * wanted.w);
-                let cost = self.arc_cost(input, tracks, driven, best.0) + HELD_COST * (1.0 - share);
+                let bump = touched.then_some(input.bump);
+                let share = input
+                    .monitor
+                    .share_unseen(input.now, wanted, input.obstacles, input.odom_from_base, bump);
+                let unheld = Twist2::new(share * wanted.v, share * wanted.w);
+                let cost = self.arc_cost(input, tracks, leaning, &start, unheld, best.0);
                 if cost < best.0 {
                     best = (cost, wanted);
                 }
@@ -315,39 +353,64 @@ impl Avoidance {
     }
 
     /// Cost of going over to a twist and keeping it, s; given up beyond `limit`.
-    fn arc_cost(&self, input: &AvoidanceInput<'_>, tracks: &[&Track], wanted: Twist2, limit: f64) -> f64 {
-        let step = ARC_SECS / f64::from(ARC_STEPS);
-        let target = self.drive.wheels(wanted);
+    fn arc_cost(
+        &self,
+        input: &AvoidanceInput<'_>,
+        tracks: &[&Track],
+        leaning: &[&Track],
+        start: &Start,
+        wanted: Twist2,
+        limit: f64,
+    ) -> f64 {
+        let touched = self.touched.is_so();
+        let lasts = if touched { TOUCHED_ARC_SECS } else { ARC_SECS };
+        let step = lasts / f64::from(ARC_STEPS);
         let mut wheels = self.drive.wheels(input.command);
         let (mut pose, mut cost) = (input.odom_from_base, 0.0);
         cost += 0.1 * (wanted.v - input.command.v).abs() / self.drive.top_speed()
             + 0.1 * (wanted.w - input.command.w).abs() / self.drive.top_yaw_rate();
-        let change = self.drive.max_wheel_acceleration * step;
+        let (faster, slower) = (
+            self.drive.max_wheel_acceleration * step,
+            self.drive.hard_braking / self.drive.wheel_radius * step,
+        );
+        let surface_speed = self.drive.surface_speed(wanted);
         for nth in 1..=ARC_STEPS {
+            let before = step * f64::from(nth - 1);
+            let held = self.speed_among(input, tracks, leaning, pose, wanted, before, surface_speed) / surface_speed;
+            let held = if held < 1.0 { held } else { 1.0 };
+            let target = self.drive.wheels(Twist2::new(held * wanted.v, held * wanted.w));
             for (wheel, target) in wheels.iter_mut().zip(target) {
+                let change = if target.abs() < wheel.abs() { slower } else { faster };
                 *wheel += (target - *wheel).clamp(-change, change);
             }
             let twist = self.drive.twist(wheels);
             pose = pose.advance(twist, step);
             let secs = step * f64::from(nth);
-            let left = 1.0 - secs / ARC_SECS;
+            let left = 1.0 - secs / lasts;
             let moving = self.drive.surface_speed(twist) > 0.02;
-            let still = self
-                .discs
-                .iter()
-                .map(|(x, radius)| self.clearances.distance(pose.position() + pose.heading() * *x) - radius);
-            let clear = still.fold(f64::INFINITY, f64::min);
-            if moving && clear < 0.02 {
-                return 60.0 + 60.0 * left;
+            let clear = self.clear(pose);
+            // Who is too near already may leave; in contact the grid is too coarse to tell.
+            if moving && clear < LEAST_CLEARANCE.min(start.clear - if touched { COARSE } else { LEAST_CLEARANCE }) {
+                return start.value + 60.0 + 60.0 * left;
+            }
+            if touched {
+                let base_from_there = input.odom_from_base.inverse() * pose;
+                match self.touched.distance(&self.footprint, base_from_there) {
+                    Some(distance) => {
+                        cost += TOUCHED_COST.0 * step * (1.0 - distance / TOUCHED_COST.1).max(0.0);
+                    }
+                    None if moving => return start.value + 60.0 + 60.0 * left,
+                    None => cost += TOUCHED_COST.0 * step,
+                }
             }
             cost += 0.6 * (1.0 - clear / 0.1).max(0.0) / f64::from(ARC_STEPS);
             if moving && self.leaves_known_floor(input, pose, twist) {
-                return 50.0 + 50.0 * left;
+                return start.value + 50.0 + 50.0 * left;
             }
-            let (mut nearest, mut slowed) = (f64::INFINITY, 0.0_f64);
+            let mut nearest = f64::INFINITY;
             let speed = self.drive.surface_speed(twist);
             let reach = self.circumscribed + self.settings.clearance_most;
-            for track in tracks {
+            for (track, before) in tracks.iter().zip(&start.tracks) {
                 let after = secs + input.now.secs_since(track.stamp);
                 let (at, lead) = (track.at(after), lead(&self.settings, track));
                 let far = reach + track.radius + track.velocity.norm() * lead;
@@ -359,19 +422,11 @@ impl Avoidance {
                     let way = track.way(after, lead);
                     nearest = nearest.min(self.distance_from_way(pose, &way, track.radius) - kept);
                 }
-                // Nearer than this the collision monitor slows the robot down.
-                let fast = if track.is_robot() { 0.0 } else { track.velocity.norm() };
-                let kept = fast * (self.reaction + speed / self.drive.hard_braking);
-                if distance < kept && (at - pose.position()).dot(&pose.heading()) * twist.v > 0.0 {
-                    slowed = slowed.max((1.0 - distance / kept) * speed / self.drive.top_speed());
-                }
-                if distance < 0.03 {
+                if distance < LEAST_DISTANCE.min(before - LEAST_CLEARANCE) {
                     // Sooner is worse, and so is the robot's own part in it.
-                    cost += CONTACT_COST * (1.0 + left) + 0.5 * speed;
-                    return cost;
+                    return cost + start.value + CONTACT_COST * (1.0 + left) + 0.5 * speed;
                 }
             }
-            cost += SLOWED_COST * slowed / f64::from(ARC_STEPS);
             if nearest < 0.0 {
                 cost += NEARNESS_COST * (-nearest / self.settings.clearance_most.max(0.1)) / f64::from(ARC_STEPS);
             }
@@ -379,7 +434,50 @@ impl Avoidance {
                 return cost;
             }
         }
-        cost + self.values.at(pose, ARC_SECS, self.drive.top_yaw_rate())
+        // Where there is no way out there will be a contact, but later.
+        let value = self.values.at(pose, lasts, self.drive.top_yaw_rate());
+        cost + value.min(start.value + DOOMED_COST)
+    }
+
+    /// The speed, up to `most`, that the collision monitor allows of a twist at a pose `secs` from now, as far as tracks go.
+    fn speed_among(
+        &self,
+        input: &AvoidanceInput<'_>,
+        tracks: &[&Track],
+        leaning: &[&Track],
+        pose: Pose2,
+        twist: Twist2,
+        secs: f64,
+        most: f64,
+    ) -> f64 {
+        let there_from_odom = rigid(pose).inverse();
+        let moving = tracks
+            .iter()
+            .map(|track| (track, track.at(secs + input.now.secs_since(track.stamp))));
+        let leaning = leaning.iter().map(|track| (track, track.position));
+        moving.chain(leaning).fold(most, |most, (track, at)| {
+            // Robots that tell their course are judged by it.
+            if track.is_robot() {
+                return most;
+            }
+            let place = there_from_odom * at;
+            let fast = track.most_speed();
+            let near = self.circumscribed + track.radius;
+            if place.coords.norm() - near > fast + most {
+                return most;
+            }
+            let distance = distance_ahead(&self.outline, place, twist) - track.radius;
+            most.min(input.monitor.speed_towards(distance, fast))
+        })
+    }
+
+    /// Distance of the covering discs at a pose from what stands, m, to within a cell.
+    fn clear(&self, pose: Pose2) -> f64 {
+        let still = self
+            .discs
+            .iter()
+            .map(|(x, radius)| self.clearances.distance(pose.position() + pose.heading() * *x) - radius);
+        still.fold(f64::INFINITY, f64::min)
     }
 
     /// Whether the footprint at a pose is over floor that was never seen, ahead of its motion.
@@ -394,6 +492,15 @@ impl Avoidance {
         let place = odom_from_base.inverse() * there;
         matches!(grid.floor(&odom_from_base, place), Floor::Unknown | Floor::Occupied)
     }
+}
+
+/// Distance of a point (base frame) from those parts of the outline that a twist moves outwards, m.
+fn distance_ahead(outline: &[(Point2<f64>, Vector2<f64>)], point: Point2<f64>, twist: Twist2) -> f64 {
+    let outwards = outline
+        .iter()
+        .filter(|(at, normal)| (twist.v - twist.w * at.y) * normal.x + twist.w * at.x * normal.y > GENTLE);
+    let squared = outwards.map(|(at, _)| (point - at).norm_squared());
+    squared.fold(f64::INFINITY, f64::min).sqrt()
 }
 
 /// Distance kept from where a track is predicted `secs` ahead, m; `None` of a robot that will have made way by then.

@@ -2,6 +2,8 @@
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
+use std::cell::Cell;
+
 use super::*;
 use nalgebra::Vector2;
 use zenav_protocol::readings::Sweep;
@@ -61,10 +63,10 @@ impl Hall {
     }
 
     /// Drives along y = 0 to x = 12 at `pace`; the time it takes, s.
-    fn drive(&mut self, pace: f64, walkers: impl Fn(f64) -> Vec<Point2<f64>>) -> Option<f64> {
+    fn drive(&mut self, pace: f64, walkers: impl Fn(f64, Pose2) -> Vec<Point2<f64>>) -> Option<f64> {
         for step in 0..(60.0 * RATE) as u32 {
             let now = f64::from(step) / RATE;
-            let walkers = walkers(now);
+            let walkers = walkers(now, self.pose);
             self.scan(now, &walkers);
             let ahead: Vec<Ahead> = (0..=120)
                 .map(|nth| 0.1 * f64::from(nth))
@@ -77,6 +79,7 @@ impl Hall {
                 dt: 1.0 / RATE,
                 now: Stamp::from_secs(now),
                 monitor: &CollisionMonitor::new(&self.model, 1.0 / RATE),
+                bump: &Bump::default(),
                 odom_from_base: self.pose,
                 command: self.twist,
                 speed_cap: f64::INFINITY,
@@ -107,7 +110,7 @@ impl Hall {
 #[test]
 fn with_nobody_near_the_tracker_drives() {
     let mut hall = Hall::new("tiago", 2.0);
-    let secs = hall.drive(0.6, |_| Vec::new()).unwrap();
+    let secs = hall.drive(0.6, |_, _| Vec::new()).unwrap();
     assert!(
         !hall.avoidance.is_evading() && (secs - 11.5 / 0.6).abs() < 1.5,
         "{secs}"
@@ -118,7 +121,9 @@ fn with_nobody_near_the_tracker_drives() {
 fn it_steps_aside_for_somebody_who_comes_along_the_middle() {
     for robot in ["tiago", "jackal"] {
         let mut hall = Hall::new(robot, 1.6);
-        let secs = hall.drive(0.6, |now| vec![Point2::new(11.0 - 1.0 * now, 0.0)]).unwrap();
+        let secs = hall
+            .drive(0.6, |now, _| vec![Point2::new(11.0 - 1.0 * now, 0.0)])
+            .unwrap();
         assert!(hall.least > 0.05, "{robot}: {}", hall.least);
         assert!(secs < 32.0, "{robot}: {secs} s");
     }
@@ -129,9 +134,33 @@ fn it_lets_somebody_cross() {
     for robot in ["tiago", "jackal"] {
         // Would meet it at x = 5.
         let mut hall = Hall::new(robot, 6.0);
-        let secs = hall.drive(0.6, |now| vec![Point2::new(5.0, -5.0 + 0.6 * now)]).unwrap();
+        let secs = hall
+            .drive(0.6, |now, _| vec![Point2::new(5.0, -5.0 + 0.6 * now)])
+            .unwrap();
         assert!(hall.least > 0.1, "{robot}: {}", hall.least);
         assert!(secs < 27.0, "{robot}: {secs} s");
+    }
+}
+
+#[test]
+fn it_gets_away_from_who_runs_into_it_and_leans_on_it() {
+    for robot in ["tiago", "jackal"] {
+        let mut hall = Hall::new(robot, 6.0);
+        let footprint = hall.model.footprint.clone();
+        let (walker, leans) = (Cell::new(Point2::new(4.0, 4.0)), Cell::new(false));
+        let follows = |_: f64, robot: Pose2| {
+            let away = |at: Point2<f64>| footprint.distance(robot.inverse().transform_point(at)) - 0.25;
+            let toward = (robot.position() - walker.get()).normalize() * (1.4 / RATE);
+            leans.set(leans.get() || away(walker.get() + toward) < 0.005);
+            if !leans.get() {
+                walker.set(walker.get() + toward);
+            }
+            vec![walker.get()]
+        };
+        let secs = hall.drive(0.6, follows);
+        assert!(leans.get(), "{robot} has not been touched");
+        assert!(hall.least > -0.06, "{robot} drives into it: {}", hall.least);
+        assert!(secs.is_some_and(|secs| secs < 45.0), "{robot}: {secs:?}");
     }
 }
 

@@ -113,11 +113,17 @@ impl ValueFunction {
             .map(|(column, row)| row * SIDE + column)
     }
 
-    /// Computes all values.
-    pub(super) fn fill(&mut self, input: &AvoidanceInput<'_>, standing: &[Point2<f64>], tracks: &[&Track]) {
+    /// Computes all values; who leans on the robot stands.
+    pub(super) fn fill(
+        &mut self,
+        input: &AvoidanceInput<'_>,
+        standing: &[Point2<f64>],
+        tracks: &[&Track],
+        leaning: &[&Track],
+    ) {
         let here = input.odom_from_base.position();
         self.origin = here - Vector2::repeat(0.5 * SIDE as f64 * self.cell);
-        self.block(input, standing);
+        self.block(input, standing, leaning);
         self.static_values(input);
         self.hits.fill(false);
         // Backwards in time.
@@ -207,7 +213,7 @@ impl ValueFunction {
     }
 
     /// Marks the cells that the robot cannot be in: too near to what stands, or never seen free.
-    fn block(&mut self, input: &AvoidanceInput<'_>, standing: &[Point2<f64>]) {
+    fn block(&mut self, input: &AvoidanceInput<'_>, standing: &[Point2<f64>], leaning: &[&Track]) {
         let odom_from_base = rigid(input.odom_from_base);
         let base_from_odom = odom_from_base.inverse();
         let grid = input.obstacles.blind_spots();
@@ -225,10 +231,15 @@ impl ValueFunction {
             .iter()
             .map(|ahead| (ahead.pose.position(), ALONG_PLAN, false));
         let around = (input.odom_from_base.position(), 1.5 * self.inscribed, false);
-        let standing = standing
-            .iter()
-            .map(|point| (*point, self.inscribed + LEAST_CLEARANCE, true));
-        for (place, radius, is_blocked) in along.chain([around]).chain(standing) {
+        let standing = standing.iter().map(|point| (*point, 0.0));
+        let leaning = leaning.iter().map(|track| (track.position, track.radius));
+        // What touches the robot does not close the place where it is.
+        let here = input.odom_from_base.position();
+        let blocking = standing.chain(leaning).map(|(place, radius)| {
+            let kept = (radius + self.inscribed + LEAST_CLEARANCE).min((place - here).norm() - 0.01);
+            (place, kept, true)
+        });
+        for (place, radius, is_blocked) in along.chain([around]).chain(blocking) {
             for index in self.disc(place, radius) {
                 self.blocked[index] = is_blocked;
             }

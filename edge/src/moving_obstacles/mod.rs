@@ -136,9 +136,13 @@ impl MovingObstacles {
             let reach = occluded.speed * now.secs_since(occluded.stamp) + settings.reappearance_tolerance;
             occluded.is_within(reach, place)
         };
+        let tracks = &self.tracks;
         self.occluded.retain(|occluded| {
             let untracked = occluded.track.is_none() && none_beside;
-            let is_out = untracked && points.iter().any(|point| may_be(occluded, *point));
+            // Who has been in sight since before is somebody else.
+            let is_new = |point: Point2<f64>| tracks.at(point).is_none_or(|track| track.born > occluded.stamp);
+            let comes_out = |point: &&Point2<f64>| may_be(occluded, **point) && is_new(**point);
+            let is_out = untracked && points.iter().any(|point| comes_out(&point));
             now.secs_since(occluded.stamp) <= settings.memory.max(settings.memory_backing) && !is_out
         });
         let mut waiting: Vec<RecentPlace> = Vec::new();

@@ -90,12 +90,12 @@ impl Pilot {
                 }
                 (self.dead_man.twist(now), Braking::Normal)
             }
-            MotionSource::Plan => (self.follow_plan(now, dt), Braking::Normal),
+            MotionSource::Plan => (self.follow_plan(now, dt, bump), Braking::Normal),
         }
     }
 
     /// The twist of the plan's tracker, or another one where the plan leads into the way of somebody.
-    fn follow_plan(&mut self, now: Stamp, dt: f64) -> Twist2 {
+    fn follow_plan(&mut self, now: Stamp, dt: f64, bump: &Bump) -> Twist2 {
         let Some(active) = &mut self.active_plan else {
             return Twist2::ZERO;
         };
@@ -108,6 +108,7 @@ impl Pilot {
                 dt,
                 now,
                 monitor: &self.collision_monitor,
+                bump,
                 odom_from_base: self.estimator.odom_from_base(),
                 command: self.limiter.twist(),
                 blind_speed: self.gains.blind_speed.max(self.config.settings.maneuvers.blind_speed),

@@ -406,7 +406,7 @@ impl Search {
                 let goal = named(&self.request.goal);
                 let reason = format!("the path to {goal} cannot be driven: {}", smooth.statistics.status);
                 let code = error_code::UNKNOWN;
-                self.unless_its_end_is_taken(ctx, NoRoute { code, reason })
+                self.unless_an_end_is_taken(ctx, &begin, &path, NoRoute { code, reason })
             }
             Some(SmoothReply {
                 map,

@@ -175,14 +175,24 @@ impl Search {
         self.wait(ctx, &path, &cells, no_route)
     }
 
-    /// There is a path, and it cannot be driven. Perhaps somebody stands at its end, seen from one side only.
-    pub(super) fn unless_its_end_is_taken(&mut self, ctx: &mut Context, no_route: NoRoute) -> Searching {
+    /// There is a path, and it cannot be driven. Perhaps somebody stands at one of its ends, seen from one side only: at the goal, or so near
+    /// to the robot that it has no room to set out.
+    pub(super) fn unless_an_end_is_taken(
+        &mut self,
+        ctx: &mut Context,
+        begin: &Begin,
+        path: &[Point2<f64>],
+        no_route: NoRoute,
+    ) -> Searching {
         if ctx.config.settings.patience <= 0.0 || self.request.from.is_some() {
             return self.given_up(ctx, no_route);
         }
-        let goal = [Point2::new(self.request.goal.x, self.request.goal.y)];
-        let cells = ctx.map.transient(&goal);
-        self.wait(ctx, &goal, &cells, no_route)
+        let ends = [
+            begin.pose.position(),
+            Point2::new(self.request.goal.x, self.request.goal.y),
+        ];
+        let cells = ctx.map.transient(&ends);
+        self.wait(ctx, path, &cells, no_route)
     }
 
     /// Waits for the first thing on a path that may leave; gives up if there is none, or if it has stood there for too long.

@@ -1,0 +1,96 @@
+//! Touched. Somebody has run into the robot, or leans on it: how near is a pose to what it touches?
+//!
+//! Grids and covering discs are too coarse for contact. While it lasts, the outline itself is held against the points around it, and what
+//! counts is whether a motion leads nearer to them or away. What leans on the robot does not go on through it: it stands where it is seen.
+
+use nalgebra::Point2;
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::robot::Footprint;
+
+use super::AvoidanceInput;
+use crate::obstacle_tracks::Track;
+
+/// Something that moves touches the robot from this near, and has let go beyond that, m.
+const TOUCHES: f64 = 0.03;
+const LET_GO: f64 = 0.08;
+/// After this long it is left to the mission, s.
+const LONGEST: f64 = 15.0;
+/// Points this far from the outline matter, m, and of those so near to one another only one.
+const REACH: f64 = 0.5;
+const SPACING: f64 = 0.02;
+/// A motion may lead nearer by this, m: ranges are noisy.
+const SLACK: f64 = 0.01;
+
+/// What touches the robot, and for how long it has.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Touched {
+    /// Since it began, s; `None` while nothing touches.
+    since: Option<f64>,
+    /// What is around, in the base frame when it was last looked at, and how far it is from the outline, m; negative inside.
+    points: Vec<(Point2<f64>, f64)>,
+}
+
+impl Touched {
+    /// Looks at what is around. Only what moves begins a contact; a wall is driven along.
+    pub(super) fn update(&mut self, footprint: &Footprint, input: &AvoidanceInput<'_>) {
+        let near = footprint.circumscribed_radius() + REACH;
+        let (mut least, mut least_moving) = (f64::INFINITY, f64::INFINITY);
+        self.points.clear();
+        for point in input.obstacles.in_base(input.odom_from_base) {
+            if point.coords.norm_squared() > near * near {
+                continue;
+            }
+            let distance = off(footprint, point);
+            least = least.min(distance);
+            let on_track = || {
+                input
+                    .obstacles
+                    .moving()
+                    .tracks()
+                    .at(input.odom_from_base.transform_point(point))
+            };
+            if distance < TOUCHES.min(least_moving) && on_track().is_some_and(|track| !track.is_robot()) {
+                least_moving = distance;
+            }
+            let is_new = |(last, _): &(Point2<f64>, f64)| (point - last).norm_squared() >= SPACING * SPACING;
+            if distance < REACH && self.points.last().is_none_or(is_new) {
+                self.points.push((point, distance));
+            }
+        }
+        self.since = match self.since {
+            Some(since) if least < LET_GO && since < LONGEST => Some(since + input.dt),
+            None if least_moving < TOUCHES => Some(0.0),
+            _ => None,
+        };
+    }
+
+    /// Whether something touches the robot that came at it.
+    pub(super) fn is_so(&self) -> bool {
+        self.since.is_some()
+    }
+
+    /// Distance of the outline from what is around, once the robot has moved by `base_from_there`, m; `None` where that leads into it, or
+    /// farther into it.
+    pub(super) fn distance(&self, footprint: &Footprint, base_from_there: Pose2) -> Option<f64> {
+        let there_from_base = base_from_there.inverse();
+        self.points.iter().try_fold(REACH, |least, (point, before)| {
+            let distance = off(footprint, there_from_base.transform_point(*point));
+            (distance >= before.min(TOUCHES) - SLACK).then_some(least.min(distance))
+        })
+    }
+
+    /// Whether a track's disc touches the robot: it leans on it, and does not go on.
+    pub(super) fn leans(&self, footprint: &Footprint, base_from_odom: Pose2, track: &Track) -> bool {
+        self.is_so() && footprint.distance(base_from_odom.transform_point(track.position)) < track.radius + LET_GO
+    }
+
+    /// Nothing touches any more.
+    pub(super) fn reset(&mut self) {
+        self.since = None;
+    }
+}
+
+/// Distance of a point (base frame) from the outline, m; negative inside.
+fn off(footprint: &Footprint, point: Point2<f64>) -> f64 {
+    footprint.distance(point) - footprint.depth(point)
+}
