@@ -46,12 +46,16 @@
 mod back_end;
 mod closure;
 mod finish;
+mod joining;
 mod metric;
 mod odometry;
+mod session;
 mod settings;
 mod slam;
 mod submap;
 
+pub use joining::{MergeError, merge};
 pub use metric::{Relation, RelationError, RelationErrors, Spread, read_relations, relation_errors};
+pub use session::{MOST_BYTES, SessionError};
 pub use settings::{ClosureSettings, FinishSettings, FrontSettings, SlamSettings};
 pub use slam::{Counts, Effects, Slam, SlamError};
