@@ -18,17 +18,10 @@ const SEEN_AGAIN: f64 = 0.4;
 pub(crate) fn closures(older: &mut Slam, newer: &Slam, older_from_newer: Pose2) -> Vec<Edge> {
     let settings = older.settings;
     let limits = &settings.closure;
-    let middles: Vec<Pose2> = older
-        .submaps
-        .iter()
-        .map(|submap| older.nodes()[submap.middle()])
-        .collect();
     let (mut asked, mut found) = (0.0, Vec::new());
     for node in (0..newer.scans.len()).step_by(limits.every as usize) {
         let here = older_from_newer * newer.nodes()[node];
-        let near = middles.iter().map(|middle| middle.distance(&here)).enumerate();
-        let nearest = near.min_by(|(_, a), (_, b)| a.total_cmp(b));
-        let Some((index, _)) = nearest.filter(|(_, distance)| *distance <= limits.near) else {
+        let Some(index) = older.nearest_submap(here) else {
             continue;
         };
         asked += 1.0;
@@ -39,6 +32,7 @@ pub(crate) fn closures(older: &mut Slam, newer: &Slam, older_from_newer: Pose2) 
             found.push(closure(submap.anchor, node, &refined, &settings));
         }
     }
+    eprintln!("closures {} of {asked}", found.len());
     if (found.len() as f64) < SEEN_AGAIN * asked {
         found.clear();
     }

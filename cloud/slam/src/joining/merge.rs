@@ -5,7 +5,7 @@ use zenav_pose_graph::{EdgeKind, RobustSolution};
 use zenav_protocol::geometry::Pose2;
 
 use super::join::{closures, joined};
-use super::overview::Overview;
+use super::overview::{Overview, verdict};
 use super::vote::{Count, count};
 use crate::slam::{Slam, SlamError};
 
@@ -80,7 +80,7 @@ pub fn merge(mut a: Slam, b: Slam) -> Result<(Slam, RobustSolution), MergeError>
         .submaps
         .iter()
         .step_by(step)
-        .map(|submap| overview.places(&b, submap, None))
+        .map(|submap| overview.places(&a, &b, submap, None))
         .collect();
     let Count { best, votes, second } = count(&searches).ok_or(MergeError::NoCommonPlace {
         votes: 0,
@@ -96,7 +96,7 @@ pub fn merge(mut a: Slam, b: Slam) -> Result<(Slam, RobustSolution), MergeError>
         return Err(MergeError::Ambiguous { best: votes, second });
     }
     let a_from_b = best.map_from_other;
-    let share = contradicting(&overview, &b, a_from_b).max(contradicting(&Overview::new(&b), &a, a_from_b.inverse()));
+    let share = contradicting(&a, &b, a_from_b).max(contradicting(&b, &a, a_from_b.inverse()));
     if share > CONTRADICTING {
         return Err(MergeError::Contradiction { share: 100.0 * share });
     }
@@ -118,11 +118,14 @@ pub fn merge(mut a: Slam, b: Slam) -> Result<(Slam, RobustSolution), MergeError>
     Ok((merged, solved))
 }
 
-/// Share of the scans of a map that look through walls of another one.
-fn contradicting(overview: &Overview, slam: &Slam, map_from_slam: Pose2) -> f64 {
-    let nodes = (0..slam.scans.len()).step_by(JUDGED);
-    let count = nodes.len().max(1) as f64;
-    let limit = slam.settings.closure.through_walls;
-    let against = nodes.filter(|node| overview.verdict(slam, *node, map_from_slam).through_walls > limit);
-    against.count() as f64 / count
+/// Share of the scans of a map, of those near another one, that look through walls of that.
+fn contradicting(map: &Slam, other: &Slam, map_from_other: Pose2) -> f64 {
+    let limit = map.settings.closure.through_walls;
+    let nodes = (0..other.scans.len()).step_by(JUDGED);
+    let verdicts: Vec<f64> = nodes
+        .filter_map(|node| verdict(map, other, node, map_from_other))
+        .map(|verdict| verdict.through_walls)
+        .collect();
+    let against = verdicts.iter().filter(|through| **through > limit).count();
+    against as f64 / verdicts.len().max(1) as f64
 }

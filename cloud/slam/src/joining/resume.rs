@@ -77,6 +77,15 @@ impl Slam {
     }
 }
 
+impl Slam {
+    /// The submap whose middle lies nearest to a pose in the map, if one is near.
+    pub(crate) fn nearest_submap(&self, pose: Pose2) -> Option<usize> {
+        let distances = self.submaps.iter().map(|submap| self.nodes()[submap.middle()].distance(&pose));
+        let (index, distance) = distances.enumerate().min_by(|(_, a), (_, b)| a.total_cmp(b))?;
+        (distance <= self.settings.closure.near).then_some(index)
+    }
+}
+
 /// Looks for the session in the older map, and joins both where it is found. `is_half`: whether the newest submap has just begun. Returns
 /// how the session moved, `older_from_session`.
 pub(crate) fn locate(slam: &mut Slam, is_half: bool) -> Result<Option<Pose2>, GraphError> {
@@ -91,7 +100,7 @@ pub(crate) fn locate(slam: &mut Slam, is_half: bool) -> Result<Option<Pose2>, Gr
     }
     let submap = &slam.submaps[slam.submaps.len().saturating_sub(2)];
     let around = start.map(|start| (start * slam.nodes()[0].inverse(), AROUND.0, AROUND.1));
-    let places = older.overview.places(slam, submap, around);
+    let places = older.overview.places(&older.slam, slam, submap, around);
     let counted = if start.is_some() {
         count(std::slice::from_ref(&places)).filter(|counted| counted.second == 0)
     } else {
