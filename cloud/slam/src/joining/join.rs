@@ -11,7 +11,7 @@ use crate::slam::Slam;
 /// closures beside it are a hundred times as exact, and say where.
 const SIGMA: (f64, f64) = (0.5, 0.2);
 /// Scans that are seen again, of those that were looked for, at least.
-const SEEN_AGAIN: f64 = 0.4;
+const SEEN_AGAIN: f64 = 0.25;
 
 /// Closures between the nodes of two maps: scans of `newer` that were seen again in submaps of `older`, as `older_from_newer` leads one to
 /// expect. Ends are indices in their own maps. Nothing where too few were.
@@ -32,7 +32,6 @@ pub(crate) fn closures(older: &mut Slam, newer: &Slam, older_from_newer: Pose2) 
             found.push(closure(submap.anchor, node, &refined, &settings));
         }
     }
-    eprintln!("closures {} of {asked}", found.len());
     if (found.len() as f64) < SEEN_AGAIN * asked {
         found.clear();
     }

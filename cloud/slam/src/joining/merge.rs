@@ -15,6 +15,8 @@ const SEARCHES: usize = 40;
 const VOTES: usize = 3;
 /// Share of the scans whose beams pass through the other map's walls, at most: more is another building.
 const CONTRADICTING: f64 = 0.2;
+/// A scan contradicts where this share of its beams passes through walls: people and open doors are less.
+const THROUGH_WALLS: f64 = 0.4;
 /// One scan of so many is judged.
 const JUDGED: usize = 5;
 /// Share of the closures between the maps that agree with everything else, at least.
@@ -97,6 +99,7 @@ pub fn merge(mut a: Slam, b: Slam) -> Result<(Slam, RobustSolution), MergeError>
     }
     let a_from_b = best.map_from_other;
     let share = contradicting(&a, &b, a_from_b).max(contradicting(&b, &a, a_from_b.inverse()));
+    eprintln!("votes {votes} {second} share {share}");
     if share > CONTRADICTING {
         return Err(MergeError::Contradiction { share: 100.0 * share });
     }
@@ -120,12 +123,11 @@ pub fn merge(mut a: Slam, b: Slam) -> Result<(Slam, RobustSolution), MergeError>
 
 /// Share of the scans of a map, of those near another one, that look through walls of that.
 fn contradicting(map: &Slam, other: &Slam, map_from_other: Pose2) -> f64 {
-    let limit = map.settings.closure.through_walls;
     let nodes = (0..other.scans.len()).step_by(JUDGED);
     let verdicts: Vec<f64> = nodes
         .filter_map(|node| verdict(map, other, node, map_from_other))
         .map(|verdict| verdict.through_walls)
         .collect();
-    let against = verdicts.iter().filter(|through| **through > limit).count();
+    let against = verdicts.iter().filter(|through| **through > THROUGH_WALLS).count();
     against as f64 / verdicts.len().max(1) as f64
 }

@@ -30,6 +30,8 @@ const PLACES: usize = 12;
 const APART: (f64, f64) = (0.5, 0.3);
 /// Least score of a place: the whole of a map has seen most of what is there.
 const MIN_SCORE: f64 = 0.75;
+/// Share of a submap's beams through walls, at most: doors open and close between two days.
+const THROUGH_WALLS: f64 = 0.25;
 /// Blocks that one search may score.
 const BUDGET: usize = 12_000_000;
 /// Scans of a submap that are judged, one of so many.
@@ -103,9 +105,7 @@ impl Overview {
                 known.seen_from.distance(&pose) < APART.0 && turn.abs() < APART.1
             });
             let verdict = self.judged(map, other, submap.nodes().step_by(JUDGED), map_from_other);
-            eprintln!("   {pose:?} {verdict:?}");
-            let limits = &self.settings.closure;
-            let fits = verdict.explained >= limits.explained && verdict.through_walls <= limits.through_walls;
+            let fits = verdict.explained >= self.settings.closure.explained && verdict.through_walls <= THROUGH_WALLS;
             if !is_known && fits {
                 places.push(Vote {
                     map_from_other,
