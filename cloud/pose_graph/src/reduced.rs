@@ -7,9 +7,6 @@
 
 use std::collections::{BTreeMap, BinaryHeap};
 
-use nalgebra::Matrix3;
-use zenav_protocol::geometry::Pose2;
-
 use crate::consistency::Uncertain;
 use crate::graph::{Edge, EdgeKind, GraphError, PoseGraph};
 
@@ -142,6 +139,8 @@ fn ways_through(
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
+    use nalgebra::Matrix3;
+    use zenav_protocol::geometry::Pose2;
 
     #[test]
     fn a_chain_without_its_middle_is_one_edge_of_summed_covariance() {

@@ -136,8 +136,8 @@ fn two_robots_maps_of_one_house_become_one() {
     assert_eq!(solved.solution.certificate.optimality, Optimality::Certified);
     let trajectory = merged.trajectory();
     let (old, new) = trajectory.split_at(first.len());
-    assert!(errors(old, &first, first[0]).1 < 0.06);
-    assert!(errors(new, &second, first[0]).1 < 0.06, "{:?}", errors(new, &second, first[0]));
+    let (old, new) = (errors(old, &first, first[0]), errors(new, &second, first[0]));
+    assert!(old.0 < 0.05 && new.0 < 0.05, "{old:?} {new:?}");
 }
 
 #[test]
@@ -150,7 +150,8 @@ fn maps_of_two_houses_are_not_merged() {
 
 #[test]
 fn ten_sessions_of_a_house_in_which_furniture_moves_are_no_larger_than_three() {
-    let house = House::usual();
+    // Its walls alone tell its corners apart.
+    let house = House::another();
     let mut slam = new();
     let mut nodes = Vec::new();
     let mut origin = None;

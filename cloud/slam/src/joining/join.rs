@@ -10,8 +10,9 @@ use crate::slam::Slam;
 /// How well the votes alone say where one map lies in the other, m and rad. This measurement is trusted and holds the graph together; the
 /// closures beside it are a hundred times as exact, and say where.
 const SIGMA: (f64, f64) = (0.5, 0.2);
-/// Scans that are seen again, of those that were looked for, at least.
-const SEEN_AGAIN: f64 = 0.25;
+/// Scans that are seen again, of those that were looked for, at least. Many are not even where both maps are true: people stand about, and a
+/// submap knows a few metres.
+const SEEN_AGAIN: f64 = 0.05;
 
 /// Closures between the nodes of two maps: scans of `newer` that were seen again in submaps of `older`, as `older_from_newer` leads one to
 /// expect. Ends are indices in their own maps. Nothing where too few were.

@@ -10,7 +10,7 @@ use super::vote::{Count, count};
 use crate::slam::{Slam, SlamError};
 
 /// Searches, at most; submaps evenly out of all.
-const SEARCHES: usize = 40;
+const SEARCHES: usize = 20;
 /// Searches that agree, at least.
 const VOTES: usize = 3;
 /// Share of the scans whose beams pass through the other map's walls, at most: more is another building.
@@ -99,11 +99,13 @@ pub fn merge(mut a: Slam, b: Slam) -> Result<(Slam, RobustSolution), MergeError>
     }
     let a_from_b = best.map_from_other;
     let share = contradicting(&a, &b, a_from_b).max(contradicting(&b, &a, a_from_b.inverse()));
-    eprintln!("votes {votes} {second} share {share}");
     if share > CONTRADICTING {
         return Err(MergeError::Contradiction { share: 100.0 * share });
     }
     let found = closures(&mut a, &b, a_from_b);
+    if found.is_empty() {
+        return Err(MergeError::Disagreement { kept: 0, found: 0 });
+    }
     let first = a.scans.len();
     let mut merged = joined(a, b, a_from_b, &found).map_err(SlamError::from)?;
     let solved = merged.finish()?;
@@ -112,7 +114,7 @@ pub fn merge(mut a: Slam, b: Slam) -> Result<(Slam, RobustSolution), MergeError>
         crosses && !is_final && edge.kind == EdgeKind::Closure
     });
     let kept = between.filter(|(_, weight, _)| *weight > 0.0).count();
-    if found.is_empty() || (kept as f64) < KEPT * found.len() as f64 {
+    if (kept as f64) < KEPT * found.len() as f64 {
         return Err(MergeError::Disagreement {
             kept,
             found: found.len(),

@@ -29,7 +29,7 @@ const PLACES: usize = 12;
 /// Places nearer than this, m and rad, are one.
 const APART: (f64, f64) = (0.5, 0.3);
 /// Least score of a place: the whole of a map has seen most of what is there.
-const MIN_SCORE: f64 = 0.75;
+const MIN_SCORE: f64 = 0.8;
 /// Share of a submap's beams through walls, at most: doors open and close between two days.
 const THROUGH_WALLS: f64 = 0.25;
 /// Blocks that one search may score.

@@ -1,5 +1,6 @@
 //! Resume. Where in the older map does the session that goes on lie?
 
+use nalgebra::Point2;
 use zenav_pose_graph::GraphError;
 use zenav_protocol::geometry::Pose2;
 
@@ -66,8 +67,9 @@ impl Slam {
         self.sessions.iter().map(|session| session.nodes).collect()
     }
 
-    /// Where the beams of a node's scan begin, in the frame of its base.
-    pub(crate) fn laser_of(&self, node: usize) -> nalgebra::Point2<f64> {
+    /// Where the beams of a node's scan begin, in the frame of its base, m.
+    #[must_use]
+    pub fn laser_of(&self, node: usize) -> Point2<f64> {
         let mut end = 0;
         let session = self.sessions.iter().find(|session| {
             end += session.nodes;
