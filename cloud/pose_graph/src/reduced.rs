@@ -162,7 +162,10 @@ mod tests {
         let groups = [Some(0), None, None, None, Some(1)];
         let edges = composed_edges(&graph, &[1.0; 4], &groups).unwrap();
         let [edge] = edges.as_slice() else { panic!("{edges:?}") };
-        assert_eq!((edge.from, edge.to, edge.measurement), (0, 4, Pose2::new(4.0, 0.0, 0.0)));
+        assert_eq!(
+            (edge.from, edge.to, edge.measurement),
+            (0, 4, Pose2::new(4.0, 0.0, 0.0))
+        );
         let covariance = edge.information.try_inverse().unwrap();
         assert!((covariance[(0, 0)] - 0.04).abs() < 1e-9 && (covariance[(2, 2)] - 0.01).abs() < 1e-9);
         // Each heading on the way swings what follows: 1, 4 and 9 m² of lever.

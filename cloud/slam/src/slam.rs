@@ -299,7 +299,9 @@ impl Slam {
         Ok(Effects {
             pose: older_from_session * effects.pose,
             moved: Some(older_from_session * moved),
-            covariance: effects.covariance.map(|covariance| turned(&covariance, older_from_session.yaw)),
+            covariance: effects
+                .covariance
+                .map(|covariance| turned(&covariance, older_from_session.yaw)),
             degenerate: effects.degenerate.map(|along| along + older_from_session.yaw),
             ..effects
         })

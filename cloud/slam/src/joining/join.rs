@@ -40,12 +40,7 @@ pub(crate) fn closures(older: &mut Slam, newer: &Slam, older_from_newer: Pose2) 
 }
 
 /// One map of two: `newer`, which goes on, after `older`, with the closures between them.
-pub(crate) fn joined(
-    older: Slam,
-    newer: Slam,
-    older_from_newer: Pose2,
-    closures: &[Edge],
-) -> Result<Slam, GraphError> {
+pub(crate) fn joined(older: Slam, newer: Slam, older_from_newer: Pose2, closures: &[Edge]) -> Result<Slam, GraphError> {
     let offset = older.scans.len();
     let mut back_end = older.back_end;
     for pose in newer.back_end.poses() {

@@ -42,7 +42,9 @@ pub enum MergeError {
         second: usize,
     },
     /// A place looks alike, the rest does not: two buildings, or one that was rebuilt.
-    #[error("the maps contradict each other where they lie best: {share:.0} % of the scans look through walls of the other map")]
+    #[error(
+        "the maps contradict each other where they lie best: {share:.0} % of the scans look through walls of the other map"
+    )]
     Contradiction {
         /// Share of such scans, percent.
         share: f64,

@@ -65,7 +65,13 @@ impl Overview {
 
     /// The places in this map from which a submap of another one may have been seen, as `map_from_other`; nothing where the search was cut
     /// short. `around`: where it is expected, with how far it may be off, m and rad.
-    pub(crate) fn places(&self, map: &Slam, other: &Slam, submap: &Submap, around: Option<(Pose2, f64, f64)>) -> Vec<Vote> {
+    pub(crate) fn places(
+        &self,
+        map: &Slam,
+        other: &Slam,
+        submap: &Submap,
+        around: Option<(Pose2, f64, f64)>,
+    ) -> Vec<Vote> {
         let other_from_middle = other.nodes()[submap.middle()];
         let points = gathered(other, submap);
         if points.len() < POINTS / 8 {
@@ -98,7 +104,14 @@ impl Overview {
         }
         let mut places: Vec<Vote> = Vec::new();
         for candidate in searched.found {
-            let pose = refine(self.pyramid.field(), &points, candidate.pose, None, &self.settings.refine).pose;
+            let pose = refine(
+                self.pyramid.field(),
+                &points,
+                candidate.pose,
+                None,
+                &self.settings.refine,
+            )
+            .pose;
             let map_from_other = pose * other_from_middle.inverse();
             let is_known = places.iter().any(|known| {
                 let turn = wrap_angle(known.map_from_other.yaw - map_from_other.yaw);

@@ -82,7 +82,10 @@ impl Slam {
 impl Slam {
     /// The submap whose middle lies nearest to a pose in the map, if one is near.
     pub(crate) fn nearest_submap(&self, pose: Pose2) -> Option<usize> {
-        let distances = self.submaps.iter().map(|submap| self.nodes()[submap.middle()].distance(&pose));
+        let distances = self
+            .submaps
+            .iter()
+            .map(|submap| self.nodes()[submap.middle()].distance(&pose));
         let (index, distance) = distances.enumerate().min_by(|(_, a), (_, b)| a.total_cmp(b))?;
         (distance <= self.settings.closure.near).then_some(index)
     }

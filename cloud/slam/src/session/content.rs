@@ -218,7 +218,9 @@ impl Content {
         let mut submaps = Vec::with_capacity(self.submaps.len());
         let mut least = 0;
         for Drawn(anchor, inserted) in &self.submaps {
-            let nodes = anchor.checked_add(inserted.len()).and_then(|end| scans.get(*anchor..end));
+            let nodes = anchor
+                .checked_add(inserted.len())
+                .and_then(|end| scans.get(*anchor..end));
             let Some(own) = nodes.filter(|own| !own.is_empty() && *anchor >= least) else {
                 return Err(expected("submaps of nodes, by ascending anchors"));
             };

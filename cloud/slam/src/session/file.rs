@@ -107,7 +107,10 @@ pub(super) fn read(bytes: &[u8]) -> Result<Content, SessionError> {
 
 /// A number, little endian.
 fn number(bytes: &[u8]) -> u64 {
-    bytes.iter().rev().fold(0, |number, byte| number << 8 | u64::from(*byte))
+    bytes
+        .iter()
+        .rev()
+        .fold(0, |number, byte| number << 8 | u64::from(*byte))
 }
 
 fn checksum(head: &[u8], body: &[u8]) -> u32 {
