@@ -174,3 +174,31 @@ fn ten_sessions_of_a_house_in_which_furniture_moves_are_no_larger_than_three() {
     let bytes = slam.save().unwrap();
     assert_eq!(Slam::load(&bytes).unwrap().save().unwrap(), bytes);
 }
+
+#[test]
+#[ignore = "many seeds: minutes"]
+fn over_many_seeds_no_place_is_named_wrongly() {
+    let (usual, another) = (House::usual(), House::another());
+    let (mut merged, mut refused, mut continued) = (0, 0, 0);
+    for seed in 100..110 {
+        let (first, second) = (lap(seed as usize, 5), lap(seed as usize + 2, 4));
+        let a = mapped(new(), &usual.log(&first, seed));
+        let scans = usual.log(&second, seed + 50);
+        let b = mapped(new(), &scans);
+        let c = mapped(new(), &another.log(&second, seed + 70));
+        if let Ok((map, _)) = merge(a.clone(), b) {
+            let (mean, _) = errors(&map.trajectory()[first.len()..], &second, first[0]);
+            assert!(mean < 0.1, "merged {mean} m off with seed {seed}");
+            merged += 1;
+        }
+        refused += usize::from(merge(a.clone(), c).is_err());
+        let session = stepped(a.begin_session(None), &scans);
+        if session.is_located() {
+            let (mean, _) = errors(&session.trajectory()[first.len()..], &second, first[0]);
+            assert!(mean < 0.1, "located {mean} m off with seed {seed}");
+            continued += 1;
+        }
+    }
+    println!("of 10: {merged} merged, {continued} continued, {refused} of another house refused");
+    assert_eq!(refused, 10);
+}
