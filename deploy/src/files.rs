@@ -38,6 +38,15 @@ pub fn text(path: &Path) -> Result<String, Failure> {
 /// # Errors
 /// As [`text`].
 pub fn text_within(path: &Path, limit: u64) -> Result<String, Failure> {
+    String::from_utf8(bytes_within(path, limit)?)
+        .map_err(|_| Failure::usage(format!("{}: expected text in UTF-8", path.display())))
+}
+
+/// At most `limit` bytes of a file, compressed by gzip or not.
+///
+/// # Errors
+/// Exit code 3 when it is missing, 2 when it is too large.
+pub fn bytes_within(path: &Path, limit: u64) -> Result<Vec<u8>, Failure> {
     let named = |code, what: &str| Failure::new(code, format!("{}: {what}", path.display()));
     let missing = |error: std::io::Error| named(exit_code::NOT_FOUND, &error.to_string());
     let mut bytes = Vec::new();
@@ -65,7 +74,7 @@ pub fn text_within(path: &Path, limit: u64) -> Result<String, Failure> {
     if bytes.len() as u64 > limit {
         return Err(named(exit_code::USAGE, &format!("expected at most {limit} bytes")));
     }
-    String::from_utf8(bytes).map_err(|_| named(exit_code::USAGE, "expected text in UTF-8"))
+    Ok(bytes)
 }
 
 #[cfg(unix)]

@@ -18,9 +18,9 @@ const LEAST_INFORMATION: f64 = 1e-9;
 
 /// A relative pose and its covariance in the frame of its far end.
 #[derive(Clone, Copy, Debug)]
-struct Uncertain {
-    pose: Pose2,
-    covariance: Matrix3<f64>,
+pub(crate) struct Uncertain {
+    pub(crate) pose: Pose2,
+    pub(crate) covariance: Matrix3<f64>,
 }
 
 /// What turns a small motion at the far end of `pose` into one at its near end.
@@ -30,12 +30,12 @@ fn adjoint(pose: Pose2) -> Matrix3<f64> {
 }
 
 impl Uncertain {
-    const CERTAIN: Self = Self {
+    pub(crate) const CERTAIN: Self = Self {
         pose: Pose2::IDENTITY,
         covariance: Matrix3::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
     };
 
-    fn of(edge: &Edge) -> Self {
+    pub(crate) fn of(edge: &Edge) -> Self {
         let least = Matrix3::identity() * (LEAST_INFORMATION * edge.information.amax());
         Self {
             pose: edge.measurement,
@@ -43,7 +43,7 @@ impl Uncertain {
         }
     }
 
-    fn inverse(&self) -> Self {
+    pub(crate) fn inverse(&self) -> Self {
         let turn = adjoint(self.pose);
         Self {
             pose: self.pose.inverse(),
@@ -51,7 +51,7 @@ impl Uncertain {
         }
     }
 
-    fn then(&self, next: &Self) -> Self {
+    pub(crate) fn then(&self, next: &Self) -> Self {
         let back = adjoint(next.pose.inverse());
         Self {
             pose: self.pose * next.pose,

@@ -42,6 +42,7 @@
 //! | `companion`, `certificate` | is there no better valley? |
 //! | `consistency`, `robust` | which closures are false? |
 //! | `covariance` | how well are nodes known? |
+//! | `reduced` | what is still known when nodes are dropped? |
 //! | `linear` | how is a sparse system of blocks solved? |
 //! | `settings` | what can be tuned? |
 
@@ -53,6 +54,7 @@ mod descent;
 pub mod g2o;
 mod graph;
 mod linear;
+mod reduced;
 mod robust;
 mod settings;
 mod solver;
@@ -63,6 +65,7 @@ pub use consistency::supported;
 pub use covariance::{marginal_covariance, relative_covariance};
 pub use descent::{Descent, DescentStatus, chi_squared, descend, edge_chi_squared};
 pub use graph::{Edge, EdgeKind, GraphError, PoseGraph};
+pub use reduced::composed_edges;
 pub use robust::{RobustSolution, solve_robust};
 pub use settings::{DescentSettings, RobustSettings};
 pub use solver::{Solution, SolveError, solve};

@@ -16,6 +16,8 @@ const ROUNDS: usize = 4;
 pub(crate) struct BackEnd {
     graph: PoseGraph,
     weights: Vec<f64>,
+    /// Which edges are matches of a finish: the next one makes its own.
+    is_final: Vec<bool>,
 }
 
 impl BackEnd {
@@ -24,9 +26,22 @@ impl BackEnd {
     }
 
     pub(crate) fn add_edge(&mut self, edge: Edge) -> Result<(), GraphError> {
+        self.add_weighted(edge, 1.0, false)
+    }
+
+    /// An edge of a weight; `is_final`: a match of a finish.
+    pub(crate) fn add_weighted(&mut self, edge: Edge, weight: f64, is_final: bool) -> Result<(), GraphError> {
         self.graph.add_edge(edge)?;
-        self.weights.push(1.0);
+        self.weights.push(weight);
+        self.is_final.push(is_final);
         Ok(())
+    }
+
+    /// All edges, each with its weight and whether it is a match of a finish.
+    pub(crate) fn edges(&self) -> impl Iterator<Item = (&Edge, f64, bool)> {
+        let flags = self.weights.iter().zip(&self.is_final);
+        let edges = self.graph.edges().iter().zip(flags);
+        edges.map(|(edge, (weight, is_final))| (edge, *weight, *is_final))
     }
 
     pub(crate) fn graph(&self) -> &PoseGraph {
@@ -59,20 +74,16 @@ impl BackEnd {
         Ok(())
     }
 
-    /// Drops edges, given by what is to be kept.
-    pub(crate) fn keep(&mut self, mut is_kept: impl FnMut(usize) -> bool) -> Result<(), GraphError> {
-        let mut graph = PoseGraph::new();
-        let mut weights = Vec::new();
+    /// Drops the matches of a finish.
+    pub(crate) fn drop_final(&mut self) -> Result<(), GraphError> {
+        let mut kept = Self::default();
         for pose in self.graph.poses() {
-            graph.add_node(*pose)?;
+            kept.add_node(*pose)?;
         }
-        for (index, edge) in self.graph.edges().iter().enumerate() {
-            if is_kept(index) {
-                graph.add_edge(*edge)?;
-                weights.push(self.weights[index]);
-            }
+        for (edge, weight, _) in self.edges().filter(|(_, _, is_final)| !is_final) {
+            kept.add_weighted(*edge, weight, false)?;
         }
-        (self.graph, self.weights) = (graph, weights);
+        *self = kept;
         Ok(())
     }
 

@@ -9,12 +9,12 @@ use crate::submap::Submap;
 /// Decides on closures, then in rounds: submaps anew from where scans lie now, each scan matched to those of others around it, solved.
 pub(crate) fn finish(slam: &mut Slam) -> Result<RobustSolution, SlamError> {
     let settings = slam.settings;
+    slam.back_end.drop_final()?;
     let mut solved = slam.back_end.solve(&settings.descent, &settings.robust)?;
-    let own_edges = slam.back_end.graph().edges().len();
     for _ in 0..settings.finish.rounds {
         redraw(slam);
         // Matches of the round before belong to other submaps: they go.
-        slam.back_end.keep(|index| index < own_edges)?;
+        slam.back_end.drop_final()?;
         for node in 0..slam.scans.len() {
             rematch(slam, node)?;
         }
@@ -34,7 +34,7 @@ fn redraw(slam: &mut Slam) {
     let field = slam.settings.field;
     for submap in &mut slam.submaps {
         let mut drawn = Submap::new(submap.anchor, &field);
-        for node in submap.anchor..submap.end() {
+        for node in submap.nodes() {
             drawn.insert(poses[submap.anchor].inverse() * poses[node], &slam.scans[node]);
         }
         *submap = drawn;
@@ -46,7 +46,7 @@ fn rematch(slam: &mut Slam, node: usize) -> Result<(), GraphError> {
     let settings = slam.settings;
     let here = slam.back_end.poses()[node];
     let mut near: Vec<(f64, usize)> = (0..slam.submaps.len())
-        .filter(|index| !slam.submaps[*index].contains(node))
+        .filter(|index| !slam.submaps[*index].nodes().contains(&node))
         .map(|index| {
             (
                 slam.back_end.poses()[slam.submaps[index].middle()].distance(&here),
@@ -65,13 +65,14 @@ fn rematch(slam: &mut Slam, node: usize) -> Result<(), GraphError> {
         if refined.score < settings.closure.min_score || !is_near || submap.anchor == node {
             continue;
         }
-        slam.back_end.add_edge(Edge {
+        let edge = Edge {
             from: submap.anchor,
             to: node,
             measurement: refined.pose,
             information: floored(&refined.information, settings.front.floor, settings.front.floor_turn),
             kind: EdgeKind::Closure,
-        })?;
+        };
+        slam.back_end.add_weighted(edge, 1.0, true)?;
     }
     Ok(())
 }

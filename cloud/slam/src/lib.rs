@@ -23,6 +23,9 @@
 //! [`Slam::finish`] ends a log: closures are decided anew ([`zenav_pose_graph::solve_robust`]), every scan is matched to submaps around
 //! that it is not part of, and the result is certified.
 //!
+//! Sessions: [`Slam::save`] and [`Slam::load`] make a map bytes and back, [`Slam::begin_session`] begins another drive in it, [`merge`] makes
+//! one map of two, [`Slam::trim`] drops what newer sessions have seen again.
+//!
 //! Frames: `map` begins at the first scan's base; `anchor` is the base at a submap's first scan; `base` and `laser` are the robot's.
 //! Metres, radians, seconds. The core has no clock, no chance, no files: the same scans give the same map.
 //!
@@ -40,18 +43,24 @@
 //! | `odometry` | how good is odometry, as far as matches have shown? |
 //! | `back_end` | which poses agree best? |
 //! | `finish` | where does each scan lie once all are known? |
+//! | `session` | how does a map go on at another time? |
+//! | `joining` | where in an older map is this one, and is that certain? |
 //! | `metric` | how far is a trajectory from reference relations? |
 //! | `settings` | what can be tuned? |
 
 mod back_end;
 mod closure;
 mod finish;
+mod joining;
 mod metric;
 mod odometry;
+mod session;
 mod settings;
 mod slam;
 mod submap;
 
+pub use joining::{MergeError, merge};
 pub use metric::{Relation, RelationError, RelationErrors, Spread, read_relations, relation_errors};
+pub use session::{MOST_BYTES, SessionError};
 pub use settings::{ClosureSettings, FinishSettings, FrontSettings, SlamSettings};
 pub use slam::{Counts, Effects, Slam, SlamError};

@@ -5,6 +5,7 @@
 //! learned from matches that know the direction in question; what nothing shows stays as the settings have it.
 
 use nalgebra::Matrix3;
+use serde::{Deserialize, Serialize};
 use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_scan_matching::{OdometrySettings, odometry_information};
 
@@ -18,7 +19,7 @@ const LEAST: f64 = 0.01;
 const OUTLIER: f64 = 9.0;
 
 /// What was learned.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(crate) struct Odometry {
     /// How much longer a step is than stated, as a factor.
     scale: f64,
@@ -35,6 +36,13 @@ impl Odometry {
         // As if the settings had been confirmed some times.
         seen: [10.0; 2],
     };
+
+    /// This, where all of it can be.
+    pub(crate) fn checked(self) -> Option<Self> {
+        let positive = [self.variance, self.seen].concat();
+        let is_sane = self.scale.is_finite() && positive.iter().all(|value| value.is_finite() && *value > 0.0);
+        is_sane.then_some(self)
+    }
 
     /// A step as it was in truth, as far as is known.
     pub(crate) fn corrected(&self, step: Pose2) -> Pose2 {

@@ -1,6 +1,7 @@
 //! SLAM. Where is the robot, and what does the world look like, from scans and odometry alone?
 
 use nalgebra::{Matrix3, Point2, Vector3};
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 use zenav_pose_graph::{DescentSettings, Edge, EdgeKind, GraphError, PoseGraph, RobustSolution, SolveError};
 use zenav_protocol::geometry::Pose2;
@@ -10,9 +11,11 @@ use zenav_scan_matching::{Prior, Refined, Window, floored, points, refine, searc
 use crate::back_end::BackEnd;
 use crate::closure::close;
 use crate::finish;
+use crate::joining::{Older, locate};
 use crate::odometry::Odometry;
+use crate::session::{Session, on_grid};
 use crate::settings::SlamSettings;
-use crate::submap::{Submap, thinned};
+use crate::submap::{SEARCH_POINTS, Submap, thinned};
 
 /// Share of a new score in the usual one.
 const USUAL: f64 = 0.05;
@@ -67,7 +70,7 @@ pub struct Effects {
 }
 
 /// Counts over a run.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Counts {
     /// Scans given.
     pub scans: usize,
@@ -84,7 +87,7 @@ pub struct Counts {
 /// Where a scan stands: its time, s, a node, and the pose in that node's frame; its points, where it is no node itself.
 #[derive(Clone, Debug)]
 pub(crate) struct Stand {
-    stamp: f64,
+    pub(crate) stamp: f64,
     pub(crate) node: usize,
     pub(crate) node_from_base: Pose2,
     pub(crate) points: Vec<Point2<f64>>,
@@ -98,19 +101,23 @@ pub struct Slam {
     pub(crate) scans: Vec<Vec<Point2<f64>>>,
     pub(crate) submaps: Vec<Submap>,
     pub(crate) stands: Vec<Stand>,
+    /// The sessions, each with its nodes in a row; the last one goes on.
+    pub(crate) sessions: Vec<Session>,
+    /// The map of earlier sessions, while this one was not found in it yet.
+    pub(crate) older: Option<Box<Older>>,
     /// Time, s, and odometry of the last scan.
-    last: Option<(f64, Pose2)>,
-    last_node_odometry: Pose2,
-    odometry: Odometry,
+    pub(crate) last: Option<(f64, Pose2)>,
+    pub(crate) last_node_odometry: Pose2,
+    pub(crate) odometry: Odometry,
     /// Whether odometry begins anew with the next scan.
-    is_interrupted: bool,
+    pub(crate) is_interrupted: bool,
     /// Whether the next match is searched for widely, however well it scores.
-    is_doubted: bool,
+    pub(crate) is_doubted: bool,
     /// Whether every scan is kept for the end of a log; beside a robot only nodes are.
-    keeps_all: bool,
-    start: Pose2,
+    pub(crate) keeps_all: bool,
+    pub(crate) start: Pose2,
     /// Running mean of the scores of matches.
-    usual: f64,
+    pub(crate) usual: f64,
     /// Way since the last closure, m.
     pub(crate) since_closure: f64,
     /// Whether closures came since the graph was settled.
@@ -128,6 +135,8 @@ impl Slam {
             scans: Vec::new(),
             submaps: Vec::new(),
             stands: Vec::new(),
+            sessions: vec![Session::default()],
+            older: None,
             last: None,
             last_node_odometry: Pose2::IDENTITY,
             odometry: Odometry::UNSEEN,
@@ -150,6 +159,27 @@ impl Slam {
             keeps_all: false,
             start,
             ..Self::new(settings)
+        }
+    }
+
+    /// The first node of the session that goes on.
+    pub(crate) fn session_start(&self) -> usize {
+        self.scans.len() - self.sessions.last().map_or(0, |session| session.nodes)
+    }
+
+    /// The older of the two submaps that grow.
+    fn active(&self) -> usize {
+        let session = self.session_start();
+        let first = self.submaps.partition_point(|submap| submap.anchor < session);
+        self.submaps.len().saturating_sub(2).max(first)
+    }
+
+    /// Keeps a scan as that of a new node.
+    fn keep(&mut self, seen: Vec<Point2<f64>>, laser: Point2<f64>) {
+        self.scans.push(seen);
+        if let Some(session) = self.sessions.last_mut() {
+            session.nodes += 1;
+            session.laser = laser;
         }
     }
 
@@ -180,10 +210,10 @@ impl Slam {
         }
         self.counts.scans += 1;
         let step = odometry_before.inverse() * odometry;
-        let seen = points(scan, step, stamp - before, &self.settings.scan);
+        let seen = on_grid(points(scan, step, stamp - before, &self.settings.scan));
         self.last = Some((stamp, odometry));
         if self.scans.is_empty() {
-            return self.begin(stamp, odometry, seen);
+            return self.begin(stamp, odometry, seen, scan.base_from_laser.position());
         }
         let node_from_base = self.last_node_odometry.inverse() * odometry;
         let front = &self.settings.front;
@@ -200,7 +230,7 @@ impl Slam {
         let settings = &self.settings;
         let poses = self.back_end.poses();
         let last = self.scans.len() - 1;
-        let submap = &self.submaps[self.submaps.len().saturating_sub(2)];
+        let submap = &self.submaps[self.active()];
         let expected = poses[submap.anchor].inverse() * poses[last] * self.odometry.corrected(step);
         let prior = Prior::of_odometry(expected, &self.odometry.information(step, &settings.odometry));
         let refined = refine(&submap.field, &seen, expected, Some(&prior), &settings.refine);
@@ -238,18 +268,42 @@ impl Slam {
         }
     }
 
-    fn begin(&mut self, stamp: f64, odometry: Pose2, seen: Vec<Point2<f64>>) -> Result<Effects, SlamError> {
+    fn begin(
+        &mut self,
+        stamp: f64,
+        odometry: Pose2,
+        seen: Vec<Point2<f64>>,
+        laser: Point2<f64>,
+    ) -> Result<Effects, SlamError> {
         self.back_end.add_node(self.start)?;
         let mut submap = Submap::new(0, &self.settings.field);
         submap.insert(Pose2::IDENTITY, &seen);
         self.submaps.push(submap);
-        self.scans.push(seen);
+        self.keep(seen, laser);
         self.last_node_odometry = odometry;
         self.stand(stamp, 0, Pose2::IDENTITY, Vec::new());
-        Ok(Effects {
+        let effects = Effects {
             pose: self.start,
             is_inserted: true,
             ..Effects::default()
+        };
+        self.located(false, effects)
+    }
+
+    /// What a step did, the session's being found in the older map included.
+    fn located(&mut self, is_half: bool, effects: Effects) -> Result<Effects, SlamError> {
+        let Some(older_from_session) = locate(self, is_half)? else {
+            return Ok(effects);
+        };
+        let moved = effects.moved.unwrap_or_default();
+        Ok(Effects {
+            pose: older_from_session * effects.pose,
+            moved: Some(older_from_session * moved),
+            covariance: effects
+                .covariance
+                .map(|covariance| turned(&covariance, older_from_session.yaw)),
+            degenerate: effects.degenerate.map(|along| along + older_from_session.yaw),
+            ..effects
         })
     }
 
@@ -266,7 +320,7 @@ impl Slam {
         let corrected = self.odometry.corrected(step);
         // The older of the two submaps that grow has seen more.
         let half = (settings.front.submap_scans / 2).max(1) as usize;
-        let active = self.submaps.len().saturating_sub(2);
+        let active = self.active();
         let mut effects = Effects {
             is_inserted: true,
             ..Effects::default()
@@ -307,7 +361,7 @@ impl Slam {
         } else {
             self.counts.unmatched += 1;
         }
-        self.scans.push(seen);
+        self.keep(seen, laser);
         self.last_node_odometry = self.last_node_odometry * step;
         self.stand(stamp, node, Pose2::IDENTITY, Vec::new());
         let map_from_node = self.back_end.poses()[node];
@@ -316,7 +370,7 @@ impl Slam {
             let anchor_from_node = self.back_end.poses()[submap.anchor].inverse() * map_from_node;
             submap.insert(anchor_from_node, &self.scans[node]);
         }
-        let is_half = self.submaps.last().is_some_and(|newest| newest.count >= half);
+        let is_half = self.submaps.last().is_some_and(|newest| newest.inserted.len() >= half);
         if is_half {
             let mut next = Submap::new(node, &settings.field);
             next.insert(Pose2::IDENTITY, &self.scans[node]);
@@ -332,7 +386,7 @@ impl Slam {
             effects.moved = Some(self.back_end.poses()[node] * before.inverse());
         }
         effects.pose = self.back_end.poses()[node];
-        Ok(effects)
+        self.located(is_half, effects)
     }
 
     /// The scan matched to a submap that grows, where that says more than odometry.
@@ -359,7 +413,7 @@ impl Slam {
                 budget: settings.closure.budget as usize,
                 ..Window::around(expected, settings.front.reach, settings.front.search_turn)
             };
-            let found = search(submap.pyramid(), &thinned(seen), &window);
+            let found = search(submap.pyramid(), &thinned(seen, SEARCH_POINTS), &window);
             if let Some(candidate) = found.found.first() {
                 let wide = refine(&submap.field, seen, candidate.pose, None, &settings.refine);
                 // How much likelier the scan is from there, against how much less likely odometry is: few points overrule nothing.

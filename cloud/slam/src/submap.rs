@@ -1,5 +1,7 @@
 //! Submap. What does a short stretch of the way look like, as seen from its first scan?
 
+use std::ops::Range;
+
 use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;
 use zenav_scan_matching::{FieldSettings, LikelihoodField, Pyramid};
@@ -12,8 +14,8 @@ const LEVELS: u32 = 5;
 pub(crate) struct Submap {
     /// Node of the first scan, whose frame this is.
     pub(crate) anchor: usize,
-    /// Nodes whose scans are in it: from the anchor on, so many.
-    pub(crate) count: usize,
+    /// Where the scans that are in it were inserted, `anchor_from_scan`: of the anchor and the nodes that follow it.
+    pub(crate) inserted: Vec<Pose2>,
     pub(crate) field: LikelihoodField,
     /// Made when a place is searched for in it.
     pyramid: Option<Pyramid>,
@@ -23,7 +25,7 @@ impl Submap {
     pub(crate) fn new(anchor: usize, settings: &FieldSettings) -> Self {
         Self {
             anchor,
-            count: 0,
+            inserted: Vec::new(),
             field: LikelihoodField::new(settings),
             pyramid: None,
         }
@@ -31,22 +33,23 @@ impl Submap {
 
     pub(crate) fn insert(&mut self, anchor_from_scan: Pose2, points: &[Point2<f64>]) {
         self.field.insert(anchor_from_scan, points);
-        self.count += 1;
+        self.inserted.push(anchor_from_scan);
         self.pyramid = None;
     }
 
     /// The node in the middle of it.
     pub(crate) fn middle(&self) -> usize {
-        self.anchor + self.count / 2
+        self.anchor + self.inserted.len() / 2
     }
 
     /// The node after its last.
     pub(crate) fn end(&self) -> usize {
-        self.anchor + self.count
+        self.anchor + self.inserted.len()
     }
 
-    pub(crate) fn contains(&self, node: usize) -> bool {
-        (self.anchor..self.end()).contains(&node)
+    /// The nodes whose scans are in it.
+    pub(crate) fn nodes(&self) -> Range<usize> {
+        self.anchor..self.end()
     }
 
     pub(crate) fn pyramid(&mut self) -> &Pyramid {
@@ -56,10 +59,10 @@ impl Submap {
 }
 
 /// Points that a search uses, at most: more take longer and find the same.
-const SEARCH_POINTS: usize = 120;
+pub(crate) const SEARCH_POINTS: usize = 120;
 
-/// At most [`SEARCH_POINTS`], evenly out of all.
-pub(crate) fn thinned(points: &[Point2<f64>]) -> Vec<Point2<f64>> {
-    let step = points.len().div_ceil(SEARCH_POINTS).max(1);
+/// At most `count`, evenly out of all.
+pub(crate) fn thinned(points: &[Point2<f64>], count: usize) -> Vec<Point2<f64>> {
+    let step = points.len().div_ceil(count).max(1);
     points.iter().copied().step_by(step).collect()
 }

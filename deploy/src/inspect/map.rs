@@ -23,6 +23,7 @@ use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::live_map::LiveMap;
 use crate::output::{self, Format};
+use crate::slam::{self, MergeArgs};
 
 /// Maps.
 #[derive(Debug, clap::Args)]
@@ -88,6 +89,8 @@ enum MapCommand {
     Convert(convert::ConvertArgs),
     /// Build a map from a CARMEN log with poses
     Build(build::BuildArgs),
+    /// Merge two SLAM sessions of one building into one map
+    Merge(MergeArgs),
 }
 
 fn stored_name(text: &str) -> Result<String, String> {
@@ -113,6 +116,7 @@ pub fn map(args: &MapArgs) -> Outcome {
         MapCommand::List => map_control::list(&args.robot, args.output),
         MapCommand::Convert(convert_args) => convert::convert(convert_args, args.output),
         MapCommand::Build(build_args) => build::build(build_args, args.output),
+        MapCommand::Merge(merge_args) => slam::merge(merge_args, args.output),
     }
 }
 

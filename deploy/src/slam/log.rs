@@ -1,20 +1,15 @@
 //! `zenav slam --log`. Which map and which poses follow from a log's scans and odometry alone?
 
-use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-use nalgebra::Point2;
 use serde::Serialize;
-use zenav_mapping::carmen::LOG_BEAMS;
-use zenav_mapping::{InsertMode, build as maps, map_file};
-use zenav_pose_graph::{EdgeKind, g2o};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::Scan;
 use zenav_slam::{RelationErrors, Slam, SlamSettings, Spread, read_relations, relation_errors};
 
 use super::SlamArgs;
 use super::graph::Solved;
-use super::picture;
+use super::{session, written};
 use crate::batch::thread_time;
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
@@ -33,6 +28,10 @@ struct Mapped {
     submaps: usize,
     closures: Closures,
     graph: Solved,
+    /// Nodes of each session that are left.
+    sessions: Vec<usize>,
+    /// Nodes that newer ones made needless.
+    trimmed: usize,
     relations: Option<Relations>,
     map: PathBuf,
 }
@@ -79,28 +78,65 @@ fn scaled(spread: Spread, scale: f64) -> MeanAndDeviation {
     }
 }
 
-/// Maps a log.
-pub(super) fn map(path: &Path, args: &SlamArgs) -> Outcome {
+/// Maps logs, one after the other, in the session's map where there is one.
+pub(super) fn map(args: &SlamArgs) -> Outcome {
     let relations = args.relations.as_deref().map(|path| {
         let text = files::text(path)?;
         read_relations(&text).map_err(Failure::usage_at(path))
     });
     let relations = relations.transpose()?;
-    let scans = read_log(path)?;
-    let mut slam = Slam::new(SlamSettings::default());
-    let mut steps = Vec::with_capacity(scans.len());
-    for scan in &scans {
+    let older = match &args.session {
+        Some(path) if path.exists() => session::read(path)?,
+        _ => Slam::new(SlamSettings::default()),
+    };
+    let known_sessions = older.sessions().len();
+    let is_continued = !older.nodes().is_empty();
+    let mut start = args
+        .start
+        .as_deref()
+        .map(|start| Pose2::new(start[0], start[1], start[2]));
+    let (mut slam, mut scans, mut steps, mut finish) = (older, Vec::new(), Vec::new(), 0.0);
+    let mut solved = None;
+    for path in &args.log {
+        let log = read_log(path)?;
+        slam = slam.begin_session(start.take());
+        for scan in &log {
+            let start = thread_time();
+            slam.step(scan).map_err(Failure::usage_at(path))?;
+            steps.push(thread_time().saturating_sub(start).as_secs_f64());
+        }
+        if !slam.is_located() {
+            return Err(Failure::failed_at(path)(
+                "no place of the older map was recognised with certainty: nothing was written",
+            ));
+        }
         let start = thread_time();
-        slam.step(scan).map_err(Failure::usage_at(path))?;
-        steps.push(thread_time().saturating_sub(start).as_secs_f64());
+        solved = Some(slam.finish().map_err(Failure::failed)?);
+        finish += thread_time().saturating_sub(start).as_secs_f64();
+        scans.extend(log);
     }
-    let start = thread_time();
-    let solved = slam.finish().map_err(Failure::failed)?;
-    let finish = thread_time().saturating_sub(start).as_secs_f64();
+    // clap asks for a log.
+    let solved = solved.ok_or_else(|| Failure::usage("expected --log"))?;
 
-    let trajectory = slam.trajectory();
+    let all = slam.trajectory();
+    let trajectory = &all[all.len().saturating_sub(scans.len())..];
+    let graph = Solved::new(slam.graph().poses().len(), &solved, 1e3 * finish);
+    let trimmed = slam.trim().map_err(Failure::failed)?;
+    let sessions = slam.sessions();
+    let known = if is_continued { known_sessions } else { 0 };
+    let older_nodes = sessions.iter().take(known).sum();
+    let mut placed = session::scans(&slam, 0..older_nodes);
+    placed.extend(scans.iter().zip(trajectory).map(|(scan, (_, pose))| Scan {
+        odom_from_base: *pose,
+        map_from_odom: Pose2::IDENTITY,
+        ..scan.clone()
+    }));
+    let before: Vec<Pose2> = scans.iter().map(|scan| scan.odom_from_base).collect();
     let out = args.out.as_deref().unwrap_or(Path::new("."));
-    let map = write(out, args.resolution, &scans, &trajectory, &slam)?;
+    let map = written::write(out, args.resolution, trajectory, &placed, &before, &slam)?;
+    if let Some(path) = &args.session {
+        session::write(path, &slam)?;
+    }
     let odometry: Vec<(f64, Pose2)> = scans
         .iter()
         .map(|scan| (scan.stamp.as_secs(), scan.odom_from_base))
@@ -126,8 +162,10 @@ pub(super) fn map(path: &Path, args: &SlamArgs) -> Outcome {
             searched: counts.searched,
             found: counts.found,
         },
-        graph: Solved::new(slam.graph().poses().len(), &solved, 1e3 * finish),
-        relations: errors(&trajectory).zip(errors(&odometry)).map(told),
+        graph,
+        sessions,
+        trimmed,
+        relations: errors(trajectory).zip(errors(&odometry)).map(told),
         map,
     };
     output::value(args.output, &mapped, |mapped| {
@@ -143,8 +181,18 @@ pub(super) fn map(path: &Path, args: &SlamArgs) -> Outcome {
                 relations.odometry_rotation_deg.mean
             )
         });
+        let sessions = if mapped.sessions.len() > 1 {
+            let count = mapped.sessions.len();
+            format!(
+                "\nsessions: {count}, of {} nodes now, {} trimmed",
+                mapped.sessions.iter().sum::<usize>(),
+                mapped.trimmed
+            )
+        } else {
+            String::new()
+        };
         format!(
-            "{}: {} scans at {:.2} ms, {:.0} x real time, {} submaps, {} closures found\n{}{relations}",
+            "{}: {} scans at {:.2} ms, {:.0} x real time, {} submaps, {} closures found\n{}{sessions}{relations}",
             mapped.map.display(),
             mapped.scans,
             mapped.cpu_ms_per_scan.mean,
@@ -166,46 +214,4 @@ fn told((errors, odometry): (RelationErrors, RelationErrors)) -> Relations {
         odometry_translation_m: scaled(odometry.translation, 1.0),
         odometry_rotation_deg: scaled(odometry.rotation, degrees),
     }
-}
-
-/// Writes what was found into a folder; returns the map's file.
-fn write(
-    out: &Path,
-    resolution: f64,
-    scans: &[Scan],
-    trajectory: &[(f64, Pose2)],
-    slam: &Slam,
-) -> Result<PathBuf, Failure> {
-    std::fs::create_dir_all(out).map_err(Failure::failed_at(out))?;
-    let mut rows = "t,x,y,yaw\n".to_owned();
-    for (stamp, Pose2 { x, y, yaw }) in trajectory {
-        // Writing to a string does not fail.
-        let _ = writeln!(rows, "{stamp},{x},{y},{yaw}");
-    }
-    files::write(&out.join("trajectory.csv"), rows)?;
-    files::write(&out.join("graph.g2o"), g2o::write(slam.graph(), &[]))?;
-    let placed = scans.iter().zip(trajectory).map(|(scan, (_, pose))| Scan {
-        odom_from_base: *pose,
-        map_from_odom: Pose2::IDENTITY,
-        ..scan.clone()
-    });
-    let placed: Vec<Scan> = placed.collect();
-    let built = maps::build_map(&placed, resolution, InsertMode::Reference, &LOG_BEAMS).map_err(Failure::failed)?;
-    let grid = built.map.to_occupancy();
-    let map = map_file::write_map(out, "map", &grid, "SLAM of a log").map_err(Failure::failed)?;
-    let edges = slam.graph().edges().iter().zip(slam.weights());
-    let joined = |is_true: bool| -> Vec<[Point2<f64>; 2]> {
-        let chosen = edges
-            .clone()
-            .filter(move |(edge, weight)| edge.kind == EdgeKind::Closure && (**weight > 0.0) == is_true);
-        let poses = slam.graph().poses();
-        chosen
-            .map(|(edge, _)| [poses[edge.from].position(), poses[edge.to].position()])
-            .collect()
-    };
-    let before: Vec<_> = scans.iter().map(|scan| scan.odom_from_base).collect();
-    let after: Vec<_> = trajectory.iter().map(|(_, pose)| *pose).collect();
-    let picture = picture::draw(&grid, &before, &after, &joined(true), &joined(false))?;
-    files::write(&out.join("slam.png"), picture.png()?)?;
-    Ok(map)
 }

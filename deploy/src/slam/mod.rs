@@ -3,17 +3,25 @@
 //! | file | answers |
 //! |---|---|
 //! | `log` | `zenav slam --log`: a map and poses from scans and odometry alone |
+//! | `merge` | `zenav map merge`: one map of two sessions |
+//! | `session` | which map does a session file hold, and how does a map look of which only the points are left? |
+//! | `written` | what is written of a map |
 //! | `graph` | `zenav slam --graph`: which poses agree best, and is that certain? |
 //! | `picture` | how did the way look before, and how after? |
 
 mod graph;
 mod log;
+mod merge;
 mod picture;
+mod session;
+mod written;
 
 use std::path::PathBuf;
 
 use crate::failure::Outcome;
 use crate::output::Format;
+
+pub(crate) use merge::{MergeArgs, merge};
 
 /// A map from a log, or the solution of a pose graph.
 ///
@@ -22,9 +30,15 @@ use crate::output::Format;
 #[derive(Debug, clap::Args)]
 #[command(group(clap::ArgGroup::new("input").required(true).args(["log", "graph"])))]
 pub struct SlamArgs {
-    /// CARMEN log of scans and raw odometry, compressed by gzip or not
+    /// CARMEN log of scans and raw odometry, compressed by gzip or not; several: drives one after the other in one building
     #[arg(long, value_name = "FILE", requires = "out")]
-    log: Option<PathBuf>,
+    log: Vec<PathBuf>,
+    /// The map so far: gone on with where the file exists, saved at the end
+    #[arg(long, value_name = "FILE", requires = "log")]
+    session: Option<PathBuf>,
+    /// Where the first log begins in the session's map, to within 1 m and 0.5 rad: m, m, rad [default: searched for]
+    #[arg(long, value_names = ["X", "Y", "YAW"], num_args = 3, allow_negative_numbers = true, requires = "session")]
+    start: Option<Vec<f64>>,
     /// Reference relations: lines `t1 t2 x y z roll pitch yaw`
     #[arg(long, value_name = "FILE", requires = "log")]
     relations: Option<PathBuf>,
@@ -50,10 +64,9 @@ pub struct SlamArgs {
 /// # Errors
 /// Exit code 3 when a file is missing, 2 when it is bad, 1 when there is no solution.
 pub fn slam(args: &SlamArgs) -> Outcome {
-    match (&args.log, &args.graph) {
-        (Some(log), _) => log::map(log, args),
-        (None, Some(graph)) => graph::solve(graph, args),
+    match &args.graph {
+        Some(graph) => graph::solve(graph, args),
         // clap asks for one of them.
-        (None, None) => Err(crate::failure::Failure::usage("expected --log or --graph")),
+        None => log::map(args),
     }
 }

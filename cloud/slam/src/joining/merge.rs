@@ -1,0 +1,137 @@
+//! Merge. Are two maps of one building, and how do they lie to each other?
+
+use thiserror::Error;
+use zenav_pose_graph::{EdgeKind, RobustSolution};
+use zenav_protocol::geometry::Pose2;
+
+use super::join::{closures, joined};
+use super::overview::{Overview, verdict};
+use super::vote::{Count, count};
+use crate::slam::{Slam, SlamError};
+
+/// Searches, at most; submaps evenly out of all.
+const SEARCHES: usize = 20;
+/// Searches that agree, at least.
+const VOTES: usize = 3;
+/// Share of the scans whose beams pass through the other map's walls, at most: more is another building.
+const CONTRADICTING: f64 = 0.2;
+/// A scan contradicts where this share of its beams passes through walls: people and open doors are less.
+const THROUGH_WALLS: f64 = 0.4;
+/// One scan of so many is judged.
+const JUDGED: usize = 5;
+/// Share of the closures between the maps that agree with everything else, at least.
+const KEPT: f64 = 0.6;
+
+/// Why two maps were not merged.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum MergeError {
+    /// They see nothing alike, or too little: drive through a place that both know.
+    #[error("no common place was found: {votes} of {searches} searches agree on a place, expected at least {VOTES}")]
+    NoCommonPlace {
+        /// Searches that agree.
+        votes: usize,
+        /// All searches.
+        searches: usize,
+    },
+    /// Rooms or floors that look alike: drive where they differ.
+    #[error("two alignments explain it as well: {best} searches agree on one, {second} on another")]
+    Ambiguous {
+        /// Searches that agree on the best alignment.
+        best: usize,
+        /// Searches that agree on the second best.
+        second: usize,
+    },
+    /// A place looks alike, the rest does not: two buildings, or one that was rebuilt.
+    #[error(
+        "the maps contradict each other where they lie best: {share:.0} % of the scans look through walls of the other map"
+    )]
+    Contradiction {
+        /// Share of such scans, percent.
+        share: f64,
+    },
+    /// The alignment does not hold scan by scan.
+    #[error("of the places that both maps show {kept} of {found} agree with the rest of them")]
+    Disagreement {
+        /// Closures between the maps that hold.
+        kept: usize,
+        /// All closures between the maps.
+        found: usize,
+    },
+    /// A session that was not located is no part of its map yet: let it drive on.
+    #[error("expected maps in which every session was located")]
+    Unlocated,
+    /// The merged graph has no solution.
+    #[error(transparent)]
+    Slam(#[from] SlamError),
+}
+
+/// One map of two sessions' maps, in the frame of the first, finished and solved. Nothing need be known of how they lie to each other.
+///
+/// Submaps of `b` are searched for in all of `a`. They are merged where at least three searches agree on one alignment, no other has more
+/// than half of its votes, at most a fifth of the scans of either contradicts the other map, and closures between single scans and submaps
+/// hold in the robust solution.
+///
+/// # Errors
+/// See [`MergeError`]: where it is not sure, nothing is merged.
+pub fn merge(mut a: Slam, b: Slam) -> Result<(Slam, RobustSolution), MergeError> {
+    if !a.is_located() || !b.is_located() {
+        return Err(MergeError::Unlocated);
+    }
+    let overview = Overview::new(&a);
+    let step = b.submaps.len().div_ceil(SEARCHES).max(2);
+    // Neighbouring submaps share half of their scans: every second one speaks for itself.
+    let searches: Vec<_> = b
+        .submaps
+        .iter()
+        .step_by(step)
+        .map(|submap| overview.places(&a, &b, submap, None))
+        .collect();
+    let Count { best, votes, second } = count(&searches).ok_or(MergeError::NoCommonPlace {
+        votes: 0,
+        searches: searches.len(),
+    })?;
+    if votes < VOTES {
+        return Err(MergeError::NoCommonPlace {
+            votes,
+            searches: searches.len(),
+        });
+    }
+    if 2 * second > votes {
+        return Err(MergeError::Ambiguous { best: votes, second });
+    }
+    let a_from_b = best.map_from_other;
+    let share = contradicting(&a, &b, a_from_b).max(contradicting(&b, &a, a_from_b.inverse()));
+    if share > CONTRADICTING {
+        return Err(MergeError::Contradiction { share: 100.0 * share });
+    }
+    let found = closures(&mut a, &b, a_from_b);
+    if found.is_empty() {
+        return Err(MergeError::Disagreement { kept: 0, found: 0 });
+    }
+    let first = a.scans.len();
+    let mut merged = joined(a, b, a_from_b, &found).map_err(SlamError::from)?;
+    let solved = merged.finish()?;
+    let between = merged.back_end.edges().filter(|(edge, _, is_final)| {
+        let crosses = edge.from < first && edge.to >= first;
+        crosses && !is_final && edge.kind == EdgeKind::Closure
+    });
+    let kept = between.filter(|(_, weight, _)| *weight > 0.0).count();
+    if (kept as f64) < KEPT * found.len() as f64 {
+        return Err(MergeError::Disagreement {
+            kept,
+            found: found.len(),
+        });
+    }
+    Ok((merged, solved))
+}
+
+/// Share of the scans of a map, of those near another one, that look through walls of that.
+fn contradicting(map: &Slam, other: &Slam, map_from_other: Pose2) -> f64 {
+    let nodes = (0..other.scans.len()).step_by(JUDGED);
+    let verdicts: Vec<f64> = nodes
+        .filter_map(|node| verdict(map, other, node, map_from_other))
+        .map(|verdict| verdict.through_walls)
+        .collect();
+    let against = verdicts.iter().filter(|through| **through > THROUGH_WALLS).count();
+    against as f64 / verdicts.len().max(1) as f64
+}

@@ -1,0 +1,207 @@
+//! Overview. Where in the whole of a map does something fit?
+
+use nalgebra::Point2;
+use zenav_protocol::geometry::{Pose2, wrap_angle};
+use zenav_protocol::grid::GridSpec;
+use zenav_scan_matching::{LikelihoodField, Pyramid, Verdict, Window, judge, refine, search_among};
+
+use super::vote::Vote;
+use crate::settings::SlamSettings;
+use crate::slam::Slam;
+use crate::submap::{Submap, thinned};
+
+/// Levels of the pyramid: blocks of 512 cells. Points far out are looked up some levels above the rest.
+const LEVELS: u32 = 9;
+/// Points of a submap that are searched for.
+const POINTS: usize = 100;
+/// Points nearer to each other than this, m, are one: what was looked at for long counts no more than the rest.
+const SPACING: f64 = 0.15;
+/// A robot that sees the same as an older one did stands no farther from where that stood, m.
+const FROM_THE_WAY: f64 = 2.5;
+/// Points farther from the middle of the submap than this, m, are not searched for: a small turn moves them far.
+const REACH: f64 = 10.0;
+/// Headings are tried on steps by which points so far out, m, move a cell.
+const LEVER: f64 = 4.0;
+/// Places that score this much less than the best one are asked too: moved furniture may cost the right one so much.
+const WITHIN: f64 = 0.08;
+/// Places that are asked, at most.
+const PLACES: usize = 12;
+/// Places nearer than this, m and rad, are one.
+const APART: (f64, f64) = (0.5, 0.3);
+/// Least score of a place: the whole of a map has seen most of what is there.
+const MIN_SCORE: f64 = 0.8;
+/// Share of a submap's beams through walls, at most: doors open and close between two days.
+const THROUGH_WALLS: f64 = 0.25;
+/// Blocks that one search may score.
+const BUDGET: usize = 12_000_000;
+/// Scans of a submap that are judged, one of so many.
+const JUDGED: usize = 4;
+
+/// All of a map in one field.
+#[derive(Clone, Debug)]
+pub(crate) struct Overview {
+    pyramid: Pyramid,
+    /// Above zero where a robot may have stood.
+    places: Pyramid,
+    settings: SlamSettings,
+}
+
+impl Overview {
+    /// The overview of all nodes of a map, where they lie now.
+    pub(crate) fn new(slam: &Slam) -> Self {
+        let mut field = LikelihoodField::new(&slam.settings.field);
+        for (pose, scan) in slam.nodes().iter().zip(&slam.scans) {
+            field.insert(*pose, scan);
+        }
+        let places = near(slam.nodes(), field.spec());
+        // As many values as cells: they were made so.
+        let places = LikelihoodField::from_values(*field.spec(), places).unwrap_or_else(|| field.clone());
+        Self {
+            pyramid: Pyramid::new(field, LEVELS),
+            places: Pyramid::new(places, LEVELS),
+            settings: slam.settings,
+        }
+    }
+
+    /// The places in this map from which a submap of another one may have been seen, as `map_from_other`; nothing where the search was cut
+    /// short. `around`: where it is expected, with how far it may be off, m and rad.
+    pub(crate) fn places(
+        &self,
+        map: &Slam,
+        other: &Slam,
+        submap: &Submap,
+        around: Option<(Pose2, f64, f64)>,
+    ) -> Vec<Vote> {
+        let other_from_middle = other.nodes()[submap.middle()];
+        let points = gathered(other, submap);
+        if points.len() < POINTS / 8 {
+            return Vec::new();
+        }
+        let spec = self.pyramid.field().spec();
+        let half = |cells: u32| 0.5 * f64::from(cells) * spec.resolution;
+        let (across, up) = (half(spec.width), half(spec.height));
+        let middle = Pose2::new(spec.origin.x + across, spec.origin.y + up, 0.0);
+        let window = match around {
+            Some((map_from_other, reach, turn)) => Window::around(map_from_other * other_from_middle, reach, turn),
+            None => Window {
+                across: up,
+                ..Window::around(middle, across, std::f64::consts::PI)
+            },
+        };
+        let window = Window {
+            min_score: MIN_SCORE,
+            within: WITHIN,
+            count: PLACES,
+            apart: APART.0,
+            apart_turn: APART.1,
+            lever: LEVER,
+            budget: BUDGET,
+            ..window
+        };
+        let searched = search_among(&self.pyramid, Some(&self.places), &thinned(&points, POINTS), &window);
+        if !searched.is_exact {
+            return Vec::new();
+        }
+        let mut places: Vec<Vote> = Vec::new();
+        for candidate in searched.found {
+            let pose = refine(
+                self.pyramid.field(),
+                &points,
+                candidate.pose,
+                None,
+                &self.settings.refine,
+            )
+            .pose;
+            let map_from_other = pose * other_from_middle.inverse();
+            let is_known = places.iter().any(|known| {
+                let turn = wrap_angle(known.map_from_other.yaw - map_from_other.yaw);
+                known.seen_from.distance(&pose) < APART.0 && turn.abs() < APART.1
+            });
+            let verdict = self.judged(map, other, submap.nodes().step_by(JUDGED), map_from_other);
+            let fits = verdict.explained >= self.settings.closure.explained && verdict.through_walls <= THROUGH_WALLS;
+            if !is_known && fits {
+                places.push(Vote {
+                    map_from_other,
+                    seen_from: pose,
+                    explained: verdict.explained,
+                });
+            }
+        }
+        places
+    }
+
+    /// The mean verdict on nodes of another map.
+    fn judged(&self, map: &Slam, other: &Slam, nodes: impl Iterator<Item = usize>, map_from_other: Pose2) -> Verdict {
+        let mut sum = Verdict {
+            explained: 0.0,
+            through_walls: 0.0,
+        };
+        let mut count = 0.0;
+        for node in nodes {
+            let pose = map_from_other * other.nodes()[node];
+            let (laser, scan) = (other.laser_of(node), &other.scans[node]);
+            sum.explained += judge(self.pyramid.field(), laser, scan, pose, &self.settings.verdict).explained;
+            // Everything that ever stood or went somewhere is in the whole map: what is a wall says a submap.
+            let around = verdict(map, other, node, map_from_other);
+            sum.through_walls += around.map_or(1.0, |verdict| verdict.through_walls);
+            count += 1.0;
+        }
+        Verdict {
+            explained: sum.explained / f64::max(count, 1.0),
+            through_walls: sum.through_walls / f64::max(count, 1.0),
+        }
+    }
+}
+
+/// The verdict of the nearest submap of a map on a node of another one; `None` where there is none near.
+pub(crate) fn verdict(map: &Slam, other: &Slam, node: usize, map_from_other: Pose2) -> Option<Verdict> {
+    let map_from_node = map_from_other * other.nodes()[node];
+    let submap = &map.submaps[map.nearest_submap(map_from_node)?];
+    Some(judge(
+        &submap.field,
+        other.laser_of(node),
+        &other.scans[node],
+        map.nodes()[submap.anchor].inverse() * map_from_node,
+        &map.settings.verdict,
+    ))
+}
+
+/// The points of a submap about its middle node, in the frame of that, no two close together.
+fn gathered(slam: &Slam, submap: &Submap) -> Vec<Point2<f64>> {
+    let cell = |point: &Point2<f64>| ((point.x / SPACING).floor() as i64, (point.y / SPACING).floor() as i64);
+    let middle_from_map = slam.nodes()[submap.middle()].inverse();
+    let placed = submap.nodes().flat_map(|node| {
+        let middle_from_scan = middle_from_map * slam.nodes()[node];
+        let points = slam.scans[node].iter();
+        points.map(move |point| middle_from_scan.transform_point(*point))
+    });
+    let near = placed.filter(|point| point.coords.norm() <= REACH);
+    let mut points: Vec<((i64, i64), Point2<f64>)> = near.map(|point| (cell(&point), point)).collect();
+    // The first of each cell, and the cells in an order of their own.
+    points.sort_by_key(|(cell, _)| *cell);
+    points.dedup_by_key(|(cell, _)| *cell);
+    points.into_iter().map(|(_, point)| point).collect()
+}
+
+/// The cells near some of these poses.
+fn near(poses: &[Pose2], spec: &GridSpec) -> Vec<u8> {
+    let mut values = vec![0; spec.len()];
+    let reach = (FROM_THE_WAY / spec.resolution) as i64;
+    let mut before: Option<Pose2> = None;
+    for pose in poses {
+        // Neighbours stand near each other.
+        if before.is_some_and(|before| before.distance(pose) < 0.1 * FROM_THE_WAY) {
+            continue;
+        }
+        before = Some(*pose);
+        let at = (pose.position() - spec.origin) / spec.resolution;
+        let (x, y) = (at.x.floor() as i64, at.y.floor() as i64);
+        for row in (y - reach).max(0)..(y + reach + 1).min(i64::from(spec.height)) {
+            let half = ((reach * reach - (row - y).pow(2)) as f64).sqrt() as i64;
+            let columns = (x - half).clamp(0, spec.width.into())..(x + half + 1).clamp(0, spec.width.into());
+            let start = row * i64::from(spec.width);
+            values[(start + columns.start) as usize..(start + columns.end) as usize].fill(u8::MAX);
+        }
+    }
+    values
+}

@@ -1,0 +1,127 @@
+//! Resume. Where in the older map does the session that goes on lie?
+
+use nalgebra::Point2;
+use zenav_pose_graph::GraphError;
+use zenav_protocol::geometry::Pose2;
+
+use super::join::{closures, joined};
+use super::overview::Overview;
+use super::vote::{Vote, count};
+use crate::session::Session;
+use crate::slam::Slam;
+
+/// Searches that agree, at least, where no start is given.
+const VOTES: usize = 2;
+/// How far a given start may be off, m and rad.
+const AROUND: (f64, f64) = (1.0, 0.5);
+
+/// The map of earlier sessions, in which this one was not found yet.
+#[derive(Clone, Debug)]
+pub(crate) struct Older {
+    slam: Slam,
+    overview: Overview,
+    /// Where the session begins, `older_from_session`, as far as somebody knows.
+    start: Option<Pose2>,
+    /// What each search so far allows.
+    searches: Vec<Vec<Vote>>,
+}
+
+impl Slam {
+    /// Begins the next session in this map: another drive, with odometry that begins anew, somewhere in the same building.
+    ///
+    /// `start`: `map_from_base` at its first scan to within 1 m and 0.5 rad, where somebody knows. Without it the whole map is searched, twice
+    /// for each submap that the session sees: it is found where two searches agree on a place and no other place has as many, its scans are
+    /// explained, and its beams pass through no walls. Until then the session is a map of its own, and [`Self::is_located`] is false:
+    /// [`Self::trajectory`], [`Self::graph`], [`Self::nodes`] and what [`Self::finish`] certifies are the session's alone, in the frame of its
+    /// first scan. When it is found, [`Effects::moved`](crate::Effects::moved) leads from that frame into the map's, and both are one graph.
+    #[must_use]
+    pub fn begin_session(mut self, start: Option<Pose2>) -> Self {
+        // They were placed by the finish of their session.
+        for stand in &mut self.stands {
+            stand.points = Vec::new();
+        }
+        if self.scans.is_empty() {
+            return self;
+        }
+        Self {
+            keeps_all: self.keeps_all,
+            older: Some(Box::new(Older {
+                overview: Overview::new(&self),
+                slam: self.clone(),
+                start,
+                searches: Vec::new(),
+            })),
+            ..Self::new(self.settings)
+        }
+    }
+
+    /// Whether the session that goes on was found in the map that it began in; true for the first one.
+    #[must_use]
+    pub fn is_located(&self) -> bool {
+        self.older.is_none()
+    }
+
+    /// How many nodes come from each session, in their order: those of one follow each other.
+    #[must_use]
+    pub fn sessions(&self) -> Vec<usize> {
+        self.sessions.iter().map(|session| session.nodes).collect()
+    }
+
+    /// Where the beams of a node's scan begin, in the frame of its base, m.
+    #[must_use]
+    pub fn laser_of(&self, node: usize) -> Point2<f64> {
+        let mut end = 0;
+        let session = self.sessions.iter().find(|session| {
+            end += session.nodes;
+            node < end
+        });
+        session.copied().unwrap_or_else(Session::default).laser
+    }
+}
+
+impl Slam {
+    /// The submap whose middle lies nearest to a pose in the map, if one is near.
+    pub(crate) fn nearest_submap(&self, pose: Pose2) -> Option<usize> {
+        let distances = self
+            .submaps
+            .iter()
+            .map(|submap| self.nodes()[submap.middle()].distance(&pose));
+        let (index, distance) = distances.enumerate().min_by(|(_, a), (_, b)| a.total_cmp(b))?;
+        (distance <= self.settings.closure.near).then_some(index)
+    }
+}
+
+/// Looks for the session in the older map, and joins both where it is found. `is_half`: whether the newest submap has just begun. Returns
+/// how the session moved, `older_from_session`.
+pub(crate) fn locate(slam: &mut Slam, is_half: bool) -> Result<Option<Pose2>, GraphError> {
+    let Some(mut older) = slam.older.take() else {
+        return Ok(None);
+    };
+    // A submap that has only begun says too little, but where it is known where to look.
+    let start = older.start.filter(|_| slam.submaps.len() < 2);
+    if !is_half && start.is_none() {
+        slam.older = Some(older);
+        return Ok(None);
+    }
+    let submap = &slam.submaps[slam.submaps.len().saturating_sub(2)];
+    let around = start.map(|start| (start * slam.nodes()[0].inverse(), AROUND.0, AROUND.1));
+    let places = older.overview.places(&older.slam, slam, submap, around);
+    let counted = if start.is_some() {
+        count(std::slice::from_ref(&places)).filter(|counted| counted.second == 0)
+    } else {
+        older.searches.push(places);
+        count(&older.searches).filter(|counted| counted.votes >= VOTES && 2 * counted.second <= counted.votes)
+    };
+    let Some(counted) = counted else {
+        slam.older = Some(older);
+        return Ok(None);
+    };
+    let found = closures(&mut older.slam, slam, counted.best.map_from_other);
+    if found.is_empty() {
+        slam.older = Some(older);
+        return Ok(None);
+    }
+    let session = std::mem::replace(slam, Slam::new(older.slam.settings));
+    *slam = joined(older.slam, session, counted.best.map_from_other, &found)?;
+    Ok(Some(counted.best.map_from_other))
+}

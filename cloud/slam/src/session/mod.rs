@@ -1,0 +1,64 @@
+//! Sessions. How does a map go on at another time?
+//!
+//! A session is a drive with one chain of odometry. [`Slam::save`] makes bytes of all sessions so far, [`Slam::load`] a map of these,
+//! [`Slam::begin_session`] begins the next one in it.
+//!
+//! | file | answers |
+//! |---|---|
+//! | `file` | are these bytes a session, whole and of a known version? |
+//! | `content` | what of a map is kept? |
+//! | `grid` | how are points written down? |
+
+mod content;
+mod file;
+mod grid;
+
+use nalgebra::Point2;
+use serde::{Deserialize, Serialize};
+
+pub use file::{MOST_BYTES, SessionError};
+pub(crate) use grid::on_grid;
+
+use self::content::Content;
+use crate::slam::Slam;
+
+/// A drive with one chain of odometry.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Session {
+    /// How many nodes come from it.
+    pub(crate) nodes: usize,
+    /// Where its beams begin, in the frame of the base, m.
+    pub(crate) laser: Point2<f64>,
+}
+
+impl Default for Session {
+    fn default() -> Self {
+        Self {
+            nodes: 0,
+            laser: Point2::origin(),
+        }
+    }
+}
+
+impl Slam {
+    /// The map as bytes, and all that is needed to go on as if it had never been away: poses, measurements with their weights, points of
+    /// scans on the grid of a millimetre that they were taken in on, submaps by what was inserted where, and what was learned of odometry.
+    ///
+    /// # Errors
+    /// [`SessionError::Unlocated`] while the session was not found in the older map: save when [`Self::is_located`].
+    /// [`SessionError::TooLarge`].
+    pub fn save(&self) -> Result<Vec<u8>, SessionError> {
+        if !self.is_located() {
+            return Err(SessionError::Unlocated);
+        }
+        file::written(&Content::of(self))
+    }
+
+    /// The map that [`Self::save`] made these bytes of. Likelihood fields are made anew.
+    ///
+    /// # Errors
+    /// See [`SessionError`]: never a part of a map.
+    pub fn load(bytes: &[u8]) -> Result<Self, SessionError> {
+        file::read(bytes)?.into_slam()
+    }
+}
