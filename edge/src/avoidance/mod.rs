@@ -5,7 +5,7 @@
 //!
 //! 1. `value_function`: for each place around the robot and each time up to the horizon, the time to the end of the plan among static
 //!    obstacles and predicted tracks. So the robot waits in a niche, passes behind, or backs out.
-//! 2. A dynamic window (Fox, Burgard, Thrun, "The dynamic window approach to collision avoidance", IEEE RAM 1997) whose arcs are checked
+//! 2. `arcs`: a dynamic window (Fox, Burgard, Thrun, "The dynamic window approach to collision avoidance", IEEE RAM 1997) whose arcs are checked
 //!    with the footprint against obstacles (`clearance_grid`) and predicted tracks, and judged at their end by that value function.
 //!
 //! Of a robot that tells its course that course is believed. Who of two has right of way minds the other only where there is no time left
@@ -16,6 +16,7 @@
 //! It works in the odometry frame and never leaves floor that a lidar sees free, except along the plan. The collision monitor keeps the
 //! last word.
 
+mod arcs;
 mod clearance_grid;
 mod touched;
 mod value_function;
@@ -26,44 +27,19 @@ use zenav_protocol::messages::Bump;
 use zenav_protocol::robot::{Drive, Footprint, RobotModel};
 use zenav_protocol::time::Stamp;
 
-use crate::blind_spot_grid::Floor;
 use crate::collision_monitor::CollisionMonitor;
 use crate::course::Way;
-use crate::field_of_view::rigid;
 use crate::local_obstacles::LocalObstacles;
 use crate::obstacle_tracks::Track;
-use crate::passive_safety::{GENTLE, outline_samples};
+use crate::passive_safety::outline_samples;
 use crate::settings::AvoidanceSettings;
+use arcs::Situation;
 use clearance_grid::ClearanceGrid;
 use touched::Touched;
 use value_function::ValueFunction;
 
-/// Arcs last this long, s, and in contact, where the robot only creeps, in so many steps.
-const ARC_SECS: f64 = 1.2;
-const TOUCHED_ARC_SECS: f64 = 4.8;
-const ARC_STEPS: u32 = 12;
-/// Speeds and yaw rates of the window.
-const SPEEDS: i32 = 8;
-const YAW_RATES: i32 = 6;
-/// Share of the top speed that is used backwards.
-const BACKWARDS: f64 = 0.4;
 /// Spacing of the points of the outline, m.
 const OUTLINE_STEP: f64 = 0.1;
-/// Nearer than this to what stands, or to a track, is a contact, m.
-const LEAST_CLEARANCE: f64 = 0.02;
-const LEAST_DISTANCE: f64 = 0.03;
-/// Cost of a contact at the end of an arc, s; at its beginning twice that.
-const CONTACT_COST: f64 = 12.0;
-/// Where the end of the plan cannot be reached it counts as this far, s.
-const MOST_VALUE: f64 = 60.0;
-/// Cost of the end of an arc that has no way on, at most, s.
-const DOOMED_COST: f64 = 10.0;
-/// Cost of an arc all along the way of a track, s.
-const NEARNESS_COST: f64 = 15.0;
-/// Cost of each second in contact, s; none beyond this distance, m.
-const TOUCHED_COST: (f64, f64) = (2.0, 0.15);
-/// The clearance grid with the covering discs is this coarse, m.
-const COARSE: f64 = 0.08;
 /// Off the plan by this much the tracker takes over again, m and rad.
 const REJOINED: (f64, f64) = (0.15, 0.5);
 /// Time without a conflict after which the robot returns to the plan, s.
@@ -116,14 +92,6 @@ pub enum Control {
     Rejoin,
     /// This twist instead.
     Evade(Twist2),
-}
-
-/// Where a robot is before an arc: its distance from what stands, and from each track, m.
-struct Start {
-    /// Time to the end of the plan, s.
-    value: f64,
-    clear: f64,
-    tracks: Vec<f64>,
 }
 
 /// Keeps the robot out of the way of moving obstacles.
@@ -254,7 +222,7 @@ impl Avoidance {
             self.trapped_for = lasts;
         }
         self.clearances.fill(input.odom_from_base.position(), &self.standing);
-        Control::Evade(self.best_arc(input, &tracks, &leaning))
+        Control::Evade(self.best_arc(&Situation::new(self, input, &tracks, &leaning)))
     }
 
     /// Whether the plan, at its own pace, comes too near to where a track is predicted.
@@ -303,204 +271,6 @@ impl Avoidance {
             nearest.pose.distance(&here) < REJOINED.0 && wrap_angle(nearest.pose.yaw - here.yaw).abs() < REJOINED.1
         })
     }
-
-    /// The twist whose arc costs least.
-    fn best_arc(&self, input: &AvoidanceInput<'_>, tracks: &[&Track], leaning: &[&Track]) -> Twist2 {
-        let (top, turn) = (self.drive.top_speed(), self.drive.top_yaw_rate().min(3.0));
-        let backwards = if input.obstacles.blind_spots().leads_into_blind_spot(-1.0) {
-            0.9 * input.blind_speed.min(BACKWARDS * top)
-        } else {
-            BACKWARDS * top
-        };
-        let touched = self.touched.is_so();
-        let value = self.values.at(input.odom_from_base, 0.0, self.drive.top_yaw_rate());
-        let start = Start {
-            value: value.min(MOST_VALUE),
-            clear: self.clear(input.odom_from_base),
-            tracks: tracks
-                .iter()
-                .map(|track| {
-                    self.distance(input.odom_from_base, track.at(input.now.secs_since(track.stamp))) - track.radius
-                })
-                .collect(),
-        };
-        let mut best = (f64::INFINITY, Twist2::ZERO);
-        for nth in -3..=SPEEDS {
-            let v = if nth < 0 {
-                backwards * f64::from(nth) / 3.0
-            } else {
-                top * f64::from(nth) / f64::from(SPEEDS)
-            };
-            for side in -YAW_RATES..=YAW_RATES {
-                // Denser around straight on.
-                let share = f64::from(side) / f64::from(YAW_RATES);
-                let wanted = Twist2::new(v, turn * share * share.abs());
-                if self.drive.surface_speed(wanted) > input.speed_cap + 1e-9 {
-                    continue;
-                }
-                let bump = touched.then_some(input.bump);
-                let share = input
-                    .monitor
-                    .share_unseen(input.now, wanted, input.obstacles, input.odom_from_base, bump);
-                let unheld = Twist2::new(share * wanted.v, share * wanted.w);
-                let cost = self.arc_cost(input, tracks, leaning, &start, unheld, best.0);
-                if cost < best.0 {
-                    best = (cost, wanted);
-                }
-            }
-        }
-        best.1
-    }
-
-    /// Cost of going over to a twist and keeping it, s; given up beyond `limit`.
-    fn arc_cost(
-        &self,
-        input: &AvoidanceInput<'_>,
-        tracks: &[&Track],
-        leaning: &[&Track],
-        start: &Start,
-        wanted: Twist2,
-        limit: f64,
-    ) -> f64 {
-        let touched = self.touched.is_so();
-        let lasts = if touched { TOUCHED_ARC_SECS } else { ARC_SECS };
-        let step = lasts / f64::from(ARC_STEPS);
-        let mut wheels = self.drive.wheels(input.command);
-        let (mut pose, mut cost) = (input.odom_from_base, 0.0);
-        cost += 0.1 * (wanted.v - input.command.v).abs() / self.drive.top_speed()
-            + 0.1 * (wanted.w - input.command.w).abs() / self.drive.top_yaw_rate();
-        let (faster, slower) = (
-            self.drive.max_wheel_acceleration * step,
-            self.drive.hard_braking / self.drive.wheel_radius * step,
-        );
-        let surface_speed = self.drive.surface_speed(wanted);
-        for nth in 1..=ARC_STEPS {
-            let before = step * f64::from(nth - 1);
-            let held = self.speed_among(input, tracks, leaning, pose, wanted, before, surface_speed) / surface_speed;
-            let held = if held < 1.0 { held } else { 1.0 };
-            let target = self.drive.wheels(Twist2::new(held * wanted.v, held * wanted.w));
-            for (wheel, target) in wheels.iter_mut().zip(target) {
-                let change = if target.abs() < wheel.abs() { slower } else { faster };
-                *wheel += (target - *wheel).clamp(-change, change);
-            }
-            let twist = self.drive.twist(wheels);
-            pose = pose.advance(twist, step);
-            let secs = step * f64::from(nth);
-            let left = 1.0 - secs / lasts;
-            let moving = self.drive.surface_speed(twist) > 0.02;
-            let clear = self.clear(pose);
-            // Who is too near already may leave; in contact the grid is too coarse to tell.
-            if moving && clear < LEAST_CLEARANCE.min(start.clear - if touched { COARSE } else { LEAST_CLEARANCE }) {
-                return start.value + 60.0 + 60.0 * left;
-            }
-            if touched {
-                let base_from_there = input.odom_from_base.inverse() * pose;
-                match self.touched.distance(&self.footprint, base_from_there) {
-                    Some(distance) => {
-                        cost += TOUCHED_COST.0 * step * (1.0 - distance / TOUCHED_COST.1).max(0.0);
-                    }
-                    None if moving => return start.value + 60.0 + 60.0 * left,
-                    None => cost += TOUCHED_COST.0 * step,
-                }
-            }
-            cost += 0.6 * (1.0 - clear / 0.1).max(0.0) / f64::from(ARC_STEPS);
-            if moving && self.leaves_known_floor(input, pose, twist) {
-                return start.value + 50.0 + 50.0 * left;
-            }
-            let mut nearest = f64::INFINITY;
-            let speed = self.drive.surface_speed(twist);
-            let reach = self.circumscribed + self.settings.clearance_most;
-            for (track, before) in tracks.iter().zip(&start.tracks) {
-                let after = secs + input.now.secs_since(track.stamp);
-                let (at, lead) = (track.at(after), lead(&self.settings, track));
-                let far = reach + track.radius + track.velocity.norm() * lead;
-                if (at - pose.position()).norm_squared() > far * far {
-                    continue;
-                }
-                let distance = self.distance(pose, at) - track.radius;
-                if let Some(kept) = kept(&self.settings, track, secs) {
-                    let way = track.way(after, lead);
-                    nearest = nearest.min(self.distance_from_way(pose, &way, track.radius) - kept);
-                }
-                if distance < LEAST_DISTANCE.min(before - LEAST_CLEARANCE) {
-                    // Sooner is worse, and so is the robot's own part in it.
-                    return cost + start.value + CONTACT_COST * (1.0 + left) + 0.5 * speed;
-                }
-            }
-            if nearest < 0.0 {
-                cost += NEARNESS_COST * (-nearest / self.settings.clearance_most.max(0.1)) / f64::from(ARC_STEPS);
-            }
-            if cost >= limit {
-                return cost;
-            }
-        }
-        // Where there is no way out there will be a contact, but later.
-        let value = self.values.at(pose, lasts, self.drive.top_yaw_rate());
-        cost + value.min(start.value + DOOMED_COST)
-    }
-
-    /// The speed, up to `most`, that the collision monitor allows of a twist at a pose `secs` from now, as far as tracks go.
-    fn speed_among(
-        &self,
-        input: &AvoidanceInput<'_>,
-        tracks: &[&Track],
-        leaning: &[&Track],
-        pose: Pose2,
-        twist: Twist2,
-        secs: f64,
-        most: f64,
-    ) -> f64 {
-        let there_from_odom = rigid(pose).inverse();
-        let moving = tracks
-            .iter()
-            .map(|track| (track, track.at(secs + input.now.secs_since(track.stamp))));
-        let leaning = leaning.iter().map(|track| (track, track.position));
-        moving.chain(leaning).fold(most, |most, (track, at)| {
-            // Robots that tell their course are judged by it.
-            if track.is_robot() {
-                return most;
-            }
-            let place = there_from_odom * at;
-            let fast = track.most_speed();
-            let near = self.circumscribed + track.radius;
-            if place.coords.norm() - near > fast + most {
-                return most;
-            }
-            let distance = distance_ahead(&self.outline, place, twist) - track.radius;
-            most.min(input.monitor.speed_towards(distance, fast))
-        })
-    }
-
-    /// Distance of the covering discs at a pose from what stands, m, to within a cell.
-    fn clear(&self, pose: Pose2) -> f64 {
-        let still = self
-            .discs
-            .iter()
-            .map(|(x, radius)| self.clearances.distance(pose.position() + pose.heading() * *x) - radius);
-        still.fold(f64::INFINITY, f64::min)
-    }
-
-    /// Whether the footprint at a pose is over floor that was never seen, ahead of its motion.
-    fn leaves_known_floor(&self, input: &AvoidanceInput<'_>, pose: Pose2, twist: Twist2) -> bool {
-        let grid = input.obstacles.blind_spots();
-        if !grid.has_blind_spot() || twist.v >= 0.0 {
-            return false;
-        }
-        let odom_from_base = rigid(input.odom_from_base);
-        let rear = self.discs.iter().map(|(x, radius)| x - radius).fold(0.0, f64::min);
-        let there = pose.position() + pose.heading() * rear;
-        let place = odom_from_base.inverse() * there;
-        matches!(grid.floor(&odom_from_base, place), Floor::Unknown | Floor::Occupied)
-    }
-}
-
-/// Distance of a point (base frame) from those parts of the outline that a twist moves outwards, m.
-fn distance_ahead(outline: &[(Point2<f64>, Vector2<f64>)], point: Point2<f64>, twist: Twist2) -> f64 {
-    let outwards = outline
-        .iter()
-        .filter(|(at, normal)| (twist.v - twist.w * at.y) * normal.x + twist.w * at.x * normal.y > GENTLE);
-    let squared = outwards.map(|(at, _)| (point - at).norm_squared());
-    squared.fold(f64::INFINITY, f64::min).sqrt()
 }
 
 /// Distance kept from where a track is predicted `secs` ahead, m; `None` of a robot that will have made way by then.

@@ -1,0 +1,246 @@
+//! Arcs. Which twist costs least, driven for a moment as the collision monitor will let it be?
+//!
+//! A twist is kept along an arc, and slowed at each step to what the monitor allows among where tracks are predicted then: who would be held
+//! back in front of one person stands in the way of the next. The end of the arc is judged by the value function.
+
+use nalgebra::{Point2, Vector2};
+use zenav_protocol::geometry::{Pose2, Twist2};
+
+use super::{Avoidance, AvoidanceInput, kept, lead};
+use crate::blind_spot_grid::Floor;
+use crate::field_of_view::rigid;
+use crate::obstacle_tracks::Track;
+use crate::passive_safety::GENTLE;
+
+/// Arcs last this long, s, and in contact, where the robot only creeps, in so many steps.
+const ARC_SECS: f64 = 1.2;
+const TOUCHED_ARC_SECS: f64 = 4.8;
+const ARC_STEPS: u32 = 12;
+/// Speeds and yaw rates of the window.
+const SPEEDS: i32 = 8;
+const YAW_RATES: i32 = 6;
+/// Share of the top speed that is used backwards.
+const BACKWARDS: f64 = 0.4;
+/// Nearer than this to what stands, or to a track, is a contact, m.
+const LEAST_CLEARANCE: f64 = 0.02;
+const LEAST_DISTANCE: f64 = 0.03;
+/// Cost of a contact at the end of an arc, s; at its beginning twice that.
+const CONTACT_COST: f64 = 12.0;
+/// Where the end of the plan cannot be reached it counts as this far, s.
+const MOST_VALUE: f64 = 60.0;
+/// Cost of the end of an arc that has no way on, at most, s.
+const DOOMED_COST: f64 = 10.0;
+/// Cost of an arc all along the way of a track, s.
+const NEARNESS_COST: f64 = 15.0;
+/// Cost of each second in contact, s; none beyond this distance, m.
+const TOUCHED_COST: (f64, f64) = (2.0, 0.15);
+/// The clearance grid with the covering discs is this coarse, m.
+const COARSE: f64 = 0.08;
+
+/// What an arc begins in.
+pub(super) struct Situation<'a> {
+    input: &'a AvoidanceInput<'a>,
+    /// Tracks, and their distances from the covering discs, m.
+    tracks: Vec<(&'a Track, f64)>,
+    /// Tracks that lean on the robot.
+    leaning: &'a [&'a Track],
+    /// Time to the end of the plan, s.
+    value: f64,
+    /// Distance of the covering discs from what stands, m.
+    clear: f64,
+}
+
+impl<'a> Situation<'a> {
+    /// Here and now.
+    pub(super) fn new(
+        avoidance: &Avoidance,
+        input: &'a AvoidanceInput<'a>,
+        tracks: &[&'a Track],
+        leaning: &'a [&'a Track],
+    ) -> Self {
+        let here = input.odom_from_base;
+        let distance = |track: &Track| {
+            let at = track.at(input.now.secs_since(track.stamp));
+            avoidance.distance(here, at) - track.radius
+        };
+        let value = avoidance.values.at(here, 0.0, avoidance.drive.top_yaw_rate());
+        Self {
+            input,
+            tracks: tracks.iter().map(|track| (*track, distance(track))).collect(),
+            leaning,
+            value: value.min(MOST_VALUE),
+            clear: avoidance.clear(here),
+        }
+    }
+}
+
+impl Avoidance {
+    /// The twist whose arc costs least.
+    pub(super) fn best_arc(&self, situation: &Situation<'_>) -> Twist2 {
+        let input = situation.input;
+        let (top, turn) = (self.drive.top_speed(), self.drive.top_yaw_rate().min(3.0));
+        let backwards = if input.obstacles.blind_spots().leads_into_blind_spot(-1.0) {
+            0.9 * input.blind_speed.min(BACKWARDS * top)
+        } else {
+            BACKWARDS * top
+        };
+        let bump = self.touched.is_so().then_some(input.bump);
+        let mut best = (f64::INFINITY, Twist2::ZERO);
+        for nth in -3..=SPEEDS {
+            let v = if nth < 0 {
+                backwards * f64::from(nth) / 3.0
+            } else {
+                top * f64::from(nth) / f64::from(SPEEDS)
+            };
+            for side in -YAW_RATES..=YAW_RATES {
+                // Denser around straight on.
+                let share = f64::from(side) / f64::from(YAW_RATES);
+                let wanted = Twist2::new(v, turn * share * share.abs());
+                if self.drive.surface_speed(wanted) > input.speed_cap + 1e-9 {
+                    continue;
+                }
+                let share = input
+                    .monitor
+                    .share_unseen(input.now, wanted, input.obstacles, input.odom_from_base, bump);
+                let unheld = Twist2::new(share * wanted.v, share * wanted.w);
+                let cost = self.arc_cost(situation, unheld, best.0);
+                if cost < best.0 {
+                    best = (cost, wanted);
+                }
+            }
+        }
+        best.1
+    }
+
+    /// Cost of going over to a twist and keeping it, s; given up beyond `limit`.
+    fn arc_cost(&self, situation: &Situation<'_>, wanted: Twist2, limit: f64) -> f64 {
+        let (input, from_here) = (situation.input, situation.value);
+        let touched = self.touched.is_so();
+        let lasts = if touched { TOUCHED_ARC_SECS } else { ARC_SECS };
+        let step = lasts / f64::from(ARC_STEPS);
+        let mut wheels = self.drive.wheels(input.command);
+        let (mut pose, mut cost) = (input.odom_from_base, 0.0);
+        cost += 0.1 * (wanted.v - input.command.v).abs() / self.drive.top_speed()
+            + 0.1 * (wanted.w - input.command.w).abs() / self.drive.top_yaw_rate();
+        let (faster, slower) = (
+            self.drive.max_wheel_acceleration * step,
+            self.drive.hard_braking / self.drive.wheel_radius * step,
+        );
+        for nth in 1..=ARC_STEPS {
+            let before = step * f64::from(nth - 1);
+            let held = self.share_among(situation, pose, wanted, before);
+            let target = self.drive.wheels(Twist2::new(held * wanted.v, held * wanted.w));
+            for (wheel, target) in wheels.iter_mut().zip(target) {
+                let change = if target.abs() < wheel.abs() { slower } else { faster };
+                *wheel += (target - *wheel).clamp(-change, change);
+            }
+            let twist = self.drive.twist(wheels);
+            pose = pose.advance(twist, step);
+            let secs = step * f64::from(nth);
+            let left = 1.0 - secs / lasts;
+            let moving = self.drive.surface_speed(twist) > 0.02;
+            let clear = self.clear(pose);
+            // Who is too near already may leave; in contact the grid is too coarse to tell.
+            if moving && clear < LEAST_CLEARANCE.min(situation.clear - if touched { COARSE } else { LEAST_CLEARANCE }) {
+                return from_here + 60.0 + 60.0 * left;
+            }
+            if touched {
+                let base_from_there = input.odom_from_base.inverse() * pose;
+                match self.touched.distance(&self.footprint, base_from_there) {
+                    Some(distance) => {
+                        cost += TOUCHED_COST.0 * step * (1.0 - distance / TOUCHED_COST.1).max(0.0);
+                    }
+                    None if moving => return from_here + 60.0 + 60.0 * left,
+                    None => cost += TOUCHED_COST.0 * step,
+                }
+            }
+            cost += 0.6 * (1.0 - clear / 0.1).max(0.0) / f64::from(ARC_STEPS);
+            if moving && self.leaves_known_floor(input, pose, twist) {
+                return from_here + 50.0 + 50.0 * left;
+            }
+            let mut nearest = f64::INFINITY;
+            let speed = self.drive.surface_speed(twist);
+            let reach = self.circumscribed + self.settings.clearance_most;
+            for (track, before) in &situation.tracks {
+                let after = secs + input.now.secs_since(track.stamp);
+                let (at, lead) = (track.at(after), lead(&self.settings, track));
+                let far = reach + track.radius + track.velocity.norm() * lead;
+                if (at - pose.position()).norm_squared() > far * far {
+                    continue;
+                }
+                let distance = self.distance(pose, at) - track.radius;
+                if let Some(kept) = kept(&self.settings, track, secs) {
+                    let way = track.way(after, lead);
+                    nearest = nearest.min(self.distance_from_way(pose, &way, track.radius) - kept);
+                }
+                if distance < LEAST_DISTANCE.min(before - LEAST_CLEARANCE) {
+                    // Sooner is worse, and so is the robot's own part in it.
+                    return cost + from_here + CONTACT_COST * (1.0 + left) + 0.5 * speed;
+                }
+            }
+            if nearest < 0.0 {
+                cost += NEARNESS_COST * (-nearest / self.settings.clearance_most.max(0.1)) / f64::from(ARC_STEPS);
+            }
+            if cost >= limit {
+                return cost;
+            }
+        }
+        // Where there is no way out there will be a contact, but later.
+        let value = self.values.at(pose, lasts, self.drive.top_yaw_rate());
+        cost + value.min(from_here + DOOMED_COST)
+    }
+
+    /// The share that the collision monitor allows of a twist at a pose `secs` from now, as far as tracks go.
+    fn share_among(&self, situation: &Situation<'_>, pose: Pose2, twist: Twist2, secs: f64) -> f64 {
+        let wanted = self.drive.surface_speed(twist);
+        if wanted <= 0.0 {
+            return 1.0;
+        }
+        let there_from_odom = rigid(pose).inverse();
+        let predicted = |track: &Track| track.at(secs + situation.input.now.secs_since(track.stamp));
+        let moving = situation.tracks.iter().map(|(track, _)| (*track, predicted(track)));
+        let leaning = situation.leaning.iter().map(|track| (*track, track.position));
+        // The monitor judges robots that tell their course by that.
+        let at_will = moving.chain(leaning).filter(|(track, _)| !track.is_robot());
+        let speed = at_will.fold(wanted, |most, (track, at)| {
+            let (place, fast) = (there_from_odom * at, track.most_speed());
+            if place.coords.norm() - self.circumscribed - track.radius > fast + most {
+                return most;
+            }
+            let distance = distance_ahead(&self.outline, place, twist) - track.radius;
+            most.min(situation.input.monitor.speed_towards(distance, fast))
+        });
+        speed / wanted
+    }
+
+    /// Distance of the covering discs at a pose from what stands, m, to within a cell.
+    fn clear(&self, pose: Pose2) -> f64 {
+        let still = self
+            .discs
+            .iter()
+            .map(|(x, radius)| self.clearances.distance(pose.position() + pose.heading() * *x) - radius);
+        still.fold(f64::INFINITY, f64::min)
+    }
+
+    /// Whether the footprint at a pose is over floor that was never seen, ahead of its motion.
+    fn leaves_known_floor(&self, input: &AvoidanceInput<'_>, pose: Pose2, twist: Twist2) -> bool {
+        let grid = input.obstacles.blind_spots();
+        if !grid.has_blind_spot() || twist.v >= 0.0 {
+            return false;
+        }
+        let odom_from_base = rigid(input.odom_from_base);
+        let rear = self.discs.iter().map(|(x, radius)| x - radius).fold(0.0, f64::min);
+        let there = pose.position() + pose.heading() * rear;
+        let place = odom_from_base.inverse() * there;
+        matches!(grid.floor(&odom_from_base, place), Floor::Unknown | Floor::Occupied)
+    }
+}
+
+/// Distance of a point (base frame) from those parts of the outline that a twist moves outwards, m.
+fn distance_ahead(outline: &[(Point2<f64>, Vector2<f64>)], point: Point2<f64>, twist: Twist2) -> f64 {
+    let outwards = outline
+        .iter()
+        .filter(|(at, normal)| (twist.v - twist.w * at.y) * normal.x + twist.w * at.x * normal.y > GENTLE);
+    let squared = outwards.map(|(at, _)| (point - at).norm_squared());
+    squared.fold(f64::INFINITY, f64::min).sqrt()
+}
