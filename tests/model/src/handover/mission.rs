@@ -10,7 +10,7 @@ use zenav_mission::standby::{JournalPosition, Verdict, judge};
 use zenav_protocol::messages::{JournalEntry, JournalWrite};
 use zenav_protocol::time::Stamp;
 
-use super::system::Message;
+use super::state::Message;
 use super::{List, Rule, store};
 use crate::text::Text;
 

@@ -9,12 +9,18 @@
 //! | file | holds |
 //! |---|---|
 //! | `mission` | a mission: its disk, and what it does while it leads and while it follows |
+//! | `state` | the missions, the robot and their messages, and what each step makes of them |
 //! | `system` | what may happen, and what must hold |
+//! | `bounds` | how much happens at most, and where it breaks without a rule |
 
+mod bounds;
 mod mission;
+mod state;
 mod system;
 
-pub use system::{Action, Handover, Message, State, System};
+pub use bounds::{Bounds, Handover};
+pub use state::{Message, State};
+pub use system::{Action, System};
 
 use std::time::Duration;
 
