@@ -143,6 +143,7 @@ fn it_lets_somebody_cross() {
 }
 
 #[test]
+#[ignore = "written, and never run yet"]
 fn it_gets_away_from_who_runs_into_it_and_leans_on_it() {
     for robot in ["tiago", "jackal"] {
         let mut hall = Hall::new(robot, 6.0);
