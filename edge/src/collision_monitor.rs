@@ -14,7 +14,7 @@ use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 
 use crate::local_obstacles::LocalObstacles;
-use crate::passive_safety::{LEAST_CLEARANCE, Motion, closing_speed, contact_point, share_beside};
+use crate::passive_safety::{LEAST_CLEARANCE, Motion, Mover, closing_speed, contact_point, share_beside};
 use crate::settings::{CollisionMonitorSettings, EdgeSettings, PassiveSafetySettings};
 use crate::time_to_contact::SweptFootprint;
 
@@ -133,12 +133,14 @@ impl CollisionMonitor {
         times.filter(|time| *time < horizon).reduce(f64::min)
     }
 
-    /// The share of a wanted twist that is allowed by moving obstacles out of sight, and in contact by what stands and what is felt.
+    /// The share of a wanted twist that moving obstacles allow: these in view, and those out of sight. In contact, what stands and what is
+    /// felt (`touched`) counts too.
     #[must_use]
-    pub fn share_unseen(
+    pub fn share_among(
         &self,
         now: Stamp,
         wanted: Twist2,
+        movers: &[Mover],
         obstacles: &LocalObstacles,
         odom_from_base: Pose2,
         touched: Option<&Bump>,
@@ -148,7 +150,8 @@ impl CollisionMonitor {
             return 1.0;
         }
         let occluded = motion.limit_occluded(now, obstacles, odom_from_base);
-        let Some(bump) = touched else { return occluded };
+        let moving = motion.limit_among(movers).min(occluded);
+        let Some(bump) = touched else { return moving };
         let felt = if bump.pressed {
             self.share_in_contact(wanted, bump)
         } else {
@@ -156,22 +159,7 @@ impl CollisionMonitor {
         };
         let standing = motion.limit_static(obstacles, odom_from_base);
         let floor = motion.limit_blind_spot(obstacles, odom_from_base, self.speed_into_blind_spot(now, obstacles));
-        occluded.min(felt).min(standing).min(floor)
-    }
-
-    /// The largest speed of the wheels' contact points, m/s, at which the robot is at rest before something may touch it that is `distance`
-    /// m ahead and turns at will at `speed`, m/s: what [`Motion::limit_among`] allows, in closed form.
-    #[must_use]
-    pub fn speed_towards(&self, distance: f64, speed: f64) -> f64 {
-        let drive = &self.model.drive;
-        let reaction = 2.0 * self.tick + drive.motor_lag;
-        // u²/2b + u (s/b + reaction) = distance - margin - s (reaction + lags)
-        let free = distance - self.margin - speed * (reaction + self.passive_safety.lags_to_rest * drive.motor_lag);
-        if free <= 0.0 {
-            return 0.0;
-        }
-        let slope = speed + drive.hard_braking * reaction;
-        (slope * slope + 2.0 * drive.hard_braking * free).sqrt() - slope
+        moving.min(felt).min(standing).min(floor)
     }
 
     /// Whoever went into the blind spot and did not come out may stand there still.

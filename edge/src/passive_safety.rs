@@ -199,7 +199,7 @@ impl<'a> Motion<'a> {
         if near.is_empty() {
             return 1.0;
         }
-        let samples = outline_samples(self.footprint, SAMPLE, 0.0);
+        let samples = outline_samples(self.footprint, 0.0);
         let safe = |share: &&f64| !self.may_be_touched(**share, &samples, &near);
         SHARES.iter().find(safe).copied().unwrap_or(0.0)
     }
@@ -250,7 +250,7 @@ impl<'a> Motion<'a> {
         let way = self.stopping_distance(1.0) * (outline_speed / self.speed).max(1.0);
         let poses = (way / SAMPLE).ceil().clamp(1.0, MAX_POSES);
         let step = way / outline_speed / poses;
-        let samples: Vec<_> = outline_samples(self.footprint, SAMPLE, self.margin + self.settings.unseen_margin)
+        let samples: Vec<_> = outline_samples(self.footprint, self.margin + self.settings.unseen_margin)
             .into_iter()
             .filter(|(at, normal)| {
                 // A point that moves outwards this slowly does no harm.
@@ -306,7 +306,7 @@ impl<'a> Motion<'a> {
         if share >= 1.0 {
             return share;
         }
-        let fastest = outline_samples(self.footprint, SAMPLE, 0.0)
+        let fastest = outline_samples(self.footprint, 0.0)
             .into_iter()
             .map(|(at, normal)| {
                 if obstacles.blind_spots().in_blind_spot(at) {
@@ -343,11 +343,11 @@ pub(crate) fn contact_point(footprint: &Footprint, bump: &Bump) -> Point2<f64> {
 }
 
 /// Points on the grown outline with their outward normals, base frame.
-pub(crate) fn outline_samples(footprint: &Footprint, spacing: f64, margin: f64) -> Vec<(Point2<f64>, Vector2<f64>)> {
+fn outline_samples(footprint: &Footprint, margin: f64) -> Vec<(Point2<f64>, Vector2<f64>)> {
     match footprint {
         Footprint::Radius(radius) => {
             let radius = radius + margin;
-            let count = (std::f64::consts::TAU * radius / spacing).ceil().clamp(8.0, 1000.0);
+            let count = (std::f64::consts::TAU * radius / SAMPLE).ceil().clamp(8.0, 1000.0);
             (0..count as u32)
                 .map(|step| {
                     let angle = f64::from(step) * std::f64::consts::TAU / count;
@@ -363,7 +363,7 @@ pub(crate) fn outline_samples(footprint: &Footprint, spacing: f64, margin: f64) 
                     let along = (b - a).normalize();
                     let normal = Vector2::new(along.y, -along.x);
                     let length = (b - a).norm() + 2.0 * margin;
-                    let count = (length / spacing).ceil().clamp(1.0, 1000.0);
+                    let count = (length / SAMPLE).ceil().clamp(1.0, 1000.0);
                     let from = a + (normal - along) * margin;
                     (0..=count as u32).map(move |step| (from + along * (length * f64::from(step) / count), normal))
                 })

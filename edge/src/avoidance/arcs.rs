@@ -1,16 +1,15 @@
 //! Arcs. Which twist costs least, driven for a moment as the collision monitor will let it be?
 //!
-//! A twist is kept along an arc, and slowed at each step to what the monitor allows among where tracks are predicted then: who would be held
-//! back in front of one person stands in the way of the next. The end of the arc is judged by the value function.
+//! A twist is kept along an arc, as fast as the monitor allows it now. The arc is held against what stands and against where tracks are
+//! predicted; its end is judged by the value function.
 
-use nalgebra::{Point2, Vector2};
 use zenav_protocol::geometry::{Pose2, Twist2};
 
 use super::{Avoidance, AvoidanceInput, kept, lead};
 use crate::blind_spot_grid::Floor;
 use crate::field_of_view::rigid;
 use crate::obstacle_tracks::Track;
-use crate::passive_safety::GENTLE;
+use crate::passive_safety::Mover;
 
 /// Arcs last this long, s, and in contact, where the robot only creeps, in so many steps.
 const ARC_SECS: f64 = 1.2;
@@ -32,6 +31,10 @@ const MOST_VALUE: f64 = 60.0;
 const DOOMED_COST: f64 = 10.0;
 /// Cost of an arc all along the way of a track, s.
 const NEARNESS_COST: f64 = 15.0;
+/// Cost of an arc that the collision monitor would stop, s.
+const SLOWED_COST: f64 = 4.0;
+/// Cost of a twist that the collision monitor holds back entirely, s.
+const HELD_COST: f64 = 1.5;
 /// Cost of each second in contact, s; none beyond this distance, m.
 const TOUCHED_COST: (f64, f64) = (2.0, 0.15);
 /// The clearance grid with the covering discs is this coarse, m.
@@ -84,7 +87,21 @@ impl Avoidance {
         } else {
             BACKWARDS * top
         };
+        let base_from_odom = rigid(input.odom_from_base).inverse();
+        let mover = |track: &Track| {
+            let at = base_from_odom * track.at(input.now.secs_since(track.stamp));
+            // The monitor looks at the outline of a robot that tells its course.
+            let turns_at_will = !track.is_robot();
+            turns_at_will.then(|| Mover::at_will(at, track.radius, track.most_speed()))
+        };
+        let tracks = situation.tracks.iter().map(|(track, _)| *track);
+        let movers: Vec<Mover> = tracks
+            .chain(situation.leaning.iter().copied())
+            .filter_map(mover)
+            .collect();
         let bump = self.touched.is_so().then_some(input.bump);
+        // Who is touched creeps away, however slowly.
+        let held_cost = if bump.is_some() { 0.0 } else { HELD_COST };
         let mut best = (f64::INFINITY, Twist2::ZERO);
         for nth in -3..=SPEEDS {
             let v = if nth < 0 {
@@ -99,11 +116,12 @@ impl Avoidance {
                 if self.drive.surface_speed(wanted) > input.speed_cap + 1e-9 {
                     continue;
                 }
+                let (obstacles, here) = (input.obstacles, input.odom_from_base);
                 let share = input
                     .monitor
-                    .share_unseen(input.now, wanted, input.obstacles, input.odom_from_base, bump);
-                let unheld = Twist2::new(share * wanted.v, share * wanted.w);
-                let cost = self.arc_cost(situation, unheld, best.0);
+                    .share_among(input.now, wanted, &movers, obstacles, here, bump);
+                let driven = Twist2::new(share * wanted.v, share * wanted.w);
+                let cost = self.arc_cost(situation, driven, best.0) + held_cost * (1.0 - share);
                 if cost < best.0 {
                     best = (cost, wanted);
                 }
@@ -122,16 +140,10 @@ impl Avoidance {
         let (mut pose, mut cost) = (input.odom_from_base, 0.0);
         cost += 0.1 * (wanted.v - input.command.v).abs() / self.drive.top_speed()
             + 0.1 * (wanted.w - input.command.w).abs() / self.drive.top_yaw_rate();
-        let (faster, slower) = (
-            self.drive.max_wheel_acceleration * step,
-            self.drive.hard_braking / self.drive.wheel_radius * step,
-        );
+        let target = self.drive.wheels(wanted);
+        let change = self.drive.max_wheel_acceleration * step;
         for nth in 1..=ARC_STEPS {
-            let before = step * f64::from(nth - 1);
-            let held = self.share_among(situation, pose, wanted, before);
-            let target = self.drive.wheels(Twist2::new(held * wanted.v, held * wanted.w));
             for (wheel, target) in wheels.iter_mut().zip(target) {
-                let change = if target.abs() < wheel.abs() { slower } else { faster };
                 *wheel += (target - *wheel).clamp(-change, change);
             }
             let twist = self.drive.twist(wheels);
@@ -158,7 +170,7 @@ impl Avoidance {
             if moving && self.leaves_known_floor(input, pose, twist) {
                 return from_here + 50.0 + 50.0 * left;
             }
-            let mut nearest = f64::INFINITY;
+            let (mut nearest, mut slowed) = (f64::INFINITY, 0.0_f64);
             let speed = self.drive.surface_speed(twist);
             let reach = self.circumscribed + self.settings.clearance_most;
             for (track, before) in &situation.tracks {
@@ -173,11 +185,18 @@ impl Avoidance {
                     let way = track.way(after, lead);
                     nearest = nearest.min(self.distance_from_way(pose, &way, track.radius) - kept);
                 }
+                // Nearer than this the collision monitor slows the robot down.
+                let fast = if track.is_robot() { 0.0 } else { track.velocity.norm() };
+                let kept = fast * (self.reaction + speed / self.drive.hard_braking);
+                if distance < kept && (at - pose.position()).dot(&pose.heading()) * twist.v > 0.0 {
+                    slowed = slowed.max((1.0 - distance / kept) * speed / self.drive.top_speed());
+                }
                 if distance < LEAST_DISTANCE.min(before - LEAST_CLEARANCE) {
                     // Sooner is worse, and so is the robot's own part in it.
                     return cost + from_here + CONTACT_COST * (1.0 + left) + 0.5 * speed;
                 }
             }
+            cost += SLOWED_COST * slowed / f64::from(ARC_STEPS);
             if nearest < 0.0 {
                 cost += NEARNESS_COST * (-nearest / self.settings.clearance_most.max(0.1)) / f64::from(ARC_STEPS);
             }
@@ -188,29 +207,6 @@ impl Avoidance {
         // Where there is no way out there will be a contact, but later.
         let value = self.values.at(pose, lasts, self.drive.top_yaw_rate());
         cost + value.min(from_here + DOOMED_COST)
-    }
-
-    /// The share that the collision monitor allows of a twist at a pose `secs` from now, as far as tracks go.
-    fn share_among(&self, situation: &Situation<'_>, pose: Pose2, twist: Twist2, secs: f64) -> f64 {
-        let wanted = self.drive.surface_speed(twist);
-        if wanted <= 0.0 {
-            return 1.0;
-        }
-        let there_from_odom = rigid(pose).inverse();
-        let predicted = |track: &Track| track.at(secs + situation.input.now.secs_since(track.stamp));
-        let moving = situation.tracks.iter().map(|(track, _)| (*track, predicted(track)));
-        let leaning = situation.leaning.iter().map(|track| (*track, track.position));
-        // The monitor judges robots that tell their course by that.
-        let at_will = moving.chain(leaning).filter(|(track, _)| !track.is_robot());
-        let speed = at_will.fold(wanted, |most, (track, at)| {
-            let (place, fast) = (there_from_odom * at, track.most_speed());
-            if place.coords.norm() - self.circumscribed - track.radius > fast + most {
-                return most;
-            }
-            let distance = distance_ahead(&self.outline, place, twist) - track.radius;
-            most.min(situation.input.monitor.speed_towards(distance, fast))
-        });
-        speed / wanted
     }
 
     /// Distance of the covering discs at a pose from what stands, m, to within a cell.
@@ -234,13 +230,4 @@ impl Avoidance {
         let place = odom_from_base.inverse() * there;
         matches!(grid.floor(&odom_from_base, place), Floor::Unknown | Floor::Occupied)
     }
-}
-
-/// Distance of a point (base frame) from those parts of the outline that a twist moves outwards, m.
-fn distance_ahead(outline: &[(Point2<f64>, Vector2<f64>)], point: Point2<f64>, twist: Twist2) -> f64 {
-    let outwards = outline
-        .iter()
-        .filter(|(at, normal)| (twist.v - twist.w * at.y) * normal.x + twist.w * at.x * normal.y > GENTLE);
-    let squared = outwards.map(|(at, _)| (point - at).norm_squared());
-    squared.fold(f64::INFINITY, f64::min).sqrt()
 }

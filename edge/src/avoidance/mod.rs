@@ -21,7 +21,7 @@ mod clearance_grid;
 mod touched;
 mod value_function;
 
-use nalgebra::{Point2, Vector2};
+use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
 use zenav_protocol::messages::Bump;
 use zenav_protocol::robot::{Drive, Footprint, RobotModel};
@@ -31,15 +31,12 @@ use crate::collision_monitor::CollisionMonitor;
 use crate::course::Way;
 use crate::local_obstacles::LocalObstacles;
 use crate::obstacle_tracks::Track;
-use crate::passive_safety::outline_samples;
 use crate::settings::AvoidanceSettings;
 use arcs::Situation;
 use clearance_grid::ClearanceGrid;
 use touched::Touched;
 use value_function::ValueFunction;
 
-/// Spacing of the points of the outline, m.
-const OUTLINE_STEP: f64 = 0.1;
 /// Off the plan by this much the tracker takes over again, m and rad.
 const REJOINED: (f64, f64) = (0.15, 0.5);
 /// Time without a conflict after which the robot returns to the plan, s.
@@ -100,10 +97,10 @@ pub struct Avoidance {
     settings: AvoidanceSettings,
     drive: Drive,
     footprint: Footprint,
-    /// Points on the outline with their outward normals, base frame.
-    outline: Vec<(Point2<f64>, Vector2<f64>)>,
     /// Discs that cover the footprint: place on the x axis of the base, and radius, m.
     discs: Vec<(f64, f64)>,
+    /// Time before braking begins, and until the motors' lag has faded, s.
+    reaction: f64,
     /// Radius of the whole outline, m.
     circumscribed: f64,
     evading: bool,
@@ -129,9 +126,9 @@ impl Avoidance {
         Self {
             settings: settings.clone(),
             footprint: model.footprint.clone(),
-            outline: outline_samples(&model.footprint, OUTLINE_STEP, 0.0),
             discs: covering_discs(&model.footprint),
             circumscribed: model.footprint.circumscribed_radius(),
+            reaction: 0.06 + 4.0 * drive.motor_lag,
             evading: false,
             calm_for: 0.0,
             touched: Touched::default(),
