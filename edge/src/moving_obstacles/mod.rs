@@ -300,4 +300,22 @@ mod tests {
         assert_eq!(still.in_base(Pose2::IDENTITY).count(), 0);
         assert!(moving.in_base(Pose2::IDENTITY).count() >= 2);
     }
+
+    #[test]
+    fn somebody_felt_behind_is_not_forgotten_for_somebody_who_has_been_in_sight_all_along() {
+        let robot = zenav_fixtures::robot("tiago");
+        let lidar = robot.first_lidar().unwrap();
+        let mut moving = none_yet(&robot, 6.0);
+        let mut projector = ScanProjector::new(lidar);
+        for step in 0..30 {
+            let secs = 0.1 * f64::from(step);
+            let sweep = sweep(lidar, secs, Pose2::IDENTITY, Some(2.6 - 0.03 * f64::from(step)));
+            moving.insert(0, &projector.project(&sweep, Pose2::IDENTITY).unwrap());
+            if step == 20 {
+                moving.note_occlusion(Point2::new(-0.4, 0.0), Stamp::from_secs(secs));
+            }
+        }
+        assert!(moving.tracks().iter().next().is_some(), "it has not become a track");
+        assert_eq!(moving.occluded(Stamp::from_secs(2.9)).count(), 1);
+    }
 }
