@@ -59,11 +59,40 @@ pub fn peak_memory(process: u32) -> Result<u64, Unknown> {
 }
 
 fn status(process: u32, field: &str) -> Result<u64, Unknown> {
+    number_in_status(process, field).map(|kib| kib * 1024)
+}
+
+fn number_in_status(process: u32, field: &str) -> Result<u64, Unknown> {
     let path = format!("/proc/{process}/status");
     let status = read(&path)?;
-    let kib = status
+    status
         .lines()
         .find_map(|line| line.strip_prefix(field))
-        .and_then(|rest| rest.split_whitespace().next()?.parse::<u64>().ok());
-    kib.map(|kib| kib * 1024).ok_or(Unknown(path))
+        .and_then(|rest| rest.split_whitespace().next()?.parse().ok())
+        .ok_or(Unknown(path))
+}
+
+/// What a process holds on to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Held {
+    /// Resident memory, bytes.
+    pub memory: u64,
+    /// Open files and sockets.
+    pub handles: u64,
+    /// Threads.
+    pub threads: u64,
+}
+
+/// What a process holds on to now.
+///
+/// # Errors
+/// Without such a process, or without `/proc`.
+pub fn held(process: u32) -> Result<Held, Unknown> {
+    let folder = format!("/proc/{process}/fd");
+    let handles = std::fs::read_dir(&folder).map_err(|error| Unknown(format!("{folder}: {error}")))?;
+    Ok(Held {
+        memory: memory(process)?,
+        handles: handles.count() as u64,
+        threads: number_in_status(process, "Threads:")?,
+    })
 }

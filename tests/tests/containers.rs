@@ -21,9 +21,9 @@ const LONG: Duration = Duration::from_secs(60);
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn three_robots_finish_their_missions_while_parts_die_freeze_are_cut_off_and_replaced() {
     let begun = Instant::now();
-    let mut site = tokio::task::block_in_place(|| hosts::open(Path::new(ZENAV))).unwrap();
+    let mut site = tokio::task::block_in_place(|| hosts::open(Path::new(ZENAV), 1.0)).unwrap();
     println!("started: {}", site.kind());
-    let found = trial::run(site.as_mut(), &trial::short(), begun).await;
+    let found = trial::run(site.as_mut(), trial::short(), begun).await;
     let failed = !matches!(&found, Ok(findings) if findings.failures.is_empty());
     for part in site.parts().into_iter().filter(|_| failed) {
         eprintln!("--- {part} ---\n{}", site.log(&part));

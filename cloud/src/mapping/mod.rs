@@ -34,12 +34,13 @@ use thiserror::Error;
 use tokio::task::JoinSet;
 use zenav_mapping::{Insertion, MappingSettings};
 use zenav_observability::trace::{self, Context};
+use zenav_protocol::SCHEMA_VERSION;
 use zenav_protocol::bus::{AskError, Bus, BusError, Clock, Publisher, Shutdown};
 use zenav_protocol::config_text::OutOfBounds;
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::messages::{
-    Annotations, Correction, EdgeState, GoalPoint, InfoRequest, Localisation, MapFrame, MapInfo, MapPatch, MapReply,
-    Scan,
+    Annotations, Correction, EdgeState, GoalPoint, InfoReply, InfoRequest, Localisation, MapFrame, MapInfo, MapPatch,
+    MapReply, Scan,
 };
 use zenav_protocol::robot::Footprint;
 use zenav_protocol::settings::Settings;
@@ -125,6 +126,8 @@ pub enum MappingError {
 
 /// Time limit of each request for the robot's footprint.
 const FOOTPRINT_DEADLINE: Duration = Duration::from_secs(30);
+/// Pause before a robot of another schema is asked again: it may have been replaced.
+const FOREIGN: Duration = Duration::from_secs(5);
 
 /// Maps for one robot until shutdown, or until the bus is closed.
 ///
@@ -162,6 +165,7 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
         localisation: bus.publisher(&LOCALISATION, &chunks)?,
         core: MappingCore::new(mapper, &config.poses),
         boot_id: String::new(),
+        is_foreign: false,
         annotations: AnnotationBook::open(config.places.clone(), &config.zones, config.folder.as_deref())?,
         annotations_topic: bus.publisher(&ANNOTATIONS, &chunks)?,
         annotated: FirstAnswers::default(),
@@ -181,8 +185,8 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
     service.annotations_topic.put(service.annotations.now());
     bus.serve_info("mapping", &robot)?;
     bus.started();
-    let mut footprint = Box::pin(ask_footprint(&bus, &robot));
-    let mut footprint_known = false;
+    let mut body = Box::pin(ask_body(&bus, &robot, Duration::ZERO));
+    let mut body_known = false;
     loop {
         let due = service.published + service.period;
         tokio::select! {
@@ -205,19 +209,22 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
                 Some(request) => service.annotate(request, clock.now()).await,
                 None => break,
             },
-            scan = scans.next() => match scan {
+            scan = scans.next(), if !service.is_foreign => match scan {
                 Some(scan) => service.insert(&scan.message, scan.trace, clock.now()),
                 None => break,
             },
-            scan = further_scans.next() => match scan {
+            scan = further_scans.next(), if !service.is_foreign => match scan {
                 Some(scan) => service.insert_further(&scan.message, scan.trace, clock.now()),
                 None => break,
             },
             () = clock.sleep_until(due), if service.pending => service.publish(clock.now()),
-            answer = &mut footprint, if !footprint_known => {
-                footprint_known = true;
-                if let Some(footprint) = answer {
-                    service.core.mapper.set_footprint(footprint);
+            answer = &mut body, if !body_known => {
+                body_known = !matches!(answer, Body::Foreign);
+                service.is_foreign = !body_known;
+                match answer {
+                    Body::Known(footprint) => service.core.mapper.set_footprint(footprint),
+                    Body::Foreign => body.set(ask_body(&bus, &robot, FOREIGN)),
+                    Body::Unknown => {}
                 }
             }
             Some(_) = service.encoding.join_next() => {}
@@ -229,18 +236,39 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
     Ok(())
 }
 
-/// Asks the robot for its footprint until it answers.
-async fn ask_footprint(bus: &Bus, robot: &str) -> Option<Footprint> {
+/// What a robot has said of its body.
+enum Body {
+    /// Its outline.
+    Known(Footprint),
+    /// It speaks another schema.
+    Foreign,
+    /// It does not say.
+    Unknown,
+}
+
+/// Asks the robot for its body, after a while, until it answers.
+async fn ask_body(bus: &Bus, robot: &str, after: Duration) -> Body {
+    tokio::time::sleep(after).await;
     loop {
         match bus
             .ask(&EDGE_INFO, &[robot], &InfoRequest::default(), FOOTPRINT_DEADLINE)
             .await
         {
-            Ok(info) => return info.model.map(|model| model.footprint),
+            Ok(info) if info.schema != SCHEMA_VERSION => {
+                let InfoReply { version, schema, .. } = info;
+                tracing::error!(
+                    robot,
+                    "its scans are not drawn: its edge ({version}) speaks schema {schema}, this mapping ({}) schema {SCHEMA_VERSION}: \
+                     expected the same",
+                    env!("CARGO_PKG_VERSION")
+                );
+                return Body::Foreign;
+            }
+            Ok(info) => return info.model.map_or(Body::Unknown, |model| Body::Known(model.footprint)),
             Err(AskError::Timeout { .. }) => {}
             Err(error) => {
                 tracing::warn!(robot, %error, "the robot's footprint is not known: the cells under it are not cleared");
-                return None;
+                return Body::Unknown;
             }
         }
     }
@@ -251,6 +279,8 @@ struct Service {
     core: MappingCore,
     /// The robot's present boot.
     boot_id: String,
+    /// Whether the robot speaks another schema: its scans may not mean what they seem to.
+    is_foreign: bool,
     info: Publisher<MapInfo>,
     patches: Publisher<MapPatch>,
     frames: Publisher<MapFrame>,

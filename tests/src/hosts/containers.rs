@@ -3,12 +3,48 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use serde_json::{Map, Value, json};
 use tempfile::TempDir;
 
-use super::{Site, answers, checked, render};
+use super::{HOSTS, KEYS, NETWORKS, OPERATOR, Site, answers, checked, render};
 
 /// The runtime stage of the image begins here.
 const RUNTIME_STAGE: &str = "FROM scratch";
+
+/// The user of the containers, who reads their keys.
+const USER: &str = "65532:65532";
+/// Parts that this process dials, each with the network where it does.
+const DIALLED: [(&str, &str); 3] = [
+    ("fleet-a-router", "fleet"),
+    ("fleet-b-router", "fleet"),
+    ("hall-world", "bodies"),
+];
+
+/// A second compose file: parts that this process dials have fixed addresses, for certificates name who is dialled.
+fn fixed_addresses(site: u8) -> Value {
+    let services: Map<String, Value> = DIALLED
+        .iter()
+        .map(|(part, network)| {
+            let host = HOSTS
+                .iter()
+                .find(|host| part.starts_with(**host))
+                .copied()
+                .unwrap_or_default();
+            let address = super::address(site, host, network);
+            let mut networks = json!({ "fleet": {} });
+            networks[*network] = json!({ "ipv4_address": address });
+            ((*part).to_owned(), json!({ "networks": networks }))
+        })
+        .collect();
+    let networks: Map<String, Value> = NETWORKS
+        .iter()
+        .map(|(network, number)| {
+            let subnet = json!({ "subnet": format!("10.{number}.{site}.0/24") });
+            ((*network).to_owned(), json!({ "ipam": { "config": [subnet] } }))
+        })
+        .collect();
+    json!({ "services": services, "networks": networks })
+}
 
 /// A deployment as containers; all of it goes when this is dropped.
 #[derive(Debug)]
@@ -17,6 +53,8 @@ pub struct Containers {
     /// `docker compose` or `docker-compose`, and which file and project.
     compose: Vec<String>,
     project: String,
+    /// Number of this site on this machine: part of its addresses.
+    site: u8,
     images: [String; 2],
     /// Container of each part.
     ids: BTreeMap<String, String>,
@@ -45,26 +83,44 @@ impl Containers {
     ///
     /// # Errors
     /// What the engine says.
-    pub fn start(binary: &Path) -> Result<Self, String> {
+    pub fn start(binary: &Path, speed: f64) -> Result<Self, String> {
         if let Some(missing) = missing() {
             return Err(missing);
         }
         let folder = tempfile::tempdir().map_err(|error| error.to_string())?;
         let project = format!("zenav-test-{}", std::process::id());
-        let rendered = render(binary, folder.path(), "compose", |host| format!("{host}.example"))?;
+        let number = super::site_number();
+        let reached = |host: &str| {
+            let dialled = DIALLED.iter().find(|(part, _)| part.starts_with(host));
+            dialled.map(|(_, network)| super::address(number, host, network))
+        };
+        let rendered = render(
+            binary,
+            folder.path(),
+            "compose",
+            speed,
+            |host| format!("{host}.example"),
+            reached,
+        )?;
+        let keys = folder.path().join(KEYS).join("issued").display().to_string();
+        checked("chown", &["-R", USER, &keys], folder.path())?;
+        let addresses = folder.path().join("addresses.json");
+        let text = fixed_addresses(number).to_string();
+        std::fs::write(&addresses, text).map_err(|error| error.to_string())?;
         let compose = compose().unwrap_or_default();
-        let file = rendered.join("compose.yaml").display().to_string();
-        let compose = [compose, ["-p", &project, "-f", &file].map(str::to_owned).to_vec()].concat();
+        let files = [rendered.join("compose.yaml"), addresses].map(|file| file.display().to_string());
+        let options = ["-p", &project, "-f", &files[0], "-f", &files[1]];
+        let compose = [compose, options.map(str::to_owned).to_vec()].concat();
         let images = ["now", "next"].map(|tag| format!("{project}:{tag}"));
         let mut site = Self {
             folder,
             compose,
             project,
+            site: number,
             images,
             ids: BTreeMap::new(),
         };
         site.build(binary)?;
-        super::only_known_flags(binary, &rendered.join("compose.yaml"))?;
         site.compose(0, &["up", "-d"])?;
         for part in site.compose(0, &["config", "--services"])?.lines() {
             let id = site.compose(0, &["ps", "-q", part])?;
@@ -97,7 +153,8 @@ impl Containers {
 
     fn compose(&self, image: usize, arguments: &[&str]) -> Result<String, String> {
         let variable = format!("ZENAV_IMAGE={}", self.images[image]);
-        let all: Vec<&str> = [variable.as_str()]
+        let keys = format!("ZENAV_KEYS={}", self.folder.path().join(KEYS).display());
+        let all: Vec<&str> = [variable.as_str(), keys.as_str()]
             .into_iter()
             .chain(self.compose.iter().map(String::as_str))
             .chain(arguments.iter().copied())
@@ -117,15 +174,6 @@ impl Containers {
     fn network(&self, network: &str) -> String {
         format!("{}_{network}", self.project)
     }
-
-    fn endpoint(&self, part: &str, network: &str, port: u16) -> String {
-        let network = self.network(network);
-        let format = format!("{{{{(index .NetworkSettings.Networks \"{network}\").IPAddress}}}}");
-        let address = self
-            .id(part)
-            .and_then(|id| self.docker(&["inspect", "-f", &format, id]));
-        format!("tcp/{}:{port}", address.unwrap_or_default())
-    }
 }
 
 impl Site for Containers {
@@ -144,13 +192,17 @@ impl Site for Containers {
     }
 
     fn routers(&self) -> String {
-        ["fleet-a-router", "fleet-b-router"]
-            .map(|router| self.endpoint(router, "fleet", 7447))
+        ["fleet-a", "fleet-b"]
+            .map(|host| format!("quic/{}:7447", super::address(self.site, host, "fleet")))
             .join(",")
     }
 
     fn world(&self) -> String {
-        self.endpoint("hall-world", "bodies", 7446)
+        format!("quic/{}:7446", super::address(self.site, "hall", "bodies"))
+    }
+
+    fn identity(&self) -> PathBuf {
+        self.folder.path().join(KEYS).join("issued").join(OPERATOR)
     }
 
     fn kill(&mut self, part: &str) -> Result<(), String> {
@@ -185,6 +237,11 @@ impl Site for Containers {
         let id = self.compose(1, &["ps", "-q", part])?;
         self.ids.insert(part.to_owned(), id);
         Ok(())
+    }
+
+    fn process_id(&self, part: &str) -> Result<u32, String> {
+        let number = self.docker(&["inspect", "-f", "{{.State.Pid}}", self.id(part)?])?;
+        number.parse().map_err(|error| format!("{part}: {error}"))
     }
 
     fn log(&mut self, part: &str) -> String {

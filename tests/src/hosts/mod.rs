@@ -1,32 +1,38 @@
 //! Deployments of many hosts, really started: as containers, or in network namespaces. Each part is started as `zenav deploy render` writes it,
-//! has an address of its own, and can be killed, paused, cut off and replaced.
+//! has an address of its own and proves who it is, and can be killed, paused, cut off and replaced.
 //!
 //! | module | holds |
 //! |---|---|
 //! | [`containers`] | the compose file on this machine's engine |
 //! | [`namespaces`] | the units' commands, each host in a network namespace |
 //! | [`truth`] | what the robots' bodies did, by the word of their world |
+//! | [`soak`] | faults for a long time, and what the parts hold on to meanwhile |
 //! | [`trial`] | missions of three robots, faults, and what must hold meanwhile |
 
 pub mod containers;
 pub mod namespaces;
+pub mod soak;
 pub mod trial;
 pub mod truth;
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use zenav_protocol::bus::{Bus, BusConfig, Security};
+
 use crate::process::run;
 
 /// Longest run of a command that prepares a site.
 const COMMAND: Duration = Duration::from_secs(120);
+/// Longest wait for a session with it.
+const JOINED: Duration = Duration::from_secs(90);
 
-/// Three robots in a hall, each with a lane of its own; two of everything that another may have to stand in for.
+/// Three robots in a hall, each with a lane of its own; two of everything that another may have to stand in for. Nothing is said of security: its
+/// links are encrypted, and each part proves who it is.
 const DEPLOYMENT: &str = r#"
-[security]
-profile = "open"
 [simulation]
 world = "hall.toml"
+speed = {speed}
 [robots.anna]
 model = "tiago"
 attach = true
@@ -63,7 +69,14 @@ runs = ["edge:bert"]
 role = "robot"
 address = "{robot-c}"
 runs = ["edge:carl"]
+[hosts.desk]
+role = "operator"
+address = "desk.example"
 "#;
+
+/// The folder of the fleet's keys, and who gives goals and looks on.
+const KEYS: &str = "fleet-keys";
+const OPERATOR: &str = "operator.desk";
 
 /// A hall of 14 m by 9 m without anything in it.
 const HALL: &str = r#"
@@ -92,7 +105,7 @@ to = [12.4, 4.4]
 thickness = 0.1
 "#;
 
-/// Names of the deployment's hosts.
+/// Names of the hosts that run something.
 pub const HOSTS: [&str; 6] = ["fleet-a", "fleet-b", "hall", "robot-a", "robot-b", "robot-c"];
 
 /// A deployment of many hosts that runs on this machine. Parts are named `HOST-PART`, such as `fleet-a-router`.
@@ -108,6 +121,9 @@ pub trait Site: Send {
 
     /// The world's endpoint, as this process reaches it.
     fn world(&self) -> String;
+
+    /// The folder of this process's identity: an operator's.
+    fn identity(&self) -> PathBuf;
 
     /// Kills a part at once.
     ///
@@ -151,18 +167,48 @@ pub trait Site: Send {
     /// What the machine says.
     fn update(&mut self, part: &str) -> Result<(), String>;
 
+    /// The process of a part on this machine.
+    ///
+    /// # Errors
+    /// When it does not run.
+    fn process_id(&self, part: &str) -> Result<u32, String>;
+
     /// What a part has logged.
     fn log(&mut self, part: &str) -> String;
 }
 
-/// A site on this machine: containers where there is an engine, else network namespaces. `ZENAV_SITE` chooses, `containers` or `namespaces`.
+/// Number of this process's sites on this machine: part of their addresses.
+fn site_number() -> u8 {
+    u8::try_from(std::process::id() % 200 + 20).unwrap_or(20)
+}
+
+/// A site's networks: of the fleet, and of the robots' bodies.
+const NETWORKS: [(&str, u8); 2] = [("fleet", 77), ("bodies", 78)];
+
+/// An address in one of the networks of a site.
+fn numbered(site: u8, network: &str, number: usize) -> String {
+    let network = NETWORKS
+        .iter()
+        .find(|(name, _)| *name == network)
+        .map_or(0, |(_, number)| *number);
+    format!("10.{network}.{site}.{number}")
+}
+
+/// A host's address in one of the networks of a site.
+fn address(site: u8, host: &str, network: &str) -> String {
+    let number = HOSTS.iter().position(|name| *name == host).unwrap_or_default();
+    numbered(site, network, number + 10)
+}
+
+/// A site on this machine, whose world goes at this speed: containers where there is an engine, else network namespaces. `ZENAV_SITE` chooses,
+/// `containers` or `namespaces`.
 ///
 /// # Errors
 /// Why neither is possible here.
-pub fn open(binary: &Path) -> Result<Box<dyn Site>, String> {
+pub fn open(binary: &Path, speed: f64) -> Result<Box<dyn Site>, String> {
     let chosen = std::env::var("ZENAV_SITE").unwrap_or_default();
-    let containers = || containers::Containers::start(binary).map(|site| Box::new(site) as Box<dyn Site>);
-    let namespaces = || namespaces::Namespaces::start(binary).map(|site| Box::new(site) as Box<dyn Site>);
+    let containers = || containers::Containers::start(binary, speed).map(|site| Box::new(site) as Box<dyn Site>);
+    let namespaces = || namespaces::Namespaces::start(binary, speed).map(|site| Box::new(site) as Box<dyn Site>);
     match chosen.as_str() {
         "containers" => containers(),
         "namespaces" => namespaces(),
@@ -177,30 +223,57 @@ pub fn open(binary: &Path) -> Result<Box<dyn Site>, String> {
     }
 }
 
-/// Renders the deployment into a folder, with each host at the address that `address` gives it.
-fn render(binary: &Path, folder: &Path, target: &str, address: impl Fn(&str) -> String) -> Result<PathBuf, String> {
-    let mut text = DEPLOYMENT.to_owned();
+/// Renders the deployment into a folder, with each host at the address that `address` gives it, and makes the keys that its `README.md` asks for.
+/// `reached` is where this process reaches a host, when that is not where other parts do.
+fn render(
+    binary: &Path,
+    folder: &Path,
+    target: &str,
+    speed: f64,
+    address: impl Fn(&str) -> String,
+    reached: impl Fn(&str) -> Option<String>,
+) -> Result<PathBuf, String> {
+    let mut text = DEPLOYMENT.replace("{speed}", &format!("{speed:?}"));
     for host in HOSTS {
         text = text.replace(&format!("{{{host}}}"), &address(host));
     }
     let write = |name: &str, text: &str| std::fs::write(folder.join(name), text).map_err(|error| error.to_string());
     write("fleet.toml", &text)?;
     write("hall.toml", HALL)?;
+    let rendered = [
+        "deploy",
+        "render",
+        "fleet.toml",
+        "--out",
+        "rendered",
+        "--target",
+        target,
+    ];
+    checked(binary, &rendered, folder)?;
+    let told = std::fs::read_to_string(folder.join("rendered/README.md")).map_err(|error| error.to_string())?;
+    for line in told.lines().filter_map(|line| line.strip_prefix("zenav keys ")) {
+        let mut words = vec!["keys"];
+        words.extend(line.split(' '));
+        let member = words.get(2).and_then(|member| member.strip_prefix("router."));
+        let more = member.and_then(&reached);
+        words.extend(more.iter().flat_map(|address| ["--host", address.as_str()]));
+        checked(binary, &words, folder)?;
+    }
     checked(binary, &["deploy", "check", "fleet.toml"], folder)?;
-    checked(
-        binary,
-        &[
-            "deploy",
-            "render",
-            "fleet.toml",
-            "--out",
-            "rendered",
-            "--target",
-            target,
-        ],
-        folder,
-    )?;
     Ok(folder.join("rendered"))
+}
+
+/// A session with the site, as its operator.
+async fn join(name: &'static str, endpoints: &str, identity: &Path) -> Result<Bus, String> {
+    let security = Security::of(Some(identity), false).map_err(|error| error.to_string())?;
+    let config = BusConfig {
+        security,
+        ..BusConfig::service(name, endpoints)
+    };
+    let opened = tokio::time::timeout(JOINED, Bus::open(config)).await;
+    opened
+        .map_err(|_| format!("nobody lets `{name}` in at {endpoints}"))?
+        .map_err(|error| error.to_string())
 }
 
 /// What a command prints.
@@ -226,40 +299,4 @@ fn answers(program: &str, arguments: &[&str]) -> bool {
         .stdout(std::process::Stdio::null())
         .stderr(std::process::Stdio::null());
     command.status().is_ok_and(|status| status.success())
-}
-
-/// Takes out of a rendered file what this binary does not know yet: flags of health and of security.
-fn only_known_flags(binary: &Path, file: &Path) -> Result<(), String> {
-    let help = checked(binary, &["router", "--help"], Path::new("."))?;
-    let text = std::fs::read_to_string(file).map_err(|error| error.to_string())?;
-    let mut kept = String::new();
-    let mut lines = text.lines();
-    while let Some(line) = lines.next() {
-        let entry = line
-            .trim_start_matches([' ', '-', '"', '\''])
-            .trim_end_matches(['"', '\'']);
-        match entry {
-            "insecure" if !help.contains("--insecure") => {}
-            "metrics" if !help.contains("--metrics") => {
-                lines.next();
-            }
-            _ => {
-                let words: Vec<&str> = line.split(' ').collect();
-                let is_kept = |(place, word): (usize, &&str)| {
-                    let is_value = place > 0 && words[place - 1] == "--metrics";
-                    let is_metrics = (*word == "--metrics" || is_value) && !help.contains("--metrics");
-                    !(is_metrics || (*word == "--insecure" && !help.contains("--insecure")))
-                };
-                let line: Vec<&str> = words
-                    .iter()
-                    .enumerate()
-                    .filter(|one| is_kept(*one))
-                    .map(|(_, word)| *word)
-                    .collect();
-                kept.push_str(&line.join(" "));
-                kept.push('\n');
-            }
-        }
-    }
-    std::fs::write(file, kept).map_err(|error| error.to_string())
 }

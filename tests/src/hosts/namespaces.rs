@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use tempfile::TempDir;
 
-use super::{HOSTS, Site, answers, checked, render};
+use super::{HOSTS, KEYS, NETWORKS, OPERATOR, Site, answers, checked, render};
 use crate::process::Process;
 
 /// Longest time for a part to end when it is asked to.
@@ -46,30 +46,29 @@ impl Namespaces {
     ///
     /// # Errors
     /// What the machine says.
-    pub fn start(binary: &Path) -> Result<Self, String> {
+    pub fn start(binary: &Path, speed: f64) -> Result<Self, String> {
         if let Some(missing) = missing() {
             return Err(missing);
         }
         let folder = tempfile::tempdir().map_err(|error| error.to_string())?;
-        let number = std::process::id();
         let mut site = Self {
             folder,
             binary: binary.to_owned(),
-            site: u8::try_from(number % 200 + 20).unwrap_or(20),
-            prefix: format!("zn{number}"),
+            site: super::site_number(),
+            prefix: format!("zn{}", std::process::id()),
             commands: BTreeMap::new(),
             processes: BTreeMap::new(),
         };
         site.wire()?;
-        let rendered = render(binary, site.folder.path(), "systemd", |host| match host {
+        let address = |host: &str| match host {
             // Nobody but the robots in it dials the world.
-            "hall" => site.address(host, "bodies"),
-            host => site.address(host, "fleet"),
-        })?;
+            "hall" => super::address(site.site, host, "bodies"),
+            host => super::address(site.site, host, "fleet"),
+        };
+        let rendered = render(binary, site.folder.path(), "systemd", speed, address, |_| None)?;
         for host in HOSTS {
             let units = std::fs::read_dir(rendered.join("hosts").join(host).join("systemd"));
             for unit in units.map_err(|error| error.to_string())?.flatten() {
-                super::only_known_flags(binary, &unit.path())?;
                 let text = std::fs::read_to_string(unit.path()).map_err(|error| error.to_string())?;
                 let name = unit.file_name().to_string_lossy().into_owned();
                 let part = name.trim_start_matches("zenav-").trim_end_matches(".service");
@@ -93,21 +92,11 @@ impl Namespaces {
         format!("{}-{host}", self.prefix)
     }
 
-    fn address(&self, host: &str, network: &str) -> String {
-        let number = HOSTS.iter().position(|name| *name == host).unwrap_or_default();
-        self.numbered(network, number + 10)
-    }
-
-    fn numbered(&self, network: &str, number: usize) -> String {
-        let network = if network == "fleet" { 77 } else { 78 };
-        format!("10.{network}.{}.{number}", self.site)
-    }
-
     /// A switch in a namespace of its own, where no firewall rule of this machine holds; a wire from it to each host, and one to this process.
     fn wire(&self) -> Result<(), String> {
         let switch = self.namespace("switch");
         self.ip(&["netns", "add", &switch])?;
-        for network in ["fleet", "bodies"] {
+        for (network, _) in NETWORKS {
             self.ip(&["-n", &switch, "link", "add", network, "type", "bridge"])?;
             self.ip(&["-n", &switch, "link", "set", network, "up"])?;
             let own = format!("{}{}", self.prefix, &network[..1]);
@@ -116,7 +105,7 @@ impl Namespaces {
                 "link", "add", &own, "type", "veth", "peer", "name", &far, "netns", &switch,
             ])?;
             self.ip(&["-n", &switch, "link", "set", &far, "master", network, "up"])?;
-            let address = format!("{}/24", self.numbered(network, 1));
+            let address = format!("{}/24", super::numbered(self.site, network, 1));
             self.ip(&["addr", "add", &address, "dev", &own])?;
             self.ip(&["link", "set", &own, "up"])?;
         }
@@ -136,7 +125,7 @@ impl Namespaces {
                     "-n", &namespace, "link", "add", network, "type", "veth", "peer", "name", &far, "netns", &switch,
                 ])?;
                 self.ip(&["-n", &switch, "link", "set", &far, "master", network, "up"])?;
-                let address = format!("{}/24", self.address(host, network));
+                let address = format!("{}/24", super::address(self.site, host, network));
                 self.ip(&["-n", &namespace, "addr", "add", &address, "dev", network])?;
                 self.ip(&["-n", &namespace, "link", "set", network, "up"])?;
             }
@@ -151,9 +140,25 @@ impl Namespaces {
             .find_map(|line| line.strip_prefix("ExecStart=/usr/bin/zenav "));
         let state = self.folder.path().join(host).display().to_string();
         let config = rendered.join("etc").display().to_string();
+        // A service manager gives the part a copy of its identity.
+        let member = unit.lines().find_map(|line| {
+            line.strip_prefix("LoadCredential=cert.pem:/etc/zenav/identity/")?
+                .strip_suffix("/cert.pem")
+        });
+        let identity = self
+            .folder
+            .path()
+            .join(KEYS)
+            .join("issued")
+            .join(member.unwrap_or_default());
+        let identity = identity.display().to_string();
         let words = line.unwrap_or_default().split(' ');
         words
-            .map(|word| word.replace("/etc/zenav", &config).replace("%S", &state))
+            .map(|word| {
+                word.replace("/etc/zenav", &config)
+                    .replace("%S", &state)
+                    .replace("%d", &identity)
+            })
             .collect()
     }
 
@@ -183,12 +188,16 @@ impl Site for Namespaces {
 
     fn routers(&self) -> String {
         ["fleet-a", "fleet-b"]
-            .map(|host| format!("tcp/{}:7447", self.address(host, "fleet")))
+            .map(|host| format!("quic/{}:7447", super::address(self.site, host, "fleet")))
             .join(",")
     }
 
     fn world(&self) -> String {
-        format!("tcp/{}:7446", self.address("hall", "bodies"))
+        format!("quic/{}:7446", super::address(self.site, "hall", "bodies"))
+    }
+
+    fn identity(&self) -> PathBuf {
+        self.folder.path().join(KEYS).join("issued").join(OPERATOR)
     }
 
     fn kill(&mut self, part: &str) -> Result<(), String> {
@@ -229,6 +238,11 @@ impl Site for Namespaces {
     fn update(&mut self, part: &str) -> Result<(), String> {
         self.process(part)?.interrupt(ENDING)?;
         self.start(part)
+    }
+
+    fn process_id(&self, part: &str) -> Result<u32, String> {
+        let process = self.processes.get(part).ok_or_else(|| format!("no part {part}"))?;
+        Ok(process.id())
     }
 
     fn log(&mut self, part: &str) -> String {

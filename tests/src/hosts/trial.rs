@@ -3,6 +3,7 @@
 
 use std::collections::BTreeMap;
 use std::fmt;
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -10,12 +11,13 @@ use std::time::{Duration, Instant};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use tokio::task::block_in_place;
-use zenav_protocol::bus::{AskError, Bus, BusConfig};
+use zenav_protocol::bus::{AskError, Bus};
 use zenav_protocol::messages::{GoalPhase, GoalRequest, GoalsRequest, Refusal};
 use zenav_protocol::topics::{self, Ask};
 
 use super::Site;
 use super::truth::Truth;
+use crate::usage::{Held, held};
 
 /// Each robot with the y of its lane, m.
 const LANES: [(&str, f64); 3] = [("anna", 3.0), ("bert", 0.0), ("carl", -3.0)];
@@ -82,6 +84,8 @@ pub struct Findings {
     pub goals: usize,
     /// How many ended in which phase.
     pub ends: BTreeMap<String, usize>,
+    /// What each part held on to after each fault since its start, with its process.
+    pub held: BTreeMap<String, (u32, Vec<Held>)>,
     /// What is not as it should be.
     pub failures: Vec<String>,
 }
@@ -140,9 +144,13 @@ pub fn long(rounds: usize) -> Vec<Fault> {
 ///
 /// # Errors
 /// What keeps the trial from being run, or a robot from driving on.
-pub async fn run(site: &mut dyn Site, faults: &[Fault], begun: Instant) -> Result<Findings, String> {
-    let mut truth = Truth::listen(&site.world()).await?;
-    let client = Client::join(&site.routers()).await?;
+pub async fn run(
+    site: &mut dyn Site,
+    faults: impl IntoIterator<Item = Fault, IntoIter: Send>,
+    begun: Instant,
+) -> Result<Findings, String> {
+    let mut truth = Truth::listen(&site.world(), &site.identity()).await?;
+    let client = Client::join(&site.routers(), &site.identity()).await?;
     let mut findings = Findings::default();
     for (robot, _) in LANES {
         client.submit(robot, 0).await?;
@@ -172,12 +180,12 @@ pub async fn run(site: &mut dyn Site, faults: &[Fault], begun: Instant) -> Resul
             }
             Fault::Pause(part, secs) => {
                 block_in_place(|| site.pause(part))?;
-                truth.during(f64::from(*secs)).await?;
+                truth.during(f64::from(secs)).await?;
                 block_in_place(|| site.resume(part))?;
             }
             Fault::Cut(part, robot) => {
                 block_in_place(|| site.cut(part))?;
-                let rests = |name: &str, rest: f64| name != *robot || rest > 1.0;
+                let rests = |name: &str, rest: f64| name != robot || rest > 1.0;
                 truth.until(&format!("{robot} rests when cut off"), LONG, rests).await?;
                 block_in_place(|| site.heal(part))?;
             }
@@ -188,8 +196,9 @@ pub async fn run(site: &mut dyn Site, faults: &[Fault], begun: Instant) -> Resul
         }
         truth.until(&again, LONG, drives).await?;
         let (rest, robot) = truth.longest_rest();
+        block_in_place(|| findings.weigh(site));
         findings.rows.push(Row {
-            fault: *fault,
+            fault,
             rest,
             robot,
             took: since.elapsed().as_secs_f64(),
@@ -215,6 +224,19 @@ impl Fault {
 }
 
 impl Findings {
+    /// Notes what each part holds on to: anew for one that was started anew.
+    fn weigh(&mut self, site: &dyn Site) {
+        for part in site.parts() {
+            let Ok(process) = site.process_id(&part) else { continue };
+            let Ok(now) = held(process) else { continue };
+            let (known, all) = self.held.entry(part).or_insert((process, Vec::new()));
+            if *known != process {
+                (*known, *all) = (process, Vec::new());
+            }
+            all.push(now);
+        }
+    }
+
     async fn count(&mut self, client: &Client) -> Result<(), String> {
         let acknowledged = client.acknowledged();
         self.goals = acknowledged.len();
@@ -263,13 +285,9 @@ struct Client {
 }
 
 impl Client {
-    async fn join(routers: &str) -> Result<Self, String> {
-        let opening = Bus::open(BusConfig::service("trial", routers));
-        let bus = tokio::time::timeout(LONG, opening).await;
+    async fn join(routers: &str, operator: &Path) -> Result<Self, String> {
         Ok(Self {
-            bus: bus
-                .map_err(|_| format!("no router at {routers}"))?
-                .map_err(|error| error.to_string())?,
+            bus: super::join("trial", routers, operator).await?,
             acknowledged: std::sync::Mutex::default(),
         })
     }

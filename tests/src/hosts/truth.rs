@@ -1,10 +1,11 @@
 //! Truth. What did the robots' bodies do? By the readings that their world gives each robot: faults of the fleet's network do not touch them.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 use std::time::Duration;
 
 use tokio::time::{Instant, timeout_at};
-use zenav_protocol::bus::{Bus, BusConfig, Subscription};
+use zenav_protocol::bus::{Bus, Subscription};
 use zenav_protocol::readings::Readings;
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
@@ -36,16 +37,12 @@ pub struct Truth {
 }
 
 impl Truth {
-    /// Listens at the world's endpoint.
+    /// Listens at the world's endpoint of a site, as its operator.
     ///
     /// # Errors
     /// When nobody serves a world there.
-    pub async fn listen(world: &str) -> Result<Self, String> {
-        let opening = Bus::open(BusConfig::service("truth", world));
-        let bus = tokio::time::timeout(Duration::from_secs(60), opening).await;
-        let bus = bus
-            .map_err(|_| format!("no world at {world}"))?
-            .map_err(|error| error.to_string())?;
+    pub async fn listen(world: &str, operator: &Path) -> Result<Self, String> {
+        let bus = super::join("truth", world, operator).await?;
         let readings = bus
             .subscribe(&topics::READINGS, &["*"], 4096)
             .map_err(|error| error.to_string())?;

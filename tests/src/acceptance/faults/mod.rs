@@ -8,11 +8,13 @@
 //! | file | answers |
 //! |---|---|
 //! | `rows` | which faults are there, in which order? |
+//! | `flood` | what is a flood made of? |
 //! | `rig` | how are the parts started, cut off, killed and frozen? |
 //! | `watch` | what does the robot do meanwhile, seen over a link that is not impaired? |
 //! | `run` | how does one row go? |
 //! | `table` | how is it all written down? |
 
+mod flood;
 mod rig;
 mod rows;
 mod run;

@@ -1,16 +1,17 @@
 //! Rig. How are the parts started, cut off, killed and frozen?
 
 use std::fmt::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
+use rustix::process::{Pid, Resource, Rlimit};
 use tempfile::TempDir;
 use zenav_protocol::bus::{Bus, BusConfig};
 use zenav_protocol::messages::LostPolicy;
 
 use super::OWN_NETWORK;
-use super::rows::{Line, Part, Place, Row};
+use super::rows::{Fault, Line, Part, Place, Row};
 use crate::deployment::ROBOT;
 use crate::process::{Process, free_endpoint};
 use crate::usage::memory;
@@ -32,7 +33,15 @@ pub struct Rig {
     parts: Vec<(Part, Process)>,
     lossy: Option<u32>,
     cut: bool,
+    /// Whose wall clock can be stepped, and whose disk be filled.
+    fault: Fault,
+    twin: Option<Process>,
 }
+
+/// Stands between a program and the wall clock: Debian's package `libfaketime`.
+const FAKETIME: &str = "/usr/lib/x86_64-linux-gnu/faketime/libfaketimeMT.so.1";
+/// The file that says by how much a wall clock is wrong.
+const CLOCK: &str = "clock";
 
 /// Whether the kernel may impair this process's network: it is the row's own.
 fn own_network() -> bool {
@@ -56,7 +65,13 @@ impl Rig {
             parts: Vec::new(),
             lossy: None,
             cut: false,
+            fault: row.fault,
+            twin: None,
         };
+        if matches!(row.fault, Fault::Clock(..)) && !Path::new(FAKETIME).exists() {
+            return Err(format!("no {FAKETIME}: expected the package libfaketime"));
+        }
+        rig.set_clock(0).map_err(|error| error.to_string())?;
         rig.write_deployment(row).map_err(|error| error.to_string())?;
         rig.impair(row.line)?;
         for part in row.order {
@@ -164,7 +179,7 @@ impl Rig {
     }
 
     fn process(&self, part: Part) -> Process {
-        let start = |arguments: &[&str]| Process::start(&self.binary, arguments, self.folder.path());
+        let start = |arguments: &[&str]| self.start_as(part, arguments);
         let cloud = |service| start(&["cloud", service, "--deployment", "cloud.toml", "--data", "cloud"]);
         match part {
             // Without a proxy the robot comes to an endpoint of its own: that link alone is impaired.
@@ -174,9 +189,69 @@ impl Rig {
             Part::Router => start(&["router", "--listen", &self.router]),
             Part::Edge => start(&["edge", "--deployment", "edge.toml", "--data", "edge"]),
             Part::Mapping => cloud("mapping"),
-            Part::Motion => cloud("planning"),
+            Part::Motion => cloud("motion"),
             Part::Mission => cloud("mission"),
         }
+    }
+
+    /// Starts a part so that its fault can be injected into it.
+    fn start_as(&self, part: Part, arguments: &[&str]) -> Process {
+        let (binary, folder) = (self.binary.to_string_lossy(), self.folder.path());
+        match self.fault {
+            // A write that finds no room gets an error, and no signal.
+            Fault::Full(of, _) if of == part => {
+                let begin = ["-c", "trap '' XFSZ; exec \"$0\" \"$@\"", &binary];
+                Process::start("sh", &[&begin, arguments].concat(), folder)
+            }
+            Fault::Clock(of, _) if of == part => {
+                let file = format!("FAKETIME_TIMESTAMP_FILE={}", folder.join(CLOCK).display());
+                let begin = [
+                    &format!("LD_PRELOAD={FAKETIME}"),
+                    &file,
+                    // Steps of the monotonic clock do not exist. The file is read each second.
+                    "FAKETIME_DONT_FAKE_MONOTONIC=1",
+                    "FAKETIME_CACHE_DURATION=1",
+                    &*binary,
+                ];
+                Process::start("env", &[&begin, arguments].concat(), folder)
+            }
+            _ => Process::start(&self.binary, arguments, folder),
+        }
+    }
+
+    /// Sets a part's wall clock ahead by so many seconds.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    pub fn set_clock(&self, ahead: i32) -> std::io::Result<()> {
+        std::fs::write(self.folder.path().join(CLOCK), format!("{ahead:+}\n"))
+    }
+
+    /// Lets a part write files, or not.
+    ///
+    /// # Errors
+    /// When the kernel refuses.
+    pub fn set_room(&self, part: Part, room: bool) -> Result<(), String> {
+        let process = self.part(part).ok_or_else(|| format!("{part:?} does not run"))?;
+        let current = if room { None } else { Some(0) };
+        let id = i32::try_from(process.id()).ok().and_then(Pid::from_raw);
+        rustix::process::prlimit(id, Resource::Fsize, Rlimit { current, maximum: None })
+            .map(drop)
+            .map_err(|error| error.to_string())
+    }
+
+    /// Lets a second robot of the same name come, or go.
+    pub fn set_twin(&mut self, there: bool) {
+        let arguments = [
+            "edge",
+            "--deployment",
+            "edge.toml",
+            "--data",
+            "twin",
+            "--listen",
+            "tcp/127.0.0.1:0",
+        ];
+        self.twin = there.then(|| Process::start(&self.binary, &arguments, self.folder.path()));
     }
 
     /// Kills a part and starts another one in its place.

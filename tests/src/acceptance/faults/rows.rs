@@ -67,6 +67,14 @@ pub enum Fault {
     Kill(Part),
     /// A part is frozen for so many seconds.
     Freeze(Part, u32),
+    /// A part's disk takes no more for so many seconds.
+    Full(Part, u32),
+    /// A part's wall clock is an hour ahead for so many seconds.
+    Clock(Part, u32),
+    /// All that has just been said is said again, at ten times its rate on every key, for so many seconds.
+    Flood(u32),
+    /// A second robot of the same name is there for so many seconds.
+    Twin(u32),
 }
 
 /// One row of the table.
@@ -139,49 +147,49 @@ pub fn all() -> Vec<Row> {
     for place in [Place::Depot, Place::Kitchen] {
         rows.push(Row::new(place, "no fault"));
         for millis in [50, 200, 500, 1000] {
-            rows.push(Row::line(
-                place,
-                &format!("round trip {millis} ms"),
-                Line::RoundTrip(millis),
-            ));
+            let what = format!("round trip {millis} ms");
+            rows.push(Row::line(place, &what, Line::RoundTrip(millis)));
         }
         for percent in [5, 20] {
             rows.push(Row::line(place, &format!("loss {percent} %"), Line::Loss(percent)));
         }
         rows.push(Row::line(place, "256 kbit/s", Line::Rate(256)));
-        for (secs, times) in [(1, 3), (5, 3), (15, 2)] {
+        for (secs, times) in [(1, 3), (5, 3), (15, 2), (60, 1)] {
             rows.push(Row::fault(place, &format!("cuts of {secs} s"), Fault::Cut(secs), times));
         }
+        for part in PARTS {
+            let what = if part == Part::Router {
+                "router replaced".to_owned()
+            } else {
+                format!("{} killed", part.name())
+            };
+            rows.push(Row::fault(place, &what, Fault::Kill(part), 3));
+        }
+        for part in PARTS {
+            let what = format!("{} frozen for 5 s", part.name());
+            rows.push(Row::fault(place, &what, Fault::Freeze(part, 5), 2));
+        }
+        for part in [Part::Edge, Part::Mapping, Part::Mission] {
+            let what = format!("disk of {} full for 5 s", part.name());
+            rows.push(Row::fault(place, &what, Fault::Full(part, 5), 2));
+        }
+        for part in PARTS {
+            let what = format!("wall clock of {} an hour ahead for 5 s", part.name());
+            rows.push(Row::fault(place, &what, Fault::Clock(part, 5), 2));
+        }
+        rows.push(Row::fault(place, "flood for 5 s", Fault::Flood(5), 3));
+        rows.push(Row::fault(place, "second robot of the name for 5 s", Fault::Twin(5), 2));
+        for (what, order) in orders() {
+            rows.push(Row {
+                order,
+                missions: 1,
+                ..Row::new(place, what)
+            });
+        }
     }
-    let depot = Place::Depot;
-    rows.push(Row::fault(depot, "cut of 60 s", Fault::Cut(60), 1));
-    for part in PARTS {
-        let name = if part == Part::Router {
-            "router replaced".to_owned()
-        } else {
-            format!("{} killed", part.name())
-        };
-        rows.push(Row::fault(depot, &name, Fault::Kill(part), 3));
-    }
-    for part in PARTS {
-        rows.push(Row::fault(
-            depot,
-            &format!("{} frozen for 5 s", part.name()),
-            Fault::Freeze(part, 5),
-            2,
-        ));
-    }
-    for (what, order) in orders() {
-        rows.push(Row {
-            order,
-            missions: 1,
-            ..Row::new(depot, what)
-        });
-    }
-    rows.push(Row::fault(depot, "cuts of 5 s", Fault::Cut(5), 2).braking());
-    rows.push(Row::fault(depot, "cuts of 15 s", Fault::Cut(15), 1).braking());
-    rows.push(Row::fault(depot, "mission frozen for 5 s", Fault::Freeze(Part::Mission, 5), 2).braking());
-    rows.push(Row::line(depot, "loss 20 %", Line::Loss(20)).braking());
+    let of_the_link = |row: &&Row| row.line != Line::Good || matches!(row.fault, Fault::Cut(_) | Fault::Freeze(..));
+    let braking: Vec<Row> = rows.iter().filter(of_the_link).cloned().map(Row::braking).collect();
+    rows.extend(braking);
     rows
 }
 

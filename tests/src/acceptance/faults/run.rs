@@ -11,6 +11,7 @@ use zenav_protocol::bus::{Bus, Latest};
 use zenav_protocol::messages::{GoalPhase, GoalRequest, GoalState, GoalsRequest};
 use zenav_protocol::topics;
 
+use super::flood::Flood;
 use super::rig::Rig;
 use super::rows::{Fault, Place, Row};
 use super::watch::Watch;
@@ -50,6 +51,8 @@ pub struct Result {
     pub rest: f64,
     /// Memory of each part at the end, MiB.
     pub memory: Vec<(String, f64)>,
+    /// Messages that a flood was made of.
+    pub flooded: usize,
     /// What else went wrong.
     pub failures: Vec<String>,
 }
@@ -182,7 +185,7 @@ impl Running<'_> {
                 if Instant::now() >= at {
                     drive = None;
                     let since = Instant::now();
-                    self.inject(&mut states).await?;
+                    self.inject(client, &mut states).await?;
                     deadline += since.elapsed();
                 }
             } else {
@@ -204,22 +207,44 @@ impl Running<'_> {
     }
 
     /// Injects the fault once, heals it, and waits until the robot drives on.
-    async fn inject(&mut self, goal: &mut Latest<GoalState>) -> std::result::Result<(), String> {
+    async fn inject(&mut self, client: &Bus, goal: &mut Latest<GoalState>) -> std::result::Result<(), String> {
         self.faults += 1;
+        let pause = |secs: u32| Duration::from_secs(secs.into());
         match self.row.fault {
             Fault::None => return Ok(()),
             Fault::Cut(secs) => {
                 self.rig.cut()?;
-                self.pass_for(Duration::from_secs(secs.into())).await;
+                self.pass_for(pause(secs)).await;
                 self.rig.heal()?;
             }
             Fault::Kill(part) => self.rig.replace(part),
             Fault::Freeze(part, secs) => {
                 let frozen = self.rig.part(part).ok_or_else(|| format!("{part:?} does not run"))?;
                 frozen.pause()?;
-                self.pass_for(Duration::from_secs(secs.into())).await;
+                self.pass_for(pause(secs)).await;
                 let frozen = self.rig.part(part).ok_or_else(|| format!("{part:?} does not run"))?;
                 frozen.resume()?;
+            }
+            Fault::Full(part, secs) => {
+                self.rig.set_room(part, false)?;
+                self.pass_for(pause(secs)).await;
+                self.rig.set_room(part, true)?;
+            }
+            Fault::Clock(_, secs) => {
+                self.rig.set_clock(3600).map_err(|error| error.to_string())?;
+                self.pass_for(pause(secs)).await;
+                self.rig.set_clock(0).map_err(|error| error.to_string())?;
+            }
+            Fault::Flood(secs) => {
+                let flood = Flood::listen(client).await.map_err(|error| error.to_string())?;
+                let flooding = tokio::spawn(flood.pour(client.clone(), pause(secs)));
+                self.pass_for(pause(secs)).await;
+                self.found.flooded += flooding.await.map_err(|error| error.to_string())?;
+            }
+            Fault::Twin(secs) => {
+                self.rig.set_twin(true);
+                self.pass_for(pause(secs)).await;
+                self.rig.set_twin(false);
             }
         }
         let healed = Instant::now();

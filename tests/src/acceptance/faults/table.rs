@@ -34,7 +34,8 @@ pub fn markdown(command: &str, found: &[Result], network: OwnNetwork) -> String 
         "# Faults\n\nWritten by `{command}` at {commit}, on {} with {cores} cores; {how}.\n\n\
          Router, robot, mapper, motion worker and orchestrator are processes of their own; the fault hits while the robot drives. The client is on \
          the cloud's side, and the robot is watched over a link that is not impaired. A robot that is killed starts anew where its simulation \
-         begins. *Resume* is the time from the end of the fault until the robot drives again, 0 where it had not come to rest; *at rest* is \
+         begins. A flood is everything that was just heard, said again at ten times its rate on every key. Policy `finish_horizon`, where none is \
+         named. *Resume* is the time from the end of the fault until the robot drives again, 0 where it had not come to rest; *at rest* is \
          the share of the missions' time in which it did not drive.\n\n\
          | fault | missions | collisions | goals lost | motion without a valid horizon | resume p50 / p95 (n) | mission, mean | at rest | \
          memory at the end, MiB: router, edge, mapping, motion, mission |\n\
@@ -52,15 +53,27 @@ pub fn markdown(command: &str, found: &[Result], network: OwnNetwork) -> String 
         };
         let mean = row.secs.iter().sum::<f64>() / (row.secs.len().max(1) as f64);
         let memory: Vec<String> = row.memory.iter().map(|(_, mib)| format!("{mib:.0}")).collect();
+        let name = match row.flooded {
+            0 => row.name.clone(),
+            messages => format!("{}, {messages} messages", row.name),
+        };
         let _ = writeln!(
             page,
-            "| {} | {succeeded} of {asked} | {} | {} | {} | {resume} | {mean:.1} s | {:.0} % | {} |",
-            row.name,
+            "| {name} | {succeeded} of {asked} | {} | {} | {} | {resume} | {mean:.1} s | {:.0} % | {} |",
             row.collisions,
             row.lost,
             row.invalid.len(),
             100.0 * row.rest,
             memory.join(", ")
+        );
+    }
+    let mut all: Vec<f64> = found.iter().flat_map(|row| row.resumes.iter().copied()).collect();
+    if !all.is_empty() {
+        let (p50, p95) = (percentile(&mut all, 0.5), percentile(&mut all, 0.95));
+        let _ = writeln!(
+            page,
+            "\nOf all {} faults: the robot drove again after {p50:.2} s (p50), {p95:.2} s (p95).",
+            all.len()
         );
     }
     let short: Vec<String> = found.iter().filter(|row| !row.is_good()).map(shortfall).collect();

@@ -117,6 +117,14 @@ enum Run {
         #[arg(default_value_t = 1)]
         rounds: usize,
     },
+    /// The same deployment for so long, with faults in a random order: do the parts that run all the time grow?
+    Soak {
+        minutes: f64,
+        #[arg(long, default_value_t = 1.0)]
+        speed: f64,
+        #[arg(default_value_t = 1)]
+        seed: u64,
+    },
     /// The mission-control page with so many robots: processor time of the gateway, frames of a headless Chromium
     Page {
         #[arg(default_value_t = 20)]
@@ -173,6 +181,7 @@ fn main() -> ExitCode {
         }),
         Run::Workers { robots, secs, seed } => missions::workers(robots, secs, seed),
         Run::Compose { rounds } => hosts::compose(rounds),
+        Run::Soak { minutes, speed, seed } => hosts::soak(minutes, speed, seed),
         Run::Page { robots, secs } => page::page(robots, secs),
         Run::SlowSockets { sockets, secs } => page::slow_sockets(sockets, secs),
         Run::Faults(arguments) => faults::run(&arguments),

@@ -1,0 +1,175 @@
+//! Soak. Do the parts of a deployment keep their size, while three robots drive from goal to goal and faults hit parts for a long time?
+
+use std::time::{Duration, Instant};
+
+use rand::seq::IndexedRandom as _;
+use rand::{RngExt as _, SeedableRng as _};
+use rand_pcg::Pcg64Mcg;
+
+use super::trial::{Fault, Findings};
+use crate::usage::Held;
+
+/// Bytes of a MiB.
+const MIB: f64 = 1024.0 * 1024.0;
+/// Faults in a third of a run, at least: fewer tell nothing of growth.
+const FEWEST: usize = 5;
+
+/// Parts that run from beginning to end: what they hold on to shows what only grows.
+const LASTING: [&str; 5] = [
+    "fleet-a-router",
+    "fleet-a-motion",
+    "fleet-a-mission",
+    "fleet-a-mapping",
+    "robot-a-edge-anna",
+];
+/// Parts that are killed and replaced.
+const REPLACED: [&str; 6] = [
+    "fleet-b-router",
+    "fleet-b-motion",
+    "fleet-b-mission",
+    "fleet-b-gateway",
+    "robot-b-edge-bert",
+    "robot-c-edge-carl",
+];
+/// Parts whose host is cut off, each with its robot.
+const CUT: [(&str, &str); 3] = [
+    ("robot-a-edge-anna", "anna"),
+    ("robot-b-edge-bert", "bert"),
+    ("robot-c-edge-carl", "carl"),
+];
+/// Longest freeze, s of the world's time.
+const FREEZE: u32 = 4;
+
+/// Faults in a random order, for so long.
+pub fn faults(time: Duration, seed: u64) -> impl Iterator<Item = Fault> + Send {
+    let mut random = Pcg64Mcg::seed_from_u64(seed);
+    let end = Instant::now() + time;
+    std::iter::from_fn(move || {
+        let fault = match random.random_range(0..4) {
+            0 => Fault::Kill(REPLACED.choose(&mut random)?),
+            1 => Fault::Update(REPLACED.choose(&mut random)?),
+            2 => {
+                let (part, robot) = CUT.choose(&mut random)?;
+                Fault::Cut(part, robot)
+            }
+            _ => {
+                let part = if random.random() {
+                    LASTING.choose(&mut random)?
+                } else {
+                    REPLACED.choose(&mut random)?
+                };
+                Fault::Pause(part, random.random_range(1..=FREEZE))
+            }
+        };
+        (Instant::now() < end).then_some(fault)
+    })
+}
+
+/// What a lasting part held on to in the second third of a run, and in the last: medians.
+#[derive(Clone, Debug)]
+pub struct Growth {
+    /// The part.
+    pub part: &'static str,
+    /// Then, and at the end.
+    pub held: [Held; 2],
+}
+
+impl Growth {
+    /// Resident memory then and at the end, MiB.
+    #[must_use]
+    pub fn memory(&self) -> [f64; 2] {
+        self.held.map(|held| held.memory as f64 / MIB)
+    }
+
+    /// Whether it has not grown by more than a tenth and 2 MiB, 4 handles and 2 threads.
+    #[must_use]
+    pub fn is_flat(&self) -> bool {
+        let ([then, now], [before, after]) = (self.memory(), self.held);
+        now <= 1.1 * then + 2.0 && after.handles <= before.handles + 4 && after.threads <= before.threads + 2
+    }
+}
+
+/// Growth of all lasting parts.
+///
+/// # Errors
+/// Which part was started anew by somebody else, or too short a run.
+pub fn growth(findings: &Findings) -> Result<Vec<Growth>, String> {
+    let third = findings.rows.len() / 3;
+    if third < FEWEST {
+        return Err(format!(
+            "{} faults: at least {} are expected",
+            findings.rows.len(),
+            3 * FEWEST
+        ));
+    }
+    let of = |part: &'static str| {
+        let all = findings.held.get(part).map_or(&[][..], |(_, all)| all);
+        if all.len() < findings.rows.len() {
+            return Err(format!("{part} was started anew"));
+        }
+        let [_, then, now] = [0, 1, 2].map(|nth| median(&all[nth * third..(nth + 1) * third]));
+        Ok(Growth {
+            part,
+            held: [then, now],
+        })
+    };
+    LASTING.into_iter().map(of).collect()
+}
+
+fn median(all: &[Held]) -> Held {
+    let of = |field: fn(&Held) -> u64| {
+        let mut values: Vec<u64> = all.iter().map(field).collect();
+        values.sort_unstable();
+        values[values.len() / 2]
+    };
+    Held {
+        memory: of(|held| held.memory),
+        handles: of(|held| held.handles),
+        threads: of(|held| held.threads),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn growing(bytes: u64) -> Findings {
+        let mut findings = Findings::default();
+        for nth in 0..30 {
+            let now = Held {
+                memory: 40 * 1024 * 1024 + nth * bytes,
+                handles: 20,
+                threads: 8,
+            };
+            for part in LASTING {
+                findings
+                    .held
+                    .entry(part.to_owned())
+                    .or_insert((1, Vec::new()))
+                    .1
+                    .push(now);
+            }
+            findings.rows.push(super::super::trial::Row {
+                fault: Fault::Kill(REPLACED[0]),
+                rest: 0.0,
+                robot: String::new(),
+                took: 1.0,
+            });
+        }
+        findings
+    }
+
+    #[test]
+    fn what_only_grows_is_seen_and_what_flickers_is_not() {
+        assert!(growth(&growing(100_000)).unwrap().iter().all(Growth::is_flat));
+        assert!(!growth(&growing(1_000_000)).unwrap().iter().any(Growth::is_flat));
+    }
+
+    #[test]
+    fn the_same_seed_gives_the_same_faults() {
+        let hour = Duration::from_secs(3600);
+        let some = |seed| faults(hour, seed).take(50).collect::<Vec<_>>();
+        assert_eq!(some(1), some(1));
+        assert_ne!(some(1), some(2));
+    }
+}
