@@ -73,7 +73,7 @@ fn number_in_status(process: u32, field: &str) -> Result<u64, Unknown> {
 }
 
 /// What a process holds on to.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Held {
     /// Resident memory, bytes.
     pub memory: u64,
@@ -81,6 +81,8 @@ pub struct Held {
     pub handles: u64,
     /// Threads.
     pub threads: u64,
+    /// Processor time since its start, s.
+    pub cpu_secs: f64,
 }
 
 /// What a process holds on to now.
@@ -94,5 +96,6 @@ pub fn held(process: u32) -> Result<Held, Unknown> {
         memory: memory(process)?,
         handles: handles.count() as u64,
         threads: number_in_status(process, "Threads:")?,
+        cpu_secs: cpu_secs(process)?,
     })
 }

@@ -125,7 +125,7 @@ fn every_manifest_is_valid_by_the_strict_schemas_of_kubernetes() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
-async fn a_mission_refuses_a_robot_of_another_schema_and_names_both_versions() {
+async fn mission_and_mapping_refuse_a_robot_of_another_schema_and_name_both_versions() {
     let deployment = Deployment::new(ZENAV, "kitchen", 1.0);
     let _router = deployment.start_router();
     let bus = deployment.bus().await;
@@ -140,14 +140,16 @@ async fn a_mission_refuses_a_robot_of_another_schema_and_names_both_versions() {
             });
         }
     });
-    let mut mission = deployment.start_service("mission");
-    let line = mission.until("speaks schema", LONG);
-    for version in [
-        "9.9.9".to_owned(),
-        format!("schema {}", SCHEMA_VERSION + 1),
-        format!("schema {SCHEMA_VERSION}"),
-    ] {
-        assert!(line.contains(&version), "{version}: {line}");
+    for service in ["mission", "mapping"] {
+        let mut part = deployment.start_service(service);
+        let line = part.until("speaks schema", LONG);
+        for version in [
+            "9.9.9".to_owned(),
+            format!("schema {}", SCHEMA_VERSION + 1),
+            format!("schema {SCHEMA_VERSION}"),
+        ] {
+            assert!(line.contains(&version), "{version}: {line}");
+        }
     }
     serving.abort();
 }

@@ -19,7 +19,7 @@ pub(super) const SCRIPT: Script = Script {
         },
     }),
     world: "house",
-    robot: ("tiago", "tiago+indoor"),
+    robot: ("tiago", "tiago"),
     planner: None,
     time_limit: 300.0,
     uses_stored_map: false,

@@ -7,7 +7,7 @@ use super::Script;
 pub(super) const SCRIPT: Script = Script {
     name: "kitchen",
     tree: "kitchen",
-    poses: PoseSource::Edge,
+    poses: PoseSource::Slam,
     carried: None,
     world: "kitchen",
     robot: ("tiago", "tiago"),

@@ -63,7 +63,7 @@ struct Script {
     name: &'static str,
     /// Its tree.
     tree: &'static str,
-    /// Where the poses of the map come from; localisation has the true map.
+    /// Where the poses of the map come from. A robot that has them from others than itself has neither GPS nor compass.
     poses: PoseSource,
     /// The robot is carried away.
     carried: Option<Carried>,
@@ -120,6 +120,11 @@ impl Scenario {
             Self::Kidnapped => kidnapped::SCRIPT,
         }
     }
+
+    /// Whether its robot may have GPS and a compass.
+    const fn has_gps(self) -> bool {
+        matches!(self, Self::Kitchen | Self::Online)
+    }
 }
 
 /// Arguments of `zenav demo`.
@@ -134,6 +139,9 @@ pub struct DemoArgs {
     /// Seed of all noise
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// The robot has GPS and a compass, and draws the map by its own poses (kitchen and online)
+    #[arg(long)]
+    gps: bool,
     /// Planner, instead of the scenario's
     #[arg(long)]
     planner: Option<Planner>,
@@ -196,6 +204,9 @@ pub fn run(args: &DemoArgs) -> Outcome {
             "--map: wall_follow drives without a map; expected kitchen or online",
         ));
     }
+    if args.gps && !args.scenario.has_gps() {
+        return Err(Failure::usage("--gps: expected kitchen or online"));
+    }
     crate::receivers::ensure_enough();
     let folder = args.folder();
     std::fs::create_dir_all(&folder).map_err(Failure::failed_at(&folder))?;
@@ -225,7 +236,10 @@ fn deployment(args: &DemoArgs, script: &Script, endpoint: &str, state: &Path) ->
     deployment.mapping.run.poses = script.poses;
     let (id, model) = script.robot;
     let robot = RobotSection {
-        model: model.to_owned(),
+        model: match script.poses {
+            PoseSource::Edge => model.to_owned(),
+            PoseSource::Slam | PoseSource::Localise => format!("{model}+indoor"),
+        },
         on_lost: if script.alone {
             LostPolicy::WallFollow
         } else {
@@ -266,12 +280,18 @@ fn copy_map(from: &Path, to: &Path) -> Result<Vec<PathBuf>, Failure> {
 
 async fn scenario(args: &DemoArgs) -> Result<DemoReport, Failure> {
     let began = Instant::now();
-    let script = args.scenario.script();
+    let mut script = args.scenario.script();
     // Goals and epochs of a demo are its own; the map alone outlives it.
     let folder = args.folder();
     let state = folder.join(format!(".run-{}", std::process::id()));
     let robot_dir = state.join(script.robot.0);
     let map_found = script.uses_stored_map && !copy_map(&folder, &robot_dir)?.is_empty();
+    let is_mapped = map_found || args.known.names_map();
+    script.poses = match script.poses {
+        _ if args.gps => PoseSource::Edge,
+        PoseSource::Slam if is_mapped => PoseSource::Localise,
+        poses => poses,
+    };
     let result = async {
         args.health.serve().await?;
         let router = Router::open(&RouterConfig {
@@ -288,7 +308,7 @@ async fn scenario(args: &DemoArgs) -> Result<DemoReport, Failure> {
         let deployment = deployment(args, &script, &endpoint, &state)?;
         let world = files::world(&deployment.simulation.world)?;
         let mut deployment = deployment;
-        if script.poses == PoseSource::Localise && !args.known.names_map() {
+        if script.poses == PoseSource::Localise && !is_mapped {
             let map = true_map(&world, deployment.mapping.settings.resolution)?;
             let file = map_file::write_map(&state, "known", &map, "the true map").map_err(Failure::failed)?;
             deployment.mapping.run.map = Some(file);

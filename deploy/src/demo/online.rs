@@ -9,7 +9,7 @@ use super::refusals::Impossible;
 pub(super) const SCRIPT: Script = Script {
     name: "online",
     tree: "online",
-    poses: PoseSource::Edge,
+    poses: PoseSource::Slam,
     carried: None,
     world: "house",
     robot: ("waffle", "turtlebot3_waffle"),

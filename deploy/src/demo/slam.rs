@@ -10,7 +10,7 @@ pub(super) const SCRIPT: Script = Script {
     poses: PoseSource::Slam,
     carried: None,
     world: "kitchen",
-    robot: ("tiago", "tiago+indoor"),
+    robot: ("tiago", "tiago"),
     planner: None,
     time_limit: 300.0,
     uses_stored_map: false,

@@ -72,6 +72,8 @@ pub struct Growth {
     pub part: &'static str,
     /// Then, and at the end.
     pub held: [Held; 2],
+    /// Processor time for each second of wall time.
+    pub cores: f64,
 }
 
 impl Growth {
@@ -108,17 +110,22 @@ pub fn growth(findings: &Findings) -> Result<Vec<Growth>, String> {
             return Err(format!("{part} was started anew"));
         }
         let [_, then, now] = [0, 1, 2].map(|nth| median(&all[nth * third..(nth + 1) * third]));
+        let cores = match all {
+            [(begin, first), .., (end, last)] => (last.cpu_secs - first.cpu_secs) / (end - begin),
+            _ => 0.0,
+        };
         Ok(Growth {
             part,
             held: [then, now],
+            cores,
         })
     };
     LASTING.into_iter().map(of).collect()
 }
 
-fn median(all: &[Held]) -> Held {
+fn median(all: &[(f64, Held)]) -> Held {
     let of = |field: fn(&Held) -> u64| {
-        let mut values: Vec<u64> = all.iter().map(field).collect();
+        let mut values: Vec<u64> = all.iter().map(|(_, held)| field(held)).collect();
         values.sort_unstable();
         values[values.len() / 2]
     };
@@ -126,6 +133,7 @@ fn median(all: &[Held]) -> Held {
         memory: of(|held| held.memory),
         handles: of(|held| held.handles),
         threads: of(|held| held.threads),
+        cpu_secs: all.last().map_or(0.0, |(_, held)| held.cpu_secs),
     }
 }
 
@@ -140,6 +148,7 @@ mod tests {
                 memory: 40 * 1024 * 1024 + nth * bytes,
                 handles: 20,
                 threads: 8,
+                cpu_secs: nth as f64,
             };
             for part in LASTING {
                 findings
@@ -147,7 +156,7 @@ mod tests {
                     .entry(part.to_owned())
                     .or_insert((1, Vec::new()))
                     .1
-                    .push(now);
+                    .push((nth as f64, now));
             }
             findings.rows.push(super::super::trial::Row {
                 fault: Fault::Kill(REPLACED[0]),

@@ -84,8 +84,8 @@ pub struct Findings {
     pub goals: usize,
     /// How many ended in which phase.
     pub ends: BTreeMap<String, usize>,
-    /// What each part held on to after each fault since its start, with its process.
-    pub held: BTreeMap<String, (u32, Vec<Held>)>,
+    /// What each part held on to after each fault since its start, with its process, and the wall time since the trial began, s.
+    pub held: BTreeMap<String, (u32, Vec<(f64, Held)>)>,
     /// What is not as it should be.
     pub failures: Vec<String>,
 }
@@ -196,7 +196,7 @@ pub async fn run(
         }
         truth.until(&again, LONG, drives).await?;
         let (rest, robot) = truth.longest_rest();
-        block_in_place(|| findings.weigh(site));
+        block_in_place(|| findings.weigh(site, begun));
         findings.rows.push(Row {
             fault,
             rest,
@@ -225,7 +225,7 @@ impl Fault {
 
 impl Findings {
     /// Notes what each part holds on to: anew for one that was started anew.
-    fn weigh(&mut self, site: &dyn Site) {
+    fn weigh(&mut self, site: &dyn Site, begun: Instant) {
         for part in site.parts() {
             let Ok(process) = site.process_id(&part) else { continue };
             let Ok(now) = held(process) else { continue };
@@ -233,7 +233,7 @@ impl Findings {
             if *known != process {
                 (*known, *all) = (process, Vec::new());
             }
-            all.push(now);
+            all.push((begun.elapsed().as_secs_f64(), now));
         }
     }
 

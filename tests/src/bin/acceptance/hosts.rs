@@ -34,13 +34,13 @@ pub fn soak(minutes: f64, speed: f64, seed: u64) -> Verdict {
         findings.rows.len(),
         minutes * speed
     );
-    println!("| part | memory, MiB | handles | threads |\n|---|---|---|---|");
+    println!("| part | memory, MiB | handles | threads | cores |\n|---|---|---|---|---|");
     for part in &growth {
         let [then, now] = part.memory();
         let [before, after] = part.held;
         println!(
-            "| {} | {then:.1}, {now:.1} | {}, {} | {}, {} |",
-            part.part, before.handles, after.handles, before.threads, after.threads
+            "| {} | {then:.1}, {now:.1} | {}, {} | {}, {} | {:.3} |",
+            part.part, before.handles, after.handles, before.threads, after.threads, part.cores
         );
     }
     let grown = growth.iter().filter(|part| !part.is_flat());
