@@ -13,6 +13,14 @@ use crate::settings::RefineSettings;
 
 /// Points with a likelihood below this do not pull: nothing known is near.
 const NEAR: f64 = 0.02;
+/// Neighbours on one surface are at most this far apart, m and rad as seen from the base.
+const FARTHEST: f64 = 1.0;
+const NEIGHBOURS: f64 = 0.03;
+/// Neighbours up to this distance to each side tell the direction of a surface, m.
+const STRETCH: f64 = 0.2;
+/// On a straight surface they lie on a line to within this standard deviation, m, and to within this share of their spread along it.
+const STRAIGHT: f64 = 0.03;
+const FLAT: f64 = 0.05;
 /// Added to the diagonal, so that a scan without any point near stays where the prior is.
 const LEAST_INFORMATION: f64 = 1e-9;
 
@@ -48,8 +56,9 @@ pub fn refine(
     settings: &RefineSettings,
 ) -> Refined {
     let mut pose = start;
+    let normals = normals(points);
     // A step is short against the width of the field: surfaces keep their direction.
-    let surfaces = surfaces(field, points, pose);
+    let surfaces = surfaces(field, points, &normals, pose);
     for _ in 0..settings.max_iterations {
         let (mut hessian, mut gradient, _) = sums(field, points, &surfaces, pose, settings);
         if let Some(prior) = prior {
@@ -76,7 +85,7 @@ pub fn refine(
             break;
         }
     }
-    let surfaces = self::surfaces(field, points, pose);
+    let surfaces = self::surfaces(field, points, &normals, pose);
     let (information, _, score) = sums(field, points, &surfaces, pose, settings);
     let degenerate = degenerate(&information, settings);
     let (sin, cos) = pose.yaw.sin_cos();
@@ -89,27 +98,91 @@ pub fn refine(
     }
 }
 
-/// For each point `n nᵀ` of the normal of the surface that it lies on, from the slopes of the field around it; shorter where these have no
-/// common direction.
-fn surfaces(field: &LikelihoodField, points: &[Point2<f64>], pose: Pose2) -> Vec<Matrix2<f64>> {
+/// How a point pulls.
+#[derive(Clone, Copy, Debug)]
+struct Surface {
+    /// `n nᵀ` of the normal of the surface that it lies on; shorter where that has no one direction.
+    plane: Matrix2<f64>,
+    /// In which directions it pulls.
+    pull: Matrix2<f64>,
+}
+
+/// The surface of each point. Where neighbours in the scan show its direction, it pulls across it alone: the end of what is seen of a wall
+/// moves along it with the robot, and would draw the scan back to where it ended before. Elsewhere the slopes of the field around the point
+/// tell.
+fn surfaces(
+    field: &LikelihoodField,
+    points: &[Point2<f64>],
+    normals: &[Option<Vector2<f64>>],
+    pose: Pose2,
+) -> Vec<Surface> {
     let away = field.sigma();
     let around = [(away, 0.0), (-away, 0.0), (0.0, away), (0.0, -away)].map(|(x, y)| Vector2::new(x, y));
-    let of = |point: Point2<f64>| {
+    let (sin, cos) = pose.yaw.sin_cos();
+    let turn = Matrix2::new(cos, -sin, sin, cos);
+    let of = |(point, normal): (Point2<f64>, &Option<Vector2<f64>>)| {
+        if let Some(normal) = normal {
+            let normal = turn * normal;
+            let plane = normal * normal.transpose();
+            return Surface { plane, pull: plane };
+        }
         let slopes = around.map(|offset| field.likelihood(point + offset).1);
         let tensor: Matrix2<f64> = slopes.iter().map(|slope| slope * slope.transpose()).sum();
         let sum = tensor.trace();
         let difference = (tensor.m11 - tensor.m22).hypot(2.0 * tensor.m12);
         let smaller = 0.5 * (sum - difference);
-        (tensor - Matrix2::identity() * smaller) / sum.max(f64::MIN_POSITIVE)
+        Surface {
+            plane: (tensor - Matrix2::identity() * smaller) / sum.max(f64::MIN_POSITIVE),
+            pull: Matrix2::identity(),
+        }
     };
-    placed(pose, points).into_iter().map(of).collect()
+    placed(pose, points).into_iter().zip(normals).map(of).collect()
+}
+
+/// Normals of the straight surfaces that points lie on, by their neighbours in the scan.
+fn normals(points: &[Point2<f64>]) -> Vec<Option<Vector2<f64>>> {
+    let is_near = |a: &Point2<f64>, b: &Point2<f64>| {
+        let turn = a.coords.perp(&b.coords).atan2(a.coords.dot(&b.coords));
+        (b - a).norm() <= FARTHEST && turn.abs() <= NEIGHBOURS
+    };
+    let of = |number: usize| {
+        let (mut first, mut last) = (number, number);
+        while first > 0
+            && (points[number] - points[first]).norm() < STRETCH
+            && is_near(&points[first], &points[first - 1])
+        {
+            first -= 1;
+        }
+        while last + 1 < points.len()
+            && (points[number] - points[last]).norm() < STRETCH
+            && is_near(&points[last], &points[last + 1])
+        {
+            last += 1;
+        }
+        let stretch = &points[first..=last];
+        if stretch.len() < 3 {
+            return None;
+        }
+        let count = stretch.len() as f64;
+        let middle = stretch.iter().map(|point| point.coords).sum::<Vector2<f64>>() / count;
+        let spread: Matrix2<f64> = stretch
+            .iter()
+            .map(|point| (point.coords - middle) * (point.coords - middle).transpose())
+            .sum::<Matrix2<f64>>()
+            / count;
+        let eigen = spread.symmetric_eigen();
+        let least = eigen.eigenvalues.imin();
+        let (small, large) = (eigen.eigenvalues[least], eigen.eigenvalues[1 - least]);
+        (small <= STRAIGHT * STRAIGHT && small <= FLAT * large).then(|| eigen.eigenvectors.column(least).into_owned())
+    };
+    (0..points.len()).map(of).collect()
 }
 
 /// Information and gradient of the points, and their mean likelihood.
 fn sums(
     field: &LikelihoodField,
     points: &[Point2<f64>],
-    surfaces: &[Matrix2<f64>],
+    surfaces: &[Surface],
     pose: Pose2,
     settings: &RefineSettings,
 ) -> (Matrix3<f64>, Vector3<f64>, f64) {
@@ -121,8 +194,9 @@ fn sums(
             continue;
         }
         let lever = Vector2::new(pose.y - point.y, point.x - pose.x);
+        let slope = surface.pull * slope;
         gradient -= Vector3::new(slope.x, slope.y, slope.dot(&lever));
-        let plane = surface * likelihood;
+        let plane = surface.plane * likelihood;
         let mixed = plane * lever;
         hessian += Matrix3::new(
             plane.m11,
