@@ -6,7 +6,7 @@ use zenoh::config::WhatAmI;
 
 use super::link;
 use super::security::Security;
-use super::session::{Bus, BusError, endpoints, link_settings};
+use super::session::{Bus, BusError, ROUTER_HANDSHAKE_MS, endpoints, link_settings};
 
 /// Configuration of a router.
 #[derive(Clone, Debug)]
@@ -48,7 +48,14 @@ impl Router {
     pub async fn open(config: &RouterConfig) -> Result<Self, BusError> {
         let security = &config.security;
         let (connect, listen) = (security.endpoints(&config.connect), security.endpoints(&config.listen));
-        let zenoh = link_settings(WhatAmI::Router, &connect, &listen, &config.name, security)?;
+        let zenoh = link_settings(
+            WhatAmI::Router,
+            &connect,
+            &listen,
+            &config.name,
+            security,
+            ROUTER_HANDSHAKE_MS,
+        )?;
         let session = zenoh::open(zenoh).await.map_err(|error| BusError::CannotListen {
             endpoint: listen.join(", "),
             reason: error.to_string(),

@@ -4,13 +4,14 @@
 //! others: it starts without them, keeps trying to reach them in the background, and whoever connects straight to it reaches its topics and
 //! asks meanwhile. (A Zenoh client refuses other clients, and opens only once connected; to a peer a router carries nothing from other
 //! peers, which is what Zenoh's own tools and bindings are by default.) Multicast and gossip are off: a session links only to endpoints that
-//! were named. With these lease and retry times a cut link resumes about one second after it heals.
+//! were named. With these lease and retry times a cut link resumes about one second after it heals. On a slow link the handshake alone may take
+//! longer than an attempt on a cut link should: longer limits are tried where somebody is there and the link does not come up.
 
 use std::sync::Arc;
 use std::time::Duration;
 
 use thiserror::Error;
-use tokio::time::sleep;
+use tokio::time::{Instant, sleep};
 use zenav_observability::{Condition, Readiness};
 use zenoh::config::WhatAmI;
 use zenoh::{Config, Session};
@@ -23,9 +24,23 @@ const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
 
 /// A silent link counts as dead after this time, ms.
 const LEASE_MS: u64 = 2000;
+/// Time limits of a link's handshake, ms, tried one after the other. It takes two round trips, with TLS three. A short one comes first: on a link
+/// that is cut an attempt takes as long, and this much may pass after it heals.
+const HANDSHAKES_MS: [u64; 3] = [1000, 3000, 12_000];
+/// The same for commands, which do not wait for ever.
+const COMMAND_HANDSHAKES_MS: [u64; 2] = [1000, 8000];
+/// Over QUIC a handshake goes on by itself when a link heals: one limit for all.
+const QUIC_HANDSHAKE_MS: u64 = 3000;
+/// Time limit of a handshake between routers, ms, and of one with whoever dials, as far as this side sees it.
+pub(super) const ROUTER_HANDSHAKE_MS: u64 = 2000;
+const ACCEPTED_MS: u64 = 20_000;
+/// Handshakes at a time with those who dial.
+const ACCEPTED: u64 = 1000;
+/// Beyond the limit of a handshake, until a link shows.
+const SHOWS: Duration = Duration::from_millis(600);
 /// Largest message accepted from a link, bytes: more than the largest of the key table.
 const MAX_MESSAGE: usize = 128 * 1024 * 1024;
-/// Longest pause between two attempts to connect, ms: on a link that is cut an attempt takes a second, and this much may pass after it heals.
+/// Longest pause between two attempts to connect, ms.
 const MAX_RETRY_MS: u64 = 400;
 /// Shortest pause between two attempts to connect, ms.
 const MIN_RETRY_MS: u64 = 200;
@@ -165,19 +180,7 @@ impl Bus {
             (true, false) => WhatAmI::Client,
             (false, _) => WhatAmI::Router,
         };
-        let mut zenoh = link_settings(mode, &config.connect, &config.listen, &config.name, &config.security)?;
-        if !config.namespace.is_empty() {
-            let wrong = |reason: String| BusError::Config {
-                reason: format!("namespace `{}`: {reason}", config.namespace),
-            };
-            if config.namespace.contains(['*', '$', '@', '{']) {
-                return Err(wrong("expected plain names, such as `site1` or `acme/site1`".into()));
-            }
-            let text = serde_json::Value::from(config.namespace.as_str()).to_string();
-            zenoh
-                .insert_json5("namespace", &text)
-                .map_err(|error| wrong(error.to_string()))?;
-        }
+        let settings = |handshake: u64| config.settings(mode, handshake);
         if mode == WhatAmI::Router && !config.connect.is_empty() {
             sleep(SETTLING).await;
         }
@@ -190,8 +193,29 @@ impl Bus {
         };
         let linked = (!config.connect.is_empty()).then(|| readiness.expects_silently("a router is linked"));
         let mut wait_ms = MIN_RETRY_MS;
+        let limits = config.handshakes(mode);
+        let mut limit = 0;
         loop {
-            match zenoh::open(zenoh.clone()).await {
+            let handshake = limits.get(limit).copied().unwrap_or(QUIC_HANDSHAKE_MS);
+            let began = Instant::now();
+            let opened = zenoh::open(settings(handshake)?).await;
+            let is_slow = began.elapsed() >= Duration::from_millis(handshake);
+            match opened {
+                // It listens, and links in the background. Somebody is there, and the handshake takes longer than it may: a slow link.
+                Ok(session)
+                    if mode == WhatAmI::Router
+                        && limit + 1 < limits.len()
+                        && somebody_listens(&config.connect).await
+                        && !is_linked(&session, Duration::from_millis(handshake) + SHOWS).await =>
+                {
+                    let _ = tokio::time::timeout(CLOSE_TIMEOUT, session.close()).await;
+                    limit += 1;
+                    tracing::info!(
+                        part = config.name,
+                        limit_ms = limits[limit],
+                        "the link is slow: a handshake may take longer"
+                    );
+                }
                 Ok(session) => {
                     if let Some(linked) = linked.filter(|_| is_part) {
                         link::watch_routers(&session, &readiness, linked);
@@ -217,9 +241,11 @@ impl Bus {
                         );
                     }
                     tracing::debug!(endpoints = ?config.connect, %error, "no router yet");
+                    limit = if is_slow { (limit + 1) % limits.len().max(1) } else { 0 };
                     sleep(Duration::from_millis(wait_ms)).await;
                     wait_ms = (wait_ms * 2).min(MAX_RETRY_MS);
                 }
+                Err(_) if is_slow && limit + 1 < limits.len() => limit += 1,
                 Err(error) => {
                     tracing::debug!(endpoints = ?config.connect, %error, "cannot connect");
                     return Err(BusError::CannotConnect {
@@ -294,6 +320,72 @@ impl Bus {
     }
 }
 
+impl BusConfig {
+    /// Zenoh's settings of this session.
+    fn settings(&self, mode: WhatAmI, handshake_ms: u64) -> Result<Config, BusError> {
+        let mut zenoh = link_settings(
+            mode,
+            &self.connect,
+            &self.listen,
+            &self.name,
+            &self.security,
+            handshake_ms,
+        )?;
+        if !self.namespace.is_empty() {
+            let wrong = |reason: String| BusError::Config {
+                reason: format!("namespace `{}`: {reason}", self.namespace),
+            };
+            if self.namespace.contains(['*', '$', '@', '{']) {
+                return Err(wrong("expected plain names, such as `site1` or `acme/site1`".into()));
+            }
+            let text = serde_json::Value::from(self.namespace.as_str()).to_string();
+            zenoh
+                .insert_json5("namespace", &text)
+                .map_err(|error| wrong(error.to_string()))?;
+        }
+        Ok(zenoh)
+    }
+
+    /// Time limits of a handshake, ms, in the order in which they are tried.
+    fn handshakes(&self, mode: WhatAmI) -> &'static [u64] {
+        if self.connect.iter().any(|endpoint| !endpoint.starts_with("tcp/")) {
+            &[]
+        } else if mode == WhatAmI::Router || self.retry {
+            &HANDSHAKES_MS
+        } else {
+            &COMMAND_HANDSHAKES_MS
+        }
+    }
+}
+
+/// Whether somebody takes TCP connections at one of these endpoints.
+async fn somebody_listens(endpoints: &[String]) -> bool {
+    for endpoint in endpoints {
+        let address = endpoint
+            .trim_start_matches("tcp/")
+            .split(['?', '#'])
+            .next()
+            .unwrap_or_default();
+        let connected = tokio::time::timeout(Duration::from_secs(1), tokio::net::TcpStream::connect(address)).await;
+        if matches!(connected, Ok(Ok(_))) {
+            return true;
+        }
+    }
+    false
+}
+
+/// Whether a session is linked to a router, within a time.
+async fn is_linked(session: &Session, limit: Duration) -> bool {
+    let end = Instant::now() + limit;
+    while session.info().routers_zid().await.next().is_none() {
+        if Instant::now() > end {
+            return false;
+        }
+        sleep(Duration::from_millis(10)).await;
+    }
+    true
+}
+
 /// Endpoints of a session that listens.
 pub(super) async fn endpoints(session: &Session) -> Vec<String> {
     session
@@ -312,6 +404,7 @@ pub(super) fn link_settings(
     listen: &[String],
     name: &str,
     security: &Security,
+    handshake_ms: u64,
 ) -> Result<Config, BusError> {
     security.check(connect, listen)?;
     // A client tries once, and `Bus::open` repeats; Zenoh itself reconnects after a loss. A router tries for ever in the background.
@@ -331,7 +424,7 @@ pub(super) fn link_settings(
         // The caches of advanced publishers need time stamps.
         "timestamping": { "enabled": true },
         "transport": {
-            "unicast": { "open_timeout": 1000, "accept_timeout": 2000 },
+            "unicast": { "open_timeout": handshake_ms, "accept_timeout": ACCEPTED_MS, "accept_pending": ACCEPTED },
             "link": { "tx": { "lease": LEASE_MS }, "rx": { "max_message_size": MAX_MESSAGE } },
         },
     });
