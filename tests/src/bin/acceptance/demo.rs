@@ -8,10 +8,8 @@ use zenav_fixtures::Row;
 
 use crate::{Verdict, zenav};
 
-/// Largest true distance from a goal that counts as reached, m; odometry drifts where nothing corrects it.
-fn max_error(scenario: &str) -> f64 {
-    if scenario == "online" { 0.25 } else { 0.15 }
-}
+/// Largest true distance from a goal that counts as reached, m.
+const MAX_ERROR: f64 = 0.05;
 /// Least true clearance, m.
 const MIN_CLEARANCE: f64 = 0.02;
 
@@ -51,7 +49,7 @@ pub fn demo(scenario: &str, seeds: u64, more: &[String]) -> Verdict {
         let good = output.status.code() == Some(0)
             && report["collisions"] == 0
             && clearance > MIN_CLEARANCE
-            && error <= max_error(scenario);
+            && error <= MAX_ERROR;
         println!(
             "seed {seed:3}: {} exit {:?}, collisions {}, clearance {clearance:.3} m, error {error:.3} m, simulated {:.1} s, wall {:.1} s",
             if good { "ok    " } else { "FAILED" },
