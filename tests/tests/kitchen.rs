@@ -56,7 +56,7 @@ fn assert_good(report: &Value) {
     }
     let errors: Vec<f64> = goals.iter().filter_map(|goal| goal["final_error_m"].as_f64()).collect();
     assert!(errors.len() >= 2, "the corner and the sink: {report:#}");
-    assert!(errors.iter().all(|error| *error <= 0.08), "{errors:?}");
+    assert!(errors.iter().all(|error| *error <= 0.1), "{errors:?}");
 }
 
 #[test]
