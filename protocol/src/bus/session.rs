@@ -180,7 +180,6 @@ impl Bus {
             (true, false) => WhatAmI::Client,
             (false, _) => WhatAmI::Router,
         };
-        let settings = |handshake: u64| config.settings(mode, handshake);
         if mode == WhatAmI::Router && !config.connect.is_empty() {
             sleep(SETTLING).await;
         }
@@ -198,7 +197,7 @@ impl Bus {
         loop {
             let handshake = limits.get(limit).copied().unwrap_or(QUIC_HANDSHAKE_MS);
             let began = Instant::now();
-            let opened = zenoh::open(settings(handshake)?).await;
+            let opened = zenoh::open(config.settings(mode, handshake)?).await;
             let is_slow = began.elapsed() >= Duration::from_millis(handshake);
             match opened {
                 // It listens, and links in the background. Somebody is there, and the handshake takes longer than it may: a slow link.
@@ -409,6 +408,12 @@ pub(super) fn link_settings(
     security.check(connect, listen)?;
     // A client tries once, and `Bus::open` repeats; Zenoh itself reconnects after a loss. A router tries for ever in the background.
     let timeout_ms = if mode == WhatAmI::Client { 0 } else { -1 };
+    // The other side hears nothing for a round trip after it has let this one in.
+    let lease_ms = if handshake_ms > QUIC_HANDSHAKE_MS {
+        handshake_ms
+    } else {
+        LEASE_MS
+    };
     let mut settings = serde_json::json!({
         "mode": mode.to_string(),
         "metadata": { "name": name },
@@ -425,7 +430,7 @@ pub(super) fn link_settings(
         "timestamping": { "enabled": true },
         "transport": {
             "unicast": { "open_timeout": handshake_ms, "accept_timeout": ACCEPTED_MS, "accept_pending": ACCEPTED },
-            "link": { "tx": { "lease": LEASE_MS }, "rx": { "max_message_size": MAX_MESSAGE } },
+            "link": { "tx": { "lease": lease_ms }, "rx": { "max_message_size": MAX_MESSAGE } },
         },
     });
     if mode == WhatAmI::Router {
