@@ -4,7 +4,7 @@
 
 use std::time::Duration;
 
-use zenav_protocol::lease::LeaseArbiter;
+use zenav_protocol::lease::{self, LeaseArbiter};
 use zenav_protocol::messages::{
     EventKind, Heartbeat, LeaseAction, LeaseReply, LeaseRequest, LeaseRole, LeaseState, Link, LostPolicy, ModeRequest,
     Refusal, ResumeRequest, StopReply, StopRequest,
@@ -37,6 +37,8 @@ pub struct Authority {
     live: bool,
     settings: LeaseSettings,
     first_answers: std::collections::VecDeque<(LeaseRequest, Result<LeaseReply, Refusal>)>,
+    /// The last round trip that nobody has asked for.
+    measured: Option<Duration>,
     stored: Persisted,
 }
 
@@ -78,6 +80,7 @@ impl Authority {
             live: false,
             settings: config.settings.lease.clone(),
             first_answers: std::collections::VecDeque::new(),
+            measured: None,
             stored,
         }
     }
@@ -110,6 +113,7 @@ impl Authority {
             );
         }
         self.live = self.arbiter.is_live(now);
+        self.measured = granted.as_ref().ok().and_then(|granted| granted.round_trip).or(self.measured);
         let answer = granted.map(|granted| LeaseReply {
             epoch: granted.epoch,
             ttl_secs: self.arbiter.ttl().as_secs_f64(),
@@ -129,7 +133,14 @@ impl Authority {
 
     /// Renews the lease by a heartbeat.
     pub fn heartbeat(&mut self, now: Stamp, heartbeat: &Heartbeat) {
-        self.arbiter.renew(now, heartbeat);
+        if self.arbiter.renew(now, heartbeat) {
+            self.measured = lease::measured(now, heartbeat.echo).or(self.measured);
+        }
+    }
+
+    /// The round trip that was measured last, once.
+    pub fn take_measured(&mut self) -> Option<Duration> {
+        self.measured.take()
     }
 
     /// Whether teleop twists under this epoch may act now.

@@ -18,7 +18,7 @@
 //! | [`avoidance`] | does the plan lead into the way of somebody, and what does the robot do instead? |
 //! | [`limiter`], [`collision_monitor`], [`passive_safety`], [`time_to_contact`] | may it move as it wants to? |
 //! | [`wheel_coordination`] | how do both wheels slow down together? |
-//! | [`requests`], [`params`], [`event_log`], [`telemetry`] | what does it answer, record and publish? |
+//! | [`requests`], [`params`], [`event_log`], [`telemetry`], [`uplink`] | what does it answer, record and publish, and how much of it? |
 //! | [`pilot`], [`control_io`] | what does it do in one tick? |
 //! | [`config`], [`settings`] | what can be set and tuned? |
 //! | `control`, [`loop_timing`], [`handoff`] | when does the pilot step, how late, and how does it exchange messages with the network? |
@@ -76,6 +76,7 @@ pub mod teleop;
 pub mod time_to_contact;
 mod trace;
 pub mod trackers;
+pub mod uplink;
 pub mod wall_follower;
 pub mod wheel_coordination;
 

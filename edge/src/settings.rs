@@ -47,6 +47,8 @@ zenav_protocol::settings! {
         pub estimator: EstimatorSettings;
         /// Telemetry.
         pub telemetry: TelemetrySettings;
+        /// Narrow links.
+        pub uplink: UplinkSettings;
     }
     check = |edge: &EdgeSettings| {
         let (range, most) = (edge.local_obstacles.range, edge.blind_spot_grid.range());
@@ -408,6 +410,14 @@ zenav_protocol::settings! {
         pub marker_period: f64 = 0.2, "s", 0.02..=10.0;
         /// Period of what changes slowly (battery, bumper).
         pub slow_period: f64 = 1.0, "s", 0.1..=60.0;
+    }
+}
+
+zenav_protocol::settings! {
+    /// Narrow links: how much of what its sensors say the robot sends.
+    pub struct UplinkSettings {
+        /// Longest time that messages may wait before the link, on top of its round trip, before the robot sends fewer scans, poses and readings.
+        pub longest_queue: f64 = 0.25, "s", 0.02..=10.0;
     }
 }
 

@@ -1,4 +1,10 @@
 //! Telemetry. What does the robot publish, and how often?
+//!
+//! Over a link that is too narrow for everything it sends fewer scans, obstacles, poses and readings ([`Uplink`]). State, events, intent and markers keep
+//! their rates: they are few, and what drives the robot needs them.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
 
 use zenav_protocol::geometry::Twist2;
 use zenav_protocol::messages::{EventKind, Odometry, PoseEstimate, Scan};
@@ -8,15 +14,21 @@ use zenav_protocol::time::Stamp;
 
 use crate::control_io::Publication;
 use crate::estimator::{Estimator, Tally};
-use crate::settings::TelemetrySettings;
+use crate::settings::{TelemetrySettings, UplinkSettings};
+use crate::uplink::{Sieve, Uplink};
 
 /// Least time between two events about dropped inputs, s.
 const DROPPED: f64 = 10.0;
 
 /// When each message is due.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct Telemetry {
     settings: TelemetrySettings,
+    uplink: Uplink,
+    readings: Sieve,
+    /// By name of the lidar.
+    scans: BTreeMap<String, Sieve>,
+    obstacles: Sieve,
     state: Due,
     marker: Due,
     intent: Due,
@@ -44,17 +56,56 @@ impl Due {
 impl Telemetry {
     /// Everything is due at once.
     #[must_use]
-    pub fn new(settings: &TelemetrySettings) -> Self {
+    pub fn new(settings: &TelemetrySettings, uplink: &UplinkSettings) -> Self {
         Self {
             settings: settings.clone(),
-            ..Self::default()
+            uplink: Uplink::new(uplink),
+            readings: Sieve::default(),
+            scans: BTreeMap::new(),
+            obstacles: Sieve::default(),
+            state: Due::default(),
+            marker: Due::default(),
+            intent: Due::default(),
+            slow: Due::default(),
+            dropped: Due::default(),
+            told: (0, 0),
+            pressed: false,
         }
+    }
+
+    /// A round trip to the holder of the lease was measured.
+    pub fn measured(&mut self, now: Stamp, round_trip: Duration) {
+        self.uplink.measured(now, round_trip);
+    }
+
+    /// Share of its sensors' messages that the link carries, above 0 to 1.
+    #[must_use]
+    pub fn share(&self) -> f64 {
+        self.uplink.share()
+    }
+
+    /// Whether the next scan of this lidar is sent.
+    pub fn scan_due(&mut self, lidar: &str) -> bool {
+        let share = self.share();
+        match self.scans.get_mut(lidar) {
+            Some(sieve) => sieve.lets_through(share),
+            None => self.scans.entry(lidar.to_owned()).or_default().lets_through(share),
+        }
+    }
+
+    /// Whether the next message about moving obstacles is sent.
+    pub fn obstacles_due(&mut self) -> bool {
+        self.obstacles.lets_through(self.share())
     }
 
     /// The messages of sensors and estimator of one tick, the pose in a `frame` of the map.
     pub fn sensors(&mut self, readings: &Readings, estimator: &Estimator, frame: u64, out: &mut Vec<Publication>) {
         let now = readings.stamp;
         let velocity: Twist2 = estimator.velocity();
+        // All of one tick or none: they belong together.
+        if !self.readings.lets_through(self.share()) {
+            return self.slow(readings, out);
+        }
         out.push(Publication::Odometry(Odometry {
             stamp: now,
             odom_from_base: estimator.odom_from_base(),
@@ -70,6 +121,12 @@ impl Telemetry {
         }));
         out.extend(readings.imu.clone().map(Publication::Imu));
         out.extend(readings.of_kinds().into_iter().map(Publication::Sensor));
+        self.slow(readings, out);
+    }
+
+    /// What changes seldom: bumper and battery.
+    fn slow(&mut self, readings: &Readings, out: &mut Vec<Publication>) {
+        let now = readings.stamp;
         let slow = self.slow.now(now, self.settings.slow_period);
         if slow || readings.bump.pressed != self.pressed {
             self.pressed = readings.bump.pressed;
@@ -137,7 +194,7 @@ mod tests {
 
     #[test]
     fn dropped_inputs_are_reported_at_once_and_then_only_when_there_are_more_and_some_time_has_passed() {
-        let mut telemetry = Telemetry::default();
+        let mut telemetry = Telemetry::new(&TelemetrySettings::default(), &UplinkSettings::default());
         let mut told = Vec::new();
         for second in 1..40 {
             let tally = Tally {

@@ -233,6 +233,23 @@ impl Trajectory {
         Self::new(points)
     }
 
+    /// The same in numbers that are worth sending: poses and velocities to a millionth of their units, times to a nanosecond. Half as many bytes.
+    #[must_use]
+    pub fn rounded(&self) -> Self {
+        let millionth = |number: f64| (1e6 * number).round() / 1e6 + 0.0;
+        self.points
+            .iter()
+            .map(|point| TrajectoryPoint {
+                t: (1e9 * point.t).round() / 1e9,
+                x: millionth(point.x),
+                y: millionth(point.y),
+                yaw: millionth(point.yaw),
+                v: millionth(point.v),
+                w: millionth(point.w),
+            })
+            .collect()
+    }
+
     /// The points from the last one at or before a time (s) on.
     #[must_use]
     pub fn rest(&self, t: f64) -> &[TrajectoryPoint] {
@@ -340,6 +357,26 @@ mod tests {
         times
             .map(|t| TrajectoryPoint::new(t, at(t), Twist2::new(0.5, 0.0)))
             .collect()
+    }
+
+    #[test]
+    fn rounded_numbers_are_short_and_near() {
+        let exact: Trajectory = [(0.0, 1.0), (0.1234567891234, -1e-13)]
+            .map(|(t, x)| TrajectoryPoint {
+                t,
+                x: x / 3.0,
+                v: -0.0,
+                ..TrajectoryPoint::default()
+            })
+            .into_iter()
+            .collect();
+        let rounded = exact.rounded();
+        let text = serde_json::to_string(&rounded).unwrap();
+        assert_eq!(
+            text,
+            r#"[{"t":0.0,"x":0.333333,"y":0.0,"yaw":0.0,"v":0.0,"w":0.0},{"t":0.123456789,"x":0.0,"y":0.0,"yaw":0.0,"v":0.0,"w":0.0}]"#
+        );
+        assert_eq!(rounded.rounded(), rounded);
     }
 
     #[test]

@@ -477,6 +477,7 @@ mod tests {
             behaviour: None,
             wall_follower: None,
             missed_ticks: 0,
+            uplink: 1.0,
             makes_way: false,
             frame: 0,
             faults: Faults::default(),

@@ -173,6 +173,7 @@ fn state() -> EdgeState {
         behaviour: None,
         wall_follower: None,
         missed_ticks: 0,
+        uplink: 1.0,
         round_trip_secs: None,
         makes_way: false,
         faults: Default::default(),

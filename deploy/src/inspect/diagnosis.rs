@@ -79,6 +79,14 @@ pub(super) fn judge(robot: &Robot, time: Duration) -> Vec<Check> {
                 "give the robot's machine less to do",
             ));
         }
+        if state.uplink < 1.0 {
+            checks.push(Check::warn(
+                name,
+                "uplink",
+                format!("the robot sends {:.0} % of its scans, poses and readings", 100.0 * state.uplink),
+                "its link carries no more: maps grow later, and driving goes on; a wider link mends it",
+            ));
+        }
         if state.battery < 0.15 {
             checks.push(Check::warn(
                 name,
@@ -358,6 +366,7 @@ pub(super) mod tests {
             behaviour: None,
             wall_follower: None,
             missed_ticks: 0,
+            uplink: 1.0,
             round_trip_secs: None,
             makes_way: false,
             faults: Default::default(),

@@ -8,6 +8,9 @@ use std::time::Duration;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
 
+/// Longest time that bytes wait before a link that is too narrow for them; as long as `tc` users give a token bucket.
+const LONGEST_QUEUE: Duration = Duration::from_millis(400);
+
 /// What a link does to what is sent over it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Impairment {
@@ -72,6 +75,11 @@ impl Link {
         let arrival = (self.entered + impairment.delay + jitter).max(self.arrived);
         self.arrived = self.passes(arrival, &impairment);
         self.arrived
+    }
+
+    /// How long the next bytes have to wait outside, because the queue before the link is full: beyond that the sender is held up, as by any full buffer.
+    pub(super) fn full_for(&self, now: Duration) -> Duration {
+        self.entered.saturating_sub(now + LONGEST_QUEUE)
     }
 
     fn impairment(&self, now: Duration) -> Impairment {
@@ -159,6 +167,8 @@ mod tests {
         let mut link = link(narrow, &[]);
         let arrivals: Vec<Duration> = (0..10).map(|_| link.arrival(Duration::ZERO, 3200)).collect();
         assert_eq!((arrivals[0], arrivals[9]), (ms(100), ms(1000)));
+        assert_eq!(link.full_for(ms(100)), ms(500), "900 ms of bytes wait, 400 ms fit");
+        assert_eq!(link.full_for(ms(700)), ms(0));
         assert_eq!(link.arrival(ms(5000), 3200), ms(5100), "what was not used is not kept");
     }
 

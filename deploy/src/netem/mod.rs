@@ -8,12 +8,13 @@
 mod link;
 mod script;
 
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::tcp::{OwnedReadHalf, OwnedWriteHalf};
-use tokio::net::{TcpListener, TcpStream};
+use tokio::net::{TcpListener, TcpSocket, TcpStream};
 use tokio::sync::{mpsc, watch};
 use tokio::time::{Instant, sleep_until};
 use zenav_protocol::bus::interrupted;
@@ -26,6 +27,8 @@ use script::Script;
 
 /// Largest piece that is passed on as one, bytes.
 const PIECE: usize = 16 * 1024;
+/// What a socket takes before it is read, bytes; the kernel doubles it.
+const BUFFER: u32 = 16 * 1024;
 /// Pieces under way in one direction of a connection; beyond that the sender waits, as on a full link.
 const UNDER_WAY: usize = 4096;
 
@@ -80,7 +83,7 @@ pub struct NetemArgs {
 pub fn run(args: &NetemArgs) -> Outcome {
     let script = timeline(args)?;
     runtime()?.block_on(async {
-        let listener = TcpListener::bind(&args.listen)
+        let listener = listen(&args.listen)
             .await
             .map_err(|error| Failure::failed(format!("--listen {}: {error}", args.listen)))?;
         let address = listener.local_addr().map_err(Failure::failed)?;
@@ -165,7 +168,8 @@ async fn serve(listener: &TcpListener, to: &str, script: &Script, seed: u64) -> 
 
 /// Passes one connection on, until both sides have closed it.
 async fn connect(client: TcpStream, to: &str, up: Link, down: Link, start: Instant) -> std::io::Result<()> {
-    let server = TcpStream::connect(to).await?;
+    let address = resolve(to).await?;
+    let server = socket(address)?.connect(address).await?;
     client.set_nodelay(true)?;
     server.set_nodelay(true)?;
     let ((from_client, to_client), (from_server, to_server)) = (client.into_split(), server.into_split());
@@ -176,12 +180,37 @@ async fn connect(client: TcpStream, to: &str, up: Link, down: Link, start: Insta
     Ok(())
 }
 
+/// Listens with small buffers: what a sender may have under way is the link's to say.
+async fn listen(address: &str) -> std::io::Result<TcpListener> {
+    let address = resolve(address).await?;
+    let socket = socket(address)?;
+    socket.set_reuseaddr(true)?;
+    socket.bind(address)?;
+    socket.listen(1024)
+}
+
+async fn resolve(address: &str) -> std::io::Result<SocketAddr> {
+    let mut found = tokio::net::lookup_host(address).await?;
+    found.next().ok_or_else(|| std::io::Error::other("no such host"))
+}
+
+fn socket(address: SocketAddr) -> std::io::Result<TcpSocket> {
+    let socket = if address.is_ipv4() {
+        TcpSocket::new_v4()?
+    } else {
+        TcpSocket::new_v6()?
+    };
+    socket.set_recv_buffer_size(BUFFER)?;
+    Ok(socket)
+}
+
 /// One direction of a connection.
 async fn pass(mut from: OwnedReadHalf, mut to: OwnedWriteHalf, mut link: Link, start: Instant) -> std::io::Result<()> {
     let (sender, mut under_way) = mpsc::channel::<(Duration, Vec<u8>)>(UNDER_WAY);
     let reading = async move {
         let mut buffer = vec![0; PIECE];
         loop {
+            tokio::time::sleep(link.full_for(start.elapsed())).await;
             let bytes = from.read(&mut buffer).await?;
             let Some(piece) = buffer.get(..bytes).filter(|piece| !piece.is_empty()) else {
                 return std::io::Result::Ok(());

@@ -146,7 +146,7 @@ impl Pilot {
             encoder_watch: EncoderWatch::new(model),
             lost_beams: LostBeams::default(),
             dead_man: DeadMan::new(settings.teleop.dead_man),
-            telemetry: Telemetry::new(&settings.telemetry),
+            telemetry: Telemetry::new(&settings.telemetry, &settings.uplink),
             newest: None,
             refused: VecDeque::new(),
             discarded: VecDeque::new(),
@@ -222,6 +222,9 @@ impl Pilot {
         }
         for heartbeat in &inbox.heartbeats {
             self.authority.heartbeat(now, heartbeat);
+        }
+        if let Some(round_trip) = self.authority.take_measured() {
+            self.telemetry.measured(now, round_trip);
         }
         self.dead_man
             .receive(now, &inbox.teleops, &mut self.authority, &mut self.events);

@@ -51,6 +51,7 @@ impl Pilot {
             behaviour: self.maneuvers.last().cloned(),
             wall_follower: (self.authority.policy() == LostPolicy::WallFollow).then(|| self.wall_follower.state()),
             missed_ticks: self.missed_ticks,
+            uplink: self.telemetry.share(),
             makes_way: self.avoidance.is_for_robot(),
             frame: self.frame.number(),
             faults: self.faults.clone(),

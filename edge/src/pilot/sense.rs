@@ -35,6 +35,7 @@ impl Pilot {
             let sweep = &*self.lost_beams.mend(sweep, lidar);
             if let Some(odom_from_base) = self.estimator.odom_from_base_at(sweep.stamp)
                 && self.obstacles.insert(sweep, odom_from_base)
+                && self.telemetry.scan_due(&sweep.lidar)
             {
                 let moving = self.obstacles.moving_beams(&sweep.lidar);
                 let ranges = self.obstacles.ranges(&sweep.lidar).to_vec();
@@ -44,7 +45,10 @@ impl Pilot {
         }
         let tracked = self.obstacles.moving().tracks().iter().any(|track| !track.is_robot());
         if !readings.sweeps.is_empty() && (tracked || self.tracked) {
-            out.push(Publication::Obstacles(self.tracked_obstacles()));
+            // That there are none any more is always said.
+            if self.telemetry.obstacles_due() || !tracked {
+                out.push(Publication::Obstacles(self.tracked_obstacles()));
+            }
             self.tracked = tracked;
         }
         let bump = &readings.bump;

@@ -346,8 +346,9 @@ impl LeaseArbiter {
     }
 }
 
-/// The round trip that an echo tells of, as far as it is believed.
-fn measured(now: Stamp, echo: Option<Stamp>) -> Option<Duration> {
+/// The round trip that an echo of the robot's time tells of, as far as it is believed.
+#[must_use]
+pub fn measured(now: Stamp, echo: Option<Stamp>) -> Option<Duration> {
     Some(now.since(echo?).min(LONGEST_ROUND_TRIP))
 }
 

@@ -146,6 +146,9 @@ pub struct EdgeState {
     /// Control ticks skipped since the start because they came too late.
     #[serde(default)]
     pub missed_ticks: u64,
+    /// Share of its scans, poses and readings that the robot sends, 0 to 1: less than 1 while its link carries no more.
+    #[serde(default = "all", skip_serializing_if = "is_all")]
+    pub uplink: f64,
     /// Whether the robot waits or leaves its plan to make way for another robot.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub makes_way: bool,
@@ -155,6 +158,15 @@ pub struct EdgeState {
     /// What is wrong with the robot itself, as long as it is.
     #[serde(default, skip_serializing_if = "Faults::are_none")]
     pub faults: Faults,
+}
+
+const fn all() -> f64 {
+    1.0
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref, reason = "serde's signature")]
+fn is_all(share: &f64) -> bool {
+    *share >= 1.0
 }
 
 /// What is wrong with the robot itself, in words.

@@ -223,6 +223,7 @@ impl FakeRobot {
                 behaviour: None,
                 wall_follower: None,
                 missed_ticks: 0,
+                uplink: 1.0,
                 round_trip_secs: None,
                 makes_way: false,
                 frame: 0,

@@ -154,6 +154,7 @@ fn state(now: Stamp) -> EdgeState {
         battery: 0.15,
         behaviour: None,
         missed_ticks: 0,
+        uplink: 1.0,
         round_trip_secs: None,
         makes_way: false,
         faults: Default::default(),

@@ -1,0 +1,201 @@
+//! Uplink. How much may the robot say over its link? All of it, or the share that a narrow link carries without a queue.
+//!
+//! What a link cannot carry waits in a queue before it, and with it the few messages that a mission needs to drive the robot. How long they
+//! wait is the round trip by the heartbeats less the least one of late: the idea of LEDBAT (RFC 6817), here with
+//! increase and decrease in turn, because the queue must empty now and then for its length to be known.
+//! How fast the round trip grows tells what the link carries: of what is said, the share that does not go into its growth.
+
+use std::time::Duration;
+
+use zenav_protocol::time::Stamp;
+
+use crate::settings::UplinkSettings;
+
+/// Time over which the least round trip counts, s: what delays single heartbeats (a plan under way, a link that stalled) is no queue.
+const LOOK: f64 = 1.0;
+/// A link whose least round trip has grown is another link after one to two of these, s.
+const MEMORY: f64 = 60.0;
+/// What is left of what the link carries after a look that found a queue: the rest drains it.
+const DECREASE: f64 = 0.6;
+/// Fastest growth of the round trip that is believed, s/s: a tenth of what is said gets through.
+const STEEPEST: f64 = 0.9;
+/// What the share grows by for each look that found none.
+const INCREASE: f64 = 1.1;
+/// The least share: a scan each 5 s of a lidar of 10 Hz.
+const LEAST: f64 = 0.02;
+
+/// What share of its sensors' messages the robot sends.
+#[derive(Clone, Debug)]
+pub struct Uplink {
+    settings: UplinkSettings,
+    share: f64,
+    /// Since when, and the least round trip from then on and in the period before.
+    base: Option<(Stamp, f64, f64)>,
+    look: Option<Look>,
+    /// The next look begins then at the earliest.
+    not_before: Stamp,
+}
+
+/// The round trips of the last second.
+#[derive(Clone, Copy, Debug)]
+struct Look {
+    begun: Stamp,
+    first: f64,
+    least: f64,
+}
+
+impl Uplink {
+    /// A link that carries everything, until it is known to be narrower.
+    #[must_use]
+    pub fn new(settings: &UplinkSettings) -> Self {
+        Self {
+            settings: settings.clone(),
+            share: 1.0,
+            base: None,
+            look: None,
+            not_before: Stamp::ZERO,
+        }
+    }
+
+    /// The share of messages to send, above 0 to 1.
+    #[must_use]
+    pub fn share(&self) -> f64 {
+        self.share
+    }
+
+    /// A round trip was measured.
+    pub fn measured(&mut self, now: Stamp, round_trip: Duration) {
+        let round_trip = round_trip.as_secs_f64();
+        let (since, least, before) = match self.base {
+            Some((since, least, _)) if now.secs_since(since) > MEMORY => (now, round_trip, least),
+            Some((since, least, before)) => (since, least.min(round_trip), before),
+            None => (now, round_trip, f64::INFINITY),
+        };
+        self.base = Some((since, least, before));
+        if now < self.not_before {
+            return;
+        }
+        let look = self.look.get_or_insert(Look {
+            begun: now,
+            first: round_trip,
+            least: round_trip,
+        });
+        look.least = look.least.min(round_trip);
+        let secs = now.secs_since(look.begun);
+        if secs < LOOK {
+            return;
+        }
+        let queued = look.least - least.min(before);
+        self.share = if queued > self.settings.longest_queue {
+            let growth = ((round_trip - look.first) / secs).clamp(0.0, STEEPEST);
+            // What was said before still has to pass.
+            self.not_before = now.plus_secs(round_trip);
+            (DECREASE * (1.0 - growth) * self.share).max(LEAST)
+        } else {
+            (INCREASE * self.share).min(1.0)
+        };
+        self.look = None;
+    }
+}
+
+/// Lets a share of messages through, evenly.
+#[derive(Clone, Copy, Debug)]
+pub struct Sieve(f64);
+
+impl Default for Sieve {
+    /// The first one passes.
+    fn default() -> Self {
+        Self(1.0)
+    }
+}
+
+impl Sieve {
+    /// Whether the next message is sent, where `share` (0 to 1) of them are.
+    pub fn lets_through(&mut self, share: f64) -> bool {
+        let credit = self.0 + share;
+        let passes = credit >= 1.0;
+        self.0 = if passes { (credit - 1.0).min(1.0) } else { credit };
+        passes
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A link of `rate` times what the robot says, with a round trip of `delay` s: the share and the queue, s, at each beat of 0.1 s.
+    fn drive(uplink: &mut Uplink, rate: f64, delay: f64, secs: f64) -> Vec<(f64, f64)> {
+        let mut found: Vec<(f64, f64)> = Vec::new();
+        for beat in 0..(10.0 * secs) as usize {
+            let queue = found.last().map_or(0.0, |(_, queue)| *queue);
+            found.push((
+                uplink.share(),
+                (queue + 0.1 * (uplink.share() - rate) / rate).max(0.0),
+            ));
+            // A beat tells of the queue that the newest message that has come through had before it.
+            let came = |(said, (_, queue)): &(usize, &(f64, f64))| {
+                0.1 * (beat - said) as f64 + 1e-9 >= queue + delay
+            };
+            let newest = found.iter().enumerate().rev().find(came);
+            if let Some((_, (_, queue))) = newest {
+                let now = Stamp::from_secs(1000.0 + 0.1 * beat as f64);
+                uplink.measured(now, Duration::from_secs_f64(delay + queue));
+            }
+        }
+        found
+    }
+
+    fn uplink() -> Uplink {
+        Uplink::new(&UplinkSettings::default())
+    }
+
+    #[test]
+    fn a_link_that_carries_everything_gets_everything_however_long_it_is() {
+        for delay in [0.0, 0.3, 1.0, 5.0] {
+            let found = drive(&mut uplink(), 1.1, delay, 120.0);
+            assert!(found.iter().all(|(share, _)| *share == 1.0), "{delay}");
+        }
+    }
+
+    #[test]
+    fn a_narrow_link_gets_what_it_carries_and_its_queue_stays_short() {
+        for (rate, delay) in [(0.25, 0.01), (0.25, 0.3), (0.1, 0.05), (0.7, 0.1)] {
+            let found = drive(&mut uplink(), rate, delay, 200.0);
+            let settled = &found[600..];
+            let mean = |of: fn(&(f64, f64)) -> f64| settled.iter().map(of).sum::<f64>() / settled.len() as f64;
+            let (share, queue) = (mean(|found| found.0), mean(|found| found.1));
+            assert!((0.6 * rate..1.05 * rate).contains(&share), "{rate} {delay}: {share}");
+            assert!(queue < 0.3, "{rate} {delay}: {queue} s");
+        }
+    }
+
+    #[test]
+    fn a_link_that_widens_is_used_again() {
+        let mut uplink = uplink();
+        drive(&mut uplink, 0.2, 0.05, 60.0);
+        assert!(uplink.share() < 0.5);
+        drive(&mut uplink, 2.0, 0.05, 60.0);
+        assert!((uplink.share() - 1.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn heartbeats_that_were_held_up_once_mean_nothing() {
+        let mut uplink = uplink();
+        for beat in 0..600_u32 {
+            let late = if beat % 50 < 4 { 2.0 } else { 0.05 };
+            uplink.measured(Stamp::from_secs(0.1 * f64::from(beat)), Duration::from_secs_f64(late));
+            assert!((uplink.share() - 1.0).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn a_sieve_lets_its_share_through() {
+        for share in [1.0, 0.5, 0.3, 0.02] {
+            let mut sieve = Sieve::default();
+            let passed = (0..1000).filter(|_| sieve.lets_through(share)).count() as f64;
+            assert!((passed - 1000.0 * share).abs() <= 2.0, "{share}: {passed}");
+        }
+        let mut first = Sieve::default();
+        assert!(first.lets_through(0.02));
+    }
+}
