@@ -80,7 +80,13 @@ impl Pyramid {
     #[must_use]
     pub fn bound(&self, side: u32, x: i32, y: i32) -> u8 {
         if side <= 1 {
-            return value_at(self.field.values(), self.field.spec().width, self.field.spec().height, x, y);
+            return value_at(
+                self.field.values(),
+                self.field.spec().width,
+                self.field.spec().height,
+                x,
+                y,
+            );
         }
         self.table(side).map_or(u8::MAX, |table| table.at(x, y))
     }
@@ -121,29 +127,31 @@ impl Table {
         let pad = (covered - 1).next_multiple_of(step);
         let count = |length: u32| (length + pad).div_ceil(step);
         let (width, height) = (count(field.spec().width), count(field.spec().height));
-        let place = |to: u32, offset: u32| ((to << shift) as i32 - pad as i32 + offset as i32 + self.pad) >> self.shift;
-        // Where the squares of this table begin that together cover one of the new table: the last ends with it.
+        // Where the squares of this table begin that together cover one of the new table, of the first one: the last ends with it. From one to the
+        // next it is as many values as there are for a step.
         let offsets = [0, self.side.min(covered - own), covered - own];
+        let starts = offsets.map(|offset| (offset as i32 + self.pad - pad as i32) >> self.shift);
+        let stride = 1_usize << (shift - self.shift);
+        let lead = starts[0].unsigned_abs() as usize;
+        let mut line = vec![0_u8; lead + self.width as usize + stride * width as usize];
         let mut rows = vec![0_u8; width as usize * self.height as usize];
-        for (row, new) in self
-            .values
-            .chunks_exact(self.width.max(1) as usize)
-            .zip(rows.chunks_exact_mut(width.max(1) as usize))
-        {
-            for (x, value) in (0..).zip(new) {
-                let of = |offset| usize::try_from(place(x, offset)).ok().and_then(|at| row.get(at)).copied();
-                *value = offsets.iter().filter_map(|offset| of(*offset)).max().unwrap_or(0);
+        let own_rows = self.values.chunks_exact(self.width.max(1) as usize);
+        for (row, new) in own_rows.zip(rows.chunks_exact_mut(width.max(1) as usize)) {
+            line[lead..lead + row.len()].copy_from_slice(row);
+            for start in starts {
+                let from = &line[(lead as i32 + start) as usize..];
+                match stride {
+                    1 => raise(new, from),
+                    _ => raise_by(new, from.iter().step_by(stride)),
+                }
             }
         }
         let mut values = vec![0_u8; width as usize * height as usize];
         for (y, new) in (0..).zip(values.chunks_exact_mut(width.max(1) as usize)) {
-            for offset in offsets {
-                let Some(row) = usize::try_from(place(y, offset)).ok().filter(|row| *row < self.height as usize) else {
-                    continue;
-                };
-                let row = &rows[row * width as usize..(row + 1) * width as usize];
-                for (value, other) in new.iter_mut().zip(row) {
-                    *value = (*value).max(*other);
+            for start in starts {
+                let row = usize::try_from(y * stride as i32 + start).unwrap_or(usize::MAX);
+                if row < self.height as usize {
+                    raise(new, &rows[row * width as usize..(row + 1) * width as usize]);
                 }
             }
         }
@@ -155,6 +163,18 @@ impl Table {
             height,
             values,
         }
+    }
+}
+
+/// Each value becomes the larger of it and another one.
+fn raise(values: &mut [u8], others: &[u8]) {
+    raise_by(values, others.iter());
+}
+
+#[inline]
+fn raise_by<'a>(values: &mut [u8], others: impl Iterator<Item = &'a u8>) {
+    for (value, other) in values.iter_mut().zip(others) {
+        *value = (*value).max(*other);
     }
 }
 

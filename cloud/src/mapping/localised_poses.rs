@@ -97,13 +97,15 @@ impl LocalisedPoses {
 
     /// The statement of health, where it changed or is due.
     fn localisation(&mut self, scan: &Scan, located: &Located) -> Option<Localisation> {
-        self.statements.is_due(scan.stamp, &located.health).then(|| Localisation {
-            stamp: scan.stamp,
-            boot_id: self.boot_id.clone(),
-            health: located.health.clone(),
-            map_from_base: located.pose,
-            agreeing: located.evidence.agreeing,
-            through_walls: located.evidence.through_walls,
-        })
+        self.statements
+            .is_due(scan.stamp, &located.health)
+            .then(|| Localisation {
+                stamp: scan.stamp,
+                boot_id: self.boot_id.clone(),
+                health: located.health.clone(),
+                map_from_base: located.pose,
+                agreeing: located.evidence.agreeing,
+                through_walls: located.evidence.through_walls,
+            })
     }
 }

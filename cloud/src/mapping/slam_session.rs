@@ -120,7 +120,10 @@ pub(super) fn read(folder: &Path) -> Result<Option<Stored>, KeepError> {
     let slam = Slam::load(bytes.get(line + 1..).unwrap_or_default())?;
     let expected = slam.nodes().len();
     let mut scans = Vec::with_capacity(expected);
-    for line in BufReader::new(File::open(folder.join(SCANS))?).split(b'\n').take(expected) {
+    for line in BufReader::new(File::open(folder.join(SCANS))?)
+        .split(b'\n')
+        .take(expected)
+    {
         scans.push(serde_json::from_slice(&line?)?);
     }
     if scans.len() != expected || head.scans != expected {
@@ -168,4 +171,197 @@ fn end_of(file: &File, lines: usize) -> Result<u64, KeepError> {
         found += 1;
     }
     Ok(end)
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use std::time::Duration;
+
+    use zenav_mapping::{Mapper, MappingSettings};
+    use zenav_protocol::bus::{Bus, BusConfig, Clock, Shutdown};
+    use zenav_protocol::messages::{Correction, MapRequest};
+    use zenav_protocol::time::Stamp;
+    use zenav_protocol::topics::{CORRECTION, MAP, SCAN};
+
+    use super::super::core::{MappingCore, PoseSettings, PoseSource};
+    use super::super::{MappingConfig, run};
+    use super::*;
+    use crate::testing::router;
+
+    const DEADLINE: Duration = Duration::from_secs(20);
+    /// Wheels count so much too much.
+    const TOO_FAR: f64 = 1.04;
+
+    /// The scan of a robot that has driven so far along a hall with a few boxes, m; it sees 6 m.
+    fn scan(way: f64) -> Scan {
+        let boxes = [
+            (1.0, 0.8, 1.5, 1.5),
+            (3.2, -1.6, 3.6, -0.9),
+            (5.0, 1.0, 5.8, 1.4),
+            (7.0, -1.5, 7.3, -0.7),
+            (-1.0, -2.0, 10.0, -1.9),
+            (-1.0, 1.9, 10.0, 2.0),
+            (-1.0, -2.0, -0.9, 2.0),
+            (9.9, -2.0, 10.0, 2.0),
+        ];
+        let range = |angle: f64| {
+            let (sin, cos) = angle.sin_cos();
+            let hits = boxes.iter().filter_map(|(left, low, right, high)| {
+                let (x1, x2) = ((left - way) / cos, (right - way) / cos);
+                let (y1, y2) = (low / sin, high / sin);
+                let (enter, leave) = (x1.min(x2).max(y1.min(y2)), x1.max(x2).min(y1.max(y2)));
+                (0.0 < enter && enter <= leave).then_some(enter)
+            });
+            hits.fold(100.0, f64::min) as f32
+        };
+        let angles = (0..360).map(|beam| -3.14 + f64::from(beam) * 0.017_45 + 1e-4);
+        Scan {
+            stamp: Stamp::from_secs(10.0 + way),
+            angle_min: -3.14 + 1e-4,
+            angle_increment: 0.017_45,
+            range_min: 0.02,
+            range_max: 6.0,
+            ranges: angles.map(range).collect(),
+            moving: Vec::new(),
+            base_from_laser: Pose2::IDENTITY,
+            map_from_odom: Pose2::IDENTITY,
+            odom_from_base: Pose2::new(TOO_FAR * way, 0.0, 0.0),
+        }
+    }
+
+    fn settings() -> PoseSettings {
+        PoseSettings {
+            source: PoseSource::Slam,
+            ..PoseSettings::default()
+        }
+    }
+
+    fn core() -> MappingCore {
+        MappingCore::new(Mapper::new(MappingSettings::default(), "new"), &settings())
+    }
+
+    #[test]
+    fn a_frame_is_kept_before_it_is_told_and_goes_on() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut mapping = core();
+        let mut told = 0;
+        for step in 0..80 {
+            if step == 40 {
+                mapping.bend(|pose| Pose2::new(pose.x, pose.y + 0.5, pose.yaw));
+            }
+            let mapped = mapping.insert(&scan(0.05 * f64::from(step)), "boot");
+            if let Some(kept) = mapping.kept(false) {
+                write(folder.path(), &kept).unwrap();
+            }
+            told = mapped.frame.map_or(told, |frame| frame.map.frame);
+            if told > 0 {
+                assert_eq!(read(folder.path()).unwrap().unwrap().head.frame, told);
+            }
+        }
+        assert_eq!(told, 1);
+        // What was written when the process was killed belongs to nothing.
+        let mut scans = OpenOptions::new().append(true).open(folder.path().join(SCANS)).unwrap();
+        scans.write_all(b"{\"stamp\"").unwrap();
+
+        let before = mapping.mapper.info();
+        let mut after = core().going_on(read(folder.path()).unwrap().unwrap());
+        assert_eq!(after.frame_at_start().unwrap().map.frame, 1);
+        let drawn = after.mapper.info();
+        assert!(
+            drawn.occupied as f64 > 0.8 * before.occupied as f64,
+            "{} of {}",
+            drawn.occupied,
+            before.occupied
+        );
+        let mut last: Option<Correction> = None;
+        for step in 90..130 {
+            let mapped = after.insert(&scan(0.05 * f64::from(step)), "boot");
+            last = mapped.correction.or(last);
+            if let Some(kept) = after.kept(true) {
+                write(folder.path(), &kept).unwrap();
+            }
+        }
+        let correction = last.unwrap();
+        let away = correction
+            .map_from_base
+            .distance(&Pose2::new(correction.stamp.as_secs() - 10.0, 0.5, 0.0));
+        assert!(correction.frame == 1 && away < 0.05, "{correction:?}: {away} m off");
+        assert_eq!(read(folder.path()).unwrap().unwrap().head.frame, 1);
+        remove(folder.path()).unwrap();
+        assert!(read(folder.path()).unwrap().is_none());
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn mapping_that_is_killed_in_mid_drive_goes_on_with_its_map() {
+        let (router, endpoint) = router().await;
+        let open = |name: &'static str| Bus::open(BusConfig::service(name, &endpoint));
+        let folder = tempfile::tempdir().unwrap();
+        let config = MappingConfig {
+            folder: Some(folder.path().to_owned()),
+            poses: settings(),
+            ..MappingConfig::new("tiago")
+        };
+        let client = open("client").await.unwrap();
+        let chunks = ["tiago"];
+        let scans = client.publisher(&SCAN, &chunks).unwrap();
+        let mut corrections = client.subscribe(&CORRECTION, &chunks, 64).unwrap();
+        let begin = async |name| {
+            let bus = open(name).await.unwrap();
+            let shutdown = Shutdown::new();
+            (
+                tokio::spawn(run(bus, Clock::wall(), config.clone(), shutdown.clone())),
+                shutdown,
+            )
+        };
+        let asked = async || {
+            client
+                .ask(&MAP, &chunks, &MapRequest::default(), DEADLINE)
+                .await
+                .unwrap()
+        };
+
+        let (service, _) = begin("mapping").await;
+        asked().await;
+        let mut way = 0.0;
+        let drive = async |way: &mut f64| {
+            *way += 0.05;
+            scans.put(&scan(*way));
+            tokio::time::sleep(Duration::from_millis(15)).await;
+        };
+        while way < 4.0 {
+            drive(&mut way).await;
+        }
+        let before = asked().await;
+        service.abort();
+        assert!(service.await.unwrap_err().is_cancelled());
+        let kept = read(folder.path()).unwrap().unwrap();
+        assert!(kept.scans.len() >= 10, "{} nodes", kept.scans.len());
+
+        // The robot goes on meanwhile.
+        way += 0.5;
+        let (service, shutdown) = begin("mapping-again").await;
+        let after = asked().await;
+        assert!(
+            after.info.occupied > before.info.occupied / 3,
+            "{:?} {:?}",
+            after.info,
+            before.info
+        );
+        while corrections.try_next().is_some() {}
+        let found = tokio::time::timeout(DEADLINE, async {
+            while way < 7.0 {
+                drive(&mut way).await;
+            }
+            corrections.next().await.unwrap().message
+        });
+        let correction = found.await.unwrap();
+        let off = correction
+            .map_from_base
+            .distance(&Pose2::new(correction.stamp.as_secs() - 10.0, 0.0, 0.0));
+        assert!(off < 0.06, "{correction:?}: {off} m off");
+        shutdown.trigger();
+        service.await.unwrap().unwrap();
+        router.close().await;
+    }
 }

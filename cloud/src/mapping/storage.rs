@@ -115,7 +115,10 @@ impl Service {
         let Some(folder) = self.config.folder.clone() else {
             return;
         };
-        if self.not_kept.is_some_and(|then| now.secs_since(then) < KEEP_AGAIN && now >= then) {
+        if self
+            .not_kept
+            .is_some_and(|then| now.secs_since(then) < KEEP_AGAIN && now >= then)
+        {
             return;
         }
         if let Some(kept) = self.core.kept(anyway) {
@@ -143,7 +146,11 @@ impl Service {
             Ok(Err(error)) => error.to_string(),
             Err(error) => error.to_string(),
         };
-        tracing::error!(robot = self.config.robot, reason, "the session of SLAM is not kept: after a restart its map is as it was before");
+        tracing::error!(
+            robot = self.config.robot,
+            reason,
+            "the session of SLAM is not kept: after a restart its map is as it was before"
+        );
         self.not_kept = Some(now);
         self.core.was_not_kept();
     }
