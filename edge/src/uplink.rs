@@ -123,8 +123,9 @@ impl Sieve {
 mod tests {
     use super::*;
 
-    /// A link of `rate` times what the robot says, with a round trip of `delay` s: the share and the queue, s, at each beat of 0.1 s.
-    fn drive(uplink: &mut Uplink, rate: f64, delay: f64, secs: f64) -> Vec<(f64, f64)> {
+    /// A link of `rate` times what the robot says, with a round trip of `delay` s, from a time (s) on: the share and the queue, s, at each beat of
+    /// 0.1 s.
+    fn drive(uplink: &mut Uplink, from: f64, (rate, delay): (f64, f64), secs: f64) -> Vec<(f64, f64)> {
         let mut found: Vec<(f64, f64)> = Vec::new();
         for beat in 0..(10.0 * secs) as usize {
             let queue = found.last().map_or(0.0, |(_, queue)| *queue);
@@ -138,7 +139,7 @@ mod tests {
             };
             let newest = found.iter().enumerate().rev().find(came);
             if let Some((_, (_, queue))) = newest {
-                let now = Stamp::from_secs(1000.0 + 0.1 * beat as f64);
+                let now = Stamp::from_secs(from + 0.1 * beat as f64);
                 uplink.measured(now, Duration::from_secs_f64(delay + queue));
             }
         }
@@ -152,7 +153,7 @@ mod tests {
     #[test]
     fn a_link_that_carries_everything_gets_everything_however_long_it_is() {
         for delay in [0.0, 0.3, 1.0, 5.0] {
-            let found = drive(&mut uplink(), 1.1, delay, 120.0);
+            let found = drive(&mut uplink(), 0.0, (1.1, delay), 120.0);
             assert!(found.iter().all(|(share, _)| *share == 1.0), "{delay}");
         }
     }
@@ -160,7 +161,7 @@ mod tests {
     #[test]
     fn a_narrow_link_gets_what_it_carries_and_its_queue_stays_short() {
         for (rate, delay) in [(0.25, 0.01), (0.25, 0.3), (0.1, 0.05), (0.7, 0.1)] {
-            let found = drive(&mut uplink(), rate, delay, 200.0);
+            let found = drive(&mut uplink(), 0.0, (rate, delay), 200.0);
             let settled = &found[600..];
             let mean = |of: fn(&(f64, f64)) -> f64| settled.iter().map(of).sum::<f64>() / settled.len() as f64;
             let (share, queue) = (mean(|found| found.0), mean(|found| found.1));
@@ -172,9 +173,9 @@ mod tests {
     #[test]
     fn a_link_that_widens_is_used_again() {
         let mut uplink = uplink();
-        drive(&mut uplink, 0.2, 0.05, 60.0);
+        drive(&mut uplink, 0.0, (0.2, 0.05), 60.0);
         assert!(uplink.share() < 0.5);
-        drive(&mut uplink, 2.0, 0.05, 60.0);
+        drive(&mut uplink, 60.0, (2.0, 0.05), 60.0);
         assert!((uplink.share() - 1.0).abs() < 1e-9);
     }
 

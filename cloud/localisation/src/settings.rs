@@ -83,7 +83,7 @@ zenav_protocol::settings! {
         /// Places that score this much less than the best one are of no interest either.
         pub within: f64 = 0.1, "", 0.0..=1.0;
         /// Places that are looked at closely, best first.
-        pub places: u32 = 40, "", 1..=1000;
+        pub places: u32 = 100, "", 1..=1000;
         /// Places nearer than this are one.
         pub apart: f64 = 0.5, "m", 0.01..=100.0;
         /// Headings nearer than this are one.

@@ -5,9 +5,9 @@
 //! with the highest bound is split next (branch and bound, best first; Hess et al. 2016). What comes out first is the best of all, not a
 //! good one.
 //!
-//! A block of `2^k` positions each way and `s` headings is bounded from its middle heading: its points lie within `s / 2` cells of where that
-//! puts them, so that a square of `2^k + s` cells holds them all, which for `s` up to `2^k` is a block of the next level. Points beyond the
-//! window's [lever](Window::lever) move by more, and are looked up on a level above that for each doubling.
+//! A block of `2^k` positions each way and `s` headings is bounded from its middle heading: its points lie within `(s - 1) / 2` cells of where
+//! that puts them, so that a square of `2^k + s - 1` cells holds them all. Points beyond the window's [lever](Window::lever) move by twice as
+//! much, by four times as much, and so on.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
@@ -17,7 +17,7 @@ use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::grid::GridSpec;
 
 use crate::field::placed;
-use crate::pyramid::Pyramid;
+use crate::pyramid::{Pyramid, Table};
 
 /// Finest and coarsest step of headings, rad.
 const STEPS: (f64, f64) = (1e-3, 0.2);
@@ -156,29 +156,34 @@ pub fn search_among(pyramid: &Pyramid, places: Option<&Pyramid>, points: &[Point
     let cells = |side: f64| (side.max(0.0) / spec.resolution).floor().min(1e6) as i32;
     let (reach, across) = (cells(window.reach), cells(window.across));
     let middle = (window.center.position() - spec.origin) / spec.resolution;
-    let middle = (middle.x.floor() as i64, middle.y.floor() as i64);
+    let middle = (middle.x.floor() as i32, middle.y.floor() as i32);
     let full = 255.0 * points.len() as f64;
     let score_of = |share: f64| (share * full).ceil().max(0.0) as u32;
     let mut least = score_of(window.min_score);
+    // For each level the tables of what points can meet, by how far out they are: those beyond all tables can meet anything.
+    let tables: Vec<Vec<Option<&Table>>> = (0..=pyramid.highest())
+        .map(|level| {
+            let spread = (1_u32 << headings.span(level)) - 1;
+            let of_class = |class| pyramid.table((1 << level) + (spread << class));
+            (0..headings.classes).map(of_class).collect()
+        })
+        .collect();
     // What a block scores at most; nothing where it cannot count.
     let bounded = |level: u32, heading: u32, x: i32, y: i32, least: u32| -> Option<u32> {
-        let is_place = |places: &Pyramid| places.bound(level, middle.0 + i64::from(x), middle.1 + i64::from(y)) > 0;
+        let is_place = |places: &Pyramid| places.bound(1 << level, middle.0 + x, middle.1 + y) > 0;
         if !places.is_none_or(is_place) {
             return None;
         }
-        let span = headings.span(level);
         let (mut bound, mut left) = (0, points.len() as u32);
-        for (class, cells) in (0..).zip(headings.cells(span, heading)) {
+        let tables = &tables[level as usize];
+        for (cells, table) in headings.cells(headings.span(level), heading).iter().zip(tables) {
             left -= cells.len() as u32;
             let rest = left * u32::from(u8::MAX);
             let needed = least.saturating_sub(bound + rest);
-            bound += if span == 0 {
-                pyramid.sum(level, cells, x, y, needed)
-            } else if level + 1 + class <= pyramid.highest() {
-                let away = 1 << (span - 1 + class);
-                pyramid.sum(level + 1 + class, cells, x - away, y - away, needed)
-            } else {
-                cells.len() as u32 * u32::from(u8::MAX)
+            bound += match table {
+                _ if level == 0 => pyramid.sum(cells, x, y, needed),
+                Some(table) => table.sum(cells, x, y, needed),
+                None => cells.len() as u32 * u32::from(u8::MAX),
             };
             if bound + rest < least {
                 return None;
@@ -197,8 +202,7 @@ pub fn search_among(pyramid: &Pyramid, places: Option<&Pyramid>, points: &[Point
 
     // Blocks at the start are no larger than the window is wide, and reach over all of it.
     let wide = reach.max(across) as u32;
-    let levels = pyramid.highest().saturating_sub(u32::from(headings.grouped > 0));
-    let top = (32 - wide.leading_zeros()).min(levels);
+    let top = (32 - wide.leading_zeros()).min(pyramid.highest());
     let mut frontier = Frontier {
         is_deep: window.within < 1.0,
         ..Frontier::default()
@@ -341,9 +345,12 @@ fn keep(found: &mut Vec<(u32, Candidate)>, score: u32, candidate: Candidate, win
 /// The cells of points, by how far out the points are: those within the lever first.
 type ByDistance = Vec<Vec<(i32, i32)>>;
 
-/// The headings of a window, and the cells of the points from each and from the middle of each group of them.
+/// The headings of a window, and the cells of the points from each and from the middle of each group of them: the lower left corner of where
+/// the group spreads them.
 struct Headings {
     count: u32,
+    /// Into how many classes points fall by how far out they are, each twice as far as the one before.
+    classes: u32,
     first: f64,
     step: f64,
     /// Headings are grouped by up to two to this power.
@@ -368,6 +375,7 @@ impl Headings {
         };
         let mut headings = Self {
             count,
+            classes: 0,
             first: -turns * step,
             step,
             grouped,
@@ -387,18 +395,22 @@ impl Headings {
             }
             classes[class].push(point);
         }
+        headings.classes = classes.len() as u32;
         for span in 0..=grouped {
             let size = 1_u32 << span;
             let groups = (0..count.div_ceil(size)).map(|group| {
                 let middle = f64::from(group * size) + 0.5 * f64::from(size - 1);
                 let yaw = window.center.yaw + headings.first + middle * step;
-                let cell = |point: &Point2<f64>| {
-                    let at = (point - spec.origin) / spec.resolution;
-                    (at.x.floor() as i32, at.y.floor() as i32)
-                };
                 let center = Pose2::new(window.center.x, window.center.y, yaw);
-                let of_class = |points: &Vec<_>| placed(center, points).iter().map(cell).collect();
-                classes.iter().map(of_class).collect()
+                let of_class = |(class, points): (u32, &Vec<_>)| {
+                    let away = 0.5 * f64::from((size - 1) << class);
+                    let cell = |point: Point2<f64>| {
+                        let at = (point - spec.origin) / spec.resolution;
+                        ((at.x - away).floor() as i32, (at.y - away).floor() as i32)
+                    };
+                    placed(center, points).into_iter().map(cell).collect()
+                };
+                (0..).zip(&classes).map(of_class).collect()
             });
             let groups = groups.collect();
             headings.cells.push(groups);
@@ -408,7 +420,7 @@ impl Headings {
 
     /// Two to this power headings are in a block of a level.
     fn span(&self, level: u32) -> u32 {
-        level.min(self.grouped)
+        level.saturating_sub(1).min(self.grouped)
     }
 
     /// The cells of the points, at the middle of the window, from the group that begins with a heading.

@@ -56,6 +56,10 @@ pub struct Effects {
     pub is_inserted: bool,
     /// Score of the match, 0 to 1, where there was one that counts.
     pub score: Option<f64>,
+    /// Whether it is the first of all: there is nothing yet that it could be matched to.
+    pub is_first: bool,
+    /// Points that the scan saw.
+    pub points: usize,
     /// Whether a wide search was needed.
     pub is_searched: bool,
     /// Direction in the map, rad, along which the scan does not know the position.
@@ -241,6 +245,11 @@ impl Slam {
         let effects = Effects {
             pose,
             score: is_match.then_some(refined.score),
+            points: seen.len(),
+            degenerate: refined
+                .degenerate
+                .filter(|_| is_match)
+                .map(|along| along.y.atan2(along.x) + poses[submap.anchor].yaw),
             covariance: is_match.then(|| self.covariance(&refined, pose)).flatten(),
             ..Effects::default()
         };
@@ -284,6 +293,7 @@ impl Slam {
         self.stand(stamp, 0, Pose2::IDENTITY, Vec::new());
         let effects = Effects {
             pose: self.start,
+            is_first: true,
             is_inserted: true,
             ..Effects::default()
         };
@@ -323,6 +333,7 @@ impl Slam {
         let active = self.active();
         let mut effects = Effects {
             is_inserted: true,
+            points: seen.len(),
             ..Effects::default()
         };
         let anchor = self.submaps[active].anchor;

@@ -12,6 +12,7 @@ use zenav_slam::SlamSettings;
 
 use super::localised_poses::LocalisedPoses;
 use super::slam_poses::SlamPoses;
+use super::slam_session::{Kept, Stored};
 
 /// A correction goes out after so much way, m, and turning, rad, and not more often than in so many seconds at rest: errors of one place
 /// against one map are the same each time, and sending them again would make the robot too sure.
@@ -115,6 +116,28 @@ impl Pace {
     }
 }
 
+/// The health is told again after this time, s, however it is.
+const STATED_AGAIN: f64 = 1.0;
+
+/// When was the health stated last, and how was it then?
+#[derive(Clone, Debug, Default)]
+pub(super) struct Statements(Option<(Stamp, Health)>);
+
+impl Statements {
+    /// Whether the health is another than was stated last, or it is time to state it again; it then counts as stated.
+    pub(super) fn is_due(&mut self, now: Stamp, health: &Health) -> bool {
+        let is_due = self.0.as_ref().is_none_or(|(then, last)| {
+            std::mem::discriminant(last) != std::mem::discriminant(health)
+                || now.secs_since(*then) >= STATED_AGAIN
+                || now < *then
+        });
+        if is_due {
+            self.0 = Some((now, health.clone()));
+        }
+        is_due
+    }
+}
+
 #[derive(Debug)]
 enum Poses {
     Edge,
@@ -173,15 +196,46 @@ impl MappingCore {
         }
     }
 
+    /// Goes on with a session of SLAM that was kept; its map is drawn into the present one, which is empty.
+    #[must_use]
+    pub(super) fn going_on(mut self, stored: Stored) -> Self {
+        self.poses = Poses::Slam(Box::new(SlamPoses::go_on(self.settings.slam, stored, &mut self.mapper)));
+        self
+    }
+
+    /// What of SLAM is to be on disk before anything more is published, where that is due, or something is new and it is asked for `anyway`.
+    pub(super) fn kept(&mut self, anyway: bool) -> Option<Kept> {
+        match &mut self.poses {
+            Poses::Slam(slam) => slam.kept(anyway),
+            Poses::Edge | Poses::Localised(_) => None,
+        }
+    }
+
+    /// What [`Self::kept`] handed out last is not on disk.
+    pub(super) fn was_not_kept(&mut self) {
+        if let Poses::Slam(slam) = &mut self.poses {
+            slam.was_not_kept();
+        }
+    }
+
+    /// The frame of the map and where its parts lie, where a session went on.
+    pub(super) fn frame_at_start(&mut self) -> Option<MapFrame> {
+        match &mut self.poses {
+            Poses::Slam(slam) => slam.untold(&self.mapper, Stamp::ZERO),
+            Poses::Edge | Poses::Localised(_) => None,
+        }
+    }
+
     /// Takes in which frame of the map the robot is, as its newest state says. Where that is a later one than any that began here, the map
     /// goes on in it: it was made by an earlier run.
     pub fn hear_frame(&mut self, robot_frame: u64) {
         self.robot_frame = robot_frame;
         if robot_frame > self.mapper.map().frame {
-            self.mapper.set_frame(robot_frame);
-            if let Poses::Slam(slam) = &mut self.poses {
-                slam.number_from(robot_frame);
-            }
+            let frame = match &mut self.poses {
+                Poses::Slam(slam) => slam.number_from(robot_frame),
+                Poses::Edge | Poses::Localised(_) => robot_frame,
+            };
+            self.mapper.set_frame(frame);
         }
     }
 
@@ -282,7 +336,8 @@ impl MappingCore {
     #[must_use]
     pub fn health(&self) -> Health {
         match &self.poses {
-            Poses::Edge | Poses::Slam(_) => Health::Tracking,
+            Poses::Edge => Health::Tracking,
+            Poses::Slam(slam) => slam.health().clone(),
             Poses::Localised(localised) => localised.health().clone(),
         }
     }

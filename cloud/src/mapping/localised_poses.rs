@@ -8,12 +8,8 @@ use zenav_mapping::{Insertion, Mapper};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::messages::{Health, Localisation, Scan};
-use zenav_protocol::time::Stamp;
 
-use super::core::{Measured, Pace, Posed};
-
-/// The health is told again after this time, s, however it is.
-const TOLD_AGAIN: f64 = 1.0;
+use super::core::{Measured, Pace, Posed, Statements};
 
 /// Localisation beside a robot.
 #[derive(Debug)]
@@ -22,7 +18,7 @@ pub(super) struct LocalisedPoses {
     boot_id: String,
     map_from_odom: Pose2,
     pace: Pace,
-    told: Option<(Stamp, Health)>,
+    statements: Statements,
 }
 
 impl LocalisedPoses {
@@ -32,7 +28,7 @@ impl LocalisedPoses {
             boot_id: String::new(),
             map_from_odom: Pose2::IDENTITY,
             pace: Pace::default(),
-            told: None,
+            statements: Statements::default(),
         }
     }
 
@@ -101,22 +97,15 @@ impl LocalisedPoses {
 
     /// The statement of health, where it changed or is due.
     fn localisation(&mut self, scan: &Scan, located: &Located) -> Option<Localisation> {
-        let is_due = self.told.as_ref().is_none_or(|(then, health)| {
-            std::mem::discriminant(health) != std::mem::discriminant(&located.health)
-                || scan.stamp.secs_since(*then) >= TOLD_AGAIN
-                || scan.stamp < *then
-        });
-        if !is_due {
-            return None;
-        }
-        self.told = Some((scan.stamp, located.health.clone()));
-        Some(Localisation {
-            stamp: scan.stamp,
-            boot_id: self.boot_id.clone(),
-            health: located.health.clone(),
-            map_from_base: located.pose,
-            agreeing: located.evidence.agreeing,
-            through_walls: located.evidence.through_walls,
-        })
+        self.statements
+            .is_due(scan.stamp, &located.health)
+            .then(|| Localisation {
+                stamp: scan.stamp,
+                boot_id: self.boot_id.clone(),
+                health: located.health.clone(),
+                map_from_base: located.pose,
+                agreeing: located.evidence.agreeing,
+                through_walls: located.evidence.through_walls,
+            })
     }
 }

@@ -7,6 +7,7 @@
 //! | `annotations` | which places and zones does the map have? |
 //! | `core` | from which poses are scans drawn, and what is the robot told? |
 //! | `slam_poses`, `localised_poses` | the same by SLAM, by localisation in a known map |
+//! | `slam_session` | what of SLAM outlives its process? |
 //! | `authority` | may this request change the map? |
 //! | `requests` | answers, each change once |
 //! | `encodings` | the map as JSON, CBOR, PNG, PGM or YAML |
@@ -21,6 +22,7 @@ mod localised_poses;
 mod metrics;
 mod requests;
 mod slam_poses;
+mod slam_session;
 mod storage;
 #[cfg(test)]
 mod tests;
@@ -31,7 +33,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use thiserror::Error;
-use tokio::task::JoinSet;
+use tokio::task::{JoinHandle, JoinSet};
 use zenav_mapping::{Insertion, MappingSettings};
 use zenav_observability::trace::{self, Context};
 use zenav_protocol::SCHEMA_VERSION;
@@ -57,6 +59,7 @@ use authority::Authority;
 pub use core::{Mapped, MappingCore, PoseSettings, PoseSource};
 use metrics::MappingMetrics;
 use requests::FirstAnswers;
+use slam_session::KeepError;
 
 /// Configuration of one robot's mapping.
 #[derive(Clone, Debug, PartialEq)]
@@ -132,7 +135,7 @@ const FOREIGN: Duration = Duration::from_secs(5);
 /// Maps for one robot until shutdown, or until the bus is closed.
 ///
 /// A stored map is loaded and held: it is published, but not changed before a `resume` or `reset`. A stored map that cannot be read is
-/// reported and left alone, and a new one is begun.
+/// reported and left alone, and a new one is begun. SLAM goes on with the session that it has kept, if there is one.
 ///
 /// # Errors
 /// [`MappingError`] for settings out of bounds, annotations that cannot be read, and when a key cannot be declared.
@@ -146,8 +149,11 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
     let mut states = bus.latest(&STATE, &chunks)?;
     let mut requests = bus.serve(&MAP, &chunks)?;
     let mut places = bus.serve(&LOCALISE, &chunks)?;
-    let mapper = storage::begin(&config).await;
-    loaded.met();
+    let stored = storage::session(&config).await;
+    let mapper = match &stored {
+        Some(_) => storage::empty(&config),
+        None => storage::begin(&config).await,
+    };
     if config.poses.source == PoseSource::Localise && !mapper.is_stored() {
         let folder = config.folder.as_ref();
         return Err(MappingError::NoMap(folder.map_or_else(
@@ -155,6 +161,11 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
             |folder| folder.display().to_string(),
         )));
     }
+    let mut core = MappingCore::new(mapper, &config.poses);
+    if let Some(stored) = stored {
+        core = core.going_on(stored);
+    }
+    loaded.met();
     let mut annotates = bus.serve(&ANNOTATE, &chunks)?;
     let mut service = Service {
         info: bus.publisher(&MAP_INFO, &chunks)?,
@@ -163,7 +174,10 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
         frame: MapFrame::default(),
         corrections: bus.publisher(&CORRECTION, &chunks)?,
         localisation: bus.publisher(&LOCALISATION, &chunks)?,
-        core: MappingCore::new(mapper, &config.poses),
+        core,
+        keeping: None,
+        kept_frame: 0,
+        not_kept: None,
         boot_id: String::new(),
         is_foreign: false,
         annotations: AnnotationBook::open(config.places.clone(), &config.zones, config.folder.as_deref())?,
@@ -180,6 +194,11 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
         config,
     };
     let _alive = bus.declare_alive(alive_key(ALIVE_COMPONENT, &[&robot, "mapping"]))?;
+    service.keep(clock.now(), false).await;
+    if let Some(frame) = service.core.frame_at_start() {
+        service.frames.put(&frame);
+        service.frame = frame;
+    }
     service.publish(clock.now());
     service.tell_info();
     service.annotations_topic.put(service.annotations.now());
@@ -210,7 +229,7 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
                 None => break,
             },
             scan = scans.next(), if !service.is_foreign => match scan {
-                Some(scan) => service.insert(&scan.message, scan.trace, clock.now()),
+                Some(scan) => service.insert(&scan.message, scan.trace, clock.now()).await,
                 None => break,
             },
             scan = further_scans.next(), if !service.is_foreign => match scan {
@@ -231,6 +250,7 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
         }
     }
     service.publish(clock.now());
+    service.keep(clock.now(), true).await;
     // Replies that are being encoded are still sent; the deadline for the whole exit is the caller's.
     while service.encoding.join_next().await.is_some() {}
     Ok(())
@@ -277,6 +297,12 @@ async fn ask_body(bus: &Bus, robot: &str, after: Duration) -> Body {
 struct Service {
     config: MappingConfig,
     core: MappingCore,
+    /// The session of SLAM that is being written.
+    keeping: Option<JoinHandle<Result<(), KeepError>>>,
+    /// Its frame.
+    kept_frame: u64,
+    /// When it could not be written.
+    not_kept: Option<Stamp>,
     /// The robot's present boot.
     boot_id: String,
     /// Whether the robot speaks another schema: its scans may not mean what they seem to.
@@ -313,12 +339,14 @@ impl Service {
         self.authority.hear(now, state.lease);
     }
 
-    fn insert(&mut self, scan: &Scan, trace: Option<Context>, now: Stamp) {
+    async fn insert(&mut self, scan: &Scan, trace: Option<Context>, now: Stamp) {
         let boot_id = self.boot_id.clone();
         let mapped = self.draw(scan, trace, now, |core| {
             let mapped = core.insert(scan, &boot_id);
             (mapped.insertion, mapped)
         });
+        // Whoever comes after this process must know every frame that anybody was told of.
+        self.keep(now, false).await;
         if let Some(frame) = mapped.frame {
             self.tell_frame(frame, now);
         }

@@ -113,9 +113,18 @@ impl Service {
     async fn act(&mut self, request: &MapRequest, now: Stamp) -> Answer {
         match request.action {
             MapAction::Get | MapAction::List => {}
-            MapAction::Save => self.save(request.name.as_deref()).await?,
-            MapAction::Load => self.load(request).await?,
-            MapAction::Reset => self.core.reset(storage::new_map_id(&self.config.robot)),
+            MapAction::Save => {
+                self.save(request.name.as_deref()).await?;
+                self.keep(now, true).await;
+            }
+            MapAction::Load => {
+                self.load(request).await?;
+                self.forget_session(now).await?;
+            }
+            MapAction::Reset => {
+                self.forget_session(now).await?;
+                self.core.reset(storage::new_map_id(&self.config.robot));
+            }
             MapAction::Resume => self.core.mapper.resume(),
             MapAction::Hold => self.core.mapper.hold(),
             MapAction::Forget => self.core.mapper.decay_now(),

@@ -3,16 +3,18 @@
 //! [`Slam`] gives each scan a pose. A loop closure moves older scans too: the map is then drawn anew beside the old one, some scans with
 //! each scan that comes, and takes its place when it is complete. Until then everything stays in the old map: nobody sees half of either.
 //! With the new map the next **frame** begins: the robot is told how its surroundings moved, all others where each part of the map lies now.
+//! A process that comes after this one goes on with what was [kept](SlamPoses::kept), in the same frame.
 
 use std::collections::VecDeque;
 
 use zenav_mapping::{Insertion, Mapper};
 use zenav_protocol::geometry::{Pose2, wrap_angle};
-use zenav_protocol::messages::{MOST_MOVES, MapFrame, Scan};
+use zenav_protocol::messages::{Health, Localisation, MOST_MOVES, MapFrame, Scan};
 use zenav_protocol::time::Stamp;
 use zenav_slam::{Effects, Slam, SlamSettings};
 
-use super::core::{Measured, Pace, Posed};
+use super::core::{Measured, Pace, Posed, Statements};
+use super::slam_session::{Head, Kept, Stored};
 
 /// Scans of the old map that are drawn anew with each new scan.
 const REDRAWN_A_STEP: usize = 200;
@@ -21,6 +23,10 @@ const SMALLEST_MOVE: (f64, f64) = (0.01, 0.002);
 
 /// A robot that has not heard of the frame in force is told again after this time, s.
 const TOLD_AGAIN: f64 = 0.3;
+/// The session is kept after so many new nodes: a process that comes after finds the robot at most two metres on.
+const KEPT_AFTER: usize = 20;
+/// Scans in a row that fit nowhere before the robot is lost, and from how many points a scan says something.
+const CONTRADICTIONS: (u32, usize) = (5, 40);
 
 /// The map drawn anew, so far.
 #[derive(Clone, Debug)]
@@ -53,6 +59,14 @@ pub(super) struct SlamPoses {
     parts: Vec<Pose2>,
     /// Whether frame or parts are others than was told.
     is_untold: bool,
+    /// How many of the scans were handed out to be kept.
+    kept: usize,
+    /// Whether what was kept last was of an older frame, or of another map.
+    is_overdue: bool,
+    /// Scans in a row that fit nowhere.
+    contradictions: u32,
+    health: Health,
+    statements: Statements,
 }
 
 impl SlamPoses {
@@ -71,7 +85,73 @@ impl SlamPoses {
             map_from_odom: Pose2::IDENTITY,
             boot_id: String::new(),
             pace: Pace::default(),
+            kept: 0,
+            is_overdue: true,
+            contradictions: 0,
+            health: Health::Tracking,
+            statements: Statements::default(),
         }
+    }
+
+    /// Goes on with a session that was kept, and draws its map into an empty one. Where a closure had moved the map, and it was not drawn
+    /// anew yet, the next frame begins.
+    pub(super) fn go_on(settings: SlamSettings, stored: Stored, mapper: &mut Mapper) -> Self {
+        let Stored { head, slam, scans } = stored;
+        let mut poses = Self {
+            parts: slam.parts(),
+            moves: head.moves.into(),
+            map_from_odom: head.map_from_odom,
+            new_from_drawn: head.new_from_drawn,
+            boot_id: head.boot_id,
+            kept: scans.len(),
+            is_overdue: false,
+            slam: Some(slam),
+            scans,
+            ..Self::new(settings, head.frame)
+        };
+        mapper.set_frame(head.frame);
+        poses.redraw = Some(Redraw {
+            mapper: mapper.redrawing(),
+            drawn: 0,
+        });
+        let is_moved = poses.new_from_drawn != Pose2::IDENTITY;
+        while poses.draw_some() {}
+        poses.swap(mapper);
+        if is_moved {
+            poses.begin_frame(mapper);
+        }
+        poses
+    }
+
+    /// What is to be on disk before anything more is published; nothing while what was kept last is recent enough, or `anyway`.
+    pub(super) fn kept(&mut self, anyway: bool) -> Option<Kept> {
+        let slam = self.slam.as_ref()?;
+        let is_due = self.is_overdue || self.scans.len() >= self.kept + KEPT_AFTER;
+        if !is_due && !(anyway && self.scans.len() > self.kept) {
+            return None;
+        }
+        let session = match slam.save() {
+            Ok(session) => session,
+            Err(error) => {
+                tracing::warn!(%error, "the session of SLAM is not kept");
+                return None;
+            }
+        };
+        let first = std::mem::replace(&mut self.kept, self.scans.len());
+        self.is_overdue = false;
+        Some(Kept {
+            head: Head {
+                frame: self.frame,
+                moves: self.moves.iter().copied().collect(),
+                new_from_drawn: self.new_from_drawn,
+                map_from_odom: self.map_from_odom,
+                boot_id: self.boot_id.clone(),
+                scans: self.scans.len(),
+            },
+            session,
+            first,
+            scans: self.scans[first..].to_vec(),
+        })
     }
 
     /// Begins anew: the next scan is the first.
@@ -110,13 +190,51 @@ impl SlamPoses {
         self.note_new_parts();
         let pose = self.new_from_drawn.inverse() * effects.pose;
         self.map_from_odom = pose * scan.odom_from_base.inverse();
-        let insertion = mapper.insert(&self.placed(scan));
+        self.judge(&effects);
+        let insertion = if self.health.is_trusted() {
+            mapper.insert(&self.placed(scan))
+        } else {
+            Insertion::Held
+        };
         let was_redrawn = self.draw_on(mapper);
-        let measured = self.measured(scan, &effects, was_redrawn, robot_frame);
         Posed {
-            measured,
-            ..Posed::only(insertion)
+            insertion,
+            measured: self.measured(scan, &effects, was_redrawn, robot_frame),
+            localisation: self.localisation(scan, &effects),
         }
+    }
+
+    /// Whether the last pose can be trusted.
+    pub(super) fn health(&self) -> &Health {
+        &self.health
+    }
+
+    /// What a scan says of the robot's health. One that sees little says nothing: then odometry alone counts, as along a corridor.
+    fn judge(&mut self, effects: &Effects) {
+        if effects.score.is_some() {
+            self.contradictions = 0;
+        } else if effects.points >= CONTRADICTIONS.1 && !effects.is_first {
+            self.contradictions += 1;
+        }
+        self.health = match effects.degenerate {
+            _ if self.contradictions >= CONTRADICTIONS.0 => Health::Lost,
+            Some(direction) => Health::Degraded {
+                direction: direction - self.new_from_drawn.yaw,
+            },
+            None => Health::Tracking,
+        };
+    }
+
+    /// The statement of health, where it changed or is due.
+    fn localisation(&mut self, scan: &Scan, effects: &Effects) -> Option<Localisation> {
+        self.statements.is_due(scan.stamp, &self.health).then(|| Localisation {
+            stamp: scan.stamp,
+            boot_id: self.boot_id.clone(),
+            health: self.health.clone(),
+            map_from_base: self.map_from_odom * scan.odom_from_base,
+            agreeing: effects.score.unwrap_or(0.0),
+            through_walls: 0.0,
+        })
     }
 
     /// The scan from the pose that SLAM gives the robot: those of further lidars, too.
@@ -133,11 +251,19 @@ impl SlamPoses {
         (self.frame, self.moves.iter().copied().collect(), is_too_old)
     }
 
-    /// The robot is in a later frame than any that began here: the map that it makes goes on in that one.
-    pub(super) fn number_from(&mut self, frame: u64) {
-        self.frame = frame;
+    /// The robot is in a later frame than any that began here: a map that has not begun does so in that one. A map that goes on is another than the
+    /// robot's: it has the frame after it, into which no move leads. Returns the frame.
+    pub(super) fn number_from(&mut self, robot_frame: u64) -> u64 {
+        self.frame = robot_frame + u64::from(self.slam.is_some());
         self.moves.clear();
         self.is_untold = true;
+        self.is_overdue = true;
+        self.frame
+    }
+
+    /// What was handed out last is not on disk: the next time everything is.
+    pub(super) fn was_not_kept(&mut self) {
+        self.kept = 0;
     }
 
     /// Frame and parts, where they are others than was told.
@@ -195,6 +321,17 @@ impl SlamPoses {
 
     /// Draws some more scans anew; true when the new map has just taken the place of the old one.
     fn draw_on(&mut self, mapper: &mut Mapper) -> bool {
+        if self.redraw.is_none() || self.draw_some() {
+            return false;
+        }
+        self.swap(mapper);
+        self.map_from_odom = self.new_from_drawn * self.map_from_odom;
+        self.begin_frame(mapper);
+        true
+    }
+
+    /// Draws some more scans into the new map; whether there are more.
+    fn draw_some(&mut self) -> bool {
         let (Some(redraw), Some(slam)) = (&mut self.redraw, &self.slam) else {
             return false;
         };
@@ -209,27 +346,35 @@ impl SlamPoses {
             });
         }
         redraw.drawn = end;
-        if end < self.scans.len() {
-            return false;
-        }
+        end < self.scans.len()
+    }
+
+    /// The new map takes the place of the old one.
+    fn swap(&mut self, mapper: &mut Mapper) {
         if let Some(Redraw { mapper: new, .. }) = self.redraw.take() {
             *mapper = new.succeed(mapper);
         }
-        self.map_from_odom = self.new_from_drawn * self.map_from_odom;
+        if let Some(slam) = &self.slam {
+            self.parts = slam.parts();
+        }
+        self.is_untold = true;
+    }
+
+    /// The frame of a map that was drawn anew begins.
+    fn begin_frame(&mut self, mapper: &mut Mapper) {
         self.frame += 1;
         if self.moves.len() == MOST_MOVES {
             self.moves.pop_front();
         }
         self.moves
             .push_back(std::mem::replace(&mut self.new_from_drawn, Pose2::IDENTITY));
-        self.parts = slam.parts();
         self.is_untold = true;
+        self.is_overdue = true;
         mapper.set_frame(self.frame);
-        true
     }
 
     fn measured(&mut self, scan: &Scan, effects: &Effects, was_redrawn: bool, robot_frame: u64) -> Option<Measured> {
-        let covariance = effects.covariance?;
+        let covariance = effects.covariance.filter(|_| self.health.is_trusted())?;
         let map_from_base = self.map_from_odom * scan.odom_from_base;
         if was_redrawn {
             self.pace = Pace::default();

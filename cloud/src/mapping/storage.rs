@@ -1,6 +1,7 @@
 //! Storage. With which map does mapping begin, and how are maps stored and loaded?
 //!
-//! The robot's own map lies in its folder and is the one that the next start begins with; maps with names lie in `maps/NAME` below it.
+//! The robot's own map lies in its folder and is the one that the next start begins with; maps with names lie in `maps/NAME` below it. Where
+//! SLAM makes the map, its session is kept beside it while it grows, and the next start goes on with that.
 
 use std::path::PathBuf;
 
@@ -9,11 +10,53 @@ use zenav_mapping::store::{self, MapRecord, StoredMap};
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{MapRef, MapRequest, Refusal, StoredMapInfo};
+use zenav_protocol::time::Stamp;
 
-use super::{KnownMap, MappingConfig, Service};
+use super::slam_session::{self, KeepError, Stored};
+use super::{KnownMap, MappingConfig, PoseSource, Service};
 
 /// Folder of the maps with names, in a robot's folder.
 const MAPS: &str = "maps";
+
+/// Pause after a session could not be kept, s.
+const KEEP_AGAIN: f64 = 10.0;
+
+/// The session of SLAM that goes on, where there is one.
+pub(super) async fn session(config: &MappingConfig) -> Option<Stored> {
+    let goes_on = config.poses.source == PoseSource::Slam && config.known.is_none();
+    let folder = config.folder.clone().filter(|_| goes_on)?;
+    let robot = &config.robot;
+    let read = tokio::task::spawn_blocking(move || {
+        slam_session::read(&folder).inspect_err(|_| {
+            // What cannot be read is left to a person: the new session does not take its place.
+            if let Err(error) = slam_session::set_aside(&folder) {
+                tracing::error!(%error, "the session of SLAM that cannot be read is not set aside");
+            }
+        })
+    });
+    match read.await {
+        Ok(Ok(stored)) => {
+            if let Some(stored) = &stored {
+                let (nodes, frame) = (stored.scans.len(), stored.head.frame);
+                tracing::info!(robot, nodes, frame, "SLAM goes on with its session");
+            }
+            stored
+        }
+        Ok(Err(error)) => {
+            tracing::error!(robot, %error, "the session of SLAM cannot be read and is set aside: SLAM begins a new map");
+            None
+        }
+        Err(error) => {
+            tracing::error!(robot, %error, "reading the session of SLAM failed: it begins a new map");
+            None
+        }
+    }
+}
+
+/// An empty map, for a session that goes on.
+pub(super) fn empty(config: &MappingConfig) -> Mapper {
+    Mapper::new(config.settings.clone(), new_map_id(&config.robot))
+}
 
 /// The map that was given, or the stored map, or a new one.
 pub(super) async fn begin(config: &MappingConfig) -> Mapper {
@@ -48,7 +91,7 @@ pub(super) async fn begin(config: &MappingConfig) -> Mapper {
             Err(error) => tracing::error!(robot, %error, "loading the stored map failed: mapping begins a new one"),
         }
     }
-    Mapper::new(config.settings.clone(), new_map_id(robot))
+    empty(config)
 }
 
 /// A map that none was before.
@@ -66,6 +109,64 @@ pub(super) fn new_map_id(robot: &str) -> String {
 }
 
 impl Service {
+    /// Keeps the session of SLAM where that is due. A session of a new frame, and what is kept `anyway`, is on disk when this returns; otherwise
+    /// it is written beside what goes on here.
+    pub(super) async fn keep(&mut self, now: Stamp, anyway: bool) {
+        let Some(folder) = self.config.folder.clone() else {
+            return;
+        };
+        if self
+            .not_kept
+            .is_some_and(|then| now.secs_since(then) < KEEP_AGAIN && now >= then)
+        {
+            return;
+        }
+        if let Some(kept) = self.core.kept(anyway) {
+            self.was_kept(now).await;
+            let is_new = kept.head.frame != self.kept_frame;
+            self.kept_frame = kept.head.frame;
+            self.keeping = Some(tokio::task::spawn_blocking(move || slam_session::write(&folder, &kept)));
+            if is_new {
+                self.was_kept(now).await;
+            }
+        }
+        if anyway {
+            self.was_kept(now).await;
+        }
+    }
+
+    /// Waits until what is being kept is on disk.
+    async fn was_kept(&mut self, now: Stamp) {
+        let Some(keeping) = self.keeping.take() else { return };
+        let reason = match keeping.await {
+            Ok(Ok(())) => {
+                self.not_kept = None;
+                return;
+            }
+            Ok(Err(error)) => error.to_string(),
+            Err(error) => error.to_string(),
+        };
+        tracing::error!(
+            robot = self.config.robot,
+            reason,
+            "the session of SLAM is not kept: after a restart its map is as it was before"
+        );
+        self.not_kept = Some(now);
+        self.core.was_not_kept();
+    }
+
+    /// Forgets the session of SLAM: another map is to begin.
+    pub(super) async fn forget_session(&mut self, now: Stamp) -> Result<(), Refusal> {
+        self.was_kept(now).await;
+        let Some(folder) = self.config.folder.clone() else {
+            return Ok(());
+        };
+        let removed = tokio::task::spawn_blocking(move || slam_session::remove(&folder)).await;
+        removed
+            .map_err(Refusal::internal)?
+            .map_err(|error| Refusal::internal(KeepError::from(error)))
+    }
+
     /// The folder of a stored map: the robot's own, or the one of this name.
     fn folder(&self, name: Option<&str>) -> Result<PathBuf, Refusal> {
         let Some(folder) = &self.config.folder else {

@@ -1,0 +1,368 @@
+//! Session of SLAM. What of SLAM beside a robot outlives its process?
+//!
+//! Two files in the robot's folder. `slam.scans`: the scan of each node, a line of JSON each, in the order of the nodes; it only grows. `slam.session`:
+//! a line of JSON with the frame and what belongs to it, then the bytes of [`Slam::save`]; it is replaced at once or not at all, after the
+//! scans that it counts on are on disk. What follows them in `slam.scans` belongs to nothing, and goes.
+
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, BufRead, BufReader, Seek, Write};
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+use zenav_mapping::atomic::write_atomically;
+use zenav_mapping::map_file::MapFileError;
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::messages::Scan;
+use zenav_slam::{SessionError, Slam};
+
+/// Poses, measurements and the frame.
+const SESSION: &str = "slam.session";
+/// Scans of the nodes.
+const SCANS: &str = "slam.scans";
+/// Longest line of `slam.scans`, bytes: a scan as it comes over the network.
+const LONGEST: usize = 1 << 20;
+
+/// What belongs to a map by SLAM beside its poses and measurements.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(super) struct Head {
+    /// The frame of the map as it was drawn.
+    pub(super) frame: u64,
+    /// The moves into the last frames, the one into this frame last.
+    pub(super) moves: Vec<Pose2>,
+    /// How the robot's surroundings have moved since the map was drawn.
+    pub(super) new_from_drawn: Pose2,
+    /// The correction of odometry by the last scan, in the drawn map.
+    pub(super) map_from_odom: Pose2,
+    /// The robot's boot that odometry belongs to.
+    pub(super) boot_id: String,
+    /// How many scans belong to it: one for each node.
+    pub(super) scans: usize,
+}
+
+/// What is to be kept: a session, and of its scans those from a node on; the ones before are on disk already.
+#[derive(Clone, Debug)]
+pub(super) struct Kept {
+    pub(super) head: Head,
+    pub(super) session: Vec<u8>,
+    pub(super) first: usize,
+    pub(super) scans: Vec<Scan>,
+}
+
+/// A session as it was read.
+#[derive(Debug)]
+pub(super) struct Stored {
+    pub(super) head: Head,
+    pub(super) slam: Slam,
+    pub(super) scans: Vec<Scan>,
+}
+
+/// Why a session cannot be kept, or gone on with.
+#[derive(Debug, Error)]
+pub(super) enum KeepError {
+    /// A file cannot be read or written.
+    #[error(transparent)]
+    Io(#[from] io::Error),
+    /// A file cannot be replaced.
+    #[error(transparent)]
+    File(#[from] MapFileError),
+    /// What is written there cannot be understood.
+    #[error(transparent)]
+    Json(#[from] serde_json::Error),
+    /// The map is none.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+    /// Scans are missing, or do not belong to the session.
+    #[error("expected {expected} scans in `{SCANS}`, found {found}")]
+    Scans {
+        /// As many as the session has nodes.
+        expected: usize,
+        /// What there is.
+        found: usize,
+    },
+}
+
+/// Keeps a session in a folder; it is on disk when this returns.
+pub(super) fn write(folder: &Path, kept: &Kept) -> Result<(), KeepError> {
+    fs::create_dir_all(folder)?;
+    let file = OpenOptions::new()
+        .read(true)
+        .write(true)
+        .create(true)
+        .truncate(false)
+        .open(folder.join(SCANS))?;
+    let end = end_of(&file, kept.first)?;
+    file.set_len(end)?;
+    let mut lines = Vec::new();
+    for scan in &kept.scans {
+        serde_json::to_writer(&mut lines, scan)?;
+        lines.push(b'\n');
+    }
+    (&file).seek(io::SeekFrom::Start(end))?;
+    (&file).write_all(&lines)?;
+    file.sync_all()?;
+    let mut bytes = serde_json::to_vec(&kept.head)?;
+    bytes.push(b'\n');
+    bytes.extend_from_slice(&kept.session);
+    write_atomically(&folder.join(SESSION), &bytes)?;
+    Ok(())
+}
+
+/// The session of a folder; `None` where there is none.
+pub(super) fn read(folder: &Path) -> Result<Option<Stored>, KeepError> {
+    let bytes = match fs::read(folder.join(SESSION)) {
+        Ok(bytes) => bytes,
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+        Err(error) => return Err(error.into()),
+    };
+    let line = bytes.iter().position(|byte| *byte == b'\n').unwrap_or(bytes.len());
+    let head: Head = serde_json::from_slice(&bytes[..line])?;
+    let slam = Slam::load(bytes.get(line + 1..).unwrap_or_default())?;
+    let expected = slam.nodes().len();
+    let mut scans = Vec::with_capacity(expected);
+    for line in BufReader::new(File::open(folder.join(SCANS))?)
+        .split(b'\n')
+        .take(expected)
+    {
+        scans.push(serde_json::from_slice(&line?)?);
+    }
+    if scans.len() != expected || head.scans != expected {
+        let found = scans.len();
+        return Err(KeepError::Scans { expected, found });
+    }
+    Ok(Some(Stored { head, slam, scans }))
+}
+
+/// Forgets the session of a folder.
+pub(super) fn remove(folder: &Path) -> io::Result<()> {
+    // Without the session the scans are nothing: it goes first.
+    for name in [SESSION, SCANS] {
+        match fs::remove_file(folder.join(name)) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+            _ => {}
+        }
+    }
+    Ok(())
+}
+
+/// Takes a session that cannot be read out of the way.
+pub(super) fn set_aside(folder: &Path) -> io::Result<()> {
+    for name in [SESSION, SCANS] {
+        match fs::rename(folder.join(name), folder.join(format!("{name}.unreadable"))) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+            _ => {}
+        }
+    }
+    Ok(())
+}
+
+/// Where in a file so many lines end, bytes.
+fn end_of(file: &File, lines: usize) -> Result<u64, KeepError> {
+    let mut reader = BufReader::new(file);
+    let (mut end, mut found) = (0, 0);
+    let mut line = Vec::new();
+    while found < lines {
+        line.clear();
+        let count = io::Read::take(&mut reader, LONGEST as u64).read_until(b'\n', &mut line)?;
+        if line.last() != Some(&b'\n') {
+            return Err(KeepError::Scans { expected: lines, found });
+        }
+        end += count as u64;
+        found += 1;
+    }
+    Ok(end)
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use std::time::Duration;
+
+    use zenav_mapping::{Mapper, MappingSettings};
+    use zenav_protocol::bus::{Bus, BusConfig, Clock, Shutdown};
+    use zenav_protocol::messages::{Correction, MapRequest};
+    use zenav_protocol::time::Stamp;
+    use zenav_protocol::topics::{CORRECTION, MAP, SCAN};
+
+    use super::super::core::{MappingCore, PoseSettings, PoseSource};
+    use super::super::{MappingConfig, run};
+    use super::*;
+    use crate::testing::router;
+
+    const DEADLINE: Duration = Duration::from_secs(20);
+    /// Wheels count so much too much.
+    const TOO_FAR: f64 = 1.04;
+
+    /// The scan of a robot that has driven so far along a hall with a few boxes, m; it sees 6 m.
+    fn scan(way: f64) -> Scan {
+        let boxes = [
+            (1.0, 0.8, 1.5, 1.5),
+            (3.2, -1.6, 3.6, -0.9),
+            (5.0, 1.0, 5.8, 1.4),
+            (7.0, -1.5, 7.3, -0.7),
+            (-1.0, -2.0, 10.0, -1.9),
+            (-1.0, 1.9, 10.0, 2.0),
+            (-1.0, -2.0, -0.9, 2.0),
+            (9.9, -2.0, 10.0, 2.0),
+        ];
+        let range = |angle: f64| {
+            let (sin, cos) = angle.sin_cos();
+            let hits = boxes.iter().filter_map(|(left, low, right, high)| {
+                let (x1, x2) = ((left - way) / cos, (right - way) / cos);
+                let (y1, y2) = (low / sin, high / sin);
+                let (enter, leave) = (x1.min(x2).max(y1.min(y2)), x1.max(x2).min(y1.max(y2)));
+                (0.0 < enter && enter <= leave).then_some(enter)
+            });
+            hits.fold(100.0, f64::min) as f32
+        };
+        let angles = (0..360).map(|beam| -3.14 + f64::from(beam) * 0.017_45 + 1e-4);
+        Scan {
+            stamp: Stamp::from_secs(10.0 + way),
+            angle_min: -3.14 + 1e-4,
+            angle_increment: 0.017_45,
+            range_min: 0.02,
+            range_max: 6.0,
+            ranges: angles.map(range).collect(),
+            moving: Vec::new(),
+            base_from_laser: Pose2::IDENTITY,
+            map_from_odom: Pose2::IDENTITY,
+            odom_from_base: Pose2::new(TOO_FAR * way, 0.0, 0.0),
+        }
+    }
+
+    fn settings() -> PoseSettings {
+        PoseSettings {
+            source: PoseSource::Slam,
+            ..PoseSettings::default()
+        }
+    }
+
+    fn core() -> MappingCore {
+        MappingCore::new(Mapper::new(MappingSettings::default(), "new"), &settings())
+    }
+
+    #[test]
+    fn a_frame_is_kept_before_it_is_told_and_goes_on() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut mapping = core();
+        let (mut told, mut before) = (0, mapping.mapper.info());
+        for step in 0..80 {
+            if step == 40 {
+                mapping.bend(|pose| Pose2::new(pose.x, pose.y + 0.5, pose.yaw));
+            }
+            let mapped = mapping.insert(&scan(0.05 * f64::from(step)), "boot");
+            if let Some(kept) = mapping.kept(false) {
+                write(folder.path(), &kept).unwrap();
+                before = mapping.mapper.info();
+            }
+            told = mapped.frame.map_or(told, |frame| frame.map.frame);
+            if told > 0 {
+                assert_eq!(read(folder.path()).unwrap().unwrap().head.frame, told);
+            }
+        }
+        assert_eq!(told, 1);
+        // What was written when the process was killed belongs to nothing.
+        let mut scans = OpenOptions::new().append(true).open(folder.path().join(SCANS)).unwrap();
+        scans.write_all(b"{\"stamp\"").unwrap();
+
+        let mut after = core().going_on(read(folder.path()).unwrap().unwrap());
+        assert_eq!(after.frame_at_start().unwrap().map.frame, 1);
+        let drawn = after.mapper.info();
+        // Of the scans only nodes are drawn again.
+        assert!(
+            drawn.occupied as f64 > 0.9 * before.occupied as f64,
+            "{} of {}",
+            drawn.occupied,
+            before.occupied
+        );
+        let mut last: Option<Correction> = None;
+        for step in 90..130 {
+            let mapped = after.insert(&scan(0.05 * f64::from(step)), "boot");
+            last = mapped.correction.or(last);
+            if let Some(kept) = after.kept(true) {
+                write(folder.path(), &kept).unwrap();
+            }
+        }
+        let correction = last.unwrap();
+        let away = correction
+            .map_from_base
+            .distance(&Pose2::new(correction.stamp.as_secs() - 10.0, 0.5, 0.0));
+        assert!(correction.frame == 1 && away < 0.05, "{correction:?}: {away} m off");
+        assert_eq!(read(folder.path()).unwrap().unwrap().head.frame, 1);
+        remove(folder.path()).unwrap();
+        assert!(read(folder.path()).unwrap().is_none());
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn mapping_that_is_killed_in_mid_drive_goes_on_with_its_map() {
+        let (router, endpoint) = router().await;
+        let open = |name: &'static str| Bus::open(BusConfig::service(name, &endpoint));
+        let folder = tempfile::tempdir().unwrap();
+        let config = MappingConfig {
+            folder: Some(folder.path().to_owned()),
+            poses: settings(),
+            ..MappingConfig::new("tiago")
+        };
+        let client = open("client").await.unwrap();
+        let chunks = ["tiago"];
+        let scans = client.publisher(&SCAN, &chunks).unwrap();
+        let mut corrections = client.subscribe(&CORRECTION, &chunks, 64).unwrap();
+        let begin = async |name| {
+            let bus = open(name).await.unwrap();
+            let shutdown = Shutdown::new();
+            (
+                tokio::spawn(run(bus, Clock::wall(), config.clone(), shutdown.clone())),
+                shutdown,
+            )
+        };
+        let asked = async || {
+            client
+                .ask(&MAP, &chunks, &MapRequest::default(), DEADLINE)
+                .await
+                .unwrap()
+        };
+
+        let (service, _) = begin("mapping").await;
+        asked().await;
+        let mut way = 0.0;
+        let drive = async |way: &mut f64| {
+            *way += 0.05;
+            scans.put(&scan(*way));
+            tokio::time::sleep(Duration::from_millis(15)).await;
+        };
+        while way < 4.0 {
+            drive(&mut way).await;
+        }
+        let before = asked().await;
+        service.abort();
+        assert!(service.await.unwrap_err().is_cancelled());
+        let kept = read(folder.path()).unwrap().unwrap();
+        assert!(kept.scans.len() >= 10, "{} nodes", kept.scans.len());
+
+        // The robot goes on meanwhile.
+        way += 0.5;
+        let (service, shutdown) = begin("mapping-again").await;
+        let after = asked().await;
+        assert!(
+            after.info.occupied > before.info.occupied / 3,
+            "{:?} {:?}",
+            after.info,
+            before.info
+        );
+        while corrections.try_next().is_some() {}
+        let found = tokio::time::timeout(DEADLINE, async {
+            while way < 7.0 {
+                drive(&mut way).await;
+            }
+            corrections.next().await.unwrap().message
+        });
+        let correction = found.await.unwrap();
+        let off = correction
+            .map_from_base
+            .distance(&Pose2::new(correction.stamp.as_secs() - 10.0, 0.0, 0.0));
+        assert!(off < 0.06, "{correction:?}: {off} m off");
+        shutdown.trigger();
+        service.await.unwrap().unwrap();
+        router.close().await;
+    }
+}
