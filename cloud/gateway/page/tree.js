@@ -52,7 +52,7 @@ export function drawTree() {
   if (mission) {
     const standby = mission.standbys?.length ? `, standby ${mission.standbys.join(", ")}` : "";
     const queued = mission.queued ? `, ${mission.queued} in the queue` : "";
-    setText($("tree-head"), `${mission.tree ?? "no tree runs"} · mission ${mission.holder}${mission.leads ? "" : " (does not command)"}${queued}${standby}`);
+    setText($("tree-head"), `${mission.tree ? `Tree ${mission.tree}` : "No tree runs"} · orchestrator ${mission.holder}${mission.leads ? "" : " (does not command)"}${queued}${standby}`);
   } else {
     setText($("tree-head"), "Nothing was heard of a mission.");
   }

@@ -16,7 +16,7 @@ use super::core::{Measured, Pace, Posed};
 const TOLD_AGAIN: f64 = 1.0;
 
 /// Localisation beside a robot.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct LocalisedPoses {
     localiser: Localiser,
     boot_id: String,

@@ -35,6 +35,7 @@ use zenav_protocol::messages::{DrivingProfile, GoalRequest, LostPolicy};
 use zenav_protocol::topics;
 use zenav_sim::World;
 
+use crate::completion;
 use crate::components::{CloudPart, Parts};
 use crate::config::{self, Deployment, RobotSection};
 use crate::exit_code;
@@ -97,14 +98,14 @@ struct Carried {
 /// Scenarios.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Scenario {
-    /// Map a kitchen, then drive to its corner and to the sink
+    /// Map a kitchen by SLAM, then drive to its corner and to the sink; a map of an earlier run in --out is localised in instead
     Kitchen,
     /// Follow the walls of a room for ten minutes, without a cloud
     #[value(name = "wall_follow", alias = "wall-follow")]
     WallFollow,
     /// Drive to four rooms of an unknown house, planning while the map grows
     Online,
-    /// The kitchen's errands without GPS and compass, by SLAM
+    /// As kitchen, but mapping anew in every run: a map in --out is never used
     Slam,
     /// A robot that is carried away finds itself in its map
     Kidnapped,
@@ -129,6 +130,9 @@ impl Scenario {
 
 /// Arguments of `zenav demo`.
 #[derive(Debug, Args)]
+#[command(
+    after_help = "Examples:\n  zenav demo kitchen                    a first mission, in a map that is made on the way\n  zenav demo online --speed 4\n  zenav demo kitchen --record run.mcap  also writes report.html"
+)]
 pub struct DemoArgs {
     /// Which scenario
     #[arg(value_enum, default_value = "kitchen")]
@@ -143,7 +147,7 @@ pub struct DemoArgs {
     #[arg(long)]
     gps: bool,
     /// Planner, instead of the scenario's
-    #[arg(long)]
+    #[arg(long, add = completion::planners())]
     planner: Option<Planner>,
     /// Driving profile, `fastest` or `economy`
     #[arg(long)]
@@ -316,7 +320,7 @@ async fn scenario(args: &DemoArgs) -> Result<DemoReport, Failure> {
         let mut parts = Parts::default();
         // Before the parts: what they say first is in the record.
         let recording = match &args.record {
-            Some(file) => Some(begin_record(args, &script, &deployment, &endpoint, file).await?),
+            Some(file) => Some(begin_record(args, &script, &endpoint, file).await?),
             None => None,
         };
         let mut played = if script.alone {
@@ -351,20 +355,12 @@ async fn scenario(args: &DemoArgs) -> Result<DemoReport, Failure> {
 async fn begin_record(
     args: &DemoArgs,
     script: &Script,
-    deployment: &Deployment,
     endpoint: &str,
     file: &Path,
 ) -> Result<(Bus, Recording), Failure> {
     let title = format!("{}, seed {}, speed {}", script.name, args.seed, args.speed);
-    let mapping = serde_json::to_string(&deployment.mapping.settings).map_err(Failure::failed)?;
-    let motion = serde_json::to_string(&deployment.motion()).map_err(Failure::failed)?;
     let options = RecordOptions {
-        about: [
-            (record::TITLE_ENTRY.to_owned(), title),
-            (record::MAPPING_ENTRY.to_owned(), mapping),
-            (record::MOTION_ENTRY.to_owned(), motion),
-        ]
-        .into(),
+        about: [(record::TITLE_ENTRY.to_owned(), title)].into(),
         ..RecordOptions::default()
     };
     let bus = Bus::open(BusConfig::command("recorder", endpoint)).await?;

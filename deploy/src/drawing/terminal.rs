@@ -101,7 +101,7 @@ pub fn map(grid: &OccupancyGrid, marks: &[Mark<'_>], screen: Screen) -> String {
         .map(|pose| {
             // Not "-0.00".
             let [x, y, yaw] = [pose.x, pose.y, pose.yaw].map(|value| (100.0 * value).round() / 100.0 + 0.0);
-            format!(", robot at ({x:.2}, {y:.2}) heading {yaw:.2} rad")
+            format!("\nrobot at ({x:.2}, {y:.2}), heading {yaw:.2} rad")
         })
         .unwrap_or_default();
     text.push_str(&format!(

@@ -34,6 +34,9 @@ const MARGIN: f64 = 0.3;
 
 /// Arguments of `zenav film`.
 #[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  zenav film run.mcap\n  zenav film run.mcap --out last.png    only the last picture"
+)]
 pub struct FilmArgs {
     /// Record
     #[arg(value_name = "RUN.mcap")]
