@@ -45,7 +45,10 @@ impl Greeting {
             tokio::time::sleep(LOOK).await;
             is_ready = readiness::report().0;
         }
-        for line in self.lines(is_ready.then(|| began.elapsed())) {
+        let took = is_ready.then(|| began.elapsed());
+        // What they log of their readiness comes first.
+        tokio::time::sleep(2 * LOOK).await;
+        for line in self.lines(took) {
             eprintln!("{line}");
         }
         if let Some(page) = &self.page {

@@ -323,6 +323,7 @@ pub fn up(args: &UpArgs) -> Outcome {
             parts.spawn("foxglove".to_owned(), bus, move |bus, shutdown| async move {
                 let view = LiveView::start(&bus, None, &listen, false).await?;
                 tracing::info!("Foxglove: {}", view.address());
+                bus.started();
                 shutdown.wait().await;
                 Ok(())
             });

@@ -90,11 +90,15 @@ function drawScan(context, camera, colours, scan) {
   }
 }
 
-/** Whether a plan counts now: it is driven to its end, or was just made. */
+/** Trajectory of the plan that was driven to its end last. */
+let over = null;
+
+/** Whether a plan counts now: it is driven, or was just made. */
 function isFresh(plan) {
   if (plan.points.length <= 5) return false;
   const driven = store.data("state")?.plan;
-  return driven?.trajectory_id === plan.trajectory_id ? !driven.finished : store.age("plan") < 3;
+  if (driven?.finished) over = driven.trajectory_id;
+  return plan.trajectory_id !== over && (driven?.trajectory_id === plan.trajectory_id || store.age("plan") < 3);
 }
 
 /** What the robot's body will cover: its outline at every pose of the plan. */
