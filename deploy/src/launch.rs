@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 use zenav_protocol::bus::{Identity, Router, RouterConfig, interrupted, service_manager};
 use zenav_protocol::geometry::Pose2;
 use zenav_sim::World;
@@ -165,10 +165,17 @@ struct PartArgs {
     health: HealthArgs,
 }
 
+/// A body that is not simulated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum BodyKind {
+    /// On the bus: a process that publishes `body/readings` and obeys `edge/wheels`
+    Bus,
+}
+
 /// Arguments of `zenav edge`.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Examples:\n  zenav edge\n  zenav edge --deployment site.toml --robot anna\n  zenav edge --connect tcp/127.0.0.1:7460 --pose -1 -0.5 0"
+    after_help = "Examples:\n  zenav edge\n  zenav edge --deployment site.toml --robot anna\n  zenav edge --connect tcp/127.0.0.1:7460 --pose -1 -0.5 0\n  zenav edge --body bus --model neato    with a body like edge/examples/body.py"
 )]
 pub struct EdgeArgs {
     #[command(flatten)]
@@ -185,6 +192,9 @@ pub struct EdgeArgs {
     /// Endpoint where that world is served, where it is not the router's
     #[arg(long, value_name = "ENDPOINT")]
     attach_to: Option<String>,
+    /// Where the robot's body is, if it is not simulated here
+    #[arg(long, value_enum, conflicts_with_all = ["attach", "attach_to"])]
+    body: Option<BodyKind>,
     /// Simulated time against wall time, instead of the deployment's
     #[arg(long)]
     speed: Option<f64>,
@@ -444,6 +454,7 @@ pub fn edge(args: &EdgeArgs) -> Outcome {
         section.model = args.model.clone().unwrap_or(std::mem::take(&mut section.model));
         section.listen = args.listen.clone().unwrap_or(std::mem::take(&mut section.listen));
         section.attach |= args.attach || args.attach_to.is_some();
+        section.driver |= args.body == Some(BodyKind::Bus);
     }
     args.begin.apply(&mut deployment)?;
     let world = files::world(&deployment.simulation.world)?;
