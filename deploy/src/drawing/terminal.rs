@@ -301,7 +301,7 @@ mod tests {
             PLAIN,
         );
         assert_eq!(drawn[..2], ["    ", "  ↑ "]);
-        assert!(drawn[2].contains("robot at (2.50, 0.50)"), "{}", drawn[2]);
+        assert_eq!(drawn[3], "robot at (2.50, 0.50), heading 1.57 rad");
     }
 
     #[test]
