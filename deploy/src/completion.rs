@@ -11,6 +11,7 @@ use clap_complete::engine::{
 };
 use clap_complete::env::{CompleteEnv, Shells};
 use zenav_mission::trees;
+use zenav_planning::Planner;
 use zenav_protocol::bus::Bus;
 use zenav_protocol::messages::GoalsRequest;
 use zenav_protocol::{robot, topics};
@@ -59,6 +60,16 @@ pub fn models() -> ArgValueCompleter {
 /// Shipped behaviour trees, and files.
 pub fn behaviour_trees() -> ArgValueCompleter {
     shipped_or_file(trees::SHIPPED)
+}
+
+/// Planners.
+pub fn planners() -> ArgValueCandidates {
+    ArgValueCandidates::new(|| {
+        Planner::ALL
+            .iter()
+            .map(|(name, _)| CompletionCandidate::new(*name))
+            .collect()
+    })
 }
 
 fn shipped_or_file(shipped: &'static [(&'static str, &'static str)]) -> ArgValueCompleter {

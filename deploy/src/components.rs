@@ -14,7 +14,7 @@ use zenav_cloud::mapping::{self, KnownMap, MappingConfig};
 use zenav_cloud::{dispatch, motion};
 use zenav_edge::{Attached, Body, EdgeConfig, Referee, RemoteBody, ServiceConfig, SimBody};
 use zenav_mission::MissionConfig;
-use zenav_protocol::bus::{Bus, BusConfig, Clock, Security, Shutdown};
+use zenav_protocol::bus::{Bus, BusConfig, BusError, Clock, Security, Shutdown};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::GoalPoint;
@@ -41,6 +41,32 @@ pub enum CloudPart {
     Mission,
     /// All of them
     All,
+}
+
+/// Whose time the services of a deployment live by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Time {
+    /// The simulation's, which its world tells.
+    Simulated,
+    /// That of the wall: every body is a driver's, and nobody tells any other.
+    Wall,
+}
+
+impl Time {
+    fn of(deployment: &Deployment) -> Self {
+        if deployment.robots.values().all(|robot| robot.driver) {
+            Self::Wall
+        } else {
+            Self::Simulated
+        }
+    }
+
+    fn clock(self, bus: &Bus) -> Result<Clock, BusError> {
+        match self {
+            Self::Simulated => Clock::follow(bus),
+            Self::Wall => Ok(Clock::wall()),
+        }
+    }
 }
 
 /// Parts that run in this process.
@@ -294,8 +320,9 @@ impl Parts {
     fn map_robot(&mut self, config: MappingConfig, deployment: &Deployment) {
         let id = config.robot.clone();
         let bus = self.bus(deployment, &format!("mapping-{id}"));
+        let time = Time::of(deployment);
         self.spawn(format!("mapping {id}"), bus, move |bus, shutdown| async move {
-            let clock = Clock::follow(&bus)?;
+            let clock = time.clock(&bus)?;
             mapping::run(bus, clock, config, shutdown)
                 .await
                 .map_err(Failure::failed)
@@ -313,9 +340,9 @@ impl Parts {
             let name = format!("motion-{worker}");
             let bus = self.bus(deployment, &name);
             let zones = Arc::clone(&zones);
-            let settings = deployment.motion();
+            let (settings, time) = (deployment.motion(), Time::of(deployment));
             self.spawn(format!("motion {worker}"), bus, move |bus, shutdown| async move {
-                let clock = Clock::follow(&bus)?;
+                let clock = time.clock(&bus)?;
                 motion::run(bus, clock, worker, zones, settings, shutdown)
                     .await
                     .map_err(Failure::failed)
@@ -341,9 +368,9 @@ impl Parts {
         };
         let configs: Vec<MissionConfig> = robots.iter().map(config).collect();
         let name = format!("missions-{}", deployment.mission.run.holder);
-        let bus = self.bus(deployment, &name);
+        let (bus, time) = (self.bus(deployment, &name), Time::of(deployment));
         self.spawn(name, bus, move |bus, shutdown| async move {
-            let clock = Clock::follow(&bus)?;
+            let clock = time.clock(&bus)?;
             bus.serve_log()?;
             let mut missions = JoinSet::new();
             for config in configs {

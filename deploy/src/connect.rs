@@ -4,6 +4,7 @@
 //! it is found by the liveliness tokens of its components, or by the state that it publishes (on a robot's own endpoint).
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::net::ToSocketAddrs as _;
 use std::time::Duration;
 
 use tokio::time::Instant;
@@ -183,6 +184,13 @@ pub fn on_robot<T>(args: &RobotArgs, work: impl AsyncFnOnce(Bus, String) -> Resu
     })
 }
 
+/// The host of an endpoint, if it has no address.
+fn unknown_host(endpoint: &str) -> Option<&str> {
+    let (_, address) = endpoint.split_once('/')?;
+    let (host, _) = address.rsplit_once(':')?;
+    address.to_socket_addrs().is_err().then_some(host)
+}
+
 /// Connects.
 ///
 /// # Errors
@@ -202,10 +210,14 @@ pub async fn open(link: &LinkArgs) -> Result<Bus, Failure> {
             Some(identity) => format!(", or who answers is not of the fleet of {}", identity.member()),
             None => String::new(),
         };
+        let why = match link.connect.iter().find_map(|endpoint| unknown_host(endpoint)) {
+            Some(host) => format!("no host `{host}` is known here"),
+            None => format!("nobody answers there{or_refused}"),
+        };
         Failure::new(
             exit_code::CANNOT_CONNECT,
             format!(
-                "cannot connect to {endpoints}: nobody answers there{or_refused} (`zenav up` starts a deployment, `zenav router` a router; --connect names another endpoint)"
+                "cannot connect to {endpoints}: {why} (`zenav up` starts a deployment, `zenav router` a router; --connect names another endpoint)"
             ),
         )
     };

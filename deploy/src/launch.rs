@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 use zenav_protocol::bus::{Identity, Router, RouterConfig, interrupted, service_manager};
 use zenav_protocol::geometry::Pose2;
 use zenav_sim::World;
@@ -15,6 +15,7 @@ use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::gateway::PageArgs;
+use crate::greeting::Greeting;
 use crate::health::HealthArgs;
 use crate::record::{self, LiveView};
 use crate::rest;
@@ -118,6 +119,7 @@ pub struct UpArgs {
 
 /// Arguments of `zenav router`.
 #[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  zenav router\n  zenav router --listen tcp/127.0.0.1:7460 --rest")]
 pub struct RouterArgs {
     /// Endpoints to listen on
     #[arg(long, default_value = "tcp/127.0.0.1:7447")]
@@ -163,8 +165,18 @@ struct PartArgs {
     health: HealthArgs,
 }
 
+/// A body that is not simulated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum BodyKind {
+    /// On the bus: a process that publishes `body/readings` and obeys `edge/wheels`
+    Bus,
+}
+
 /// Arguments of `zenav edge`.
 #[derive(Debug, Args)]
+#[command(
+    after_help = "Examples:\n  zenav edge\n  zenav edge --deployment site.toml --robot anna\n  zenav edge --connect tcp/127.0.0.1:7460 --pose -1 -0.5 0\n  zenav edge --body bus --model neato    with a body like edge/examples/body.py"
+)]
 pub struct EdgeArgs {
     #[command(flatten)]
     part: PartArgs,
@@ -180,6 +192,9 @@ pub struct EdgeArgs {
     /// Endpoint where that world is served, where it is not the router's
     #[arg(long, value_name = "ENDPOINT")]
     attach_to: Option<String>,
+    /// Where the robot's body is, if it is not simulated here
+    #[arg(long, value_enum, conflicts_with_all = ["attach", "attach_to"])]
+    body: Option<BodyKind>,
     /// Simulated time against wall time, instead of the deployment's
     #[arg(long)]
     speed: Option<f64>,
@@ -194,6 +209,9 @@ pub struct EdgeArgs {
 
 /// Arguments of `zenav cloud`.
 #[derive(Debug, Args)]
+#[command(
+    after_help = "Examples:\n  zenav cloud\n  zenav cloud mission --holder bert --data bert    a second orchestrator, which takes over from the first\n  zenav cloud mapping --map kitchen.yaml --live"
+)]
 pub struct CloudArgs {
     /// Which service
     #[arg(value_enum, default_value = "all")]
@@ -286,12 +304,15 @@ pub fn up(args: &UpArgs) -> Outcome {
     args.known.apply(&mut deployment);
     args.begin.apply(&mut deployment)?;
     args.page.apply(&mut deployment);
-    free_robot_endpoint(&mut deployment);
+    // Before anything runs that would have to end again.
+    let data = &deployment.data.dir;
+    std::fs::create_dir_all(data).map_err(Failure::failed_at(data))?;
     let world = files::world(&deployment.simulation.world)?;
     let security = args.security.security_of(&deployment)?;
     if deployment.router.enabled {
         crate::receivers::ensure_enough();
     }
+    free_robot_endpoint(&mut deployment);
     runtime()?.block_on(async {
         args.health.serve().await?;
         let router = if deployment.router.enabled {
@@ -312,6 +333,7 @@ pub fn up(args: &UpArgs) -> Outcome {
             parts.spawn("foxglove".to_owned(), bus, move |bus, shutdown| async move {
                 let view = LiveView::start(&bus, None, &listen, false).await?;
                 tracing::info!("Foxglove: {}", view.address());
+                bus.started();
                 shutdown.wait().await;
                 Ok(())
             });
@@ -354,7 +376,13 @@ fn free_robot_endpoint(deployment: &mut Deployment) {
 async fn start_all(parts: &mut Parts, deployment: &Deployment, world: &World) -> Result<(), Failure> {
     parts.edges(deployment, world, None)?;
     parts.cloud(deployment, world, CloudPart::All, "worker")?;
-    parts.told_gateway(deployment, world).await
+    let page = parts.gateway(deployment, world).await?;
+    let (begun, greeting) = (parts.all_begun(), Greeting::new(deployment, world, page));
+    tokio::spawn(async move {
+        begun.await;
+        greeting.tell().await;
+    });
+    Ok(())
 }
 
 /// Opens a router, and its REST where there is an address for it.
@@ -426,6 +454,7 @@ pub fn edge(args: &EdgeArgs) -> Outcome {
         section.model = args.model.clone().unwrap_or(std::mem::take(&mut section.model));
         section.listen = args.listen.clone().unwrap_or(std::mem::take(&mut section.listen));
         section.attach |= args.attach || args.attach_to.is_some();
+        section.driver |= args.body == Some(BodyKind::Bus);
     }
     args.begin.apply(&mut deployment)?;
     let world = files::world(&deployment.simulation.world)?;

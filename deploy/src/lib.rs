@@ -44,6 +44,7 @@ pub mod failure;
 pub mod files;
 pub mod gateway;
 pub mod goal;
+mod greeting;
 mod health;
 pub mod hosts;
 pub mod inspect;

@@ -148,7 +148,11 @@ impl Seen {
             .collect();
         marks.push(Mark::Scan(&self.scan));
         // A plan that is not driven is history.
-        if self.state.as_ref().is_some_and(|state| state.plan.is_some()) {
+        if self
+            .state
+            .as_ref()
+            .is_some_and(|state| state.plan.as_ref().is_some_and(|plan| !plan.finished))
+        {
             marks.push(Mark::Path(&self.plan));
         }
         let leg = self.goal.as_ref().and_then(|goal| goal.legs.last()?.goal);

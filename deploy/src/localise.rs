@@ -29,6 +29,9 @@ const SIZE: u32 = 1400;
 /// The log's poses are taken for raw odometry. Without `--start` the robot is looked for in the whole map with its first scan. The time is that
 /// of the thread: what others do on the machine does not count.
 #[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  zenav localise --map map/map.yaml --log drive.log.gz --out found\n  zenav localise --map map/map.yaml --log drive.log.gz --start 0 0 0"
+)]
 pub struct LocaliseArgs {
     /// Map: a `map_server` description or image
     #[arg(long, value_name = "FILE")]

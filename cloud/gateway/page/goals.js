@@ -100,9 +100,10 @@ function drawActive(goal) {
   }
   const paused = goal.state === "Paused";
   card.classList.toggle("paused", paused);
-  setText(card.querySelector("span"), `${paused ? "Paused" : "Driving"}: ${titleOf(goal)}`);
   const { feedback } = goal;
   const state = store.data("state");
+  const now = paused ? "Paused" : state?.mode === "stopped" ? "Stopped" : "Driving";
+  setText(card.querySelector("span"), `${now}: ${titleOf(goal)}`);
   const left = state?.plan?.goal_id === goal.id ? state.plan.distance_left : feedback?.distance_left;
   const time = state?.plan?.goal_id === goal.id ? state.plan.time_left : feedback?.time_left;
   setText(card.querySelector("h3 small"), Number.isFinite(left) ? `${left.toFixed(1)} m${Number.isFinite(time) ? `, ${duration(time)}` : ""}` : "");

@@ -90,14 +90,15 @@ function drawScan(context, camera, colours, scan) {
   }
 }
 
-/** Whether the robot drives by the plan that was heard last. */
-function isDriven(plan) {
-  return store.data("state")?.plan?.trajectory_id === plan.trajectory_id;
-}
+/** Trajectory of the plan that was driven to its end last. */
+let over = null;
 
 /** Whether a plan counts now: it is driven, or was just made. */
 function isFresh(plan) {
-  return plan.points.length > 5 && (isDriven(plan) || store.age("plan") < 3);
+  if (plan.points.length <= 5) return false;
+  const driven = store.data("state")?.plan;
+  if (driven?.finished) over = driven.trajectory_id;
+  return plan.trajectory_id !== over && (driven?.trajectory_id === plan.trajectory_id || store.age("plan") < 3);
 }
 
 /** What the robot's body will cover: its outline at every pose of the plan. */

@@ -90,7 +90,10 @@ class Tools {
     if (!this.pressed) return;
     this.pressed = null;
     if (this.draft?.kind === "pose" && this.draft.yaw === null) this.draft.yaw = store.data("pose")?.yaw ?? 0;
-    if (this.draft && this.current === this.draft.kind) this.propose();
+    if (!this.draft || this.current !== this.draft.kind) return;
+    // To let go is to confirm, as long as there is nothing to ask: what becomes of the goal that runs.
+    if (this.draft.kind === "goal" && !store.runningGoal()) this.confirm();
+    else this.propose();
   }
 
   /** Ends the drawing of a zone: its corners can then be moved. */

@@ -52,12 +52,21 @@ export function drawTree() {
   if (mission) {
     const standby = mission.standbys?.length ? `, standby ${mission.standbys.join(", ")}` : "";
     const queued = mission.queued ? `, ${mission.queued} in the queue` : "";
-    setText($("tree-head"), `${mission.tree ?? "no tree runs"} · mission ${mission.holder}${mission.leads ? "" : " (does not command)"}${queued}${standby}`);
+    setText($("tree-head"), `${mission.tree ? `Tree ${mission.tree}` : shape ? "No tree runs, below is the last one" : "No tree runs"} · orchestrator ${mission.holder}${mission.leads ? "" : " (does not command)"}${queued}${standby}`);
   } else {
     setText($("tree-head"), "Nothing was heard of a mission.");
   }
-  // The last tree stays until another one runs.
-  if (!nodes.length) return;
+  // The last tree stays until another one runs, but nothing of it runs any more.
+  if (!nodes.length) {
+    for (const row of $("tree").querySelectorAll(".running")) {
+      const [sign, , feedback, spoken] = row.firstElementChild.children;
+      row.className = "";
+      setText(sign, SIGNS.IDLE);
+      setText(feedback, "");
+      setText(spoken, ", ended");
+    }
+    return;
+  }
   const now = JSON.stringify([store.watched, mission.goal_id, nodes.map((node) => [node.uid, node.parent, node.name])]);
   if (now !== shape) {
     shape = now;

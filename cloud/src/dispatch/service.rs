@@ -70,7 +70,7 @@ pub async fn run(
     let place = |worker: &str| topics::alive_key(topics::ALIVE_WORKER, &[&service, worker]);
     let own = place(&bus.zid());
     let _alive = bus.declare_alive(own.clone())?;
-    bus.serve_info("dispatch", group.as_str())?;
+    bus.serve_info("dispatch", group.as_str(), BTreeMap::new())?;
     bus.started();
     tracing::info!(%group, robots = robots.len(), "accepts goals for a group");
     loop {

@@ -125,7 +125,7 @@ impl Gateway {
             }
         };
         let mut serving = tokio::spawn(zenav_gateway::serve(self.listener, router, ended));
-        bus.serve_info("gateway", "")?;
+        bus.serve_info("gateway", "", BTreeMap::new())?;
         bus.started();
         let details = tokio::spawn(detail::follow(bus.clone(), Arc::clone(&self.hub), shutdown.clone()));
         let fed = tokio::select! {

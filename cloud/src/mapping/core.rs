@@ -49,7 +49,7 @@ impl std::str::FromStr for PoseSource {
 }
 
 /// Which source of poses, with its settings.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PoseSettings {
     /// Which one.
     pub source: PoseSource,
@@ -138,7 +138,7 @@ impl Statements {
     }
 }
 
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 enum Poses {
     Edge,
     Slam(Box<SlamPoses>),
@@ -157,7 +157,7 @@ impl Poses {
 }
 
 /// The map of a robot, and where its poses come from.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct MappingCore {
     /// The map.
     pub mapper: Mapper,

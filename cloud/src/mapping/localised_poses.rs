@@ -12,7 +12,7 @@ use zenav_protocol::messages::{Health, Localisation, Scan};
 use super::core::{Measured, Pace, Posed, Statements};
 
 /// Localisation beside a robot.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct LocalisedPoses {
     localiser: Localiser,
     boot_id: String,

@@ -32,6 +32,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use serde_json::Value;
 use thiserror::Error;
 use tokio::task::{JoinHandle, JoinSet};
 use zenav_mapping::{Insertion, MappingSettings};
@@ -202,7 +203,7 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
     service.publish(clock.now());
     service.tell_info();
     service.annotations_topic.put(service.annotations.now());
-    bus.serve_info("mapping", &robot)?;
+    bus.serve_info("mapping", &robot, service.settings())?;
     bus.started();
     let mut body = Box::pin(ask_body(&bus, &robot, Duration::ZERO));
     let mut body_known = false;
@@ -430,6 +431,17 @@ impl Service {
             self.tell_info();
             self.metrics.published(began);
         }
+    }
+
+    /// What it takes to draw the same map of the same scans again.
+    fn settings(&self) -> BTreeMap<String, Value> {
+        [
+            ("mapping", serde_json::to_value(&self.config.settings)),
+            ("poses", serde_json::to_value(self.config.poses)),
+        ]
+        .into_iter()
+        .filter_map(|(section, settings)| Some((section.to_owned(), settings.ok()?)))
+        .collect()
     }
 
     /// This part's name in traces.

@@ -37,7 +37,7 @@ struct Redraw {
 }
 
 /// SLAM beside a robot.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct SlamPoses {
     settings: SlamSettings,
     slam: Option<Slam>,

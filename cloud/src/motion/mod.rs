@@ -81,7 +81,8 @@ pub async fn run(
     };
     let mut arrivals = Arrivals::new(bus.serve(&MOTION_SERVICE, &[name.as_str()])?);
     let _alive = bus.declare_alive(alive_key(ALIVE_WORKER, &[SERVICE, name.as_str()]))?;
-    bus.serve_info(SERVICE, "")?;
+    let told = serde_json::to_value(&settings).map(|told| (SERVICE.to_owned(), told));
+    bus.serve_info(SERVICE, "", told.into_iter().collect())?;
     bus.started();
     let metrics = MotionMetrics::new();
     let mut shown = Shown::new(&bus, clock, name);

@@ -18,6 +18,9 @@ const MAX_ROBOTS: usize = zenav_sim::simulation::MAX_ROBOTS;
 
 /// The simulator.
 #[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  zenav sim show house --out house.png\n  zenav sim bench --robots 10\n  zenav sim serve --world house    for `zenav edge --attach`"
+)]
 pub struct SimArgs {
     #[command(subcommand)]
     command: SimCommand,

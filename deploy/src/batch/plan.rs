@@ -11,6 +11,7 @@ use zenav_space::{BitGrid, ConfigurationSpace, PointLineOfSight, UnknownPolicy, 
 use super::queries::{self, Query};
 use super::watchdog::{Watchdog, timed};
 use super::{Results, folder, median, planner, progress, read_map};
+use crate::completion;
 use crate::connect::positive;
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
@@ -24,7 +25,7 @@ const SAME: f64 = 1e-4;
 /// Offline planning.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Queries are lines `sx sy gx gy [optimum]` in cells of the map file as it is written (rows from the top), or a Moving AI .scen. \
+    after_help = "Examples:\n  zenav plan --map kitchen.yaml --queries queries.txt --robot tiago\n  zenav plan --map den312d.map --queries den312d.map.scen --planner jps --out results.txt\n\nQueries are lines `sx sy gx gy [optimum]` in cells of the map file as it is written (rows from the top), or a Moving AI .scen. \
 Results are lines `time_us length found expansions` in the same order, lengths in cells, found 0 with length -1. Without --robot the robot is a point: no corner is cut, a diagonal step costs the square root of two."
 )]
 pub struct PlanArgs {
@@ -35,7 +36,7 @@ pub struct PlanArgs {
     #[arg(long, value_name = "Q")]
     queries: PathBuf,
     /// Planner
-    #[arg(long, default_value = "astar", value_parser = planner)]
+    #[arg(long, default_value = "astar", value_parser = planner, add = completion::planners())]
     planner: Planner,
     /// Results; `-` prints them
     #[arg(long, value_name = "R", default_value = "-")]

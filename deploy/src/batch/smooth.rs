@@ -15,6 +15,7 @@ use zenav_space::{ConfigurationSpace, UnknownPolicy};
 use super::queries::{self, Query};
 use super::watchdog::{Watchdog, timed};
 use super::{Results, folder, median, planner, progress, read_map};
+use crate::completion;
 use crate::connect::positive;
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
@@ -26,7 +27,7 @@ const PERIOD: f64 = 0.01;
 /// Offline smoothing.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Queries are lines `sx sy gx gy [optimum]` in cells of the map file as it is written (rows from the top), or a Moving AI .scen; the robot starts at rest, heading along its path. \
+    after_help = "Examples:\n  zenav smooth --map kitchen.yaml --queries queries.txt --robot tiago\n  zenav smooth --map kitchen.yaml --queries queries.txt --robot tiago --trajectory driven --profile economy\n\nQueries are lines `sx sy gx gy [optimum]` in cells of the map file as it is written (rows from the top), or a Moving AI .scen; the robot starts at rest, heading along its path. \
 Results are lines `search_us corridor_us geometry_us timing_us length_m duration_s min_clearance_m status`, status `smoothed`, `fallback:REASON` or `no_path` (then lengths are -1); a clearance of `inf` means nothing near."
 )]
 pub struct SmoothArgs {
@@ -49,7 +50,7 @@ pub struct SmoothArgs {
     #[arg(long, value_name = "DIR")]
     trajectory: Option<PathBuf>,
     /// Planner
-    #[arg(long, default_value = "astar", value_parser = planner)]
+    #[arg(long, default_value = "astar", value_parser = planner, add = completion::planners())]
     planner: Planner,
     /// Plan the shortest path, without preferring clearance from obstacles
     #[arg(long)]

@@ -19,6 +19,7 @@ use crate::failure::Outcome;
 
 /// Benchmarks.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  zenav bench bus\n  zenav bench drive --suite s2 --seeds 3 --no-anchors")]
 pub struct BenchArgs {
     #[command(subcommand)]
     command: BenchCommand,

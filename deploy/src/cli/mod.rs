@@ -195,6 +195,9 @@ enum Command {
     /// Print the configuration of a deployment
     Config(config::ConfigArgs),
     /// Print shell completions
+    #[command(
+        after_help = "Examples:\n  eval \"$(zenav completions bash)\"\n  zenav completions fish > ~/.config/fish/completions/zenav.fish"
+    )]
     Completions {
         /// Shell to complete for
         shell: clap_complete::Shell,
@@ -285,6 +288,18 @@ mod tests {
         let grouped: Vec<&str> = GROUPS.iter().flat_map(|(_, names)| names.iter().copied()).collect();
         assert_eq!(grouped.iter().copied().collect::<BTreeSet<_>>(), known);
         assert_eq!(grouped.len(), known.len());
+    }
+
+    #[test]
+    fn the_help_of_every_command_has_an_example() {
+        for command in Cli::command().get_subcommands_mut() {
+            let help = command.render_help().to_string();
+            assert!(
+                help.contains("\n  zenav ") || help.contains("$(zenav "),
+                "{}",
+                command.get_name()
+            );
+        }
     }
 
     #[test]

@@ -15,6 +15,9 @@ use crate::output::{Format, table, value, values};
 
 /// Prints the configuration.
 #[derive(Debug, Args)]
+#[command(
+    after_help = "Examples:\n  zenav config show --origin       where each value comes from\n  zenav config show > mine.toml    all defaults, as a file to begin with"
+)]
 pub struct ConfigArgs {
     #[command(subcommand)]
     command: ConfigCommand,

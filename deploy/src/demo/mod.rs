@@ -9,6 +9,7 @@
 //! | `wall_follow` | how does a robot follow walls by itself, without a cloud? |
 //! | `watch` | how did it go, as a client and the referee saw it? |
 //! | `refusals` | is a goal that nobody can reach refused, and with which words? |
+//! | `recorded` | what went over the bus, as a page and a file? |
 //! | `album`, `film` | what did the robot know, plan and drive? pictures, and a moving one |
 
 mod album;
@@ -16,6 +17,7 @@ mod film;
 mod kidnapped;
 mod kitchen;
 mod online;
+mod recorded;
 mod refusals;
 mod slam;
 mod wall_follow;
@@ -35,6 +37,7 @@ use zenav_protocol::messages::{DrivingProfile, GoalRequest, LostPolicy};
 use zenav_protocol::topics;
 use zenav_sim::World;
 
+use crate::completion;
 use crate::components::{CloudPart, Parts};
 use crate::config::{self, Deployment, RobotSection};
 use crate::exit_code;
@@ -46,10 +49,10 @@ use crate::launch::{KnownMapArgs, PoseArgs, runtime};
 use crate::live_map::LiveMap;
 use crate::lockstep::true_map;
 use crate::output::{Format, spinner, value};
-use crate::record::{self, RecordOptions, Recording, Written};
 use crate::report::{DemoReport, ScenarioOutcome};
 use album::Album;
 use film::Film;
+use recorded::Recorder;
 use refusals::Impossible;
 use watch::Watch;
 
@@ -97,14 +100,14 @@ struct Carried {
 /// Scenarios.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Scenario {
-    /// Map a kitchen, then drive to its corner and to the sink
+    /// Map a kitchen by SLAM, then drive to its corner and to the sink; a map of an earlier run in --out is localised in instead
     Kitchen,
     /// Follow the walls of a room for ten minutes, without a cloud
     #[value(name = "wall_follow", alias = "wall-follow")]
     WallFollow,
     /// Drive to four rooms of an unknown house, planning while the map grows
     Online,
-    /// The kitchen's errands without GPS and compass, by SLAM
+    /// As kitchen, but mapping anew in every run: a map in --out is never used
     Slam,
     /// A robot that is carried away finds itself in its map
     Kidnapped,
@@ -129,6 +132,9 @@ impl Scenario {
 
 /// Arguments of `zenav demo`.
 #[derive(Debug, Args)]
+#[command(
+    after_help = "Examples:\n  zenav demo kitchen                    a first mission, in a map that is made on the way\n  zenav demo online --speed 4\n  zenav demo kitchen --record run.mcap  for replay, diff, film and Foxglove"
+)]
 pub struct DemoArgs {
     /// Which scenario
     #[arg(value_enum, default_value = "kitchen")]
@@ -143,19 +149,19 @@ pub struct DemoArgs {
     #[arg(long)]
     gps: bool,
     /// Planner, instead of the scenario's
-    #[arg(long)]
+    #[arg(long, add = completion::planners())]
     planner: Option<Planner>,
     /// Driving profile, `fastest` or `economy`
     #[arg(long)]
     profile: Option<DrivingProfile>,
-    /// Folder for `report.json`, `map.pgm`, `map.yaml` and pictures; the kitchen uses a map that is there already [default:
+    /// Folder for `report.json`, `report.html`, `map.pgm`, `map.yaml` and pictures; the kitchen uses a map that is there already [default:
     /// zenav-out/SCENARIO]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Write a moving picture of the run (all but wall_follow)
     #[arg(long, value_name = "FILE.gif")]
     film: Option<PathBuf>,
-    /// Record the run into a file that must not exist yet, and write its report as report.html
+    /// Keep the record of the run as a file that must not exist yet
     #[arg(long, value_name = "FILE.mcap")]
     record: Option<PathBuf>,
     /// Plain log lines instead of a live display
@@ -315,25 +321,14 @@ async fn scenario(args: &DemoArgs) -> Result<DemoReport, Failure> {
         }
         let mut parts = Parts::default();
         // Before the parts: what they say first is in the record.
-        let recording = match &args.record {
-            Some(file) => Some(begin_record(args, &script, &deployment, &endpoint, file).await?),
-            None => None,
-        };
-        let mut played = if script.alone {
+        let recorder = Recorder::begin(args, &script, &endpoint, &state).await?;
+        let played = if script.alone {
             wall_follow::play(args, &script, &deployment, &world, &mut parts, &endpoint).await
         } else {
             play(args, &script, &deployment, &world, &mut parts, &endpoint).await
         };
         parts.end().await;
-        if let Some((bus, recording)) = recording {
-            let recorded = recording.finish().await;
-            bus.close().await;
-            match (&mut played, recorded) {
-                (Ok(report), Ok(written)) => tell_record(&folder, report, written)?,
-                (Ok(_), Err(failure)) => played = Err(failure),
-                (Err(_), _) => {}
-            }
-        }
+        let played = recorder.end(played).await;
         router.close().await;
         played
     }
@@ -345,47 +340,6 @@ async fn scenario(args: &DemoArgs) -> Result<DemoReport, Failure> {
     report.map_found = map_found;
     report.wall_time_s = began.elapsed().as_secs_f64();
     Ok(report)
-}
-
-/// Records everything that goes over the demo's router.
-async fn begin_record(
-    args: &DemoArgs,
-    script: &Script,
-    deployment: &Deployment,
-    endpoint: &str,
-    file: &Path,
-) -> Result<(Bus, Recording), Failure> {
-    let title = format!("{}, seed {}, speed {}", script.name, args.seed, args.speed);
-    let mapping = serde_json::to_string(&deployment.mapping.settings).map_err(Failure::failed)?;
-    let motion = serde_json::to_string(&deployment.motion()).map_err(Failure::failed)?;
-    let options = RecordOptions {
-        about: [
-            (record::TITLE_ENTRY.to_owned(), title),
-            (record::MAPPING_ENTRY.to_owned(), mapping),
-            (record::MOTION_ENTRY.to_owned(), motion),
-        ]
-        .into(),
-        ..RecordOptions::default()
-    };
-    let bus = Bus::open(BusConfig::command("recorder", endpoint)).await?;
-    let recording = Recording::start(&bus, &["zenav/**".to_owned()], file, options)?;
-    Ok((bus, recording))
-}
-
-/// Adds the record and its page to the report.
-fn tell_record(folder: &Path, report: &mut DemoReport, written: Written) -> Result<(), Failure> {
-    if written.dropped > 0 {
-        report.notes.push(format!(
-            "the record lacks {} samples: this machine was too slow",
-            written.dropped
-        ));
-    }
-    for file in written.files {
-        let page = folder.join("report.html");
-        record::write_report(&file, &page)?;
-        report.files.extend([file, page]);
-    }
-    Ok(())
 }
 
 async fn play(

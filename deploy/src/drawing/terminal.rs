@@ -101,7 +101,7 @@ pub fn map(grid: &OccupancyGrid, marks: &[Mark<'_>], screen: Screen) -> String {
         .map(|pose| {
             // Not "-0.00".
             let [x, y, yaw] = [pose.x, pose.y, pose.yaw].map(|value| (100.0 * value).round() / 100.0 + 0.0);
-            format!(", robot at ({x:.2}, {y:.2}) heading {yaw:.2} rad")
+            format!("\nrobot at ({x:.2}, {y:.2}), heading {yaw:.2} rad")
         })
         .unwrap_or_default();
     text.push_str(&format!(
@@ -301,7 +301,7 @@ mod tests {
             PLAIN,
         );
         assert_eq!(drawn[..2], ["    ", "  ↑ "]);
-        assert!(drawn[2].contains("robot at (2.50, 0.50)"), "{}", drawn[2]);
+        assert_eq!(drawn[3], "robot at (2.50, 0.50), heading 1.57 rad");
     }
 
     #[test]

@@ -27,6 +27,9 @@ const GLANCE: Duration = Duration::from_millis(1500);
 
 /// Arguments of `zenav deploy`.
 #[derive(Debug, Args)]
+#[command(
+    after_help = "Examples:\n  zenav deploy check site.toml\n  zenav deploy render site.toml --out rendered --target systemd"
+)]
 pub struct DeployArgs {
     #[command(subcommand)]
     command: DeployCommand,

@@ -204,12 +204,21 @@ fn heard<T>(name: &str, topic: &'static str, heard: &Heard<T>, time: Duration, n
 fn lease(robot: &Robot, state: &EdgeState) -> Check {
     let name = robot.name.as_str();
     let Some(holder) = &state.lease.holder else {
-        return Check::warn(
-            name,
-            "lease",
-            format!("nobody holds the lease (last epoch {})", state.lease.epoch),
-            "start a mission (`zenav cloud mission`), or take it: `zenav teleop`",
-        );
+        let seen = format!("nobody holds the lease (last epoch {})", state.lease.epoch);
+        return match &state.lease.leader {
+            Some(leader) if !state.lease.leader_live => Check::fail(
+                name,
+                "lease",
+                format!("{seen}; only {} may lead next", leader.caught_up.join(" or ")),
+                "start the mission with that store; if it will not come back: `zenav lease forget`",
+            ),
+            _ => Check::warn(
+                name,
+                "lease",
+                seen,
+                "start a mission (`zenav cloud mission`), or take it: `zenav teleop`",
+            ),
+        };
     };
     let beats = match robot.heartbeat.age {
         Some(age) => format!("heartbeat {:.2} s ago", age.as_secs_f64()),

@@ -28,6 +28,9 @@ const ANSWER_WITHIN: Duration = Duration::from_millis(1500);
 
 /// Health.
 #[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  zenav doctor\n  zenav doctor -o json                        for scripts; exit code 1 where something failed\n  zenav doctor --connect tcp/127.0.0.1:7450   at the robot itself"
+)]
 pub struct DoctorArgs {
     /// Which robot; without a name, all.
     #[command(flatten)]

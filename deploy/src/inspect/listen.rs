@@ -40,37 +40,39 @@ pub(super) fn seconds(secs: f64) -> Duration {
     Duration::try_from_secs_f64(secs).unwrap_or(Duration::MAX)
 }
 
-/// Listens for a while. What is kept for late joiners counts as one message, since it comes all at once: rates are of live messages.
-pub(super) async fn listen(
-    bus: &Bus,
-    pattern: &str,
-    time: Duration,
-) -> Result<BTreeMap<String, (Meter, String)>, Failure> {
+/// What came on each key, and how it was encoded.
+type Meters = BTreeMap<String, (Meter, String)>;
+
+/// Listens for a while. What is kept for late joiners tells only of keys on which nothing else comes: rates are of live messages.
+pub(super) async fn listen(bus: &Bus, pattern: &str, time: Duration) -> Result<Meters, Failure> {
     let mut live = bus.raw_subscribe(pattern, BACKLOG)?;
     let mut kept = bus.raw_subscribe_kept(pattern, BACKLOG)?;
-    let mut meters = BTreeMap::<String, (Meter, String)>::new();
+    let (mut of_live, mut of_kept) = (Meters::new(), Meters::new());
     // What has come while the other subscription was made waits here all at once, as nothing comes over the wire.
     while let Ok(Some(_)) = tokio::time::timeout(Duration::ZERO, live.next()).await {}
     let start = Instant::now();
     let gather = async {
         loop {
-            let (sample, counts) = tokio::select! {
-                Some(sample) = live.next() => (sample, true),
-                Some(sample) = kept.next() => (sample, false),
+            // What is live comes to both.
+            let (sample, meters) = tokio::select! {
+                Some(sample) = live.next() => (sample, &mut of_live),
+                Some(sample) = kept.next() => (sample, &mut of_kept),
                 else => return,
             };
-            if counts || !meters.contains_key(&sample.key) {
-                let (meter, encoding) = meters
-                    .entry(sample.key)
-                    .or_insert_with(|| (Meter::new(BACKLOG), String::new()));
-                meter.add(start.elapsed(), sample.bytes.len());
-                *encoding = sample.encoding;
-            }
+            let (meter, encoding) = meters
+                .entry(sample.key)
+                .or_insert_with(|| (Meter::new(BACKLOG), String::new()));
+            meter.add(start.elapsed(), sample.bytes.len());
+            *encoding = sample.encoding;
         }
     };
     // The end of the time is how this ends.
     let _ = tokio::time::timeout(time, gather).await;
-    Ok(meters)
+    for (key, (mut meter, encoding)) in of_kept {
+        meter.forget_times();
+        of_live.entry(key).or_insert((meter, encoding));
+    }
+    Ok(of_live)
 }
 
 /// The next sample, or how the listening ended.

@@ -51,6 +51,13 @@ impl Meter {
         self.messages += 1;
     }
 
+    /// What came was kept, and says nothing of how often: only the newest message counts.
+    pub(super) fn forget_times(&mut self) {
+        let older = self.arrivals.len().saturating_sub(1);
+        self.arrivals.drain(..older);
+        self.messages = self.arrivals.len() as u64;
+    }
+
     /// What came up to now.
     pub(super) fn read(&self) -> Reading {
         let intervals: Vec<f64> = self
@@ -121,6 +128,17 @@ mod tests {
         assert_eq!(meter.read().hz, None);
         meter.add(Duration::ZERO, 5);
         assert_eq!((meter.read().hz, meter.read().bytes_per_s), (None, None));
+    }
+
+    #[test]
+    fn messages_that_were_kept_have_no_rate() {
+        let mut meter = Meter::new(10);
+        for bytes in [5, 6, 7] {
+            meter.add(Duration::from_micros(bytes), 10 * bytes as usize);
+        }
+        meter.forget_times();
+        let reading = meter.read();
+        assert_eq!((reading.hz, reading.messages, reading.bytes), (None, 1, [70.0; 3]));
     }
 
     #[test]

@@ -65,6 +65,13 @@ impl TableVisitor for Catalogue {
     }
 }
 
+/// The JSON Schema of a message.
+pub(crate) fn json_schema(message: &str) -> Option<Value> {
+    let all = Catalogue::new();
+    let described = all.0.get(message)?;
+    Some((described.schema)().to_value())
+}
+
 /// The names of all fields that a message has at any depth; for guesses.
 pub(super) fn fields(message: &str) -> Vec<String> {
     let mut names = Vec::new();

@@ -22,6 +22,9 @@ use crate::output::{Format, value};
 
 /// Arguments of `zenav run`.
 #[derive(Debug, Args)]
+#[command(
+    after_help = "Examples:\n  zenav run --world kitchen --robot tiago --goal 0.88 0.09 --seed 3\n  zenav run --world house --goal 6 2 --known-map --trajectory driven.csv"
+)]
 pub struct RunArgs {
     /// Deployment file: its settings, world and first robot; without it, the shipped one
     #[arg(long, value_name = "FILE")]

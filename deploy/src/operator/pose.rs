@@ -14,6 +14,9 @@ use crate::output::{self, Format};
 
 /// Show or set a robot's pose.
 #[derive(Debug, Args)]
+#[command(
+    after_help = "Examples:\n  zenav pose show\n  zenav pose set -1.0 -0.5 0     m, m, rad\n  zenav pose search              without a guess, in a known map"
+)]
 pub struct PoseArgs {
     #[command(subcommand)]
     command: PoseCommand,

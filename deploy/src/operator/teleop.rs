@@ -42,7 +42,7 @@ const HELP: [&str; 2] = [
 /// Keyboard teleoperation.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Space takes control and stops, Enter gives it back, W A S D drive while held (Q E in curves), + and - set the speed, R releases a stop. Ctrl-C leaves the robot stopped; `zenav resume` releases it. Escape gives control back and leaves without a stop."
+    after_help = "Examples:\n  zenav teleop\n  zenav teleop --robot anna --connect tcp/127.0.0.1:7450\n\nSpace takes control and stops, Enter gives it back, W A S D drive while held (Q E in curves), + and - set the speed, R releases a stop. Ctrl-C leaves the robot stopped; `zenav resume` releases it. Escape gives control back and leaves without a stop."
 )]
 pub struct TeleopArgs {
     /// Connection and robot.

@@ -19,7 +19,9 @@ const LARGEST: usize = 5;
 
 /// Arguments of `zenav diff`.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Exit code 1 where a goal ended otherwise; whatever else differs is told, and no failure.")]
+#[command(
+    after_help = "Examples:\n  zenav diff monday.mcap tuesday.mcap\n  zenav diff monday.mcap tuesday.mcap -o json\n\nExit code 1 where a goal ended otherwise; whatever else differs is told, and no failure."
+)]
 pub struct DiffArgs {
     /// Record
     #[arg(value_name = "A.mcap")]

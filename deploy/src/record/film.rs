@@ -1,6 +1,7 @@
 //! `zenav film`. How did the map grow, and what did the robot see, plan and drive? A moving picture out of a record, or its last picture.
 
 use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
 use std::sync::Arc;
 
 use nalgebra::{Point2, Vector2};
@@ -34,11 +35,14 @@ const MARGIN: f64 = 0.3;
 
 /// Arguments of `zenav film`.
 #[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  zenav film run.mcap\n  zenav film run.mcap --out run.mp4     by ffmpeg\n  zenav film run.mcap --out last.png    only the last picture"
+)]
 pub struct FilmArgs {
     /// Record
     #[arg(value_name = "RUN.mcap")]
     record: PathBuf,
-    /// What to write: .gif moves, .png is the last picture [default: beside the record, with the ending .gif]
+    /// What to write: .gif moves, .mp4 too (by ffmpeg, which must be installed), .png is the last picture [default: beside the record, with the ending .gif]
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
     /// Robot; may be left out when the record has one
@@ -53,22 +57,49 @@ pub struct FilmArgs {
 pub fn film(args: &FilmArgs) -> Outcome {
     let out = args.out.clone().unwrap_or_else(|| args.record.with_extension("gif"));
     let ending = out.extension().and_then(|ending| ending.to_str()).unwrap_or_default();
-    let moves = ending.eq_ignore_ascii_case("gif");
-    if !moves && !ending.eq_ignore_ascii_case("png") {
-        return Err(Failure::usage(format!(
-            "--out {}: expected a name that ends with .gif or .png",
-            out.display()
-        )));
-    }
-    let film = Film::of(&args.record, args.robot.as_deref(), if moves { PICTURES } else { 1 })?;
-    let bytes = if moves {
-        encode(film.moments.len(), SHOWN, |nth| film.picture(nth))?
-    } else {
-        film.picture(film.moments.len().saturating_sub(1))?.png()?
+    let moving = || {
+        let film = Film::of(&args.record, args.robot.as_deref(), PICTURES)?;
+        encode(film.moments.len(), SHOWN, |nth| film.picture(nth))
     };
-    files::write(&out, bytes)?;
+    match ending.to_ascii_lowercase().as_str() {
+        "gif" => files::write(&out, moving()?)?,
+        "mp4" => write_mp4(moving()?, &out)?,
+        "png" => {
+            let film = Film::of(&args.record, args.robot.as_deref(), 1)?;
+            files::write(&out, film.picture(film.moments.len().saturating_sub(1))?.png()?)?;
+        }
+        _ => {
+            return Err(Failure::usage(format!(
+                "--out {}: expected a name that ends with .gif, .mp4 or .png",
+                out.display()
+            )));
+        }
+    }
     output::line(&format!("wrote {}", out.display()));
     Ok(exit_code::OK)
+}
+
+/// Has ffmpeg write a GIF as MP4, in the pixel format that every player knows, which wants even sides.
+fn write_mp4(gif: Vec<u8>, out: &Path) -> Result<(), Failure> {
+    // ffmpeg reads no GIF from a pipe.
+    let source = out.with_extension("part.gif");
+    files::write(&source, gif)?;
+    let status = Command::new("ffmpeg")
+        .args(["-loglevel", "error", "-y", "-i"])
+        .arg(&source)
+        .args(["-vf", "scale=trunc(iw/2)*2:trunc(ih/2)*2", "-pix_fmt", "yuv420p"])
+        .args(["-movflags", "+faststart"])
+        .arg(out)
+        .stdin(Stdio::null())
+        .status();
+    let removed = std::fs::remove_file(&source).map_err(Failure::failed_at(&source));
+    match status {
+        Ok(status) if status.success() => removed,
+        Ok(status) => Err(Failure::failed(format!("{}: ffmpeg failed: {status}", out.display()))),
+        Err(error) => Err(Failure::failed(format!(
+            "ffmpeg: {error}: an .mp4 needs it; a .gif needs nothing"
+        ))),
+    }
 }
 
 /// What there was to see at a moment.

@@ -34,10 +34,6 @@ pub const FORMAT_ENTRY: &str = "format";
 pub const SCHEMA_ENTRY: &str = "schema";
 /// When the recording began, ns since the UNIX epoch.
 pub const STARTED_ENTRY: &str = "started";
-/// The mapper's settings as JSON, where they are known.
-pub const MAPPING_ENTRY: &str = "mapping";
-/// The motion workers' settings as JSON, where they are known.
-pub const MOTION_ENTRY: &str = "motion";
 /// A title for people.
 pub const TITLE_ENTRY: &str = "title";
 

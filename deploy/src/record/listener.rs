@@ -1,16 +1,16 @@
 //! Listener. What comes on a bus, as the samples of a record, with what somebody who joins late has missed?
 //!
-//! Arrival times are those of one clock that never steps back. Beside the samples it asks each robot for its model, and mapping for a map
-//! whose beginning was missed; the answers are samples too.
+//! Arrival times are those of one clock that never steps back. Beside the samples it asks each robot for its model, mapping and motion
+//! workers for their settings, and mapping for a map whose beginning was missed; the answers are samples too.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, VecDeque};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use tokio::task::{JoinError, JoinSet};
-use zenav_protocol::bus::{Bus, Tap, Tapped};
+use zenav_protocol::bus::{Answer, Bus, Tap, Tapped};
 use zenav_protocol::codec::{self, Encoding};
 use zenav_protocol::id::Id;
-use zenav_protocol::messages::{InfoRequest, MapRequest};
+use zenav_protocol::messages::{InfoReply, InfoRequest, MapRequest};
 use zenav_protocol::topics;
 
 use super::format::{Kind, Sample};
@@ -47,15 +47,20 @@ fn nanos(time: Duration) -> u64 {
     u64::try_from(time.as_nanos()).unwrap_or(u64::MAX)
 }
 
+/// Robot, side and name of a topic: that it comes says that the part which writes it is there.
+type Topic = [String; 3];
+
 /// Listens to a bus.
 #[derive(Debug)]
 pub struct Listener {
     bus: Bus,
     tap: Tap,
     timeline: Timeline,
-    questions: JoinSet<Result<Sample, String>>,
-    /// Robots whose model was asked for.
-    known: BTreeSet<String>,
+    questions: JoinSet<Result<Vec<Sample>, Topic>>,
+    /// Answers that were not taken yet.
+    answers: VecDeque<Sample>,
+    /// Those of whose parts it was asked.
+    known: BTreeSet<Topic>,
     /// Robots of whose map a part was missing a second ago.
     lacking: Vec<String>,
     asked_for_maps: Option<Instant>,
@@ -72,6 +77,7 @@ impl Listener {
             tap: bus.tap(patterns, BACKLOG)?,
             bus: bus.clone(),
             questions: JoinSet::new(),
+            answers: VecDeque::new(),
             known: BTreeSet::new(),
             lacking: Vec::new(),
             asked_for_maps: None,
@@ -87,20 +93,20 @@ impl Listener {
     /// Waits for the next sample; `None` after the bus was closed. Cancel-safe.
     pub async fn next(&mut self) -> Option<Sample> {
         loop {
+            if let Some(answer) = self.answers.pop_front() {
+                return Some(answer);
+            }
             tokio::select! {
                 tapped = self.tap.next() => return tapped.map(|tapped| self.sample(tapped)),
-                Some(reply) = self.questions.join_next() => {
-                    if let Some(sample) = self.hear(reply) {
-                        return Some(sample);
-                    }
-                }
+                Some(answers) = self.questions.join_next() => self.hear(answers),
             }
         }
     }
 
     /// The next sample, if one waits.
     pub fn try_next(&mut self) -> Option<Sample> {
-        self.tap.try_next().map(|tapped| self.sample(tapped))
+        let answer = self.answers.pop_front();
+        answer.or_else(|| self.tap.try_next().map(|tapped| self.sample(tapped)))
     }
 
     /// Now, on the clock of the samples, ns since the UNIX epoch.
@@ -129,23 +135,41 @@ impl Listener {
         }
     }
 
-    /// Asks a robot that was not heard of before for its model.
+    /// Asks a robot that was not heard of before for its model, and mapping and motion workers for their settings.
     fn meet(&mut self, key: &str) {
         let mut chunks = key.split('/');
-        let (Some("zenav"), Some(robot), Some("edge")) = (chunks.next(), chunks.next(), chunks.next()) else {
+        let (Some("zenav"), Some(robot), Some(side), Some(name)) =
+            (chunks.next(), chunks.next(), chunks.next(), chunks.next())
+        else {
             return;
         };
-        if self.known.contains(robot) || Id::robot(robot).is_err() {
+        let topic = match (side, name) {
+            // Whichever of its topics comes first.
+            ("edge", _) => [robot, side, ""],
+            ("cloud", "map" | "motion") => [robot, side, name],
+            _ => return,
+        };
+        let topic = topic.map(str::to_owned);
+        if Id::robot(robot).is_err() || !self.known.insert(topic.clone()) {
             return;
         }
-        self.known.insert(robot.to_owned());
-        let (bus, robot, timeline) = (self.bus.clone(), robot.to_owned(), self.timeline);
+        let (bus, timeline, is_robot) = (self.bus.clone(), self.timeline, side == "edge");
         self.questions.spawn(async move {
             let request = InfoRequest::default();
-            let info = bus.ask(&topics::EDGE_INFO, &[&robot], &request, PATIENCE).await;
-            let info = info.map_err(|_| robot.clone())?;
-            let bytes = codec::encode(&info, Encoding::Json).map_err(|_| robot.clone())?;
-            Ok(reply(topics::EDGE_INFO.key(&[&robot]), Encoding::Json, bytes, timeline))
+            let told = if is_robot {
+                let key = topics::EDGE_INFO.key(&[&topic[0]]);
+                let info = bus.ask(&topics::EDGE_INFO, &[&topic[0]], &request, PATIENCE).await;
+                info.map(|info| vec![(key, info)])
+            } else {
+                let parts = bus.ask_all(&topics::PART_INFO, &["*"], &request, PATIENCE).await;
+                parts.map(|parts| parts.into_iter().filter_map(part).collect())
+            };
+            let replies = told.unwrap_or_default().into_iter().filter_map(|(key, info)| {
+                let bytes = codec::encode(&info, Encoding::Json).ok()?;
+                Some(reply(key, Encoding::Json, bytes, timeline))
+            });
+            let replies: Vec<Sample> = replies.collect();
+            if replies.is_empty() { Err(topic) } else { Ok(replies) }
         });
     }
 
@@ -162,24 +186,30 @@ impl Listener {
             self.questions.spawn(async move {
                 let request = MapRequest::default();
                 let map = bus.ask(&topics::MAP, &[&robot], &request, PATIENCE).await;
-                let map = map.map_err(|_| String::new())?;
-                let bytes = codec::encode(&map, Encoding::Cbor).map_err(|_| String::new())?;
-                Ok(reply(topics::MAP.key(&[&robot]), Encoding::Cbor, bytes, timeline))
+                let map = map.ok().and_then(|map| codec::encode(&map, Encoding::Cbor).ok());
+                let key = topics::MAP.key(&[&robot]);
+                let replies = map.map(|bytes| reply(key, Encoding::Cbor, bytes, timeline));
+                Ok(replies.into_iter().collect())
             });
         }
     }
 
-    /// An answer is a sample; a robot that gave none is asked again when it is next heard of.
-    fn hear(&mut self, answer: Result<Result<Sample, String>, JoinError>) -> Option<Sample> {
-        match answer {
-            Ok(Ok(reply)) => Some(reply),
-            Ok(Err(robot)) => {
-                self.known.remove(&robot);
-                None
+    /// An answer is a sample; who gave none is asked again when heard of next.
+    fn hear(&mut self, answers: Result<Result<Vec<Sample>, Topic>, JoinError>) {
+        match answers {
+            Ok(Ok(replies)) => self.answers.extend(replies),
+            Ok(Err(topic)) => {
+                self.known.remove(&topic);
             }
-            Err(_) => None,
+            Err(_) => {}
         }
     }
+}
+
+/// What a part of the deployment told of itself, and the key where it did.
+fn part(answer: Answer<InfoReply>) -> Option<(String, InfoReply)> {
+    let chunks: Vec<&str> = answer.chunks.iter().map(String::as_str).collect();
+    Some((topics::PART_INFO.key(&chunks), answer.result.ok()?))
 }
 
 fn reply(key: String, encoding: Encoding, bytes: Vec<u8>, timeline: Timeline) -> Sample {

@@ -48,7 +48,7 @@ const PATIENCE: Duration = Duration::from_secs(5);
 /// Arguments of `zenav view`.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "In Foxglove: Open connection, Foxglove WebSocket, ws://localhost:8765; then import the layout deploy/foxglove/zenav.json.\nWith --goals a pose that the 3D panel publishes on /goal becomes a goal: only where no page of another site is open in a browser here."
+    after_help = "Examples:\n  zenav view\n  zenav view --goals --listen 127.0.0.1:0\n\nIn Foxglove: Open connection, Foxglove WebSocket, ws://localhost:8765; then import the layout deploy/foxglove/zenav.json.\nWith --goals a pose that the 3D panel publishes on /goal becomes a goal: only where no page of another site is open in a browser here."
 )]
 pub struct ViewArgs {
     /// Connection and robot.
@@ -240,12 +240,7 @@ impl Show {
             self.draw_map(&robot, sample.logged);
         }
         if sample.kind == Kind::Put && Encoding::of(&sample.encoding) == Encoding::Json {
-            let describe = || {
-                Some((
-                    schema::title(&sample.key),
-                    schema::of_example(&schema::title(&sample.key), &sample.bytes)?,
-                ))
-            };
+            let describe = || Some((schema::title(&sample.key), schema::of(&sample.key, &sample.bytes)?));
             self.publish(&sample.key, &sample.key, &sample.bytes, sample.logged, describe);
         }
     }

@@ -411,7 +411,7 @@ impl RecordFile {
         if let Some(number) = self.schemas.get(&title) {
             return Ok(*number);
         }
-        let Some(schema) = schema::of_example(&title, example) else {
+        let Some(schema) = schema::of(key, example) else {
             return Ok(0);
         };
         let number = self

@@ -28,6 +28,9 @@ pub(crate) use merge::{MergeArgs, merge};
 /// A log's poses are taken for raw odometry: those of a corrected log leave nothing to do. The time is that of the thread: what others do on
 /// the machine does not count.
 #[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  zenav slam --log drive.log.gz --out map\n  zenav slam --graph graph.g2o --robust --out solved"
+)]
 #[command(group(clap::ArgGroup::new("input").required(true).args(["log", "graph"])))]
 pub struct SlamArgs {
     /// CARMEN log of scans and raw odometry, compressed by gzip or not; several: drives one after the other in one building

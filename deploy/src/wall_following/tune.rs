@@ -42,6 +42,9 @@ const UNSEEN: u64 = 500_000;
 
 /// Searching parameters.
 #[derive(Debug, Args)]
+#[command(
+    after_help = "Examples:\n  zenav tune wall_follow --robot neato\n  zenav tune wall_follow --rooms 4 --generations 5 --out quick"
+)]
 pub struct TuneArgs {
     #[command(subcommand)]
     command: TuneCommand,

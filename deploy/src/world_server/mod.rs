@@ -153,7 +153,7 @@ async fn run(bus: &Bus, host: &Shared, speed: f64, shutdown: &Shutdown) -> Resul
     let mut attaching = bus.serve(&topics::ATTACH, &[])?;
     let mut wheels = bus.subscribe(&topics::WHEELS, &["*"], QUEUE)?;
     let clock = bus.publisher(&topics::SIM_CLOCK, &[])?;
-    bus.serve_info("sim", "")?;
+    bus.serve_info("sim", "", BTreeMap::new())?;
     let mut telling = Telling {
         bus: bus.clone(),
         clock,

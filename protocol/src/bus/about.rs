@@ -1,5 +1,7 @@
 //! About. Who is this component, and where does it run? Every part answers, so that one question finds all of them.
 
+use std::collections::BTreeMap;
+
 use zenav_observability::{process, recent};
 
 use super::{Bus, BusError};
@@ -73,12 +75,17 @@ impl Bus {
         Ok(())
     }
 
-    /// Answers for this component at `zenav/svc/info/{part}`, and with its log, until the bus is closed. An edge and a mission tell of
-    /// themselves at their own asks.
+    /// Answers for this component, with settings that others need to compute its results again, at `zenav/svc/info/{part}`, and with its log,
+    /// until the bus is closed. An edge and a mission tell of themselves at their own asks.
     ///
     /// # Errors
     /// [`BusError::Key`] for a name that may not stand in a key, [`BusError::Closed`].
-    pub fn serve_info(&self, component: &str, robot: &str) -> Result<(), BusError> {
+    pub fn serve_info(
+        &self,
+        component: &str,
+        robot: &str,
+        settings: BTreeMap<String, serde_json::Value>,
+    ) -> Result<(), BusError> {
         self.serve_log()?;
         let mut server = self.serve(&PART_INFO, &[self.name()])?;
         let info = InfoReply {
@@ -86,6 +93,7 @@ impl Bus {
             version: env!("CARGO_PKG_VERSION").to_owned(),
             schema: SCHEMA_VERSION,
             robot: robot.to_owned(),
+            settings,
             ..InfoReply::default()
         };
         // Not the bus itself: it would be kept open.

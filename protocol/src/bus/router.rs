@@ -1,5 +1,7 @@
 //! Router. Where do all components meet? At a Zenoh router, which any process can open.
 
+use std::collections::BTreeMap;
+
 use zenav_observability::Readiness;
 use zenoh::Session;
 use zenoh::config::WhatAmI;
@@ -67,7 +69,7 @@ impl Router {
         let router = Self { session, readiness };
         // Of several routers each by its own key.
         let name = format!("router-{}", router.session.zid());
-        router.bus(&name).serve_info("router", "")?;
+        router.bus(&name).serve_info("router", "", BTreeMap::new())?;
         Ok(router)
     }
 

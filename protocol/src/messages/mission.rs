@@ -97,6 +97,10 @@ pub struct InfoReply {
     /// The process that the component runs in.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub process: Option<ProcessInfo>,
+    /// The settings by which its results can be computed again, by section of the deployment file: `mapping` and `poses` of mapping,
+    /// `motion` of a motion worker.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub settings: BTreeMap<String, serde_json::Value>,
 }
 
 /// Where a component runs, and what its process takes. What the system does not tell is zero.

@@ -76,14 +76,15 @@ fn picture(status: &MissionStatus, colors: bool, rows: Option<usize>) -> String 
         true => format!("leads, {}", diagnosis::standbys(status)),
         false => "does not lead".to_owned(),
     };
-    let mut lines = vec![format!(
-        "{} {leads} (epoch {}): {goal}, tree {}, {} waiting",
-        status.holder,
-        status.epoch,
-        status.tree.as_deref().unwrap_or("none"),
-        status.queued
-    )];
-    let shown = rows.map_or(usize::MAX, |rows| rows.saturating_sub(3));
+    let mut lines = vec![
+        format!("{} {leads} (epoch {})", status.holder, status.epoch),
+        format!(
+            "tree {}: {goal}, {} waiting",
+            status.tree.as_deref().unwrap_or("none"),
+            status.queued
+        ),
+    ];
+    let shown = rows.map_or(usize::MAX, |rows| rows.saturating_sub(4));
     let least = shown_from(&status.nodes, shown);
     let mut depths = BTreeMap::new();
     let mut left_out = 0;
@@ -191,14 +192,14 @@ mod tests {
             queued: 0,
             standbys: Vec::new(),
         };
-        let low = picture(&status, false, Some(5));
+        let low = picture(&status, false, Some(6));
         assert_eq!(
-            low.lines().skip(1).collect::<Vec<_>>(),
+            low.lines().skip(2).collect::<Vec<_>>(),
             ["▶ Sequence", "  ▶ Drive ", "… 1 more on a taller terminal"]
         );
         let drawn = picture(&status, false, None);
         assert_eq!(
-            drawn.lines().skip(1).collect::<Vec<_>>(),
+            drawn.lines().skip(2).collect::<Vec<_>>(),
             ["▶ Sequence", "  ✓ Wait", "  ▶ Drive "]
         );
     }

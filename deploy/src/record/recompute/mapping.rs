@@ -5,9 +5,11 @@
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::path::Path;
+use std::sync::Arc;
 
 use serde::Serialize;
-use zenav_mapping::{Mapper, MappingSettings};
+use zenav_cloud::mapping::MappingCore;
+use zenav_mapping::Mapper;
 use zenav_protocol::codec::{self, Encoding};
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::map_replica::MapReplica;
@@ -15,6 +17,7 @@ use zenav_protocol::messages::{MapPatch, MapRef, Scan};
 use zenav_protocol::robot::Footprint;
 use zenav_protocol::topics;
 
+use super::settings::RunSettings;
 use crate::failure::Failure;
 use crate::record::format::{Kind, Sample};
 use crate::record::reader::RecordReader;
@@ -71,7 +74,7 @@ impl MapVerdict {
 }
 
 /// The maps of all robots, computed again.
-pub(super) fn recompute(file: &Path, settings: &MappingSettings) -> Result<Vec<MapVerdict>, Failure> {
+pub(super) fn recompute(file: &Path, settings: &mut RunSettings) -> Result<Vec<MapVerdict>, Failure> {
     // Known from the beginning, although the recorder may have asked for them later than mapping did.
     let footprints = footprints(file)?;
     let mut reader = RecordReader::open(file)?;
@@ -81,15 +84,15 @@ pub(super) fn recompute(file: &Path, settings: &MappingSettings) -> Result<Vec<M
         if let (Some("zenav"), Some(robot)) = (chunks.next(), chunks.next()) {
             if !robots.contains_key(robot) {
                 let footprint = footprints.get(robot).cloned();
-                robots.insert(robot.to_owned(), MapHistory::new(robot, settings.clone(), footprint));
+                robots.insert(robot.to_owned(), MapHistory::new(robot, footprint));
             }
             if let Some(history) = robots.get_mut(robot) {
-                history.see(&sample);
+                history.see(&sample, settings);
             }
         }
     }
     let seen = robots.into_values().filter(|history| history.verdict.patches > 0);
-    Ok(seen.map(MapHistory::end).collect())
+    Ok(seen.map(|history| history.end(settings)).collect())
 }
 
 /// The footprint of each robot, as its edge told the recorder.
@@ -112,28 +115,40 @@ struct Recorded {
     bytes: Vec<u8>,
 }
 
+/// A scan as it was recorded.
+struct Heard {
+    scan: Scan,
+    /// Whether it is of the main lidar, which poses are made of.
+    is_main: bool,
+    /// The robot's boot by then.
+    boot_id: Arc<str>,
+}
+
 /// The map of one robot, computed along its record.
 struct MapHistory {
-    settings: MappingSettings,
     footprint: Option<Footprint>,
     /// Scans that are in no patch yet, as they came.
-    scans: Vec<Scan>,
+    scans: Vec<Heard>,
+    /// The robot's boot and frame, as it said last.
+    boot_id: Arc<str>,
+    frame: u64,
     patches: VecDeque<Recorded>,
     /// Scans in the map at each revision that was described, and whether it came from a file.
     described: HashMap<MapRef, (u64, bool)>,
     /// What may have happened in mapping, each with whether it knows the footprint.
-    mappers: Vec<(Mapper, bool)>,
+    mappers: Vec<(MappingCore, bool)>,
     inserted: u64,
     replica: MapReplica,
     verdict: MapVerdict,
 }
 
 impl MapHistory {
-    fn new(robot: &str, settings: MappingSettings, footprint: Option<Footprint>) -> Self {
+    fn new(robot: &str, footprint: Option<Footprint>) -> Self {
         Self {
-            settings,
             footprint,
             scans: Vec::new(),
+            boot_id: Arc::default(),
+            frame: 0,
             patches: VecDeque::new(),
             described: HashMap::new(),
             mappers: Vec::new(),
@@ -146,13 +161,25 @@ impl MapHistory {
         }
     }
 
-    fn see(&mut self, sample: &Sample) {
+    fn hear(&mut self, scan: Scan, is_main: bool) {
+        self.verdict.scans += 1;
+        self.scans.push(Heard {
+            scan,
+            is_main,
+            boot_id: Arc::clone(&self.boot_id),
+        });
+    }
+
+    fn see(&mut self, sample: &Sample, settings: &mut RunSettings) {
         if let Ok(Some((_, scan))) = sample.message(&topics::SCAN) {
-            self.verdict.scans += 1;
-            self.scans.push(scan);
+            self.hear(scan, true);
         } else if let Ok(Some((_, scan))) = sample.message(&topics::LIDAR_SCAN) {
-            self.verdict.scans += 1;
-            self.scans.push(scan);
+            self.hear(scan, false);
+        } else if let Ok(Some((_, state))) = sample.message(&topics::STATE) {
+            self.frame = state.frame;
+            if *self.boot_id != *state.boot_id {
+                self.boot_id = state.boot_id.into();
+            }
         } else if let Ok(Some((_, info))) = sample.message(&topics::MAP_INFO) {
             self.described.insert(info.map, (info.scans, info.stored));
         } else if let Ok(Some((_, patch))) = sample.message(&topics::MAP_PATCH) {
@@ -167,16 +194,16 @@ impl MapHistory {
         // The description of a patch comes just after it.
         let is_described = |recorded: &Recorded| self.described.contains_key(&recorded.patch.map);
         if self.patches.len() > WAITING || self.patches.front().is_some_and(is_described) {
-            self.step();
+            self.step(settings);
         }
     }
 
-    fn end(mut self) -> MapVerdict {
+    fn end(mut self, settings: &mut RunSettings) -> MapVerdict {
         while !self.patches.is_empty() {
-            self.step();
+            self.step(settings);
         }
-        if let Some((mapper, _)) = self.mappers.first() {
-            let (cells, differing) = compare(self.replica.grid(), &mapper.grid());
+        if let Some((core, _)) = self.mappers.first() {
+            let (cells, differing) = compare(self.replica.grid(), &core.mapper.grid());
             (self.verdict.cells, self.verdict.differing_cells) = (cells, differing);
         }
         self.verdict.identical = self.verdict.difference.is_none() && self.verdict.same_patches == self.verdict.patches;
@@ -188,7 +215,7 @@ impl MapHistory {
     }
 
     /// Computes the next patch.
-    fn step(&mut self) {
+    fn step(&mut self, settings: &mut RunSettings) {
         let Some(Recorded { patch, bytes }) = self.patches.pop_front() else {
             return;
         };
@@ -198,15 +225,15 @@ impl MapHistory {
         let is_known = self
             .mappers
             .first()
-            .is_some_and(|(mapper, _)| mapper.map().id == patch.map.id);
-        if !is_known && let Err(why) = self.begin(&patch, described) {
+            .is_some_and(|(core, _)| core.mapper.map().id == patch.map.id);
+        if !is_known && let Err(why) = self.begin(&patch, described, settings) {
             self.mappers.clear();
-            self.scans.retain(|scan| scan.stamp > patch.stamp);
+            self.scans.retain(|heard| heard.scan.stamp > patch.stamp);
             self.differ(why);
             return;
         }
         let candidates: Vec<usize> = (0..self.scans.len())
-            .filter(|nth| self.scans[*nth].stamp <= patch.stamp)
+            .filter(|nth| self.scans[*nth].scan.stamp <= patch.stamp)
             .collect();
         let wanted = described.map_or(candidates.len() as u64, |(scans, _)| {
             scans.saturating_sub(self.inserted)
@@ -223,10 +250,10 @@ impl MapHistory {
         let mut explained = Vec::new();
         let mut unexplained = None;
         for chosen in &choices {
-            let scans: Vec<&Scan> = chosen.iter().map(|nth| &self.scans[*nth]).collect();
-            for (mapper, knows) in &self.mappers {
-                for (mut after, knows) in self.insertions(mapper, *knows, &scans) {
-                    let made = after.take_patch();
+            let scans: Vec<&Heard> = chosen.iter().map(|nth| &self.scans[*nth]).collect();
+            for (core, knows) in &self.mappers {
+                for (mut after, knows) in self.insertions(core, *knows, &scans) {
+                    let made = after.mapper.take_patch();
                     let same = made
                         .as_ref()
                         .is_some_and(|made| codec::encode(made, Encoding::Cbor).is_ok_and(|encoded| encoded == bytes));
@@ -245,21 +272,23 @@ impl MapHistory {
             self.verdict.same_patches += 1;
             self.inserted += *count as u64;
             self.verdict.unseen_scans += (candidates.len() - count) as u64;
-            self.mappers = explained
-                .into_iter()
-                .map(|(mapper, knows, _)| (mapper, knows))
-                .collect();
-        } else if let Some((mapper, knows, made, count)) = unexplained {
+            self.mappers = explained.into_iter().map(|(core, knows, _)| (core, knows)).collect();
+        } else if let Some((core, knows, made, count)) = unexplained {
             let how = difference(&patch, made.as_ref());
             self.differ(format!("revision {}: {how}", patch.map.revision));
             self.inserted += count as u64;
-            self.mappers = vec![(mapper, knows)];
+            self.mappers = vec![(core, knows)];
         }
-        self.scans.retain(|scan| scan.stamp > patch.stamp);
+        self.scans.retain(|heard| heard.scan.stamp > patch.stamp);
     }
 
     /// A map's first patch.
-    fn begin(&mut self, patch: &MapPatch, described: Option<(u64, bool)>) -> Result<(), String> {
+    fn begin(
+        &mut self,
+        patch: &MapPatch,
+        described: Option<(u64, bool)>,
+        settings: &mut RunSettings,
+    ) -> Result<(), String> {
         if patch.base_revision != 0 {
             return Err(format!(
                 "the record begins at revision {} of the map, whose beginning is not in it",
@@ -269,32 +298,39 @@ impl MapHistory {
         if described.is_some_and(|(_, stored)| stored) {
             return Err("the map was loaded from a file, which is not in the record".to_owned());
         }
-        if self.scans.iter().all(|scan| scan.stamp > patch.stamp) {
+        if self.scans.iter().all(|heard| heard.scan.stamp > patch.stamp) {
             return Err("the record began later than the map: the scans of its beginning are not in it".to_owned());
         }
-        let mapper = Mapper::new(self.settings.clone(), patch.map.id.clone());
+        let (mapping, poses) = settings.mapping(&self.verdict.robot);
+        let mut core = MappingCore::new(Mapper::new(mapping, patch.map.id.clone()), &poses);
+        core.hear_frame(self.frame);
         self.inserted = 0;
-        self.mappers = vec![(mapper.clone(), false)];
+        self.mappers = vec![(core.clone(), false)];
         if let Some(footprint) = &self.footprint {
-            self.mappers.insert(0, (mapper.with_footprint(footprint.clone()), true));
+            core.mapper.set_footprint(footprint.clone());
+            self.mappers.insert(0, (core, true));
         }
         Ok(())
     }
 
-    /// The mapper after these scans: with the footprint that it knows, or learns before any of them.
-    fn insertions(&self, mapper: &Mapper, knows: bool, scans: &[&Scan]) -> Vec<(Mapper, bool)> {
+    /// Mapping after these scans: with the footprint that it knows, or learns before any of them.
+    fn insertions(&self, core: &MappingCore, knows: bool, scans: &[&Heard]) -> Vec<(MappingCore, bool)> {
         let learns = match &self.footprint {
             Some(footprint) if !knows => (0..scans.len()).map(|nth| Some((nth, footprint))).collect(),
             _ => Vec::new(),
         };
         let ways = std::iter::once(None).chain(learns);
         ways.map(|way| {
-            let mut after = mapper.clone();
-            for (nth, scan) in scans.iter().enumerate() {
+            let mut after = core.clone();
+            for (nth, heard) in scans.iter().enumerate() {
                 if let Some((_, footprint)) = way.filter(|(learnt, _)| *learnt == nth) {
-                    after.set_footprint(footprint.clone());
+                    after.mapper.set_footprint(footprint.clone());
                 }
-                after.insert(scan);
+                if heard.is_main {
+                    after.insert(&heard.scan, &heard.boot_id);
+                } else {
+                    after.insert_further(&heard.scan);
+                }
             }
             (after, knows || way.is_some())
         })
@@ -380,6 +416,7 @@ fn compare(recorded: &OccupancyGrid, made: &OccupancyGrid) -> (u64, u64) {
 mod tests {
     use std::path::PathBuf;
 
+    use zenav_mapping::MappingSettings;
     use zenav_protocol::geometry::Pose2;
     use zenav_protocol::messages::InfoReply;
 
@@ -462,7 +499,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path: PathBuf = folder.path().join("run.mcap");
         record(&path, unseen, learnt, changed);
-        let maps = recompute(&path, &MappingSettings::default()).unwrap();
+        let maps = recompute(&path, &mut RunSettings::default()).unwrap();
         assert_eq!(maps.len(), 1);
         maps.into_iter().next().unwrap()
     }
@@ -507,7 +544,7 @@ mod tests {
             }
         }
         writer.finish(0).unwrap();
-        let map = &recompute(&part, &MappingSettings::default()).unwrap()[0];
+        let map = &recompute(&part, &mut RunSettings::default()).unwrap()[0];
         assert!(!map.identical && map.same_patches == 0, "{map:?}");
         assert!(map.difference.as_ref().unwrap().contains("began later"), "{map:?}");
     }

@@ -4,21 +4,23 @@
 //! |---|---|
 //! | `mapping` | does mapping make the recorded map of the recorded scans? |
 //! | `motion` | do the motion workers answer the recorded requests as they did? |
+//! | `settings` | how were the parts of the run set? |
 
 mod mapping;
 mod motion;
+mod settings;
 
 use std::path::Path;
 
 use clap::ValueEnum;
 use serde::Serialize;
-use serde::de::DeserializeOwned;
+use zenav_cloud::mapping::PoseSettings;
 use zenav_cloud::motion::MotionSettings;
 use zenav_mapping::MappingSettings;
 
-use super::format::{MAPPING_ENTRY, MOTION_ENTRY};
+use self::settings::RunSettings;
 use super::reader::RecordReader;
-use crate::config;
+use crate::config::{self, Deployment};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
@@ -35,13 +37,22 @@ pub enum Part {
     Motion,
 }
 
-/// Settings that the parts of a run had, where they are known.
+/// Settings of the parts of a run.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Told {
-    /// The mapper's.
-    pub mapping: Option<MappingSettings>,
-    /// The motion workers'.
-    pub motion: Option<MotionSettings>,
+struct PartSettings {
+    mapping: MappingSettings,
+    poses: PoseSettings,
+    motion: MotionSettings,
+}
+
+impl PartSettings {
+    fn of(deployment: &Deployment) -> Self {
+        Self {
+            poses: deployment.poses(),
+            motion: deployment.motion(),
+            mapping: deployment.mapping.settings.clone(),
+        }
+    }
 }
 
 /// What came of a record's inputs.
@@ -59,14 +70,8 @@ pub struct Recomputed {
 
 /// `zenav replay FILE --recompute PARTS`.
 pub(super) fn run(file: &Path, parts: &[Part], deployment: Option<&Path>, format: Format) -> Outcome {
-    let told = match deployment.map(|path| config::load(Some(path))).transpose()? {
-        Some(deployment) => Told {
-            motion: Some(deployment.motion()),
-            mapping: Some(deployment.mapping.settings),
-        },
-        None => Told::default(),
-    };
-    let recomputed = recompute(file, parts, told)?;
+    let deployment = deployment.map(|path| config::load(Some(path))).transpose()?;
+    let recomputed = recompute(file, parts, deployment.as_ref())?;
     output::value(format, &recomputed, table)?;
     Ok(if recomputed.identical {
         exit_code::OK
@@ -75,20 +80,19 @@ pub(super) fn run(file: &Path, parts: &[Part], deployment: Option<&Path>, format
     })
 }
 
-/// Computes parts of a record again. Settings are those told, else the record's, else the defaults.
+/// Computes parts of a record again, with the settings of a deployment, else those that the run's parts told, else the defaults.
 ///
 /// # Errors
 /// A bad record, or one of other messages.
-pub fn recompute(file: &Path, parts: &[Part], told: Told) -> Result<Recomputed, Failure> {
-    let reader = RecordReader::open(file)?;
-    reader.check_messages()?;
+pub fn recompute(file: &Path, parts: &[Part], deployment: Option<&Deployment>) -> Result<Recomputed, Failure> {
+    RecordReader::open(file)?.check_messages()?;
+    let mut settings = RunSettings::of(file, deployment.map(PartSettings::of))?;
     let mut recomputed = Recomputed {
         identical: true,
         ..Recomputed::default()
     };
     if parts.contains(&Part::Mapping) {
-        let settings = settings(&reader, file, MAPPING_ENTRY, told.mapping, &mut recomputed.notes)?;
-        recomputed.maps = mapping::recompute(file, &settings)?;
+        recomputed.maps = mapping::recompute(file, &mut settings)?;
         recomputed.identical &= !recomputed.maps.is_empty() && recomputed.maps.iter().all(|map| map.identical);
         if recomputed.maps.is_empty() {
             let note = "mapping: no patch of a map is in the record";
@@ -96,8 +100,7 @@ pub fn recompute(file: &Path, parts: &[Part], told: Told) -> Result<Recomputed, 
         }
     }
     if parts.contains(&Part::Motion) {
-        let settings = settings(&reader, file, MOTION_ENTRY, told.motion, &mut recomputed.notes)?;
-        recomputed.motion = motion::recompute(file, &settings)?;
+        recomputed.motion = motion::recompute(file, &mut settings)?;
         recomputed.identical &=
             !recomputed.motion.is_empty() && recomputed.motion.iter().all(|worker| worker.identical);
         if recomputed.motion.is_empty() {
@@ -105,27 +108,8 @@ pub fn recompute(file: &Path, parts: &[Part], told: Told) -> Result<Recomputed, 
             recomputed.notes.push(note.to_owned());
         }
     }
+    recomputed.notes.extend(settings.notes());
     Ok(recomputed)
-}
-
-/// The settings of a part: those told, else the record's, else the defaults, with a note.
-fn settings<S: DeserializeOwned + Default>(
-    reader: &RecordReader,
-    file: &Path,
-    part: &str,
-    told: Option<S>,
-    notes: &mut Vec<String>,
-) -> Result<S, Failure> {
-    match (told, reader.about().get(part)) {
-        (Some(settings), _) => Ok(settings),
-        (None, Some(text)) => serde_json::from_str(text).map_err(Failure::usage_at(file)),
-        (None, None) => {
-            notes.push(format!(
-                "{part}: the record does not say its settings; taken are the defaults"
-            ));
-            Ok(S::default())
-        }
-    }
 }
 
 fn table(recomputed: &Recomputed) -> String {

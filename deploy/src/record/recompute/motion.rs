@@ -20,6 +20,7 @@ use zenav_protocol::messages::{
 use zenav_protocol::topics;
 use zenav_space::Zones;
 
+use super::settings::RunSettings;
 use crate::failure::Failure;
 use crate::record::format::Sample;
 use crate::record::reader::RecordReader;
@@ -73,7 +74,7 @@ impl MotionVerdict {
 }
 
 /// All recorded requests, answered again.
-pub(super) fn recompute(file: &Path, settings: &MotionSettings) -> Result<Vec<MotionVerdict>, Failure> {
+pub(super) fn recompute(file: &Path, settings: &mut RunSettings) -> Result<Vec<MotionVerdict>, Failure> {
     // Before the requests: a worker may have had a patch earlier than the recorder.
     let changes = changes(file)?;
     let mut workers = BTreeMap::<String, Rerun<'_>>::new();
@@ -82,7 +83,7 @@ pub(super) fn recompute(file: &Path, settings: &MotionSettings) -> Result<Vec<Mo
         if let Ok(Some((_, record))) = sample.message(&topics::MOTION) {
             let rerun = workers
                 .entry(record.worker.clone())
-                .or_insert_with(|| Rerun::new(&record.worker, settings, &changes));
+                .or_insert_with(|| Rerun::new(&record.worker, settings.motion(&record.worker), &changes));
             rerun.see(record);
         }
     }
@@ -148,7 +149,7 @@ impl Copy {
 
 /// A worker that is asked again what another one was asked.
 struct Rerun<'a> {
-    settings: &'a MotionSettings,
+    settings: MotionSettings,
     changes: &'a Changes,
     worker: MotionWorker,
     maps: BTreeMap<String, Copy>,
@@ -161,11 +162,11 @@ struct Rerun<'a> {
 }
 
 impl<'a> Rerun<'a> {
-    fn new(worker: &str, settings: &'a MotionSettings, changes: &'a Changes) -> Self {
+    fn new(worker: &str, settings: MotionSettings, changes: &'a Changes) -> Self {
         Self {
-            settings,
             changes,
             worker: MotionWorker::new(Arc::default(), settings.clone()),
+            settings,
             maps: BTreeMap::new(),
             zones: BTreeMap::new(),
             number: 0,
@@ -184,7 +185,7 @@ impl<'a> Rerun<'a> {
             let before = std::mem::take(&mut self.verdict);
             *self = Self {
                 verdict: before,
-                ..Self::new("", self.settings, self.changes)
+                ..Self::new("", self.settings.clone(), self.changes)
             };
         }
         if record.number != self.number + 1 {
@@ -472,7 +473,7 @@ mod tests {
         let sample = sample(topics::MAP_PATCH.key(&["r"]), Kind::Put, Encoding::Cbor, bytes);
         writer.write(&sample).unwrap();
         writer.finish(0).unwrap();
-        let mut verdicts = recompute(&file, &MotionSettings::default()).unwrap();
+        let mut verdicts = recompute(&file, &mut RunSettings::default()).unwrap();
         assert_eq!(verdicts.len(), 1);
         verdicts.remove(0)
     }

@@ -20,6 +20,7 @@ use crate::output;
 
 /// Arguments of `zenav report`.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  zenav report run.mcap\n  zenav report run.mcap --out monday.html")]
 pub struct ReportArgs {
     /// Record
     #[arg(value_name = "RUN.mcap")]

@@ -1,0 +1,124 @@
+//! Greeting of `zenav up`. What stands now, and what can be done with it? Told once, when every part is ready.
+
+use std::time::{Duration, Instant};
+
+use zenav_observability::readiness;
+use zenav_sim::World;
+
+use crate::config::Deployment;
+use crate::connect::DEFAULT_ENDPOINT;
+use crate::gateway;
+
+/// How often it is looked whether all are ready.
+const LOOK: Duration = Duration::from_millis(100);
+/// After this time it is told whatever waits still: each part says in its log what it waits for.
+const PATIENCE: Duration = Duration::from_secs(15);
+
+/// What is told of a deployment.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Greeting {
+    robots: Vec<String>,
+    world: String,
+    /// Where commands reach the deployment.
+    endpoint: String,
+    places: Vec<String>,
+    /// Address of the mission-control page.
+    page: Option<String>,
+}
+
+impl Greeting {
+    pub(crate) fn new(deployment: &Deployment, world: &World, page: Option<String>) -> Self {
+        Self {
+            robots: deployment.robots.keys().cloned().collect(),
+            world: deployment.simulation.world.clone(),
+            endpoint: deployment.bus.connect.clone(),
+            places: world.places().iter().map(|place| place.name.to_string()).collect(),
+            page,
+        }
+    }
+
+    /// Waits until every part is ready, and tells it.
+    pub(crate) async fn tell(self) {
+        let began = Instant::now();
+        let mut is_ready = false;
+        while !is_ready && began.elapsed() < PATIENCE {
+            tokio::time::sleep(LOOK).await;
+            is_ready = readiness::report().0;
+        }
+        let took = is_ready.then(|| began.elapsed());
+        // What they log of their readiness comes first.
+        tokio::time::sleep(2 * LOOK).await;
+        for line in self.lines(took) {
+            eprintln!("{line}");
+        }
+        if let Some(page) = &self.page {
+            gateway::tell(page);
+        }
+    }
+
+    /// The lines before the address of the page; without a time, some part is not ready yet.
+    fn lines(&self, took: Option<Duration>) -> Vec<String> {
+        let ready = match took {
+            Some(took) => format!("ready in {:.1} s", took.as_secs_f64()),
+            None => "not all parts are ready yet (`zenav doctor` says why)".to_owned(),
+        };
+        let robots = match self.robots.as_slice() {
+            [] => "no robot".to_owned(),
+            [robot] => format!("robot {robot}"),
+            robots => format!("robots {}", robots.join(", ")),
+        };
+        let connect = if self.endpoint == DEFAULT_ENDPOINT {
+            String::new()
+        } else {
+            format!(" --connect {}", self.endpoint)
+        };
+        let robot = match self.robots.as_slice() {
+            [first, _, ..] => format!(" --robot {first}"),
+            _ => String::new(),
+        };
+        let goal = match self.places.first() {
+            Some(place) => format!("--place {place}"),
+            None => "X Y".to_owned(),
+        };
+        let mut lines = vec![format!("{ready}: {robots} in {}, router {}", self.world, self.endpoint)];
+        if !self.places.is_empty() {
+            lines.push(format!("places: {}", self.places.join(", ")));
+        }
+        lines.push(format!(
+            "next:   zenav goal submit {goal} --wait{robot}{connect}\n        zenav map watch{robot}{connect}\n        zenav doctor{connect}"
+        ));
+        lines
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn greeting(robots: &[&str], endpoint: &str, places: &[&str]) -> String {
+        let owned = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect();
+        let greeting = Greeting {
+            robots: owned(robots),
+            world: "kitchen".to_owned(),
+            endpoint: endpoint.to_owned(),
+            places: owned(places),
+            page: None,
+        };
+        greeting.lines(Some(Duration::from_millis(640))).join("\n")
+    }
+
+    #[test]
+    fn the_commands_that_it_names_reach_this_deployment() {
+        assert_eq!(
+            greeting(&["tiago"], DEFAULT_ENDPOINT, &["corner", "sink"]),
+            "ready in 0.6 s: robot tiago in kitchen, router tcp/127.0.0.1:7447\n\
+             places: corner, sink\n\
+             next:   zenav goal submit --place corner --wait\n        zenav map watch\n        zenav doctor"
+        );
+        let other = greeting(&["anna", "bert"], "tcp/127.0.0.1:7000", &[]);
+        assert!(
+            other.contains("zenav goal submit X Y --wait --robot anna --connect tcp/127.0.0.1:7000"),
+            "{other}"
+        );
+    }
+}

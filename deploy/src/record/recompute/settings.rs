@@ -1,0 +1,80 @@
+//! Settings of a recorded run. How were its parts set? As a named deployment says, else as they told the recorder, else by the defaults.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use serde::de::DeserializeOwned;
+use serde_json::Value;
+use zenav_cloud::mapping::PoseSettings;
+use zenav_cloud::motion::MotionSettings;
+use zenav_mapping::MappingSettings;
+use zenav_protocol::topics;
+
+use super::PartSettings;
+use crate::failure::Failure;
+use crate::record::reader::RecordReader;
+
+/// The settings of each part of a run.
+#[derive(Debug, Default)]
+pub(super) struct RunSettings {
+    /// For every part, instead of what it told.
+    named: Option<PartSettings>,
+    /// What each part told, by section.
+    told: BTreeMap<String, BTreeMap<String, Value>>,
+    notes: BTreeSet<String>,
+}
+
+impl RunSettings {
+    /// Those of a record.
+    pub(super) fn of(file: &Path, named: Option<PartSettings>) -> Result<Self, Failure> {
+        let mut told = BTreeMap::new();
+        let mut reader = RecordReader::open(file)?;
+        while let Some(sample) = reader.next_sample()? {
+            if let Some((part, info)) = sample.reply(&topics::PART_INFO)
+                && !info.settings.is_empty()
+            {
+                told.insert(part, info.settings);
+            }
+        }
+        Ok(Self {
+            named,
+            told,
+            notes: BTreeSet::new(),
+        })
+    }
+
+    /// How a robot's map is drawn, and from whose poses.
+    pub(super) fn mapping(&mut self, robot: &str) -> (MappingSettings, PoseSettings) {
+        if let Some(named) = &self.named {
+            return (named.mapping.clone(), named.poses);
+        }
+        let part = format!("mapping-{robot}");
+        (self.section(&part, "mapping"), self.section(&part, "poses"))
+    }
+
+    /// How a motion worker plans and smooths.
+    pub(super) fn motion(&mut self, worker: &str) -> MotionSettings {
+        if let Some(named) = &self.named {
+            return named.motion.clone();
+        }
+        self.section(&format!("motion-{worker}"), "motion")
+    }
+
+    fn section<S: DeserializeOwned + Default>(&mut self, part: &str, section: &str) -> S {
+        let told = self.told.get(part).and_then(|sections| sections.get(section));
+        let why = match told.map(S::deserialize) {
+            Some(Ok(settings)) => return settings,
+            Some(Err(error)) => format!("are not those of this version ({error})"),
+            None => "are not in the record".to_owned(),
+        };
+        self.notes.insert(format!(
+            "{part}: its settings `{section}` {why}; taken are the defaults (--deployment FILE names others)"
+        ));
+        S::default()
+    }
+
+    /// What was not known.
+    pub(super) fn notes(self) -> BTreeSet<String> {
+        self.notes
+    }
+}
