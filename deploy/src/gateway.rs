@@ -6,6 +6,7 @@ use std::time::Duration;
 use clap::Args;
 use zenav_cloud::gateway::{Gateway, GatewayConfig, GatewayError};
 use zenav_gateway::DEFAULT_LISTEN;
+use zenav_observability::logging::{self, Format};
 use zenav_sim::World;
 
 use crate::components::{Parts, places};
@@ -77,7 +78,10 @@ impl PageArgs {
 
 /// Tells where the page is: the last line before the mission's own output.
 pub(crate) fn tell(address: &str) {
-    eprintln!("mission control: {address}");
+    match logging::format() {
+        Format::Text => eprintln!("mission control: {address}"),
+        Format::Json => tracing::info!(address, "mission control"),
+    }
 }
 
 impl Parts {

@@ -2,6 +2,7 @@
 
 use std::time::{Duration, Instant};
 
+use zenav_observability::logging::{self, Format};
 use zenav_observability::readiness;
 use zenav_sim::World;
 
@@ -48,8 +49,10 @@ impl Greeting {
         let took = is_ready.then(|| began.elapsed());
         // What they log of their readiness comes first.
         tokio::time::sleep(2 * LOOK).await;
-        for line in self.lines(took) {
-            eprintln!("{line}");
+        if logging::format() == Format::Text {
+            for line in self.lines(took) {
+                eprintln!("{line}");
+            }
         }
         if let Some(page) = &self.page {
             gateway::tell(page);

@@ -3,6 +3,7 @@
 
 use std::io::IsTerminal as _;
 use std::str::FromStr;
+use std::sync::OnceLock;
 
 use tracing_subscriber::fmt::MakeWriter;
 use tracing_subscriber::layer::SubscriberExt as _;
@@ -39,11 +40,21 @@ pub fn colors() -> bool {
     std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty())
 }
 
+/// What [`init`] was told.
+static FORMAT: OnceLock<Format> = OnceLock::new();
+
+/// The form of this process's log lines: what else goes to stderr for people has no place among JSON.
+#[must_use]
+pub fn format() -> Format {
+    FORMAT.get().copied().unwrap_or_default()
+}
+
 /// Begins to log. `RUST_LOG` says what is shown, `filter` where it does not. A second call (tests in one process) changes nothing.
 pub fn init<W>(format: Format, filter: &str, writer: W)
 where
     W: for<'a> MakeWriter<'a> + Send + Sync + 'static,
 {
+    let format = *FORMAT.get_or_init(|| format);
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(filter));
     let all = registry().with(filter).with(KeepRecent);
     let lines = fmt::layer().with_writer(writer);
