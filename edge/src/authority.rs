@@ -113,7 +113,11 @@ impl Authority {
             );
         }
         self.live = self.arbiter.is_live(now);
-        self.measured = granted.as_ref().ok().and_then(|granted| granted.round_trip).or(self.measured);
+        self.measured = granted
+            .as_ref()
+            .ok()
+            .and_then(|granted| granted.round_trip)
+            .or(self.measured);
         let answer = granted.map(|granted| LeaseReply {
             epoch: granted.epoch,
             ttl_secs: self.arbiter.ttl().as_secs_f64(),

@@ -52,13 +52,10 @@ impl Sector {
         }
     }
 
-    /// Distance of a place from what is never seen, m: zero within it.
-    fn distance_to_blind_spot(&self, place: Point2<f64>) -> f64 {
+    /// How deep a place lies in what is never seen, m; negative: so far from it.
+    fn depth(&self, place: Point2<f64>) -> f64 {
         if self.gap == 0.0 {
-            return f64::INFINITY;
-        }
-        if self.in_blind_spot(place) {
-            return 0.0;
+            return f64::NEG_INFINITY;
         }
         let local = place.coords - self.origin;
         let off = |edge: &Vector2<f64>| {
@@ -68,7 +65,8 @@ impl Sector {
                 local.norm()
             }
         };
-        off(&self.first).min(off(&self.last))
+        let off = off(&self.first).min(off(&self.last));
+        if self.in_blind_spot(place) { off } else { -off }
     }
 }
 
@@ -118,11 +116,17 @@ impl FieldOfView {
 
     /// A place is no nearer than this to what is never seen, m: zero within it, infinite where all is seen.
     pub(crate) fn distance_to_blind_spot(&self, place: Point2<f64>) -> f64 {
+        (-self.depth(place)).max(0.0)
+    }
+
+    /// A place lies no deeper than this in what is never seen, m; negative: so far from it; minus infinity where all is seen. No disc is
+    /// hidden whose center lies less deep than its radius.
+    pub(crate) fn depth(&self, place: Point2<f64>) -> f64 {
         if !self.has_blind_spot {
-            return f64::INFINITY;
+            return f64::NEG_INFINITY;
         }
-        let distances = self.sectors.iter().map(|sector| sector.distance_to_blind_spot(place));
-        distances.fold(0.0, f64::max)
+        let depths = self.sectors.iter().map(|sector| sector.depth(place));
+        depths.fold(f64::INFINITY, f64::min)
     }
 }
 

@@ -16,6 +16,7 @@ use crate::blind_spot_grid::BlindSpotGrid;
 use crate::field_of_view::{FieldOfView, ScanProjector, rigid};
 use crate::moving_obstacles::MovingObstacles;
 use crate::obstacle_tracks::Track;
+use crate::passive_safety::Hidden;
 use crate::range_filter::RangeFilter;
 use crate::settings::{EdgeSettings, LocalObstacleSettings};
 
@@ -27,6 +28,8 @@ const ON_ROBOT: f64 = 0.1;
 pub struct LocalObstacles {
     lidars: Vec<LidarView>,
     view: FieldOfView,
+    /// Where the robot was at the newest sweep.
+    odom_from_base: Isometry2<f64>,
     /// What was seen in what is the blind spot now, until it is seen again or left behind.
     remembered: VecDeque<Point2<f64>>,
     /// What touches the robot now.
@@ -72,6 +75,7 @@ impl LocalObstacles {
         });
         Self {
             lidars: lidars.collect(),
+            odom_from_base: Isometry2::identity(),
             remembered: VecDeque::new(),
             touched: None,
             moving: MovingObstacles::new(model, view.clone(), settings),
@@ -127,6 +131,7 @@ impl LocalObstacles {
         self.moving.insert(index, &scan);
         self.blind_spots.insert(&scan);
         *stamp = Some(sweep.stamp);
+        self.odom_from_base = scan.odom_from_base;
         true
     }
 
@@ -271,6 +276,27 @@ impl LocalObstacles {
     #[must_use]
     pub fn moving(&self) -> &MovingObstacles {
         &self.moving
+    }
+
+    /// The moving ones that have left the field of view near the robot.
+    pub fn hidden(&self, now: Stamp) -> impl Iterator<Item = Hidden> + '_ {
+        let base_from_odom = self.odom_from_base.inverse();
+        self.moving.occluded(now).map(move |seen| Hidden {
+            last_seen: base_from_odom * seen.place,
+            travelled: seen.speed * now.secs_since(seen.stamp).max(0.0),
+            radius: seen.radius,
+            speed: seen.speed,
+        })
+    }
+
+    /// Where the robot was when the newest sweep was taken, odometry frame.
+    pub(crate) fn base_at_newest_sweep(&self) -> Isometry2<f64> {
+        self.odom_from_base
+    }
+
+    /// No disc is hidden whose center (base frame of the newest sweep) lies less deep out of sight than its radius, m.
+    pub(crate) fn depth_out_of_sight(&self, place: Point2<f64>) -> f64 {
+        self.view.depth(place)
     }
 
     /// The floor known to be free in the blind spot.

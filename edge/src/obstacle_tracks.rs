@@ -7,7 +7,7 @@
 //! prediction for a while; one whose place is seen to be empty ends. A robot that tells its course ([`crate::other_robots`]) is a track by
 //! its own word.
 
-use nalgebra::{Point2, Vector2};
+use nalgebra::{Point2, Rotation2, Vector2};
 use zenav_protocol::time::Stamp;
 
 use crate::course::{Course, Way};
@@ -34,8 +34,9 @@ const MOST_MISSES: u32 = 3;
 const GAP: (f64, f64) = (0.12, 3.0);
 /// A point this near to a track's disc belongs to it, m.
 const ON_TRACK: f64 = 0.2;
-/// Radius of a tracked disc, m.
+/// Radius of a tracked disc, m, and of one of which only a part has ever been seen, at least.
 const RADII: (f64, f64) = (0.05, 0.6);
+const HALF_SEEN: f64 = 0.2;
 
 /// A point this near to a robot's disc belongs to it, and the center of what looks like a thing of its own, m.
 const ON_ROBOT: (f64, f64) = (0.1, 0.3);
@@ -112,17 +113,23 @@ impl Track {
         self.course.as_ref().is_some_and(|course| course.makes_way)
     }
 
-    fn new(id: u64, seen: &Segment, stamp: Stamp, settings: &TrackingSettings) -> Self {
+    fn new(id: u64, seen: &Segment, laser: Point2<f64>, stamp: Stamp, settings: &TrackingSettings) -> Self {
+        let radius = if seen.is_cut() {
+            seen.radius.max(HALF_SEEN)
+        } else {
+            seen.radius
+        };
+        let center = seen.center_of(radius, laser);
         Self {
             id,
-            position: seen.center,
+            position: center,
             velocity: Vector2::zeros(),
             variance: [settings.position_noise.powi(2), 0.0, START_VELOCITY_VARIANCE],
-            radius: seen.radius,
+            radius,
             born: stamp,
             seen: stamp,
             stamp,
-            origin: seen.center,
+            origin: center,
             moved: false,
             most_speed: 0.0,
             hits: 1,
@@ -191,11 +198,11 @@ impl Track {
         self.most_speed = (self.most_speed - SLOWS_DOWN * dt).max(0.0);
     }
 
-    /// Takes in where it was seen.
-    fn update(&mut self, seen: &Segment, settings: &TrackingSettings) {
+    /// Takes in how it was seen from a place.
+    fn update(&mut self, seen: &Segment, laser: Point2<f64>, settings: &TrackingSettings) {
         let [position, mixed, velocity] = self.variance;
         let gain = Vector2::new(position, mixed) / (position + settings.position_noise.powi(2));
-        let off = seen.center - self.position;
+        let off = seen.center_of(self.radius, laser) - self.position;
         self.position += off * gain.x;
         self.velocity += off * gain.y;
         self.variance = [
@@ -204,7 +211,11 @@ impl Track {
             velocity - gain.y * mixed,
         ];
         // What is half hidden looks smaller than it is.
-        let share = if seen.radius > self.radius { 0.5 } else { 0.05 };
+        let share = match seen.radius > self.radius {
+            true => 0.5,
+            false if seen.is_cut() => 0.0,
+            false => 0.05,
+        };
         self.radius += share * (seen.radius - self.radius);
         self.seen = self.stamp;
         self.hits += 1;
@@ -232,11 +243,44 @@ struct Segment {
     radius: f64,
     /// Its first and its last beam.
     beams: (usize, usize),
+    /// Its ends at these beams.
+    ends: [End; 2],
     /// How many of its returns evidently moved.
     moved: usize,
 }
 
+/// One end of a segment.
+#[derive(Clone, Copy, Debug)]
+struct End {
+    /// Where it was seen from the lidar, odometry frame, m.
+    off: Vector2<f64>,
+    /// Whether the view ends there, or something nearer hides what may be beside it.
+    is_cut: bool,
+}
+
 impl Segment {
+    /// Whether a part of it is hidden.
+    fn is_cut(&self) -> bool {
+        self.ends.iter().any(|end| end.is_cut)
+    }
+
+    /// Center of the disc of a radius (m) that would look so from a place: where one side of it is hidden the other one tells.
+    fn center_of(&self, radius: f64, laser: Point2<f64>) -> Point2<f64> {
+        let [first, last] = &self.ends;
+        let (end, side) = match (first.is_cut, last.is_cut) {
+            (true, false) => (last, -1.0),
+            (false, true) => (first, 1.0),
+            _ => return self.center,
+        };
+        if radius <= self.radius {
+            return self.center;
+        }
+        // The end lies where the line of sight touches the disc.
+        let distance = end.off.norm().hypot(radius);
+        let turn = Rotation2::new(side * (radius / distance).asin());
+        laser + turn * end.off.normalize() * distance
+    }
+
     /// Whether most of it evidently moved; a few returns alone may be noise.
     fn is_moving(&self) -> bool {
         self.moved >= 2 && 2 * self.moved > self.beams.1 - self.beams.0
@@ -302,8 +346,13 @@ impl ObstacleTracks {
         self.associate(scan);
         for (segment, taken) in self.segments.iter().zip(&self.taken) {
             if !taken && segment.is_moving() && self.tracks.len() < MAX_TRACKS {
-                self.tracks
-                    .push(Track::new(self.next_id, segment, scan.stamp, &self.settings));
+                self.tracks.push(Track::new(
+                    self.next_id,
+                    segment,
+                    scan.laser(),
+                    scan.stamp,
+                    &self.settings,
+                ));
                 self.next_id += 1;
             }
         }
@@ -351,12 +400,12 @@ impl ObstacleTracks {
 
     /// Gives each track the segment nearest to where it is expected, nearest pairs first; ends those whose place is empty.
     fn associate(&mut self, scan: &ProjectedScan<'_>) {
-        let settings = &self.settings;
+        let (settings, laser) = (&self.settings, scan.laser());
         let mut pairs: Vec<(f64, usize, usize)> = Vec::new();
         for (of, track) in self.tracks.iter().enumerate() {
             let gate = settings.gate + 2.0 * track.position_std(0.0).min(1.0);
             for (to, segment) in self.segments.iter().enumerate() {
-                let off = (segment.center - track.position).norm();
+                let off = (segment.center_of(track.radius, laser) - track.position).norm();
                 if off <= gate {
                     // Rather with what moves than with what stands there, too.
                     let still = if segment.moved > 0 { 0.0 } else { settings.gate };
@@ -374,7 +423,7 @@ impl ObstacleTracks {
                 continue;
             };
             if !*matched && !*taken {
-                track.update(segment, settings);
+                track.update(segment, laser, settings);
                 (*matched, *taken) = (true, true);
             }
         }
@@ -445,10 +494,20 @@ fn segment(scan: &ProjectedScan<'_>, moved: &[bool], beams: (usize, usize), lase
     let sine = half.sin().min(0.9);
     let radius = (nearest * sine / (1.0 - sine)).clamp(RADII.0, f64::INFINITY);
     let depth = radius.min(RADII.1);
+    let end = |beam: usize, beside: Option<usize>| {
+        let range = f64::from(*scan.ranges.get(beam)?);
+        let is_nearer = |beside: &f32| scan.is_return(f64::from(*beside)) && f64::from(*beside) < range - GAP.0;
+        Some(End {
+            off: scan.rays.get(beam)? * range,
+            is_cut: beside.and_then(|beam| scan.ranges.get(beam)).is_none_or(is_nearer),
+        })
+    };
+    let ends = [end(first, first.checked_sub(1))?, end(last, Some(last + 1))?];
     Some(Segment {
         center: laser + toward * (nearest + depth),
         radius,
         beams,
+        ends,
         moved,
     })
 }

@@ -7,7 +7,7 @@
 //! (Bouraine et al., "Provably safe navigation for mobile robots with limited field-of-views in dynamic environments", Autonomous Robots
 //! 2012): by that time no point of the outline moves outwards faster than gently, by driving or by turning.
 
-use nalgebra::{Point2, Vector2};
+use nalgebra::{Isometry2, Point2, Vector2};
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::messages::Bump;
 use zenav_protocol::robot::{Drive, Footprint};
@@ -85,6 +85,19 @@ impl Mover {
             speed,
         }
     }
+}
+
+/// A disc that moves and has left the field of view: none of it is seen.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Hidden {
+    /// A point of it when it was seen last, base frame of the newest sweep, m.
+    pub last_seen: Point2<f64>,
+    /// As far as it may have moved since, m.
+    pub travelled: f64,
+    /// At least this, m.
+    pub radius: f64,
+    /// As fast as it may move, m/s.
+    pub speed: f64,
 }
 
 impl<'a> Motion<'a> {
@@ -204,36 +217,33 @@ impl<'a> Motion<'a> {
         SHARES.iter().find(safe).copied().unwrap_or(0.0)
     }
 
-    /// Whether one of these movers may touch the outline where it moves outwards, before the robot is at rest from a share of its speed.
-    fn may_be_touched(&self, share: f64, samples: &[(Point2<f64>, Vector2<f64>)], movers: &[Mover]) -> bool {
+    /// Where the robot is at most, from a share of its speed until rest, in steps: the end of the step (s from now), the fastest that it may
+    /// be within the step as a share of the wanted twist, and the base frame at its begin, in the base frame of now.
+    fn until_rest(&self, share: f64) -> impl Iterator<Item = (f64, f64, Isometry2<f64>)> + '_ {
         let (speed, all) = (share * self.speed, self.stopping_time(share));
-        let mut travelled = 0.0;
-        let mut before = 0.0;
-        for step in 1..=STOPPING_STEPS {
+        let (mut travelled, mut before) = (0.0, 0.0);
+        (1..=STOPPING_STEPS).map(move |step| {
             let until = all * f64::from(step) / f64::from(STOPPING_STEPS);
-            // The fastest that the robot may be within this step, as a share of the wanted twist.
             let now = (speed - self.braking * (before - self.reaction).max(0.0)).max(0.0) / self.speed;
-            let pose = Pose2::IDENTITY.advance(self.twist, travelled);
-            let here_from_base = rigid(pose.inverse());
-            for mover in movers {
-                let place = here_from_base * (mover.at + mover.velocity * until);
-                let reach = self.margin + mover.radius + mover.speed * until;
-                let touched = samples.iter().any(|(at, normal)| {
-                    (place - at).norm_squared() <= reach * reach && now * self.outward(*at, *normal) > GENTLE
-                });
-                if touched {
-                    return true;
-                }
-            }
+            let here_from_there = rigid(Pose2::IDENTITY.advance(self.twist, travelled));
             travelled += now * (until - before);
             before = until;
-        }
-        false
+            (until, now, here_from_there)
+        })
     }
 
-    /// Distance that an obstacle of this speed covers until the robot is at rest, plus the margin, m (ISO 13855's separation distance).
-    fn protective_distance(&self, share: f64, speed: f64) -> f64 {
-        self.margin + speed * self.stopping_time(share)
+    /// Whether one of these movers may touch the outline where it moves outwards, before the robot is at rest from a share of its speed.
+    fn may_be_touched(&self, share: f64, samples: &[(Point2<f64>, Vector2<f64>)], movers: &[Mover]) -> bool {
+        self.until_rest(share).any(|(until, now, here_from_there)| {
+            let there_from_here = here_from_there.inverse();
+            movers.iter().any(|mover| {
+                let place = there_from_here * (mover.at + mover.velocity * until);
+                let reach = self.margin + mover.radius + mover.speed * until;
+                samples.iter().any(|(at, normal)| {
+                    (place - at).norm_squared() <= reach * reach && now * self.outward(*at, *normal) > GENTLE
+                })
+            })
+        })
     }
 
     /// Limit by the lidar's blind spot: the outline moves only over floor that was seen before, but for what moves gently, and straight into
@@ -289,34 +299,55 @@ impl<'a> Motion<'a> {
         share.min(1.0)
     }
 
-    /// Limit by moving obstacles that have left the field of view and may be anywhere within their reach by now: inside the blind spot no
-    /// point of the outline moves outwards faster than gently, outside it none swings towards what may come into view.
+    /// Limit by moving obstacles that have left the field of view: each is wherever it may have got to by now, unseen, and comes out of there
+    /// at its own speed. No point of the outline that it can reach before the robot is at rest moves outwards faster than gently: inside the
+    /// blind spot by any motion, outside it by swinging towards what may come into view.
     #[must_use]
     pub fn limit_occluded(&self, now: Stamp, obstacles: &LocalObstacles, odom_from_base: Pose2) -> f64 {
-        let base_from_odom = rigid(odom_from_base.inverse());
-        let mut shares = SHARES.iter();
-        let mut share = shares.next().copied().unwrap_or(0.0);
-        for occluded in obstacles.moving().occluded(now) {
-            let age = now.secs_since(occluded.stamp).max(0.0);
-            let distance = self.footprint.distance(base_from_odom * occluded.place);
-            while share > 0.0 && distance <= self.protective_distance(share, occluded.speed) + occluded.speed * age {
-                share = shares.next().copied().unwrap_or(0.0);
-            }
+        let hidden: Vec<Hidden> = obstacles.hidden(now).collect();
+        if hidden.is_empty() {
+            return 1.0;
         }
-        if share >= 1.0 {
-            return share;
-        }
-        let fastest = outline_samples(self.footprint, 0.0)
+        let samples: Vec<_> = outline_samples(self.footprint, 0.0)
             .into_iter()
             .map(|(at, normal)| {
-                if obstacles.blind_spots().in_blind_spot(at) {
-                    self.outward(at, normal)
-                } else {
-                    self.twist.w * (at.x * normal.y - at.y * normal.x)
-                }
+                let swing = self.twist.w * (at.x * normal.y - at.y * normal.x);
+                let is_blind = obstacles.blind_spots().in_blind_spot(at);
+                (at, normal, if is_blind { self.outward(at, normal) } else { swing })
             })
-            .fold(0.0, f64::max);
-        share.max(GENTLE / fastest.max(1e-9)).min(1.0)
+            .filter(|(_, _, outward)| *outward > GENTLE)
+            .collect();
+        let then_from_here = obstacles.base_at_newest_sweep().inverse() * rigid(odom_from_base);
+        let safe = |share: &&f64| !self.may_be_met(**share, &samples, &hidden, obstacles, then_from_here);
+        let share = SHARES.iter().find(safe).copied().unwrap_or(0.0);
+        let fastest = samples.iter().map(|(_, _, outward)| *outward).fold(GENTLE, f64::max);
+        share.max(GENTLE / fastest)
+    }
+
+    /// Whether somebody hidden may touch one of these points of the outline (with their normals and outward speeds, m/s) where it moves
+    /// outwards, before the robot is at rest from a share of its speed.
+    fn may_be_met(
+        &self,
+        share: f64,
+        samples: &[(Point2<f64>, Vector2<f64>, f64)],
+        hidden: &[Hidden],
+        obstacles: &LocalObstacles,
+        then_from_here: Isometry2<f64>,
+    ) -> bool {
+        self.until_rest(share).any(|(until, now, here_from_there)| {
+            let then_from_there = then_from_here * here_from_there;
+            let moving = samples.iter().filter(|(_, _, outward)| now * outward > GENTLE);
+            moving.into_iter().any(|(at, normal, _)| {
+                hidden.iter().any(|hidden| {
+                    // Where its center is when it touches there.
+                    let center = then_from_there * (at + normal * hidden.radius);
+                    let reach = self.margin + hidden.speed * until;
+                    let known = reach + hidden.radius + hidden.travelled;
+                    (center - hidden.last_seen).norm_squared() <= known * known
+                        && hidden.radius - obstacles.depth_out_of_sight(center) <= reach
+                })
+            })
+        })
     }
 
     /// How fast a point of the outline moves along its normal, m/s.

@@ -16,6 +16,8 @@ pub struct RecentPlace {
     pub speed: f64,
     /// Whether it was so near that it may touch the robot at once.
     pub is_near: bool,
+    /// Radius of the disc that it is at least, m.
+    pub radius: f64,
     /// Its track, if it has one.
     pub track: Option<u64>,
 }
@@ -104,6 +106,7 @@ mod tests {
             stamp: Stamp::from_secs(secs),
             speed: 1.0,
             is_near: true,
+            radius: 0.0,
             track: None,
         }
     }

@@ -20,6 +20,8 @@ pub(crate) struct ScanReprojection {
     beams_per_radian: f32,
     /// Whether the beams cover a full circle.
     closed: bool,
+    /// A beam without a return saw free space up to here, m.
+    range_max: f32,
     /// The reprojected points, m.
     points: (Vec<f32>, Vec<f32>),
     /// Their bearings, in beams from half a beam before the first.
@@ -41,6 +43,7 @@ impl ScanReprojection {
             first: lidar.angle_min() as f32,
             beams_per_radian: (1.0 / lidar.angle_increment()) as f32,
             closed: lidar.gap() == 0.0,
+            range_max: lidar.range_max as f32,
             points: (vec![0.0; lidar.beams], vec![0.0; lidar.beams]),
             bearings: vec![0.0; lidar.beams],
             distances: vec![0.0; lidar.beams],
@@ -65,7 +68,7 @@ impl ScanReprojection {
             let beams = beam.saturating_sub(neighbours)..(beam + neighbours + 1).min(ranges.len());
             let least = ranges.get(beams).unwrap_or_default().iter();
             // NaN counts as no range.
-            let went = |range: &f32| if *range > 0.0 { *range } else { 0.0 };
+            let went = |range: &f32| if *range > 0.0 { range.min(self.range_max) } else { 0.0 };
             (least.map(went).fold(f32::INFINITY, f32::min) - depth) * scale
         }));
     }

@@ -129,14 +129,9 @@ mod tests {
         let mut found: Vec<(f64, f64)> = Vec::new();
         for beat in 0..(10.0 * secs) as usize {
             let queue = found.last().map_or(0.0, |(_, queue)| *queue);
-            found.push((
-                uplink.share(),
-                (queue + 0.1 * (uplink.share() - rate) / rate).max(0.0),
-            ));
+            found.push((uplink.share(), (queue + 0.1 * (uplink.share() - rate) / rate).max(0.0)));
             // A beat tells of the queue that the newest message that has come through had before it.
-            let came = |(said, (_, queue)): &(usize, &(f64, f64))| {
-                0.1 * (beat - said) as f64 + 1e-9 >= queue + delay
-            };
+            let came = |(said, (_, queue)): &(usize, &(f64, f64))| 0.1 * (beat - said) as f64 + 1e-9 >= queue + delay;
             let newest = found.iter().enumerate().rev().find(came);
             if let Some((_, (_, queue))) = newest {
                 let now = Stamp::from_secs(from + 0.1 * beat as f64);

@@ -83,7 +83,10 @@ pub(super) fn judge(robot: &Robot, time: Duration) -> Vec<Check> {
             checks.push(Check::warn(
                 name,
                 "uplink",
-                format!("the robot sends {:.0} % of its scans, poses and readings", 100.0 * state.uplink),
+                format!(
+                    "the robot sends {:.0} % of its scans, poses and readings",
+                    100.0 * state.uplink
+                ),
                 "its link carries no more: maps grow later, and driving goes on; a wider link mends it",
             ));
         }

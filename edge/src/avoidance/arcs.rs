@@ -18,6 +18,9 @@ const ARC_STEPS: u32 = 12;
 /// Speeds and yaw rates of the window.
 const SPEEDS: i32 = 8;
 const YAW_RATES: i32 = 6;
+/// Steps of an arc that a turn away from a contact takes at most, and the share of the top speed after it.
+const TURN_STEPS: u32 = 6;
+const AWAY: f64 = 0.4;
 /// Share of the top speed that is used backwards.
 const BACKWARDS: f64 = 0.4;
 /// Nearer than this to what stands, or to a track, is a contact, m.
@@ -121,17 +124,34 @@ impl Avoidance {
                     .monitor
                     .share_among(input.now, wanted, &movers, obstacles, here, bump);
                 let driven = Twist2::new(share * wanted.v, share * wanted.w);
-                let cost = self.arc_cost(situation, driven, best.0) + held_cost * (1.0 - share);
+                let cost = self.arc_cost(situation, driven, None, best.0) + held_cost * (1.0 - share);
                 if cost < best.0 {
                     best = (cost, wanted);
+                }
+            }
+        }
+        if bump.is_some() {
+            // Away from a contact leads often no single arc, but a turn and then straight on.
+            let away = Twist2::new(AWAY * top, 0.0);
+            for wanted in [-turn, -0.5 * turn, 0.5 * turn, turn].map(|w| Twist2::new(0.0, w)) {
+                let (obstacles, here) = (input.obstacles, input.odom_from_base);
+                let share = input
+                    .monitor
+                    .share_among(input.now, wanted, &movers, obstacles, here, bump);
+                let driven = Twist2::new(0.0, share * wanted.w);
+                for steps in 1..=TURN_STEPS {
+                    let cost = self.arc_cost(situation, driven, Some((steps, away)), best.0);
+                    if cost < best.0 {
+                        best = (cost, wanted);
+                    }
                 }
             }
         }
         best.1
     }
 
-    /// Cost of going over to a twist and keeping it, s; given up beyond `limit`.
-    fn arc_cost(&self, situation: &Situation<'_>, wanted: Twist2, limit: f64) -> f64 {
+    /// Cost of going over to a twist and keeping it, or only for some steps and then another one, s; given up beyond `limit`.
+    fn arc_cost(&self, situation: &Situation<'_>, wanted: Twist2, then: Option<(u32, Twist2)>, limit: f64) -> f64 {
         let (input, from_here) = (situation.input, situation.value);
         let touched = self.touched.is_so();
         let lasts = if touched { TOUCHED_ARC_SECS } else { ARC_SECS };
@@ -140,9 +160,12 @@ impl Avoidance {
         let (mut pose, mut cost) = (input.odom_from_base, 0.0);
         cost += 0.1 * (wanted.v - input.command.v).abs() / self.drive.top_speed()
             + 0.1 * (wanted.w - input.command.w).abs() / self.drive.top_yaw_rate();
-        let target = self.drive.wheels(wanted);
+        let mut target = self.drive.wheels(wanted);
         let change = self.drive.max_wheel_acceleration * step;
         for nth in 1..=ARC_STEPS {
+            if let Some((_, then)) = then.filter(|(steps, _)| nth == steps + 1) {
+                target = self.drive.wheels(then);
+            }
             for (wheel, target) in wheels.iter_mut().zip(target) {
                 *wheel += (target - *wheel).clamp(-change, change);
             }

@@ -158,8 +158,13 @@ fn jackal() -> RobotModel {
     zenav_fixtures::robot("jackal")
 }
 
-/// Half a second of a Jackal at rest beside which something comes from `from` at `velocity` m/s across, a post of 0.2 m.
+/// A second of a Jackal at rest beside which something comes from `from` at `velocity` m/s across, a post of 0.2 m.
 fn beside(model: &RobotModel, from: Point2<f64>, velocity: f64) -> (LocalObstacles, Stamp) {
+    passing(model, from, velocity, 0.2)
+}
+
+/// The same with a post of another radius, m.
+fn passing(model: &RobotModel, from: Point2<f64>, velocity: f64, radius: f64) -> (LocalObstacles, Stamp) {
     let lidar = model.first_lidar().unwrap();
     let mut obstacles = LocalObstacles::new(model);
     let mut stamp = Stamp::ZERO;
@@ -171,8 +176,8 @@ fn beside(model: &RobotModel, from: Point2<f64>, velocity: f64) -> (LocalObstacl
             let angle = lidar.angle_min() + beam as f64 * lidar.angle_increment();
             let along = Vector2::new(angle.cos(), angle.sin());
             let (ahead, off) = (center.dot(&along), center.perp(&along));
-            if ahead > 0.0 && off.abs() < 0.2 {
-                (ahead - (0.04 - off * off).sqrt()) as f32
+            if ahead > 0.0 && off.abs() < radius {
+                (ahead - (radius * radius - off * off).sqrt()) as f32
             } else {
                 f32::INFINITY
             }
@@ -226,6 +231,36 @@ fn with_a_moving_obstacle_in_the_blind_spot_a_robot_does_not_swing_its_corners()
     assert_eq!(judge(1.0, Twist2::new(0.5, 0.0)).twist.v, 0.5, "it may drive off");
     assert!(judge(8.0, turn).twist.w * 0.21 < 0.01, "it may still stand there");
     assert_eq!(judge(11.0, turn).twist.w, 2.0, "not for ever");
+}
+
+#[test]
+fn a_robot_that_drives_may_turn_where_nobody_wide_enough_to_be_seen_can_reach_its_side_in_time() {
+    let model = jackal();
+    let nothing = vec![f32::INFINITY; model.first_lidar().unwrap().beams];
+    // A wide one and a narrow one go into the blind spot along the left side.
+    let turn = |radius: f64, twist: Twist2| {
+        let (mut obstacles, stamp) = passing(&model, Point2::new(0.4, 0.3 + radius), -0.6, radius);
+        let mut now = stamp;
+        for _ in 0..10 {
+            now = now.plus_secs(0.1);
+            assert!(obstacles.insert(&Sweep::new(now, nothing.clone()), Pose2::IDENTITY));
+        }
+        let monitor = &mut CollisionMonitor::new(&model, 0.02);
+        monitor
+            .judge(now.plus_secs(0.02), twist, &obstacles, Pose2::IDENTITY, &NO_BUMP)
+            .twist
+            .w
+            / twist.w
+    };
+    assert!(turn(0.3, Twist2::new(0.3, 0.6)) > 0.9);
+    assert!(
+        turn(0.06, Twist2::new(0.3, 0.6)) < 0.1,
+        "it may be just beside the rear corner"
+    );
+    assert!(
+        turn(0.3, Twist2::new(0.0, 0.6)) < 0.2,
+        "where the robot stands its rear swings into the blind spot"
+    );
 }
 
 #[test]

@@ -152,6 +152,7 @@ impl Detector {
                 stamp,
                 speed: self.fastest,
                 is_near: true,
+                radius: 0.0,
                 track: None,
             });
         }

@@ -26,6 +26,10 @@ use detector::Detector;
 /// Most places kept where an obstacle entered the blind spot.
 const OCCLUDED_PLACES: usize = 128;
 
+/// Of a track's radius a disc that has left the field of view has at least this much, m, and this share: two who walk side by side look
+/// like one.
+const HIDDEN_RADIUS: (f64, f64) = (0.3, 1.0);
+
 /// Points of moving obstacles, and the places where some left the field of view.
 #[derive(Clone, Debug)]
 pub struct MovingObstacles {
@@ -117,12 +121,20 @@ impl MovingObstacles {
         self.forget_reappeared(index, scan, beside, places.is_empty());
         for place in places {
             let track = self.tracks.at(place);
+            let id = track.map(|track| track.id);
+            let mut is_near = (place - laser).norm() <= near;
+            if id.is_some() {
+                // Where it was before tells no more.
+                is_near |= self.occluded.iter().any(|known| known.track == id && known.is_near);
+                self.occluded.retain(|known| known.track != id || known.stamp == now);
+            }
             self.occluded.note(RecentPlace {
                 place,
                 stamp: now,
                 speed: self.tracks.most_speed_at(place).unwrap_or(self.fastest_out_of_sight),
-                is_near: (place - laser).norm() <= near,
-                track: track.map(|track| track.id),
+                is_near,
+                radius: track.map_or(0.0, |track| HIDDEN_RADIUS.0.min(HIDDEN_RADIUS.1 * track.radius)),
+                track: id,
             });
         }
     }
@@ -183,6 +195,7 @@ impl MovingObstacles {
             stamp,
             speed: self.fastest_out_of_sight,
             is_near: true,
+            radius: 0.0,
             track: None,
         });
     }

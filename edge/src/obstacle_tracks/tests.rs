@@ -112,3 +112,54 @@ fn a_hidden_track_goes_on_and_one_whose_place_is_empty_ends() {
     assert_eq!(walkers.len(), 1, "{:?}", hidden.tracks());
     assert!((walkers[0].position - walker(2.6)).norm() < 0.2);
 }
+
+#[test]
+fn a_walker_who_leaves_the_view_or_goes_behind_a_column_keeps_its_velocity() {
+    let robot = zenav_fixtures::robot("tiago");
+    // Out over the left edge of the view, at 120 degrees.
+    let beside = |now: f64| Point2::new(0.8 - 0.8 * now, 1.6);
+    for secs in [1.2, 1.6, 2.0, 2.4] {
+        let moving = watch(&robot, secs, |now| vec![beside(now)]);
+        let track = moving
+            .tracks()
+            .iter()
+            .next()
+            .unwrap_or_else(|| panic!("lost after {secs} s"));
+        let off = track.velocity - Vector2::new(-0.8, 0.0);
+        assert!(off.norm() < 0.25, "after {secs} s: {}", track.velocity);
+    }
+    let behind = |now: f64| Point2::new(3.0, -1.5 + 0.8 * now);
+    for secs in [1.6, 1.8, 2.0, 2.2] {
+        let moving = watch(&robot, secs, |now| vec![behind(now), Point2::new(1.9, 0.4)]);
+        let track = moving
+            .tracks()
+            .iter()
+            .next()
+            .unwrap_or_else(|| panic!("lost after {secs} s"));
+        let off = track.velocity - Vector2::new(0.0, 0.8);
+        assert!(off.norm() < 0.25, "after {secs} s: {}", track.velocity);
+    }
+}
+
+#[test]
+fn a_wall_that_comes_within_range_does_not_move() {
+    let robot = zenav_fixtures::robot("tiago");
+    let lidar = robot.first_lidar().unwrap();
+    let view = FieldOfView::new(robot.first_lidar(), &robot.footprint);
+    let mut moving = MovingObstacles::new(&robot, view, &crate::settings::EdgeSettings::default());
+    let mut projector = ScanProjector::new(lidar);
+    for step in 0..60 {
+        let now = 0.1 * f64::from(step);
+        let base = Pose2::new(0.6 * now, 0.0, 0.0);
+        let laser = base * lidar.mount;
+        let range = |beam: usize| {
+            let angle = lidar.angle_min() + beam as f64 * lidar.angle_increment();
+            let range = (7.0 - laser.x) / angle.cos();
+            let is_seen = (0.0..lidar.range_max).contains(&range);
+            if is_seen { range as f32 } else { f32::INFINITY }
+        };
+        let sweep = Sweep::new(Stamp::from_secs(now), (0..lidar.beams).map(range).collect());
+        moving.insert(0, &projector.project(&sweep, base).unwrap());
+        assert_eq!(moving.tracks().iter().count(), 0, "after {now} s");
+    }
+}
