@@ -38,11 +38,10 @@ impl Greeting {
         }
     }
 
-    /// Waits until every part is ready, and tells it.
-    pub(crate) async fn tell(self) {
-        let began = Instant::now();
-        let mut is_ready = false;
-        while !is_ready && began.elapsed() < PATIENCE {
+    /// Waits until every part is ready, and tells it, and how long that took since the start.
+    pub(crate) async fn tell(self, began: Instant) {
+        let (looks, mut is_ready) = (Instant::now(), false);
+        while !is_ready && looks.elapsed() < PATIENCE {
             tokio::time::sleep(LOOK).await;
             is_ready = readiness::report().0;
         }

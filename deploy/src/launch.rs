@@ -1,7 +1,7 @@
 //! Launcher. What do `zenav up`, `router`, `edge` and `cloud` run? The parts of a deployment, all in one process or each in its own.
 
 use std::path::PathBuf;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use clap::{Args, ValueEnum};
 use zenav_protocol::bus::{Identity, Router, RouterConfig, interrupted, service_manager};
@@ -374,13 +374,14 @@ fn free_robot_endpoint(deployment: &mut Deployment) {
 }
 
 async fn start_all(parts: &mut Parts, deployment: &Deployment, world: &World) -> Result<(), Failure> {
+    let start = Instant::now();
     parts.edges(deployment, world, None)?;
     parts.cloud(deployment, world, CloudPart::All, "worker")?;
     let page = parts.gateway(deployment, world).await?;
     let (begun, greeting) = (parts.all_begun(), Greeting::new(deployment, world, page));
     tokio::spawn(async move {
         begun.await;
-        greeting.tell().await;
+        greeting.tell(start).await;
     });
     Ok(())
 }

@@ -4,11 +4,12 @@
 //! their rates: they are few, and what drives the robot needs them.
 
 use std::collections::BTreeMap;
+use std::mem::{Discriminant, discriminant};
 use std::time::Duration;
 
 use zenav_protocol::geometry::Twist2;
 use zenav_protocol::messages::{EventKind, Odometry, PoseEstimate, Scan};
-use zenav_protocol::readings::{Readings, Sweep};
+use zenav_protocol::readings::{KindReading, Readings, Sweep};
 use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 
@@ -25,7 +26,10 @@ const DROPPED: f64 = 10.0;
 pub struct Telemetry {
     settings: TelemetrySettings,
     uplink: Uplink,
-    readings: Sieve,
+    poses: Sieve,
+    imu: Sieve,
+    /// Each kind of sensor by itself: one for all would let the seldom ones through by chance.
+    kinds: Vec<(Discriminant<KindReading>, Sieve)>,
     /// By name of the lidar.
     scans: BTreeMap<String, Sieve>,
     obstacles: Sieve,
@@ -60,7 +64,9 @@ impl Telemetry {
         Self {
             settings: settings.clone(),
             uplink: Uplink::new(uplink),
-            readings: Sieve::default(),
+            poses: Sieve::default(),
+            imu: Sieve::default(),
+            kinds: Vec::new(),
             scans: BTreeMap::new(),
             obstacles: Sieve::default(),
             state: Due::default(),
@@ -73,9 +79,9 @@ impl Telemetry {
         }
     }
 
-    /// A round trip to the holder of the lease was measured.
-    pub fn measured(&mut self, now: Stamp, round_trip: Duration) {
-        self.uplink.measured(now, round_trip);
+    /// A round trip to the holder of the lease of this epoch was measured.
+    pub fn measured(&mut self, now: Stamp, round_trip: Duration, epoch: u64) {
+        self.uplink.measured(now, round_trip, epoch);
     }
 
     /// Share of its sensors' messages that the link carries, above 0 to 1.
@@ -102,31 +108,34 @@ impl Telemetry {
     pub fn sensors(&mut self, readings: &Readings, estimator: &Estimator, frame: u64, out: &mut Vec<Publication>) {
         let now = readings.stamp;
         let velocity: Twist2 = estimator.velocity();
-        // All of one tick or none: they belong together.
-        if !self.readings.lets_through(self.share()) {
-            return self.slow(readings, out);
+        self.uplink.elapse(now);
+        let share = self.share();
+        if self.poses.lets_through(share) {
+            out.push(Publication::Odometry(Odometry {
+                stamp: now,
+                odom_from_base: estimator.odom_from_base(),
+                velocity,
+                wheels: readings.wheels,
+            }));
+            out.push(Publication::Pose(PoseEstimate {
+                stamp: now,
+                map_from_base: estimator.map_from_base(),
+                covariance: estimator.covariance(),
+                velocity,
+                frame,
+            }));
         }
-        out.push(Publication::Odometry(Odometry {
-            stamp: now,
-            odom_from_base: estimator.odom_from_base(),
-            velocity,
-            wheels: readings.wheels,
-        }));
-        out.push(Publication::Pose(PoseEstimate {
-            stamp: now,
-            map_from_base: estimator.map_from_base(),
-            covariance: estimator.covariance(),
-            velocity,
-            frame,
-        }));
-        out.extend(readings.imu.clone().map(Publication::Imu));
-        out.extend(readings.of_kinds().into_iter().map(Publication::Sensor));
-        self.slow(readings, out);
-    }
-
-    /// What changes seldom: bumper and battery.
-    fn slow(&mut self, readings: &Readings, out: &mut Vec<Publication>) {
-        let now = readings.stamp;
+        if let Some(imu) = &readings.imu
+            && self.imu.lets_through(share)
+        {
+            out.push(Publication::Imu(imu.clone()));
+        }
+        for reading in readings.of_kinds() {
+            if self.kind_due(discriminant(&reading), share) {
+                out.push(Publication::Sensor(reading));
+            }
+        }
+        // What changes seldom: bumper and battery.
         let slow = self.slow.now(now, self.settings.slow_period);
         if slow || readings.bump.pressed != self.pressed {
             self.pressed = readings.bump.pressed;
@@ -135,6 +144,17 @@ impl Telemetry {
         if slow {
             out.push(Publication::Battery(readings.battery.clone()));
         }
+    }
+
+    /// Whether the next reading of a kind is sent.
+    fn kind_due(&mut self, kind: Discriminant<KindReading>, share: f64) -> bool {
+        if let Some((_, sieve)) = self.kinds.iter_mut().find(|(known, _)| *known == kind) {
+            return sieve.lets_through(share);
+        }
+        let mut sieve = Sieve::default();
+        let passes = sieve.lets_through(share);
+        self.kinds.push((kind, sieve));
+        passes
     }
 
     /// An event when more inputs were dropped since the last one, at most one in a while.

@@ -23,6 +23,11 @@ const STEEPEST: f64 = 0.9;
 const INCREASE: f64 = 1.1;
 /// The least share: a scan each 5 s of a lidar of 10 Hz.
 const LEAST: f64 = 0.02;
+/// After so many looks in a row that found the same wait, to within this share of it, however little was sent, it is no queue: the link is a
+/// longer one.
+const SAME: (u32, f64) = (3, 0.2);
+/// After so long without a measurement nothing is known of a queue, s: who drives by hand sends no echoes.
+const UNMEASURED: f64 = 5.0;
 
 /// What share of its sensors' messages the robot sends.
 #[derive(Clone, Debug)]
@@ -34,6 +39,22 @@ pub struct Uplink {
     look: Option<Look>,
     /// The next look begins then at the earliest.
     not_before: Stamp,
+    /// The lease that round trips were measured under: another holder is another way.
+    epoch: u64,
+    /// What the looks in a row that found a queue began with.
+    full: Option<Full>,
+    /// The last measurement, or what the share grew by since.
+    last: Stamp,
+}
+
+/// Looks in a row that found a queue.
+#[derive(Clone, Copy, Debug)]
+struct Full {
+    /// How many found the same wait, s.
+    same: u32,
+    wait: f64,
+    /// The share before the first.
+    share: f64,
 }
 
 /// The round trips of the last second.
@@ -54,6 +75,9 @@ impl Uplink {
             base: None,
             look: None,
             not_before: Stamp::ZERO,
+            epoch: 0,
+            full: None,
+            last: Stamp::ZERO,
         }
     }
 
@@ -63,9 +87,22 @@ impl Uplink {
         self.share
     }
 
-    /// A round trip was measured.
-    pub fn measured(&mut self, now: Stamp, round_trip: Duration) {
+    /// Time goes on: without measurements the share grows again.
+    pub fn elapse(&mut self, now: Stamp) {
+        if self.share < 1.0 && now.secs_since(self.last) >= UNMEASURED {
+            self.share = (INCREASE * self.share).min(1.0);
+            self.last = now.plus_secs(LOOK - UNMEASURED);
+        }
+    }
+
+    /// A round trip to the holder of a lease was measured.
+    pub fn measured(&mut self, now: Stamp, round_trip: Duration, epoch: u64) {
         let round_trip = round_trip.as_secs_f64();
+        self.last = now;
+        if epoch != self.epoch {
+            self.epoch = epoch;
+            (self.base, self.look, self.full) = (None, None, None);
+        }
         let (since, least, before) = match self.base {
             Some((since, least, _)) if now.secs_since(since) > MEMORY => (now, round_trip, least),
             Some((since, least, before)) => (since, least.min(round_trip), before),
@@ -85,16 +122,36 @@ impl Uplink {
         if secs < LOOK {
             return;
         }
-        let queued = look.least - least.min(before);
-        self.share = if queued > self.settings.longest_queue {
-            let growth = ((round_trip - look.first) / secs).clamp(0.0, STEEPEST);
-            // What was said before still has to pass.
-            self.not_before = now.plus_secs(round_trip);
-            (DECREASE * (1.0 - growth) * self.share).max(LEAST)
-        } else {
-            (INCREASE * self.share).min(1.0)
-        };
+        let look = *look;
         self.look = None;
+        let queued = look.least - least.min(before);
+        if queued <= self.settings.longest_queue {
+            self.full = None;
+            self.share = (INCREASE * self.share).min(1.0);
+            return;
+        }
+        let share = self.share;
+        let full = self.full.get_or_insert(Full {
+            same: 0,
+            wait: queued,
+            share,
+        });
+        let is_same = (queued - full.wait).abs() <= SAME.1 * full.wait;
+        (full.same, full.wait) = if is_same {
+            (full.same + 1, full.wait)
+        } else {
+            (0, queued)
+        };
+        if full.same > SAME.0 {
+            self.share = full.share;
+            self.base = Some((now, look.least, f64::INFINITY));
+            self.full = None;
+            return;
+        }
+        let growth = ((round_trip - look.first) / secs).clamp(0.0, STEEPEST);
+        // What was said before still has to pass.
+        self.not_before = now.plus_secs(round_trip);
+        self.share = (DECREASE * (1.0 - growth) * share).max(LEAST);
     }
 }
 
@@ -135,7 +192,7 @@ mod tests {
             let newest = found.iter().enumerate().rev().find(came);
             if let Some((_, (_, queue))) = newest {
                 let now = Stamp::from_secs(from + 0.1 * beat as f64);
-                uplink.measured(now, Duration::from_secs_f64(delay + queue));
+                uplink.measured(now, Duration::from_secs_f64(delay + queue), 1);
             }
         }
         found
@@ -175,11 +232,45 @@ mod tests {
     }
 
     #[test]
+    fn a_link_that_becomes_longer_is_not_taken_for_a_queue() {
+        let mut uplink = uplink();
+        drive(&mut uplink, 0.0, (2.0, 0.005), 30.0);
+        let found = drive(&mut uplink, 30.0, (2.0, 0.4), 40.0);
+        assert!(found[150..].iter().all(|(share, _)| *share == 1.0), "{:?}", found[150]);
+        // Another holder of the lease is another way from the first message on.
+        for beat in 0..50_u32 {
+            uplink.measured(
+                Stamp::from_secs(80.0 + 0.1 * f64::from(beat)),
+                Duration::from_secs(2),
+                2,
+            );
+            assert!((uplink.share() - 1.0).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn without_measurements_the_share_grows_again() {
+        let mut uplink = uplink();
+        drive(&mut uplink, 0.0, (0.1, 0.05), 60.0);
+        let before = uplink.share();
+        let grown = |uplink: &mut Uplink, secs: u32| {
+            (0..50 * secs).for_each(|tick| uplink.elapse(Stamp::from_secs(60.0 + 0.02 * f64::from(tick))));
+            uplink.share()
+        };
+        assert_eq!(grown(&mut uplink, 4), before);
+        assert!((grown(&mut uplink, 60) - 1.0).abs() < 1e-9);
+    }
+
+    #[test]
     fn heartbeats_that_were_held_up_once_mean_nothing() {
         let mut uplink = uplink();
         for beat in 0..600_u32 {
             let late = if beat % 50 < 4 { 2.0 } else { 0.05 };
-            uplink.measured(Stamp::from_secs(0.1 * f64::from(beat)), Duration::from_secs_f64(late));
+            uplink.measured(
+                Stamp::from_secs(0.1 * f64::from(beat)),
+                Duration::from_secs_f64(late),
+                1,
+            );
             assert!((uplink.share() - 1.0).abs() < 1e-9);
         }
     }

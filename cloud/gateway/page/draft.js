@@ -43,7 +43,7 @@ export function showDraft(draft) {
   fill(draft);
   setText($("draft-text"), words(draft));
   for (const field of ["busy", "name", "rule"]) $(`draft-${field}`).parentElement.hidden = open || !fields.includes(field);
-  if (!store.runningGoal()) $("draft-busy").parentElement.hidden = true;
+  if (!store.isBusy()) $("draft-busy").parentElement.hidden = true;
   limitOf();
   setText($("draft-send").firstChild, open ? "Close " : `${send} `);
   $("draft-send").disabled = open && draft.points.length < 3;
@@ -83,7 +83,7 @@ export async function sendDraft(draft) {
   const at = { x: round(x ?? 0), y: round(y ?? 0), ...(yaw === null || yaw === undefined ? {} : { yaw: round(yaw) }) };
   let result;
   if (kind === "goal") {
-    const { sent, near } = await sendGoal({ ...at, on_busy: store.runningGoal() ? $("draft-busy").value : "queue" });
+    const { sent, near } = await sendGoal({ ...at, on_busy: store.isBusy() ? $("draft-busy").value : "queue" });
     if (near) toast("The nearest free place is proposed instead");
     result = { done: sent, near };
   } else if (kind === "pose") {

@@ -4,6 +4,9 @@ import * as api from "./api.js";
 import { degrees, toast } from "./dom.js";
 import { store } from "./store.js";
 
+/** A goal that was sent is told of by then, ms. */
+const SENT_MS = 3000;
+
 /** Does it; `false` after a refusal, which is told. */
 export async function attempt(what, call) {
   try {
@@ -20,6 +23,7 @@ export async function attempt(what, call) {
 export async function sendGoal(goal) {
   if (!store.watched) return { sent: false };
   let near = null;
+  store.sentUntil = performance.now() + SENT_MS;
   const sent = await attempt("Goal refused", async () => {
     try {
       await api.submitGoal(store.watched, { id: api.freshId(), ...goal });
@@ -29,6 +33,7 @@ export async function sendGoal(goal) {
     }
   });
   if (sent) toast("Goal accepted", "good");
+  else store.sentUntil = 0;
   return { sent, near };
 }
 

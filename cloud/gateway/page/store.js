@@ -25,6 +25,8 @@ class Store extends EventTarget {
     this.worldPlaces = {};
     this.teleop = { state: "released" };
     this.pings = [];
+    /** A goal was just sent, and may not be told of yet until then, ms. */
+    this.sentUntil = 0;
     this.clearDetail();
   }
 
@@ -123,6 +125,12 @@ class Store extends EventTarget {
   /** The running goal, if there is one. */
   runningGoal() {
     return [...this.goals.values()].find((goal) => goal.state === "Active" || goal.state === "Paused");
+  }
+
+  /** Whether a goal runs, waits, or has just been sent: another one would have to replace it or wait. */
+  isBusy() {
+    const open = ["Active", "Paused", "Accepted"];
+    return performance.now() < this.sentUntil || [...this.goals.values()].some((goal) => open.includes(goal.state));
   }
 }
 

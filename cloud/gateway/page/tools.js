@@ -92,7 +92,7 @@ class Tools {
     if (this.draft?.kind === "pose" && this.draft.yaw === null) this.draft.yaw = store.data("pose")?.yaw ?? 0;
     if (!this.draft || this.current !== this.draft.kind) return;
     // To let go is to confirm, as long as there is nothing to ask: what becomes of the goal that runs.
-    if (this.draft.kind === "goal" && !store.runningGoal()) this.confirm();
+    if (this.draft.kind === "goal" && !store.isBusy()) this.confirm();
     else this.propose();
   }
 

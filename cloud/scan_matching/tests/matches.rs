@@ -39,7 +39,8 @@ fn field_of(points: &[Point2<f64>]) -> LikelihoodField {
 /// The score of each pose of a window, by the definition.
 fn brute_force(field: &LikelihoodField, points: &[Point2<f64>], window: &Window) -> f64 {
     let resolution = field.spec().resolution;
-    let step = heading_step(points, resolution);
+    let farthest = points.iter().map(|point| point.coords.norm()).fold(0.0, f64::max);
+    let step = heading_step(&[Point2::new(farthest.min(window.lever), 0.0)], resolution);
     let (turns, reach) = (
         (window.turn / step).floor() as i64,
         (window.reach / resolution).floor() as i64,
@@ -89,6 +90,19 @@ proptest! {
     ) {
         let pyramid = Pyramid::new(field_of(&map), highest);
         let window = Window::around(center, reach, turn);
+        let result = search(&pyramid, &scan, &window);
+        prop_assert!(result.is_exact);
+        let best = brute_force(pyramid.field(), &scan, &window);
+        prop_assert!((result.found[0].score - best).abs() < 1e-12, "{} {best}", result.found[0].score);
+    }
+
+    /// Headings enough to be grouped, and points beyond the lever.
+    #[test]
+    fn groups_of_headings_and_points_far_out_are_bounded_too(
+        map in points(), scan in points(), center in pose(2.0), reach in 0.0..0.3, turn in 0.4..1.2, lever in 0.5..5.0, highest in 1u32..6,
+    ) {
+        let pyramid = Pyramid::new(field_of(&map), highest);
+        let window = Window { lever, ..Window::around(center, reach, turn) };
         let result = search(&pyramid, &scan, &window);
         prop_assert!(result.is_exact);
         let best = brute_force(pyramid.field(), &scan, &window);

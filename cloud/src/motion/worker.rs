@@ -405,7 +405,7 @@ impl MotionWorker {
                 Some(&given.cancel.smoothing),
                 &mut *given.clock,
             );
-            let mut trajectory = smoothed.sampled(SAMPLE_PERIOD).rounded();
+            let mut trajectory = smoothed.sampled(SAMPLE_PERIOD);
             if *backwards {
                 trajectory = trajectory.turned();
             }
@@ -417,6 +417,7 @@ impl MotionWorker {
             (start, start_velocity) = (last.pose(), Twist2::ZERO);
             reply.trajectory = reply.trajectory.then(&trajectory);
         }
+        reply.trajectory = reply.trajectory.rounded();
         reply
     }
 }

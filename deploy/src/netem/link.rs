@@ -82,6 +82,12 @@ impl Link {
         self.entered.saturating_sub(now + LONGEST_QUEUE)
     }
 
+    /// How many bytes may be taken at once: no more than pass within a quarter of the longest queue.
+    pub(super) fn piece(&self, now: Duration, most: usize) -> usize {
+        let rate = self.impairment(now).rate.unwrap_or(f64::INFINITY);
+        ((0.25 * LONGEST_QUEUE.as_secs_f64() * rate) as usize).clamp(1, most)
+    }
+
     fn impairment(&self, now: Duration) -> Impairment {
         let last = self.changes.iter().rev().find(|change| change.at <= now);
         last.map(|change| change.to).unwrap_or_default()
@@ -170,6 +176,11 @@ mod tests {
         assert_eq!(link.full_for(ms(100)), ms(500), "900 ms of bytes wait, 400 ms fit");
         assert_eq!(link.full_for(ms(700)), ms(0));
         assert_eq!(link.arrival(ms(5000), 3200), ms(5100), "what was not used is not kept");
+        assert_eq!(
+            link.piece(ms(5000), 16_384),
+            3200,
+            "pieces do not make the queue much longer"
+        );
     }
 
     #[test]

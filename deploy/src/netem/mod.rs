@@ -168,8 +168,7 @@ async fn serve(listener: &TcpListener, to: &str, script: &Script, seed: u64) -> 
 
 /// Passes one connection on, until both sides have closed it.
 async fn connect(client: TcpStream, to: &str, up: Link, down: Link, start: Instant) -> std::io::Result<()> {
-    let address = resolve(to).await?;
-    let server = socket(address)?.connect(address).await?;
+    let server = first_of(to, async |address| socket(address)?.connect(address).await).await?;
     client.set_nodelay(true)?;
     server.set_nodelay(true)?;
     let ((from_client, to_client), (from_server, to_server)) = (client.into_split(), server.into_split());
@@ -182,16 +181,25 @@ async fn connect(client: TcpStream, to: &str, up: Link, down: Link, start: Insta
 
 /// Listens with small buffers: what a sender may have under way is the link's to say.
 async fn listen(address: &str) -> std::io::Result<TcpListener> {
-    let address = resolve(address).await?;
-    let socket = socket(address)?;
-    socket.set_reuseaddr(true)?;
-    socket.bind(address)?;
-    socket.listen(1024)
+    let open = async |address| {
+        let socket = socket(address)?;
+        socket.set_reuseaddr(true)?;
+        socket.bind(address)?;
+        socket.listen(1024)
+    };
+    first_of(address, open).await
 }
 
-async fn resolve(address: &str) -> std::io::Result<SocketAddr> {
-    let mut found = tokio::net::lookup_host(address).await?;
-    found.next().ok_or_else(|| std::io::Error::other("no such host"))
+/// The first of a host's addresses that can be opened; else the last one's error.
+async fn first_of<T>(host: &str, open: impl AsyncFn(SocketAddr) -> std::io::Result<T>) -> std::io::Result<T> {
+    let mut failure = std::io::Error::other("no such host");
+    for address in tokio::net::lookup_host(host).await? {
+        match open(address).await {
+            Ok(opened) => return Ok(opened),
+            Err(error) => failure = error,
+        }
+    }
+    Err(failure)
 }
 
 fn socket(address: SocketAddr) -> std::io::Result<TcpSocket> {
@@ -211,7 +219,8 @@ async fn pass(mut from: OwnedReadHalf, mut to: OwnedWriteHalf, mut link: Link, s
         let mut buffer = vec![0; PIECE];
         loop {
             tokio::time::sleep(link.full_for(start.elapsed())).await;
-            let bytes = from.read(&mut buffer).await?;
+            let most = link.piece(start.elapsed(), PIECE);
+            let bytes = from.read(buffer.get_mut(..most).unwrap_or_default()).await?;
             let Some(piece) = buffer.get(..bytes).filter(|piece| !piece.is_empty()) else {
                 return std::io::Result::Ok(());
             };

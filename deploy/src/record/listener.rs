@@ -146,7 +146,9 @@ impl Listener {
         let topic = match (side, name) {
             // Whichever of its topics comes first.
             ("edge", _) => [robot, side, ""],
-            ("cloud", "map" | "motion") => [robot, side, name],
+            ("cloud", "map") => [robot, side, name],
+            // Workers are everybody's.
+            ("cloud", "motion") => ["*", side, name],
             _ => return,
         };
         let topic = topic.map(str::to_owned);
@@ -154,6 +156,10 @@ impl Listener {
             return;
         }
         let (bus, timeline, is_robot) = (self.bus.clone(), self.timeline, side == "edge");
+        let part_asked = match name {
+            "map" => format!("mapping-{robot}"),
+            _ => "*".to_owned(),
+        };
         self.questions.spawn(async move {
             let request = InfoRequest::default();
             let told = if is_robot {
@@ -161,7 +167,9 @@ impl Listener {
                 let info = bus.ask(&topics::EDGE_INFO, &[&topic[0]], &request, PATIENCE).await;
                 info.map(|info| vec![(key, info)])
             } else {
-                let parts = bus.ask_all(&topics::PART_INFO, &["*"], &request, PATIENCE).await;
+                let parts = bus
+                    .ask_all(&topics::PART_INFO, &[&part_asked], &request, PATIENCE)
+                    .await;
                 parts.map(|parts| parts.into_iter().filter_map(part).collect())
             };
             let replies = told.unwrap_or_default().into_iter().filter_map(|(key, info)| {

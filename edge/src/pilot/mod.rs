@@ -224,7 +224,7 @@ impl Pilot {
             self.authority.heartbeat(now, heartbeat);
         }
         if let Some(round_trip) = self.authority.take_measured() {
-            self.telemetry.measured(now, round_trip);
+            self.telemetry.measured(now, round_trip, self.authority.epoch());
         }
         self.dead_man
             .receive(now, &inbox.teleops, &mut self.authority, &mut self.events);
