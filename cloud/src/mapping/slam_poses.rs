@@ -23,8 +23,8 @@ const SMALLEST_MOVE: (f64, f64) = (0.01, 0.002);
 
 /// A robot that has not heard of the frame in force is told again after this time, s.
 const TOLD_AGAIN: f64 = 0.3;
-/// The session is kept after so many new nodes: a process that comes after finds the robot at most two metres on.
-const KEPT_AFTER: usize = 20;
+/// The session is kept after so many new nodes: a robot that was restarted meanwhile is looked for as far as it comes with these.
+const KEPT_AFTER: u32 = 20;
 /// Scans in a row that fit nowhere before the robot is lost, and from how many points a scan says something.
 const CONTRADICTIONS: (u32, usize) = (5, 40);
 
@@ -50,6 +50,8 @@ pub(super) struct SlamPoses {
     map_from_odom: Pose2,
     /// The robot's boot that odometry belongs to.
     boot_id: String,
+    /// For how many nodes the robot may have gone on before the process that had the session before ended.
+    unseen: u32,
     pace: Pace,
     /// The frame of the map as it is drawn.
     frame: u64,
@@ -84,6 +86,7 @@ impl SlamPoses {
             new_from_drawn: Pose2::IDENTITY,
             map_from_odom: Pose2::IDENTITY,
             boot_id: String::new(),
+            unseen: 0,
             pace: Pace::default(),
             kept: 0,
             is_overdue: true,
@@ -103,6 +106,7 @@ impl SlamPoses {
             map_from_odom: head.map_from_odom,
             new_from_drawn: head.new_from_drawn,
             boot_id: head.boot_id,
+            unseen: KEPT_AFTER,
             kept: scans.len(),
             is_overdue: false,
             slam: Some(slam),
@@ -126,7 +130,7 @@ impl SlamPoses {
     /// What is to be on disk before anything more is published; nothing while what was kept last is recent enough, or `anyway`.
     pub(super) fn kept(&mut self, anyway: bool) -> Option<Kept> {
         let slam = self.slam.as_ref()?;
-        let is_due = self.is_overdue || self.scans.len() >= self.kept + KEPT_AFTER;
+        let is_due = self.is_overdue || self.scans.len() >= self.kept + KEPT_AFTER as usize;
         if !is_due && !(anyway && self.scans.len() > self.kept) {
             return None;
         }
@@ -159,9 +163,9 @@ impl SlamPoses {
         *self = Self::new(self.settings, self.frame);
     }
 
-    /// Takes in a scan of the main lidar.
+    /// Takes in a scan of the main lidar. While the robot's boot is not known, nobody knows which odometry the scan comes with: it is left out.
     pub(super) fn insert(&mut self, mapper: &mut Mapper, scan: &Scan, boot_id: &str, robot_frame: u64) -> Posed {
-        if mapper.is_held() {
+        if mapper.is_held() || boot_id.is_empty() {
             return Posed::only(Insertion::Held);
         }
         let slam = self
@@ -170,10 +174,11 @@ impl SlamPoses {
         if self.boot_id != boot_id {
             // The first boot that is heard of is the one that odometry began with.
             if !self.boot_id.is_empty() {
-                slam.interrupt();
+                slam.interrupt(self.unseen);
             }
             boot_id.clone_into(&mut self.boot_id);
         }
+        self.unseen = 0;
         let effects = match slam.step(scan) {
             Ok(effects) => effects,
             Err(error) => {
@@ -211,7 +216,7 @@ impl SlamPoses {
 
     /// What a scan says of the robot's health. One that sees little says nothing: then odometry alone counts, as along a corridor.
     fn judge(&mut self, effects: &Effects) {
-        if effects.score.is_some() {
+        if effects.fits {
             self.contradictions = 0;
         } else if effects.points >= CONTRADICTIONS.1 && !effects.is_first {
             self.contradictions += 1;

@@ -178,13 +178,13 @@ fn end_of(file: &File, lines: usize) -> Result<u64, KeepError> {
 mod tests {
     use std::time::Duration;
 
-    use zenav_mapping::{Mapper, MappingSettings};
+    use zenav_mapping::{Insertion, Mapper, MappingSettings};
     use zenav_protocol::bus::{Bus, BusConfig, Clock, Shutdown};
-    use zenav_protocol::messages::{Correction, MapRequest};
+    use zenav_protocol::messages::{Correction, EdgeState, Health, LeaseState, MapRequest};
     use zenav_protocol::time::Stamp;
-    use zenav_protocol::topics::{CORRECTION, MAP, SCAN};
+    use zenav_protocol::topics::{CORRECTION, MAP, SCAN, STATE};
 
-    use super::super::core::{MappingCore, PoseSettings, PoseSource};
+    use super::super::core::{Mapped, MappingCore, PoseSettings, PoseSource};
     use super::super::{MappingConfig, run};
     use super::*;
     use crate::testing::router;
@@ -293,6 +293,75 @@ mod tests {
         assert!(read(folder.path()).unwrap().is_none());
     }
 
+    /// The scan of a robot that was restarted when it had driven `before`, m: its odometry begins there.
+    fn restarted(way: f64, before: f64) -> Scan {
+        Scan {
+            odom_from_base: Pose2::new(TOO_FAR * (way - before), 0.0, 0.0),
+            ..scan(way)
+        }
+    }
+
+    /// Mapping of a robot that has driven so far, m.
+    fn driven(way: f64, folder: &Path) -> MappingCore {
+        let mut mapping = core();
+        let steps = (way / 0.05).round() as usize;
+        for step in 0..=steps {
+            mapping.insert(&scan(0.05 * step as f64), "boot");
+            if let Some(kept) = mapping.kept(false) {
+                write(folder, &kept).unwrap();
+            }
+        }
+        mapping
+    }
+
+    /// How far a scan that was made after so much way, m, is off its place.
+    fn off(mapped: &Mapped, way: f64) -> f64 {
+        let localisation = mapped.localisation.as_ref().unwrap();
+        localisation.map_from_base.distance(&Pose2::new(way, 0.0, 0.0))
+    }
+
+    #[test]
+    fn a_robot_that_was_restarted_and_stands_is_tracked() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut mapping = driven(3.0, folder.path());
+        for step in 0..12 {
+            let mut scan = restarted(3.0, 3.0);
+            scan.stamp = Stamp::from_secs(20.0 + f64::from(step));
+            let mapped = mapping.insert(&scan, "another boot");
+            assert_eq!(mapped.localisation.as_ref().unwrap().health, Health::Tracking);
+            assert!(off(&mapped, 3.0) < 0.05, "{mapped:?}");
+        }
+    }
+
+    #[test]
+    fn a_robot_that_drove_on_while_mapping_was_restarted_is_where_its_odometry_says() {
+        let folder = tempfile::tempdir().unwrap();
+        driven(3.0, folder.path());
+        let mut mapping = core().going_on(read(folder.path()).unwrap().unwrap());
+        // The first scan may come before anything else is heard of the robot.
+        assert_eq!(mapping.insert(&scan(3.9), "").insertion, Insertion::Held);
+        let mapped = mapping.insert(&scan(4.0), "boot");
+        assert!(off(&mapped, 4.0) < 0.06, "{mapped:?}");
+    }
+
+    #[test]
+    fn a_robot_that_lost_power_with_mapping_is_found_where_it_came_after_the_session_was_kept() {
+        let folder = tempfile::tempdir().unwrap();
+        driven(3.0, folder.path());
+        let stored = read(folder.path()).unwrap().unwrap();
+        let kept = stored.head.map_from_odom * stored.scans.last().unwrap().odom_from_base;
+        let way = kept.x + 1.7;
+        let mut mapping = core().going_on(stored);
+        for step in 0..8 {
+            let mut scan = restarted(way, way);
+            scan.stamp = Stamp::from_secs(20.0 + f64::from(step));
+            let mapped = mapping.insert(&scan, "another boot");
+            let localisation = mapped.localisation.as_ref().unwrap();
+            assert_eq!(localisation.health, Health::Tracking);
+            assert!(off(&mapped, way) < 0.1, "{mapped:?}");
+        }
+    }
+
     #[tokio::test(flavor = "multi_thread")]
     async fn mapping_that_is_killed_in_mid_drive_goes_on_with_its_map() {
         let (router, endpoint) = router().await;
@@ -306,6 +375,12 @@ mod tests {
         let client = open("client").await.unwrap();
         let chunks = ["tiago"];
         let scans = client.publisher(&SCAN, &chunks).unwrap();
+        let states = client.publisher(&STATE, &chunks).unwrap();
+        let state: EdgeState = serde_json::from_value(serde_json::json!({
+            "stamp": 1, "boot_id": "boot", "mode": "idle", "link": "Connected", "lease": LeaseState::default(),
+            "velocity": {"v": 0.0, "w": 0.0}, "guard": "clear", "battery": 1.0
+        }))
+        .unwrap();
         let mut corrections = client.subscribe(&CORRECTION, &chunks, 64).unwrap();
         let begin = async |name| {
             let bus = open(name).await.unwrap();
@@ -328,6 +403,10 @@ mod tests {
         let drive = async |way: &mut f64| {
             *way += 0.05;
             scans.put(&scan(*way));
+            // The state comes after the scan, and more seldom.
+            if (*way / 0.05).round() as usize % 4 == 3 {
+                states.put(&state);
+            }
             tokio::time::sleep(Duration::from_millis(15)).await;
         };
         while way < 4.0 {
@@ -339,8 +418,8 @@ mod tests {
         let kept = read(folder.path()).unwrap().unwrap();
         assert!(kept.scans.len() >= 10, "{} nodes", kept.scans.len());
 
-        // The robot goes on meanwhile.
-        way += 0.5;
+        // The robot goes on meanwhile, farther than it would be looked for after a restart of its own.
+        way += 1.5;
         let (service, shutdown) = begin("mapping-again").await;
         let after = asked().await;
         assert!(
@@ -351,7 +430,7 @@ mod tests {
         );
         while corrections.try_next().is_some() {}
         let found = tokio::time::timeout(DEADLINE, async {
-            while way < 7.0 {
+            while way < 8.0 {
                 drive(&mut way).await;
             }
             corrections.next().await.unwrap().message

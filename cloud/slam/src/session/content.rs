@@ -33,6 +33,10 @@ pub(super) struct Content {
     odometry: Odometry,
     is_interrupted: bool,
     is_doubted: bool,
+    #[serde(default)]
+    is_apart: bool,
+    #[serde(default)]
+    unseen: u32,
     keeps_all: bool,
     start: Row,
     usual: f64,
@@ -116,6 +120,8 @@ impl Content {
             odometry: slam.odometry,
             is_interrupted: slam.is_interrupted,
             is_doubted: slam.is_doubted,
+            is_apart: slam.is_apart,
+            unseen: slam.unseen,
             keeps_all: slam.keeps_all,
             start: row(slam.start),
             usual: slam.usual,
@@ -155,6 +161,8 @@ impl Content {
                 .ok_or_else(|| expected("odometry of finite numbers"))?,
             is_interrupted: self.is_interrupted,
             is_doubted: self.is_doubted,
+            is_apart: self.is_apart,
+            unseen: self.unseen,
             keeps_all: self.keeps_all,
             start: pose(self.start)?,
             usual: self.usual,
