@@ -60,7 +60,7 @@ use authority::Authority;
 pub use core::{Mapped, MappingCore, PoseSettings, PoseSource};
 use metrics::MappingMetrics;
 use requests::FirstAnswers;
-use slam_session::KeepError;
+use slam_session::{KeepError, OnDisk};
 
 /// Configuration of one robot's mapping.
 #[derive(Clone, Debug, PartialEq)]
@@ -195,7 +195,7 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
         config,
     };
     let _alive = bus.declare_alive(alive_key(ALIVE_COMPONENT, &[&robot, "mapping"]))?;
-    service.keep(clock.now(), false).await;
+    let _ = service.keep(clock.now(), false).await;
     if let Some(frame) = service.core.frame_at_start() {
         service.frames.put(&frame);
         service.frame = frame;
@@ -251,7 +251,7 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
         }
     }
     service.publish(clock.now());
-    service.keep(clock.now(), true).await;
+    let _ = service.keep(clock.now(), true).await;
     // Replies that are being encoded are still sent; the deadline for the whole exit is the caller's.
     while service.encoding.join_next().await.is_some() {}
     Ok(())
@@ -299,8 +299,8 @@ struct Service {
     config: MappingConfig,
     core: MappingCore,
     /// The session of SLAM that is being written.
-    keeping: Option<JoinHandle<Result<(), KeepError>>>,
-    /// Its frame.
+    keeping: Option<JoinHandle<Result<(u64, OnDisk), KeepError>>>,
+    /// The frame of the one on disk.
     kept_frame: u64,
     /// When it could not be written.
     not_kept: Option<Stamp>,
@@ -347,7 +347,7 @@ impl Service {
             (mapped.insertion, mapped)
         });
         // Whoever comes after this process must know every frame that anybody was told of.
-        self.keep(now, false).await;
+        let _ = self.keep(now, false).await;
         if let Some(frame) = mapped.frame {
             self.tell_frame(frame, now);
         }

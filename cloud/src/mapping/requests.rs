@@ -115,7 +115,7 @@ impl Service {
             MapAction::Get | MapAction::List => {}
             MapAction::Save => {
                 self.save(request.name.as_deref()).await?;
-                self.keep(now, true).await;
+                self.keep(now, true).await?;
             }
             MapAction::Load => {
                 self.load(request).await?;

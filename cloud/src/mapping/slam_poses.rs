@@ -11,10 +11,10 @@ use zenav_mapping::{Insertion, Mapper};
 use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::messages::{Health, Localisation, MOST_MOVES, MapFrame, Scan};
 use zenav_protocol::time::Stamp;
-use zenav_slam::{Effects, Slam, SlamSettings};
+use zenav_slam::{Effects, SessionError, Slam, SlamSettings};
 
 use super::core::{Measured, Pace, Posed, Statements};
-use super::slam_session::{Head, Kept, Stored};
+use super::slam_session::{Head, Kept, OnDisk, Stored};
 
 /// Scans of the old map that are drawn anew with each new scan.
 const REDRAWN_A_STEP: usize = 200;
@@ -61,9 +61,11 @@ pub(super) struct SlamPoses {
     parts: Vec<Pose2>,
     /// Whether frame or parts are others than was told.
     is_untold: bool,
+    /// What is on disk.
+    on_disk: OnDisk,
     /// How many of the scans were handed out to be kept.
-    kept: usize,
-    /// Whether what was kept last was of an older frame, or of another map.
+    handed: usize,
+    /// Whether what was handed out last is not on disk, or is of an older frame or another map.
     is_overdue: bool,
     /// Scans in a row that fit nowhere.
     contradictions: u32,
@@ -88,7 +90,8 @@ impl SlamPoses {
             boot_id: String::new(),
             unseen: 0,
             pace: Pace::default(),
-            kept: 0,
+            on_disk: OnDisk::default(),
+            handed: 0,
             is_overdue: true,
             contradictions: 0,
             health: Health::Tracking,
@@ -99,7 +102,12 @@ impl SlamPoses {
     /// Goes on with a session that was kept, and draws its map into an empty one. Where a closure had moved the map, and it was not drawn
     /// anew yet, the next frame begins.
     pub(super) fn go_on(settings: SlamSettings, stored: Stored, mapper: &mut Mapper) -> Self {
-        let Stored { head, slam, scans } = stored;
+        let Stored {
+            head,
+            slam,
+            scans,
+            on_disk,
+        } = stored;
         let mut poses = Self {
             parts: slam.parts(),
             moves: head.moves.into(),
@@ -107,7 +115,8 @@ impl SlamPoses {
             new_from_drawn: head.new_from_drawn,
             boot_id: head.boot_id,
             unseen: KEPT_AFTER,
-            kept: scans.len(),
+            on_disk,
+            handed: scans.len(),
             is_overdue: false,
             slam: Some(slam),
             scans,
@@ -127,23 +136,19 @@ impl SlamPoses {
         poses
     }
 
-    /// What is to be on disk before anything more is published; nothing while what was kept last is recent enough, or `anyway`.
-    pub(super) fn kept(&mut self, anyway: bool) -> Option<Kept> {
-        let slam = self.slam.as_ref()?;
-        let is_due = self.is_overdue || self.scans.len() >= self.kept + KEPT_AFTER as usize;
-        if !is_due && !(anyway && self.scans.len() > self.kept) {
-            return None;
-        }
-        let session = match slam.save() {
-            Ok(session) => session,
-            Err(error) => {
-                tracing::warn!(%error, "the session of SLAM is not kept");
-                return None;
-            }
-        };
-        let first = std::mem::replace(&mut self.kept, self.scans.len());
+    /// Whether something is to be on disk before anything more is published; where something is new, also `anyway`.
+    pub(super) fn is_keep_due(&self, anyway: bool) -> bool {
+        let new = self.scans.len() - self.handed;
+        self.slam.is_some() && (self.is_overdue || new >= KEPT_AFTER as usize || anyway && new > 0)
+    }
+
+    /// What is to be on disk. Until it [was kept](Self::was_kept), or was not, nothing more is handed out.
+    pub(super) fn kept(&mut self) -> Result<Option<Kept>, SessionError> {
+        let Some(slam) = &self.slam else { return Ok(None) };
+        let session = slam.save()?;
+        self.handed = self.scans.len();
         self.is_overdue = false;
-        Some(Kept {
+        Ok(Some(Kept {
             head: Head {
                 frame: self.frame,
                 moves: self.moves.iter().copied().collect(),
@@ -153,9 +158,9 @@ impl SlamPoses {
                 scans: self.scans.len(),
             },
             session,
-            first,
-            scans: self.scans[first..].to_vec(),
-        })
+            on_disk: self.on_disk,
+            scans: self.scans[self.on_disk.scans..].to_vec(),
+        }))
     }
 
     /// Begins anew: the next scan is the first.
@@ -266,9 +271,18 @@ impl SlamPoses {
         self.frame
     }
 
-    /// What was handed out last is not on disk: the next time everything is.
-    pub(super) fn was_not_kept(&mut self) {
-        self.kept = 0;
+    /// What was handed out last is on disk.
+    pub(super) fn was_kept(&mut self, on_disk: OnDisk) {
+        self.on_disk = on_disk;
+    }
+
+    /// What was handed out last is not on disk: the next time it goes there with what is new. `is_changed`: what went there before is not what
+    /// it was, and all of it goes there again.
+    pub(super) fn was_not_kept(&mut self, is_changed: bool) {
+        self.is_overdue = true;
+        if is_changed {
+            self.on_disk = OnDisk::default();
+        }
     }
 
     /// Frame and parts, where they are others than was told.

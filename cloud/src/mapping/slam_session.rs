@@ -2,10 +2,11 @@
 //!
 //! Two files in the robot's folder. `slam.scans`: the scan of each node, a line of JSON each, in the order of the nodes; it only grows. `slam.session`:
 //! a line of JSON with the frame and what belongs to it, then the bytes of [`Slam::save`]; it is replaced at once or not at all, after the
-//! scans that it counts on are on disk. What follows them in `slam.scans` belongs to nothing, and goes.
+//! scans that it counts on are on disk. What follows them in `slam.scans` belongs to nothing, and is written over. So whatever fails, the
+//! session that was kept before stays whole.
 
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, BufRead, BufReader, Seek, Write};
+use std::io::{self, BufRead, BufReader, Read, Seek, Write};
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
@@ -20,8 +21,6 @@ use zenav_slam::{SessionError, Slam};
 const SESSION: &str = "slam.session";
 /// Scans of the nodes.
 const SCANS: &str = "slam.scans";
-/// Longest line of `slam.scans`, bytes: a scan as it comes over the network.
-const LONGEST: usize = 1 << 20;
 
 /// What belongs to a map by SLAM beside its poses and measurements.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -40,12 +39,21 @@ pub(super) struct Head {
     pub(super) scans: usize,
 }
 
-/// What is to be kept: a session, and of its scans those from a node on; the ones before are on disk already.
+/// How much of `slam.scans` belongs to the session that was kept last.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct OnDisk {
+    /// Scans.
+    pub(super) scans: usize,
+    /// Their length, bytes.
+    pub(super) bytes: u64,
+}
+
+/// What is to be kept: a session, and of its scans those that come after the ones on disk.
 #[derive(Clone, Debug)]
 pub(super) struct Kept {
     pub(super) head: Head,
     pub(super) session: Vec<u8>,
-    pub(super) first: usize,
+    pub(super) on_disk: OnDisk,
     pub(super) scans: Vec<Scan>,
 }
 
@@ -55,6 +63,7 @@ pub(super) struct Stored {
     pub(super) head: Head,
     pub(super) slam: Slam,
     pub(super) scans: Vec<Scan>,
+    pub(super) on_disk: OnDisk,
 }
 
 /// Why a session cannot be kept, or gone on with.
@@ -69,6 +78,9 @@ pub(super) enum KeepError {
     /// What is written there cannot be understood.
     #[error(transparent)]
     Json(#[from] serde_json::Error),
+    /// Writing broke off.
+    #[error(transparent)]
+    Task(#[from] tokio::task::JoinError),
     /// The map is none.
     #[error(transparent)]
     Session(#[from] SessionError),
@@ -80,31 +92,61 @@ pub(super) enum KeepError {
         /// What there is.
         found: usize,
     },
+    /// The scans on disk are not those that were written: all of them are to be written again.
+    #[error("expected {expected} bytes of scans in `{SCANS}`, found {found}: somebody else changed the file")]
+    Changed {
+        /// As many as were written, bytes.
+        expected: u64,
+        /// What there is, bytes.
+        found: u64,
+    },
 }
 
-/// Keeps a session in a folder; it is on disk when this returns.
-pub(super) fn write(folder: &Path, kept: &Kept) -> Result<(), KeepError> {
+/// Keeps a session in a folder; it is on disk when this returns what of `slam.scans` belongs to it.
+pub(super) fn write(folder: &Path, kept: &Kept) -> Result<OnDisk, KeepError> {
     fs::create_dir_all(folder)?;
-    let file = OpenOptions::new()
-        .read(true)
-        .write(true)
-        .create(true)
-        .truncate(false)
-        .open(folder.join(SCANS))?;
-    let end = end_of(&file, kept.first)?;
-    file.set_len(end)?;
     let mut lines = Vec::new();
     for scan in &kept.scans {
         serde_json::to_writer(&mut lines, scan)?;
         lines.push(b'\n');
     }
-    (&file).seek(io::SeekFrom::Start(end))?;
-    (&file).write_all(&lines)?;
-    file.sync_all()?;
+    let path = folder.join(SCANS);
+    if kept.on_disk.scans == 0 {
+        write_atomically(&path, &lines)?;
+    } else {
+        append(&path, kept.on_disk.bytes, &lines)?;
+    }
     let mut bytes = serde_json::to_vec(&kept.head)?;
     bytes.push(b'\n');
     bytes.extend_from_slice(&kept.session);
     write_atomically(&folder.join(SESSION), &bytes)?;
+    Ok(OnDisk {
+        scans: kept.on_disk.scans + kept.scans.len(),
+        bytes: kept.on_disk.bytes + lines.len() as u64,
+    })
+}
+
+/// Writes lines after the first `end` bytes of a file, whatever was there.
+fn append(path: &Path, end: u64, lines: &[u8]) -> Result<(), KeepError> {
+    let mut file = match OpenOptions::new().read(true).write(true).open(path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => {
+            let (expected, found) = (end, 0);
+            return Err(KeepError::Changed { expected, found });
+        }
+        opened => opened?,
+    };
+    let found = file.metadata()?.len();
+    let mut last = [0];
+    if found >= end && end > 0 {
+        file.seek(io::SeekFrom::Start(end - 1))?;
+        file.read_exact(&mut last)?;
+    }
+    if last != [b'\n'] {
+        return Err(KeepError::Changed { expected: end, found });
+    }
+    file.write_all(lines)?;
+    file.set_len(end + lines.len() as u64)?;
+    file.sync_all()?;
     Ok(())
 }
 
@@ -120,17 +162,29 @@ pub(super) fn read(folder: &Path) -> Result<Option<Stored>, KeepError> {
     let slam = Slam::load(bytes.get(line + 1..).unwrap_or_default())?;
     let expected = slam.nodes().len();
     let mut scans = Vec::with_capacity(expected);
+    let mut length = 0;
     for line in BufReader::new(File::open(folder.join(SCANS))?)
         .split(b'\n')
         .take(expected)
     {
-        scans.push(serde_json::from_slice(&line?)?);
+        let line = line?;
+        scans.push(serde_json::from_slice(&line)?);
+        length += line.len() as u64 + 1;
     }
     if scans.len() != expected || head.scans != expected {
         let found = scans.len();
         return Err(KeepError::Scans { expected, found });
     }
-    Ok(Some(Stored { head, slam, scans }))
+    let on_disk = OnDisk {
+        scans: expected,
+        bytes: length,
+    };
+    Ok(Some(Stored {
+        head,
+        slam,
+        scans,
+        on_disk,
+    }))
 }
 
 /// Forgets the session of a folder.
@@ -154,23 +208,6 @@ pub(super) fn set_aside(folder: &Path) -> io::Result<()> {
         }
     }
     Ok(())
-}
-
-/// Where in a file so many lines end, bytes.
-fn end_of(file: &File, lines: usize) -> Result<u64, KeepError> {
-    let mut reader = BufReader::new(file);
-    let (mut end, mut found) = (0, 0);
-    let mut line = Vec::new();
-    while found < lines {
-        line.clear();
-        let count = io::Read::take(&mut reader, LONGEST as u64).read_until(b'\n', &mut line)?;
-        if line.last() != Some(&b'\n') {
-            return Err(KeepError::Scans { expected: lines, found });
-        }
-        end += count as u64;
-        found += 1;
-    }
-    Ok(end)
 }
 
 #[cfg(test)]
@@ -241,6 +278,11 @@ mod tests {
         MappingCore::new(Mapper::new(MappingSettings::default(), "new"), &settings())
     }
 
+    /// What is to be kept, where it is due.
+    fn kept(mapping: &mut MappingCore, anyway: bool) -> Option<Kept> {
+        mapping.is_keep_due(anyway).then(|| mapping.kept().unwrap().unwrap())
+    }
+
     #[test]
     fn a_frame_is_kept_before_it_is_told_and_goes_on() {
         let folder = tempfile::tempdir().unwrap();
@@ -251,8 +293,8 @@ mod tests {
                 mapping.bend(|pose| Pose2::new(pose.x, pose.y + 0.5, pose.yaw));
             }
             let mapped = mapping.insert(&scan(0.05 * f64::from(step)), "boot");
-            if let Some(kept) = mapping.kept(false) {
-                write(folder.path(), &kept).unwrap();
+            if let Some(kept) = kept(&mut mapping, false) {
+                mapping.was_kept(write(folder.path(), &kept).unwrap());
                 before = mapping.mapper.info();
             }
             told = mapped.frame.map_or(told, |frame| frame.map.frame);
@@ -279,8 +321,8 @@ mod tests {
         for step in 90..130 {
             let mapped = after.insert(&scan(0.05 * f64::from(step)), "boot");
             last = mapped.correction.or(last);
-            if let Some(kept) = after.kept(true) {
-                write(folder.path(), &kept).unwrap();
+            if let Some(kept) = kept(&mut after, true) {
+                after.was_kept(write(folder.path(), &kept).unwrap());
             }
         }
         let correction = last.unwrap();
@@ -307,8 +349,8 @@ mod tests {
         let steps = (way / 0.05).round() as usize;
         for step in 0..=steps {
             mapping.insert(&scan(0.05 * step as f64), "boot");
-            if let Some(kept) = mapping.kept(false) {
-                write(folder, &kept).unwrap();
+            if let Some(kept) = kept(&mut mapping, false) {
+                mapping.was_kept(write(folder, &kept).unwrap());
             }
         }
         mapping
@@ -360,6 +402,62 @@ mod tests {
             assert_eq!(localisation.health, Health::Tracking);
             assert!(off(&mapped, way) < 0.1, "{mapped:?}");
         }
+    }
+
+    /// Inserts scans from one way to another, m, keeping nothing.
+    fn drive(mapping: &mut MappingCore, from: f64, to: f64) {
+        let steps = ((to - from) / 0.05).round() as usize;
+        for step in 1..=steps {
+            mapping.insert(&scan(from + 0.05 * step as f64), "boot");
+        }
+    }
+
+    #[test]
+    fn a_write_that_fails_leaves_the_session_as_it_was_and_the_next_one_adds_to_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut mapping = driven(3.0, folder.path());
+        let before = read(folder.path()).unwrap().unwrap().scans;
+        let whole = std::fs::read(folder.path().join(SCANS)).unwrap();
+        // Scans can be written, the session that counts them cannot.
+        let blocker = folder.path().join(format!(".{SESSION}.{}.part", std::process::id()));
+        std::fs::create_dir(&blocker).unwrap();
+        drive(&mut mapping, 3.0, 4.0);
+        let failing = kept(&mut mapping, true).unwrap();
+        assert!(matches!(write(folder.path(), &failing), Err(KeepError::File(_))));
+        mapping.was_not_kept(false);
+        assert_eq!(read(folder.path()).unwrap().unwrap().scans, before);
+
+        drive(&mut mapping, 4.0, 4.2);
+        let again = kept(&mut mapping, false).unwrap();
+        assert_eq!(again.on_disk.scans, before.len(), "what is on disk is not written again");
+        assert!(write(folder.path(), &again).is_err());
+        mapping.was_not_kept(false);
+        assert!(std::fs::read(folder.path().join(SCANS)).unwrap().starts_with(&whole));
+        assert_eq!(read(folder.path()).unwrap().unwrap().scans, before);
+
+        std::fs::remove_dir(blocker).unwrap();
+        let kept = kept(&mut mapping, false).unwrap();
+        mapping.was_kept(write(folder.path(), &kept).unwrap());
+        let after = read(folder.path()).unwrap().unwrap();
+        assert!(after.scans.len() > before.len() && after.scans.starts_with(&before));
+        assert_eq!(after.scans.len(), kept.head.scans);
+    }
+
+    #[test]
+    fn scans_that_somebody_else_cut_are_all_written_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut mapping = driven(3.0, folder.path());
+        let before = read(folder.path()).unwrap().unwrap().scans;
+        let file = OpenOptions::new().write(true).open(folder.path().join(SCANS)).unwrap();
+        file.set_len(1000).unwrap();
+        drive(&mut mapping, 3.0, 3.5);
+        let missing = write(folder.path(), &kept(&mut mapping, true).unwrap());
+        assert!(matches!(missing, Err(KeepError::Changed { .. })), "{missing:?}");
+        mapping.was_not_kept(true);
+        let kept = kept(&mut mapping, false).unwrap();
+        mapping.was_kept(write(folder.path(), &kept).unwrap());
+        let after = read(folder.path()).unwrap().unwrap().scans;
+        assert!(after.len() > before.len() && after.starts_with(&before));
     }
 
     #[tokio::test(flavor = "multi_thread")]

@@ -5,6 +5,7 @@
 
 use std::path::PathBuf;
 
+use tokio::task::JoinHandle;
 use zenav_mapping::Mapper;
 use zenav_mapping::store::{self, MapRecord, StoredMap};
 use zenav_protocol::grid::OccupancyGrid;
@@ -111,53 +112,75 @@ pub(super) fn new_map_id(robot: &str) -> String {
 impl Service {
     /// Keeps the session of SLAM where that is due. A session of a new frame, and what is kept `anyway`, is on disk when this returns; otherwise
     /// it is written beside what goes on here.
-    pub(super) async fn keep(&mut self, now: Stamp, anyway: bool) {
+    ///
+    /// # Errors
+    /// Where what was asked for `anyway` is not on disk; everything else is tried again after a while.
+    pub(super) async fn keep(&mut self, now: Stamp, anyway: bool) -> Result<(), Refusal> {
         let Some(folder) = self.config.folder.clone() else {
-            return;
+            return Ok(());
         };
-        if self
-            .not_kept
-            .is_some_and(|then| now.secs_since(then) < KEEP_AGAIN && now >= then)
-        {
-            return;
+        if anyway || self.keeping.as_ref().is_some_and(JoinHandle::is_finished) {
+            // What failed is due again.
+            let _ = self.was_kept(now).await;
         }
-        if let Some(kept) = self.core.kept(anyway) {
-            self.was_kept(now).await;
-            let is_new = kept.head.frame != self.kept_frame;
-            self.kept_frame = kept.head.frame;
-            self.keeping = Some(tokio::task::spawn_blocking(move || slam_session::write(&folder, &kept)));
-            if is_new {
-                self.was_kept(now).await;
-            }
+        if self.rests(now) && !anyway || !self.core.is_keep_due(anyway) {
+            return Ok(());
         }
-        if anyway {
-            self.was_kept(now).await;
+        if self.was_kept(now).await.is_err() && !anyway {
+            return Ok(());
         }
+        let kept = match self.core.kept() {
+            Ok(Some(kept)) => kept,
+            Ok(None) => return Ok(()),
+            Err(error) => return self.is_not_kept(now, &error.into()),
+        };
+        let is_new = kept.head.frame != self.kept_frame;
+        self.keeping = Some(tokio::task::spawn_blocking(move || {
+            Ok((kept.head.frame, slam_session::write(&folder, &kept)?))
+        }));
+        if !is_new && !anyway {
+            return Ok(());
+        }
+        let kept = self.was_kept(now).await;
+        if anyway { kept } else { Ok(()) }
+    }
+
+    /// Whether nothing is kept for a while, as the last attempt failed.
+    fn rests(&self, now: Stamp) -> bool {
+        let since = |then: Stamp| now.secs_since(then) < KEEP_AGAIN && now >= then;
+        self.not_kept.is_some_and(since)
     }
 
     /// Waits until what is being kept is on disk.
-    async fn was_kept(&mut self, now: Stamp) {
-        let Some(keeping) = self.keeping.take() else { return };
-        let reason = match keeping.await {
-            Ok(Ok(())) => {
-                self.not_kept = None;
-                return;
-            }
-            Ok(Err(error)) => error.to_string(),
-            Err(error) => error.to_string(),
+    async fn was_kept(&mut self, now: Stamp) -> Result<(), Refusal> {
+        let Some(keeping) = self.keeping.take() else {
+            return Ok(());
         };
+        match keeping.await.unwrap_or_else(|error| Err(KeepError::Task(error))) {
+            Ok((frame, on_disk)) => {
+                self.kept_frame = frame;
+                self.not_kept = None;
+                self.core.was_kept(on_disk);
+                Ok(())
+            }
+            Err(error) => self.is_not_kept(now, &error),
+        }
+    }
+
+    fn is_not_kept(&mut self, now: Stamp, error: &KeepError) -> Result<(), Refusal> {
         tracing::error!(
             robot = self.config.robot,
-            reason,
+            %error,
             "the session of SLAM is not kept: after a restart its map is as it was before"
         );
         self.not_kept = Some(now);
-        self.core.was_not_kept();
+        self.core.was_not_kept(matches!(error, KeepError::Changed { .. }));
+        Err(Refusal::internal(format!("the session of SLAM is not kept: {error}")))
     }
 
     /// Forgets the session of SLAM: another map is to begin.
     pub(super) async fn forget_session(&mut self, now: Stamp) -> Result<(), Refusal> {
-        self.was_kept(now).await;
+        let _ = self.was_kept(now).await;
         let Some(folder) = self.config.folder.clone() else {
             return Ok(());
         };
