@@ -162,8 +162,17 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
             |folder| folder.display().to_string(),
         )));
     }
+    let mut annotations = AnnotationBook::open(config.places.clone(), &config.zones, config.folder.as_deref())?;
     let mut core = MappingCore::new(mapper, &config.poses);
+    let mut frame = MapFrame::default();
     if let Some(stored) = stored {
+        annotations.go_on(&stored.head.annotations, stored.head.frame);
+        frame = MapFrame {
+            map: core.mapper.map().clone(),
+            parts: stored.head.parts.clone(),
+            ..frame
+        };
+        frame.map.frame = stored.head.frame;
         core = core.going_on(stored);
     }
     loaded.met();
@@ -172,7 +181,7 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
         info: bus.publisher(&MAP_INFO, &chunks)?,
         patches: bus.publisher(&MAP_PATCH, &chunks)?,
         frames: bus.publisher(&MAP_FRAME, &chunks)?,
-        frame: MapFrame::default(),
+        frame,
         corrections: bus.publisher(&CORRECTION, &chunks)?,
         localisation: bus.publisher(&LOCALISATION, &chunks)?,
         core,
@@ -181,7 +190,7 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
         not_kept: None,
         boot_id: String::new(),
         is_foreign: false,
-        annotations: AnnotationBook::open(config.places.clone(), &config.zones, config.folder.as_deref())?,
+        annotations,
         annotations_topic: bus.publisher(&ANNOTATIONS, &chunks)?,
         annotated: FirstAnswers::default(),
         period: Duration::from_secs_f64(1.0 / config.settings.publish_hz),
@@ -195,8 +204,12 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
         config,
     };
     let _alive = bus.declare_alive(alive_key(ALIVE_COMPONENT, &[&robot, "mapping"]))?;
+    let frame = service.core.frame_at_start();
+    if let Some(frame) = &frame {
+        service.carry_over(frame);
+    }
     let _ = service.keep(clock.now(), false).await;
-    if let Some(frame) = service.core.frame_at_start() {
+    if let Some(frame) = frame {
         service.frames.put(&frame);
         service.frame = frame;
     }
@@ -346,6 +359,9 @@ impl Service {
             let mapped = core.insert(scan, &boot_id);
             (mapped.insertion, mapped)
         });
+        if let Some(frame) = &mapped.frame {
+            self.carry_over(frame);
+        }
         // Whoever comes after this process must know every frame that anybody was told of.
         let _ = self.keep(now, false).await;
         if let Some(frame) = mapped.frame {
@@ -360,12 +376,18 @@ impl Service {
         self.drawn(mapped.insertion, now);
     }
 
+    /// Takes places and zones along into a new frame, which nobody was told of yet.
+    fn carry_over(&mut self, frame: &MapFrame) {
+        if self.frame.map.frame != frame.map.frame {
+            self.annotations.carry_over(&self.frame, frame);
+        }
+    }
+
     /// Tells where the parts of the map lie now. A new frame goes out with all that is in it at once: places, zones, and the map.
     fn tell_frame(&mut self, frame: MapFrame, now: Stamp) {
         let before = std::mem::replace(&mut self.frame, frame);
         self.frames.put(&self.frame);
         if before.map.frame != self.frame.map.frame {
-            self.annotations.carry_over(&before, &self.frame);
             self.annotations_topic.put(self.annotations.now());
             self.publish(now);
         }

@@ -13,6 +13,7 @@ use zenav_protocol::messages::{Health, Localisation, MOST_MOVES, MapFrame, Scan}
 use zenav_protocol::time::Stamp;
 use zenav_slam::{Effects, SessionError, Slam, SlamSettings};
 
+use super::annotations::Carried;
 use super::core::{Measured, Pace, Posed, Statements};
 use super::slam_session::{Head, Kept, OnDisk, Stored};
 
@@ -156,6 +157,9 @@ impl SlamPoses {
                 map_from_odom: self.map_from_odom,
                 boot_id: self.boot_id.clone(),
                 scans: self.scans.len(),
+                parts: self.parts.clone(),
+                // They are the service's to add.
+                annotations: Carried::default(),
             },
             session,
             on_disk: self.on_disk,

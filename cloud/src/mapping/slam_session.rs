@@ -17,6 +17,8 @@ use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::Scan;
 use zenav_slam::{SessionError, Slam};
 
+use super::annotations::Carried;
+
 /// Poses, measurements and the frame.
 const SESSION: &str = "slam.session";
 /// Scans of the nodes.
@@ -37,6 +39,12 @@ pub(super) struct Head {
     pub(super) boot_id: String,
     /// How many scans belong to it: one for each node.
     pub(super) scans: usize,
+    /// Where the parts of the map lie as it was drawn.
+    #[serde(default)]
+    pub(super) parts: Vec<Pose2>,
+    /// Where places and zones lie in the frame.
+    #[serde(default)]
+    pub(super) annotations: Carried,
 }
 
 /// How much of `slam.scans` belongs to the session that was kept last.
@@ -217,10 +225,11 @@ mod tests {
 
     use zenav_mapping::{Insertion, Mapper, MappingSettings};
     use zenav_protocol::bus::{Bus, BusConfig, Clock, Shutdown};
-    use zenav_protocol::messages::{Correction, EdgeState, Health, LeaseState, MapRequest};
+    use zenav_protocol::messages::{Correction, EdgeState, GoalPoint, Health, LeaseState, MapFrame, MapRequest};
     use zenav_protocol::time::Stamp;
-    use zenav_protocol::topics::{CORRECTION, MAP, SCAN, STATE};
+    use zenav_protocol::topics::{ANNOTATIONS, CORRECTION, MAP, SCAN, STATE};
 
+    use super::super::annotations::AnnotationBook;
     use super::super::core::{Mapped, MappingCore, PoseSettings, PoseSource};
     use super::super::{MappingConfig, run};
     use super::*;
@@ -458,6 +467,59 @@ mod tests {
         mapping.was_kept(write(folder.path(), &kept).unwrap());
         let after = read(folder.path()).unwrap().unwrap().scans;
         assert!(after.len() > before.len() && after.starts_with(&before));
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_place_lies_where_a_closure_has_moved_it_after_a_restart_too() {
+        let sink = GoalPoint {
+            x: 1.0,
+            y: 0.5,
+            yaw: None,
+        };
+        // The closure came before mapping was restarted: the map was drawn anew already, or not yet.
+        for is_drawn in [true, false] {
+            let folder = tempfile::tempdir().unwrap();
+            let config = MappingConfig {
+                folder: Some(folder.path().to_owned()),
+                poses: settings(),
+                places: [("sink".to_owned(), sink)].into(),
+                ..MappingConfig::new("tiago")
+            };
+            let mut mapping = core();
+            let mut book = AnnotationBook::open(config.places.clone(), &config.zones, config.folder.as_deref()).unwrap();
+            let mut frame = MapFrame::default();
+            for step in 0..60 {
+                if let Some(next) = mapping.insert(&scan(0.05 * f64::from(step)), "boot").frame {
+                    frame = next;
+                }
+            }
+            mapping.bend(|pose| Pose2::new(pose.x, pose.y + 0.5, pose.yaw));
+            if is_drawn {
+                let next = mapping.insert(&scan(3.0), "boot").frame.unwrap();
+                book.carry_over(&frame, &next);
+            }
+            let mut kept = kept(&mut mapping, true).unwrap();
+            assert_eq!(kept.head.frame, u64::from(is_drawn));
+            kept.head.annotations = book.carried();
+            write(folder.path(), &kept).unwrap();
+
+            let (router, endpoint) = router().await;
+            let client = Bus::open(BusConfig::service("client", &endpoint)).await.unwrap();
+            let mut annotations = client.latest(&ANNOTATIONS, &["tiago"]).unwrap();
+            let bus = Bus::open(BusConfig::service("mapping", &endpoint)).await.unwrap();
+            let shutdown = Shutdown::new();
+            let service = tokio::spawn(run(bus, Clock::wall(), config, shutdown.clone()));
+            let told = tokio::time::timeout(DEADLINE, annotations.next()).await.unwrap().unwrap().message;
+            let told_sink = told.places["sink"];
+            let off = (told_sink.x - sink.x).hypot(told_sink.y - 1.0);
+            assert!(told.frame == 1 && off < 1e-9, "{told:?}");
+            shutdown.trigger();
+            service.await.unwrap().unwrap();
+            // And the same once more, of what the service has kept.
+            let kept = read(folder.path()).unwrap().unwrap().head;
+            assert!(kept.frame == 1 && kept.annotations != Carried::default());
+            router.close().await;
+        }
     }
 
     #[tokio::test(flavor = "multi_thread")]

@@ -130,7 +130,10 @@ impl Service {
             return Ok(());
         }
         let kept = match self.core.kept() {
-            Ok(Some(kept)) => kept,
+            Ok(Some(mut kept)) => {
+                kept.head.annotations = self.annotations.carried();
+                kept
+            }
             Ok(None) => return Ok(()),
             Err(error) => return self.is_not_kept(now, &error.into()),
         };
