@@ -80,12 +80,16 @@ fn carry<T: Clone + PartialEq>(carried: &[(String, T, T)], name: &str, item: &mu
 impl Overlay {
     /// The places that it has.
     fn places(&self) -> impl Iterator<Item = (&String, &GoalPoint)> {
-        self.places.iter().filter_map(|(name, place)| Some((name, place.as_ref()?)))
+        self.places
+            .iter()
+            .filter_map(|(name, place)| Some((name, place.as_ref()?)))
     }
 
     /// The zones that it has.
     fn zones(&self) -> impl Iterator<Item = (&String, &Zone)> {
-        self.zones.iter().filter_map(|(name, zone)| Some((name, zone.as_ref()?)))
+        self.zones
+            .iter()
+            .filter_map(|(name, zone)| Some((name, zone.as_ref()?)))
     }
 }
 
@@ -536,7 +540,10 @@ mod tests {
         let moved = frame(1, Pose2::new(0.0, 3.0, 0.0));
         first.carry_over(&begun, &moved);
         let carried = first.carried();
-        assert_eq!((first.now().places["sink"].y, first.now().places["fridge"].y), (3.0, 3.0));
+        assert_eq!(
+            (first.now().places["sink"].y, first.now().places["fridge"].y),
+            (3.0, 3.0)
+        );
         let mut again = book(folder.path());
         again.go_on(&carried, 1);
         assert_eq!(again.now(), first.now());

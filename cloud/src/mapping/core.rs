@@ -279,13 +279,13 @@ impl MappingCore {
         }
     }
 
-    /// Draws a scan of a further lidar.
-    pub fn insert_further(&mut self, scan: &Scan) -> Insertion {
+    /// Draws a scan of a further lidar, made by the robot in its `boot_id`.
+    pub fn insert_further(&mut self, scan: &Scan, boot_id: &str) -> Insertion {
         match &self.poses {
             Poses::Edge => self.mapper.insert(scan),
-            Poses::Slam(slam) => self.mapper.insert(&slam.placed(scan)),
+            Poses::Slam(slam) if slam.draws_further(boot_id) => self.mapper.insert(&slam.placed(scan)),
             Poses::Localised(localised) if localised.is_trusted() => self.mapper.insert(&localised.placed(scan)),
-            Poses::Localised(_) => Insertion::Held,
+            Poses::Slam(_) | Poses::Localised(_) => Insertion::Held,
         }
     }
 

@@ -394,8 +394,9 @@ impl Service {
     }
 
     fn insert_further(&mut self, scan: &Scan, trace: Option<Context>, now: Stamp) {
+        let boot_id = self.boot_id.clone();
         let insertion = self.draw(scan, trace, now, |core| {
-            let insertion = core.insert_further(scan);
+            let insertion = core.insert_further(scan, &boot_id);
             (insertion, insertion)
         });
         self.drawn(insertion, now);

@@ -44,6 +44,8 @@ pub(super) struct SlamPoses {
     slam: Option<Slam>,
     /// The scans of all nodes, in their order.
     scans: Vec<Scan>,
+    /// Nodes whose scans are not drawn, ascending: the robot was lost when it made them.
+    undrawn: Vec<usize>,
     redraw: Option<Redraw>,
     /// From the map as it is drawn to the one that is being drawn.
     new_from_drawn: Pose2,
@@ -85,6 +87,7 @@ impl SlamPoses {
             settings,
             slam: None,
             scans: Vec::new(),
+            undrawn: Vec::new(),
             redraw: None,
             new_from_drawn: Pose2::IDENTITY,
             map_from_odom: Pose2::IDENTITY,
@@ -112,7 +115,15 @@ impl SlamPoses {
         let mut poses = Self {
             parts: slam.parts(),
             moves: head.moves.into(),
-            map_from_odom: head.map_from_odom,
+            // The map is drawn anew before the first scan.
+            map_from_odom: head.new_from_drawn * head.map_from_odom,
+            undrawn: head.undrawn,
+            contradictions: head.contradictions,
+            health: if head.contradictions < CONTRADICTIONS.0 {
+                Health::Tracking
+            } else {
+                Health::Lost
+            },
             new_from_drawn: head.new_from_drawn,
             boot_id: head.boot_id,
             unseen: KEPT_AFTER,
@@ -158,6 +169,8 @@ impl SlamPoses {
                 boot_id: self.boot_id.clone(),
                 scans: self.scans.len(),
                 parts: self.parts.clone(),
+                undrawn: self.undrawn.clone(),
+                contradictions: self.contradictions,
                 // They are the service's to add.
                 annotations: Carried::default(),
             },
@@ -205,6 +218,9 @@ impl SlamPoses {
         let pose = self.new_from_drawn.inverse() * effects.pose;
         self.map_from_odom = pose * scan.odom_from_base.inverse();
         self.judge(&effects);
+        if effects.is_inserted && !self.health.is_trusted() {
+            self.undrawn.push(self.scans.len() - 1);
+        }
         let insertion = if self.health.is_trusted() {
             mapper.insert(&self.placed(scan))
         } else {
@@ -249,6 +265,12 @@ impl SlamPoses {
             agreeing: effects.score.unwrap_or(0.0),
             through_walls: 0.0,
         })
+    }
+
+    /// Whether a scan of a further lidar, made in a boot of the robot, is drawn: not before one of the main lidar has said where that boot's
+    /// odometry lies, and not while the robot is lost.
+    pub(super) fn draws_further(&self, boot_id: &str) -> bool {
+        self.slam.is_some() && self.boot_id == boot_id && self.health.is_trusted()
     }
 
     /// The scan from the pose that SLAM gives the robot: those of further lidars, too.
@@ -359,10 +381,8 @@ impl SlamPoses {
             return false;
         };
         let end = (redraw.drawn + REDRAWN_A_STEP).min(self.scans.len());
-        for (scan, pose) in self.scans[redraw.drawn..end]
-            .iter()
-            .zip(&slam.nodes()[redraw.drawn..end])
-        {
+        for node in (redraw.drawn..end).filter(|node| self.undrawn.binary_search(node).is_err()) {
+            let (scan, pose) = (&self.scans[node], &slam.nodes()[node]);
             redraw.mapper.insert(&Scan {
                 map_from_odom: *pose * scan.odom_from_base.inverse(),
                 ..scan.clone()

@@ -42,6 +42,12 @@ pub(super) struct Head {
     /// Where the parts of the map lie as it was drawn.
     #[serde(default)]
     pub(super) parts: Vec<Pose2>,
+    /// Nodes whose scans are not drawn, ascending.
+    #[serde(default)]
+    pub(super) undrawn: Vec<usize>,
+    /// Scans in a row that fit nowhere.
+    #[serde(default)]
+    pub(super) contradictions: u32,
     /// Where places and zones lie in the frame.
     #[serde(default)]
     pub(super) annotations: Carried,
@@ -421,6 +427,73 @@ mod tests {
         }
     }
 
+    /// A scan in a crowd: it fits nowhere.
+    fn nowhere(way: f64) -> Scan {
+        let mut scan = scan(way);
+        for (beam, range) in scan.ranges.iter_mut().enumerate() {
+            *range = 0.5 + 0.3 * ((beam * 7 % 11) as f32 / 11.0);
+        }
+        scan
+    }
+
+    /// The same scan by a lidar that looks back.
+    fn rear(scan: Scan) -> Scan {
+        Scan {
+            base_from_laser: Pose2::new(-0.2, 0.0, 0.0),
+            ..scan
+        }
+    }
+
+    #[test]
+    fn what_a_lost_robot_sees_is_drawn_neither_at_once_nor_later() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut mapping = driven(3.0, folder.path());
+        let kept_before = kept(&mut mapping, true).unwrap();
+        mapping.was_kept(write(folder.path(), &kept_before).unwrap());
+        let clean = core().going_on(read(folder.path()).unwrap().unwrap()).mapper.info();
+        // It stands, is lost, and goes on.
+        for step in 1..=7 {
+            let scan = nowhere(if step < 7 { 3.0 + 1e-3 * f64::from(step) } else { 3.15 });
+            mapping.insert(&scan, "boot");
+            let is_lost = mapping.health() == Health::Lost;
+            assert_eq!(is_lost, step >= 5, "{step}");
+            let further = mapping.insert_further(&rear(scan), "boot");
+            assert_eq!(further == Insertion::Held, is_lost, "{step}: {further:?}");
+        }
+        let kept = kept(&mut mapping, true).unwrap();
+        write(folder.path(), &kept).unwrap();
+        assert_eq!(kept.head.undrawn, [kept.head.scans - 1]);
+        let again = core().going_on(read(folder.path()).unwrap().unwrap()).mapper.info();
+        assert_eq!((again.free, again.occupied), (clean.free, clean.occupied));
+        mapping.bend(|pose| Pose2::new(pose.x, pose.y + 0.5, pose.yaw));
+        mapping.insert(&nowhere(3.16), "boot");
+        assert_eq!(mapping.mapper.map().frame, 1);
+        let drawn = mapping.mapper.info();
+        assert!(drawn.occupied.abs_diff(clean.occupied) < 30, "{drawn:?} {clean:?}");
+    }
+
+    #[test]
+    fn a_scan_of_a_further_lidar_waits_until_the_main_one_has_placed_the_robot() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut mapping = core();
+        assert_eq!(mapping.insert_further(&rear(scan(0.0)), "boot"), Insertion::Held);
+        mapping.insert(&scan(0.0), "boot");
+        assert_eq!(mapping.insert_further(&rear(scan(0.0)), "boot"), Insertion::Inserted);
+        drive(&mut mapping, 0.0, 3.0);
+        mapping.bend(|pose| Pose2::new(pose.x, pose.y + 0.5, pose.yaw));
+        write(folder.path(), &kept(&mut mapping, true).unwrap()).unwrap();
+
+        let mut mapping = core().going_on(read(folder.path()).unwrap().unwrap());
+        assert_eq!(mapping.mapper.map().frame, 1, "the closure moved the map at the start");
+        assert_eq!(
+            mapping.insert_further(&rear(scan(3.0)), "another boot"),
+            Insertion::Held
+        );
+        mapping.insert_further(&rear(scan(3.0)), "boot");
+        let place = mapping.mapper.trajectory().last().unwrap();
+        assert!((place.x - 3.0).abs() < 0.06 && (place.y - 0.5).abs() < 0.06, "{place}");
+    }
+
     #[test]
     fn a_write_that_fails_leaves_the_session_as_it_was_and_the_next_one_adds_to_it() {
         let folder = tempfile::tempdir().unwrap();
@@ -438,7 +511,11 @@ mod tests {
 
         drive(&mut mapping, 4.0, 4.2);
         let again = kept(&mut mapping, false).unwrap();
-        assert_eq!(again.on_disk.scans, before.len(), "what is on disk is not written again");
+        assert_eq!(
+            again.on_disk.scans,
+            before.len(),
+            "what is on disk is not written again"
+        );
         assert!(write(folder.path(), &again).is_err());
         mapping.was_not_kept(false);
         assert!(std::fs::read(folder.path().join(SCANS)).unwrap().starts_with(&whole));
@@ -486,7 +563,8 @@ mod tests {
                 ..MappingConfig::new("tiago")
             };
             let mut mapping = core();
-            let mut book = AnnotationBook::open(config.places.clone(), &config.zones, config.folder.as_deref()).unwrap();
+            let mut book =
+                AnnotationBook::open(config.places.clone(), &config.zones, config.folder.as_deref()).unwrap();
             let mut frame = MapFrame::default();
             for step in 0..60 {
                 if let Some(next) = mapping.insert(&scan(0.05 * f64::from(step)), "boot").frame {
@@ -509,7 +587,11 @@ mod tests {
             let bus = Bus::open(BusConfig::service("mapping", &endpoint)).await.unwrap();
             let shutdown = Shutdown::new();
             let service = tokio::spawn(run(bus, Clock::wall(), config, shutdown.clone()));
-            let told = tokio::time::timeout(DEADLINE, annotations.next()).await.unwrap().unwrap().message;
+            let told = tokio::time::timeout(DEADLINE, annotations.next())
+                .await
+                .unwrap()
+                .unwrap()
+                .message;
             let told_sink = told.places["sink"];
             let off = (told_sink.x - sink.x).hypot(told_sink.y - 1.0);
             assert!(told.frame == 1 && off < 1e-9, "{told:?}");
