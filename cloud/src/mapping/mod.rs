@@ -115,6 +115,14 @@ pub enum MappingError {
     /// There is no stored map to localise in.
     #[error("mapping: `poses = \"localise\"` needs a stored map, and {0} has none: store one, or take `slam`")]
     NoMap(String),
+    /// The session of SLAM is there, but cannot be had.
+    #[error("mapping: the session of SLAM in {}: {problem}; mend it or move it away: it is not dropped silently", folder.display())]
+    Session {
+        /// Where it lies.
+        folder: PathBuf,
+        /// What is wrong.
+        problem: String,
+    },
     /// What people drew on the map cannot be read.
     #[error("{}: {problem}; mend the file or remove it: the places and zones in it are not dropped silently", file.display())]
     Annotations {
@@ -139,7 +147,7 @@ const FOREIGN: Duration = Duration::from_secs(5);
 /// reported and left alone, and a new one is begun. SLAM goes on with the session that it has kept, if there is one.
 ///
 /// # Errors
-/// [`MappingError`] for settings out of bounds, annotations that cannot be read, and when a key cannot be declared.
+/// [`MappingError`] for settings out of bounds, annotations or a session of SLAM that cannot be read, and when a key cannot be declared.
 pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdown) -> Result<(), MappingError> {
     config.settings.check()?;
     let robot = config.robot.clone();
@@ -150,7 +158,8 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
     let mut states = bus.latest(&STATE, &chunks)?;
     let mut requests = bus.serve(&MAP, &chunks)?;
     let mut places = bus.serve(&LOCALISE, &chunks)?;
-    let stored = storage::session(&config).await;
+    let stored = storage::session(&config).await?;
+    let owns_session = stored.is_some();
     let mapper = match &stored {
         Some(_) => storage::empty(&config),
         None => storage::begin(&config).await,
@@ -186,6 +195,7 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
         localisation: bus.publisher(&LOCALISATION, &chunks)?,
         core,
         keeping: None,
+        owns_session,
         kept_frame: 0,
         not_kept: None,
         boot_id: String::new(),
@@ -313,6 +323,8 @@ struct Service {
     core: MappingCore,
     /// The session of SLAM that is being written.
     keeping: Option<JoinHandle<Result<(u64, OnDisk), KeepError>>>,
+    /// Whether the one on disk is of this map, and not of a run that this one did not go on with.
+    owns_session: bool,
     /// The frame of the one on disk.
     kept_frame: u64,
     /// When it could not be written.

@@ -117,10 +117,7 @@ impl Service {
                 self.save(request.name.as_deref()).await?;
                 self.keep(now, true).await?;
             }
-            MapAction::Load => {
-                self.load(request).await?;
-                self.forget_session(now).await?;
-            }
+            MapAction::Load => self.load(request, now).await?,
             MapAction::Reset => {
                 self.forget_session(now).await?;
                 self.core.reset(storage::new_map_id(&self.config.robot));
