@@ -115,7 +115,9 @@ impl Service {
             MapAction::Get | MapAction::List => {}
             MapAction::Save => {
                 self.save(request.name.as_deref()).await?;
-                self.keep(now, true).await?;
+                if request.name.is_none() {
+                    self.keep(now, true).await?;
+                }
             }
             MapAction::Load => self.load(request, now).await?,
             MapAction::Reset => {

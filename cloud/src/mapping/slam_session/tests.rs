@@ -557,3 +557,43 @@ async fn a_session_that_the_disk_does_not_give_stops_mapping_and_one_that_means_
         assert!(!folder.path().join(SESSION).exists());
     }
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn whoever_stores_the_map_hears_that_the_session_is_not_kept_and_may_ask_again_at_once() {
+    let (router, endpoint) = router().await;
+    let folder = tempfile::tempdir().unwrap();
+    let config = MappingConfig {
+        folder: Some(folder.path().to_owned()),
+        poses: settings(),
+        ..MappingConfig::new("tiago")
+    };
+    let blocker = folder.path().join(format!(".{SESSION}.{}.part", std::process::id()));
+    std::fs::create_dir(&blocker).unwrap();
+    let client = Bus::open(BusConfig::service("client", &endpoint)).await.unwrap();
+    let scans = client.publisher(&SCAN, &["tiago"]).unwrap();
+    let states = client.publisher(&STATE, &["tiago"]).unwrap();
+    let bus = Bus::open(BusConfig::service("mapping", &endpoint)).await.unwrap();
+    let shutdown = Shutdown::new();
+    let service = tokio::spawn(run(bus, Clock::wall(), config, shutdown.clone()));
+    let ask = async |request: MapRequest| client.ask(&MAP, &["tiago"], &request, DEADLINE).await;
+    let mut way = 0.0;
+    while ask(MapRequest::default()).await.unwrap().info.scans < 10 {
+        way += 0.05;
+        states.put(&state());
+        scans.put(&scan(way));
+    }
+    let refused = ask(asked(MapAction::Save)).await.unwrap_err().to_string();
+    assert!(refused.contains("the session of SLAM is not kept"), "{refused}");
+    let named = MapRequest {
+        name: Some("attic".to_owned()),
+        ..asked(MapAction::Save)
+    };
+    assert!(ask(named).await.is_ok(), "with a name it is about the drawing alone");
+    std::fs::remove_dir(blocker).unwrap();
+    ask(asked(MapAction::Save)).await.unwrap();
+    let kept = read(folder.path()).unwrap().unwrap();
+    assert!(kept.scans.len() > 3, "{} nodes", kept.scans.len());
+    shutdown.trigger();
+    service.await.unwrap().unwrap();
+    router.close().await;
+}
