@@ -37,6 +37,15 @@ impl Submap {
         self.pyramid = None;
     }
 
+    /// The same stretch in a field of other settings; `scans`: the points of all nodes.
+    pub(crate) fn redrawn(&self, scans: &[Vec<Point2<f64>>], settings: &FieldSettings) -> Self {
+        let mut redrawn = Self::new(self.anchor, settings);
+        for (anchor_from_scan, scan) in self.inserted.iter().zip(&scans[self.nodes()]) {
+            redrawn.insert(*anchor_from_scan, scan);
+        }
+        redrawn
+    }
+
     /// The node in the middle of it.
     pub(crate) fn middle(&self) -> usize {
         self.anchor + self.inserted.len() / 2

@@ -112,6 +112,14 @@ impl SlamPoses {
             scans,
             on_disk,
         } = stored;
+        let slam = if *slam.settings() == settings {
+            slam
+        } else {
+            tracing::warn!(
+                "SLAM goes on with other settings than its session was begun with: they hold for the scans to come"
+            );
+            slam.with_settings(settings)
+        };
         let mut poses = Self {
             parts: slam.parts(),
             moves: head.moves.into(),

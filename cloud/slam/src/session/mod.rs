@@ -20,6 +20,7 @@ pub use file::{MOST_BYTES, SessionError};
 pub(crate) use grid::on_grid;
 
 use self::content::Content;
+use crate::settings::SlamSettings;
 use crate::slam::Slam;
 
 /// A drive with one chain of odometry.
@@ -60,5 +61,28 @@ impl Slam {
     /// See [`SessionError`]: never a part of a map.
     pub fn load(bytes: &[u8]) -> Result<Self, SessionError> {
         file::read(bytes)?.into_slam()
+    }
+
+    /// The map that goes on with other settings than it was begun with: they hold for the scans to come. Points and poses stay as they are;
+    /// likelihood fields are made anew where that takes it.
+    #[must_use]
+    pub fn with_settings(mut self, settings: SlamSettings) -> Self {
+        let was = std::mem::replace(&mut self.settings, settings);
+        if was.field != settings.field {
+            for submap in &mut self.submaps {
+                *submap = submap.redrawn(&self.scans, &settings.field);
+            }
+        }
+        if (was.field, was.scan, was.refine) != (settings.field, settings.scan, settings.refine) {
+            // Scores are others from now on.
+            self.usual = 0.0;
+        }
+        self
+    }
+
+    /// The settings in force.
+    #[must_use]
+    pub fn settings(&self) -> &SlamSettings {
+        &self.settings
     }
 }

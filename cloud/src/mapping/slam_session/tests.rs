@@ -597,3 +597,28 @@ async fn whoever_stores_the_map_hears_that_the_session_is_not_kept_and_may_ask_a
     service.await.unwrap().unwrap();
     router.close().await;
 }
+
+#[test]
+fn settings_that_were_edited_meanwhile_hold_for_the_scans_to_come() {
+    let folder = tempfile::tempdir().unwrap();
+    driven(3.0, folder.path());
+    let stored = read(folder.path()).unwrap().unwrap();
+    let before = stored.scans.len();
+    let mut edited = settings();
+    edited.slam.front.distance = 0.5;
+    edited.slam.field.sigma *= 1.2;
+    let mut mapping = MappingCore::new(Mapper::new(MappingSettings::default(), "new"), &edited).going_on(stored);
+    for step in 0..20 {
+        let way = 3.0 + 0.1 * f64::from(step);
+        let mapped = mapping.insert(&scan(way), "boot");
+        let off = mapped
+            .localisation
+            .map(|told| told.map_from_base.distance(&Pose2::new(way, 0.0, 0.0)));
+        assert!(off.is_none_or(|off| off < 0.06), "{off:?} m off");
+    }
+    let kept = kept(&mut mapping, true).unwrap();
+    let new = kept.head.scans - before;
+    assert!((3..6).contains(&new), "{new} nodes in 2 m");
+    write(folder.path(), &kept).unwrap();
+    assert_eq!(*read(folder.path()).unwrap().unwrap().slam.settings(), edited.slam);
+}
