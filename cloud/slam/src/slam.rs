@@ -1,5 +1,7 @@
 //! SLAM. Where is the robot, and what does the world look like, from scans and odometry alone?
 
+use std::sync::Arc;
+
 use nalgebra::{Matrix3, Point2, Vector3};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -104,7 +106,8 @@ pub(crate) struct Stand {
 pub struct Slam {
     pub(crate) settings: SlamSettings,
     pub(crate) back_end: BackEnd,
-    pub(crate) scans: Vec<Vec<Point2<f64>>>,
+    /// Points of each node's scan, shared with whoever makes the map bytes.
+    pub(crate) scans: Vec<Arc<Vec<Point2<f64>>>>,
     pub(crate) submaps: Vec<Submap>,
     pub(crate) stands: Vec<Stand>,
     /// The sessions, each with its nodes in a row; the last one goes on.
@@ -188,7 +191,7 @@ impl Slam {
 
     /// Keeps a scan as that of a new node.
     fn keep(&mut self, seen: Vec<Point2<f64>>, laser: Point2<f64>) {
-        self.scans.push(seen);
+        self.scans.push(Arc::new(seen));
         if let Some(session) = self.sessions.last_mut() {
             session.nodes += 1;
             session.laser = laser;
@@ -552,7 +555,7 @@ impl Slam {
     /// Points of an inserted scan in the frame of its base, m.
     #[must_use]
     pub fn scan(&self, node: usize) -> Option<&[Point2<f64>]> {
-        self.scans.get(node).map(Vec::as_slice)
+        self.scans.get(node).map(|scan| scan.as_slice())
     }
 
     /// What was counted.

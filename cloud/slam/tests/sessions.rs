@@ -257,3 +257,14 @@ fn a_session_goes_on_with_other_settings() {
     let per_scan = (changed.nodes().len() - nodes) as f64 / after.len() as f64;
     assert!(per_scan < 0.9, "{per_scan} nodes a scan");
 }
+
+#[test]
+fn a_snapshot_is_the_map_as_it_was_at_that_moment() {
+    let scans = House::usual().log(&lap(0, 3), 1);
+    let (before, after) = scans.split_at(60);
+    let mut slam = stepped(new(), before);
+    let (bytes, snapshot) = (slam.save().unwrap(), slam.snapshot().unwrap());
+    slam = stepped(slam, after);
+    assert_eq!(snapshot.into_bytes().unwrap(), bytes);
+    assert_ne!(slam.save().unwrap(), bytes);
+}

@@ -182,7 +182,12 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
             ..frame
         };
         frame.map.frame = stored.head.frame;
-        core = core.going_on(stored);
+        // The whole map is drawn.
+        let drawn = tokio::task::spawn_blocking(move || core.going_on(stored)).await;
+        core = drawn.map_err(|error| MappingError::Session {
+            folder: config.folder.clone().unwrap_or_default(),
+            problem: error.to_string(),
+        })?;
     }
     loaded.met();
     let mut annotates = bus.serve(&ANNOTATE, &chunks)?;

@@ -165,7 +165,7 @@ impl SlamPoses {
     /// What is to be on disk. Until it [was kept](Self::was_kept), or was not, nothing more is handed out.
     pub(super) fn kept(&mut self) -> Result<Option<Kept>, SessionError> {
         let Some(slam) = &self.slam else { return Ok(None) };
-        let session = slam.save()?;
+        let session = slam.snapshot()?;
         self.handed = self.scans.len();
         self.is_overdue = false;
         Ok(Some(Kept {

@@ -15,7 +15,7 @@ use zenav_mapping::atomic::write_atomically;
 use zenav_mapping::map_file::MapFileError;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::Scan;
-use zenav_slam::{SessionError, Slam};
+use zenav_slam::{SessionError, Slam, Snapshot};
 
 use super::annotations::Carried;
 
@@ -63,10 +63,10 @@ pub(super) struct OnDisk {
 }
 
 /// What is to be kept: a session, and of its scans those that come after the ones on disk.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub(super) struct Kept {
     pub(super) head: Head,
-    pub(super) session: Vec<u8>,
+    pub(super) session: Snapshot,
     pub(super) on_disk: OnDisk,
     pub(super) scans: Vec<Scan>,
 }
@@ -117,7 +117,7 @@ pub(super) enum KeepError {
 }
 
 /// Keeps a session in a folder; it is on disk when this returns what of `slam.scans` belongs to it.
-pub(super) fn write(folder: &Path, kept: &Kept) -> Result<OnDisk, KeepError> {
+pub(super) fn write(folder: &Path, kept: Kept) -> Result<OnDisk, KeepError> {
     fs::create_dir_all(folder)?;
     let mut lines = Vec::new();
     for scan in &kept.scans {
@@ -132,7 +132,7 @@ pub(super) fn write(folder: &Path, kept: &Kept) -> Result<OnDisk, KeepError> {
     }
     let mut bytes = serde_json::to_vec(&kept.head)?;
     bytes.push(b'\n');
-    bytes.extend_from_slice(&kept.session);
+    bytes.extend_from_slice(&kept.session.into_bytes()?);
     write_atomically(&folder.join(SESSION), &bytes)?;
     Ok(OnDisk {
         scans: kept.on_disk.scans + kept.scans.len(),

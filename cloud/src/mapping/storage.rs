@@ -173,7 +173,7 @@ impl Service {
             if !is_own {
                 make_room(&robot, &folder)?;
             }
-            Ok((kept.head.frame, slam_session::write(&folder, &kept)?))
+            Ok((kept.head.frame, slam_session::write(&folder, kept)?))
         }));
         if !is_new && !anyway {
             return Ok(());

@@ -13,6 +13,8 @@ mod content;
 mod file;
 mod grid;
 
+use std::sync::Arc;
+
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 
@@ -41,7 +43,38 @@ impl Default for Session {
     }
 }
 
+/// A map as it was at a moment, to be made bytes beside what goes on.
+#[derive(Debug)]
+pub struct Snapshot {
+    content: Content,
+    scans: Vec<Arc<Vec<Point2<f64>>>>,
+}
+
+impl Snapshot {
+    /// What [`Slam::save`] would have made at that moment.
+    ///
+    /// # Errors
+    /// [`SessionError::TooLarge`].
+    pub fn into_bytes(self) -> Result<Vec<u8>, SessionError> {
+        file::written(&self.content.with_scans(&self.scans))
+    }
+}
+
 impl Slam {
+    /// The map as it is now: poses and measurements are copied, points of scans are not.
+    ///
+    /// # Errors
+    /// [`SessionError::Unlocated`], as [`Self::save`].
+    pub fn snapshot(&self) -> Result<Snapshot, SessionError> {
+        if !self.is_located() {
+            return Err(SessionError::Unlocated);
+        }
+        Ok(Snapshot {
+            content: Content::of(self),
+            scans: self.scans.clone(),
+        })
+    }
+
     /// The map as bytes, and all that is needed to go on as if it had never been away: poses, measurements with their weights, points of
     /// scans on the grid of a millimetre that they were taken in on, submaps by what was inserted where, and what was learned of odometry.
     ///
@@ -49,10 +82,7 @@ impl Slam {
     /// [`SessionError::Unlocated`] while the session was not found in the older map: save when [`Self::is_located`].
     /// [`SessionError::TooLarge`].
     pub fn save(&self) -> Result<Vec<u8>, SessionError> {
-        if !self.is_located() {
-            return Err(SessionError::Unlocated);
-        }
-        file::written(&Content::of(self))
+        self.snapshot()?.into_bytes()
     }
 
     /// The map that [`Self::save`] made these bytes of. Likelihood fields are made anew.

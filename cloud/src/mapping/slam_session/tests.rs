@@ -84,7 +84,7 @@ fn a_frame_is_kept_before_it_is_told_and_goes_on() {
         }
         let mapped = mapping.insert(&scan(0.05 * f64::from(step)), "boot");
         if let Some(kept) = kept(&mut mapping, false) {
-            mapping.was_kept(write(folder.path(), &kept).unwrap());
+            mapping.was_kept(write(folder.path(), kept).unwrap());
             before = mapping.mapper.info();
         }
         told = mapped.frame.map_or(told, |frame| frame.map.frame);
@@ -112,7 +112,7 @@ fn a_frame_is_kept_before_it_is_told_and_goes_on() {
         let mapped = after.insert(&scan(0.05 * f64::from(step)), "boot");
         last = mapped.correction.or(last);
         if let Some(kept) = kept(&mut after, true) {
-            after.was_kept(write(folder.path(), &kept).unwrap());
+            after.was_kept(write(folder.path(), kept).unwrap());
         }
     }
     let correction = last.unwrap();
@@ -140,7 +140,7 @@ fn driven(way: f64, folder: &Path) -> MappingCore {
     for step in 0..=steps {
         mapping.insert(&scan(0.05 * step as f64), "boot");
         if let Some(kept) = kept(&mut mapping, false) {
-            mapping.was_kept(write(folder, &kept).unwrap());
+            mapping.was_kept(write(folder, kept).unwrap());
         }
     }
     mapping
@@ -224,7 +224,7 @@ fn what_a_lost_robot_sees_is_drawn_neither_at_once_nor_later() {
     let folder = tempfile::tempdir().unwrap();
     let mut mapping = driven(3.0, folder.path());
     let kept_before = kept(&mut mapping, true).unwrap();
-    mapping.was_kept(write(folder.path(), &kept_before).unwrap());
+    mapping.was_kept(write(folder.path(), kept_before).unwrap());
     let clean = core().going_on(read(folder.path()).unwrap().unwrap()).mapper.info();
     // It stands, is lost, and goes on.
     for step in 1..=7 {
@@ -236,8 +236,8 @@ fn what_a_lost_robot_sees_is_drawn_neither_at_once_nor_later() {
         assert_eq!(further == Insertion::Held, is_lost, "{step}: {further:?}");
     }
     let kept = kept(&mut mapping, true).unwrap();
-    write(folder.path(), &kept).unwrap();
     assert_eq!(kept.head.undrawn, [kept.head.scans - 1]);
+    write(folder.path(), kept).unwrap();
     let again = core().going_on(read(folder.path()).unwrap().unwrap()).mapper.info();
     assert_eq!((again.free, again.occupied), (clean.free, clean.occupied));
     mapping.bend(|pose| Pose2::new(pose.x, pose.y + 0.5, pose.yaw));
@@ -256,7 +256,7 @@ fn a_scan_of_a_further_lidar_waits_until_the_main_one_has_placed_the_robot() {
     assert_eq!(mapping.insert_further(&rear(scan(0.0)), "boot"), Insertion::Inserted);
     drive(&mut mapping, 0.0, 3.0);
     mapping.bend(|pose| Pose2::new(pose.x, pose.y + 0.5, pose.yaw));
-    write(folder.path(), &kept(&mut mapping, true).unwrap()).unwrap();
+    write(folder.path(), kept(&mut mapping, true).unwrap()).unwrap();
 
     let mut mapping = core().going_on(read(folder.path()).unwrap().unwrap());
     assert_eq!(mapping.mapper.map().frame, 1, "the closure moved the map at the start");
@@ -280,7 +280,7 @@ fn a_write_that_fails_leaves_the_session_as_it_was_and_the_next_one_adds_to_it()
     std::fs::create_dir(&blocker).unwrap();
     drive(&mut mapping, 3.0, 4.0);
     let failing = kept(&mut mapping, true).unwrap();
-    assert!(matches!(write(folder.path(), &failing), Err(KeepError::File(_))));
+    assert!(matches!(write(folder.path(), failing), Err(KeepError::File(_))));
     mapping.was_not_kept(false);
     assert_eq!(read(folder.path()).unwrap().unwrap().scans, before);
 
@@ -291,17 +291,18 @@ fn a_write_that_fails_leaves_the_session_as_it_was_and_the_next_one_adds_to_it()
         before.len(),
         "what is on disk is not written again"
     );
-    assert!(write(folder.path(), &again).is_err());
+    assert!(write(folder.path(), again).is_err());
     mapping.was_not_kept(false);
     assert!(std::fs::read(folder.path().join(SCANS)).unwrap().starts_with(&whole));
     assert_eq!(read(folder.path()).unwrap().unwrap().scans, before);
 
     std::fs::remove_dir(blocker).unwrap();
     let kept = kept(&mut mapping, false).unwrap();
-    mapping.was_kept(write(folder.path(), &kept).unwrap());
+    let expected = kept.head.scans;
+    mapping.was_kept(write(folder.path(), kept).unwrap());
     let after = read(folder.path()).unwrap().unwrap();
     assert!(after.scans.len() > before.len() && after.scans.starts_with(&before));
-    assert_eq!(after.scans.len(), kept.head.scans);
+    assert_eq!(after.scans.len(), expected);
 }
 
 #[test]
@@ -312,11 +313,11 @@ fn scans_that_somebody_else_cut_are_all_written_again() {
     let file = OpenOptions::new().write(true).open(folder.path().join(SCANS)).unwrap();
     file.set_len(1000).unwrap();
     drive(&mut mapping, 3.0, 3.5);
-    let missing = write(folder.path(), &kept(&mut mapping, true).unwrap());
+    let missing = write(folder.path(), kept(&mut mapping, true).unwrap());
     assert!(matches!(missing, Err(KeepError::Changed { .. })), "{missing:?}");
     mapping.was_not_kept(true);
     let kept = kept(&mut mapping, false).unwrap();
-    mapping.was_kept(write(folder.path(), &kept).unwrap());
+    mapping.was_kept(write(folder.path(), kept).unwrap());
     let after = read(folder.path()).unwrap().unwrap().scans;
     assert!(after.len() > before.len() && after.starts_with(&before));
 }
@@ -353,7 +354,7 @@ async fn a_place_lies_where_a_closure_has_moved_it_after_a_restart_too() {
         let mut kept = kept(&mut mapping, true).unwrap();
         assert_eq!(kept.head.frame, u64::from(is_drawn));
         kept.head.annotations = book.carried();
-        write(folder.path(), &kept).unwrap();
+        write(folder.path(), kept).unwrap();
 
         let (router, endpoint) = router().await;
         let client = Bus::open(BusConfig::service("client", &endpoint)).await.unwrap();
@@ -619,6 +620,6 @@ fn settings_that_were_edited_meanwhile_hold_for_the_scans_to_come() {
     let kept = kept(&mut mapping, true).unwrap();
     let new = kept.head.scans - before;
     assert!((3..6).contains(&new), "{new} nodes in 2 m");
-    write(folder.path(), &kept).unwrap();
+    write(folder.path(), kept).unwrap();
     assert_eq!(*read(folder.path()).unwrap().unwrap().slam.settings(), edited.slam);
 }
