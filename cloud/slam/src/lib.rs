@@ -61,6 +61,6 @@ mod submap;
 
 pub use joining::{MergeError, merge};
 pub use metric::{Relation, RelationError, RelationErrors, Spread, read_relations, relation_errors};
-pub use session::{MOST_BYTES, SessionError};
+pub use session::{MOST_BYTES, SessionError, Snapshot};
 pub use settings::{ClosureSettings, FinishSettings, FrontSettings, SlamSettings};
 pub use slam::{Counts, Effects, Slam, SlamError};

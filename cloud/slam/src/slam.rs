@@ -1,5 +1,7 @@
 //! SLAM. Where is the robot, and what does the world look like, from scans and odometry alone?
 
+use std::sync::Arc;
+
 use nalgebra::{Matrix3, Point2, Vector3};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -56,6 +58,8 @@ pub struct Effects {
     pub is_inserted: bool,
     /// Score of the match, 0 to 1, where there was one that counts.
     pub score: Option<f64>,
+    /// Whether the scan agrees with the map around it, if only well enough for a node: it contradicts nothing.
+    pub fits: bool,
     /// Whether it is the first of all: there is nothing yet that it could be matched to.
     pub is_first: bool,
     /// Points that the scan saw.
@@ -102,7 +106,8 @@ pub(crate) struct Stand {
 pub struct Slam {
     pub(crate) settings: SlamSettings,
     pub(crate) back_end: BackEnd,
-    pub(crate) scans: Vec<Vec<Point2<f64>>>,
+    /// Points of each node's scan, shared with whoever makes the map bytes.
+    pub(crate) scans: Vec<Arc<Vec<Point2<f64>>>>,
     pub(crate) submaps: Vec<Submap>,
     pub(crate) stands: Vec<Stand>,
     /// The sessions, each with its nodes in a row; the last one goes on.
@@ -117,6 +122,10 @@ pub struct Slam {
     pub(crate) is_interrupted: bool,
     /// Whether the next match is searched for widely, however well it scores.
     pub(crate) is_doubted: bool,
+    /// Whether odometry began anew after the last node: the step from it is not known.
+    pub(crate) is_apart: bool,
+    /// For how many nodes the robot may have gone on unseen before odometry began anew.
+    pub(crate) unseen: u32,
     /// Whether every scan is kept for the end of a log; beside a robot only nodes are.
     pub(crate) keeps_all: bool,
     pub(crate) start: Pose2,
@@ -146,6 +155,8 @@ impl Slam {
             odometry: Odometry::UNSEEN,
             is_interrupted: false,
             is_doubted: false,
+            is_apart: false,
+            unseen: 0,
             keeps_all: true,
             start: Pose2::IDENTITY,
             usual: 0.0,
@@ -180,16 +191,18 @@ impl Slam {
 
     /// Keeps a scan as that of a new node.
     fn keep(&mut self, seen: Vec<Point2<f64>>, laser: Point2<f64>) {
-        self.scans.push(seen);
+        self.scans.push(Arc::new(seen));
         if let Some(session) = self.sessions.last_mut() {
             session.nodes += 1;
             session.laser = laser;
         }
     }
 
-    /// The odometry of the scans to come begins anew: the robot was restarted. It is looked for about where it was last.
-    pub fn interrupt(&mut self) {
+    /// The odometry of the scans to come begins anew: the robot was restarted. It is looked for about where it was last, as far as it can have
+    /// come with `unseen` nodes that this map has not heard of. Until a scan fits, no scan has a score; one that does becomes a node, at rest too.
+    pub fn interrupt(&mut self, unseen: u32) {
         self.is_interrupted = !self.scans.is_empty();
+        self.unseen = self.unseen.saturating_add(unseen);
     }
 
     /// Takes in one scan; its `odom_from_base` is the odometry at its stamp, its `map_from_odom` is not looked at.
@@ -207,6 +220,7 @@ impl Slam {
         {
             self.last_node_odometry = odometry * before.inverse() * self.last_node_odometry;
             self.is_doubted = true;
+            self.is_apart = true;
         }
         let (before, odometry_before) = self.last.unwrap_or((stamp, odometry));
         if stamp < before {
@@ -222,11 +236,11 @@ impl Slam {
         let node_from_base = self.last_node_odometry.inverse() * odometry;
         let front = &self.settings.front;
         let way = node_from_base.x.hypot(node_from_base.y);
-        if way < front.distance && node_from_base.yaw.abs() < front.turn {
+        let is_near = way < front.distance && node_from_base.yaw.abs() < front.turn;
+        if is_near && !self.is_doubted {
             return Ok(self.track(stamp, node_from_base, seen));
         }
-        self.since_closure += way;
-        self.insert(stamp, node_from_base, seen, scan.base_from_laser.position())
+        self.insert(stamp, node_from_base, seen, scan.base_from_laser.position(), is_near)
     }
 
     /// A scan near the last node is matched, but makes no node of its own.
@@ -239,12 +253,13 @@ impl Slam {
         let prior = Prior::of_odometry(expected, &self.odometry.information(step, &settings.odometry));
         let refined = refine(&submap.field, &seen, expected, Some(&prior), &settings.refine);
         let least = settings.front.min_score.max(settings.front.doubtful * self.usual);
-        let is_match = !self.is_doubted && refined.score >= least;
+        let is_match = refined.score >= least;
         let anchor_from_base = if is_match { refined.pose } else { expected };
         let pose = poses[submap.anchor] * anchor_from_base;
         let effects = Effects {
             pose,
             score: is_match.then_some(refined.score),
+            fits: refined.score >= settings.front.min_score,
             points: seen.len(),
             degenerate: refined
                 .degenerate
@@ -294,6 +309,7 @@ impl Slam {
         let effects = Effects {
             pose: self.start,
             is_first: true,
+            fits: true,
             is_inserted: true,
             ..Effects::default()
         };
@@ -317,16 +333,23 @@ impl Slam {
         })
     }
 
+    /// A scan becomes a node; one that `is_near` the last node only where it fits.
     fn insert(
         &mut self,
         stamp: f64,
         step: Pose2,
         seen: Vec<Point2<f64>>,
         laser: Point2<f64>,
+        is_near: bool,
     ) -> Result<Effects, SlamError> {
         let settings = self.settings;
         let last = self.scans.len() - 1;
-        let information = self.odometry.information(step, &settings.odometry);
+        let was_doubted = self.is_doubted;
+        let by_odometry = self.odometry.information(step, &settings.odometry);
+        let (reach, turn) = self.window();
+        let nothing = Matrix3::from_diagonal(&[reach, reach, turn].map(|far| far.max(0.01).powi(-2)).into());
+        let prior = if was_doubted { nothing } else { by_odometry };
+        let information = if self.is_apart { nothing } else { by_odometry };
         let corrected = self.odometry.corrected(step);
         // The older of the two submaps that grow has seen more.
         let half = (settings.front.submap_scans / 2).max(1) as usize;
@@ -339,7 +362,17 @@ impl Slam {
         let anchor = self.submaps[active].anchor;
         let map_from_anchor = self.back_end.poses()[anchor];
         let expected = map_from_anchor.inverse() * self.back_end.poses()[last] * corrected;
-        let matched = self.matched(active, expected, &information, &seen, &mut effects);
+        let matched = self.matched(active, expected, &prior, &seen, &mut effects);
+        if is_near && matched.is_none() {
+            self.stand(stamp, anchor, expected, seen);
+            return Ok(Effects {
+                pose: map_from_anchor * expected,
+                is_inserted: false,
+                ..effects
+            });
+        }
+        self.since_closure += step.x.hypot(step.y);
+        self.is_apart = false;
         let anchor_from_scan = matched.as_ref().map_or(expected, |refined| refined.pose);
         let node = self.back_end.add_node(map_from_anchor * anchor_from_scan)?;
         self.back_end.add_edge(Edge {
@@ -357,15 +390,18 @@ impl Slam {
                 information: floored(&refined.information, settings.front.floor, settings.front.floor_turn),
                 kind: EdgeKind::Odometry,
             })?;
-            self.odometry.learn(
-                step,
-                expected,
-                &information,
-                refined.pose,
-                &refined.information,
-                &settings.odometry,
-            );
+            if !was_doubted {
+                self.odometry.learn(
+                    step,
+                    expected,
+                    &information,
+                    refined.pose,
+                    &refined.information,
+                    &settings.odometry,
+                );
+            }
             effects.score = Some(refined.score);
+            effects.fits = true;
             effects.degenerate = refined
                 .degenerate
                 .map(|along| along.y.atan2(along.x) + map_from_anchor.yaw);
@@ -400,6 +436,14 @@ impl Slam {
         self.located(is_half, effects)
     }
 
+    /// How far to each side a doubtful match is searched for, m and rad.
+    fn window(&self) -> (f64, f64) {
+        let front = &self.settings.front;
+        let unseen = f64::from(self.unseen);
+        let turn = front.search_turn + unseen * front.turn;
+        (front.reach + unseen * front.distance, turn.min(std::f64::consts::PI))
+    }
+
     /// The scan matched to a submap that grows, where that says more than odometry.
     fn matched(
         &mut self,
@@ -410,6 +454,7 @@ impl Slam {
         effects: &mut Effects,
     ) -> Option<Refined> {
         let settings = self.settings;
+        let (reach, turn) = self.window();
         let submap = &mut self.submaps[active];
         let prior = Prior::of_odometry(expected, odometry);
         let mut best = refine(&submap.field, seen, expected, Some(&prior), &settings.refine);
@@ -422,7 +467,7 @@ impl Slam {
             let window = Window {
                 min_score: best.score.max(settings.front.min_score),
                 budget: settings.closure.budget as usize,
-                ..Window::around(expected, settings.front.reach, settings.front.search_turn)
+                ..Window::around(expected, reach, turn)
             };
             let found = search(submap.pyramid(), &thinned(seen, SEARCH_POINTS), &window);
             if let Some(candidate) = found.found.first() {
@@ -436,10 +481,18 @@ impl Slam {
                 }
             }
         }
-        if best.score < settings.front.min_score {
+        let is_far = self.unseen > 0 && best.pose.distance(&expected) > settings.front.reach;
+        let least = if is_far {
+            // The farther is looked, the more there is that fits by chance.
+            settings.front.min_score.max(settings.front.doubtful * self.usual)
+        } else {
+            settings.front.min_score
+        };
+        if best.score < least {
             return None;
         }
         self.is_doubted = false;
+        self.unseen = 0;
         let share = if self.usual == 0.0 { 1.0 } else { USUAL };
         self.usual += share * (best.score - self.usual);
         Some(best)
@@ -502,7 +555,7 @@ impl Slam {
     /// Points of an inserted scan in the frame of its base, m.
     #[must_use]
     pub fn scan(&self, node: usize) -> Option<&[Point2<f64>]> {
-        self.scans.get(node).map(Vec::as_slice)
+        self.scans.get(node).map(|scan| scan.as_slice())
     }
 
     /// What was counted.

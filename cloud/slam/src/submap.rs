@@ -1,6 +1,7 @@
 //! Submap. What does a short stretch of the way look like, as seen from its first scan?
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;
@@ -35,6 +36,15 @@ impl Submap {
         self.field.insert(anchor_from_scan, points);
         self.inserted.push(anchor_from_scan);
         self.pyramid = None;
+    }
+
+    /// The same stretch in a field of other settings; `scans`: the points of all nodes.
+    pub(crate) fn redrawn(&self, scans: &[Arc<Vec<Point2<f64>>>], settings: &FieldSettings) -> Self {
+        let mut redrawn = Self::new(self.anchor, settings);
+        for (anchor_from_scan, scan) in self.inserted.iter().zip(&scans[self.nodes()]) {
+            redrawn.insert(*anchor_from_scan, scan);
+        }
+        redrawn
     }
 
     /// The node in the middle of it.

@@ -233,3 +233,38 @@ fn over_many_seeds_no_place_is_named_wrongly() {
     );
     assert_eq!(refused, 10);
 }
+
+#[test]
+fn a_session_goes_on_with_other_settings() {
+    let scans = House::usual().log(&lap(0, 5), 1);
+    let (before, after) = scans.split_at(150);
+    let running = stepped(new(), before);
+    let same = running.clone().with_settings(SlamSettings::default());
+    assert_eq!(same.save().unwrap(), running.save().unwrap());
+    let mut settings = SlamSettings::default();
+    settings.field.sigma *= 1.3;
+    settings.front.distance = 0.3;
+    let nodes = running.nodes().len();
+    let changed = running.with_settings(settings);
+    let loaded = Slam::load(&changed.save().unwrap()).unwrap();
+    assert_eq!(*loaded.settings(), settings);
+    let (changed, loaded) = (stepped(changed, after), stepped(loaded, after));
+    assert_eq!(
+        changed.save().unwrap(),
+        loaded.save().unwrap(),
+        "fields are those of the new settings"
+    );
+    let per_scan = (changed.nodes().len() - nodes) as f64 / after.len() as f64;
+    assert!(per_scan < 0.9, "{per_scan} nodes a scan");
+}
+
+#[test]
+fn a_snapshot_is_the_map_as_it_was_at_that_moment() {
+    let scans = House::usual().log(&lap(0, 3), 1);
+    let (before, after) = scans.split_at(60);
+    let mut slam = stepped(new(), before);
+    let (bytes, snapshot) = (slam.save().unwrap(), slam.snapshot().unwrap());
+    slam = stepped(slam, after);
+    assert_eq!(snapshot.into_bytes().unwrap(), bytes);
+    assert_ne!(slam.save().unwrap(), bytes);
+}

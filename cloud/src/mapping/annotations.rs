@@ -2,6 +2,9 @@
 //!
 //! Those of the world and the deployment are the base; what people change is kept in a file as an overlay, so that a base that is edited
 //! later still counts. A change is on disk before it is published or acknowledged.
+//!
+//! Numbers belong to a frame of the map. The file says to which; those of the base are as somebody wrote them. Where both lie in the frame of
+//! SLAM's session is kept with that ([`Carried`]): a session that goes on has its places and zones where it had carried them.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -37,10 +40,57 @@ const FARTHEST: f64 = 100_000.0;
 struct Overlay {
     #[serde(default)]
     revision: u64,
+    /// The frame of the map that its numbers are in.
+    #[serde(default)]
+    frame: u64,
     #[serde(default)]
     places: BTreeMap<String, Option<GoalPoint>>,
     #[serde(default)]
     zones: BTreeMap<String, Option<Zone>>,
+}
+
+/// Where places and zones lie in the frame of a session that lie elsewhere than they were given, by name: as given, and there.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(super) struct Carried {
+    places: Vec<(String, GoalPoint, GoalPoint)>,
+    zones: Vec<(String, Zone, Zone)>,
+    changed_places: Vec<(String, GoalPoint, GoalPoint)>,
+    changed_zones: Vec<(String, Zone, Zone)>,
+}
+
+/// Which of these lie elsewhere than they were given, both in the same order.
+fn carried<'a, T: Clone + PartialEq + 'a>(
+    given: impl Iterator<Item = (&'a String, &'a T)>,
+    now: impl Iterator<Item = &'a T>,
+) -> Vec<(String, T, T)> {
+    let pairs = given.zip(now).filter(|((_, given), now)| given != now);
+    pairs
+        .map(|((name, given), now)| (name.clone(), given.clone(), now.clone()))
+        .collect()
+}
+
+/// Puts what is as it was given to where it was carried; what somebody has changed since stays as it is.
+fn carry<T: Clone + PartialEq>(carried: &[(String, T, T)], name: &str, item: &mut T) {
+    let known = carried.iter().find(|(known, given, _)| known == name && given == item);
+    if let Some((_, _, now)) = known {
+        *item = now.clone();
+    }
+}
+
+impl Overlay {
+    /// The places that it has.
+    fn places(&self) -> impl Iterator<Item = (&String, &GoalPoint)> {
+        self.places
+            .iter()
+            .filter_map(|(name, place)| Some((name, place.as_ref()?)))
+    }
+
+    /// The zones that it has.
+    fn zones(&self) -> impl Iterator<Item = (&String, &Zone)> {
+        self.zones
+            .iter()
+            .filter_map(|(name, zone)| Some((name, zone.as_ref()?)))
+    }
 }
 
 /// The annotations of one robot's map.
@@ -48,6 +98,8 @@ struct Overlay {
 pub(super) struct AnnotationBook {
     base: Annotations,
     overlay: Overlay,
+    /// Both as they were given: by world and deployment, and in the file.
+    given: (Annotations, Overlay),
     file: Option<PathBuf>,
     now: Annotations,
 }
@@ -78,11 +130,56 @@ impl AnnotationBook {
         };
         let now = laid_over(&base, &overlay);
         Ok(Self {
+            given: (base.clone(), overlay.clone()),
             base,
             overlay,
             file,
             now,
         })
+    }
+
+    /// Goes on in a frame of the map, with places and zones where they were carried.
+    pub(super) fn go_on(&mut self, carried: &Carried, frame: u64) {
+        for (name, place) in &mut self.base.places {
+            carry(&carried.places, name, place);
+        }
+        for zone in &mut self.base.zones {
+            let name = zone.name.clone();
+            carry(&carried.zones, &name, zone);
+        }
+        // What people changed in this very frame has its numbers.
+        if self.overlay.frame != frame {
+            for (name, place) in &mut self.overlay.places {
+                if let Some(place) = place {
+                    carry(&carried.changed_places, name, place);
+                }
+            }
+            for (name, zone) in &mut self.overlay.zones {
+                if let Some(zone) = zone {
+                    carry(&carried.changed_zones, name, zone);
+                }
+            }
+        }
+        self.are_in(frame);
+    }
+
+    /// Where places and zones were carried, for a session that is kept.
+    pub(super) fn carried(&self) -> Carried {
+        let (base, overlay) = &self.given;
+        let zones = base.zones.iter().map(|zone| (&zone.name, zone));
+        Carried {
+            places: carried(base.places.iter(), self.base.places.values()),
+            zones: carried(zones, self.base.zones.iter()),
+            changed_places: carried(overlay.places(), self.overlay.places().map(|(_, place)| place)),
+            changed_zones: carried(overlay.zones(), self.overlay.zones().map(|(_, zone)| zone)),
+        }
+    }
+
+    /// All numbers are in this frame from now on.
+    fn are_in(&mut self, frame: u64) {
+        self.base.frame = frame;
+        self.overlay.frame = frame;
+        self.now = laid_over(&self.base, &self.overlay);
     }
 
     /// The annotations in force.
@@ -115,8 +212,7 @@ impl AnnotationBook {
         self.overlay.places.values_mut().flatten().for_each(carry);
         self.base.zones.iter_mut().for_each(carry_zone);
         self.overlay.zones.values_mut().flatten().for_each(carry_zone);
-        self.base.frame = after.map.frame;
-        self.now = laid_over(&self.base, &self.overlay);
+        self.are_in(after.map.frame);
     }
 
     /// Carries out a change and stores it; says whether there was one.
@@ -135,6 +231,7 @@ impl AnnotationBook {
             let stored = tokio::task::spawn_blocking(store).await;
             stored.map_err(Refusal::internal)?.map_err(Refusal::internal)?;
         }
+        self.given.1.clone_from(&overlay);
         self.overlay = overlay;
         self.now = laid_over(&self.base, &self.overlay);
         Ok(true)
@@ -343,6 +440,7 @@ impl Service {
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use nalgebra::Point2;
+    use zenav_protocol::geometry::Pose2;
     use zenav_protocol::messages::ZoneRule;
 
     use super::*;
@@ -421,6 +519,54 @@ mod tests {
         assert!(refusal.contains("zone `stairs`; there are wet"), "{refusal}");
         book.change(AnnotateAction::ClearZones).await.unwrap();
         assert!(names(&book).1.is_empty());
+    }
+
+    /// A map of one part at the origin that lies elsewhere in each frame.
+    fn frame(number: u64, part: Pose2) -> MapFrame {
+        let mut frame = MapFrame {
+            parts: vec![part],
+            ..MapFrame::default()
+        };
+        frame.map.frame = number;
+        frame
+    }
+
+    #[tokio::test]
+    async fn a_session_that_goes_on_has_its_places_and_zones_where_it_had_carried_them() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut first = book(folder.path());
+        first.change(add("fridge", 2.0)).await.unwrap();
+        let begun = frame(0, Pose2::IDENTITY);
+        let moved = frame(1, Pose2::new(0.0, 3.0, 0.0));
+        first.carry_over(&begun, &moved);
+        let carried = first.carried();
+        assert_eq!(
+            (first.now().places["sink"].y, first.now().places["fridge"].y),
+            (3.0, 3.0)
+        );
+        let mut again = book(folder.path());
+        again.go_on(&carried, 1);
+        assert_eq!(again.now(), first.now());
+        assert_eq!(again.carried(), carried);
+
+        // What is told in the new frame is in the file with its numbers, all of them.
+        first.change(add("oven", 4.0)).await.unwrap();
+        let mut again = book(folder.path());
+        again.go_on(&carried, 1);
+        assert_eq!(again.now(), first.now());
+        assert_eq!(again.now().places["oven"].y, 0.0);
+        let turned = frame(2, Pose2::new(0.0, 5.0, 0.0));
+        again.carry_over(&moved, &turned);
+        let mut third = book(folder.path());
+        third.go_on(&again.carried(), 2);
+        assert_eq!(third.now(), again.now());
+        assert_eq!((third.now().places["sink"].y, third.now().places["oven"].y), (5.0, 2.0));
+
+        // A place of the deployment that somebody has edited meanwhile is where that says.
+        let sinks = [("sink".to_owned(), at(1.5))].into();
+        let mut edited = AnnotationBook::open(sinks, &Zones::default(), Some(folder.path())).unwrap();
+        edited.go_on(&again.carried(), 2);
+        assert_eq!(edited.now().places["sink"], at(1.5));
     }
 
     #[tokio::test]

@@ -8,11 +8,11 @@ use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::messages::{Correction, Health, Localisation, MapFrame, MapRef, Refusal, Scan};
 use zenav_protocol::time::Stamp;
-use zenav_slam::SlamSettings;
+use zenav_slam::{SessionError, SlamSettings};
 
 use super::localised_poses::LocalisedPoses;
 use super::slam_poses::SlamPoses;
-use super::slam_session::{Kept, Stored};
+use super::slam_session::{Kept, OnDisk, Stored};
 
 /// A correction goes out after so much way, m, and turning, rad, and not more often than in so many seconds at rest: errors of one place
 /// against one map are the same each time, and sending them again would make the robot too sure.
@@ -203,18 +203,30 @@ impl MappingCore {
         self
     }
 
-    /// What of SLAM is to be on disk before anything more is published, where that is due, or something is new and it is asked for `anyway`.
-    pub(super) fn kept(&mut self, anyway: bool) -> Option<Kept> {
+    /// Whether something of SLAM is to be on disk before anything more is published; where something is new, also `anyway`.
+    pub(super) fn is_keep_due(&self, anyway: bool) -> bool {
+        matches!(&self.poses, Poses::Slam(slam) if slam.is_keep_due(anyway))
+    }
+
+    /// What of SLAM is to be on disk. One thing at a time: the next only after [`Self::was_kept`] or [`Self::was_not_kept`].
+    pub(super) fn kept(&mut self) -> Result<Option<Kept>, SessionError> {
         match &mut self.poses {
-            Poses::Slam(slam) => slam.kept(anyway),
-            Poses::Edge | Poses::Localised(_) => None,
+            Poses::Slam(slam) => slam.kept(),
+            Poses::Edge | Poses::Localised(_) => Ok(None),
         }
     }
 
-    /// What [`Self::kept`] handed out last is not on disk.
-    pub(super) fn was_not_kept(&mut self) {
+    /// What [`Self::kept`] handed out is on disk.
+    pub(super) fn was_kept(&mut self, on_disk: OnDisk) {
         if let Poses::Slam(slam) = &mut self.poses {
-            slam.was_not_kept();
+            slam.was_kept(on_disk);
+        }
+    }
+
+    /// What [`Self::kept`] handed out is not on disk; `is_changed`: neither is what went there before.
+    pub(super) fn was_not_kept(&mut self, is_changed: bool) {
+        if let Poses::Slam(slam) = &mut self.poses {
+            slam.was_not_kept(is_changed);
         }
     }
 
@@ -267,13 +279,13 @@ impl MappingCore {
         }
     }
 
-    /// Draws a scan of a further lidar.
-    pub fn insert_further(&mut self, scan: &Scan) -> Insertion {
+    /// Draws a scan of a further lidar, made by the robot in its `boot_id`.
+    pub fn insert_further(&mut self, scan: &Scan, boot_id: &str) -> Insertion {
         match &self.poses {
             Poses::Edge => self.mapper.insert(scan),
-            Poses::Slam(slam) => self.mapper.insert(&slam.placed(scan)),
+            Poses::Slam(slam) if slam.draws_further(boot_id) => self.mapper.insert(&slam.placed(scan)),
             Poses::Localised(localised) if localised.is_trusted() => self.mapper.insert(&localised.placed(scan)),
-            Poses::Localised(_) => Insertion::Held,
+            Poses::Slam(_) | Poses::Localised(_) => Insertion::Held,
         }
     }
 

@@ -60,7 +60,7 @@ use authority::Authority;
 pub use core::{Mapped, MappingCore, PoseSettings, PoseSource};
 use metrics::MappingMetrics;
 use requests::FirstAnswers;
-use slam_session::KeepError;
+use slam_session::{KeepError, OnDisk};
 
 /// Configuration of one robot's mapping.
 #[derive(Clone, Debug, PartialEq)]
@@ -115,6 +115,14 @@ pub enum MappingError {
     /// There is no stored map to localise in.
     #[error("mapping: `poses = \"localise\"` needs a stored map, and {0} has none: store one, or take `slam`")]
     NoMap(String),
+    /// The session of SLAM is there, but cannot be had.
+    #[error("mapping: the session of SLAM in {}: {problem}; mend it or move it away: it is not dropped silently", folder.display())]
+    Session {
+        /// Where it lies.
+        folder: PathBuf,
+        /// What is wrong.
+        problem: String,
+    },
     /// What people drew on the map cannot be read.
     #[error("{}: {problem}; mend the file or remove it: the places and zones in it are not dropped silently", file.display())]
     Annotations {
@@ -139,7 +147,7 @@ const FOREIGN: Duration = Duration::from_secs(5);
 /// reported and left alone, and a new one is begun. SLAM goes on with the session that it has kept, if there is one.
 ///
 /// # Errors
-/// [`MappingError`] for settings out of bounds, annotations that cannot be read, and when a key cannot be declared.
+/// [`MappingError`] for settings out of bounds, annotations or a session of SLAM that cannot be read, and when a key cannot be declared.
 pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdown) -> Result<(), MappingError> {
     config.settings.check()?;
     let robot = config.robot.clone();
@@ -150,7 +158,8 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
     let mut states = bus.latest(&STATE, &chunks)?;
     let mut requests = bus.serve(&MAP, &chunks)?;
     let mut places = bus.serve(&LOCALISE, &chunks)?;
-    let stored = storage::session(&config).await;
+    let stored = storage::session(&config).await?;
+    let owns_session = stored.is_some();
     let mapper = match &stored {
         Some(_) => storage::empty(&config),
         None => storage::begin(&config).await,
@@ -162,9 +171,23 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
             |folder| folder.display().to_string(),
         )));
     }
+    let mut annotations = AnnotationBook::open(config.places.clone(), &config.zones, config.folder.as_deref())?;
     let mut core = MappingCore::new(mapper, &config.poses);
+    let mut frame = MapFrame::default();
     if let Some(stored) = stored {
-        core = core.going_on(stored);
+        annotations.go_on(&stored.head.annotations, stored.head.frame);
+        frame = MapFrame {
+            map: core.mapper.map().clone(),
+            parts: stored.head.parts.clone(),
+            ..frame
+        };
+        frame.map.frame = stored.head.frame;
+        // The whole map is drawn.
+        let drawn = tokio::task::spawn_blocking(move || core.going_on(stored)).await;
+        core = drawn.map_err(|error| MappingError::Session {
+            folder: config.folder.clone().unwrap_or_default(),
+            problem: error.to_string(),
+        })?;
     }
     loaded.met();
     let mut annotates = bus.serve(&ANNOTATE, &chunks)?;
@@ -172,16 +195,17 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
         info: bus.publisher(&MAP_INFO, &chunks)?,
         patches: bus.publisher(&MAP_PATCH, &chunks)?,
         frames: bus.publisher(&MAP_FRAME, &chunks)?,
-        frame: MapFrame::default(),
+        frame,
         corrections: bus.publisher(&CORRECTION, &chunks)?,
         localisation: bus.publisher(&LOCALISATION, &chunks)?,
         core,
         keeping: None,
+        owns_session,
         kept_frame: 0,
         not_kept: None,
         boot_id: String::new(),
         is_foreign: false,
-        annotations: AnnotationBook::open(config.places.clone(), &config.zones, config.folder.as_deref())?,
+        annotations,
         annotations_topic: bus.publisher(&ANNOTATIONS, &chunks)?,
         annotated: FirstAnswers::default(),
         period: Duration::from_secs_f64(1.0 / config.settings.publish_hz),
@@ -195,8 +219,12 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
         config,
     };
     let _alive = bus.declare_alive(alive_key(ALIVE_COMPONENT, &[&robot, "mapping"]))?;
-    service.keep(clock.now(), false).await;
-    if let Some(frame) = service.core.frame_at_start() {
+    let frame = service.core.frame_at_start();
+    if let Some(frame) = &frame {
+        service.carry_over(frame);
+    }
+    let _ = service.keep(clock.now(), false).await;
+    if let Some(frame) = frame {
         service.frames.put(&frame);
         service.frame = frame;
     }
@@ -251,7 +279,7 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
         }
     }
     service.publish(clock.now());
-    service.keep(clock.now(), true).await;
+    let _ = service.keep(clock.now(), true).await;
     // Replies that are being encoded are still sent; the deadline for the whole exit is the caller's.
     while service.encoding.join_next().await.is_some() {}
     Ok(())
@@ -299,8 +327,10 @@ struct Service {
     config: MappingConfig,
     core: MappingCore,
     /// The session of SLAM that is being written.
-    keeping: Option<JoinHandle<Result<(), KeepError>>>,
-    /// Its frame.
+    keeping: Option<JoinHandle<Result<(u64, OnDisk), KeepError>>>,
+    /// Whether the one on disk is of this map, and not of a run that this one did not go on with.
+    owns_session: bool,
+    /// The frame of the one on disk.
     kept_frame: u64,
     /// When it could not be written.
     not_kept: Option<Stamp>,
@@ -346,8 +376,11 @@ impl Service {
             let mapped = core.insert(scan, &boot_id);
             (mapped.insertion, mapped)
         });
+        if let Some(frame) = &mapped.frame {
+            self.carry_over(frame);
+        }
         // Whoever comes after this process must know every frame that anybody was told of.
-        self.keep(now, false).await;
+        let _ = self.keep(now, false).await;
         if let Some(frame) = mapped.frame {
             self.tell_frame(frame, now);
         }
@@ -360,20 +393,27 @@ impl Service {
         self.drawn(mapped.insertion, now);
     }
 
+    /// Takes places and zones along into a new frame, which nobody was told of yet.
+    fn carry_over(&mut self, frame: &MapFrame) {
+        if self.frame.map.frame != frame.map.frame {
+            self.annotations.carry_over(&self.frame, frame);
+        }
+    }
+
     /// Tells where the parts of the map lie now. A new frame goes out with all that is in it at once: places, zones, and the map.
     fn tell_frame(&mut self, frame: MapFrame, now: Stamp) {
         let before = std::mem::replace(&mut self.frame, frame);
         self.frames.put(&self.frame);
         if before.map.frame != self.frame.map.frame {
-            self.annotations.carry_over(&before, &self.frame);
             self.annotations_topic.put(self.annotations.now());
             self.publish(now);
         }
     }
 
     fn insert_further(&mut self, scan: &Scan, trace: Option<Context>, now: Stamp) {
+        let boot_id = self.boot_id.clone();
         let insertion = self.draw(scan, trace, now, |core| {
-            let insertion = core.insert_further(scan);
+            let insertion = core.insert_further(scan, &boot_id);
             (insertion, insertion)
         });
         self.drawn(insertion, now);

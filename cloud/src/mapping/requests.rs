@@ -115,12 +115,11 @@ impl Service {
             MapAction::Get | MapAction::List => {}
             MapAction::Save => {
                 self.save(request.name.as_deref()).await?;
-                self.keep(now, true).await;
+                if request.name.is_none() {
+                    self.keep(now, true).await?;
+                }
             }
-            MapAction::Load => {
-                self.load(request).await?;
-                self.forget_session(now).await?;
-            }
+            MapAction::Load => self.load(request, now).await?,
             MapAction::Reset => {
                 self.forget_session(now).await?;
                 self.core.reset(storage::new_map_id(&self.config.robot));

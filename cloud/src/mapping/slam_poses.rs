@@ -11,10 +11,11 @@ use zenav_mapping::{Insertion, Mapper};
 use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::messages::{Health, Localisation, MOST_MOVES, MapFrame, Scan};
 use zenav_protocol::time::Stamp;
-use zenav_slam::{Effects, Slam, SlamSettings};
+use zenav_slam::{Effects, SessionError, Slam, SlamSettings};
 
+use super::annotations::Carried;
 use super::core::{Measured, Pace, Posed, Statements};
-use super::slam_session::{Head, Kept, Stored};
+use super::slam_session::{Head, Kept, OnDisk, Stored};
 
 /// Scans of the old map that are drawn anew with each new scan.
 const REDRAWN_A_STEP: usize = 200;
@@ -23,8 +24,8 @@ const SMALLEST_MOVE: (f64, f64) = (0.01, 0.002);
 
 /// A robot that has not heard of the frame in force is told again after this time, s.
 const TOLD_AGAIN: f64 = 0.3;
-/// The session is kept after so many new nodes: a process that comes after finds the robot at most two metres on.
-const KEPT_AFTER: usize = 20;
+/// The session is kept after so many new nodes: a robot that was restarted meanwhile is looked for as far as it comes with these.
+const KEPT_AFTER: u32 = 20;
 /// Scans in a row that fit nowhere before the robot is lost, and from how many points a scan says something.
 const CONTRADICTIONS: (u32, usize) = (5, 40);
 
@@ -43,6 +44,8 @@ pub(super) struct SlamPoses {
     slam: Option<Slam>,
     /// The scans of all nodes, in their order.
     scans: Vec<Scan>,
+    /// Nodes whose scans are not drawn, ascending: the robot was lost when it made them.
+    undrawn: Vec<usize>,
     redraw: Option<Redraw>,
     /// From the map as it is drawn to the one that is being drawn.
     new_from_drawn: Pose2,
@@ -50,6 +53,8 @@ pub(super) struct SlamPoses {
     map_from_odom: Pose2,
     /// The robot's boot that odometry belongs to.
     boot_id: String,
+    /// For how many nodes the robot may have gone on before the process that had the session before ended.
+    unseen: u32,
     pace: Pace,
     /// The frame of the map as it is drawn.
     frame: u64,
@@ -59,9 +64,11 @@ pub(super) struct SlamPoses {
     parts: Vec<Pose2>,
     /// Whether frame or parts are others than was told.
     is_untold: bool,
+    /// What is on disk.
+    on_disk: OnDisk,
     /// How many of the scans were handed out to be kept.
-    kept: usize,
-    /// Whether what was kept last was of an older frame, or of another map.
+    handed: usize,
+    /// Whether what was handed out last is not on disk, or is of an older frame or another map.
     is_overdue: bool,
     /// Scans in a row that fit nowhere.
     contradictions: u32,
@@ -80,12 +87,15 @@ impl SlamPoses {
             settings,
             slam: None,
             scans: Vec::new(),
+            undrawn: Vec::new(),
             redraw: None,
             new_from_drawn: Pose2::IDENTITY,
             map_from_odom: Pose2::IDENTITY,
             boot_id: String::new(),
+            unseen: 0,
             pace: Pace::default(),
-            kept: 0,
+            on_disk: OnDisk::default(),
+            handed: 0,
             is_overdue: true,
             contradictions: 0,
             health: Health::Tracking,
@@ -96,14 +106,37 @@ impl SlamPoses {
     /// Goes on with a session that was kept, and draws its map into an empty one. Where a closure had moved the map, and it was not drawn
     /// anew yet, the next frame begins.
     pub(super) fn go_on(settings: SlamSettings, stored: Stored, mapper: &mut Mapper) -> Self {
-        let Stored { head, slam, scans } = stored;
+        let Stored {
+            head,
+            slam,
+            scans,
+            on_disk,
+        } = stored;
+        let slam = if *slam.settings() == settings {
+            slam
+        } else {
+            tracing::warn!(
+                "SLAM goes on with other settings than its session was begun with: they hold for the scans to come"
+            );
+            slam.with_settings(settings)
+        };
         let mut poses = Self {
             parts: slam.parts(),
             moves: head.moves.into(),
-            map_from_odom: head.map_from_odom,
+            // The map is drawn anew before the first scan.
+            map_from_odom: head.new_from_drawn * head.map_from_odom,
+            undrawn: head.undrawn,
+            contradictions: head.contradictions,
+            health: if head.contradictions < CONTRADICTIONS.0 {
+                Health::Tracking
+            } else {
+                Health::Lost
+            },
             new_from_drawn: head.new_from_drawn,
             boot_id: head.boot_id,
-            kept: scans.len(),
+            unseen: KEPT_AFTER,
+            on_disk,
+            handed: scans.len(),
             is_overdue: false,
             slam: Some(slam),
             scans,
@@ -123,23 +156,19 @@ impl SlamPoses {
         poses
     }
 
-    /// What is to be on disk before anything more is published; nothing while what was kept last is recent enough, or `anyway`.
-    pub(super) fn kept(&mut self, anyway: bool) -> Option<Kept> {
-        let slam = self.slam.as_ref()?;
-        let is_due = self.is_overdue || self.scans.len() >= self.kept + KEPT_AFTER;
-        if !is_due && !(anyway && self.scans.len() > self.kept) {
-            return None;
-        }
-        let session = match slam.save() {
-            Ok(session) => session,
-            Err(error) => {
-                tracing::warn!(%error, "the session of SLAM is not kept");
-                return None;
-            }
-        };
-        let first = std::mem::replace(&mut self.kept, self.scans.len());
+    /// Whether something is to be on disk before anything more is published; where something is new, also `anyway`.
+    pub(super) fn is_keep_due(&self, anyway: bool) -> bool {
+        let new = self.scans.len() - self.handed;
+        self.slam.is_some() && (self.is_overdue || new >= KEPT_AFTER as usize || anyway && new > 0)
+    }
+
+    /// What is to be on disk. Until it [was kept](Self::was_kept), or was not, nothing more is handed out.
+    pub(super) fn kept(&mut self) -> Result<Option<Kept>, SessionError> {
+        let Some(slam) = &self.slam else { return Ok(None) };
+        let session = slam.snapshot()?;
+        self.handed = self.scans.len();
         self.is_overdue = false;
-        Some(Kept {
+        Ok(Some(Kept {
             head: Head {
                 frame: self.frame,
                 moves: self.moves.iter().copied().collect(),
@@ -147,11 +176,16 @@ impl SlamPoses {
                 map_from_odom: self.map_from_odom,
                 boot_id: self.boot_id.clone(),
                 scans: self.scans.len(),
+                parts: self.parts.clone(),
+                undrawn: self.undrawn.clone(),
+                contradictions: self.contradictions,
+                // They are the service's to add.
+                annotations: Carried::default(),
             },
             session,
-            first,
-            scans: self.scans[first..].to_vec(),
-        })
+            on_disk: self.on_disk,
+            scans: self.scans[self.on_disk.scans..].to_vec(),
+        }))
     }
 
     /// Begins anew: the next scan is the first.
@@ -159,9 +193,9 @@ impl SlamPoses {
         *self = Self::new(self.settings, self.frame);
     }
 
-    /// Takes in a scan of the main lidar.
+    /// Takes in a scan of the main lidar. While the robot's boot is not known, nobody knows which odometry the scan comes with: it is left out.
     pub(super) fn insert(&mut self, mapper: &mut Mapper, scan: &Scan, boot_id: &str, robot_frame: u64) -> Posed {
-        if mapper.is_held() {
+        if mapper.is_held() || boot_id.is_empty() {
             return Posed::only(Insertion::Held);
         }
         let slam = self
@@ -170,10 +204,11 @@ impl SlamPoses {
         if self.boot_id != boot_id {
             // The first boot that is heard of is the one that odometry began with.
             if !self.boot_id.is_empty() {
-                slam.interrupt();
+                slam.interrupt(self.unseen);
             }
             boot_id.clone_into(&mut self.boot_id);
         }
+        self.unseen = 0;
         let effects = match slam.step(scan) {
             Ok(effects) => effects,
             Err(error) => {
@@ -191,6 +226,9 @@ impl SlamPoses {
         let pose = self.new_from_drawn.inverse() * effects.pose;
         self.map_from_odom = pose * scan.odom_from_base.inverse();
         self.judge(&effects);
+        if effects.is_inserted && !self.health.is_trusted() {
+            self.undrawn.push(self.scans.len() - 1);
+        }
         let insertion = if self.health.is_trusted() {
             mapper.insert(&self.placed(scan))
         } else {
@@ -211,7 +249,7 @@ impl SlamPoses {
 
     /// What a scan says of the robot's health. One that sees little says nothing: then odometry alone counts, as along a corridor.
     fn judge(&mut self, effects: &Effects) {
-        if effects.score.is_some() {
+        if effects.fits {
             self.contradictions = 0;
         } else if effects.points >= CONTRADICTIONS.1 && !effects.is_first {
             self.contradictions += 1;
@@ -235,6 +273,12 @@ impl SlamPoses {
             agreeing: effects.score.unwrap_or(0.0),
             through_walls: 0.0,
         })
+    }
+
+    /// Whether a scan of a further lidar, made in a boot of the robot, is drawn: not before one of the main lidar has said where that boot's
+    /// odometry lies, and not while the robot is lost.
+    pub(super) fn draws_further(&self, boot_id: &str) -> bool {
+        self.slam.is_some() && self.boot_id == boot_id && self.health.is_trusted()
     }
 
     /// The scan from the pose that SLAM gives the robot: those of further lidars, too.
@@ -261,9 +305,18 @@ impl SlamPoses {
         self.frame
     }
 
-    /// What was handed out last is not on disk: the next time everything is.
-    pub(super) fn was_not_kept(&mut self) {
-        self.kept = 0;
+    /// What was handed out last is on disk.
+    pub(super) fn was_kept(&mut self, on_disk: OnDisk) {
+        self.on_disk = on_disk;
+    }
+
+    /// What was handed out last is not on disk: the next time it goes there with what is new. `is_changed`: what went there before is not what
+    /// it was, and all of it goes there again.
+    pub(super) fn was_not_kept(&mut self, is_changed: bool) {
+        self.is_overdue = true;
+        if is_changed {
+            self.on_disk = OnDisk::default();
+        }
     }
 
     /// Frame and parts, where they are others than was told.
@@ -336,10 +389,8 @@ impl SlamPoses {
             return false;
         };
         let end = (redraw.drawn + REDRAWN_A_STEP).min(self.scans.len());
-        for (scan, pose) in self.scans[redraw.drawn..end]
-            .iter()
-            .zip(&slam.nodes()[redraw.drawn..end])
-        {
+        for node in (redraw.drawn..end).filter(|node| self.undrawn.binary_search(node).is_err()) {
+            let (scan, pose) = (&self.scans[node], &slam.nodes()[node]);
             redraw.mapper.insert(&Scan {
                 map_from_odom: *pose * scan.odom_from_base.inverse(),
                 ..scan.clone()

@@ -2,11 +2,12 @@
 //!
 //! Two files in the robot's folder. `slam.scans`: the scan of each node, a line of JSON each, in the order of the nodes; it only grows. `slam.session`:
 //! a line of JSON with the frame and what belongs to it, then the bytes of [`Slam::save`]; it is replaced at once or not at all, after the
-//! scans that it counts on are on disk. What follows them in `slam.scans` belongs to nothing, and goes.
+//! scans that it counts on are on disk. What follows them in `slam.scans` belongs to nothing, and is written over. So whatever fails, the
+//! session that was kept before stays whole.
 
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, BufRead, BufReader, Seek, Write};
-use std::path::Path;
+use std::io::{self, BufRead, BufReader, Read, Seek, Write};
+use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -14,14 +15,14 @@ use zenav_mapping::atomic::write_atomically;
 use zenav_mapping::map_file::MapFileError;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::Scan;
-use zenav_slam::{SessionError, Slam};
+use zenav_slam::{SessionError, Slam, Snapshot};
+
+use super::annotations::Carried;
 
 /// Poses, measurements and the frame.
 const SESSION: &str = "slam.session";
 /// Scans of the nodes.
 const SCANS: &str = "slam.scans";
-/// Longest line of `slam.scans`, bytes: a scan as it comes over the network.
-const LONGEST: usize = 1 << 20;
 
 /// What belongs to a map by SLAM beside its poses and measurements.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -38,14 +39,35 @@ pub(super) struct Head {
     pub(super) boot_id: String,
     /// How many scans belong to it: one for each node.
     pub(super) scans: usize,
+    /// Where the parts of the map lie as it was drawn.
+    #[serde(default)]
+    pub(super) parts: Vec<Pose2>,
+    /// Nodes whose scans are not drawn, ascending.
+    #[serde(default)]
+    pub(super) undrawn: Vec<usize>,
+    /// Scans in a row that fit nowhere.
+    #[serde(default)]
+    pub(super) contradictions: u32,
+    /// Where places and zones lie in the frame.
+    #[serde(default)]
+    pub(super) annotations: Carried,
 }
 
-/// What is to be kept: a session, and of its scans those from a node on; the ones before are on disk already.
-#[derive(Clone, Debug)]
+/// How much of `slam.scans` belongs to the session that was kept last.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct OnDisk {
+    /// Scans.
+    pub(super) scans: usize,
+    /// Their length, bytes.
+    pub(super) bytes: u64,
+}
+
+/// What is to be kept: a session, and of its scans those that come after the ones on disk.
+#[derive(Debug)]
 pub(super) struct Kept {
     pub(super) head: Head,
-    pub(super) session: Vec<u8>,
-    pub(super) first: usize,
+    pub(super) session: Snapshot,
+    pub(super) on_disk: OnDisk,
     pub(super) scans: Vec<Scan>,
 }
 
@@ -55,6 +77,7 @@ pub(super) struct Stored {
     pub(super) head: Head,
     pub(super) slam: Slam,
     pub(super) scans: Vec<Scan>,
+    pub(super) on_disk: OnDisk,
 }
 
 /// Why a session cannot be kept, or gone on with.
@@ -69,6 +92,9 @@ pub(super) enum KeepError {
     /// What is written there cannot be understood.
     #[error(transparent)]
     Json(#[from] serde_json::Error),
+    /// Writing broke off.
+    #[error(transparent)]
+    Task(#[from] tokio::task::JoinError),
     /// The map is none.
     #[error(transparent)]
     Session(#[from] SessionError),
@@ -80,31 +106,61 @@ pub(super) enum KeepError {
         /// What there is.
         found: usize,
     },
+    /// The scans on disk are not those that were written: all of them are to be written again.
+    #[error("expected {expected} bytes of scans in `{SCANS}`, found {found}: somebody else changed the file")]
+    Changed {
+        /// As many as were written, bytes.
+        expected: u64,
+        /// What there is, bytes.
+        found: u64,
+    },
 }
 
-/// Keeps a session in a folder; it is on disk when this returns.
-pub(super) fn write(folder: &Path, kept: &Kept) -> Result<(), KeepError> {
+/// Keeps a session in a folder; it is on disk when this returns what of `slam.scans` belongs to it.
+pub(super) fn write(folder: &Path, kept: Kept) -> Result<OnDisk, KeepError> {
     fs::create_dir_all(folder)?;
-    let file = OpenOptions::new()
-        .read(true)
-        .write(true)
-        .create(true)
-        .truncate(false)
-        .open(folder.join(SCANS))?;
-    let end = end_of(&file, kept.first)?;
-    file.set_len(end)?;
     let mut lines = Vec::new();
     for scan in &kept.scans {
         serde_json::to_writer(&mut lines, scan)?;
         lines.push(b'\n');
     }
-    (&file).seek(io::SeekFrom::Start(end))?;
-    (&file).write_all(&lines)?;
-    file.sync_all()?;
+    let path = folder.join(SCANS);
+    if kept.on_disk.scans == 0 {
+        write_atomically(&path, &lines)?;
+    } else {
+        append(&path, kept.on_disk.bytes, &lines)?;
+    }
     let mut bytes = serde_json::to_vec(&kept.head)?;
     bytes.push(b'\n');
-    bytes.extend_from_slice(&kept.session);
+    bytes.extend_from_slice(&kept.session.into_bytes()?);
     write_atomically(&folder.join(SESSION), &bytes)?;
+    Ok(OnDisk {
+        scans: kept.on_disk.scans + kept.scans.len(),
+        bytes: kept.on_disk.bytes + lines.len() as u64,
+    })
+}
+
+/// Writes lines after the first `end` bytes of a file, whatever was there.
+fn append(path: &Path, end: u64, lines: &[u8]) -> Result<(), KeepError> {
+    let mut file = match OpenOptions::new().read(true).write(true).open(path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => {
+            let (expected, found) = (end, 0);
+            return Err(KeepError::Changed { expected, found });
+        }
+        opened => opened?,
+    };
+    let found = file.metadata()?.len();
+    let mut last = [0];
+    if found >= end && end > 0 {
+        file.seek(io::SeekFrom::Start(end - 1))?;
+        file.read_exact(&mut last)?;
+    }
+    if last != [b'\n'] {
+        return Err(KeepError::Changed { expected: end, found });
+    }
+    file.write_all(lines)?;
+    file.set_len(end + lines.len() as u64)?;
+    file.sync_all()?;
     Ok(())
 }
 
@@ -120,17 +176,32 @@ pub(super) fn read(folder: &Path) -> Result<Option<Stored>, KeepError> {
     let slam = Slam::load(bytes.get(line + 1..).unwrap_or_default())?;
     let expected = slam.nodes().len();
     let mut scans = Vec::with_capacity(expected);
-    for line in BufReader::new(File::open(folder.join(SCANS))?)
-        .split(b'\n')
-        .take(expected)
-    {
-        scans.push(serde_json::from_slice(&line?)?);
+    let mut length = 0;
+    let file = match File::open(folder.join(SCANS)) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => {
+            return Err(KeepError::Scans { expected, found: 0 });
+        }
+        opened => opened?,
+    };
+    for line in BufReader::new(file).split(b'\n').take(expected) {
+        let line = line?;
+        scans.push(serde_json::from_slice(&line)?);
+        length += line.len() as u64 + 1;
     }
     if scans.len() != expected || head.scans != expected {
         let found = scans.len();
         return Err(KeepError::Scans { expected, found });
     }
-    Ok(Some(Stored { head, slam, scans }))
+    let on_disk = OnDisk {
+        scans: expected,
+        bytes: length,
+    };
+    Ok(Some(Stored {
+        head,
+        slam,
+        scans,
+        on_disk,
+    }))
 }
 
 /// Forgets the session of a folder.
@@ -145,224 +216,42 @@ pub(super) fn remove(folder: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// Takes a session that cannot be read out of the way.
-pub(super) fn set_aside(folder: &Path) -> io::Result<()> {
-    for name in [SESSION, SCANS] {
-        match fs::rename(folder.join(name), folder.join(format!("{name}.unreadable"))) {
+/// Takes a session out of the way, under names that nothing has yet: `slam.session.KIND`, or with a number behind it. Returns the one of the
+/// session; `None` where there is none.
+pub(super) fn set_aside(folder: &Path, kind: &str) -> io::Result<Option<PathBuf>> {
+    if !folder.join(SESSION).try_exists()? {
+        return Ok(None);
+    }
+    let mut number = 1;
+    let aside = loop {
+        let suffix = if number == 1 {
+            kind.to_owned()
+        } else {
+            format!("{kind}.{number}")
+        };
+        let names = [SCANS, SESSION].map(|name| folder.join(format!("{name}.{suffix}")));
+        if !names[0].try_exists()? && !names[1].try_exists()? {
+            break names;
+        }
+        number += 1;
+    };
+    // A session without its scans is still seen to be one; scans alone would be written over.
+    for (name, aside) in [SCANS, SESSION].into_iter().zip(&aside) {
+        match fs::rename(folder.join(name), aside) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
             _ => {}
         }
     }
-    Ok(())
+    let [_, session] = aside;
+    Ok(Some(session))
 }
 
-/// Where in a file so many lines end, bytes.
-fn end_of(file: &File, lines: usize) -> Result<u64, KeepError> {
-    let mut reader = BufReader::new(file);
-    let (mut end, mut found) = (0, 0);
-    let mut line = Vec::new();
-    while found < lines {
-        line.clear();
-        let count = io::Read::take(&mut reader, LONGEST as u64).read_until(b'\n', &mut line)?;
-        if line.last() != Some(&b'\n') {
-            return Err(KeepError::Scans { expected: lines, found });
-        }
-        end += count as u64;
-        found += 1;
+impl KeepError {
+    /// Whether a file could not be read, which says nothing of what is in it.
+    pub(super) fn is_transient(&self) -> bool {
+        matches!(self, Self::Io(_))
     }
-    Ok(end)
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "tests")]
-mod tests {
-    use std::time::Duration;
-
-    use zenav_mapping::{Mapper, MappingSettings};
-    use zenav_protocol::bus::{Bus, BusConfig, Clock, Shutdown};
-    use zenav_protocol::messages::{Correction, MapRequest};
-    use zenav_protocol::time::Stamp;
-    use zenav_protocol::topics::{CORRECTION, MAP, SCAN};
-
-    use super::super::core::{MappingCore, PoseSettings, PoseSource};
-    use super::super::{MappingConfig, run};
-    use super::*;
-    use crate::testing::router;
-
-    const DEADLINE: Duration = Duration::from_secs(20);
-    /// Wheels count so much too much.
-    const TOO_FAR: f64 = 1.04;
-
-    /// The scan of a robot that has driven so far along a hall with a few boxes, m; it sees 6 m.
-    fn scan(way: f64) -> Scan {
-        let boxes = [
-            (1.0, 0.8, 1.5, 1.5),
-            (3.2, -1.6, 3.6, -0.9),
-            (5.0, 1.0, 5.8, 1.4),
-            (7.0, -1.5, 7.3, -0.7),
-            (-1.0, -2.0, 10.0, -1.9),
-            (-1.0, 1.9, 10.0, 2.0),
-            (-1.0, -2.0, -0.9, 2.0),
-            (9.9, -2.0, 10.0, 2.0),
-        ];
-        let range = |angle: f64| {
-            let (sin, cos) = angle.sin_cos();
-            let hits = boxes.iter().filter_map(|(left, low, right, high)| {
-                let (x1, x2) = ((left - way) / cos, (right - way) / cos);
-                let (y1, y2) = (low / sin, high / sin);
-                let (enter, leave) = (x1.min(x2).max(y1.min(y2)), x1.max(x2).min(y1.max(y2)));
-                (0.0 < enter && enter <= leave).then_some(enter)
-            });
-            hits.fold(100.0, f64::min) as f32
-        };
-        let angles = (0..360).map(|beam| -3.14 + f64::from(beam) * 0.017_45 + 1e-4);
-        Scan {
-            stamp: Stamp::from_secs(10.0 + way),
-            angle_min: -3.14 + 1e-4,
-            angle_increment: 0.017_45,
-            range_min: 0.02,
-            range_max: 6.0,
-            ranges: angles.map(range).collect(),
-            moving: Vec::new(),
-            base_from_laser: Pose2::IDENTITY,
-            map_from_odom: Pose2::IDENTITY,
-            odom_from_base: Pose2::new(TOO_FAR * way, 0.0, 0.0),
-        }
-    }
-
-    fn settings() -> PoseSettings {
-        PoseSettings {
-            source: PoseSource::Slam,
-            ..PoseSettings::default()
-        }
-    }
-
-    fn core() -> MappingCore {
-        MappingCore::new(Mapper::new(MappingSettings::default(), "new"), &settings())
-    }
-
-    #[test]
-    fn a_frame_is_kept_before_it_is_told_and_goes_on() {
-        let folder = tempfile::tempdir().unwrap();
-        let mut mapping = core();
-        let (mut told, mut before) = (0, mapping.mapper.info());
-        for step in 0..80 {
-            if step == 40 {
-                mapping.bend(|pose| Pose2::new(pose.x, pose.y + 0.5, pose.yaw));
-            }
-            let mapped = mapping.insert(&scan(0.05 * f64::from(step)), "boot");
-            if let Some(kept) = mapping.kept(false) {
-                write(folder.path(), &kept).unwrap();
-                before = mapping.mapper.info();
-            }
-            told = mapped.frame.map_or(told, |frame| frame.map.frame);
-            if told > 0 {
-                assert_eq!(read(folder.path()).unwrap().unwrap().head.frame, told);
-            }
-        }
-        assert_eq!(told, 1);
-        // What was written when the process was killed belongs to nothing.
-        let mut scans = OpenOptions::new().append(true).open(folder.path().join(SCANS)).unwrap();
-        scans.write_all(b"{\"stamp\"").unwrap();
-
-        let mut after = core().going_on(read(folder.path()).unwrap().unwrap());
-        assert_eq!(after.frame_at_start().unwrap().map.frame, 1);
-        let drawn = after.mapper.info();
-        // Of the scans only nodes are drawn again.
-        assert!(
-            drawn.occupied as f64 > 0.9 * before.occupied as f64,
-            "{} of {}",
-            drawn.occupied,
-            before.occupied
-        );
-        let mut last: Option<Correction> = None;
-        for step in 90..130 {
-            let mapped = after.insert(&scan(0.05 * f64::from(step)), "boot");
-            last = mapped.correction.or(last);
-            if let Some(kept) = after.kept(true) {
-                write(folder.path(), &kept).unwrap();
-            }
-        }
-        let correction = last.unwrap();
-        let away = correction
-            .map_from_base
-            .distance(&Pose2::new(correction.stamp.as_secs() - 10.0, 0.5, 0.0));
-        assert!(correction.frame == 1 && away < 0.05, "{correction:?}: {away} m off");
-        assert_eq!(read(folder.path()).unwrap().unwrap().head.frame, 1);
-        remove(folder.path()).unwrap();
-        assert!(read(folder.path()).unwrap().is_none());
-    }
-
-    #[tokio::test(flavor = "multi_thread")]
-    async fn mapping_that_is_killed_in_mid_drive_goes_on_with_its_map() {
-        let (router, endpoint) = router().await;
-        let open = |name: &'static str| Bus::open(BusConfig::service(name, &endpoint));
-        let folder = tempfile::tempdir().unwrap();
-        let config = MappingConfig {
-            folder: Some(folder.path().to_owned()),
-            poses: settings(),
-            ..MappingConfig::new("tiago")
-        };
-        let client = open("client").await.unwrap();
-        let chunks = ["tiago"];
-        let scans = client.publisher(&SCAN, &chunks).unwrap();
-        let mut corrections = client.subscribe(&CORRECTION, &chunks, 64).unwrap();
-        let begin = async |name| {
-            let bus = open(name).await.unwrap();
-            let shutdown = Shutdown::new();
-            (
-                tokio::spawn(run(bus, Clock::wall(), config.clone(), shutdown.clone())),
-                shutdown,
-            )
-        };
-        let asked = async || {
-            client
-                .ask(&MAP, &chunks, &MapRequest::default(), DEADLINE)
-                .await
-                .unwrap()
-        };
-
-        let (service, _) = begin("mapping").await;
-        asked().await;
-        let mut way = 0.0;
-        let drive = async |way: &mut f64| {
-            *way += 0.05;
-            scans.put(&scan(*way));
-            tokio::time::sleep(Duration::from_millis(15)).await;
-        };
-        while way < 4.0 {
-            drive(&mut way).await;
-        }
-        let before = asked().await;
-        service.abort();
-        assert!(service.await.unwrap_err().is_cancelled());
-        let kept = read(folder.path()).unwrap().unwrap();
-        assert!(kept.scans.len() >= 10, "{} nodes", kept.scans.len());
-
-        // The robot goes on meanwhile.
-        way += 0.5;
-        let (service, shutdown) = begin("mapping-again").await;
-        let after = asked().await;
-        assert!(
-            after.info.occupied > before.info.occupied / 3,
-            "{:?} {:?}",
-            after.info,
-            before.info
-        );
-        while corrections.try_next().is_some() {}
-        let found = tokio::time::timeout(DEADLINE, async {
-            while way < 7.0 {
-                drive(&mut way).await;
-            }
-            corrections.next().await.unwrap().message
-        });
-        let correction = found.await.unwrap();
-        let off = correction
-            .map_from_base
-            .distance(&Pose2::new(correction.stamp.as_secs() - 10.0, 0.0, 0.0));
-        assert!(off < 0.06, "{correction:?}: {off} m off");
-        shutdown.trigger();
-        service.await.unwrap().unwrap();
-        router.close().await;
-    }
-}
+mod tests;

@@ -3,8 +3,10 @@
 //! The robot's own map lies in its folder and is the one that the next start begins with; maps with names lie in `maps/NAME` below it. Where
 //! SLAM makes the map, its session is kept beside it while it grows, and the next start goes on with that.
 
-use std::path::PathBuf;
+use std::io;
+use std::path::{Path, PathBuf};
 
+use tokio::task::JoinHandle;
 use zenav_mapping::Mapper;
 use zenav_mapping::store::{self, MapRecord, StoredMap};
 use zenav_protocol::grid::OccupancyGrid;
@@ -13,7 +15,7 @@ use zenav_protocol::messages::{MapRef, MapRequest, Refusal, StoredMapInfo};
 use zenav_protocol::time::Stamp;
 
 use super::slam_session::{self, KeepError, Stored};
-use super::{KnownMap, MappingConfig, PoseSource, Service};
+use super::{KnownMap, MappingConfig, MappingError, PoseSource, Service};
 
 /// Folder of the maps with names, in a robot's folder.
 const MAPS: &str = "maps";
@@ -21,35 +23,52 @@ const MAPS: &str = "maps";
 /// Pause after a session could not be kept, s.
 const KEEP_AGAIN: f64 = 10.0;
 
-/// The session of SLAM that goes on, where there is one.
-pub(super) async fn session(config: &MappingConfig) -> Option<Stored> {
+/// What became of a session that is in the way of another.
+const BEFORE: &str = "before";
+/// And of one that cannot be read.
+const UNREADABLE: &str = "unreadable";
+
+/// The session of SLAM that goes on, where there is one. One that cannot be decoded is set aside for a person.
+///
+/// # Errors
+/// [`MappingError::Session`] where the disk does not give it, or it cannot be set aside: a session that may be whole does not make room for another.
+pub(super) async fn session(config: &MappingConfig) -> Result<Option<Stored>, MappingError> {
     let goes_on = config.poses.source == PoseSource::Slam && config.known.is_none();
-    let folder = config.folder.clone().filter(|_| goes_on)?;
+    let Some(folder) = config.folder.clone().filter(|_| goes_on) else {
+        return Ok(None);
+    };
     let robot = &config.robot;
-    let read = tokio::task::spawn_blocking(move || {
-        slam_session::read(&folder).inspect_err(|_| {
-            // What cannot be read is left to a person: the new session does not take its place.
-            if let Err(error) = slam_session::set_aside(&folder) {
-                tracing::error!(%error, "the session of SLAM that cannot be read is not set aside");
-            }
-        })
-    });
-    match read.await {
-        Ok(Ok(stored)) => {
+    let failed = |problem: String| MappingError::Session {
+        folder: folder.clone(),
+        problem,
+    };
+    let reading = folder.clone();
+    let read = tokio::task::spawn_blocking(move || slam_session::read(&reading)).await;
+    let error = match read.unwrap_or_else(|error| Err(KeepError::Task(error))) {
+        Ok(stored) => {
             if let Some(stored) = &stored {
                 let (nodes, frame) = (stored.scans.len(), stored.head.frame);
                 tracing::info!(robot, nodes, frame, "SLAM goes on with its session");
             }
-            stored
+            return Ok(stored);
         }
-        Ok(Err(error)) => {
-            tracing::error!(robot, %error, "the session of SLAM cannot be read and is set aside: SLAM begins a new map");
-            None
+        Err(error) if error.is_transient() => return Err(failed(error.to_string())),
+        Err(error) => error,
+    };
+    let reading = folder.clone();
+    let aside = tokio::task::spawn_blocking(move || slam_session::set_aside(&reading, UNREADABLE));
+    match aside.await.map_err(KeepError::from).and_then(|aside| Ok(aside?)) {
+        Ok(aside) => {
+            let aside = aside.unwrap_or_default();
+            tracing::error!(
+                robot,
+                %error,
+                aside = %aside.display(),
+                "the session of SLAM cannot be read and is set aside: SLAM begins a new map"
+            );
+            Ok(None)
         }
-        Err(error) => {
-            tracing::error!(robot, %error, "reading the session of SLAM failed: it begins a new map");
-            None
-        }
+        Err(problem) => Err(failed(format!("{error}, and it cannot be set aside: {problem}"))),
     }
 }
 
@@ -108,63 +127,113 @@ pub(super) fn new_map_id(robot: &str) -> String {
     format!("{robot}-{}", Id::unique())
 }
 
+/// Takes a session out of the way that another run has left, and this one did not go on with.
+fn make_room(robot: &str, folder: &Path) -> io::Result<()> {
+    if let Some(aside) = slam_session::set_aside(folder, BEFORE)? {
+        tracing::warn!(
+            robot,
+            aside = %aside.display(),
+            "SLAM did not begin with its session, as a map was given: the session is set aside"
+        );
+    }
+    Ok(())
+}
+
 impl Service {
     /// Keeps the session of SLAM where that is due. A session of a new frame, and what is kept `anyway`, is on disk when this returns; otherwise
     /// it is written beside what goes on here.
-    pub(super) async fn keep(&mut self, now: Stamp, anyway: bool) {
-        let Some(folder) = self.config.folder.clone() else {
-            return;
-        };
-        if self
-            .not_kept
-            .is_some_and(|then| now.secs_since(then) < KEEP_AGAIN && now >= then)
-        {
-            return;
-        }
-        if let Some(kept) = self.core.kept(anyway) {
-            self.was_kept(now).await;
-            let is_new = kept.head.frame != self.kept_frame;
-            self.kept_frame = kept.head.frame;
-            self.keeping = Some(tokio::task::spawn_blocking(move || slam_session::write(&folder, &kept)));
-            if is_new {
-                self.was_kept(now).await;
-            }
-        }
-        if anyway {
-            self.was_kept(now).await;
-        }
-    }
-
-    /// Waits until what is being kept is on disk.
-    async fn was_kept(&mut self, now: Stamp) {
-        let Some(keeping) = self.keeping.take() else { return };
-        let reason = match keeping.await {
-            Ok(Ok(())) => {
-                self.not_kept = None;
-                return;
-            }
-            Ok(Err(error)) => error.to_string(),
-            Err(error) => error.to_string(),
-        };
-        tracing::error!(
-            robot = self.config.robot,
-            reason,
-            "the session of SLAM is not kept: after a restart its map is as it was before"
-        );
-        self.not_kept = Some(now);
-        self.core.was_not_kept();
-    }
-
-    /// Forgets the session of SLAM: another map is to begin.
-    pub(super) async fn forget_session(&mut self, now: Stamp) -> Result<(), Refusal> {
-        self.was_kept(now).await;
+    ///
+    /// # Errors
+    /// Where what was asked for `anyway` is not on disk; everything else is tried again after a while.
+    pub(super) async fn keep(&mut self, now: Stamp, anyway: bool) -> Result<(), Refusal> {
         let Some(folder) = self.config.folder.clone() else {
             return Ok(());
         };
-        let removed = tokio::task::spawn_blocking(move || slam_session::remove(&folder)).await;
-        removed
-            .map_err(Refusal::internal)?
-            .map_err(|error| Refusal::internal(KeepError::from(error)))
+        if anyway || self.keeping.as_ref().is_some_and(JoinHandle::is_finished) {
+            // What failed is due again.
+            let _ = self.was_kept(now).await;
+        }
+        if self.rests(now) && !anyway || !self.core.is_keep_due(anyway) {
+            return Ok(());
+        }
+        if self.was_kept(now).await.is_err() && !anyway {
+            return Ok(());
+        }
+        let kept = match self.core.kept() {
+            Ok(Some(mut kept)) => {
+                kept.head.annotations = self.annotations.carried();
+                kept
+            }
+            Ok(None) => return Ok(()),
+            Err(error) => return self.is_not_kept(now, &error.into()),
+        };
+        let is_new = kept.head.frame != self.kept_frame;
+        let (robot, is_own) = (self.config.robot.clone(), self.owns_session);
+        self.keeping = Some(tokio::task::spawn_blocking(move || {
+            if !is_own {
+                make_room(&robot, &folder)?;
+            }
+            Ok((kept.head.frame, slam_session::write(&folder, kept)?))
+        }));
+        if !is_new && !anyway {
+            return Ok(());
+        }
+        let kept = self.was_kept(now).await;
+        if anyway { kept } else { Ok(()) }
+    }
+
+    /// Whether nothing is kept for a while, as the last attempt failed.
+    fn rests(&self, now: Stamp) -> bool {
+        let since = |then: Stamp| now.secs_since(then) < KEEP_AGAIN && now >= then;
+        self.not_kept.is_some_and(since)
+    }
+
+    /// Waits until what is being kept is on disk.
+    async fn was_kept(&mut self, now: Stamp) -> Result<(), Refusal> {
+        let Some(keeping) = self.keeping.take() else {
+            return Ok(());
+        };
+        match keeping.await.unwrap_or_else(|error| Err(KeepError::Task(error))) {
+            Ok((frame, on_disk)) => {
+                self.kept_frame = frame;
+                self.owns_session = true;
+                self.not_kept = None;
+                self.core.was_kept(on_disk);
+                Ok(())
+            }
+            Err(error) => self.is_not_kept(now, &error),
+        }
+    }
+
+    fn is_not_kept(&mut self, now: Stamp, error: &KeepError) -> Result<(), Refusal> {
+        tracing::error!(
+            robot = self.config.robot,
+            %error,
+            "the session of SLAM is not kept: after a restart its map is as it was before"
+        );
+        self.not_kept = Some(now);
+        self.core.was_not_kept(matches!(error, KeepError::Changed { .. }));
+        Err(Refusal::internal(format!("the session of SLAM is not kept: {error}")))
+    }
+
+    /// Forgets the session of SLAM: another map is to begin. One that this SLAM did not go on with is set aside; where it makes no map, there is
+    /// nothing to be forgotten.
+    pub(super) async fn forget_session(&mut self, now: Stamp) -> Result<(), Refusal> {
+        let _ = self.was_kept(now).await;
+        let is_slam = self.config.poses.source == PoseSource::Slam;
+        let Some(folder) = self.config.folder.clone().filter(|_| is_slam) else {
+            return Ok(());
+        };
+        let (robot, is_own) = (self.config.robot.clone(), self.owns_session);
+        let removed = tokio::task::spawn_blocking(move || {
+            if is_own {
+                slam_session::remove(&folder)
+            } else {
+                make_room(&robot, &folder)
+            }
+        });
+        let removed = removed.await.map_err(Refusal::internal)?;
+        removed.map_err(|error| Refusal::internal(KeepError::from(error)))
     }
 
     /// The folder of a stored map: the robot's own, or the one of this name.
@@ -212,7 +281,7 @@ impl Service {
     }
 
     /// Replaces the map by the one of a request, or by a stored one; scans wait meanwhile.
-    pub(super) async fn load(&mut self, request: &MapRequest) -> Result<(), Refusal> {
+    pub(super) async fn load(&mut self, request: &MapRequest, now: Stamp) -> Result<(), Refusal> {
         let (grid, record) = match (&request.name, &request.map) {
             (Some(_), Some(_)) => return Err(Refusal::bad_request("expected `name` or `map`, not both")),
             (_, Some(map)) => {
@@ -237,6 +306,7 @@ impl Service {
         if grid.spec().is_empty() {
             return Err(Refusal::rejected("the map cannot be loaded: it has no cells"));
         }
+        self.forget_session(now).await?;
         let map = new_map(&self.config.robot);
         tracing::info!(
             robot = self.config.robot,

@@ -306,7 +306,7 @@ impl RobotLoop {
                 self.down.send(now, Down::Localisation(localisation));
             }
         } else {
-            self.mapping.insert_further(scan);
+            self.mapping.insert_further(scan, BOOT);
         }
     }
 

@@ -60,7 +60,7 @@ impl Slam {
         for node in submap.nodes() {
             let pose = self.nodes()[node];
             let from = pose.transform_point(self.laser_of(node));
-            for point in &self.scans[node] {
+            for point in self.scans[node].iter() {
                 let beam: Vector2<f64> = pose.transform_point(*point) - from;
                 let length = beam.norm();
                 let steps = (length.min(NEAR) / CELL).floor() as u32;

@@ -1,6 +1,8 @@
 //! Content of a session. What of a map is kept, and what is made anew?
 
-use nalgebra::Matrix3;
+use std::sync::Arc;
+
+use nalgebra::{Matrix3, Point2};
 use serde::{Deserialize, Serialize};
 use zenav_pose_graph::{Edge, EdgeKind, GraphError};
 use zenav_protocol::geometry::Pose2;
@@ -33,6 +35,10 @@ pub(super) struct Content {
     odometry: Odometry,
     is_interrupted: bool,
     is_doubted: bool,
+    #[serde(default)]
+    is_apart: bool,
+    #[serde(default)]
+    unseen: u32,
     keeps_all: bool,
     start: Row,
     usual: f64,
@@ -79,6 +85,7 @@ fn finite(numbers: &[f64]) -> Result<(), SessionError> {
 }
 
 impl Content {
+    /// All but the points of the nodes' scans: they are most of it, and can be [packed](Self::with_scans) by somebody who has the time.
     pub(super) fn of(slam: &Slam) -> Self {
         let edge = |(edge, weight, is_final): (&Edge, f64, bool)| {
             let information = UPPER.map(|at| edge.information[at]);
@@ -108,7 +115,7 @@ impl Content {
             sessions: slam.sessions.clone(),
             nodes: slam.back_end.poses().iter().copied().map(row).collect(),
             edges: slam.back_end.edges().map(edge).collect(),
-            scans: slam.scans.iter().map(|scan| packed(scan)).collect(),
+            scans: Vec::new(),
             submaps: slam.submaps.iter().map(submap).collect(),
             stands: slam.stands.iter().map(stand).collect(),
             last: slam.last.map(|(stamp, odometry)| (stamp, row(odometry))),
@@ -116,12 +123,21 @@ impl Content {
             odometry: slam.odometry,
             is_interrupted: slam.is_interrupted,
             is_doubted: slam.is_doubted,
+            is_apart: slam.is_apart,
+            unseen: slam.unseen,
             keeps_all: slam.keeps_all,
             start: row(slam.start),
             usual: slam.usual,
             since_closure: slam.since_closure,
             is_dirty: slam.is_dirty,
             counts: slam.counts,
+        }
+    }
+
+    pub(super) fn with_scans(self, scans: &[Arc<Vec<Point2<f64>>>]) -> Self {
+        Self {
+            scans: scans.iter().map(|scan| packed(scan)).collect(),
+            ..self
         }
     }
 
@@ -142,7 +158,11 @@ impl Content {
         }
         finite(&[self.usual, self.since_closure])?;
         let points = |steps: &[i32]| unpacked(steps).ok_or_else(|| expected("points within 1 km"));
-        let scans: Vec<_> = self.scans.iter().map(|steps| points(steps)).collect::<Result<_, _>>()?;
+        let scans: Vec<_> = self
+            .scans
+            .iter()
+            .map(|steps| points(steps).map(Arc::new))
+            .collect::<Result<_, _>>()?;
         let mut slam = Slam {
             submaps: self.submaps(&scans)?,
             back_end: self.back_end()?,
@@ -155,6 +175,8 @@ impl Content {
                 .ok_or_else(|| expected("odometry of finite numbers"))?,
             is_interrupted: self.is_interrupted,
             is_doubted: self.is_doubted,
+            is_apart: self.is_apart,
+            unseen: self.unseen,
             keeps_all: self.keeps_all,
             start: pose(self.start)?,
             usual: self.usual,
@@ -214,7 +236,7 @@ impl Content {
     }
 
     /// The submaps, their fields drawn as they were.
-    fn submaps(&self, scans: &[Vec<nalgebra::Point2<f64>>]) -> Result<Vec<Submap>, SessionError> {
+    fn submaps(&self, scans: &[Arc<Vec<Point2<f64>>>]) -> Result<Vec<Submap>, SessionError> {
         let mut submaps = Vec::with_capacity(self.submaps.len());
         let mut least = 0;
         for Drawn(anchor, inserted) in &self.submaps {

@@ -329,7 +329,7 @@ impl MapHistory {
                 if heard.is_main {
                     after.insert(&heard.scan, &heard.boot_id);
                 } else {
-                    after.insert_further(&heard.scan);
+                    after.insert_further(&heard.scan, &heard.boot_id);
                 }
             }
             (after, knows || way.is_some())

@@ -1,0 +1,95 @@
+//! Does SLAM find a robot that was restarted, and does it leave one in peace that waits?
+
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use zenav_protocol::geometry::Pose2;
+use zenav_protocol::messages::Scan;
+use zenav_protocol::time::Stamp;
+use zenav_slam::{Effects, Slam, SlamSettings};
+
+mod house;
+
+use house::{House, lap};
+
+/// A map of the first two sides of the house, and where the robot is at its end: in truth, and in the map.
+fn driven() -> (Slam, Pose2, Pose2) {
+    let truth = lap(0, 2);
+    let mut slam = Slam::beside_a_robot(SlamSettings::default(), truth[0]);
+    let mut pose = truth[0];
+    for scan in House::usual().log(&truth, 1) {
+        pose = slam.step(&scan).unwrap().pose;
+    }
+    (slam, *truth.last().unwrap(), pose)
+}
+
+/// Scans of a robot that stands, its odometry at zero.
+fn standing(at: Pose2, count: usize) -> Vec<Scan> {
+    let mut scans = House::usual().log(&vec![at; count], 5);
+    for (index, scan) in scans.iter_mut().enumerate() {
+        scan.stamp = Stamp::from_secs(1000.0 + 0.2 * index as f64);
+        scan.odom_from_base = Pose2::IDENTITY;
+    }
+    scans
+}
+
+#[test]
+fn a_restarted_robot_at_rest_is_found_by_the_first_scan_that_fits_and_stays_found() {
+    for (moved, unseen) in [
+        (Pose2::IDENTITY, 0),
+        (Pose2::new(0.25, -0.2, 0.2), 0),
+        (Pose2::new(1.5, 0.3, 0.4), 20),
+    ] {
+        let (mut slam, truth, pose) = driven();
+        let (nodes, map_from_truth) = (slam.nodes().len(), pose * truth.inverse());
+        slam.interrupt(unseen);
+        let effects: Vec<Effects> = standing(truth * moved, 10)
+            .iter()
+            .map(|scan| slam.step(scan).unwrap())
+            .collect();
+        for effects in &effects {
+            let off = effects.pose.distance(&(map_from_truth * truth * moved));
+            assert!(
+                effects.score.is_some() && effects.fits && off < 0.05,
+                "{moved:?}: {off} m off, {effects:?}"
+            );
+        }
+        assert_eq!(slam.nodes().len(), nodes + 1, "one node says where it was found");
+    }
+}
+
+#[test]
+fn a_robot_that_was_restarted_elsewhere_at_rest_makes_no_node_and_fits_nowhere() {
+    let (mut slam, truth, _) = driven();
+    let nodes = slam.nodes().len();
+    slam.interrupt(0);
+    // Beams that end in mid-air, as in a crowd that was not there before.
+    for mut scan in standing(truth, 8) {
+        for (beam, range) in scan.ranges.iter_mut().enumerate() {
+            *range = 0.5 + 0.3 * ((beam * 7 % 11) as f32 / 11.0);
+        }
+        let effects = slam.step(&scan).unwrap();
+        assert!(effects.score.is_none() && !effects.fits, "{effects:?}");
+    }
+    assert_eq!(slam.nodes().len(), nodes);
+    let found = slam.step(&standing(truth, 9)[8]).unwrap();
+    assert!(found.score.is_some(), "{found:?}");
+}
+
+#[test]
+fn a_scan_at_rest_that_would_do_for_a_node_contradicts_nothing() {
+    let (mut slam, truth, _) = driven();
+    slam.interrupt(0);
+    let mut between = 0;
+    for (index, mut scan) in standing(truth, 10).into_iter().enumerate() {
+        // Somebody stands beside the robot, before a third of its beams.
+        if index > 0 {
+            for range in &mut scan.ranges[..50] {
+                *range = range.min(0.6);
+            }
+        }
+        let effects = slam.step(&scan).unwrap();
+        assert!(effects.fits, "{effects:?}");
+        between += usize::from(effects.score.is_none());
+    }
+    assert_eq!(between, 9, "too little for a correction");
+}
