@@ -138,6 +138,9 @@ impl Avoidance {
                 let share = input
                     .monitor
                     .share_among(input.now, wanted, &movers, obstacles, here, bump);
+                if share <= 0.0 {
+                    continue;
+                }
                 let driven = Twist2::new(0.0, share * wanted.w);
                 for steps in 1..=TURN_STEPS {
                     let cost = self.arc_cost(situation, driven, Some((steps, away)), best.0);
