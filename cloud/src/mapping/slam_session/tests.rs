@@ -42,10 +42,10 @@ fn scan(way: f64) -> Scan {
         });
         hits.fold(100.0, f64::min) as f32
     };
-    let angles = (0..360).map(|beam| -3.14 + f64::from(beam) * 0.017_45 + 1e-4);
+    let angles = (0..360).map(|beam| -3.1399 + f64::from(beam) * 0.017_45);
     Scan {
         stamp: Stamp::from_secs(10.0 + way),
-        angle_min: -3.14 + 1e-4,
+        angle_min: -3.1399,
         angle_increment: 0.017_45,
         range_min: 0.02,
         range_max: 6.0,
