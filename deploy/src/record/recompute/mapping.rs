@@ -179,6 +179,10 @@ impl MapHistory {
             self.frame = state.frame;
             if *self.boot_id != *state.boot_id {
                 self.boot_id = state.boot_id.into();
+                // Mapping may have heard of the first boot before the recorder did.
+                for heard in self.scans.iter_mut().filter(|heard| heard.boot_id.is_empty()) {
+                    heard.boot_id = Arc::clone(&self.boot_id);
+                }
             }
         } else if let Ok(Some((_, info))) = sample.message(&topics::MAP_INFO) {
             self.described.insert(info.map, (info.scans, info.stored));
