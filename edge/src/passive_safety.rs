@@ -304,7 +304,7 @@ impl<'a> Motion<'a> {
     /// blind spot by any motion, outside it by swinging towards what may come into view.
     #[must_use]
     pub fn limit_occluded(&self, now: Stamp, obstacles: &LocalObstacles, odom_from_base: Pose2) -> f64 {
-        let hidden: Vec<Hidden> = obstacles.hidden(now).collect();
+        let mut hidden: Vec<Hidden> = obstacles.hidden(now).collect();
         if hidden.is_empty() {
             return 1.0;
         }
@@ -317,6 +317,10 @@ impl<'a> Motion<'a> {
             })
             .filter(|(_, _, outward)| *outward > GENTLE)
             .collect();
+        if self.twist.v <= 0.0 {
+            // Who turns on the spot may do so beside somebody half hidden, too: there no size is relied on.
+            hidden.iter_mut().for_each(|hidden| hidden.radius = 0.0);
+        }
         let then_from_here = obstacles.base_at_newest_sweep().inverse() * rigid(odom_from_base);
         let safe = |share: &&f64| !self.may_be_met(**share, &samples, &hidden, obstacles, then_from_here);
         let share = SHARES.iter().find(safe).copied().unwrap_or(0.0);
