@@ -54,6 +54,8 @@ pub struct Track {
     pub variance: [f64; 3],
     /// Radius of the disc, m.
     pub radius: f64,
+    /// Whether it was ever seen whole: before that its radius is a guess.
+    seen_whole: bool,
     /// When it was seen first.
     pub born: Stamp,
     /// When it was seen last.
@@ -87,6 +89,7 @@ impl Track {
             velocity,
             variance: [0.0; 3],
             radius,
+            seen_whole: true,
             born: stamp,
             seen: stamp,
             stamp,
@@ -99,6 +102,12 @@ impl Track {
             still_since: None,
             course: Some(course),
         }
+    }
+
+    /// Its radius as far as that was seen, m.
+    #[must_use]
+    pub(crate) fn sure_radius(&self) -> f64 {
+        if self.seen_whole { self.radius } else { 0.0 }
     }
 
     /// Whether it is a robot that tells its course.
@@ -126,6 +135,7 @@ impl Track {
             velocity: Vector2::zeros(),
             variance: [settings.position_noise.powi(2), 0.0, START_VELOCITY_VARIANCE],
             radius,
+            seen_whole: !seen.is_cut(),
             born: stamp,
             seen: stamp,
             stamp,
@@ -217,6 +227,7 @@ impl Track {
             false => 0.05,
         };
         self.radius += share * (seen.radius - self.radius);
+        self.seen_whole |= !seen.is_cut();
         self.seen = self.stamp;
         self.hits += 1;
         self.evidence += u32::from(seen.is_moving());

@@ -26,9 +26,8 @@ use detector::Detector;
 /// Most places kept where an obstacle entered the blind spot.
 const OCCLUDED_PLACES: usize = 128;
 
-/// Of a track's radius a disc that has left the field of view has at least this much, m, and this share: two who walk side by side look
-/// like one.
-const HIDDEN_RADIUS: (f64, f64) = (0.3, 1.0);
+/// No more of the radius of somebody hidden is relied on, m: two who walk side by side look like one.
+const SURE_RADIUS: f64 = 0.25;
 
 /// Points of moving obstacles, and the places where some left the field of view.
 #[derive(Clone, Debug)]
@@ -133,7 +132,7 @@ impl MovingObstacles {
                 stamp: now,
                 speed: self.tracks.most_speed_at(place).unwrap_or(self.fastest_out_of_sight),
                 is_near,
-                radius: track.map_or(0.0, |track| HIDDEN_RADIUS.0.min(HIDDEN_RADIUS.1 * track.radius)),
+                radius: track.map_or(0.0, |track| track.sure_radius().min(SURE_RADIUS)),
                 track: id,
             });
         }
