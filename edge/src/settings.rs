@@ -223,8 +223,8 @@ zenav_protocol::settings! {
         pub creep_time: f64 = 1.0, "s", 0.1..=10.0;
         /// Distance kept from unseen floor beyond the margin: odometry drifts, and cells are coarse.
         pub unseen_margin: f64 = 0.03, "m", 0.0..=0.5;
-        /// Time constants of the motors until rest after braking: a first-order lag is at 5 % after three.
-        pub lags_to_rest: f64 = 3.0, "", 0.0..=10.0;
+        /// Time constants of the motors until rest after braking: a first-order lag is at 2 % after four.
+        pub lags_to_rest: f64 = 4.0, "", 0.0..=10.0;
     }
     check = |safety: &PassiveSafetySettings| {
         let speeds = [("speed_in_view", safety.speed_in_view), ("speed_out_of_sight", safety.speed_out_of_sight)];

@@ -23,6 +23,8 @@ pub struct SecuredFleet {
     binary: PathBuf,
     folder: TempDir,
     speed: f64,
+    /// The namespace of all its parts; empty: none.
+    namespace: String,
     /// The router's endpoint.
     pub router: String,
     /// The robot's own endpoint.
@@ -40,6 +42,7 @@ impl SecuredFleet {
             binary: binary.into(),
             folder: tempfile::tempdir().expect("a temporary folder"),
             speed,
+            namespace: String::new(),
             router: free_endpoint().replace("tcp/", "quic/"),
             edge: free_endpoint().replace("tcp/", "quic/"),
         };
@@ -48,6 +51,15 @@ impl SecuredFleet {
             fleet.keys(&["issue", member]);
         }
         fleet
+    }
+
+    /// The same in a namespace.
+    #[must_use]
+    pub fn within(self, namespace: &str) -> Self {
+        Self {
+            namespace: namespace.to_owned(),
+            ..self
+        }
     }
 
     /// The folder of all files.
@@ -77,8 +89,14 @@ impl SecuredFleet {
 
     fn start(&self, member: &str, arguments: &[&str]) -> Process {
         let identity = self.identity(member).to_string_lossy().into_owned();
-        let more = ["--identity", &identity];
-        Process::start(&self.binary, &[arguments, &more[..]].concat(), self.folder())
+        let (namespace, binary) = (self.variable(), self.binary.to_string_lossy());
+        let (before, after) = ([&*namespace, &*binary], ["--identity", &identity]);
+        Process::start("env", &[&before, arguments, &after[..]].concat(), self.folder())
+    }
+
+    /// The namespace as a part is told of it.
+    fn variable(&self) -> String {
+        format!("ZENAV_BUS__NAMESPACE={}", self.namespace)
     }
 
     /// `zenav router`.
@@ -140,7 +158,7 @@ impl SecuredFleet {
     #[must_use]
     pub fn client(&self, member: &str, endpoint: &str, arguments: &[&str]) -> Output {
         let identity = self.identity(member).to_string_lossy().into_owned();
-        let more = ["--connect", endpoint, "--identity", &identity];
+        let more = ["--connect", endpoint, "--identity", &identity, "--namespace", &self.namespace];
         self.zenav(&[arguments, &more[..]].concat())
     }
 
@@ -152,7 +170,7 @@ impl SecuredFleet {
         let security = Security::of(Some(&self.identity(member)), false).expect("an identity");
         let config = BusConfig {
             security,
-            ..BusConfig::service(member, endpoint)
+            ..BusConfig::service(member, endpoint).within(&self.namespace)
         };
         let joined = tokio::time::timeout(JOIN, Bus::open(config)).await;
         joined.expect("somebody lets it in in time").expect("the bus opens")

@@ -34,8 +34,8 @@ struct Running {
     _parts: [Process; 3],
 }
 
-/// Starts everything, and waits until the mission answers an operator.
-async fn running(members: &[&str]) -> Running {
+/// Starts everything in a namespace, or in none, and waits until the mission answers an operator.
+async fn running(members: &[&str], namespace: &str) -> Running {
     let own = [
         "router.site1",
         "router.world",
@@ -43,7 +43,7 @@ async fn running(members: &[&str]) -> Running {
         "service.site1",
         "operator.anna",
     ];
-    let fleet = SecuredFleet::new(ZENAV, 4.0, &[&own[..], members].concat());
+    let fleet = SecuredFleet::new(ZENAV, 4.0, &[&own[..], members].concat()).within(namespace);
     let mut router = fleet.start_router("router.site1");
     router.until("router up", LIMIT);
     let parts = [
@@ -107,7 +107,7 @@ async fn only_the_second_passes(sender: &Bus, viewer: &Bus, forged: &str, fair: 
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn every_role_does_its_part_in_a_mission_and_no_other() {
-    let running = running(&["robot.neato", "viewer.wall"]).await;
+    let running = running(&["robot.neato", "viewer.wall"], "acme/site1").await;
     let fleet = &running.fleet;
     let viewer = fleet.join("viewer.wall", &fleet.router).await;
     let operator = fleet.join("operator.anna", &fleet.router).await;
@@ -211,7 +211,7 @@ async fn every_role_does_its_part_in_a_mission_and_no_other() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn who_was_revoked_is_let_in_no_more_and_the_others_are() {
-    let mut running = running(&["operator.bert"]).await;
+    let mut running = running(&["operator.bert"], "").await;
     let fleet = &running.fleet;
     let bert = fleet.join("operator.bert", &fleet.router).await;
     info(&bert, LIMIT).await.unwrap();
@@ -239,7 +239,7 @@ async fn who_was_revoked_is_let_in_no_more_and_the_others_are() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn a_link_ends_with_its_certificate() {
-    let running = running(&[]).await;
+    let running = running(&[], "").await;
     let fleet = &running.fleet;
     // 26 s.
     fleet.keys(&["issue", "operator.guest", "--days", "0.0003"]);

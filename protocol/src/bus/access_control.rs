@@ -4,6 +4,9 @@
 //! Zenoh denies what no rule allows. A rule must include the key of the message: who asks all robots at once needs a rule for all. `**`
 //! does not reach chunks that begin with `@`, under which advanced publishers keep samples, count them and show themselves: each key of
 //! theirs has a second one. A reply needs a rule of its own on its way in and on its way out.
+//!
+//! A namespace stands before every key on the wire. The names of a fleet are its own in all its namespaces, so each rule holds in all of them,
+//! and in none; a key of the stack within another one is nobody's.
 
 use std::collections::BTreeMap;
 
@@ -17,6 +20,8 @@ use crate::topics::{TABLE, alive_key};
 const ATTACHMENT: usize = 1024;
 /// Every key of the stack, and every one of advanced publishers.
 const EVERYTHING: [&str; 2] = ["zenav/**", "zenav/**/@adv/**"];
+/// What looks like the key of a robot with another's namespace before it.
+const NESTED: &str = "zenav/**/zenav/**";
 
 /// `access_control` of a session of `own` that listens to these members: what each may do, and nothing else.
 pub(super) fn rules(fleet: &[Member], own: &Member) -> Value {
@@ -32,12 +37,13 @@ pub(super) fn rules(fleet: &[Member], own: &Member) -> Value {
         let all = allowed(&grants).into_iter().map(|rule| ("allow", rule));
         // Nobody but the robot itself writes its own side, not even through a router.
         let guarded = is_router && own.role == Role::Robot;
-        let own_side = guarded.then(|| Rule {
+        let own_side = guarded.then(|| format!("zenav/{}/edge/**", own.name.as_str()));
+        let denied = Rule {
             flow: "ingress",
             messages: &["put"],
-            keys: vec![format!("zenav/{}/edge/**", own.name.as_str())],
-        });
-        for (permission, rule) in all.chain(own_side.map(|rule| ("deny", rule))) {
+            keys: own_side.into_iter().chain([NESTED.to_owned()]).collect(),
+        };
+        for (permission, rule) in all.chain([("deny", denied)]) {
             if rule.keys.is_empty() {
                 continue;
             }
@@ -47,7 +53,7 @@ pub(super) fn rules(fleet: &[Member], own: &Member) -> Value {
                 "permission": permission,
                 "flows": [rule.flow],
                 "messages": rule.messages,
-                "key_exprs": rule.keys,
+                "key_exprs": rule.keys.iter().map(|key| in_any_namespace(key)).collect::<Vec<_>>(),
             }));
             ids.push(id);
         }
@@ -115,6 +121,11 @@ fn allowed(grants: &Grants) -> Vec<Rule> {
     ]
 }
 
+/// A key in every namespace, and in none.
+fn in_any_namespace(key: &str) -> String {
+    format!("**/{key}")
+}
+
 /// Under which keys advanced publishers on these keys keep, count and show themselves.
 fn advanced(keys: &[String]) -> Vec<String> {
     keys.iter().map(|key| format!("{key}/@adv/**")).collect()
@@ -126,7 +137,7 @@ pub(super) fn size_limits() -> Value {
         json!({
             "flows": ["ingress"],
             "messages": [if row.qos.is_some() { "put" } else { "query" }],
-            "key_exprs": [alive_key(row.pattern, &[])],
+            "key_exprs": [in_any_namespace(&alive_key(row.pattern, &[]))],
             "size_limit": row.max_bytes + ATTACHMENT,
         })
     });
@@ -200,12 +211,19 @@ mod tests {
             ("viewer.v", "query", "zenav/*/ask/edge/info"),
             ("viewer.v", "liveliness_query", "zenav/*/alive/*"),
             ("router.r", "put", "zenav/b/cloud/plan"),
+            ("robot.a", "put", "acme/site1/zenav/a/edge/state"),
+            ("robot.a", "query", "site1/zenav/a/cloud/plan/@adv/**"),
+            ("service.s", "declare_queryable", "site1/action/gripper"),
+            ("viewer.v", "declare_subscriber", "site1/zenav/**"),
         ] {
             assert!(may(member, "ingress", message, key), "{member} {message} {key}");
         }
         for (member, message, key) in [
             ("robot.a", "put", "zenav/b/edge/state"),
             ("robot.a", "put", "zenav/*/edge/state"),
+            ("robot.a", "put", "site1/zenav/b/edge/state"),
+            ("robot.a", "put", "zenav/b/edge/zenav/a/edge/state"),
+            ("robot.a", "put", "site1/zenav/a/cloud/plan"),
             ("robot.a", "put", "zenav/a/cloud/plan"),
             ("robot.a", "put", "zenav/a/operator/teleop"),
             ("robot.a", "put", "zenav/sim/clock"),
@@ -246,7 +264,7 @@ mod tests {
         let rules = rules(&fleet(), &"robot.a".parse().unwrap());
         let may = |key: &str| passes(&rules, "router.r", "ingress", "put", key);
         assert!(may("zenav/a/cloud/plan") && may("zenav/b/edge/intent") && may("zenav/a/body/readings"));
-        assert!(!may("zenav/a/edge/wheels"));
+        assert!(!may("zenav/a/edge/wheels") && !may("site1/zenav/a/edge/wheels"));
         assert!(passes(
             &rules,
             "operator.o",
