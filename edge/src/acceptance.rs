@@ -7,7 +7,7 @@
 use nalgebra::Point2;
 use thiserror::Error;
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
-use zenav_protocol::messages::{Plan, Revision, TrajectoryPoint};
+use zenav_protocol::messages::{Plan, Revision, Trajectory, TrajectoryPoint};
 use zenav_protocol::robot::{Drive, RobotModel};
 use zenav_protocol::time::Stamp;
 
@@ -404,7 +404,7 @@ pub fn judge_start(
 /// # Errors
 /// [`Rejection::Blocked`].
 pub fn judge_free(
-    trajectory: &[TrajectoryPoint],
+    trajectory: &Trajectory,
     model: &RobotModel,
     map_from_base: Pose2,
     obstacles: &[Point2<f64>],
@@ -419,7 +419,8 @@ pub fn judge_free(
         .iter()
         .filter(|point| (*point - map_from_base.position()).norm() < horizon)
         .collect();
-    for point in trajectory {
+    let points = trajectory.spaced(f64::NEG_INFINITY, CHECK_SPACING.0, CHECK_SPACING.1);
+    for point in points.take(MOST_POINTS) {
         let pose = point.pose();
         let spaced = |last: Pose2| {
             last.distance(&pose) >= CHECK_SPACING.0 || wrap_angle(pose.yaw - last.yaw).abs() >= CHECK_SPACING.1

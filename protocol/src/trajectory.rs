@@ -9,7 +9,15 @@ use std::ops::Deref;
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize, Serializer};
 
-use crate::geometry::{Pose2, Twist2};
+use crate::geometry::{Pose2, Twist2, wrap_angle};
+
+/// How far a trajectory that was thinned strays from the one before, at any of that one's points: m and rad, m/s and rad/s.
+const STRAY: (f64, f64) = (5e-4, 2e-3);
+const STRAY_SPEED: (f64, f64) = (5e-3, 1e-2);
+/// Points of a thinned trajectory are at most this far apart, s.
+const LONGEST_LEG: f64 = 2.0;
+/// Most points that are put between two.
+const MOST_BETWEEN: f64 = 1e4;
 
 /// Where the robot is to be at a time of the trajectory.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -77,6 +85,14 @@ impl TrajectoryPoint {
             self.pose().interpolate(&to.pose(), share),
             Twist2::new(between(self.v, to.v), between(self.w, to.w)),
         )
+    }
+
+    /// Whether it is the same point as far as a thinned trajectory tells.
+    fn is_near(&self, other: &Self) -> bool {
+        self.pose().distance(&other.pose()) <= STRAY.0
+            && wrap_angle(self.yaw - other.yaw).abs() <= STRAY.1
+            && (self.v - other.v).abs() <= STRAY_SPEED.0
+            && (self.w - other.w).abs() <= STRAY_SPEED.1
     }
 }
 
@@ -250,6 +266,47 @@ impl Trajectory {
             .collect()
     }
 
+    /// The same motion by fewer points: those are left out that lie on the line between their neighbours, to within half a millimetre,
+    /// 2 mrad, 5 mm/s and 10 mrad/s. Both ends are kept, and points at most 2 s apart.
+    #[must_use]
+    pub fn thinned(&self) -> Self {
+        let mut kept: Vec<TrajectoryPoint> = self.points.first().copied().into_iter().collect();
+        let mut from = 0;
+        while let Some(begin) = self.points.get(from).filter(|_| from + 1 < self.points.len()) {
+            let reaches = |to: &usize| {
+                let Some(end) = self.points.get(*to).filter(|end| end.t - begin.t <= LONGEST_LEG) else {
+                    return false;
+                };
+                let between = self.points.get(from + 1..*to).unwrap_or_default();
+                between.iter().all(|point| {
+                    let share = (point.t - begin.t) / (end.t - begin.t);
+                    begin.interpolate(end, share).is_near(point)
+                })
+            };
+            from = (from + 2..).take_while(reaches).last().unwrap_or(from + 1);
+            kept.extend(self.points.get(from));
+        }
+        Self::new(kept)
+    }
+
+    /// Its points from time `from` (s) on, and between those that are farther apart than `way` (m) or `turn` (rad) more of them, at
+    /// even times.
+    pub fn spaced(&self, from: f64, way: f64, turn: f64) -> impl Iterator<Item = TrajectoryPoint> {
+        let rest = self.rest(from);
+        let legs = rest.windows(2).flat_map(move |leg| {
+            let (begin, end) = (leg[0], leg[1]);
+            let turned = wrap_angle(end.yaw - begin.yaw).abs();
+            let steps = (begin.pose().distance(&end.pose()) / way).max(turned / turn).ceil();
+            let steps = steps.clamp(1.0, MOST_BETWEEN) as u32;
+            (1..=steps).map(move |step| match step == steps {
+                true => end,
+                false => begin.interpolate(&end, f64::from(step) / f64::from(steps)),
+            })
+        });
+        let all = rest.first().copied().into_iter().chain(legs);
+        all.filter(move |point| point.t >= from)
+    }
+
     /// The points from the last one at or before a time (s) on.
     #[must_use]
     pub fn rest(&self, t: f64) -> &[TrajectoryPoint] {
@@ -295,11 +352,13 @@ impl Trajectory {
     #[must_use]
     pub fn positions_spaced(&self, spacing: f64) -> Vec<Point2<f64>> {
         let mut positions = Vec::new();
-        let mut next = spacing;
-        for (point, length) in self.points.iter().zip(&self.lengths) {
-            if *length >= next {
+        let (mut length, mut last) = (0.0, None::<TrajectoryPoint>);
+        for point in self.spaced(f64::NEG_INFINITY, 0.1 * spacing, f64::INFINITY) {
+            length += last.map_or(0.0, |last| last.pose().distance(&point.pose()));
+            last = Some(point);
+            if length >= spacing {
                 positions.push(point.position());
-                next = length + spacing;
+                length = 0.0;
             }
         }
         positions.extend(self.points.last().map(TrajectoryPoint::position));
@@ -377,6 +436,39 @@ mod tests {
             r#"[{"t":0.0,"x":0.333333,"y":0.0,"yaw":0.0,"v":0.0,"w":0.0},{"t":0.123456789,"x":0.0,"y":0.0,"yaw":0.0,"v":0.0,"w":0.0}]"#
         );
         assert_eq!(rounded.rounded(), rounded);
+    }
+
+    #[test]
+    fn a_thinned_trajectory_is_the_same_motion_by_fewer_points() {
+        // Speeds up, goes along a bend and straight on, and brakes.
+        let mut at = TrajectoryPoint::default();
+        let points = (0..=400).map(|step| {
+            let here = at;
+            let t = 0.05 * f64::from(step);
+            at.v = (0.4 * t).min(0.6).min(0.4 * (20.0 - t));
+            at.w = if (5.0..8.0).contains(&t) { 0.5 * at.v } else { 0.0 };
+            let pose = here.pose().advance(at.twist(), 0.05);
+            at = TrajectoryPoint::new(t + 0.05, pose, at.twist());
+            here
+        });
+        let dense: Trajectory = points.collect();
+        let thinned = dense.thinned();
+        assert!(4 * thinned.len() < dense.len(), "{}", thinned.len());
+        assert_eq!((thinned.first(), thinned.last()), (dense.first(), dense.last()));
+        assert!(dense.iter().all(|point| thinned.sample(point.t).is_near(point)));
+        assert!(thinned.windows(2).all(|pair| pair[1].t - pair[0].t <= LONGEST_LEG));
+        let again: Vec<_> = thinned.spaced(f64::NEG_INFINITY, 0.05, 0.1).collect();
+        assert!(
+            again
+                .windows(2)
+                .all(|pair| pair[0].t < pair[1].t && pair[0].pose().distance(&pair[1].pose()) < 0.051)
+        );
+        assert_eq!((again.first(), again.last()), (dense.first(), dense.last()));
+        let alone = Trajectory::new(vec![dense[0]]);
+        assert_eq!(
+            (alone.thinned(), Trajectory::default().thinned()),
+            (alone.clone(), Trajectory::default())
+        );
     }
 
     #[test]

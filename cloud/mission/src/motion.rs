@@ -379,7 +379,7 @@ pub fn recheck(trajectory: &Trajectory, space: &ConfigurationSpace, from: f64, e
     let mut travelled = 0.0;
     let mut before: Option<Pose2> = None;
     let mut leaving = true;
-    for (index, point) in trajectory.iter().enumerate().filter(|(_, point)| point.t >= from) {
+    for point in trajectory.spaced(from, SPACING.0, SPACING.1) {
         let pose = point.pose();
         travelled += before.map_or(0.0, |before: Pose2| before.distance(&pose));
         before = Some(pose);
@@ -388,7 +388,7 @@ pub fn recheck(trajectory: &Trajectory, space: &ConfigurationSpace, from: f64, e
         if leaving {
             continue;
         }
-        let last = index + 1 == trajectory.len();
+        let last = point.t >= trajectory.end_time();
         let spaced = poses.last().is_none_or(|(_, kept)| {
             kept.distance(&pose) >= SPACING.0 || wrap_angle(pose.yaw - kept.yaw).abs() >= SPACING.1
         });

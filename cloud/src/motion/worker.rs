@@ -405,7 +405,7 @@ impl MotionWorker {
                 Some(&given.cancel.smoothing),
                 &mut *given.clock,
             );
-            let mut trajectory = smoothed.sampled(SAMPLE_PERIOD);
+            let mut trajectory = smoothed.sampled(SAMPLE_PERIOD).thinned();
             if *backwards {
                 trajectory = trajectory.turned();
             }

@@ -102,7 +102,8 @@ impl PathProjection {
     #[must_use]
     pub fn ahead(&self, map_from_base: &Pose2, distance: f64) -> Point2<f64> {
         let here = map_from_base.position();
-        let mut positions = self.trajectory.rest(self.time).iter().map(TrajectoryPoint::position);
+        let points = self.trajectory.spaced(self.time, LEG_STEP, f64::INFINITY);
+        let mut positions = points.map(|point| point.position());
         let far = positions.find(|position| (position - here).norm() >= distance);
         far.unwrap_or_else(|| self.end().position())
     }

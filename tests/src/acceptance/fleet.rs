@@ -459,7 +459,7 @@ async fn motion(mut requests: Server<MotionRequest, MotionReply>) {
         let safe = unsmoothed(&path, start, velocity, wanted.goal_yaw, &wanted.plan.model);
         let smooth = SmoothReply {
             map: wanted.plan.map.clone(),
-            trajectory: safe.sampled(SAMPLES),
+            trajectory: safe.sampled(SAMPLES).thinned(),
             statistics: PlanStatistics {
                 status: "unsmoothed".to_owned(),
                 ..PlanStatistics::default()
