@@ -86,7 +86,11 @@ pub(crate) fn namespace() -> String {
     std::env::var("ZENAV_BUS__NAMESPACE").unwrap_or_default()
 }
 
-fn endpoint(text: &str) -> Result<String, String> {
+/// An endpoint on the command line.
+///
+/// # Errors
+/// With what was expected.
+pub(crate) fn endpoint(text: &str) -> Result<String, String> {
     match text.split_once('/') {
         Some(("tcp" | "quic" | "tls", address)) if address.contains(':') => Ok(text.to_owned()),
         _ => Err(format!(
@@ -142,6 +146,19 @@ pub fn positive(text: &str) -> Result<f64, String> {
         Ok(number)
     } else {
         Err("expected a positive number".to_owned())
+    }
+}
+
+/// How fast simulated time is to go, on the command line.
+///
+/// # Errors
+/// With what was expected.
+pub fn speed(text: &str) -> Result<f64, String> {
+    let speed = finite(text)?;
+    if (0.001..=1000.0).contains(&speed) {
+        Ok(speed)
+    } else {
+        Err("expected a number from 0.001 to 1000".to_owned())
     }
 }
 

@@ -178,8 +178,13 @@ pub fn robot(name: &str) -> Result<RobotModel, Failure> {
         if path.is_file() {
             return text(path).map_err(|failure| failure.to_string());
         }
-        let shipped = [robot::SHIPPED, robot::OPTIONS].concat();
-        Err(unknown("robot", part, shipped.iter().map(|(known, _)| *known)).to_string())
+        let names =
+            |shipped: &[(&'static str, &str)]| shipped.iter().map(|(known, _)| *known).collect::<Vec<_>>().join(", ");
+        Err(format!(
+            "no robot or option `{part}` in `{name}`: expected a file or one of {}, and after each `+` a file or one of {}",
+            names(robot::SHIPPED),
+            names(robot::OPTIONS)
+        ))
     };
     let model = RobotModel::with_options(name, read).map_err(|error| match error {
         RobotError::Unknown { reason, .. } => Failure::not_found(reason),

@@ -10,7 +10,7 @@ use zenav_sim::World;
 
 use crate::components::{CloudPart, Parts};
 use crate::config::{self, Deployment, IdentityArgs, RobotSection, SecurityArgs};
-use crate::connect::{ROBOT_ENDPOINT, check_yaw, finite};
+use crate::connect::{self, DEFAULT_ENDPOINT, ROBOT_ENDPOINT, check_yaw, finite};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
@@ -89,7 +89,7 @@ pub struct UpArgs {
     /// Deployment file; without it, one simulated robot and every service on this machine
     file: Option<PathBuf>,
     /// Endpoints of the router, instead of the deployment's
-    #[arg(long)]
+    #[arg(long, value_parser = connect::endpoint)]
     listen: Vec<String>,
     #[command(flatten)]
     rest: RestArgs,
@@ -97,7 +97,7 @@ pub struct UpArgs {
     #[arg(long)]
     world: Option<String>,
     /// Simulated time against wall time, instead of the deployment's
-    #[arg(long)]
+    #[arg(long, value_parser = connect::speed)]
     speed: Option<f64>,
     /// Folder for what is kept, instead of the deployment's
     #[arg(long)]
@@ -122,7 +122,7 @@ pub struct UpArgs {
 #[command(after_help = "Examples:\n  zenav router\n  zenav router --listen tcp/127.0.0.1:7460 --rest")]
 pub struct RouterArgs {
     /// Endpoints to listen on
-    #[arg(long, default_value = "tcp/127.0.0.1:7447")]
+    #[arg(long, default_value = DEFAULT_ENDPOINT, value_parser = connect::endpoint)]
     listen: Vec<String>,
     /// Other routers to link to
     #[arg(long)]
@@ -184,7 +184,7 @@ pub struct EdgeArgs {
     #[arg(long)]
     model: Option<String>,
     /// The robot's own endpoint, instead of the deployment's
-    #[arg(long)]
+    #[arg(long, value_parser = connect::endpoint)]
     listen: Option<String>,
     /// Drive robots of the world that `zenav sim serve` serves
     #[arg(long)]
@@ -196,7 +196,7 @@ pub struct EdgeArgs {
     #[arg(long, value_enum, conflicts_with_all = ["attach", "attach_to"])]
     body: Option<BodyKind>,
     /// Simulated time against wall time, instead of the deployment's
-    #[arg(long)]
+    #[arg(long, value_parser = connect::speed)]
     speed: Option<f64>,
     /// Seed of the simulated noise, instead of the deployment's
     #[arg(long)]

@@ -8,6 +8,7 @@ use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle, WeakProgressBar};
 use serde::Serialize;
 
+use crate::exit_code;
 use crate::failure::Failure;
 
 /// Form of printed data.
@@ -22,11 +23,17 @@ pub enum Format {
     Ndjson,
 }
 
-/// Writes a line to stdout; a closed pipe is no error (`zenav topic echo | head`).
+/// Writes a line to stdout; a closed pipe is no error (`zenav topic echo | head`), and ends the process. So does whatever else stops the
+/// output, as an error: a full disk must not look like a result.
 pub fn line(text: &str) {
     let mut out = std::io::stdout().lock();
-    if writeln!(out, "{text}").and_then(|()| out.flush()).is_err() {
-        std::process::exit(0);
+    if let Err(error) = writeln!(out, "{text}").and_then(|()| out.flush()) {
+        std::process::exit(if error.kind() == std::io::ErrorKind::BrokenPipe {
+            exit_code::OK.into()
+        } else {
+            let _ = writeln!(std::io::stderr(), "zenav: cannot write to stdout: {error}");
+            exit_code::FAILED.into()
+        });
     }
 }
 

@@ -158,7 +158,14 @@ impl SecuredFleet {
     #[must_use]
     pub fn client(&self, member: &str, endpoint: &str, arguments: &[&str]) -> Output {
         let identity = self.identity(member).to_string_lossy().into_owned();
-        let more = ["--connect", endpoint, "--identity", &identity, "--namespace", &self.namespace];
+        let more = [
+            "--connect",
+            endpoint,
+            "--identity",
+            &identity,
+            "--namespace",
+            &self.namespace,
+        ];
         self.zenav(&[arguments, &more[..]].concat())
     }
 

@@ -128,8 +128,11 @@ impl MapYaml {
     /// ```
     pub fn parse(text: &str) -> Result<Self, MapYamlError> {
         let mut yaml = Self::new(String::new(), 0.0, Point2::origin());
-        let mut has_origin = false;
+        let (mut has_origin, mut threshold) = (false, 0);
         for entry in entries(text)? {
+            if entry.key.ends_with("_thresh") {
+                threshold = entry.line;
+            }
             match entry.key.as_str() {
                 "image" => yaml.image = entry.text()?.to_owned(),
                 "resolution" => yaml.resolution = entry.number("a positive number of metres", |value| value > 0.0)?,
@@ -182,6 +185,13 @@ impl MapYaml {
         }
         if !has_origin {
             return Err(MapYamlError::Missing("origin"));
+        }
+        if yaml.free_thresh > yaml.occupied_thresh {
+            let (free, occupied) = (yaml.free_thresh, yaml.occupied_thresh);
+            return Err(MapYamlError::Line {
+                line: threshold,
+                what: format!("`free_thresh` is {free}: expected at most `occupied_thresh`, {occupied}"),
+            });
         }
         Ok(yaml)
     }
@@ -321,6 +331,10 @@ mod tests {
             "line 3: `origin`: expected a yaw of 0 (rotated maps are not supported: rotate the image), found `1, 2, 0.7`"
         );
         assert_eq!(error("image: a.pgm\nresolution: 0.1\n"), "`origin` is missing");
+        assert_eq!(
+            error("image: a.pgm\nresolution: 0.1\norigin: [0, 0, 0]\nfree_thresh: 0.99\nmode: scale\n"),
+            "line 4: `free_thresh` is 0.99: expected at most `occupied_thresh`, 0.65"
+        );
         assert_eq!(
             error("mode: grey\n"),
             "line 1: `mode`: expected trinary, scale or raw, found `grey`"

@@ -2,7 +2,7 @@
 
 use nalgebra::Point2;
 use zenav_protocol::config_text::Number;
-use zenav_protocol::grid::{GridSpec, Occupancy};
+use zenav_protocol::grid::Occupancy;
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{GoalPoint, GoalRequest, Refusal};
 
@@ -178,7 +178,7 @@ pub fn reachable(target: &Target, tolerance: f64, ctx: &mut Context) -> Result<(
     let explore = ctx.config.settings.explore;
     let growing = ctx.config.settings.unknown_is_free && ctx.map.info().is_some_and(|info| !info.stored);
     let position = ctx.robot.pose().map(|pose| pose.position());
-    let near = |point: &Point2<f64>| growing && distance(&spec, *point) <= explore;
+    let near = |point: &Point2<f64>| growing && spec.distance(*point) <= explore;
     let places: Vec<Point2<f64>> = points.iter().map(|goal| Point2::new(goal.x, goal.y)).collect();
     let extent = if ctx.config.settings.unknown_is_free {
         Extent::of(&model.footprint, places.iter().copied().filter(near).collect())
@@ -245,7 +245,9 @@ pub fn reachable(target: &Target, tolerance: f64, ctx: &mut Context) -> Result<(
         } else {
             "is occupied: the footprint does not fit"
         };
-        let nearest_free = nearest.map(|free| GoalPoint {
+        // Where the robot itself does not fit, nobody knows what it can reach.
+        let told = nearest.filter(|_| reached.is_some() || from.is_none());
+        let nearest_free = told.map(|free| GoalPoint {
             x: free.x,
             y: free.y,
             yaw: goal.yaw,
@@ -256,11 +258,4 @@ pub fn reachable(target: &Target, tolerance: f64, ctx: &mut Context) -> Result<(
         });
     }
     Ok(())
-}
-
-/// Distance from a grid's rectangle, m.
-fn distance(spec: &GridSpec, point: Point2<f64>) -> f64 {
-    let p = spec.to_cells(point);
-    let outside = |value: f64, size: u32| (-value).max(value - f64::from(size)).max(0.0);
-    outside(p.x, spec.width).hypot(outside(p.y, spec.height)) * spec.resolution
 }

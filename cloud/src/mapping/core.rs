@@ -19,6 +19,8 @@ use super::slam_session::{Kept, OnDisk, Stored};
 const PACE: (f64, f64, f64) = (0.2, 0.17, 10.0);
 /// Standard deviation of the map itself, m and rad: matches against it share its error.
 const MAP_FLOOR: (f64, f64) = (0.01, 0.003);
+/// A robot is told no place farther than this outside its map, m: the map would grow all the way there.
+const FARTHEST_OUTSIDE: f64 = 30.0;
 /// Variance of a place that somebody told, m² and rad².
 const TOLD: [f64; 3] = [0.04, 0.04, 0.02];
 
@@ -306,11 +308,19 @@ impl MappingCore {
     /// The robot's place is told, `map_from_base` at its last scan. Returns what the robot is to be told.
     ///
     /// # Errors
-    /// [`Refusal::Rejected`] by SLAM, which made the map from where the robot is, and before the first scan.
+    /// [`Refusal::Rejected`] by SLAM, which made the map from where the robot is, before the first scan, and for a place far outside the map.
     pub fn place(&mut self, map_from_base: Pose2) -> Result<Correction, Refusal> {
         let Some((stamp, boot_id)) = self.last.clone() else {
             return Err(Refusal::rejected("the robot has sent no scan yet"));
         };
+        let spec = self.mapper.info().spec;
+        let off = spec.distance(map_from_base.position());
+        if !spec.is_empty() && off > FARTHEST_OUTSIDE {
+            return Err(Refusal::rejected(format!(
+                "({:.2}, {:.2}) is {off:.1} m outside the map: expected at most {FARTHEST_OUTSIDE} m (`map reset` begins a new map)",
+                map_from_base.x, map_from_base.y
+            )));
+        }
         match &mut self.poses {
             Poses::Edge => {}
             Poses::Slam(_) => {

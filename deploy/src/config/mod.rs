@@ -282,6 +282,13 @@ impl Deployment {
             if robots.is_empty() {
                 return Err(bad("expected names of robots".to_owned()));
             }
+            if let Some(robot) = robots.iter().find(|robot| !self.robots.contains_key(*robot)) {
+                let known: Vec<&str> = self.robots.keys().map(String::as_str).collect();
+                return Err(bad(format!(
+                    "no robot `{robot}` under [robots]: there are {}",
+                    known.join(", ")
+                )));
+            }
             let members: Result<Vec<Id>, _> = robots.iter().map(|robot| Id::robot(robot.clone())).collect();
             Ok((group, members.map_err(|error| bad(error.to_string()))?))
         };

@@ -81,6 +81,9 @@ struct Said {
 /// [`exit_code::CANNOT_CONNECT`] without a router.
 pub fn logs(args: &LogsArgs) -> Outcome {
     connect::on_bus(&args.link, async |bus| {
+        if args.robot.is_some() && !args.follow {
+            connect::find(&bus, args.robot.as_deref()).await?;
+        }
         let mut seen = BTreeMap::new();
         loop {
             let lines = newest(ask(&bus).await?, &mut seen);

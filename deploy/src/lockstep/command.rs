@@ -15,6 +15,7 @@ use super::referee::{ContactKind, ContactReport};
 use super::scenario::{Entrant, Scenario};
 use crate::completion;
 use crate::config::Layers;
+use crate::connect;
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
@@ -231,7 +232,10 @@ fn check(args: &RunArgs) -> Result<(), Failure> {
             )));
         }
     }
-    Ok(())
+    let mut headings = args.start.chunks_exact(3).map(|start| start[2]);
+    headings
+        .try_for_each(connect::check_yaw)
+        .map_err(|error| Failure::usage(format!("--start: {error}")))
 }
 
 /// A robot for each goal.

@@ -75,6 +75,7 @@ pub fn pose(args: &PoseArgs) -> Outcome {
             if !pose.is_finite() {
                 return Err(Failure::usage(format!("{x} {y} {yaw}: expected finite numbers")));
             }
+            connect::check_yaw(yaw).map_err(Failure::usage)?;
             act(&args.show, LocaliseAction::At, Some(pose))
         }
     }

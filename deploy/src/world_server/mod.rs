@@ -23,7 +23,7 @@ use zenav_sim::Simulation;
 
 use crate::completion;
 use crate::config::SecurityArgs;
-use crate::connect::{DEFAULT_ENDPOINT, namespace, positive};
+use crate::connect::{self, DEFAULT_ENDPOINT, namespace};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
@@ -48,13 +48,13 @@ pub struct ServeArgs {
     #[arg(long, value_name = "W", default_value = "kitchen", add = completion::worlds())]
     world: String,
     /// Simulated time against wall time
-    #[arg(long, default_value_t = 1.0, value_parser = positive)]
+    #[arg(long, default_value_t = 1.0, value_parser = connect::speed)]
     speed: f64,
     /// Seed of all noise and of what walks at random
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Endpoints of a router of its own [default: tcp/127.0.0.1:7447, without --connect]
-    #[arg(long, value_name = "ENDPOINT")]
+    #[arg(long, value_name = "ENDPOINT", value_parser = connect::endpoint)]
     listen: Vec<String>,
     /// Routers to join: alone, as a client of one; with --listen, as one more router
     #[arg(long, value_name = "ENDPOINT")]

@@ -67,7 +67,9 @@ impl Maneuver {
         let (motion, allowance) = match *action {
             BehaviourAction::Spin { angle } => {
                 if !angle.is_finite() || angle.abs() > 4.0 * std::f64::consts::PI {
-                    return Err("expected an angle of at most 4 pi".into());
+                    return Err(format!(
+                        "an angle of {angle} rad: expected radians within two full turns (4 pi)"
+                    ));
                 }
                 (
                     Motion::Spin {

@@ -8,7 +8,7 @@ use zenoh::config::WhatAmI;
 
 use super::link;
 use super::security::Security;
-use super::session::{Bus, BusError, ROUTER_HANDSHAKE_MS, endpoints, link_settings};
+use super::session::{Bus, BusError, ROUTER_HANDSHAKE_MS, endpoints, in_words, link_settings};
 
 /// Configuration of a router.
 #[derive(Clone, Debug)]
@@ -60,7 +60,7 @@ impl Router {
         )?;
         let session = zenoh::open(zenoh).await.map_err(|error| BusError::CannotListen {
             endpoint: listen.join(", "),
-            reason: error.to_string(),
+            reason: in_words(&error),
         })?;
         link::count(&session);
         let readiness = Readiness::new(&config.name);

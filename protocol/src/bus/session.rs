@@ -228,7 +228,7 @@ impl Bus {
                 Err(error) if mode == WhatAmI::Router => {
                     return Err(BusError::CannotListen {
                         endpoint: config.listen.join(", "),
-                        reason: error.to_string(),
+                        reason: in_words(&error),
                     });
                 }
                 Err(error) if config.retry => {
@@ -304,7 +304,7 @@ impl Bus {
     pub(super) fn key(key: String) -> Result<zenoh::key_expr::KeyExpr<'static>, BusError> {
         zenoh::key_expr::KeyExpr::new(key.clone()).map_err(|error| BusError::Key {
             key,
-            reason: error.to_string(),
+            reason: in_words(&error),
         })
     }
 
@@ -334,7 +334,8 @@ impl BusConfig {
             let wrong = |reason: String| BusError::Config {
                 reason: format!("namespace `{}`: {reason}", self.namespace),
             };
-            if self.namespace.contains(['*', '$', '@', '{']) {
+            let is_key = zenoh::key_expr::KeyExpr::new(self.namespace.as_str()).is_ok();
+            if !is_key || self.namespace.contains(['*', '$', '@', '{']) {
                 return Err(wrong("expected plain names, such as `site1` or `acme/site1`".into()));
             }
             let text = serde_json::Value::from(self.namespace.as_str()).to_string();
@@ -394,6 +395,12 @@ pub(super) async fn endpoints(session: &Session) -> Vec<String> {
         .into_iter()
         .map(|locator| locator.to_string())
         .collect()
+}
+
+/// What Zenoh says of an error, without the line of its source.
+pub(super) fn in_words(error: &zenoh::Error) -> String {
+    let text = error.to_string();
+    text.split(" at /").next().unwrap_or_default().to_owned()
 }
 
 /// Zenoh's settings, the same for all sessions.

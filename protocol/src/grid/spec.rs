@@ -192,6 +192,14 @@ impl GridSpec {
         )
     }
 
+    /// Distance of a point from the grid's rectangle, m; zero within it.
+    #[must_use]
+    pub fn distance(&self, point: Point2<f64>) -> f64 {
+        let p = self.to_cells(point);
+        let outside = |value: f64, size: u32| (-value).max(value - f64::from(size)).max(0.0);
+        outside(p.x, self.width).hypot(outside(p.y, self.height)) * self.resolution
+    }
+
     /// Every cell that a segment touches, in order, both ends included; what lies outside the grid is left out.
     ///
     /// Where the segment passes exactly through a corner, the two cells beside the corner are visited too, so that a

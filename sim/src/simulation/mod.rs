@@ -169,8 +169,16 @@ impl Simulation {
         Ok(index)
     }
 
-    /// Whether each fault that is everybody's is at least somebody's; without robots there is nobody to ask.
+    /// Whether each fault is somebody's; without robots there is nobody to ask.
     fn check_faults(&self) -> Result<(), SimError> {
+        let mut named = self.faults.iter().filter_map(|fault| fault.robot.as_ref());
+        if let Some(robot) = named.find(|robot| !self.bodies.is_empty() && !self.ids.contains_key(*robot)) {
+            let known: Vec<&str> = self.ids.keys().map(Id::as_str).collect();
+            return Err(SimError::FaultOfNobody {
+                robot: robot.clone(),
+                known: known.join(", "),
+            });
+        }
         let mut common = self.faults.iter().filter(|fault| fault.robot.is_none());
         match self.bodies.len() {
             0 => Ok(()),

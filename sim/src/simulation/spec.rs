@@ -65,6 +65,14 @@ pub enum SimError {
         /// The sensors that there are.
         known: String,
     },
+    /// A fault of the world is one of a robot that is not in it.
+    #[error("a fault of robot `{robot}`: there are {known}")]
+    FaultOfNobody {
+        /// The robot.
+        robot: Id,
+        /// The robots that there are.
+        known: String,
+    },
     /// More robots than a world holds.
     #[error("{0} robots: expected at most {MAX_ROBOTS}")]
     TooMany(usize),
