@@ -148,9 +148,8 @@ async fn bind(deployment: &Deployment, world: &World) -> Result<Option<Gateway>,
 
 fn failure(error: GatewayError) -> Failure {
     let code = match &error {
-        GatewayError::Listen { .. } => exit_code::CANNOT_CONNECT,
         GatewayError::Settings(_) | GatewayError::Access(_) => exit_code::USAGE,
-        GatewayError::Bus(_) | GatewayError::Serve(_) => exit_code::FAILED,
+        GatewayError::Listen { .. } | GatewayError::Bus(_) | GatewayError::Serve(_) => exit_code::FAILED,
     };
     Failure::new(code, error)
 }

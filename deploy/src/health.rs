@@ -1,6 +1,7 @@
 //! Health. Where does a long-running command tell how it is? At `--metrics`, where one is named: `/livez`, `/readyz`, `/metrics`; its spans in the
 //! file `--trace`.
 
+use std::io::ErrorKind;
 use std::path::PathBuf;
 
 use clap::Args;
@@ -32,9 +33,13 @@ impl HealthArgs {
         let Some(address) = &self.metrics else {
             return Ok(());
         };
-        let served = server::serve(address)
-            .await
-            .map_err(|error| Failure::new(exit_code::CANNOT_CONNECT, format!("--metrics {address}: {error}")))?;
+        let served = server::serve(address).await.map_err(|error| {
+            let code = match error.kind() {
+                ErrorKind::InvalidInput => exit_code::USAGE,
+                _ => exit_code::FAILED,
+            };
+            Failure::new(code, format!("--metrics {address}: {error}"))
+        })?;
         tracing::info!("health: http://{served}/readyz, http://{served}/metrics");
         Ok(())
     }

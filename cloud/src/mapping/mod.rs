@@ -131,6 +131,9 @@ pub enum MappingError {
         /// What is wrong with it.
         problem: String,
     },
+    /// Somebody else maps into the same folder.
+    #[error("{}: in use by another mapping service; expected one for each robot and folder", .0.display())]
+    InUse(PathBuf),
     /// The bus was closed, or a key could not be declared.
     #[error(transparent)]
     Bus(#[from] BusError),
@@ -147,7 +150,8 @@ const FOREIGN: Duration = Duration::from_secs(5);
 /// reported and left alone, and a new one is begun. SLAM goes on with the session that it has kept, if there is one.
 ///
 /// # Errors
-/// [`MappingError`] for settings out of bounds, annotations or a session of SLAM that cannot be read, and when a key cannot be declared.
+/// [`MappingError`] for settings out of bounds, annotations or a session of SLAM that cannot be read, a folder that is in use, and when a key
+/// cannot be declared.
 pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdown) -> Result<(), MappingError> {
     config.settings.check()?;
     let robot = config.robot.clone();
@@ -158,6 +162,7 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
     let mut states = bus.latest(&STATE, &chunks)?;
     let mut requests = bus.serve(&MAP, &chunks)?;
     let mut places = bus.serve(&LOCALISE, &chunks)?;
+    let _alone = config.folder.as_deref().map(storage::lock).transpose()?.flatten();
     let stored = storage::session(&config).await?;
     let owns_session = stored.is_some();
     let mapper = match &stored {

@@ -3,6 +3,7 @@
 //! The robot's own map lies in its folder and is the one that the next start begins with; maps with names lie in `maps/NAME` below it. Where
 //! SLAM makes the map, its session is kept beside it while it grows, and the next start goes on with that.
 
+use std::fs::{File, TryLockError};
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -20,6 +21,9 @@ use super::{KnownMap, MappingConfig, MappingError, PoseSource, Service};
 /// Folder of the maps with names, in a robot's folder.
 const MAPS: &str = "maps";
 
+/// File that one mapping service holds, in a robot's folder.
+const LOCK: &str = "mapping.lock";
+
 /// Pause after a session could not be kept, s.
 const KEEP_AGAIN: f64 = 10.0;
 
@@ -27,6 +31,20 @@ const KEEP_AGAIN: f64 = 10.0;
 const BEFORE: &str = "before";
 /// And of one that cannot be read.
 const UNREADABLE: &str = "unreadable";
+
+/// Keeps other mapping services out of a robot's folder as long as the file lives; `None` where the folder takes no file, or knows no locks.
+///
+/// # Errors
+/// [`MappingError::InUse`] where another one has it.
+pub(super) fn lock(folder: &Path) -> Result<Option<File>, MappingError> {
+    let made = std::fs::create_dir_all(folder).and_then(|()| File::create(folder.join(LOCK)));
+    let Ok(file) = made else { return Ok(None) };
+    match file.try_lock() {
+        Ok(()) => Ok(Some(file)),
+        Err(TryLockError::WouldBlock) => Err(MappingError::InUse(folder.to_owned())),
+        Err(TryLockError::Error(_)) => Ok(None),
+    }
+}
 
 /// The session of SLAM that goes on, where there is one. One that cannot be decoded is set aside for a person.
 ///

@@ -66,6 +66,7 @@ pub(super) fn judge(robot: &Robot, time: Duration) -> Vec<Check> {
         alive(robot, "mapping", "`zenav cloud mapping`"),
         alive(robot, "mission", "`zenav cloud mission`"),
     ];
+    checks.extend(namesakes(robot));
     checks.extend(robot.infos.iter().map(|info| schema(name, info)));
     checks.push(heard(name, "state", &robot.state, time, 1.0));
     // On a narrow link the robot itself sends fewer of these.
@@ -172,6 +173,24 @@ fn alive(robot: &Robot, component: &'static str, start: &str) -> Check {
     } else {
         Check::fail(&robot.name, component, "does not show", &format!("start it: {start}"))
     }
+}
+
+/// Several edges of one name: everything else that is seen of them is mixed up.
+fn namesakes(robot: &Robot) -> Option<Check> {
+    let edges = robot.infos.iter().filter(|info| info.component == "edge");
+    let processes = edges.filter_map(|edge| edge.process.as_ref());
+    let told: BTreeSet<String> = processes
+        .map(|process| format!("{} (pid {})", process.host, process.pid))
+        .collect();
+    (told.len() > 1).then(|| {
+        let names: Vec<&str> = told.iter().map(String::as_str).collect();
+        Check::fail(
+            &robot.name,
+            "edge",
+            format!("{} edges have this name: {}", told.len(), names.join(", ")),
+            "stop all but one, or give each its own name; the other checks of this robot mix them up",
+        )
+    })
 }
 
 fn schema(name: &str, info: &InfoReply) -> Check {
@@ -351,7 +370,7 @@ pub(super) fn clock(seen: &ClockSeen) -> Check {
 #[allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 pub(super) mod tests {
     use zenav_protocol::geometry::{Pose2, Twist2};
-    use zenav_protocol::messages::{LeaseState, Link};
+    use zenav_protocol::messages::{LeaseState, Link, ProcessInfo};
     use zenav_protocol::time::Stamp;
 
     use super::super::check::Verdict;
@@ -472,6 +491,27 @@ pub(super) mod tests {
             (worst(&robot, "lease"), worst(&robot, "mode")),
             (Verdict::Fail, Verdict::Warn)
         );
+    }
+
+    #[test]
+    fn two_edges_of_one_name_fail_and_are_named() {
+        let mut robot = well();
+        let edge = |pid| InfoReply {
+            component: "edge".into(),
+            schema: SCHEMA_VERSION,
+            process: Some(ProcessInfo {
+                host: "anna".into(),
+                pid,
+                ..ProcessInfo::default()
+            }),
+            ..InfoReply::default()
+        };
+        robot.infos = vec![edge(3), edge(3)];
+        assert_eq!(worst(&robot, "edge"), Verdict::Ok, "one, heard twice");
+        robot.infos.push(edge(4));
+        let checks = judge(&robot, TIME);
+        let failed = checks.iter().find(|check| check.verdict == Verdict::Fail).unwrap();
+        assert_eq!(failed.seen, "2 edges have this name: anna (pid 3), anna (pid 4)");
     }
 
     #[test]

@@ -107,6 +107,9 @@ pub fn map(args: &MapArgs) -> Outcome {
         MapCommand::Show { file, width, out } => {
             show(&args.robot, args.output, file.as_deref(), *width, out.as_deref())
         }
+        MapCommand::Watch if args.output != Format::Table => Err(Failure::usage(
+            "-o: `map watch` draws for people; `map show -o json` or `topic echo pose -o json` tell a program",
+        )),
         MapCommand::Watch => watch(&args.robot),
         MapCommand::Load { source, live } => map_control::load(&args.robot, args.output, source, *live),
         MapCommand::Store { name } => map_control::store(&args.robot, args.output, name.as_deref()),

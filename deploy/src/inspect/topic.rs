@@ -1,6 +1,6 @@
 //! `zenav topic`. Which keys carry what, how often and how much? Raw samples: a topic that this program does not know is shown too.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use serde::Serialize;
@@ -115,10 +115,10 @@ pub(crate) fn pattern(text: &str, robot: Option<&str>) -> Result<String, Failure
     }
     let row = TABLE.iter().find(|row| row.qos.is_some() && row_name(row) == text);
     let row = row.ok_or_else(|| {
-        let names: Vec<&str> = TABLE.iter().filter(|row| row.qos.is_some()).map(row_name).collect();
+        let names: BTreeSet<&str> = TABLE.iter().filter(|row| row.qos.is_some()).map(row_name).collect();
         Failure::not_found(format!(
             "no topic `{text}`: there are {} (or give a key, such as zenav/*/edge/pose)",
-            names.join(", ")
+            Vec::from_iter(names).join(", ")
         ))
     })?;
     Ok(topics::alive_key(row.pattern, &[robot]))

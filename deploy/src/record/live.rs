@@ -128,10 +128,9 @@ impl LiveView {
                 .supported_encodings(["json"]);
         }
         let server = server.start().await.map_err(|error| {
-            Failure::new(
-                exit_code::CANNOT_CONNECT,
-                format!("Foxglove cannot be served on {listen}: {error}; another `zenav view`? see --listen"),
-            )
+            Failure::failed(format!(
+                "Foxglove cannot be served on {listen}: {error}; another `zenav view`? see --listen"
+            ))
         })?;
         let port = server.port();
         let show = Show {

@@ -45,6 +45,9 @@ impl Port {
 
 /// Prints the nodes that missions know, or those whose id or description contains a word.
 pub(super) fn nodes(word: Option<&str>, xml: bool, format: Format) -> Outcome {
+    if xml && format != Format::Table {
+        return Err(Failure::usage("-o: expected no other form beside --xml"));
+    }
     let word = word.unwrap_or_default().to_lowercase();
     let wanted = |spec: &&NodeSpec| {
         let text = format!("{} {} {}", spec.id, spec.category.as_str(), spec.doc);
