@@ -158,15 +158,17 @@ impl SecuredFleet {
     #[must_use]
     pub fn client(&self, member: &str, endpoint: &str, arguments: &[&str]) -> Output {
         let identity = self.identity(member).to_string_lossy().into_owned();
-        let more = [
-            "--connect",
-            endpoint,
-            "--identity",
-            &identity,
-            "--namespace",
-            &self.namespace,
-        ];
-        self.zenav(&[arguments, &more[..]].concat())
+        let (namespace, binary) = (self.variable(), self.binary.to_string_lossy());
+        let (before, after) = (
+            [&*namespace, &*binary],
+            ["--connect", endpoint, "--identity", &identity],
+        );
+        run(
+            "env",
+            &[&before, arguments, &after[..]].concat(),
+            self.folder(),
+            COMMAND,
+        )
     }
 
     /// Joins as a member at an endpoint.
