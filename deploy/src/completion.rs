@@ -142,10 +142,13 @@ fn candidates(names: Vec<String>) -> Vec<CompletionCandidate> {
 fn on_bus(look: impl AsyncFnOnce(Bus, Option<String>) -> Result<Vec<String>, Failure>) -> Vec<String> {
     let words: Vec<String> = std::env::args().collect();
     let link = LinkArgs {
-        connect: option(&words, "--connect").map_or_else(
-            || vec![DEFAULT_ENDPOINT.to_owned()],
-            |endpoints| endpoints.split(',').map(str::to_owned).collect(),
-        ),
+        connect: option(&words, "--connect")
+            .or_else(|| std::env::var("ZENAV_BUS__CONNECT").ok())
+            .as_deref()
+            .unwrap_or(DEFAULT_ENDPOINT)
+            .split(',')
+            .map(str::to_owned)
+            .collect(),
         namespace: option(&words, "--namespace").unwrap_or_else(connect::namespace),
         timeout: WITHIN.as_secs_f64(),
         identity: IdentityArgs {

@@ -35,10 +35,18 @@ const STATE_ROUND: Duration = Duration::from_millis(300);
 #[derive(Clone, Debug, clap::Args)]
 pub struct LinkArgs {
     /// Router to connect to, or a robot's own endpoint; of several, separated by commas, one is enough
-    #[arg(long, global = true, value_name = "ENDPOINT", value_delimiter = ',', default_value = DEFAULT_ENDPOINT, value_parser = endpoint)]
+    #[arg(long, global = true, value_name = "ENDPOINT", value_delimiter = ',', default_value = DEFAULT_ENDPOINT, env = "ZENAV_BUS__CONNECT", hide_env_values = true, value_parser = endpoint)]
     pub connect: Vec<String>,
-    /// Namespace of the deployment, where its file has one (also `ZENAV_BUS__NAMESPACE`)
-    #[arg(long, global = true, value_name = "NAME", default_value_t = namespace(), hide_default_value = true)]
+    /// Namespace of the deployment, where its file has one
+    #[arg(
+        long,
+        global = true,
+        value_name = "NAME",
+        default_value = "",
+        env = "ZENAV_BUS__NAMESPACE",
+        hide_env_values = true,
+        hide_default_value = true
+    )]
     pub namespace: String,
     /// Longest wait for a connection or an answer, s
     #[arg(long, global = true, value_name = "SECS", default_value_t = 10.0, value_parser = positive)]
@@ -263,6 +271,15 @@ pub async fn robots(bus: &Bus) -> Result<BTreeMap<String, BTreeSet<String>>, Fai
         }
     }
     Ok(robots)
+}
+
+/// Says that a robot which is listened to does not show: what comes of it later is heard all the same.
+pub async fn tell_absence(bus: &Bus, robot: Option<&str>) {
+    if let Some(robot) = robot
+        && find(bus, Some(robot)).await.is_err()
+    {
+        eprintln!("zenav: robot `{robot}` does not show; waiting for it (Ctrl-C ends)");
+    }
 }
 
 /// The robots of which a component shows, in order.

@@ -53,7 +53,7 @@ impl KnownMapArgs {
 #[derive(Debug, Default, Args)]
 pub(crate) struct PoseArgs {
     /// Initial pose of the robot on the map, m and rad
-    #[arg(long, num_args = 3, value_names = ["X", "Y", "YAW"], allow_negative_numbers = true, value_parser = finite)]
+    #[arg(long, num_args = 3, value_names = ["X", "Y", "YAW"], value_parser = finite)]
     pose: Option<Vec<f64>>,
 }
 

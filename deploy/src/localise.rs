@@ -43,7 +43,7 @@ pub struct LocaliseArgs {
     #[arg(long, conflicts_with = "start")]
     global: bool,
     /// Where it is at its first scan, to within some decimetres: m, m, rad
-    #[arg(long, num_args = 3, value_names = ["X", "Y", "YAW"], allow_negative_numbers = true, value_parser = crate::connect::finite)]
+    #[arg(long, num_args = 3, value_names = ["X", "Y", "YAW"], value_parser = crate::connect::finite)]
     start: Option<Vec<f64>>,
     /// Folder for trajectory.csv and localise.png
     #[arg(long, value_name = "DIR")]

@@ -23,6 +23,17 @@ pub enum Format {
     Ndjson,
 }
 
+impl Format {
+    /// The form of what comes one after another without an end: no document holds it, so JSON is an object a line.
+    #[must_use]
+    pub fn streamed(self) -> Self {
+        match self {
+            Self::Table => Self::Table,
+            Self::Json | Self::Ndjson => Self::Ndjson,
+        }
+    }
+}
+
 /// Writes a line to stdout; a closed pipe is no error (`zenav topic echo | head`), and ends the process. So does whatever else stops the
 /// output, as an error: a full disk must not look like a result.
 pub fn line(text: &str) {

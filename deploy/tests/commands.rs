@@ -197,6 +197,12 @@ async fn the_robot_meant_is_found_or_the_answer_names_those_that_there_are() {
     zenav(&endpoint, &["stop", "--robot", "r9"]).await.expect(3);
     zenav(&endpoint, &["stop", "--robot", "a/b"]).await.expect(2);
     zenav("nonsense", &["stop"]).await.expect(2);
+    let mut by_environment = Command::new(env!("CARGO_BIN_EXE_zenav"));
+    by_environment
+        .args(["stop", "--robot", "r1"])
+        .env("ZENAV_BUS__CONNECT", &endpoint);
+    let output = tokio::task::spawn_blocking(move || by_environment.output().unwrap());
+    Answer::of(&output.await.unwrap()).expect(0);
     router.close().await;
     let gone = zenav(&endpoint, &["goal", "list"]).await.expect(4);
     assert!(gone.err.contains(&endpoint), "{}", gone.err);
@@ -248,6 +254,11 @@ async fn topics_are_printed_as_they_are_and_measured() {
             .count(),
         2
     );
+    let stream = zenav(&endpoint, &["topic", "echo", "state", "--count", "2", "-o", "json"])
+        .await
+        .expect(0);
+    let whole = |line: &str| serde_json::from_str::<Value>(line).is_ok();
+    assert!(stream.out.lines().all(whole), "an object a line: {}", stream.out);
     // Kept for late joiners, and CBOR shown as JSON.
     let patch = zenav(
         &endpoint,

@@ -58,11 +58,16 @@ impl WallFollowing {
     pub fn check_for(&self, reach: f64) -> Result<(), OutOfBounds> {
         self.check()?;
         let ordered = [
-            ("target_distance", self.target_distance, "the robot's own reach", reach),
+            (
+                "target_distance",
+                self.target_distance,
+                "the reach of the robot's own outline",
+                reach,
+            ),
             (
                 "identify_wall_distance",
                 self.identify_wall_distance,
-                "the robot's own reach",
+                "the reach of the robot's own outline",
                 reach,
             ),
             (

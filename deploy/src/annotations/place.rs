@@ -36,13 +36,13 @@ enum PlaceCommand {
         /// Name of the place
         name: String,
         /// Map x, m
-        #[arg(allow_negative_numbers = true, value_parser = finite)]
+        #[arg(value_parser = finite)]
         x: f64,
         /// Map y, m
-        #[arg(allow_negative_numbers = true, value_parser = finite)]
+        #[arg(value_parser = finite)]
         y: f64,
         /// Heading of a robot that goes there, rad [default: any]
-        #[arg(allow_negative_numbers = true, value_parser = heading)]
+        #[arg(value_parser = heading)]
         yaw: Option<f64>,
     },
     /// Remove a place, also one of the world

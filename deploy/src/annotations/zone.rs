@@ -54,7 +54,7 @@ struct AddArgs {
     #[arg(long, value_name = "M/S", value_parser = positive)]
     max_speed: Option<f64>,
     /// Corners of the zone in order, map frame, m: x and y of at least three
-    #[arg(value_name = "X Y", required = true, num_args = 6.., allow_negative_numbers = true, value_parser = finite)]
+    #[arg(value_name = "X Y", required = true, num_args = 6.., value_parser = finite)]
     coordinates: Vec<f64>,
 }
 

@@ -5,7 +5,7 @@ mod reference;
 
 use std::process::ExitCode;
 
-use clap::{CommandFactory, Parser, Subcommand};
+use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 use zenav_observability::logging;
 
 use crate::exit_code;
@@ -204,11 +204,24 @@ enum Command {
     },
 }
 
+/// The command line. Whatever takes a value takes a negative number, so that it is the value's check that refuses one.
+fn command() -> clap::Command {
+    fn signed(command: clap::Command) -> clap::Command {
+        command
+            .mut_args(|arg| match arg.get_action().takes_values() {
+                true => arg.allow_negative_numbers(true),
+                false => arg,
+            })
+            .mut_subcommands(signed)
+    }
+    signed(Cli::command())
+}
+
 /// Runs the command line of this process.
 pub(crate) fn main() -> ExitCode {
-    completion::answer(Cli::command);
+    completion::answer(command);
     // clap exits by itself with 2 on wrong usage and 0 on help.
-    let cli = Cli::parse();
+    let cli = Cli::from_arg_matches(&command().get_matches()).unwrap_or_else(|error| error.exit());
     // A second initialisation (tests in one process) changes nothing.
     logging::init(cli.log_format, LOGGED, || output::LogWriter);
     match run(cli.command) {
@@ -283,7 +296,7 @@ mod tests {
 
     #[test]
     fn every_command_stands_in_one_group_of_the_help() {
-        let all = Cli::command();
+        let all = command();
         let known: BTreeSet<&str> = all.get_subcommands().map(clap::Command::get_name).collect();
         let grouped: Vec<&str> = GROUPS.iter().flat_map(|(_, names)| names.iter().copied()).collect();
         assert_eq!(grouped.iter().copied().collect::<BTreeSet<_>>(), known);
@@ -292,7 +305,7 @@ mod tests {
 
     #[test]
     fn the_help_of_every_command_has_an_example() {
-        for command in Cli::command().get_subcommands_mut() {
+        for command in command().get_subcommands_mut() {
             let help = command.render_help().to_string();
             assert!(
                 help.contains("\n  zenav ") || help.contains("$(zenav "),
@@ -305,7 +318,7 @@ mod tests {
     #[test]
     fn the_surface_is_frozen_in_the_reference() {
         let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/commands.md");
-        let page = reference::page(Cli::command());
+        let page = reference::page(command());
         if std::env::var_os("WRITE_DOCS").is_some() {
             std::fs::write(path, &page).expect("docs can be written");
         }
@@ -318,8 +331,8 @@ mod tests {
 
     #[test]
     fn the_command_line_is_sound_and_its_help_tells_codes_and_environment() {
-        Cli::command().debug_assert();
-        let help = Cli::command().render_help().to_string();
+        command().debug_assert();
+        let help = command().render_help().to_string();
         for part in [
             "Drive:",
             "  goal ",
@@ -331,5 +344,17 @@ mod tests {
             assert!(help.contains(part), "{part}: {help}");
         }
         assert!(help.lines().all(|line| line.chars().count() <= 120), "{help}");
+    }
+
+    #[test]
+    fn a_negative_number_is_refused_by_what_the_option_expects() {
+        let refused = |words: &[&str]| {
+            let parsed = command().try_get_matches_from([&["zenav"], words].concat());
+            parsed.map(drop).expect_err("is refused").to_string()
+        };
+        let speed = refused(&["demo", "kitchen", "--speed", "-1"]);
+        assert!(speed.contains("invalid value '-1' for '--speed"), "{speed}");
+        let goal = refused(&["goal", "submit"]);
+        assert!(goal.contains("<X>") && goal.contains("<Y>"), "{goal}");
     }
 }

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use toml::{Table, Value};
 use zenav_protocol::config_text::{OutOfBounds, line_of};
+use zenav_protocol::id::Id;
 use zenav_protocol::settings::{Row, Settings as _};
 
 use super::{Deployment, HostSection, RobotSection};
@@ -99,8 +100,17 @@ impl Layers {
     fn check(&self) -> Result<(), Failure> {
         let checked = self.deployment.check();
         checked.map_err(|error: OutOfBounds| Failure::usage(format!("{}: {error}", self.origin(&error.key))))?;
-        self.deployment.robot_ids()?;
-        self.deployment.group_ids()?;
+        let at = |key: String| {
+            move |failure: Failure| Failure::new(failure.code, format!("{}: {failure}", self.origin(&key)))
+        };
+        let misnamed = self
+            .deployment
+            .robots
+            .keys()
+            .find(|name| Id::robot(name.as_str()).is_err());
+        let robot = misnamed.map_or_else(|| "robots".to_owned(), |name| format!("robots.{name}"));
+        self.deployment.robot_ids().map_err(at(robot))?;
+        self.deployment.group_ids().map_err(at("groups".to_owned()))?;
         Ok(())
     }
 
@@ -296,5 +306,12 @@ mod tests {
         assert_eq!(layers.origin("mission.holder"), "environment ZENAV_MISSION__HOLDER");
         assert!(layers.origin("mission.plan_valid").ends_with("mine.toml:3"));
         assert_eq!(layers.origin("mission.enabled"), "default");
+    }
+
+    #[test]
+    fn a_name_that_no_robot_may_have_is_told_with_its_line() {
+        let failure = read("[robots.a]\n[robots.\"b/c\"]\n", &[]).map(|_| ()).unwrap_err();
+        assert_eq!(failure.code, exit_code::USAGE);
+        assert!(failure.message.contains("mine.toml:2: [robots.b/c]"), "{failure}");
     }
 }

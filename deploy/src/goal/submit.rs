@@ -24,13 +24,13 @@ use crate::output::{self, Format};
 #[derive(Debug, clap::Args)]
 pub(super) struct SubmitArgs {
     /// Map x, m
-    #[arg(allow_negative_numbers = true, value_parser = finite, requires = "y", required_unless_present_any = ["place", "tree", "waypoint"], conflicts_with_all = ["place", "waypoint"])]
+    #[arg(value_parser = finite, requires = "y", required_unless_present_any = ["place", "tree", "waypoint"], conflicts_with_all = ["place", "waypoint"])]
     x: Option<f64>,
     /// Map y, m
-    #[arg(allow_negative_numbers = true, value_parser = finite)]
+    #[arg(value_parser = finite, required_unless_present_any = ["place", "tree", "waypoint"])]
     y: Option<f64>,
     /// Final heading, rad
-    #[arg(allow_negative_numbers = true, value_parser = heading)]
+    #[arg(value_parser = heading)]
     yaw: Option<f64>,
     /// Named place of the world
     #[arg(long, conflicts_with = "waypoint", add = completion::places())]
@@ -51,7 +51,7 @@ pub(super) struct SubmitArgs {
     #[arg(long, value_enum, default_value_t)]
     on_busy: OnBusyArg,
     /// Queue priority, highest first
-    #[arg(long, value_name = "N", default_value_t = 0, allow_negative_numbers = true)]
+    #[arg(long, value_name = "N", default_value_t = 0)]
     priority: i32,
     /// Group of robots instead of one: the nearest free robot takes the goal
     #[arg(long, value_name = "NAME", conflicts_with = "robot", value_parser = goal_id)]

@@ -16,7 +16,7 @@ pub(super) fn judge(parts: &[Part]) -> Vec<Check> {
     for part in parts.iter().filter(|part| !part.host.is_empty()) {
         hosts.entry(&part.host).or_default().push(part);
     }
-    let mut checks = Vec::new();
+    let mut checks = rival_mappers(parts);
     for (host, parts) in hosts {
         for part in parts.iter().filter(|part| part.schema != SCHEMA_VERSION) {
             checks.push(Check::fail(
@@ -30,7 +30,15 @@ pub(super) fn judge(parts: &[Part]) -> Vec<Check> {
             ));
         }
         let processes: BTreeSet<u32> = parts.iter().map(|part| part.pid).collect();
-        let seen = format!("{} parts in {} processes", parts.len(), processes.len());
+        let count = |count: usize, one: &str, more: &str| match count {
+            1 => format!("1 {one}"),
+            _ => format!("{count} {more}"),
+        };
+        let (parts_told, processes_told) = (
+            count(parts.len(), "part", "parts"),
+            count(processes.len(), "process", "processes"),
+        );
+        let seen = format!("{parts_told} in {processes_told}");
         checks.push(match parts.iter().find(|part| part.clock_is_off(CLOCK)) {
             Some(off) => Check::warn(
                 host,
@@ -42,6 +50,28 @@ pub(super) fn judge(parts: &[Part]) -> Vec<Check> {
         });
     }
     checks
+}
+
+/// Several mapping services of one robot: both publish its one map.
+fn rival_mappers(parts: &[Part]) -> Vec<Check> {
+    let mut mappers: BTreeMap<&str, BTreeSet<(&str, u32)>> = BTreeMap::new();
+    for part in parts.iter().filter(|part| part.component == "mapping") {
+        mappers.entry(&part.robot).or_default().insert((&part.host, part.pid));
+    }
+    mappers.retain(|_, processes| processes.len() > 1);
+    mappers
+        .into_iter()
+        .map(|(robot, processes)| {
+            let named = processes.iter().map(|(host, pid)| format!("{host} (pid {pid})"));
+            let named = named.collect::<Vec<_>>().join(", ");
+            Check::fail(
+                robot,
+                "mapping",
+                format!("{} mapping services write its map: {named}", processes.len()),
+                "stop all but one: the map changes between theirs",
+            )
+        })
+        .collect()
 }
 
 #[cfg(test)]
@@ -85,7 +115,20 @@ mod tests {
             seen,
             [("cloud", Verdict::Ok), ("site", Verdict::Fail), ("site", Verdict::Warn)]
         );
-        assert_eq!(checks[0].seen, "2 parts in 1 processes");
+        assert_eq!(checks[0].seen, "2 parts in 1 process");
         assert!(checks[2].seen.contains("+3600.0 s"), "{}", checks[2].seen);
+    }
+
+    #[test]
+    fn two_mapping_services_of_one_robot_fail_and_are_named() {
+        let one = part("cloud", 1, SCHEMA_VERSION, 0.0);
+        let verdicts = |parts: &[Part]| judge(parts).iter().map(|check| check.verdict).collect::<Vec<_>>();
+        assert_eq!(verdicts(&[one.clone(), one.clone()]), [Verdict::Ok], "one, heard twice");
+        let checks = judge(&[one, part("cloud", 2, SCHEMA_VERSION, 0.0)]);
+        assert_eq!(
+            checks[0].seen,
+            "2 mapping services write its map: cloud (pid 1), cloud (pid 2)"
+        );
+        assert_eq!((checks[0].about.as_str(), checks[0].verdict), ("a", Verdict::Fail));
     }
 }

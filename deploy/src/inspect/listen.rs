@@ -170,7 +170,7 @@ pub(super) async fn echo(bus: &Bus, pattern: &str, args: &ListenArgs, format: Fo
                     key: sample.key,
                     encoding: sample.encoding,
                 };
-                output::value(format, &echoed, |_| String::new())?;
+                output::value(format.streamed(), &echoed, |_| String::new())?;
             }
         }
     }

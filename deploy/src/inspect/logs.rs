@@ -85,20 +85,22 @@ pub fn logs(args: &LogsArgs) -> Outcome {
             connect::find(&bus, args.robot.as_deref()).await?;
         }
         let mut seen = BTreeMap::new();
+        let format = if args.follow {
+            args.output.streamed()
+        } else {
+            args.output
+        };
         loop {
             let lines = newest(ask(&bus).await?, &mut seen);
             let shown: Vec<Said> = lines.into_iter().filter(|said| fits(args, &said.line)).collect();
-            // What is followed has no end: no array.
-            if args.follow && args.output == Format::Json {
-                output::values(Format::Ndjson, &shown, text)?;
-            } else if !(shown.is_empty() && (args.follow || args.output == Format::Table)) {
-                output::values(args.output, &shown, text)?;
+            if !(shown.is_empty() && (args.follow || args.output == Format::Table)) {
+                output::values(format, &shown, text)?;
             }
             if !args.follow {
                 return Ok(exit_code::OK);
             }
             tokio::select! {
-                () = zenav_protocol::bus::interrupted() => return Ok(exit_code::OK),
+                () = zenav_protocol::bus::interrupted() => return Ok(exit_code::INTERRUPTED),
                 () = tokio::time::sleep(PERIOD) => {}
             }
         }

@@ -38,10 +38,10 @@ pub struct RunArgs {
     #[arg(long, add = completion::models())]
     robot: Vec<String>,
     /// Start, m and rad in the world, instead of the deployment's; of several robots, once for each goal
-    #[arg(long, num_args = 3, value_names = ["X", "Y", "YAW"], allow_negative_numbers = true)]
+    #[arg(long, num_args = 3, value_names = ["X", "Y", "YAW"])]
     start: Vec<f64>,
     /// Goal, m in the world; again for each further robot
-    #[arg(long, num_args = 2, value_names = ["X", "Y"], allow_negative_numbers = true, required = true)]
+    #[arg(long, num_args = 2, value_names = ["X", "Y"], required = true)]
     goal: Vec<f64>,
     /// Simulated time after which the run has failed, s
     #[arg(long, default_value_t = 100.0)]

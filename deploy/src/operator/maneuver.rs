@@ -48,13 +48,13 @@ enum Maneuver {
     /// Turn on the spot
     Spin {
         /// Angle, rad; positive is to the left
-        #[arg(default_value_t = FRAC_PI_2, allow_negative_numbers = true, value_parser = finite)]
+        #[arg(default_value_t = FRAC_PI_2, value_parser = finite)]
         angle: f64,
     },
     /// Drive straight
     Drive {
         /// Distance, m; negative is backwards
-        #[arg(allow_negative_numbers = true, value_parser = finite)]
+        #[arg(value_parser = finite)]
         distance: f64,
         /// Speed, m/s
         #[arg(long, value_name = "M/S", default_value_t = 0.2, value_parser = positive)]

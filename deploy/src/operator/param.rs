@@ -43,7 +43,7 @@ enum ParamCommand {
         /// Name of the parameter
         name: String,
         /// New value, in the unit of the robot file
-        #[arg(allow_negative_numbers = true, value_parser = finite)]
+        #[arg(value_parser = finite)]
         value: f64,
     },
 }

@@ -103,6 +103,7 @@ pub fn record(args: &RecordArgs) -> Outcome {
         ..RecordOptions::default()
     };
     let written = connect::on_bus(&args.robot.link, async |bus| {
+        connect::tell_absence(&bus, robot).await;
         let mut recording = Recording::start(&bus, &patterns, &args.out, options)?;
         tracing::info!("recording {} into {}", patterns.join(", "), args.out.display());
         let out_of_time = async {

@@ -69,6 +69,7 @@ pub struct ViewArgs {
 pub fn view(args: &ViewArgs) -> Outcome {
     connect::on_bus(&args.robot.link, async |bus| {
         let robot = args.robot.robot.as_deref();
+        connect::tell_absence(&bus, robot).await;
         let mut view = LiveView::start(&bus, robot, &args.listen, args.goals).await?;
         eprintln!("Foxglove: {}", view.address());
         tokio::select! {

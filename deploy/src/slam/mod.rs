@@ -40,7 +40,7 @@ pub struct SlamArgs {
     #[arg(long, value_name = "FILE", requires = "log")]
     session: Option<PathBuf>,
     /// Where the first log begins in the session's map, to within 1 m and 0.5 rad: m, m, rad [default: searched for]
-    #[arg(long, value_names = ["X", "Y", "YAW"], num_args = 3, allow_negative_numbers = true, requires = "session")]
+    #[arg(long, value_names = ["X", "Y", "YAW"], num_args = 3, requires = "session")]
     start: Option<Vec<f64>>,
     /// Reference relations: lines `t1 t2 x y z roll pitch yaw`
     #[arg(long, value_name = "FILE", requires = "log")]

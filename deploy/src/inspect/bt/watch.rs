@@ -59,7 +59,7 @@ pub(super) fn watch(robot: &RobotArgs, once: bool, format: Format) -> Outcome {
                 output::line(&format!("{up}{text}"));
                 drawn = text.lines().count();
             } else {
-                output::value(format, &status, |_| text.clone())?;
+                output::value(if once { format } else { format.streamed() }, &status, |_| text.clone())?;
             }
             last = text;
             if once {
