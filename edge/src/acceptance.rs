@@ -25,6 +25,8 @@ const MOST_POINTS: usize = 100_000;
 const LONGEST_ID: usize = 128;
 /// Spacing of the poses checked against the scan, m and rad.
 const CHECK_SPACING: (f64, f64) = (0.05, 0.2);
+/// What touches the robot may be this much deeper inside its outline on the way than it is now, m.
+const TOUCHING: f64 = 0.01;
 
 /// Why a plan was refused.
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -399,7 +401,7 @@ pub fn judge_start(
 }
 
 /// Checks that a trajectory is free of the obstacle points of the latest scan (map frame), for a robot that scanned
-/// from `map_from_base`.
+/// from `map_from_base`. A point inside the outline there touches it, by a noisy range: only a motion that leads farther into it is barred.
 ///
 /// # Errors
 /// [`Rejection::Blocked`].
@@ -415,9 +417,11 @@ pub fn judge_free(
     let mut last: Option<Pose2> = None;
     // Only obstacles near the checked part.
     let horizon = settings.scan_horizon + reach;
+    let base_from_map = map_from_base.inverse();
     let near: Vec<_> = obstacles
         .iter()
         .filter(|point| (*point - map_from_base.position()).norm() < horizon)
+        .map(|point| (*point, footprint.depth(base_from_map.transform_point(*point))))
         .collect();
     let points = trajectory.spaced(f64::NEG_INFINITY, CHECK_SPACING.0, CHECK_SPACING.1);
     for point in points.take(MOST_POINTS) {
@@ -432,11 +436,11 @@ pub fn judge_free(
         last = Some(pose);
         let slack = settings.scan_tolerance + settings.scan_tolerance_per_metre * distance;
         let base_from_map = pose.inverse();
-        let hit = near.iter().find(|obstacle| {
-            (**obstacle - pose.position()).norm_squared() < reach * reach
-                && footprint.depth(base_from_map.transform_point(***obstacle)) > slack
+        let hit = near.iter().find(|(obstacle, before)| {
+            (obstacle - pose.position()).norm_squared() < reach * reach
+                && footprint.depth(base_from_map.transform_point(*obstacle)) > slack.max(before + TOUCHING)
         });
-        if let Some(hit) = hit {
+        if let Some((hit, _)) = hit {
             return Err(Rejection::Blocked {
                 x: hit.x,
                 y: hit.y,
@@ -445,4 +449,40 @@ pub fn judge_free(
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use zenav_protocol::geometry::Twist2;
+    use zenav_protocol::trajectory::TrajectoryPoint;
+
+    use super::*;
+
+    #[test]
+    fn what_touches_the_robot_bars_only_a_motion_farther_into_it() {
+        let jackal = zenav_fixtures::robot("jackal");
+        let driven = |end: Pose2| -> Trajectory {
+            let poses = [(0.0, Pose2::IDENTITY), (1.0, end)];
+            poses
+                .map(|(t, pose)| TrajectoryPoint::new(t, pose, Twist2::ZERO))
+                .to_vec()
+                .into()
+        };
+        let judge = |end, obstacle| {
+            let settings = AcceptanceSettings::default();
+            judge_free(&driven(end), &jackal, Pose2::IDENTITY, &[obstacle], &settings)
+        };
+        // A noisy range takes it to be inside the outline, whose half width is 0.215 m.
+        let beside = Point2::new(0.0, 0.175);
+        assert_eq!(judge(Pose2::new(-0.4, 0.0, 0.0), beside), Ok(()), "past it");
+        for (end, obstacle) in [
+            (Pose2::new(-0.1, 0.1, 0.0), beside),
+            (Pose2::new(-0.4, 0.0, 0.0), Point2::new(-0.4, 0.0)),
+        ] {
+            assert!(
+                matches!(judge(end, obstacle), Err(Rejection::Blocked { .. })),
+                "{end:?}"
+            );
+        }
+    }
 }

@@ -162,7 +162,7 @@ fn smoothed_or_safe(
         return Err((Fallback::StartNotFinite, None));
     }
     let path = corners_from(query.start.position(), query.path);
-    let Some(exempt) = exempt(space, &path) else {
+    let Some(exempt) = exempt(space, query.start, &path) else {
         return Err((Fallback::PathBlocked, None));
     };
     let zones = space.zones();
@@ -212,9 +212,15 @@ fn smoothed_or_safe(
 }
 
 /// Metres around the start that the robot has to leave whatever the map says there; `None` where the path itself is blocked.
-fn exempt(space: &ConfigurationSpace, path: &[Point2<f64>]) -> Option<f64> {
+fn exempt(space: &ConfigurationSpace, start: Pose2, path: &[Point2<f64>]) -> Option<f64> {
     let radius = space.radius();
-    let mut exempt = 0.0;
+    // Where only a corner of the outline is in an obstacle, the disc's own way says nothing of it.
+    let mut exempt = match path {
+        [from, to, ..] if space.footprint_clearance(start) <= 0.0 => {
+            (to - from).norm().min(2.0 * space.footprint().circumscribed_radius())
+        }
+        _ => 0.0,
+    };
     for (i, leg) in path.windows(2).enumerate() {
         if is_clear(space, leg[0], leg[1], radius) {
             continue;

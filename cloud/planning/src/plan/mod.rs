@@ -2,6 +2,7 @@
 //!
 //! See [`plan`] for the order in which searches are tried.
 
+mod straight_out;
 #[cfg(test)]
 mod tests;
 
@@ -19,6 +20,7 @@ use super::options::PlanOptions;
 use super::se2_search;
 use super::searcher::{NotFound, Query, Searched, Searcher};
 use super::settings::LeavingSettings;
+use straight_out::straight_out;
 
 /// Points closer together than this are one, m.
 const ROUNDING: f64 = 1e-9;
@@ -72,8 +74,8 @@ impl Planned {
 /// the spot at the corners, the first one from the start's heading ([`PlanOptions::any_heading`] leaves that free); the SE(2) search may
 /// have legs driven backwards ([`Planned::backwards`]). The goal's heading is not looked at. A robot that stands a little inside the margin
 /// that its footprint asks for leaves by the nearest free cell; it is
-/// refused only where it stands in an obstacle, and [`PlanOptions::escape`] lets it leave even that. A goal where it does not fit is refused,
-/// but for [`PlanOptions::goal_tolerance`].
+/// refused only where it stands in an obstacle, and [`PlanOptions::escape`] lets it leave even that: straight ahead or back where its outline
+/// is no disc. A goal where it does not fit is refused, but for [`PlanOptions::goal_tolerance`].
 ///
 /// A round robot takes one search. For a polygon the searches are tried in a fixed order, until one gives a path that the footprint can
 /// drive; [`Planned::found_by`] tells which one it was.
@@ -118,7 +120,34 @@ pub(super) fn answer(
     budget: Budget<'_>,
     find: &mut Find<'_>,
 ) -> Planned {
-    let (mut first, mut last) = (start, goal);
+    let straight = (!options.any_heading)
+        .then(|| straight_out(space, start, options.escape))
+        .flatten();
+    let Some(out) = straight else {
+        return from_place(space, start, start, goal, options, budget, find);
+    };
+    let beyond = Pose2::new(out.x, out.y, start.yaw);
+    let planned = from_place(space, start, beyond, goal, options, budget, find);
+    if matches!(planned.outcome, PlanOutcome::Found { .. }) {
+        return planned;
+    }
+    let before = planned.expansions;
+    let mut planned = from_place(space, start, start, goal, options, budget, find);
+    planned.expansions += before;
+    planned
+}
+
+/// A path whose search begins at `first`, where the robot gets to by a straight leg from where it stands.
+fn from_place(
+    space: &ConfigurationSpace,
+    start: Pose2,
+    mut first: Pose2,
+    goal: Pose2,
+    options: &PlanOptions,
+    budget: Budget<'_>,
+    find: &mut Find<'_>,
+) -> Planned {
+    let mut last = goal;
     let mut planned = drivable(space, first, last, options, budget, find);
     // Each end may be moved once.
     for _ in 0..2 {
@@ -146,6 +175,10 @@ pub(super) fn answer(
         path.insert(0, start.position());
         *length += first.distance(&start);
         planned.backwards.iter_mut().for_each(|leg| *leg += 1);
+        let turns_anywhere = matches!(space.footprint(), Footprint::Radius(_));
+        if !turns_anywhere && (first.position() - start.position()).dot(&start.heading()) < 0.0 {
+            planned.backwards.insert(0, 0);
+        }
     }
     planned
 }

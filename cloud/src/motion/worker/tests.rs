@@ -208,6 +208,45 @@ fn a_search_out_of_time_has_no_path_and_a_smoother_out_of_time_a_safe_trajectory
 }
 
 #[test]
+fn a_long_body_that_two_discs_hold_backs_straight_out_and_turns_behind_them() {
+    let mut map = hall(1.25);
+    let (mut info, mut values) = (map_info(), map.grid().values().to_vec());
+    info.map.revision = 2;
+    // Each stands some centimetres inside the outline's side by the map.
+    let discs = [Point2::new(2.65, 2.485), Point2::new(2.6, 1.515)];
+    for (x, y) in (0..80).flat_map(|y| (0..120).map(move |x| (x, y))) {
+        let cell = Point2::new(0.05 * (x as f64 + 0.5), 0.05 * (y as f64 + 0.5));
+        if discs.iter().any(|disc| (cell - disc).norm() <= 0.3) {
+            values[y * 120 + x] = 100;
+        }
+    }
+    map.replace(&MapReply {
+        info,
+        values,
+        trajectory: Vec::new(),
+        stored: Vec::new(),
+    });
+    let mut request = request("jackal", "astar");
+    (request.plan.start, request.plan.goal) = (Pose2::new(2.5, 2.0, 0.0), Pose2::new(0.6, 3.2, 0.0));
+    (request.goal_yaw, request.plan.escape) = (None, 0.6);
+    let reply = ask(&map, &request, &Cancel::default());
+    assert!(
+        reply.plan.escapes && reply.plan.backwards.first() == Some(&0),
+        "{:?}",
+        reply.plan
+    );
+    let smooth = reply.smooth.unwrap();
+    let held = smooth.trajectory.iter().take_while(|point| point.x > 2.3);
+    assert!(held.clone().count() > 1, "{}", smooth.statistics.status);
+    for point in held {
+        assert!(
+            point.v <= 0.0 && point.yaw.abs() < 1e-3 && (point.y - 2.0).abs() < 1e-3,
+            "{point:?}"
+        );
+    }
+}
+
+#[test]
 fn a_long_body_backs_out_of_a_lane_in_which_it_cannot_turn_and_drives_on_forwards() {
     let mut map = hall(1.25);
     let (mut info, mut values) = (map_info(), map.grid().values().to_vec());
