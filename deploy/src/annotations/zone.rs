@@ -130,7 +130,6 @@ fn table(zones: &[Zone]) -> String {
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
-    use clap::Parser as _;
 
     use super::*;
 
@@ -141,8 +140,8 @@ mod tests {
     }
 
     fn added(words: &[&str]) -> Result<Zone, String> {
-        let all = ["zone", "add"].iter().chain(words);
-        let parsed = Wrapper::try_parse_from(all).map_err(|error| error.to_string())?;
+        let all = [&["zone", "add"], words].concat();
+        let parsed: Wrapper = crate::cli::parsed(&all).map_err(|error| error.to_string())?;
         match parsed.args.command {
             ZoneCommand::Add(add) => add.zone().map_err(|failure| failure.to_string()),
             _ => Err("another command".to_owned()),

@@ -204,17 +204,27 @@ enum Command {
     },
 }
 
-/// The command line. Whatever takes a value takes a negative number, so that it is the value's check that refuses one.
 fn command() -> clap::Command {
-    fn signed(command: clap::Command) -> clap::Command {
-        command
-            .mut_args(|arg| match arg.get_action().takes_values() {
-                true => arg.allow_negative_numbers(true),
-                false => arg,
-            })
-            .mut_subcommands(signed)
-    }
     signed(Cli::command())
+}
+
+/// Whatever takes a value takes a negative number, so that it is the value's check that refuses one.
+fn signed(command: clap::Command) -> clap::Command {
+    command
+        .mut_args(|arg| match arg.get_action().takes_values() {
+            true => arg.allow_negative_numbers(true),
+            false => arg,
+        })
+        .mut_subcommands(signed)
+}
+
+/// The arguments of one command, as the whole command line would take them.
+///
+/// # Errors
+/// Wrong usage.
+#[cfg(test)]
+pub(crate) fn parsed<P: Parser>(words: &[&str]) -> Result<P, clap::Error> {
+    P::from_arg_matches(&signed(P::command()).try_get_matches_from(words)?)
 }
 
 /// Runs the command line of this process.
@@ -352,8 +362,8 @@ mod tests {
             let parsed = command().try_get_matches_from([&["zenav"], words].concat());
             parsed.map(drop).expect_err("is refused").to_string()
         };
-        let speed = refused(&["demo", "kitchen", "--speed", "-1"]);
-        assert!(speed.contains("invalid value '-1' for '--speed"), "{speed}");
+        let deadline = refused(&["goal", "submit", "1", "2", "--deadline", "-1"]);
+        assert!(deadline.contains("invalid value '-1' for '--deadline"), "{deadline}");
         let goal = refused(&["goal", "submit"]);
         assert!(goal.contains("<X>") && goal.contains("<Y>"), "{goal}");
     }

@@ -48,7 +48,10 @@ fn describe(command: &Command, above: &str, level: usize, text: &mut String) {
 }
 
 fn row(arg: &Arg) -> String {
-    let help = arg.get_help().map(ToString::to_string).unwrap_or_default();
+    let variable = arg
+        .get_env()
+        .map_or_else(String::new, |name| format!(" (also `{}`)", name.to_string_lossy()));
+    let help = arg.get_help().map(ToString::to_string).unwrap_or_default() + &variable;
     let default: Vec<String> = arg
         .get_default_values()
         .iter()

@@ -158,7 +158,6 @@ impl Report {
 #[cfg(test)]
 #[allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 mod tests {
-    use clap::Parser as _;
 
     use super::*;
 
@@ -169,7 +168,7 @@ mod tests {
     }
 
     pub(super) fn parse(words: &[&str]) -> Result<GoalArgs, clap::Error> {
-        Wrapper::try_parse_from(std::iter::once(&"goal").chain(words)).map(|wrapper| wrapper.goal)
+        crate::cli::parsed(&[&["goal"], words].concat()).map(|wrapper: Wrapper| wrapper.goal)
     }
 
     #[test]

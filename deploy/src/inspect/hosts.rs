@@ -102,9 +102,15 @@ mod tests {
         let parts = [
             part("cloud", 1, SCHEMA_VERSION, 0.05),
             part("cloud", 1, SCHEMA_VERSION, 0.05),
-            part("site", 2, SCHEMA_VERSION + 1, 3600.0),
+            Part {
+                robot: "b".to_owned(),
+                ..part("site", 2, SCHEMA_VERSION + 1, 3600.0)
+            },
             // It is too old to tell where it runs.
-            part("", 0, SCHEMA_VERSION, 0.0),
+            Part {
+                robot: "c".to_owned(),
+                ..part("", 0, SCHEMA_VERSION, 0.0)
+            },
         ];
         let checks = judge(&parts);
         let seen: Vec<_> = checks

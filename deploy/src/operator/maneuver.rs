@@ -254,7 +254,6 @@ fn show(display: Option<&ProgressBar>, id: &str) {
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
-    use clap::Parser as _;
 
     use super::*;
 
@@ -265,10 +264,8 @@ mod tests {
     }
 
     fn parsed(words: &[&str]) -> Option<BehaviourAction> {
-        let all = std::iter::once(&"do").chain(words);
-        Wrapper::try_parse_from(all)
-            .ok()
-            .map(|wrapper| wrapper.args.maneuver.action())
+        let wrapper: Wrapper = crate::cli::parsed(&[&["do"], words].concat()).ok()?;
+        Some(wrapper.args.maneuver.action())
     }
 
     #[test]
