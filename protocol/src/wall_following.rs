@@ -58,16 +58,11 @@ impl WallFollowing {
     pub fn check_for(&self, reach: f64) -> Result<(), OutOfBounds> {
         self.check()?;
         let ordered = [
-            (
-                "target_distance",
-                self.target_distance,
-                "the reach of the robot's own outline",
-                reach,
-            ),
+            ("target_distance", self.target_distance, "the robot's own reach", reach),
             (
                 "identify_wall_distance",
                 self.identify_wall_distance,
-                "the reach of the robot's own outline",
+                "the robot's own reach",
                 reach,
             ),
             (

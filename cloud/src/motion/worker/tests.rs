@@ -38,10 +38,19 @@ fn map_info() -> MapInfo {
 
 /// A hall of 6 m by 4 m with a wall across that leaves a door of a width (m) between y = 2 m and there.
 fn hall(door: f64) -> MapReplica {
+    hall_with(door, |_| false)
+}
+
+/// The same with obstacles at these places, m.
+fn hall_with(door: f64, is_occupied: impl Fn(Point2<f64>) -> bool) -> MapReplica {
     let spec = spec();
     let mut grid = OccupancyGrid::filled(spec, Occupancy::FREE);
-    for y in (0..80).filter(|y| !(2.0..2.0 + door).contains(&(0.05 * f64::from(*y) + 0.025))) {
-        grid[Cell::new(60, y)] = Occupancy::OCCUPIED;
+    for cell in (0..80).flat_map(|y| (0..120).map(move |x| Cell::new(x, y))) {
+        let at = spec.center(cell);
+        let is_wall = cell.x == 60 && !(2.0..2.0 + door).contains(&at.y);
+        if is_wall || is_occupied(at) {
+            grid[cell] = Occupancy::OCCUPIED;
+        }
     }
     let info = map_info();
     let mut replica = MapReplica::new();
@@ -209,23 +218,9 @@ fn a_search_out_of_time_has_no_path_and_a_smoother_out_of_time_a_safe_trajectory
 
 #[test]
 fn a_long_body_that_two_discs_hold_backs_straight_out_and_turns_behind_them() {
-    let mut map = hall(1.25);
-    let (mut info, mut values) = (map_info(), map.grid().values().to_vec());
-    info.map.revision = 2;
     // Each stands some centimetres inside the outline's side by the map.
-    let discs = [Point2::new(2.65, 2.485), Point2::new(2.6, 1.515)];
-    for (x, y) in (0..80).flat_map(|y| (0..120).map(move |x| (x, y))) {
-        let cell = Point2::new(0.05 * (x as f64 + 0.5), 0.05 * (y as f64 + 0.5));
-        if discs.iter().any(|disc| (cell - disc).norm() <= 0.3) {
-            values[y * 120 + x] = 100;
-        }
-    }
-    map.replace(&MapReply {
-        info,
-        values,
-        trajectory: Vec::new(),
-        stored: Vec::new(),
-    });
+    let discs = [Point2::new(2.65, 2.445), Point2::new(2.6, 1.555)];
+    let map = hall_with(1.25, |at| discs.iter().any(|disc| (at - disc).norm() <= 0.3));
     let mut request = request("jackal", "astar");
     (request.plan.start, request.plan.goal) = (Pose2::new(2.5, 2.0, 0.0), Pose2::new(0.6, 3.2, 0.0));
     (request.goal_yaw, request.plan.escape) = (None, 0.6);
@@ -248,21 +243,9 @@ fn a_long_body_that_two_discs_hold_backs_straight_out_and_turns_behind_them() {
 
 #[test]
 fn a_long_body_backs_out_of_a_lane_in_which_it_cannot_turn_and_drives_on_forwards() {
-    let mut map = hall(1.25);
-    let (mut info, mut values) = (map_info(), map.grid().values().to_vec());
-    info.map.revision = 2;
-    for (x, y) in (0..80).flat_map(|y| (0..120).map(move |x| (x, y))) {
-        // A lane of 0.4 m that ends at the wall.
-        if (30..60).contains(&x) && [15, 24].contains(&y) {
-            values[y * 120 + x] = 100;
-        }
-    }
-    map.replace(&MapReply {
-        info,
-        values,
-        trajectory: Vec::new(),
-        stored: Vec::new(),
-    });
+    // A lane of 0.4 m that ends at the wall.
+    let is_lane_side = |y: f64| (0.75..0.8).contains(&y) || (1.2..1.25).contains(&y);
+    let map = hall_with(1.25, |at| (1.5..3.0).contains(&at.x) && is_lane_side(at.y));
     let mut request = request("jackal", "astar");
     (request.plan.start, request.plan.goal) = (Pose2::new(2.7, 1.0, 0.0), Pose2::new(0.5, 3.0, 0.0));
     request.goal_yaw = None;
