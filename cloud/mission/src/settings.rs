@@ -26,7 +26,7 @@ zenav_protocol::settings! {
         pub renew_period: f64 = 1.0, "s", 0.05..=30.0;
         /// Without a live mapper for this long plans are no longer renewed: the map says nothing new.
         pub map_timeout: f64 = 10.0, "s", 0.1..=600.0;
-        /// A robot that by the map stands in an obstacle may leave it by a free position this near.
+        /// A robot that by the map stands in an obstacle may leave it for a free place this near.
         pub escape: f64 = 0.6, "m", 0.0..=5.0;
         /// How long something that may leave is waited for while it bars the only way or the goal. A goal's own deadline comes first; 0
         /// waits for nothing (120: longer than people talk in a door, shorter than somebody needs to see to it).

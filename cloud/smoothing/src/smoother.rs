@@ -22,6 +22,10 @@ use super::timing::stop_turn_go::corners_from;
 use super::timing::{Limits, PiecewiseTrajectory, UNRESTRICTED};
 use super::trajectory_builder::{Checked, TrajectoryBuilder};
 
+/// A leg this near to the way that the robot looks needs no turn, rad.
+const STRAIGHT: f64 = 0.02;
+/// Places nearer than this are one, m.
+const ROUNDING: f64 = 1e-6;
 /// Time between two points of a trajectory that goes out, s.
 pub const SAMPLE_PERIOD: f64 = 0.05;
 
@@ -211,22 +215,34 @@ fn smoothed_or_safe(
     }
 }
 
+/// How far a body that stands with a part of its outline in an obstacle drives straight on, the way that it looks, until it stands free, m; zero
+/// for one that stands free, that would turn first, or that does not get free on the first leg.
+fn straight_out(space: &ConfigurationSpace, start: Pose2, path: &[Point2<f64>]) -> f64 {
+    let [from, to, ..] = path else { return 0.0 };
+    let (leg, heading) = (to - from, start.heading());
+    if space.footprint_clearance(start) > 0.0 || leg.dot(&heading) < STRAIGHT.cos() * leg.norm() {
+        return 0.0;
+    }
+    let step = 0.5 * space.spec().resolution;
+    let mut along = (1..=(leg.norm() / step) as u32).map(|nth| f64::from(nth) * step);
+    let stands_free = |off: f64| {
+        let place = start.position() + heading * off;
+        space.footprint_clearance(Pose2::new(place.x, place.y, start.yaw)) > 0.0
+    };
+    // A turn there is looked at.
+    along.find(|off| stands_free(*off)).map_or(0.0, |off| off - ROUNDING)
+}
+
 /// Metres around the start that the robot has to leave whatever the map says there; `None` where the path itself is blocked.
 fn exempt(space: &ConfigurationSpace, start: Pose2, path: &[Point2<f64>]) -> Option<f64> {
     let radius = space.radius();
-    // Where only a corner of the outline is in an obstacle, the disc's own way says nothing of it.
-    let mut exempt = match path {
-        [from, to, ..] if space.footprint_clearance(start) <= 0.0 => {
-            (to - from).norm().min(2.0 * space.footprint().circumscribed_radius())
-        }
-        _ => 0.0,
-    };
+    let mut exempt = straight_out(space, start, path);
     for (i, leg) in path.windows(2).enumerate() {
         if is_clear(space, leg[0], leg[1], radius) {
             continue;
         }
         let leaves = i == 0 && (space.clearance(leg[0]) <= radius || !space.is_permitted(leg[0]));
-        if !leaves || space.segment_clearance(leg[0], leg[1]) < space.clearance(leg[0]).min(radius) - 1e-6 {
+        if !leaves || space.segment_clearance(leg[0], leg[1]) < space.clearance(leg[0]).min(radius) - ROUNDING {
             return None;
         }
         exempt = (leg[1] - leg[0]).norm();

@@ -130,7 +130,6 @@ fn table(zones: &[Zone]) -> String {
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
-
     use super::*;
 
     #[derive(Debug, clap::Parser)]

@@ -158,7 +158,6 @@ impl Report {
 #[cfg(test)]
 #[allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 mod tests {
-
     use super::*;
 
     #[derive(Debug, clap::Parser)]

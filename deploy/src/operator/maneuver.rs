@@ -254,7 +254,6 @@ fn show(display: Option<&ProgressBar>, id: &str) {
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
-
     use super::*;
 
     #[derive(Debug, clap::Parser)]

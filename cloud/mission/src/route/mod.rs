@@ -378,12 +378,7 @@ impl Search {
             return failed(error_code::UNKNOWN, "the planner returned an invalid path".to_owned());
         }
         if plan.escapes {
-            tracing::info!(
-                goal = ctx.goal.id,
-                x = path[1].x,
-                y = path[1].y,
-                "leaves an obstacle by the nearest free position"
-            );
+            tracing::info!(goal = ctx.goal.id, x = path[1].x, y = path[1].y, "leaves an obstacle");
             ctx.goal.feedback.recoveries += 1;
         }
         let (planner, search_ms) = (self.planner.clone(), plan.search_ms);

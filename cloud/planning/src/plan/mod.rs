@@ -73,9 +73,9 @@ impl Planned {
 /// The path leads from the exact start to the exact goal (m, map frame). The footprint can drive it as it stands: legs straight, turns on
 /// the spot at the corners, the first one from the start's heading ([`PlanOptions::any_heading`] leaves that free); the SE(2) search may
 /// have legs driven backwards ([`Planned::backwards`]). The goal's heading is not looked at. A robot that stands a little inside the margin
-/// that its footprint asks for leaves by the nearest free cell; it is
-/// refused only where it stands in an obstacle, and [`PlanOptions::escape`] lets it leave even that: straight ahead or back where its outline
-/// is no disc. A goal where it does not fit is refused, but for [`PlanOptions::goal_tolerance`].
+/// that its footprint asks for leaves by the nearest free cell; it is refused only where it stands in an obstacle, and
+/// [`PlanOptions::escape`] lets it leave even that: straight ahead or back where its outline is no disc, else by the nearest free place. A goal
+/// where it does not fit is refused, but for [`PlanOptions::goal_tolerance`].
 ///
 /// A round robot takes one search. For a polygon the searches are tried in a fixed order, until one gives a path that the footprint can
 /// drive; [`Planned::found_by`] tells which one it was.
