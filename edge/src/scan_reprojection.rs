@@ -184,6 +184,8 @@ mod tests {
                 let beams: Vec<f64> = (0..lidar.beams)
                     .filter(|beam| (*beam as f64 - at).abs() <= settings.neighbours as f64)
                     .map(|beam| f64::from(there[beam]))
+                    // What was not met is free as far as the lidar reaches; NaN stays.
+                    .map(|range| if range > lidar.range_max { lidar.range_max } else { range })
                     .collect();
                 if beams.iter().any(|range| (range - free_depth).abs() < 1e-4) {
                     continue;
