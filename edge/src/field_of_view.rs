@@ -1,6 +1,8 @@
 //! Field of view and scan projection. Which directions do the robot's lidars see together, and where do the beams of a scan lie in the
 //! odometry frame?
 
+use std::f64::consts::TAU;
+
 use nalgebra::{Isometry2, Point2, Vector2};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::readings::Sweep;
@@ -151,6 +153,14 @@ impl ProjectedScan<'_> {
     /// Where the lidar was, odometry frame.
     pub(crate) fn laser(&self) -> Point2<f64> {
         self.odom_from_laser.translation.vector.into()
+    }
+
+    /// The beam towards a place, odometry frame, and the distance to it, m; `None` from where the lidar itself is.
+    pub(crate) fn beam_to(&self, place: Point2<f64>) -> Option<(usize, f64)> {
+        let off = place - self.laser();
+        let (first, toward) = (self.rays.first()?, off.try_normalize(1e-6)?);
+        let angle = first.perp(&toward).atan2(first.dot(&toward)).rem_euclid(TAU);
+        Some(((angle / self.lidar.angle_increment()).round() as usize, off.norm()))
     }
 
     /// Whether a range is a real return; NaN is none.

@@ -9,7 +9,7 @@
 //! | `encoder_watch` | what have the wheels turned when their encoders say nothing new? |
 //! | [`estimator`], [`history`] | where is the robot, and where was it? |
 //! | `lost_beams` | which beams met nothing, and which did the lidar lose? |
-//! | [`local_obstacles`], [`moving_obstacles`], [`obstacle_tracks`], [`recent_places`], [`blind_spot_grid`] | which obstacles are around it, which of them move, and what was never seen? |
+//! | [`local_obstacles`], [`moving_obstacles`], [`obstacle_tracks`], `slow_movers`, [`recent_places`], [`blind_spot_grid`] | which obstacles are around it, which of them move, and what was never seen? |
 //! | [`authority`], [`link`] | who may command it, and how old is the last word of who does? |
 //! | [`acceptance`] | may this plan move it? |
 //! | [`active_plan`], [`trackers`] | how is an accepted plan driven, renewed and ended? |
@@ -70,6 +70,7 @@ pub mod service;
 pub mod settings;
 #[cfg(feature = "sim")]
 pub mod sim_body;
+mod slow_movers;
 pub mod state_file;
 pub mod telemetry;
 pub mod teleop;

@@ -4,7 +4,8 @@
 //! ([`crate::moving_obstacles`]) begins a track; one that lies where a track is expected continues it. A track is a disc with a position
 //! and a velocity, estimated by a Kalman filter with a constant-velocity model (white acceleration on each axis; Bar-Shalom, Li,
 //! Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, section 6.2). A track that is hidden goes on by its
-//! prediction for a while; one whose place is seen to be empty ends. A robot that tells its course ([`crate::other_robots`]) is a track by
+//! prediction for a while; one whose place is seen to be empty ends. What is too slow for that evidence is watched for longer
+//! ([`crate::slow_movers`]). A robot that tells its course ([`crate::other_robots`]) is a track by
 //! its own word.
 
 use nalgebra::{Point2, Rotation2, Vector2};
@@ -13,6 +14,7 @@ use zenav_protocol::time::Stamp;
 use crate::course::{Course, Way};
 use crate::field_of_view::ProjectedScan;
 use crate::settings::TrackingSettings;
+use crate::slow_movers::{Round, SlowMovers};
 
 /// Most tracks kept.
 const MAX_TRACKS: usize = 64;
@@ -37,6 +39,8 @@ const ON_TRACK: f64 = 0.2;
 /// Radius of a tracked disc, m, and of one of which only a part has ever been seen, at least.
 const RADII: (f64, f64) = (0.05, 0.6);
 const HALF_SEEN: f64 = 0.2;
+/// The ends of something round are farther away than its middle by this share of its radius, at least.
+const BULGE: f64 = 0.4;
 
 /// A point this near to a robot's disc belongs to it, and the center of what looks like a thing of its own, m.
 const ON_ROBOT: (f64, f64) = (0.1, 0.3);
@@ -193,6 +197,19 @@ impl Track {
         Way::bent([first, self.at(secs + third), self.at(secs + 2.0 * third), last])
     }
 
+    /// The same with a velocity (m/s) that was seen over some seconds.
+    fn at_velocity(self, velocity: Vector2<f64>) -> Self {
+        Self {
+            velocity,
+            variance: [self.variance[0], 0.0, self.variance[0]],
+            moved: true,
+            most_speed: velocity.norm(),
+            hits: SETTLED,
+            evidence: LEAST_EVIDENCE,
+            ..self
+        }
+    }
+
     /// Goes on to a time.
     fn predict(&mut self, stamp: Stamp, acceleration: f64) {
         let dt = stamp.secs_since(self.stamp).max(0.0);
@@ -296,6 +313,14 @@ impl Segment {
     fn is_moving(&self) -> bool {
         self.moved >= 2 && 2 * self.moved > self.beams.1 - self.beams.0
     }
+
+    /// What it is if it is whole and bulges towards the lidar.
+    fn round(&self, laser: Point2<f64>) -> Option<Round> {
+        let Self { center, radius, .. } = *self;
+        let nearest = (center - laser).norm() - radius;
+        let bulges = self.ends.iter().all(|end| end.off.norm() >= nearest + BULGE * radius);
+        (bulges && !self.is_cut() && radius <= RADII.1).then_some(Round { center, radius })
+    }
 }
 
 /// All tracks of a robot.
@@ -306,6 +331,7 @@ pub struct ObstacleTracks {
     segments: Vec<Segment>,
     /// For each segment whether a track has taken it.
     taken: Vec<bool>,
+    slow: SlowMovers,
     /// Robots that tell their course.
     robots: Vec<Track>,
     next_id: u64,
@@ -355,15 +381,22 @@ impl ObstacleTracks {
             track.predict(scan.stamp, self.settings.acceleration);
         }
         self.associate(scan);
-        for (segment, taken) in self.segments.iter().zip(&self.taken) {
-            if !taken && segment.is_moving() && self.tracks.len() < MAX_TRACKS {
-                self.tracks.push(Track::new(
-                    self.next_id,
-                    segment,
-                    scan.laser(),
-                    scan.stamp,
-                    &self.settings,
-                ));
+        let laser = scan.laser();
+        let left = self.segments.iter().zip(&self.taken).enumerate();
+        let left = left.filter(|(_, (segment, taken))| !**taken && !segment.is_moving());
+        let round = left.filter_map(|(index, (segment, _))| Some((index, segment.round(laser)?)));
+        let slow = self.slow.insert(scan, round);
+        let begin = |segment: &Segment, id: u64| Track::new(id, segment, laser, scan.stamp, &self.settings);
+        for (index, (segment, taken)) in self.segments.iter().zip(&self.taken).enumerate() {
+            let slow = slow.iter().find(|(which, _)| *which == index);
+            let track = match slow {
+                _ if *taken => continue,
+                Some((_, velocity)) => begin(segment, self.next_id).at_velocity(*velocity),
+                None if segment.is_moving() => begin(segment, self.next_id),
+                None => continue,
+            };
+            if self.tracks.len() < MAX_TRACKS {
+                self.tracks.push(track);
                 self.next_id += 1;
             }
         }
@@ -525,23 +558,14 @@ fn segment(scan: &ProjectedScan<'_>, moved: &[bool], beams: (usize, usize), lase
 
 /// Whether the beams through a track's place go on behind it.
 fn is_seen_empty(scan: &ProjectedScan<'_>, track: &Track) -> bool {
-    let off = track.position - scan.laser();
-    let range = off.norm();
-    let Some(toward) = off.try_normalize(1e-6) else {
+    let Some((beam, range)) = scan.beam_to(track.position) else {
         return false;
     };
-    let increment = scan.lidar.angle_increment();
-    let Some(first) = scan.rays.first() else { return false };
-    let angle = first
-        .perp(&toward)
-        .atan2(first.dot(&toward))
-        .rem_euclid(std::f64::consts::TAU);
-    let beam = (angle / increment).round() as usize;
-    let half = ((track.radius / range.max(0.1)) / increment) as usize;
+    let half = ((track.radius / range.max(0.1)) / scan.lidar.angle_increment()) as usize;
     let beams = beam.saturating_sub(half)..(beam + half + 1).min(scan.ranges.len());
     let through = scan.ranges.get(beams).unwrap_or_default();
     !through.is_empty() && through.iter().all(|seen| f64::from(*seen) > range + track.radius)
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -380,6 +380,11 @@ zenav_protocol::settings! {
         pub slip: f64 = 1e-6, "m²/m", 0.0..=0.01;
         /// Share of the forward variance that acts sideways.
         pub sideways_share: f64 = 1e-3, "", 0.0..=1.0;
+        /// How far a map that corrections refer to goes astray by itself, for the square root of each metre: what lies 4 m apart in it is
+        /// known to 1 cm.
+        pub map_walk: f64 = 0.005, "m/sqrt(m)", 0.0..=1.0;
+        /// How far it turns.
+        pub map_turn_walk: f64 = 0.0015, "rad/sqrt(m)", 0.0..=1.0;
         /// Standard deviation of the gyro's bias at the start, at least: what the robot file says of it was measured on another day.
         pub bias_std: f64 = 0.01, "rad/s", 0.0..=1.0;
         /// Random walk of the gyro's bias (fitted to constant biases, NEES 3).

@@ -22,6 +22,8 @@ use crate::shape::Solid;
 const SKIN: f64 = 1e-6;
 /// A clearance up to this is contact, m.
 pub(crate) const CONTACT: f64 = 1e-4;
+/// A robot that comes nearer to what it touches by no more than this share of its way grazes it: it slides along.
+const GRAZE: f64 = 0.05;
 /// A contact ends when the robot is this far away, m: one touch is one collision.
 const RELEASE: f64 = 2e-3;
 /// People farther away are nobody's business, m.
@@ -280,6 +282,12 @@ impl Chassis {
                 self.truth.map_from_base = next;
                 continue;
             }
+            if let Some((beside, clearance)) = self.pushed_aside(around, next, before, reach) {
+                self.clearance = clearance;
+                self.truth.map_from_base = beside;
+                self.touch(around, turning, now);
+                continue;
+            }
             let (mut free, mut taken) = (0.0, 1.0);
             // Pressing on against what it stands in front of: nothing left to halve.
             let halvings = if before <= 2.0 * SKIN { 0 } else { HALVINGS };
@@ -297,6 +305,19 @@ impl Chassis {
             return (f64::from(done) + free) / pieces;
         }
         1.0
+    }
+
+    /// Where a robot that grazes something is pushed to, and its clearance there: its tyres give way sideways by so little. `next` is where
+    /// its wheels alone would take it, from a clearance of `before`, m, on a way of `reach`, m.
+    fn pushed_aside(&self, around: Surroundings<'_>, next: Pose2, before: f64, reach: f64) -> Option<(Pose2, f64)> {
+        let contact = around.contact(&self.footprint.at(next))?;
+        if before - contact.dist > GRAZE * reach {
+            return None;
+        }
+        let out = contact.normal1 * (contact.dist - 2.0 * SKIN);
+        let beside = next * Pose2::new(out.x, out.y, 0.0);
+        let clearance = around.clearance(&self.footprint.at(beside));
+        (clearance > SKIN).then_some((beside, clearance))
     }
 
     fn touch(&mut self, around: Surroundings<'_>, twist: Twist2, now: Stamp) {

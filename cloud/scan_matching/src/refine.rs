@@ -21,6 +21,8 @@ const STRETCH: f64 = 0.2;
 /// On a straight surface they lie on a line to within this standard deviation, m, and to within this share of their spread along it.
 const STRAIGHT: f64 = 0.03;
 const FLAT: f64 = 0.05;
+/// A scan is not believed to know the heading otherwise by more than this, rad.
+const FARTHEST_TURN: f64 = 0.03;
 /// Added to the diagonal, so that a scan without any point near stays where the prior is.
 const LEAST_INFORMATION: f64 = 1e-9;
 
@@ -38,6 +40,8 @@ pub struct Prior {
 pub struct Refined {
     /// `field_from_scan`.
     pub pose: Pose2,
+    /// From the pose to the one that the scan alone would have, without the prior: half a field's width and 0.03 rad away at most.
+    pub by_scan: Pose2,
     /// What the scan alone says: information of x, y (1/m², frame of the scan's pose) and yaw (1/rad²). The prior is not in it.
     pub information: Matrix3<f64>,
     /// Mean likelihood of the points, 0 to 1.
@@ -86,16 +90,30 @@ pub fn refine(
         }
     }
     let surfaces = self::surfaces(field, points, &normals, pose);
-    let (information, _, score) = sums(field, points, &surfaces, pose, settings);
+    let (information, gradient, score) = sums(field, points, &surfaces, pose, settings);
     let degenerate = degenerate(&information, settings);
     let (sin, cos) = pose.yaw.sin_cos();
     let turn = Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
+    let information = turn.transpose() * information * turn;
     Refined {
         pose,
-        information: turn.transpose() * information * turn,
+        by_scan: newton_step(&information, turn.transpose() * gradient, 0.5 * field.sigma()),
+        information,
         score,
         degenerate,
     }
+}
+
+/// Where the minimum of a parabola with this Hessian and gradient lies, as far as a parabola can be trusted.
+fn newton_step(hessian: &Matrix3<f64>, gradient: Vector3<f64>, farthest: f64) -> Pose2 {
+    let known = hessian + Matrix3::identity() * LEAST_INFORMATION;
+    let Some(factor) = known.cholesky() else {
+        return Pose2::IDENTITY;
+    };
+    let step = -factor.solve(&gradient);
+    let too_far = (step.x.hypot(step.y) / farthest).max(step.z.abs() / FARTHEST_TURN);
+    let step = step / too_far.max(1.0);
+    Pose2::new(step.x, step.y, step.z)
 }
 
 /// How a point pulls.

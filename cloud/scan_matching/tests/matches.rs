@@ -192,6 +192,33 @@ fn a_corridor_is_known_across_and_not_along() {
 }
 
 #[test]
+fn what_the_scan_alone_says_is_told_beside_what_a_prior_made_of_it() {
+    let truth = Pose2::new(0.3, -0.2, 0.1);
+    let prior = Prior {
+        pose: truth * Pose2::new(0.02, -0.01, 0.004),
+        information: Matrix3::from_diagonal(&nalgebra::Vector3::new(1e5, 1e5, 1e6)),
+    };
+    let field = field_of(&room(Pose2::IDENTITY));
+    let refined = refine(
+        &field,
+        &room(truth),
+        prior.pose,
+        Some(&prior),
+        &RefineSettings::default(),
+    );
+    let alone = refined.pose * refined.by_scan;
+    assert!(
+        refined.pose.distance(&truth) > 0.01,
+        "the prior has a say: {:?}",
+        refined.pose
+    );
+    assert!(
+        alone.distance(&truth) < 0.005 && (alone.yaw - truth.yaw).abs() < 0.002,
+        "{alone:?}"
+    );
+}
+
+#[test]
 fn the_wrong_room_is_told_by_beams_through_walls() {
     let field = field_of(&room(Pose2::IDENTITY));
     let here = Pose2::new(2.0, 2.0, 0.3);

@@ -73,6 +73,8 @@ pub struct Effects {
     /// How well the pose is known within the map around it: covariance of x, y (m²) and yaw (rad²) along the map's axes; without a
     /// match that counts, nothing new is known.
     pub covariance: Option<Matrix3<f64>>,
+    /// From the pose, which odometry has a say in, to the one that the scan alone would have: what `covariance` is of.
+    pub by_scan: Pose2,
     /// How the surroundings moved in the map as the graph was settled: `new_from_old`, for places about the robot.
     pub moved: Option<Pose2>,
 }
@@ -252,6 +254,7 @@ impl Slam {
         let expected = poses[submap.anchor].inverse() * poses[last] * self.odometry.corrected(step);
         let prior = Prior::of_odometry(expected, &self.odometry.information(step, &settings.odometry));
         let refined = refine(&submap.field, &seen, expected, Some(&prior), &settings.refine);
+        let refined = by_odometry(refined, expected);
         let least = settings.front.min_score.max(settings.front.doubtful * self.usual);
         let is_match = refined.score >= least;
         let anchor_from_base = if is_match { refined.pose } else { expected };
@@ -266,6 +269,7 @@ impl Slam {
                 .filter(|_| is_match)
                 .map(|along| along.y.atan2(along.x) + poses[submap.anchor].yaw),
             covariance: is_match.then(|| self.covariance(&refined, pose)).flatten(),
+            by_scan: refined.by_scan,
             ..Effects::default()
         };
         let anchor = submap.anchor;
@@ -401,6 +405,7 @@ impl Slam {
                 );
             }
             effects.score = Some(refined.score);
+            effects.by_scan = refined.by_scan;
             effects.fits = true;
             effects.degenerate = refined
                 .degenerate
@@ -491,7 +496,9 @@ impl Slam {
         if best.score < least {
             return None;
         }
-        self.is_doubted = false;
+        if !std::mem::take(&mut self.is_doubted) {
+            best = by_odometry(best, expected);
+        }
         self.unseen = 0;
         let share = if self.usual == 0.0 { 1.0 } else { USUAL };
         self.usual += share * (best.score - self.usual);
@@ -568,6 +575,35 @@ impl Slam {
     #[must_use]
     pub fn submaps(&self) -> usize {
         self.submaps.len()
+    }
+}
+
+/// A match, with odometry alone along the direction in which the scan knows the position too badly. What it says there is not only little but
+/// wrong: along a corridor the ends of what is seen of the walls come with the robot. After Zhang, Kaess and Singh, "On degeneracy of
+/// optimization-based state estimation problems", ICRA 2016.
+fn by_odometry(refined: Refined, expected: Pose2) -> Refined {
+    let Some(along) = refined.degenerate else {
+        return refined;
+    };
+    let off = along.dot(&(refined.pose.position() - expected.position()));
+    let (sin, cos) = refined.pose.yaw.sin_cos();
+    // In the frame of the pose, as the information is.
+    let along_here = Vector3::new(cos * along.x + sin * along.y, cos * along.y - sin * along.x, 0.0);
+    let aside = along_here.x * refined.by_scan.x + along_here.y * refined.by_scan.y;
+    let across = Matrix3::identity() - along_here * along_here.transpose();
+    Refined {
+        pose: Pose2::new(
+            refined.pose.x - off * along.x,
+            refined.pose.y - off * along.y,
+            refined.pose.yaw,
+        ),
+        by_scan: Pose2::new(
+            refined.by_scan.x - aside * along_here.x,
+            refined.by_scan.y - aside * along_here.y,
+            refined.by_scan.yaw,
+        ),
+        information: across * refined.information * across,
+        ..refined
     }
 }
 

@@ -92,6 +92,29 @@ fn without_anything_in_sight_odometry_leads() {
 }
 
 #[test]
+fn along_a_corridor_odometry_leads_and_the_ends_of_what_is_seen_of_its_walls_do_not() {
+    let truth: Vec<Pose2> = (0..400)
+        .map(|at| Pose2::new(20.0 + 0.05 * f64::from(at), 0.0, 0.0))
+        .collect();
+    let mut slam = Slam::new(SlamSettings::default());
+    let mut is_flagged = false;
+    for (scan, at) in house::House::corridor().log(&truth, 5).iter_mut().zip(&truth) {
+        scan.odom_from_base = *at;
+        scan.range_max = 3.5;
+        for range in scan.ranges.iter_mut().filter(|range| **range > 3.5) {
+            *range = f32::INFINITY;
+        }
+        // Somebody walks ahead.
+        scan.moving = vec![[54, 66]];
+        is_flagged |= slam.step(scan).unwrap().degenerate.is_some();
+    }
+    let (first, last) = (truth[0], truth[truth.len() - 1]);
+    let (_, pose) = *slam.trajectory().last().unwrap();
+    let error = (first.inverse() * last).inverse() * pose;
+    assert!(is_flagged && error.x.abs() < 0.02 && error.y.abs() < 0.02, "{error:?}");
+}
+
+#[test]
 fn a_sweep_is_straightened_by_odometry() {
     // A robot that turns by 0.2 rad while the beams of a sweep look at a wall 2 m ahead.
     let settings = ScanSettings {

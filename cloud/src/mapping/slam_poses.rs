@@ -434,7 +434,8 @@ impl SlamPoses {
         let is_behind = robot_frame < self.frame && self.pace.is_older(scan.stamp, TOLD_AGAIN);
         let is_due = self.pace.is_due(scan.stamp, map_from_base) || is_behind;
         is_due.then_some(Measured {
-            map_from_base,
+            // The robot has its odometry itself.
+            map_from_base: map_from_base * effects.by_scan,
             covariance,
             is_found_anew: false,
         })

@@ -19,6 +19,8 @@ const GATE: [f64; 3] = [10.83, 13.82, 16.27];
 /// Least variance of a measurement, m² or rad².
 const LEAST_VARIANCE: f64 = 1e-8;
 
+/// A robot that is switched on has stood so long, s: what its gyro says before it first sets out counts.
+const STOOD: f64 = 0.4;
 /// Turns that are known better than this, rad², tell nothing of one another.
 const LEAST_TURN_VARIANCE: f64 = 1e-16;
 
@@ -152,6 +154,8 @@ pub(super) struct Ekf {
     still: f64,
     stood_at: [f64; 2],
     rejected: [u32; 3],
+    /// Distance rolled when the last correction came, m.
+    corrected_at: f64,
 }
 
 impl Ekf {
@@ -177,13 +181,14 @@ impl Ekf {
             still: 0.0,
             stood_at: [0.0; 2],
             rejected: [0; 3],
+            corrected_at: 0.0,
         }
     }
 
     /// The same estimate at rest at another time: the clock has restarted, or starts now.
     pub(super) fn begin(&mut self, stamp: Stamp, wheels: [f64; 2]) {
         (self.time, self.wheels, self.gyro) = (stamp, (stamp, wheels), None);
-        (self.still, self.stood_at) = (0.0, wheels);
+        (self.still, self.stood_at) = (STOOD, wheels);
     }
 
     /// The same estimate in another frame of the map: nothing moves relative to the walls.
@@ -266,6 +271,7 @@ impl Ekf {
                 Some(self.gated(settings, 1, innovation, jacobian, noise))
             }
             Input::Correction(pose, noise) => {
+                self.go_astray(settings);
                 let innovation = Vector3::new(
                     pose.x - self.state[0],
                     pose.y - self.state[1],
@@ -418,6 +424,16 @@ impl Ekf {
         self.reckoned.turn -= gain[2] * innovation;
         self.covariance -= gain * shared.transpose();
         self.covariance = (self.covariance + self.covariance.transpose()) * 0.5;
+    }
+
+    /// The map that corrections refer to was made on the way: its errors add up along it, and look like a drift of odometry.
+    fn go_astray(&mut self, settings: &EstimatorSettings) {
+        let metres = (self.reckoned.way - self.corrected_at).abs();
+        self.corrected_at = self.reckoned.way;
+        let (walk, turn) = (settings.map_walk.powi(2), settings.map_turn_walk.powi(2));
+        for (axis, variance) in [(0, walk), (1, walk), (2, turn)] {
+            self.covariance[(axis, axis)] += metres * variance;
+        }
     }
 
     /// Updates how long the wheels have been at rest.

@@ -334,6 +334,43 @@ fn a_gyro_that_turns_by_itself_is_learned_in_a_third_of_a_second_at_rest() {
 }
 
 #[test]
+fn a_map_that_bends_on_the_way_teaches_the_gyro_no_bias() {
+    let learned = |map_turn_walk: f64| {
+        let settings = EstimatorSettings {
+            map_turn_walk,
+            ..EstimatorSettings::default()
+        };
+        let mut model = model();
+        (model.gps, model.imu.compass_noise) = (None, None);
+        let mut estimator = Estimator::new(&model, Pose2::IDENTITY, &settings);
+        for tick in 0..10_000_usize {
+            // Ten seconds at rest, then 0.3 m/s straight on, which the map says is a bend.
+            let metres = 0.006 * tick.saturating_sub(500) as f64;
+            let mut readings = readings(tick, [metres / model.drive.wheel_radius; 2]);
+            readings.imu = Some(Imu {
+                stamp: stamp(tick),
+                yaw_rate: 0.0,
+                yaw: None,
+            });
+            let bend = 3e-4 * metres;
+            let correction = Correction {
+                stamp: stamp(tick),
+                boot_id: String::new(),
+                map_from_base: Pose2::new(metres, 0.5 * bend * metres, bend),
+                covariance: [1e-4, 0.0, 0.0, 0.0, 1e-4, 0.0, 0.0, 0.0, 1e-5],
+                is_found_anew: false,
+                frame: 0,
+                moves: Vec::new(),
+            };
+            estimator.step(&readings, (tick > 500 && tick % 33 == 0).then_some(&correction));
+        }
+        estimator.ekf().gyro_bias().abs()
+    };
+    let (bent, trusting) = (learned(EstimatorSettings::default().map_turn_walk), learned(0.0));
+    assert!(bent < 0.7 * trusting, "{bent} {trusting}");
+}
+
+#[test]
 fn where_it_was_found_replaces_what_was_believed_at_its_own_time() {
     let mut estimator = estimator(Pose2::IDENTITY, 0.01);
     let mut found = Correction {

@@ -54,6 +54,11 @@ fn watch(robot: &RobotModel, secs: f64, place: impl Fn(f64) -> Vec<Point2<f64>>)
     moving
 }
 
+/// The tracks of that.
+pub(crate) fn watch_round(robot: &RobotModel, secs: f64, place: impl Fn(f64) -> Vec<Point2<f64>>) -> ObstacleTracks {
+    watch(robot, secs, place).tracks().clone()
+}
+
 #[test]
 fn a_walker_has_a_track_with_its_velocity_and_what_stands_has_none() {
     let robot = zenav_fixtures::robot("tiago");

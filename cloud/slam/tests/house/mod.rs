@@ -64,6 +64,11 @@ impl House {
         Self(ANOTHER.iter().map(|wall| wall.to_vec()).collect())
     }
 
+    /// A corridor of 60 m without anything in it.
+    pub fn corridor() -> Self {
+        Self(vec![vec![(0.0, -0.6), (60.0, -0.6), (60.0, 0.6), (0.0, 0.6)]])
+    }
+
     /// The same house, its furniture moved along the walls by up to so much, m.
     pub fn moved(&self, seed: u64, by: f64) -> Self {
         let mut random = Pcg64Mcg::seed_from_u64(seed);

@@ -216,7 +216,7 @@ fn zenav(
             .iter()
             .map(|report| report.min_clearance_m)
             .fold(f64::INFINITY, f64::min),
-        final_error_m: case.poses.map(|_| most(|report| report.final_error_m)),
+        final_error_m: Some(most(|report| report.final_error_m)),
         pose_error_m: Some(most(|report| report.pose_error_m)),
         recoveries: Some(reports.iter().map(|report| report.recoveries).sum()),
         cpu_s,

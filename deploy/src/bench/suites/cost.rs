@@ -11,8 +11,8 @@ pub(super) fn cost(seeds: u64) -> Result<Vec<Case>, Failure> {
         for robot in ROBOTS {
             for seed in 0..seeds {
                 let (floor, goal) = if metres < 100.0 { corridor() } else { lanes() };
-                let mut case = Case::new(scenario, robot, seed, floor, goal)?;
-                (case.known_map, case.is_costed) = (true, true);
+                let mut case = Case::new(scenario, robot, seed, floor, goal)?.knowing_the_map();
+                case.is_costed = true;
                 case.timeout = (60.0 + 3.0 * metres / case.model.drive.top_speed()).round();
                 cases.push(case);
             }

@@ -167,6 +167,8 @@ impl Case {
     ) -> Result<Self, Failure> {
         let model = files::robot(robot)?;
         let straight = (world.start().position() - goal).norm() / model.drive.top_speed();
+        // What nothing else tells where it is finds that out by its scans.
+        let poses = model.gps.is_none().then_some(PoseSource::Slam);
         Ok(Self {
             scenario: scenario.to_owned(),
             name,
@@ -178,7 +180,7 @@ impl Case {
             others: Vec::new(),
             tolerance: None,
             known_map: false,
-            poses: None,
+            poses,
             seed,
             anchors: match scenario.split(' ').next() {
                 Some("S2" | "S3") => &Anchor::ALL,
@@ -192,6 +194,13 @@ impl Case {
             optimal: None,
             timeout: (TIME[0] + TIME[1] * straight).round(),
         })
+    }
+
+    /// The same with the true map from the start.
+    fn knowing_the_map(mut self) -> Self {
+        self.known_map = true;
+        self.poses = self.poses.map(|_| PoseSource::Localise);
+        self
     }
 
     /// A run's name: the scenario without its suite, the robot and the seed.

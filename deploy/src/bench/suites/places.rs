@@ -58,9 +58,8 @@ pub(super) fn rooms(seeds: u64) -> Result<Vec<Case>, Failure> {
             for robot in ROBOTS {
                 for seed in 0..seeds {
                     let (floor, goal) = make(&mut rng(scenario, seed));
-                    let mut case = Case::new(&format!("{scenario} {how}"), robot, seed, floor, goal)?;
-                    case.known_map = known_map;
-                    cases.push(case);
+                    let case = Case::new(&format!("{scenario} {how}"), robot, seed, floor, goal)?;
+                    cases.push(if known_map { case.knowing_the_map() } else { case });
                 }
             }
         }

@@ -30,6 +30,22 @@ fn a_wall_stops_a_robot_and_one_touch_is_one_collision() {
 }
 
 #[test]
+fn a_robot_that_grazes_a_wall_slides_along_it() {
+    let toward = |angle: f64| {
+        let at = Pose2::new(0.95 - 0.215 - 0.002, -1.0, FRAC_PI_2 - angle);
+        let mut simulation = simulate(&world(WALL), vec![robot("a", "jackal", at)]);
+        steps(&mut simulation, 0, [3.0, 3.0], 100);
+        simulation.truth(0)
+    };
+    let (grazing, pressing) = (toward(0.01), toward(0.3));
+    assert!(grazing.map_from_base.y > -0.6 && grazing.collisions == 1, "{grazing:?}");
+    assert!(
+        pressing.map_from_base.y < -0.9 && pressing.collisions == 1,
+        "{pressing:?}"
+    );
+}
+
+#[test]
 fn robots_see_and_hit_one_another() {
     let mut simulation = simulate(
         &world(""),

@@ -1,0 +1,161 @@
+//! Slow movers. What moves so slowly that no scan of the last second tells?
+//!
+//! A round thing that stands alone is watched for some seconds. It has moved once it is seen elsewhere and a beam passes through the place
+//! where its center was: through what stands, none does, from wherever the robot looks. A wall has no center that is seen, and the ends of
+//! what is seen of it move with the robot: only what bulges towards the lidar counts.
+
+use std::collections::VecDeque;
+
+use nalgebra::{Point2, Vector2};
+use zenav_protocol::time::Stamp;
+
+use crate::field_of_view::ProjectedScan;
+
+/// Most things watched.
+const MOST: usize = 64;
+/// Centers are kept this often, and for this long, s.
+const EVERY: f64 = 0.25;
+const MEMORY: f64 = 5.0;
+/// Of centers at least this old it is asked whether they are seen through, s.
+const LEAST_AGE: f64 = 0.8;
+/// Something is another thing when it is seen farther than this from where it was last, m, or later than this, s.
+const FARTHEST: f64 = 0.25;
+const UNSEEN: f64 = 0.6;
+/// It has come its radius, or this far at least, m; and farther by this share of the way that a turn of the robot swings it.
+const LEAST_WAY: f64 = 0.2;
+const TURN_ERROR: f64 = 0.06;
+/// A beam passes through a place when it ends this far behind it, m.
+const BEHIND: f64 = 0.1;
+/// Scans in a row that see it moved.
+const EVIDENCE: u32 = 3;
+
+/// A round thing that stands alone, as a scan shows it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Round {
+    /// Odometry frame, m.
+    pub(crate) center: Point2<f64>,
+    /// m.
+    pub(crate) radius: f64,
+}
+
+/// One that is watched.
+#[derive(Clone, Debug)]
+struct Watched {
+    /// Where its center was, odometry frame, and the robot's heading, rad, then; oldest first.
+    places: VecDeque<(Stamp, Point2<f64>, f64)>,
+    /// Where it was seen last.
+    last: (Stamp, Point2<f64>),
+    evidence: u32,
+}
+
+/// Everything that is watched.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct SlowMovers {
+    watched: Vec<Watched>,
+}
+
+impl SlowMovers {
+    /// Takes the round things of a scan that nobody knows to move; returns the place in `seen` and the velocity (m/s) of each that does.
+    pub(crate) fn insert(
+        &mut self,
+        scan: &ProjectedScan<'_>,
+        seen: impl Iterator<Item = (usize, Round)>,
+    ) -> Vec<(usize, Vector2<f64>)> {
+        let (now, yaw) = (scan.stamp, scan.odom_from_base.rotation.angle());
+        self.watched.retain(|watched| now.secs_since(watched.last.0) <= UNSEEN);
+        let mut moving = Vec::new();
+        for (index, round) in seen {
+            let off = |watched: &Watched| (watched.last.1 - round.center).norm();
+            let known = self.watched.iter_mut().filter(|watched| watched.last.0 < now);
+            let nearest = known.min_by(|a, b| off(a).total_cmp(&off(b)));
+            let Some(watched) = nearest.filter(|watched| off(watched) <= FARTHEST) else {
+                if self.watched.len() < MOST {
+                    self.watched.push(Watched {
+                        places: VecDeque::from([(now, round.center, yaw)]),
+                        last: (now, round.center),
+                        evidence: 0,
+                    });
+                }
+                continue;
+            };
+            watched.last = (now, round.center);
+            match watched.velocity(scan, round, yaw) {
+                Some(velocity) => {
+                    watched.evidence += 1;
+                    if watched.evidence >= EVIDENCE {
+                        moving.push((index, velocity));
+                    }
+                }
+                None => watched.evidence = 0,
+            }
+            watched.keep(now, round.center, yaw);
+        }
+        moving
+    }
+}
+
+impl Watched {
+    fn keep(&mut self, now: Stamp, center: Point2<f64>, yaw: f64) {
+        if self
+            .places
+            .back()
+            .is_none_or(|(stamp, ..)| now.secs_since(*stamp) >= EVERY)
+        {
+            self.places.push_back((now, center, yaw));
+        }
+        while self
+            .places
+            .front()
+            .is_some_and(|(stamp, ..)| now.secs_since(*stamp) > MEMORY)
+        {
+            self.places.pop_front();
+        }
+    }
+
+    /// Its velocity, where it has evidently moved since one of the places kept.
+    fn velocity(&self, scan: &ProjectedScan<'_>, round: Round, yaw: f64) -> Option<Vector2<f64>> {
+        let range = (round.center - scan.laser()).norm();
+        self.places.iter().find_map(|(stamp, place, heading)| {
+            let age = scan.stamp.secs_since(*stamp);
+            let way = round.center - place;
+            let least = round.radius.max(LEAST_WAY) + TURN_ERROR * (yaw - heading).sin().abs() * range;
+            (age >= LEAST_AGE && way.norm() >= least && is_seen_through(scan, *place)).then(|| way / age)
+        })
+    }
+}
+
+/// Whether the beams through a place, odometry frame, go on behind it.
+fn is_seen_through(scan: &ProjectedScan<'_>, place: Point2<f64>) -> bool {
+    let Some((beam, range)) = scan.beam_to(place) else {
+        return false;
+    };
+    let beams = scan
+        .ranges
+        .get(beam.saturating_sub(1)..(beam + 2).min(scan.ranges.len()));
+    beams.is_some_and(|beams| beams.iter().all(|seen| f64::from(*seen) > range + BEHIND))
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use crate::obstacle_tracks::tests::watch_round;
+
+    #[test]
+    fn what_creeps_ahead_of_the_robot_or_beside_it_is_found_and_what_stands_is_not() {
+        let robot = zenav_fixtures::robot("tiago");
+        for (walks, is_found) in [
+            (Vector2::new(0.12, 0.0), true),
+            (Vector2::new(0.0, 0.12), true),
+            (Vector2::zeros(), false),
+        ] {
+            let tracks = watch_round(&robot, 6.0, |now| vec![Point2::new(2.0, 0.8) + walks * now]);
+            let found: Vec<_> = tracks.iter().map(|track| track.velocity).collect();
+            assert_eq!(!found.is_empty(), is_found, "{walks}: {found:?}");
+            assert!(
+                found.iter().all(|velocity| (velocity - walks).norm() < 0.12),
+                "{walks}: {found:?}"
+            );
+        }
+    }
+}
