@@ -19,8 +19,6 @@ const GATE: [f64; 3] = [10.83, 13.82, 16.27];
 /// Least variance of a measurement, m² or rad².
 const LEAST_VARIANCE: f64 = 1e-8;
 
-/// A robot that is switched on has stood so long, s: what its gyro says before it first sets out counts.
-const STOOD: f64 = 0.4;
 /// Turns that are known better than this, rad², tell nothing of one another.
 const LEAST_TURN_VARIANCE: f64 = 1e-16;
 
@@ -188,7 +186,7 @@ impl Ekf {
     /// The same estimate at rest at another time: the clock has restarted, or starts now.
     pub(super) fn begin(&mut self, stamp: Stamp, wheels: [f64; 2]) {
         (self.time, self.wheels, self.gyro) = (stamp, (stamp, wheels), None);
-        (self.still, self.stood_at) = (STOOD, wheels);
+        (self.still, self.stood_at) = (0.0, wheels);
     }
 
     /// The same estimate in another frame of the map: nothing moves relative to the walls.

@@ -32,7 +32,8 @@ fn a_wall_stops_a_robot_and_one_touch_is_one_collision() {
 #[test]
 fn a_robot_that_grazes_a_wall_slides_along_it() {
     let toward = |angle: f64| {
-        let at = Pose2::new(0.95 - 0.165 - 0.012, -1.0, FRAC_PI_2 - angle);
+        let half = 0.165 * angle.cos() + 0.21 * angle.sin();
+        let at = Pose2::new(0.95 - half - 0.012, -1.0, FRAC_PI_2 - angle);
         let mut simulation = simulate(&world(WALL), vec![robot("a", "jackal", at)]);
         steps(&mut simulation, 0, [3.0, 3.0], 100);
         simulation.truth(0)
