@@ -38,7 +38,7 @@ fn a_robot_that_grazes_a_wall_slides_along_it() {
         steps(&mut simulation, 0, [3.0, 3.0], 100);
         simulation.truth(0)
     };
-    let (grazing, pressing) = (toward(0.01), toward(0.3));
+    let (grazing, pressing) = (toward(0.03), toward(0.3));
     assert!(grazing.map_from_base.y > -0.6 && grazing.collisions == 1, "{grazing:?}");
     assert!(
         pressing.map_from_base.y < -0.9 && pressing.collisions == 1,
