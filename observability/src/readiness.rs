@@ -207,6 +207,11 @@ mod tests {
         let part = Readiness::new("gateway-readiness");
         assert!(report().1.contains("gateway-readiness"));
         drop(part);
-        assert!(!report().1.contains("gateway-readiness"));
+        // Whoever else makes a report right now, as the other test does, still holds it for that moment.
+        let is_forgotten = (0..1000).any(|_| {
+            std::thread::sleep(std::time::Duration::from_millis(1));
+            !report().1.contains("gateway-readiness")
+        });
+        assert!(is_forgotten);
     }
 }
