@@ -139,7 +139,7 @@ fn is_seen_through(scan: &ProjectedScan<'_>, place: Point2<f64>) -> bool {
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use crate::obstacle_tracks::tests::watch_round;
+    use crate::obstacle_tracks::tests::watch;
 
     #[test]
     fn what_creeps_ahead_of_the_robot_or_beside_it_is_found_and_what_stands_is_not() {
@@ -149,8 +149,8 @@ mod tests {
             (Vector2::new(0.0, 0.12), true),
             (Vector2::zeros(), false),
         ] {
-            let tracks = watch_round(&robot, 6.0, |now| vec![Point2::new(2.0, 0.8) + walks * now]);
-            let found: Vec<_> = tracks.iter().map(|track| track.velocity).collect();
+            let moving = watch(&robot, 6.0, |now| vec![Point2::new(2.0, 0.8) + walks * now]);
+            let found: Vec<_> = moving.tracks().iter().map(|track| track.velocity).collect();
             assert_eq!(!found.is_empty(), is_found, "{walks}: {found:?}");
             assert!(
                 found.iter().all(|velocity| (velocity - walks).norm() < 0.12),

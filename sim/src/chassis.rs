@@ -1,7 +1,8 @@
 //! Chassis. How does one robot move among solids, and what does it touch? Contact blocks motion into the obstacle.
 //!
 //! Motion is cut into pieces shorter than the footprint is wide, so that nothing is jumped over. A piece that would
-//! bring the true outline into contact is halved until the robot stands in front of the obstacle; its wheels stall.
+//! bring the true outline into contact is halved until the robot stands in front of the obstacle; its wheels stall. One that only
+//! grazes slides along.
 //! Exact distances are only computed where the last known clearance does not already rule contact out.
 
 use parry2d_f64::math::Vector;

@@ -40,7 +40,8 @@ pub struct Prior {
 pub struct Refined {
     /// `field_from_scan`.
     pub pose: Pose2,
-    /// From the pose to the one that the scan alone would have, without the prior: half a field's width and 0.03 rad away at most.
+    /// From the pose to the one that the scan alone would have, without the prior: half a field's width and 0.03 rad away at most, and not
+    /// along `degenerate`.
     pub by_scan: Pose2,
     /// What the scan alone says: information of x, y (1/m², frame of the scan's pose) and yaw (1/rad²). The prior is not in it.
     pub information: Matrix3<f64>,
@@ -94,26 +95,29 @@ pub fn refine(
     let degenerate = degenerate(&information, settings);
     let (sin, cos) = pose.yaw.sin_cos();
     let turn = Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
-    let information = turn.transpose() * information * turn;
+    let across = degenerate.map_or_else(Matrix3::identity, |along| {
+        let along = Vector3::new(along.x, along.y, 0.0);
+        Matrix3::identity() - along * along.transpose()
+    });
+    let by_scan = newton_step(&(across * information * across), across * gradient, 0.5 * field.sigma());
+    let by_scan = turn.transpose() * by_scan;
     Refined {
         pose,
-        by_scan: newton_step(&information, turn.transpose() * gradient, 0.5 * field.sigma()),
-        information,
+        by_scan: Pose2::new(by_scan.x, by_scan.y, by_scan.z),
+        information: turn.transpose() * information * turn,
         score,
         degenerate,
     }
 }
 
 /// Where the minimum of a parabola with this Hessian and gradient lies, as far as a parabola can be trusted.
-fn newton_step(hessian: &Matrix3<f64>, gradient: Vector3<f64>, farthest: f64) -> Pose2 {
+fn newton_step(hessian: &Matrix3<f64>, gradient: Vector3<f64>, farthest: f64) -> Vector3<f64> {
     let known = hessian + Matrix3::identity() * LEAST_INFORMATION;
-    let Some(factor) = known.cholesky() else {
-        return Pose2::IDENTITY;
-    };
-    let step = -factor.solve(&gradient);
+    let step = known
+        .cholesky()
+        .map_or_else(Vector3::zeros, |factor| -factor.solve(&gradient));
     let too_far = (step.x.hypot(step.y) / farthest).max(step.z.abs() / FARTHEST_TURN);
-    let step = step / too_far.max(1.0);
-    Pose2::new(step.x, step.y, step.z)
+    step / too_far.max(1.0)
 }
 
 /// How a point pulls.

@@ -14,7 +14,7 @@ use crate::back_end::BackEnd;
 use crate::closure::close;
 use crate::finish;
 use crate::joining::{Older, locate};
-use crate::odometry::Odometry;
+use crate::odometry::{Odometry, by_odometry};
 use crate::session::{Session, on_grid};
 use crate::settings::SlamSettings;
 use crate::submap::{SEARCH_POINTS, Submap, thinned};
@@ -575,35 +575,6 @@ impl Slam {
     #[must_use]
     pub fn submaps(&self) -> usize {
         self.submaps.len()
-    }
-}
-
-/// A match, with odometry alone along the direction in which the scan knows the position too badly. What it says there is not only little but
-/// wrong: along a corridor the ends of what is seen of the walls come with the robot. After Zhang, Kaess and Singh, "On degeneracy of
-/// optimization-based state estimation problems", ICRA 2016.
-fn by_odometry(refined: Refined, expected: Pose2) -> Refined {
-    let Some(along) = refined.degenerate else {
-        return refined;
-    };
-    let off = along.dot(&(refined.pose.position() - expected.position()));
-    let (sin, cos) = refined.pose.yaw.sin_cos();
-    // In the frame of the pose, as the information is.
-    let along_here = Vector3::new(cos * along.x + sin * along.y, cos * along.y - sin * along.x, 0.0);
-    let aside = along_here.x * refined.by_scan.x + along_here.y * refined.by_scan.y;
-    let across = Matrix3::identity() - along_here * along_here.transpose();
-    Refined {
-        pose: Pose2::new(
-            refined.pose.x - off * along.x,
-            refined.pose.y - off * along.y,
-            refined.pose.yaw,
-        ),
-        by_scan: Pose2::new(
-            refined.by_scan.x - aside * along_here.x,
-            refined.by_scan.y - aside * along_here.y,
-            refined.by_scan.yaw,
-        ),
-        information: across * refined.information * across,
-        ..refined
     }
 }
 

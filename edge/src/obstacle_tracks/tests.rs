@@ -38,7 +38,7 @@ fn sweep(lidar: &LidarModel, secs: f64, base: Pose2, discs: &[Point2<f64>]) -> S
 }
 
 /// Ten scans a second of a robot that drives at 0.3 m/s past discs that move as `place` says.
-fn watch(robot: &RobotModel, secs: f64, place: impl Fn(f64) -> Vec<Point2<f64>>) -> MovingObstacles {
+pub(crate) fn watch(robot: &RobotModel, secs: f64, place: impl Fn(f64) -> Vec<Point2<f64>>) -> MovingObstacles {
     let lidar = robot.first_lidar().unwrap();
     let view = FieldOfView::new(robot.first_lidar(), &robot.footprint);
     let mut moving = MovingObstacles::new(robot, view, &crate::settings::EdgeSettings::default());
@@ -52,11 +52,6 @@ fn watch(robot: &RobotModel, secs: f64, place: impl Fn(f64) -> Vec<Point2<f64>>)
         );
     }
     moving
-}
-
-/// The tracks of that.
-pub(crate) fn watch_round(robot: &RobotModel, secs: f64, place: impl Fn(f64) -> Vec<Point2<f64>>) -> ObstacleTracks {
-    watch(robot, secs, place).tracks().clone()
 }
 
 #[test]
