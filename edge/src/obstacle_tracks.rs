@@ -5,7 +5,7 @@
 //! and a velocity, estimated by a Kalman filter with a constant-velocity model (white acceleration on each axis; Bar-Shalom, Li,
 //! Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, section 6.2). A track that is hidden goes on by its
 //! prediction for a while; one whose place is seen to be empty ends. What is too slow for that evidence is watched for longer
-//! ([`crate::slow_movers`]). A robot that tells its course ([`crate::other_robots`]) is a track by
+//! (`slow_movers`). A robot that tells its course ([`crate::other_robots`]) is a track by
 //! its own word.
 
 use nalgebra::{Point2, Rotation2, Vector2};
