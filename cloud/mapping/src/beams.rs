@@ -68,6 +68,7 @@ impl BeamReader {
         let laser = scan.map_from_laser();
         let (origin, per_metre) = (frame.cells(laser.position()), frame.resolution.recip());
         let (yaw_sin, yaw_cos) = laser.yaw.sin_cos();
+        let (mut gap_end, mut gap_least) = (0, f64::INFINITY);
         for (number, (range, [sin, cos])) in scan
             .ranges
             .iter()
@@ -86,9 +87,12 @@ impl BeamReader {
             {
                 continue;
             }
-            // A lost beam looks like one that met nothing: it clears no farther than its neighbours saw.
+            // A lost beam looks like one that met nothing.
             let seen = if measured > scan.range_max {
-                least_nearby(scan, number, settings.lost_neighbours)
+                if number >= gap_end {
+                    (gap_end, gap_least) = gap(scan, number, settings.lost_run);
+                }
+                gap_least
             } else {
                 measured
             };
@@ -105,12 +109,25 @@ impl BeamReader {
     }
 }
 
-/// The least range of the beams beside one, m; infinite where none of them has a return.
-fn least_nearby(scan: &Scan, beam: usize, neighbours: usize) -> f64 {
-    let beside = beam.saturating_sub(neighbours)..(beam + neighbours + 1).min(scan.ranges.len());
-    let ranges = scan.ranges.get(beside).unwrap_or_default().iter();
-    let returns = ranges.filter(|range| scan.is_return(**range));
-    returns.fold(f64::INFINITY, |least, range| least.min(f64::from(*range)))
+/// The end of the run of beams without a return that begins with one, and how far they clear, m: a run of fewer than `lost` may have been
+/// lost, and clears no farther than the beams beside it saw.
+fn gap(scan: &Scan, first: usize, lost: usize) -> (usize, f64) {
+    let is_gap = |beam: &usize| {
+        scan.ranges
+            .get(*beam)
+            .is_some_and(|range| f64::from(*range) > scan.range_max)
+    };
+    let begin = (0..first).rev().take_while(is_gap).last().unwrap_or(first);
+    let end = (first..scan.ranges.len())
+        .take_while(is_gap)
+        .last()
+        .map_or(first, |last| last + 1);
+    let beside = [begin.checked_sub(1), Some(end)].into_iter().flatten();
+    let returns = beside
+        .filter_map(|beam| scan.ranges.get(beam))
+        .filter(|range| scan.is_return(**range));
+    let least = returns.fold(f64::INFINITY, |least, range| least.min(f64::from(*range)));
+    (end, if end - begin < lost { least } else { f64::INFINITY })
 }
 
 #[cfg(test)]
@@ -160,7 +177,7 @@ mod tests {
             trim: 0,
             max_range: Some(4.0),
             clear_without_return: true,
-            lost_neighbours: 0,
+            lost_run: 0,
         };
         let beams = read(&scan, &settings);
         assert_eq!(
@@ -184,27 +201,32 @@ mod tests {
     }
 
     #[test]
-    fn a_lost_beam_clears_no_farther_than_its_neighbours_saw_and_a_moving_obstacle_is_no_hit() {
+    fn lost_beams_clear_no_farther_than_those_beside_them_and_a_moving_obstacle_is_no_hit() {
         let lost = f32::INFINITY;
         let settings = BeamSettings {
             trim: 0,
-            lost_neighbours: 2,
+            lost_run: 4,
             ..BeamSettings::default()
         };
-        let mut scan = scan(0.1, vec![2.0, lost, 3.0, lost, lost, lost, lost, 1.0]);
-        scan.moving = vec![[2, 3], [7, 9]];
+        let mut scan = scan(0.1, vec![2.0, lost, 3.0, lost, lost, lost, 1.0, lost, lost, lost, lost]);
+        scan.moving = vec![[2, 3], [6, 8]];
         let beams = read(&scan, &settings);
         let lengths: Vec<(bool, f64)> = beams.iter().map(|beam| (beam.hit, beam.length)).collect();
         let free = |range: f64| (false, 2.0 * range);
+        let open = free(scan.range_max);
+        let (near, far) = (free(1.0), free(3.0));
         let expected = [
             (true, 4.0),
             free(2.0),
-            free(3.0),
-            free(3.0),
-            free(3.0),
-            free(1.0),
-            free(1.0),
-            free(1.0),
+            far,
+            near,
+            near,
+            near,
+            near,
+            open,
+            open,
+            open,
+            open,
         ];
         assert_eq!(lengths, expected);
     }

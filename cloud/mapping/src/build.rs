@@ -155,7 +155,7 @@ mod tests {
         trim: 0,
         max_range: None,
         clear_without_return: false,
-        lost_neighbours: 0,
+        lost_run: 0,
     };
 
     /// Two scans that see four things.

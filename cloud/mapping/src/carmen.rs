@@ -252,7 +252,7 @@ pub const LOG_BEAMS: BeamSettings = BeamSettings {
     trim: 0,
     max_range: None,
     clear_without_return: false,
-    lost_neighbours: 0,
+    lost_run: 0,
 };
 
 #[cfg(test)]

@@ -9,8 +9,8 @@ use crate::log_odds::InsertMode;
 zenav_protocol::settings! {
     /// How scans become a map.
     pub struct MappingSettings {
-        /// Side of a cell (Nav2's usual one; 0.025 opens doors that are 5 cm wider than the robot, at four times the memory).
-        pub resolution: f64 = 0.05, "m", 0.005..=10.0;
+        /// Side of a cell (half of Nav2's usual one: a door 5 cm wider than the robot is open, at four times the memory).
+        pub resolution: f64 = 0.025, "m", 0.005..=10.0;
         /// How beams are drawn: `reference` (every beam, exactly) or `fast` (wedges between beams are filled).
         pub mode: InsertMode = InsertMode::Reference;
         /// Temporal decay: an obstacle that appeared where it had long been free is free again after this time without a hit; after as
@@ -59,8 +59,8 @@ zenav_protocol::settings! {
         pub max_range: Option<f64> = None, "m";
         /// Whether a beam without a return clears its cells up to the range; some lidars also lose black and glass.
         pub clear_without_return: bool = true;
-        /// It clears no farther than this many beams on each side saw: a lost beam looks the same.
-        pub lost_neighbours: usize = 8, "", 0..=1000;
+        /// A run of fewer such beams may have been lost: it clears no farther than the beams beside it saw.
+        pub lost_run: usize = 8, "beams", 0..=1000;
     }
     check = |beams: &BeamSettings| match beams.max_range {
         Some(range) if !(range.is_finite() && range > 0.0) => {

@@ -203,7 +203,8 @@ impl LogOddsGrid {
             self.tiles.frame.cells(scan.map_from_laser().position()),
             &mut beams,
             // Neighbouring beams are one cell apart where the arc between them is one cell long.
-            (mode == InsertMode::Fast).then_some(scan.angle_increment.recip()),
+            scan.angle_increment.recip(),
+            mode,
             footprint.map(|footprint| (footprint, base)),
         );
         self.beams = beams;
@@ -214,7 +215,8 @@ impl LogOddsGrid {
         &mut self,
         laser: Point2<f64>,
         beams: &mut Vec<Beam>,
-        dense: Option<f64>,
+        dense: f64,
+        mode: InsertMode,
         body: Option<(&Footprint, Pose2)>,
     ) -> Option<BeamCount> {
         let mut bounds = Bounds::at(laser);
@@ -250,7 +252,7 @@ impl LogOddsGrid {
         }
         let (first, counts) = bounds.tiles();
         self.bitmap.lay(first, counts);
-        self.bitmap.draw(laser, beams, dense);
+        self.bitmap.draw(laser, beams, dense, mode);
         if let (Some((footprint, base)), Some(corners)) = (body, body_bounds) {
             self.clear_footprint(footprint, base, corners);
         }

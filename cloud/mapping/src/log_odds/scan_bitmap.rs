@@ -4,6 +4,7 @@
 
 use nalgebra::{Point2, Vector2};
 
+use super::InsertMode;
 use super::tile::Bits;
 use super::tiles::TILE_SIDE;
 use crate::beams::Beam;
@@ -42,6 +43,9 @@ const ONE_SURFACE: f64 = 1.0;
 /// Beams at most this far apart, in cells, miss hardly any cell of a surface on which they ended.
 const CLOSE: f64 = 0.7;
 
+/// Between beams at most this far apart nothing stands that neither of them meets, cells.
+const APART: f64 = 4.0;
+
 /// A cell that a ray meets has its centre at most this far along the ray, cells.
 const HALF_DIAGONAL: f64 = std::f64::consts::FRAC_1_SQRT_2;
 
@@ -56,6 +60,15 @@ fn fixed(cells: f64) -> i64 {
 /// Column or row of a coordinate.
 fn whole(cells: f64) -> i64 {
     fixed(cells) >> FRACTION
+}
+
+/// How far two beams both passed what lies between them, cells; 0 unless they are neighbours. Where they end there may be a surface.
+fn passed_between(a: &Beam, b: &Beam, dense: f64) -> f64 {
+    if a.number + 1 == b.number {
+        (a.length.min(b.length) - ONE_SURFACE).clamp(0.0, APART * dense)
+    } else {
+        0.0
+    }
 }
 
 impl ScanBitmap {
@@ -115,24 +128,39 @@ impl ScanBitmap {
         }
     }
 
-    /// Marks the cells that the beams passed and in which they ended: beam by beam, or, up to `dense` cells from the origin, where neighbouring
-    /// beams are at most one cell apart, by filled wedges.
-    pub(super) fn draw(&mut self, origin: Point2<f64>, beams: &[Beam], dense: Option<f64>) {
+    /// Marks the cells that the beams passed and in which they ended. Neighbouring beams are at most one cell apart up to `dense` cells from
+    /// the origin. Up to [`APART`] times as far, what lies between two that both pass it was passed too: no beam is a line.
+    pub(super) fn draw(&mut self, origin: Point2<f64>, beams: &[Beam], dense: f64, mode: InsertMode) {
         let corner = self.corner();
         let origin = origin - corner;
         let here = |beam: &Beam| Beam {
             end: beam.end - corner,
             ..*beam
         };
-        match dense {
-            Some(dense) => self.fill(origin, beams.iter().map(here), dense),
-            None => {
-                for beam in beams.iter().map(here) {
-                    if beam.hit {
-                        self.hit(beam.end);
-                    }
-                    self.ray(origin, beam.end);
-                }
+        let beams = beams.iter().map(here);
+        match mode {
+            InsertMode::Fast => self.fill(origin, beams, dense),
+            InsertMode::Reference => self.rays(origin, beams, dense),
+        }
+    }
+
+    /// Draws beam by beam, with rays between neighbours that are more than a cell apart.
+    fn rays(&mut self, origin: Point2<f64>, beams: impl Iterator<Item = Beam>, dense: f64) {
+        let mut before: Option<Beam> = None;
+        for beam in beams {
+            if beam.hit {
+                self.hit(beam.end);
+            }
+            self.ray(origin, beam.end);
+            let Some(last) = before.replace(beam) else {
+                continue;
+            };
+            let passed = passed_between(&last, &beam, dense);
+            // So many that none is farther than a cell from the next.
+            let between = (passed / dense).ceil().max(1.0);
+            for nth in 1..between as u32 {
+                let direction = last.direction.lerp(&beam.direction, f64::from(nth) / between);
+                self.ray(origin + direction * dense, origin + direction * passed);
             }
         }
     }
@@ -210,11 +238,11 @@ impl ScanBitmap {
         self.run(last, enter.min(end), enter.max(end));
     }
 
-    /// Marks nearly the cells that [`ray`](Self::ray) marks for all beams together.
+    /// Marks nearly the cells that [`rays`](Self::rays) marks.
     ///
     /// Between two neighbouring beams that are nowhere more than one cell apart, one of the two meets every cell whose centre lies between
     /// them: a line within half a cell of a centre meets that cell. So wedges are filled, 64 cells at a time, as far as both beams reach and
-    /// the beams are dense (`dense` cells from the origin); each beam is drawn only from the end of the shorter of its two wedges. Where
+    /// the beams are dense (`dense` cells from the origin), or as far as they passed what is between them; each beam is drawn only from the end of the shorter of its two wedges. Where
     /// neighbours end close together on one surface, the wedge is filled up to that surface and nothing is drawn: the cells missed thereby
     /// lie within the last cell length of a beam with their centre behind the surface, and nearly all of them are hit themselves.
     fn fill(&mut self, origin: Point2<f64>, beams: impl Iterator<Item = Beam>, dense: f64) {
@@ -236,7 +264,8 @@ impl ScanBitmap {
             } else if outer - inner <= ONE_SURFACE && outer <= CLOSE * dense {
                 (last.length, beam.length)
             } else {
-                (inner.min(dense), inner.min(dense))
+                let passed = passed_between(&last, &beam, dense).max(inner.min(dense));
+                (passed, passed)
             };
             if last.length - reach.min(from) > SMALL_STEP {
                 self.tail(origin, &last, reach.min(from));

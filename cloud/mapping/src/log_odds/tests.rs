@@ -13,7 +13,7 @@ const BEAMS: BeamSettings = BeamSettings {
     trim: 0,
     max_range: None,
     clear_without_return: true,
-    lost_neighbours: 0,
+    lost_run: 0,
 };
 
 /// A scan from a pose whose beams start straight ahead and go counter-clockwise by `step`.
