@@ -44,7 +44,7 @@ mod settings;
 mod verdict;
 
 pub use field::LikelihoodField;
-pub use information::{floored, odometry_information, turned};
+pub use information::{floored, marginal, odometry_information, turned};
 pub use points::points;
 pub use pyramid::Pyramid;
 pub use refine::{Prior, Refined, refine};

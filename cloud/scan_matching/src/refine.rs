@@ -25,6 +25,8 @@ const FLAT: f64 = 0.05;
 const FARTHEST_TURN: f64 = 0.03;
 /// Added to the diagonal, so that a scan without any point near stays where the prior is.
 const LEAST_INFORMATION: f64 = 1e-9;
+/// Added where a direction was left out, and rounding must not bring it back: known to 30 m or rad.
+const UNKNOWN: f64 = 1e-3;
 
 /// What is known of the pose without the scan: odometry.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -49,6 +51,62 @@ pub struct Refined {
     pub score: f64,
     /// Unit vector in the frame of the field along which the scan alone does not know the position, if there is one; with two, the worse.
     pub degenerate: Option<Vector2<f64>>,
+}
+
+impl Refined {
+    /// This match, with the pose that was expected along `degenerate`. What the scan says there is not only little but wrong: along a corridor
+    /// the ends of what is seen of the walls come with the robot. After Zhang, Kaess and Singh, "On degeneracy of optimization-based state
+    /// estimation problems", ICRA 2016.
+    #[must_use]
+    pub fn expected_where_degenerate(self, expected: Pose2) -> Self {
+        let Some(along) = self.degenerate else {
+            return self;
+        };
+        let (sin, cos) = self.pose.yaw.sin_cos();
+        let along = Vector2::new(cos * along.x + sin * along.y, cos * along.y - sin * along.x);
+        let away = self.pose.inverse() * expected;
+        let free = Free::along(&self.information, along);
+        let share = free.way.dot(&Vector3::new(away.x, away.y, away.yaw)) / free.way.norm_squared();
+        let way = free.way * share;
+        Self {
+            pose: self.pose * Pose2::new(way.x, way.y, way.z),
+            information: free.without(&self.information),
+            ..self
+        }
+    }
+}
+
+/// A way of the pose that a scan hardly tells: along a direction, turning as the scan asks.
+#[derive(Clone, Copy, Debug)]
+struct Free {
+    /// Unit vector.
+    along: Vector2<f64>,
+    /// For each metre along it: x, y, m, and yaw, rad.
+    way: Vector3<f64>,
+}
+
+impl Free {
+    /// Along an eigenvector of the position's information, the heading being unknown.
+    fn along(information: &Matrix3<f64>, along: Vector2<f64>) -> Self {
+        let mixed = Vector2::new(information.m13, information.m23);
+        let turn = -mixed.dot(&along) / information.m33.max(LEAST_INFORMATION);
+        Self {
+            along,
+            way: Vector3::new(along.x, along.y, turn),
+        }
+    }
+
+    /// Information of all else. By the choice of the way it acts along `along` alone: `H w = (w' H w) (along, 0)`.
+    fn without(&self, information: &Matrix3<f64>) -> Matrix3<f64> {
+        let along = Vector3::new(self.along.x, self.along.y, 0.0);
+        let known = self.way.dot(&(information * self.way));
+        information - along * along.transpose() * known
+    }
+
+    /// A gradient without its part along the way.
+    fn across(&self, gradient: Vector3<f64>) -> Vector3<f64> {
+        gradient - Vector3::new(self.along.x, self.along.y, 0.0) * self.way.dot(&gradient)
+    }
 }
 
 /// Refines a pose. `points`: of the scan, in its frame, m.
@@ -95,12 +153,10 @@ pub fn refine(
     let degenerate = degenerate(&information, settings);
     let (sin, cos) = pose.yaw.sin_cos();
     let turn = Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
-    let across = degenerate.map_or_else(Matrix3::identity, |along| {
-        let along = Vector3::new(along.x, along.y, 0.0);
-        Matrix3::identity() - along * along.transpose()
-    });
-    let by_scan = newton_step(&(across * information * across), across * gradient, 0.5 * field.sigma());
-    let by_scan = turn.transpose() * by_scan;
+    let free = degenerate.map(|along| Free::along(&information, along));
+    let known = free.map_or(information, |free| free.without(&information));
+    let gradient = free.map_or(gradient, |free| free.across(gradient));
+    let by_scan = turn.transpose() * newton_step(&known, gradient, 0.5 * field.sigma());
     Refined {
         pose,
         by_scan: Pose2::new(by_scan.x, by_scan.y, by_scan.z),
@@ -112,7 +168,7 @@ pub fn refine(
 
 /// Where the minimum of a parabola with this Hessian and gradient lies, as far as a parabola can be trusted.
 fn newton_step(hessian: &Matrix3<f64>, gradient: Vector3<f64>, farthest: f64) -> Vector3<f64> {
-    let known = hessian + Matrix3::identity() * LEAST_INFORMATION;
+    let known = hessian + Matrix3::identity() * UNKNOWN;
     let step = known
         .cholesky()
         .map_or_else(Vector3::zeros, |factor| -factor.solve(&gradient));

@@ -8,7 +8,7 @@ use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy};
 use zenav_scan_matching::{
     FieldSettings, LikelihoodField, Prior, Pyramid, RefineSettings, VerdictSettings, Window, heading_step, judge,
-    refine, search,
+    marginal, refine, search,
 };
 
 /// Points on the walls of a room of 6 m by 4 m with a pillar, as seen from a pose in it.
@@ -189,6 +189,32 @@ fn a_corridor_is_known_across_and_not_along() {
     assert!(refined.pose.y.abs() < 0.005, "{:?}", refined.pose);
     let along = refined.degenerate.unwrap();
     assert!(along.x.abs() > 0.99, "{along}");
+}
+
+#[test]
+fn a_pillar_alone_tells_no_heading() {
+    // Seen from 3.3 m beside it: who drives on and turns back sees the same.
+    let pillar: Vec<Point2<f64>> = (0..15)
+        .map(|step| 0.06 * f64::from(step) - 0.42 - std::f64::consts::FRAC_PI_2)
+        .map(|angle| Point2::new(0.3 * angle.cos(), 3.3 + 0.3 * angle.sin()))
+        .collect();
+    let refined = refine(
+        &field_of(&pillar),
+        &pillar,
+        Pose2::IDENTITY,
+        None,
+        &RefineSettings::default(),
+    );
+    assert!(refined.degenerate.is_some(), "{refined:?}");
+    let expected = Pose2::new(0.05, 0.0, 0.01);
+    let followed = refined.expected_where_degenerate(expected);
+    let known = marginal(&followed.information);
+    assert!(known.x < 1.0 && known.y > 1e3 && known.z < 100.0, "{known}");
+    assert!(
+        followed.pose.x > 0.03 && followed.pose.y.abs() < 0.01,
+        "{:?}",
+        followed.pose
+    );
 }
 
 #[test]

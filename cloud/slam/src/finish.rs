@@ -61,6 +61,7 @@ fn rematch(slam: &mut Slam, node: usize) -> Result<(), GraphError> {
         let submap = &slam.submaps[index];
         let expected = slam.back_end.poses()[submap.anchor].inverse() * here;
         let refined = refine(&submap.field, &slam.scans[node], expected, None, &settings.refine);
+        let refined = refined.expected_where_degenerate(expected);
         let is_near = refined.pose.distance(&expected) < settings.finish.max_move;
         if refined.score < settings.closure.min_score || !is_near || submap.anchor == node {
             continue;
@@ -87,6 +88,7 @@ fn replace(slam: &mut Slam) {
         };
         let field = &submaps[index].field;
         let refined = refine(field, &stand.points, stand.node_from_base, None, &settings.refine);
+        let refined = refined.expected_where_degenerate(stand.node_from_base);
         let is_near = refined.pose.distance(&stand.node_from_base) < settings.finish.max_move;
         if is_near && refined.score >= settings.closure.min_score {
             stand.node_from_base = refined.pose;

@@ -2,13 +2,12 @@
 //!
 //! The settings say what any robot's odometry may be like. How this one's is shows as it drives: a wheel that is larger than stated makes
 //! every step shorter by the same share, and steps that matches confirm to a millimetre need not be doubted by a centimetre. Both are
-//! learned from matches that know the direction in question; what nothing shows stays as the settings have it. Where a scan does not know a
-//! direction, odometry alone leads.
+//! learned from matches that know the direction in question; what nothing shows stays as the settings have it.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Matrix3;
 use serde::{Deserialize, Serialize};
 use zenav_protocol::geometry::{Pose2, wrap_angle};
-use zenav_scan_matching::{OdometrySettings, Refined, odometry_information};
+use zenav_scan_matching::{OdometrySettings, marginal, odometry_information};
 
 /// Steps over which is averaged.
 const MEMORY: f64 = 200.0;
@@ -70,8 +69,9 @@ impl Odometry {
     ) {
         let stated = odometry_information(step, settings);
         let off = expected.inverse() * matched;
+        let scan = marginal(scan);
         for (which, off, axis) in [(0, off.x, 0), (1, wrap_angle(off.yaw), 2)] {
-            let (by_scan, by_odometry) = (scan[(axis, axis)], known[(axis, axis)]);
+            let (by_scan, by_odometry) = (scan[axis], known[(axis, axis)]);
             let share = by_scan / (by_scan + by_odometry);
             if share < 0.05 {
                 continue;
@@ -87,28 +87,5 @@ impl Odometry {
                 self.scale += rate * residual / step.x;
             }
         }
-    }
-}
-
-/// A match, with odometry alone along the direction in which the scan knows the position too badly. What it says there is not only little but
-/// wrong: along a corridor the ends of what is seen of the walls come with the robot. After Zhang, Kaess and Singh, "On degeneracy of
-/// optimization-based state estimation problems", ICRA 2016.
-pub(crate) fn by_odometry(refined: Refined, expected: Pose2) -> Refined {
-    let Some(along) = refined.degenerate else {
-        return refined;
-    };
-    let off = along.dot(&(refined.pose.position() - expected.position()));
-    let (sin, cos) = refined.pose.yaw.sin_cos();
-    // In the frame of the pose, as the information is.
-    let along_here = Vector3::new(cos * along.x + sin * along.y, cos * along.y - sin * along.x, 0.0);
-    let across = Matrix3::identity() - along_here * along_here.transpose();
-    Refined {
-        pose: Pose2::new(
-            refined.pose.x - off * along.x,
-            refined.pose.y - off * along.y,
-            refined.pose.yaw,
-        ),
-        information: across * refined.information * across,
-        ..refined
     }
 }

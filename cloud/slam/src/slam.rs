@@ -14,7 +14,7 @@ use crate::back_end::BackEnd;
 use crate::closure::close;
 use crate::finish;
 use crate::joining::{Older, locate};
-use crate::odometry::{Odometry, by_odometry};
+use crate::odometry::Odometry;
 use crate::session::{Session, on_grid};
 use crate::settings::SlamSettings;
 use crate::submap::{SEARCH_POINTS, Submap, thinned};
@@ -254,7 +254,7 @@ impl Slam {
         let expected = poses[submap.anchor].inverse() * poses[last] * self.odometry.corrected(step);
         let prior = Prior::of_odometry(expected, &self.odometry.information(step, &settings.odometry));
         let refined = refine(&submap.field, &seen, expected, Some(&prior), &settings.refine);
-        let refined = by_odometry(refined, expected);
+        let refined = refined.expected_where_degenerate(expected);
         let least = settings.front.min_score.max(settings.front.doubtful * self.usual);
         let is_match = refined.score >= least;
         let anchor_from_base = if is_match { refined.pose } else { expected };
@@ -497,7 +497,7 @@ impl Slam {
             return None;
         }
         if !std::mem::take(&mut self.is_doubted) {
-            best = by_odometry(best, expected);
+            best = best.expected_where_degenerate(expected);
         }
         self.unseen = 0;
         let share = if self.usual == 0.0 { 1.0 } else { USUAL };
