@@ -23,7 +23,7 @@ use crate::shape::Solid;
 const SKIN: f64 = 1e-6;
 /// A clearance up to this is contact, m.
 pub(crate) const CONTACT: f64 = 1e-4;
-/// A robot that comes nearer to what it touches by no more than this share of its way grazes it: it slides along.
+/// A robot whose outline comes nearer to what it touches by no more than this share of its way there grazes it: it slides along.
 const GRAZE: f64 = 0.05;
 /// A contact ends when the robot is this far away, m: one touch is one collision.
 const RELEASE: f64 = 2e-3;
@@ -233,7 +233,7 @@ impl Chassis {
             *sum += speed * secs_moving;
         }
         moved.turn += twist.w * secs_moving;
-        moved.reach += self.speed_of_outline(twist) * secs_moving;
+        moved.reach += (1.0 + GRAZE) * self.speed_of_outline(twist) * secs_moving;
         self.truth.length += twist.v.abs() * secs_moving;
         if share < 1.0 {
             self.motors.stall();
@@ -283,7 +283,7 @@ impl Chassis {
                 self.truth.map_from_base = next;
                 continue;
             }
-            if let Some((beside, clearance)) = self.pushed_aside(around, next, before, reach) {
+            if let Some((beside, clearance)) = self.pushed_aside(around, next, before, twist, piece) {
                 self.clearance = clearance;
                 self.truth.map_from_base = beside;
                 self.touch(around, turning, now);
@@ -309,10 +309,18 @@ impl Chassis {
     }
 
     /// Where a robot that grazes something is pushed to, and its clearance there: its tyres give way sideways by so little. `next` is where
-    /// its wheels alone would take it, from a clearance of `before`, m, on a way of `reach`, m.
-    fn pushed_aside(&self, around: Surroundings<'_>, next: Pose2, before: f64, reach: f64) -> Option<(Pose2, f64)> {
+    /// its wheels alone would take it, from a clearance of `before`, m, by a twist for so many s.
+    fn pushed_aside(
+        &self,
+        around: Surroundings<'_>,
+        next: Pose2,
+        before: f64,
+        twist: Twist2,
+        secs: f64,
+    ) -> Option<(Pose2, f64)> {
         let contact = around.contact(&self.footprint.at(next))?;
-        if before - contact.dist > GRAZE * reach {
+        let way = velocity_at(twist, contact.point1).length() * secs;
+        if before - contact.dist > GRAZE * way {
             return None;
         }
         let out = contact.normal1 * (contact.dist - 2.0 * SKIN);
@@ -327,7 +335,7 @@ impl Chassis {
         let (at, normal) = contact.map_or((Vector::ZERO, Vector::X), |found| (found.point1, found.normal1));
         let bearing = at.y.atan2(at.x);
         self.bearing = Some(bearing);
-        let own_speed = Vector::new(twist.v - twist.w * at.y, twist.w * at.x).dot(normal);
+        let own_speed = velocity_at(twist, at).dot(normal);
         self.truth.hardest_contact = self.truth.hardest_contact.max(own_speed);
         if self.touching {
             return;
@@ -367,4 +375,8 @@ impl Chassis {
             }
         }
     }
+}
+/// Velocity, m/s, of a point of a robot that moves with a twist, base frame.
+fn velocity_at(twist: Twist2, point: Vector) -> Vector {
+    Vector::new(twist.v - twist.w * point.y, twist.w * point.x)
 }
