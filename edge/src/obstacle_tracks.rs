@@ -5,8 +5,7 @@
 //! and a velocity, estimated by a Kalman filter with a constant-velocity model (white acceleration on each axis; Bar-Shalom, Li,
 //! Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, section 6.2). A track that is hidden goes on by its
 //! prediction for a while; one whose place is seen to be empty ends. What is too slow for that evidence is watched for longer
-//! (`slow_movers`). A robot that tells its course ([`crate::other_robots`]) is a track by
-//! its own word.
+//! (`slow_movers`). A robot that tells its course ([`crate::other_robots`]) is a track by its own word.
 
 use nalgebra::{Point2, Rotation2, Vector2};
 use zenav_protocol::time::Stamp;
@@ -14,7 +13,7 @@ use zenav_protocol::time::Stamp;
 use crate::course::{Course, Way};
 use crate::field_of_view::ProjectedScan;
 use crate::settings::TrackingSettings;
-use crate::slow_movers::{Round, SlowMovers};
+use crate::slow_movers::{Round, SlowMover, SlowMovers};
 
 /// Most tracks kept.
 const MAX_TRACKS: usize = 64;
@@ -197,13 +196,14 @@ impl Track {
         Way::bent([first, self.at(secs + third), self.at(secs + 2.0 * third), last])
     }
 
-    /// The same with a velocity (m/s) that was seen over some seconds.
-    fn at_velocity(self, velocity: Vector2<f64>) -> Self {
+    /// The same with the velocity that it was seen to have.
+    fn creeping(self, seen: &SlowMover) -> Self {
         Self {
-            velocity,
-            variance: [self.variance[0], 0.0, self.variance[0]],
+            velocity: seen.velocity,
+            // Of two places, each as uncertain as this one.
+            variance: [self.variance[0], 0.0, 2.0 * self.variance[0] / seen.secs.powi(2)],
             moved: true,
-            most_speed: velocity.norm(),
+            most_speed: seen.velocity.norm(),
             hits: SETTLED,
             evidence: LEAST_EVIDENCE,
             ..self
@@ -388,10 +388,10 @@ impl ObstacleTracks {
         let slow = self.slow.insert(scan, round);
         let begin = |segment: &Segment, id: u64| Track::new(id, segment, laser, scan.stamp, &self.settings);
         for (index, (segment, taken)) in self.segments.iter().zip(&self.taken).enumerate() {
-            let slow = slow.iter().find(|(which, _)| *which == index);
+            let slow = slow.iter().find(|slow| slow.index == index);
             let track = match slow {
                 _ if *taken => continue,
-                Some((_, velocity)) => begin(segment, self.next_id).at_velocity(*velocity),
+                Some(slow) => begin(segment, self.next_id).creeping(slow),
                 None if segment.is_moving() => begin(segment, self.next_id),
                 None => continue,
             };

@@ -21,12 +21,12 @@ const LEAST_AGE: f64 = 0.8;
 /// Something is another thing when it is seen farther than this from where it was last, m, or later than this, s.
 const FARTHEST: f64 = 0.25;
 const UNSEEN: f64 = 0.6;
-/// It has come its radius, or this far at least, m; and farther by this share of the way that a turn of the robot swings it.
+/// It has come its radius, or this far at least, m; and farther by this share of the way that a turn of the robot swings it around.
 const LEAST_WAY: f64 = 0.2;
 const TURN_ERROR: f64 = 0.06;
 /// A beam passes through a place when it ends this far behind it, m.
 const BEHIND: f64 = 0.1;
-/// Scans in a row that see it moved.
+/// So many scans that see it, one after the other, see it moved.
 const EVIDENCE: u32 = 3;
 
 /// A round thing that stands alone, as a scan shows it.
@@ -36,6 +36,17 @@ pub(crate) struct Round {
     pub(crate) center: Point2<f64>,
     /// m.
     pub(crate) radius: f64,
+}
+
+/// What was seen to move slowly.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct SlowMover {
+    /// Which of the things seen it is.
+    pub(crate) index: usize,
+    /// m/s.
+    pub(crate) velocity: Vector2<f64>,
+    /// Over this time, s.
+    pub(crate) secs: f64,
 }
 
 /// One that is watched.
@@ -55,12 +66,12 @@ pub(crate) struct SlowMovers {
 }
 
 impl SlowMovers {
-    /// Takes the round things of a scan that nobody knows to move; returns the place in `seen` and the velocity (m/s) of each that does.
+    /// Takes the round things of a scan that nobody knows to move, each with its index; returns those that do.
     pub(crate) fn insert(
         &mut self,
         scan: &ProjectedScan<'_>,
         seen: impl Iterator<Item = (usize, Round)>,
-    ) -> Vec<(usize, Vector2<f64>)> {
+    ) -> Vec<SlowMover> {
         let (now, yaw) = (scan.stamp, scan.odom_from_base.rotation.angle());
         self.watched.retain(|watched| now.secs_since(watched.last.0) <= UNSEEN);
         let mut moving = Vec::new();
@@ -80,10 +91,10 @@ impl SlowMovers {
             };
             watched.last = (now, round.center);
             match watched.velocity(scan, round, yaw) {
-                Some(velocity) => {
+                Some((velocity, secs)) => {
                     watched.evidence += 1;
                     if watched.evidence >= EVIDENCE {
-                        moving.push((index, velocity));
+                        moving.push(SlowMover { index, velocity, secs });
                     }
                 }
                 None => watched.evidence = 0,
@@ -112,14 +123,15 @@ impl Watched {
         }
     }
 
-    /// Its velocity, where it has evidently moved since one of the places kept.
-    fn velocity(&self, scan: &ProjectedScan<'_>, round: Round, yaw: f64) -> Option<Vector2<f64>> {
+    /// Its velocity, m/s, over the time, s, since the newest place kept from which it has evidently moved.
+    fn velocity(&self, scan: &ProjectedScan<'_>, round: Round, yaw: f64) -> Option<(Vector2<f64>, f64)> {
         let range = (round.center - scan.laser()).norm();
-        self.places.iter().find_map(|(stamp, place, heading)| {
+        self.places.iter().rev().find_map(|(stamp, place, heading)| {
             let age = scan.stamp.secs_since(*stamp);
             let way = round.center - place;
-            let least = round.radius.max(LEAST_WAY) + TURN_ERROR * (yaw - heading).sin().abs() * range;
-            (age >= LEAST_AGE && way.norm() >= least && is_seen_through(scan, *place)).then(|| way / age)
+            let swung = 2.0 * (0.5 * (yaw - heading)).sin().abs() * range;
+            let least = round.radius.max(LEAST_WAY) + TURN_ERROR * swung;
+            (age >= LEAST_AGE && way.norm() >= least && is_seen_through(scan, *place)).then(|| (way / age, age))
         })
     }
 }
@@ -129,10 +141,9 @@ fn is_seen_through(scan: &ProjectedScan<'_>, place: Point2<f64>) -> bool {
     let Some((beam, range)) = scan.beam_to(place) else {
         return false;
     };
-    let beams = scan
-        .ranges
-        .get(beam.saturating_sub(1)..(beam + 2).min(scan.ranges.len()));
-    beams.is_some_and(|beams| beams.iter().all(|seen| f64::from(*seen) > range + BEHIND))
+    let beams = beam.saturating_sub(1)..(beam + 2).min(scan.ranges.len());
+    let through = scan.ranges.get(beams).unwrap_or_default();
+    !through.is_empty() && through.iter().all(|seen| f64::from(*seen) > range + BEHIND)
 }
 
 #[cfg(test)]
@@ -140,6 +151,19 @@ fn is_seen_through(scan: &ProjectedScan<'_>, place: Point2<f64>) -> bool {
 mod tests {
     use super::*;
     use crate::obstacle_tracks::tests::watch;
+
+    #[test]
+    fn who_sets_out_after_standing_is_found_with_their_speed() {
+        let robot = zenav_fixtures::robot("tiago");
+        let moving = watch(&robot, 7.0, |now| {
+            vec![Point2::new(2.0, 0.8 + 0.2 * (now - 4.0).max(0.0))]
+        });
+        let found: Vec<_> = moving.tracks().iter().map(|track| track.velocity).collect();
+        assert!(
+            matches!(found[..], [velocity] if (velocity - Vector2::new(0.0, 0.2)).norm() < 0.06),
+            "{found:?}"
+        );
+    }
 
     #[test]
     fn what_creeps_ahead_of_the_robot_or_beside_it_is_found_and_what_stands_is_not() {
@@ -153,7 +177,7 @@ mod tests {
             let found: Vec<_> = moving.tracks().iter().map(|track| track.velocity).collect();
             assert_eq!(!found.is_empty(), is_found, "{walks}: {found:?}");
             assert!(
-                found.iter().all(|velocity| (velocity - walks).norm() < 0.12),
+                found.iter().all(|velocity| (velocity - walks).norm() < 0.04),
                 "{walks}: {found:?}"
             );
         }
