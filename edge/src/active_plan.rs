@@ -282,6 +282,11 @@ impl ActivePlan {
         }
     }
 
+    /// Time left by the plan, s.
+    pub(crate) fn time_left(&self, map_from_base: &Pose2) -> f64 {
+        self.raw_progress(map_from_base).time_left
+    }
+
     /// Marker of the waypoint or reference that the robot drives to now.
     #[must_use]
     pub fn marker(&self, now: Stamp) -> Option<Marker> {

@@ -8,6 +8,7 @@
 //! | [`body`] | what must hardware offer to be driven? |
 //! | `encoder_watch` | what have the wheels turned when their encoders say nothing new? |
 //! | [`estimator`], [`history`] | where is the robot, and where was it? |
+//! | `gyro_settling` | is the gyro's bias known well enough where nothing else tells the heading? |
 //! | `lost_beams` | which beams met nothing, and which did the lidar lose? |
 //! | [`local_obstacles`], [`moving_obstacles`], [`obstacle_tracks`], `slow_movers`, [`recent_places`], [`blind_spot_grid`] | which obstacles are around it, which of them move, and what was never seen? |
 //! | [`authority`], [`link`] | who may command it, and how old is the last word of who does? |
@@ -44,6 +45,7 @@ pub mod estimator;
 pub mod event_log;
 pub mod exit_code;
 mod field_of_view;
+mod gyro_settling;
 pub mod handoff;
 pub mod history;
 pub mod limiter;

@@ -267,6 +267,17 @@ impl LocalObstacles {
         known.map_or(&[], |lidar| lidar.filter.ranges())
     }
 
+    /// Share of the beams of the newest sweeps that see something, of the lidar that sees most; 1 before the first.
+    pub(crate) fn in_sight(&self) -> f64 {
+        let share = |lidar: &LidarView| lidar.seen.len() as f64 / lidar.filter.ranges().len().max(1) as f64;
+        self.lidars
+            .iter()
+            .filter(|lidar| lidar.stamp.is_some())
+            .map(share)
+            .reduce(f64::max)
+            .unwrap_or(1.0)
+    }
+
     /// The points of each lidar's newest sweep in the order of its beams, odometry frame.
     pub fn seen_by_lidar(&self) -> impl Iterator<Item = &[Point2<f64>]> {
         self.lidars.iter().map(|lidar| &lidar.seen[..])

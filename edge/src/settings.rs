@@ -45,6 +45,8 @@ zenav_protocol::settings! {
         pub avoidance: AvoidanceSettings;
         /// Pose estimator.
         pub estimator: EstimatorSettings;
+        /// Standing still for the gyro.
+        pub settling: SettlingSettings;
         /// Telemetry.
         pub telemetry: TelemetrySettings;
         /// Narrow links.
@@ -399,6 +401,19 @@ zenav_protocol::settings! {
         pub encoder_timeout: f64 = 0.3, "s", 0.02..=10.0;
         /// Averaging time of the velocity: encoder steps are coarse against one tick.
         pub velocity_smoothing: f64 = 0.05, "s", 0.001..=5.0;
+    }
+}
+
+zenav_protocol::settings! {
+    /// Standing still for the gyro's bias, where neither compass nor GPS nor anything in sight tells the heading.
+    #[derive(Copy)]
+    pub struct SettlingSettings {
+        /// The bias is known well enough when it bends the rest of the plan by no more than this share of its length (one standard deviation).
+        pub share: f64 = 0.01, "", 0.0001..=1000.0;
+        /// Longest rest at a time (below the mission's time without progress).
+        pub longest: f64 = 8.0, "s", 0.0..=600.0;
+        /// Way driven before another rest.
+        pub apart: f64 = 10.0, "m", 0.0..=1000.0;
     }
 }
 

@@ -2,10 +2,10 @@
 //! gyro's bias and the three systematic errors of a differential drive (Borenstein and Feng 1996): the radius of either wheel and their
 //! separation.
 //!
-//! Every noise comes from the robot file, and nothing is inflated by hand: encoder noise and slip for each wheel, gyro noise for each
-//! reading, half a step of what is quantised. Encoder steps are ignored, because they do not add up. A constant error is a state, not
-//! noise, because it does not average out. Source: Bar-Shalom, Li, Kirubarajan, *Estimation with Applications to Tracking and
-//! Navigation*, 2001, ch. 5 and 10; gates by the Mahalanobis distance.
+//! Every noise comes from the robot file: encoder noise and slip for each wheel, gyro noise for each reading, half a step of what is
+//! quantised; that of the map which corrections refer to is a setting. Encoder steps are ignored, because they do not add up. A constant
+//! error is a state, not noise, because it does not average out. Source: Bar-Shalom, Li, Kirubarajan, *Estimation with Applications to
+//! Tracking and Navigation*, 2001, ch. 5 and 10; gates by the Mahalanobis distance.
 
 use nalgebra::{Matrix2, Matrix3, RowSVector, SMatrix, SVector, Vector2, Vector3};
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
@@ -127,8 +127,9 @@ struct WheelTurn {
     step_variance: f64,
     /// How the pose depends on what each wheel rolls, of the noise that the prediction took.
     by_wheels: Vector3<f64>,
-    /// The turn that the prediction took from the gyro, rad.
+    /// The turn that the prediction took from the gyro, rad, and the rate of its reading before, rad/s.
     turn: f64,
+    rate_before: f64,
     /// How the pose depends on it, and its variance, rad².
     by_gyro: Vector3<f64>,
     gyro_variance: f64,
@@ -148,12 +149,13 @@ pub(super) struct Ekf {
     covariance: Covariance,
     reckoned: Reckoned,
     wheels: (Stamp, [f64; 2]),
-    gyro: Option<Stamp>,
+    /// Stamp and rate, rad/s, of the gyro's last reading.
+    gyro: Option<(Stamp, f64)>,
     still: f64,
     stood_at: [f64; 2],
     rejected: [u32; 3],
-    /// Distance rolled when the last correction came, m.
-    corrected_at: f64,
+    /// Distance rolled since the last correction, forwards or backwards, m.
+    uncorrected: f64,
 }
 
 impl Ekf {
@@ -179,7 +181,7 @@ impl Ekf {
             still: 0.0,
             stood_at: [0.0; 2],
             rejected: [0; 3],
-            corrected_at: 0.0,
+            uncorrected: 0.0,
         }
     }
 
@@ -210,7 +212,7 @@ impl Ekf {
 
     /// Stamp of the gyro's last reading.
     pub(super) fn gyro_at(&self) -> Option<Stamp> {
-        self.gyro
+        self.gyro.map(|(stamp, _)| stamp)
     }
 
     /// Pose in the map.
@@ -226,6 +228,11 @@ impl Ekf {
     /// The gyro's bias, rad/s.
     pub(super) fn gyro_bias(&self) -> f64 {
         self.state[BIAS]
+    }
+
+    /// Its standard deviation, rad/s.
+    pub(super) fn gyro_bias_std(&self) -> f64 {
+        self.covariance[(BIAS, BIAS)].max(0.0).sqrt()
     }
 
     /// Dead reckoning.
@@ -244,7 +251,7 @@ impl Ekf {
         self.advance((model, settings), stamp, motion);
         match input {
             Input::Gyro(rate) => {
-                self.gyro = Some(stamp);
+                self.gyro = Some((stamp, *rate));
                 self.learn_bias_at_rest((model, settings), *rate);
                 None
             }
@@ -283,7 +290,7 @@ impl Ekf {
                 self.covariance.fixed_rows_mut::<3>(0).fill(0.0);
                 self.covariance.fixed_columns_mut::<3>(0).fill(0.0);
                 self.covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(noise);
-                self.rejected = [0; 3];
+                (self.rejected, self.uncorrected) = ([0; 3], 0.0);
                 None
             }
         }
@@ -320,6 +327,7 @@ impl Ekf {
         let way = 0.5 * (left * (1.0 + self.state[LEFT]) + right * (1.0 + self.state[RIGHT]));
         let apart = drive.wheel_separation * (1.0 + self.state[APART]);
         self.reckoned.way += 0.5 * (left + right);
+        self.uncorrected += 0.5 * (left + right).abs();
 
         // How distance and turn depend on the parameters and on the error of each wheel.
         let mut way_by = RowSVector::<f64, STATES>::zeros();
@@ -328,7 +336,7 @@ impl Ekf {
         let (turn, wheel_turns, own_variance) = match motion.gyro {
             Some((until, rate)) => {
                 // The error of one reading, as a random walk over the time that it covers.
-                let span = self.gyro.map_or(secs, |since| until.secs_since(since));
+                let span = self.gyro.map_or(secs, |(since, _)| until.secs_since(since));
                 let noise = model.imu.gyro_noise.powi(2) + model.imu.resolution.powi(2) / 12.0;
                 self.reckoned.turn += rate * secs;
                 self.reckoned.by_gyro += secs;
@@ -389,6 +397,7 @@ impl Ekf {
                 step_variance: step,
                 by_wheels: 0.5 * spread(1.0, 0.0),
                 turn,
+                rate_before: self.gyro.map_or(self.state[BIAS], |(_, rate)| rate),
                 by_gyro,
                 gyro_variance: own_variance,
             };
@@ -402,17 +411,22 @@ impl Ekf {
         let [left, right] = wheels.sides;
         let turn = (right * (1.0 + self.state[RIGHT]) - left * (1.0 + self.state[LEFT])) / apart;
         let innovation = wheels.turn - turn;
+        let [by_left, by_right] = wheels.variances;
+        let wheel_variance = (by_left + by_right + 2.0 * wheels.step_variance) / (apart * apart);
+        let noise = wheels.gyro_variance + wheel_variance;
+        // By the turn that the gyro's last reading foretold, which has nothing of the innovation's noise in it. By one that has, noise would
+        // look like wheels that are too large and too far apart, or too small and too near (regression dilution).
+        let foretold = (wheels.rate_before - self.state[BIAS]) * secs;
+        let (way, aside) = (0.5 * (left + right), 0.5 * foretold * apart);
         // Of the innovation by the state: gyro less wheels.
         let mut jacobian = SVector::<f64, STATES>::zeros();
         jacobian[BIAS] = -secs;
-        (jacobian[LEFT], jacobian[RIGHT]) = (left / apart, -right / apart);
-        jacobian[APART] = turn / (1.0 + self.state[APART]);
-        let [by_left, by_right] = wheels.variances;
-        let wheel_variance = (by_left + by_right + 2.0 * wheels.step_variance) / (apart * apart);
+        (jacobian[LEFT], jacobian[RIGHT]) = ((way - aside) / apart, -(way + aside) / apart);
+        jacobian[APART] = foretold / (1.0 + self.state[APART]);
         let mut shared = self.covariance * jacobian;
         let mut pose = shared.fixed_rows_mut::<3>(0);
         pose += wheels.by_gyro * wheels.gyro_variance + wheels.by_wheels * ((by_left - by_right) / apart);
-        let variance = jacobian.dot(&(self.covariance * jacobian)) + wheels.gyro_variance + wheel_variance;
+        let variance = jacobian.dot(&(self.covariance * jacobian)) + noise;
         if variance < LEAST_TURN_VARIANCE || innovation * innovation > GATE[0] * variance {
             return;
         }
@@ -424,10 +438,9 @@ impl Ekf {
         self.covariance = (self.covariance + self.covariance.transpose()) * 0.5;
     }
 
-    /// The map that corrections refer to was made on the way: its errors add up along it, and look like a drift of odometry.
+    /// The map that corrections refer to errs along the way, also one that was made before: its errors add up like a drift of odometry.
     fn go_astray(&mut self, settings: &EstimatorSettings) {
-        let metres = (self.reckoned.way - self.corrected_at).abs();
-        self.corrected_at = self.reckoned.way;
+        let metres = std::mem::take(&mut self.uncorrected);
         let (walk, turn) = (settings.map_walk.powi(2), settings.map_turn_walk.powi(2));
         for (axis, variance) in [(0, walk), (1, walk), (2, turn)] {
             self.covariance[(axis, axis)] += metres * variance;

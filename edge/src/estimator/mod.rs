@@ -23,6 +23,8 @@ use measurement_buffer::{Admission, MeasurementBuffer};
 
 /// After this many readings in a row that are too late, the body's clock has restarted.
 const ANOTHER_CLOCK_AFTER: u32 = 25;
+/// A gyro that has said nothing for longer is not what the heading comes from, s.
+const GYRO_SILENT: f64 = 0.5;
 
 /// Slower than this is rest, m/s and rad/s: a filter alone would take for ever to get there.
 const REST: f64 = 1e-6;
@@ -143,6 +145,13 @@ impl Estimator {
     #[must_use]
     pub fn velocity(&self) -> Twist2 {
         self.velocity
+    }
+
+    /// Standard deviation of the gyro's bias, rad/s; `None` where the heading is not the gyro's.
+    pub(crate) fn gyro_bias_std(&self) -> Option<f64> {
+        let ekf = self.ekf();
+        let age = ekf.time().secs_since(ekf.gyro_at()?);
+        (age < GYRO_SILENT).then(|| ekf.gyro_bias_std())
     }
 
     /// Row-major covariance of (x, y, yaw): m², m rad, rad².

@@ -7,6 +7,7 @@ use zenav_protocol::time::Stamp;
 use super::Pilot;
 use crate::arbitration::MotionSource;
 use crate::avoidance::{AvoidanceInput, Control};
+use crate::gyro_settling::SettlingInput;
 use crate::limiter::Braking;
 use crate::trackers::TrackerInput;
 use crate::wall_follower::WallFollowerInput;
@@ -90,8 +91,38 @@ impl Pilot {
                 }
                 (self.dead_man.twist(now), Braking::Normal)
             }
+            MotionSource::Plan if self.settles(now) => {
+                self.mode = Mode::Follow;
+                (Twist2::ZERO, Braking::Normal)
+            }
             MotionSource::Plan => (self.follow_plan(now, dt, bump), Braking::Normal),
         }
+    }
+
+    /// Whether the robot stands still on its plan because nothing but a gyro that it knows too little tells its heading.
+    fn settles(&mut self, now: Stamp) -> bool {
+        let model = &self.config.model;
+        let (Some(active), Some(bias_std)) = (&self.active_plan, self.estimator.gyro_bias_std()) else {
+            return false;
+        };
+        if active.is_finished() || model.imu.compass_noise.is_some() || model.gps.is_some() {
+            return false;
+        }
+        let input = SettlingInput {
+            now,
+            place: self.estimator.odom_from_base().position(),
+            in_sight: self.obstacles.in_sight(),
+            bias_std,
+            time_left: active.time_left(&self.estimator.map_from_base()),
+        };
+        let held = self.gyro_settling.is_holding();
+        let holds = self.gyro_settling.holds(&input, &self.config.settings.settling);
+        if holds && !held {
+            let reason = "nothing is in sight: the robot stands still until its gyro's bias is known".to_owned();
+            let zone = GuardZone::Stop;
+            self.events.record(now, EventKind::Guard { zone, reason });
+        }
+        holds
     }
 
     /// The twist of the plan's tracker, or another one where the plan leads into the way of somebody.

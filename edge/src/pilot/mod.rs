@@ -44,6 +44,7 @@ use crate::control_io::{Inbox, Outbox, Persisted};
 use crate::encoder_watch::EncoderWatch;
 use crate::estimator::Estimator;
 use crate::event_log::EventLog;
+use crate::gyro_settling::GyroSettling;
 use crate::limiter::{Braking, Limiter};
 use crate::local_obstacles::LocalObstacles;
 use crate::loop_timing::LoopTiming;
@@ -91,6 +92,7 @@ pub struct Pilot {
     wheel_coordination: WheelCoordination,
     encoder_watch: EncoderWatch,
     lost_beams: LostBeams,
+    gyro_settling: GyroSettling,
     dead_man: DeadMan,
     telemetry: Telemetry,
     newest: Option<(u64, Revision)>,
@@ -145,6 +147,7 @@ impl Pilot {
             wheel_coordination: WheelCoordination::new(&model.drive),
             encoder_watch: EncoderWatch::new(model),
             lost_beams: LostBeams::default(),
+            gyro_settling: GyroSettling::default(),
             dead_man: DeadMan::new(settings.teleop.dead_man),
             telemetry: Telemetry::new(&settings.telemetry, &settings.uplink),
             newest: None,
