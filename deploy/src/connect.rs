@@ -99,6 +99,8 @@ pub(crate) fn namespace() -> String {
 /// # Errors
 /// With what was expected.
 pub(crate) fn endpoint(text: &str) -> Result<String, String> {
+    // Quoted, as a deployment takes its environment.
+    let text = text.trim_matches('"');
     match text.split_once('/') {
         Some(("tcp" | "quic" | "tls", address)) if address.contains(':') => Ok(text.to_owned()),
         _ => Err(format!(

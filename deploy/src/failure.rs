@@ -26,7 +26,7 @@ impl Failure {
     pub fn new(code: u8, message: impl Display) -> Self {
         Self {
             code,
-            message: message.to_string(),
+            message: in_words(&message.to_string()),
         }
     }
 
@@ -57,6 +57,28 @@ impl Failure {
     pub fn failed_at<E: Display>(path: &Path) -> impl FnOnce(E) -> Self {
         move |error| Self::failed(format_args!("{}: {error}", path.display()))
     }
+}
+
+/// A message of a parser, with the types of Rust that it expected in words.
+fn in_words(message: &str) -> String {
+    const EXPECTED: &str = "expected ";
+    let mut parts = message.split(EXPECTED);
+    let mut told = parts.next().unwrap_or_default().to_owned();
+    for part in parts {
+        let end = part
+            .find(|letter: char| !letter.is_ascii_alphanumeric())
+            .unwrap_or(part.len());
+        let (word, rest) = part.split_at(end);
+        let words = match word {
+            "f32" | "f64" => "a number",
+            "u8" | "u16" | "u32" | "u64" | "usize" => "a whole number that is not negative",
+            "i8" | "i16" | "i32" | "i64" | "isize" => "a whole number",
+            "bool" => "true or false",
+            other => other,
+        };
+        told.extend([EXPECTED, words, rest]);
+    }
+    told.replace("expected a boolean", "expected true or false")
 }
 
 impl From<BusError> for Failure {
@@ -109,3 +131,25 @@ impl From<std::io::Error> for Failure {
 
 /// What every command returns: its exit code.
 pub type Outcome = Result<u8, Failure>;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_parser_expected_is_told_in_words() {
+        let told = |message: &str| Failure::usage(message).message;
+        assert_eq!(
+            told("invalid type: string \"a\", expected usize at line 3"),
+            "invalid type: string \"a\", expected a whole number that is not negative at line 3"
+        );
+        assert_eq!(
+            told("expected f64, or expected a boolean"),
+            "expected a number, or expected true or false"
+        );
+        assert_eq!(
+            told("expected f64s and expected 2 numbers"),
+            "expected f64s and expected 2 numbers"
+        );
+    }
+}

@@ -62,7 +62,7 @@ pub(super) struct Run {
     pub(super) length_m: f64,
     pub(super) min_clearance_m: f64,
     pub(super) contacts: Vec<ContactReport>,
-    /// Where it is asked whether the robot knows its place: its distance from the goal at the end.
+    /// Distance from the goal at the end.
     pub(super) final_error_m: Option<f64>,
     /// Of zenav: the estimate against the truth at the end.
     pub(super) pose_error_m: Option<f64>,
