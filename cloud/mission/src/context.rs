@@ -117,6 +117,8 @@ pub struct ActiveGoal {
     pub waited: Option<(Blockage, Stamp)>,
     /// When the robot was turned to it last.
     pub looked: Option<Stamp>,
+    /// When it was driven aside last for what leans on it.
+    pub made_room: Option<Stamp>,
 }
 
 /// What the leaves of one robot's trees act on.

@@ -23,7 +23,7 @@ const MAX_NAME: usize = 256;
 /// Coordinates beyond this are a mistake, m.
 const FARTHEST: f64 = 1e6;
 /// Bounds of a goal's tolerance, m.
-const TOLERANCE: std::ops::RangeInclusive<f64> = 0.02..=10.0;
+pub const TOLERANCE: std::ops::RangeInclusive<f64> = 0.02..=10.0;
 /// Longest deadline, s.
 const LONGEST_DEADLINE: f64 = 1e7;
 

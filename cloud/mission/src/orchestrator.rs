@@ -274,6 +274,7 @@ impl Mission {
             started: goal.state.started.unwrap_or(self.ctx.now),
             waited: None,
             looked: None,
+            made_room: None,
         };
         self.published.legs = 0;
         let name = trees::shipped(name).map_or_else(|| tree.id().to_owned(), |_| name.to_owned());

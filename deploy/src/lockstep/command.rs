@@ -7,6 +7,7 @@ use clap::Args;
 use nalgebra::Point2;
 use serde::Serialize;
 use zenav_cloud::mapping::PoseSource;
+use zenav_mission::goal_validation::TOLERANCE;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::DrivingProfile;
 use zenav_protocol::trajectory::TrajectoryPoint;
@@ -219,11 +220,10 @@ fn check(args: &RunArgs) -> Result<(), Failure> {
     }
     let places = args.goal.iter().map(|number| ("--goal", *number));
     let starts = args.start.iter().map(|number| ("--start", *number));
-    for (name, number) in places.chain(starts).chain([
-        ("--timeout", args.timeout),
-        ("--tolerance", args.tolerance.unwrap_or_default()),
-        ("--cloud-delay-ms", args.cloud_delay_ms),
-    ]) {
+    for (name, number) in places
+        .chain(starts)
+        .chain([("--timeout", args.timeout), ("--cloud-delay-ms", args.cloud_delay_ms)])
+    {
         let is_place = matches!(name, "--goal" | "--start");
         if !number.is_finite() || (!is_place && number < 0.0) {
             return Err(Failure::usage(format!(
@@ -231,6 +231,13 @@ fn check(args: &RunArgs) -> Result<(), Failure> {
                 if is_place { "" } else { ", not negative" }
             )));
         }
+    }
+    if let Some(tolerance) = args.tolerance.filter(|tolerance| !TOLERANCE.contains(tolerance)) {
+        return Err(Failure::usage(format!(
+            "--tolerance {tolerance}: expected {} to {} m",
+            TOLERANCE.start(),
+            TOLERANCE.end()
+        )));
     }
     let mut headings = args.start.chunks_exact(3).map(|start| start[2]);
     headings

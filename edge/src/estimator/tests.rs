@@ -1,6 +1,7 @@
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use proptest::prelude::*;
+use proptest::strategy::ValueTree as _;
 
 use super::measurement_buffer::WINDOW;
 use super::*;
@@ -397,4 +398,32 @@ fn where_it_was_found_replaces_what_was_believed_at_its_own_time() {
         "{:?}",
         estimator.map_from_base()
     );
+}
+
+#[test]
+fn noise_of_wheels_and_gyro_does_not_look_like_wrong_wheels() {
+    let mut runner = proptest::test_runner::TestRunner::deterministic();
+    let mut noise = |most: f64| (-most..most).new_tree(&mut runner).map_or(0.0, |value| value.current());
+    let mut model = model();
+    (model.gps, model.imu.compass_noise) = (None, None);
+    let mut estimator = Estimator::new(&model, Pose2::IDENTITY, &EstimatorSettings::default());
+    let mut wheels = [0.0; 2];
+    for tick in 0..15_000_usize {
+        // Ten seconds at rest, then 145 m straight on by wheels that slip a little.
+        let turn = if tick < 500 {
+            0.0
+        } else {
+            0.01 / model.drive.wheel_radius
+        };
+        wheels = wheels.map(|angle| angle + turn * (1.0 + noise(0.1)));
+        let mut readings = readings(tick, wheels);
+        readings.imu = Some(Imu {
+            stamp: stamp(tick),
+            yaw_rate: noise(0.0035),
+            yaw: None,
+        });
+        estimator.step(&readings, []);
+    }
+    let error = estimator.map_from_base().x - 145.0;
+    assert!(error.abs() < 0.5, "{error} m along 145 m");
 }

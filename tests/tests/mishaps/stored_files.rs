@@ -18,7 +18,7 @@ async fn an_emptied_goal_store_is_refused_by_name_and_a_map_with_other_numbers_b
 
     let yaml = files.join("map.yaml");
     let text = std::fs::read_to_string(&yaml).unwrap_or_else(|error| panic!("{error}: {}", said(&saved)));
-    let spoiled = text.replace("resolution: 0.05", "resolution: 0.5");
+    let spoiled = text.replace("resolution: 0.025", "resolution: 0.5");
     assert_ne!(spoiled, text);
     std::fs::write(&yaml, spoiled).unwrap();
     let mut up = deployment.start_up();

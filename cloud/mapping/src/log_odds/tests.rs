@@ -46,7 +46,7 @@ proptest::proptest! {
     #![proptest_config(proptest::test_runner::Config::with_cases(32))]
 
     #[test]
-    fn reference_insertion_is_a_walk_along_every_beam(looks in proptest::collection::vec((-3.0..3.0, -3.0..3.0, -3.1..3.1, 0.01..0.3, proptest::collection::vec(0.05_f32..7.0, 1..40)), 1..12)) {
+    fn reference_insertion_is_a_walk_along_every_beam_and_between_neighbours(looks in proptest::collection::vec((-3.0..3.0, -3.0..3.0, -3.1..3.1, 0.01..0.3, proptest::collection::vec(0.05_f32..7.0, 1..40)), 1..12)) {
         let (mut map, model) = (empty(), QuantizedModel::new(&SensorModel::default()));
         let whole = GridSpec { origin: Point2::new(-12.8, -12.8), resolution: 0.05, width: 512, height: 512 };
         let mut bytes = vec![UNSEEN; whole.len()];
@@ -60,6 +60,21 @@ proptest::proptest! {
                 let end = Point2::new(x, y) + Vector2::new((yaw + scan.angle(beam)).cos(), (yaw + scan.angle(beam)).sin()) * length;
                 seen.extend(whole.walk(Point2::new(x, y), end).map(|cell| whole.index(cell)));
                 hit.extend((f64::from(*range) <= scan.range_max).then(|| whole.index(whole.cell_at(end).unwrap())));
+            }
+            // Where neighbours are one to four cells apart, so many rays between them that none is farther than a cell from the next.
+            for (beam, pair) in scan.ranges.windows(2).enumerate() {
+                let nearest = f64::from(pair[0].min(pair[1])).min(scan.range_max);
+                let passed = (nearest / whole.resolution - 1.0).clamp(0.0, 4.0 / step);
+                let [first, second] = [beam, beam + 1].map(|beam| {
+                    let yaw = yaw + scan.angle(beam);
+                    Vector2::new(yaw.cos(), yaw.sin()) * whole.resolution
+                });
+                let gaps = (passed * step).ceil() as u32;
+                for nth in 1..gaps {
+                    let direction = first.lerp(&second, f64::from(nth) / f64::from(gaps));
+                    let [a, b] = [1.0 / step, passed].map(|cells| Point2::new(x, y) + direction * cells);
+                    seen.extend(whole.walk(a, b).map(|cell| whole.index(cell)));
+                }
             }
             for index in seen {
                 bytes[index] = if hit.contains(&index) { model.after_hit(bytes[index]) } else { model.after_miss(bytes[index]) };

@@ -234,7 +234,9 @@ impl Search {
         match (state, &self.waiting) {
             (Searching::Wait(_), Some(waiting)) => {
                 ctx.goal.feedback.blockage = Some(waiting.blockage);
-                look_at(ctx, Point2::new(waiting.blockage.x, waiting.blockage.y));
+                if !waiting.make_room(ctx) {
+                    look_at(ctx, Point2::new(waiting.blockage.x, waiting.blockage.y));
+                }
                 Searching::Blocked(waiting.said(ctx.now))
             }
             (state, _) => {

@@ -21,6 +21,10 @@ const RETRY: [f64; 2] = [0.2, 1.0];
 const TRACES: f64 = 5.0;
 /// So much inside the border of its view a lidar sees what is waited for, rad; the robot turns to it at most so often, s.
 const VIEW: (f64, f64) = (0.3, 10.0);
+/// What bumped into the robot within this time, s, and leans on it for so long, s, is made room for: this much clearance, m, within so far, m.
+const BUMPED: f64 = 60.0;
+const LEANS: f64 = 6.0;
+const ROOM: (f64, f64) = (0.3, 2.0);
 /// Most goals that things are looked for around.
 const MAX_GOALS: usize = 8;
 /// What may touch a robot beyond its circumscribed disc, m: a cell's diagonal.
@@ -101,6 +105,35 @@ impl Waiting {
     fn count(&self, ctx: &Context) -> usize {
         let stands = |cell: &&Point2<f64>| ctx.map.occupancy(**cell) == Some(Occupancy::Occupied);
         self.cells.iter().filter(stands).count()
+    }
+
+    /// Drives a robot aside into which it has run, and on which it has leaned for a while: it waits for the robot, too. Says whether it leans on
+    /// it.
+    pub(super) fn make_room(&self, ctx: &mut Context) -> bool {
+        let (Some(pose), Some(model)) = (ctx.robot.pose(), ctx.robot.model()) else {
+            return false;
+        };
+        let base_from_map = pose.inverse();
+        let leans = |cell: &Point2<f64>| model.footprint.distance(base_from_map.transform_point(*cell)) <= BESIDE;
+        if !ctx.robot.was_bumped_within(ctx.now, BUMPED) || !self.cells.iter().any(leans) {
+            return false;
+        }
+        let since = ctx
+            .goal
+            .made_room
+            .map_or(self.blockage.since, |last| last.max(self.blockage.since));
+        if ctx.now.secs_since(since) >= LEANS
+            && ask_behaviour(
+                ctx,
+                BehaviourAction::ToFree {
+                    clearance: ROOM.0,
+                    within: ROOM.1,
+                },
+            )
+        {
+            ctx.goal.made_room = Some(ctx.now);
+        }
+        true
     }
 
     /// What is waited for, in words.
@@ -236,23 +269,32 @@ impl Search {
 /// Turns a robot at rest to a place that none of its lidars sees: what leaves there would stay in the map.
 pub(crate) fn look_at(ctx: &mut Context, place: Point2<f64>) {
     let looked = ctx.goal.looked.is_some_and(|at| ctx.now.secs_since(at) < VIEW.1);
-    let (Some(epoch), Some(pose), Some(model)) = (ctx.lease.epoch(), ctx.robot.pose(), ctx.robot.model()) else {
+    let (Some(pose), Some(model)) = (ctx.robot.pose(), ctx.robot.model()) else {
         return;
     };
     let bearing = wrap_angle((place.y - pose.y).atan2(place.x - pose.x) - pose.yaw);
     let is_seen = model
         .all_lidars()
         .any(|(_, lidar)| wrap_angle(bearing - lidar.mount.yaw).abs() <= 0.5 * lidar.field_of_view - VIEW.0);
-    if looked || is_seen || !ctx.robot.is_at_rest() || ctx.obstacle_to_driving().is_some() {
-        return;
+    if !looked && !is_seen && ask_behaviour(ctx, BehaviourAction::Spin { angle: bearing }) {
+        ctx.goal.looked = Some(ctx.now);
     }
-    ctx.goal.looked = Some(ctx.now);
+}
+
+/// Asks a robot at rest for a manoeuvre, if it may be asked. Whether it is done is seen by the robot's pose.
+fn ask_behaviour(ctx: &mut Context, action: BehaviourAction) -> bool {
+    let Some(epoch) = ctx.lease.epoch() else {
+        return false;
+    };
+    if !ctx.robot.is_at_rest() || ctx.obstacle_to_driving().is_some() {
+        return false;
+    }
     let request = BehaviourRequest {
         id: ctx.execution_id(),
-        action: BehaviourAction::Spin { angle: bearing },
+        action,
         epoch: Some(epoch),
     };
-    // Whether it is done is seen by the robot's heading.
     let ticket = ctx.asks.ask(Ask::Behaviour(request));
     ctx.asks.forget(ticket);
+    true
 }
