@@ -71,7 +71,9 @@ fn in_words(message: &str) -> String {
         let (word, rest) = part.split_at(end);
         let words = match word {
             "f32" | "f64" => "a number",
-            "u8" | "u16" | "u32" | "u64" | "usize" => "a whole number that is not negative",
+            "u8" => "a whole number from 0 to 255",
+            "u16" => "a whole number from 0 to 65535",
+            "u32" | "u64" | "usize" => "a whole number that is not negative",
             "i8" | "i16" | "i32" | "i64" | "isize" => "a whole number",
             "bool" => "true or false",
             other => other,

@@ -2,7 +2,7 @@
 //!
 //! A gyro's bias `b` bends a way that takes `t` by `b t / 2` of its length. It is learned at rest ([`crate::estimator`]), and what was driven
 //! before is set right by it, because the filter knows how both hang together. So a robot that sees nothing, and knows its gyro too badly
-//! for the rest of its plan, stands still for some seconds; if that was not enough, once more after some metres.
+//! for the rest of its plan, stands still for some seconds; if that was not enough, again after some metres.
 
 use nalgebra::Point2;
 use zenav_protocol::time::Stamp;
@@ -42,12 +42,19 @@ impl GyroSettling {
         self.since.is_some()
     }
 
+    /// Something else than the plan moves the robot.
+    pub(crate) fn interrupt(&mut self) {
+        self.since = None;
+    }
+
     /// Whether the robot stands still for its gyro.
     pub(crate) fn holds(&mut self, input: &SettlingInput, settings: &SettlingSettings) -> bool {
         let is_known = 0.5 * input.bias_std * input.time_left <= settings.share;
-        let is_over = |since: Stamp| input.now.secs_since(since) >= settings.longest;
-        if is_known || input.in_sight >= IN_SIGHT || self.since.is_some_and(is_over) {
-            if self.since.take().is_some() {
+        let is_over = self
+            .since
+            .is_some_and(|since| input.now.secs_since(since) >= settings.longest);
+        if is_known || is_over || input.in_sight >= IN_SIGHT {
+            if self.since.take().is_some() && (is_known || is_over) {
                 self.stood = Some(input.place);
             }
             return false;
@@ -82,5 +89,9 @@ mod tests {
         assert!(!holds(4.0, 1.0, 0.0, 1e-3), "it has only just stood");
         assert!(holds(60.0, 20.0, 0.0, 1e-3) && holds(60.0 + 0.9 * settings.longest, 20.0, 0.0, 1e-3));
         assert!(!holds(61.0 + settings.longest, 20.0, 0.0, 1e-3), "long enough");
+        assert!(
+            holds(100.0, 40.0, 0.0, 1e-3) && !holds(100.1, 40.0, 0.3, 1e-3) && holds(100.2, 40.0, 0.0, 1e-3),
+            "somebody passed"
+        );
     }
 }

@@ -411,9 +411,9 @@ zenav_protocol::settings! {
         /// The bias is known well enough when it bends the rest of the plan by no more than this share of its length (one standard deviation).
         pub share: f64 = 0.01, "", 0.0001..=1000.0;
         /// Longest rest at a time (below the mission's time without progress).
-        pub longest: f64 = 8.0, "s", 0.0..=600.0;
+        pub longest: f64 = 8.0, "s", 0.0..=9.0;
         /// Way driven before another rest.
-        pub apart: f64 = 10.0, "m", 0.0..=1000.0;
+        pub apart: f64 = 10.0, "m", 1.0..=1000.0;
     }
 }
 

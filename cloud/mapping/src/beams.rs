@@ -122,10 +122,14 @@ fn gap(scan: &Scan, first: usize, lost: usize) -> (usize, f64) {
         .take_while(is_gap)
         .last()
         .map_or(first, |last| last + 1);
-    let beside = [begin.checked_sub(1), Some(end)].into_iter().flatten();
-    let returns = beside
-        .filter_map(|beam| scan.ranges.get(beam))
-        .filter(|range| scan.is_return(**range));
+    let is_return = |beam: &usize| scan.ranges.get(*beam).is_some_and(|range| scan.is_return(*range));
+    // The next return on either side: what is no range tells nothing.
+    let before = (begin.saturating_sub(lost)..begin).rev().find(is_return);
+    let after = (end..end + lost).find(is_return);
+    let returns = [before, after]
+        .into_iter()
+        .flatten()
+        .filter_map(|beam| scan.ranges.get(beam));
     let least = returns.fold(f64::INFINITY, |least, range| least.min(f64::from(*range)));
     (end, if end - begin < lost { least } else { f64::INFINITY })
 }

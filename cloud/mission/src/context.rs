@@ -117,8 +117,8 @@ pub struct ActiveGoal {
     pub waited: Option<(Blockage, Stamp)>,
     /// When the robot was turned to it last.
     pub looked: Option<Stamp>,
-    /// When it was driven aside last for what leans on it.
-    pub made_room: Option<Stamp>,
+    /// Since when something has leaned on it, or it was driven aside for that.
+    pub leaned_on: Option<Stamp>,
 }
 
 /// What the leaves of one robot's trees act on.

@@ -274,7 +274,7 @@ impl Mission {
             started: goal.state.started.unwrap_or(self.ctx.now),
             waited: None,
             looked: None,
-            made_room: None,
+            leaned_on: None,
         };
         self.published.legs = 0;
         let name = trees::shipped(name).map_or_else(|| tree.id().to_owned(), |_| name.to_owned());

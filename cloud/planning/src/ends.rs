@@ -46,7 +46,7 @@ pub(super) fn leaving(space: &ConfigurationSpace, start: Point2<f64>, settings: 
         return Some(cell);
     }
     let clearance = space.clearance(start);
-    let tolerance = settings.depth * space.spec().resolution;
+    let tolerance = settings.depth;
     if clearance < space.footprint().inscribed_radius() - tolerance {
         return None;
     }

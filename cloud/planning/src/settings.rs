@@ -43,9 +43,8 @@ zenav_protocol::settings! {
 zenav_protocol::settings! {
     /// How a robot leaves a place where it does not fit by the map.
     pub struct LeavingSettings {
-        /// How deep an obstacle may reach into a robot that stands: a map is no truer than its cells, and mapped walls are up to a
-        /// cell and a half too thick.
-        pub depth: f64 = 1.5, "cells", 0.0..=10.0;
+        /// How deep an obstacle may reach into a robot that stands: poses err, and mapped walls are some cells too thick.
+        pub depth: f64 = 0.075, "m", 0.0..=1.0;
         /// How far such a robot may go for a free place.
         pub distance: f64 = 0.6, "m", 0.0..=10.0;
     }
@@ -97,7 +96,7 @@ zenav_protocol::settings! {
         /// A repaired path is taken when it is proven to cost at most this share more than the cheapest.
         pub slack: f64 = 0.02, "", 0.0..=1.0;
         /// Cells before and after a cut that are searched anew with it.
-        pub around: usize = 12, "cells", 1..=1000;
+        pub around: usize = 24, "cells", 1..=1000;
         /// Expansions that such a piece may take: about a millisecond's.
         pub max_expansions: u64 = 20_000, "", 1..;
     }

@@ -54,7 +54,7 @@ pub struct Refined {
 }
 
 impl Refined {
-    /// This match, with the pose that was expected along `degenerate`. What the scan says there is not only little but wrong: along a corridor
+    /// This match, along `degenerate` as near to the pose that was expected as the scan allows, a metre counting as much as a radian. What the scan says there is not only little but wrong: along a corridor
     /// the ends of what is seen of the walls come with the robot. After Zhang, Kaess and Singh, "On degeneracy of optimization-based state
     /// estimation problems", ICRA 2016.
     #[must_use]

@@ -20,6 +20,9 @@ impl Pilot {
     pub(super) fn arbitrate(&mut self, now: Stamp, dt: f64, bump: &Bump) -> (Twist2, Braking) {
         let plan_valid = self.active_plan.as_ref().is_some_and(|active| active.is_valid(now));
         let source = self.authority.motion_source(now, plan_valid);
+        if source != MotionSource::Plan {
+            self.gyro_settling.interrupt();
+        }
         if source != MotionSource::ReturnHome {
             self.return_home.record(self.estimator.map_from_base().position());
         }

@@ -21,8 +21,8 @@ use super::tile::Bits;
 use super::tiles::{TILE_SIDE, Tiles};
 use crate::sensor_model::QuantizedModel;
 
-/// Cells this near to a permanent obstacle are never transient.
-const BESIDE: i64 = 2;
+/// Cells this near to a permanent obstacle on each axis are never transient, m.
+const BESIDE: f64 = 0.1;
 
 /// Transient obstacles of a map.
 #[derive(Clone, Debug)]
@@ -173,7 +173,8 @@ impl Decay {
         model: &QuantizedModel,
     ) -> bool {
         let side = TILE_SIDE as i64;
-        let around = |center: i64| center - BESIDE..=center + BESIDE;
+        let reach = (BESIDE / map.frame.resolution).round() as i64;
+        let around = |center: i64| center - reach..=center + reach;
         around(at[1] * side + row as i64).any(|y| {
             around(at[0] * side + column as i64).any(|x| {
                 let at = [x.div_euclid(side), y.div_euclid(side)];

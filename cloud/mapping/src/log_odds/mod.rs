@@ -28,7 +28,7 @@ use crate::beams::{Beam, BeamReader, CellFrame};
 use crate::sensor_model::QuantizedModel;
 use crate::settings::{BeamSettings, SensorModel};
 use decay::Decay;
-use scan_bitmap::ScanBitmap;
+use scan_bitmap::{ScanBitmap, Spacing};
 use tiles::{Bounds, TILE_SIDE, Tiles};
 
 /// How beams are drawn into the map.
@@ -202,8 +202,7 @@ impl LogOddsGrid {
         let count = self.insert_beams(
             self.tiles.frame.cells(scan.map_from_laser().position()),
             &mut beams,
-            // Neighbouring beams are one cell apart where the arc between them is one cell long.
-            scan.angle_increment.recip(),
+            Spacing::new(scan.angle_increment, self.tiles.frame.resolution),
             mode,
             footprint.map(|footprint| (footprint, base)),
         );
@@ -215,7 +214,7 @@ impl LogOddsGrid {
         &mut self,
         laser: Point2<f64>,
         beams: &mut Vec<Beam>,
-        dense: f64,
+        spacing: Spacing,
         mode: InsertMode,
         body: Option<(&Footprint, Pose2)>,
     ) -> Option<BeamCount> {
@@ -252,7 +251,7 @@ impl LogOddsGrid {
         }
         let (first, counts) = bounds.tiles();
         self.bitmap.lay(first, counts);
-        self.bitmap.draw(laser, beams, dense, mode);
+        self.bitmap.draw(laser, beams, spacing, mode);
         if let (Some((footprint, base)), Some(corners)) = (body, body_bounds) {
             self.clear_footprint(footprint, base, corners);
         }

@@ -43,8 +43,8 @@ const ONE_SURFACE: f64 = 1.0;
 /// Beams at most this far apart, in cells, miss hardly any cell of a surface on which they ended.
 const CLOSE: f64 = 0.7;
 
-/// Between beams at most this far apart nothing stands that neither of them meets, cells.
-const APART: f64 = 4.0;
+/// Between beams at most this far apart, m, hardly anything stands that neither of them meets; who comes nearer sees what is thinner.
+const APART: f64 = 0.1;
 
 /// A cell that a ray meets has its centre at most this far along the ray, cells.
 const HALF_DIAGONAL: f64 = std::f64::consts::FRAC_1_SQRT_2;
@@ -62,10 +62,29 @@ fn whole(cells: f64) -> i64 {
     fixed(cells) >> FRACTION
 }
 
+/// Distances from the origin, cells, up to which neighbouring beams are near to one another.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Spacing {
+    /// At most one cell.
+    dense: f64,
+    /// At most [`APART`].
+    close: f64,
+}
+
+impl Spacing {
+    /// Of beams with an angle between them, rad, in cells with a side, m.
+    pub(super) fn new(angle: f64, resolution: f64) -> Self {
+        Self {
+            dense: angle.recip(),
+            close: APART / (resolution * angle),
+        }
+    }
+}
+
 /// How far two beams both passed what lies between them, cells; 0 unless they are neighbours. Where they end there may be a surface.
-fn passed_between(a: &Beam, b: &Beam, dense: f64) -> f64 {
+fn passed_between(a: &Beam, b: &Beam, spacing: Spacing) -> f64 {
     if a.number + 1 == b.number {
-        (a.length.min(b.length) - ONE_SURFACE).clamp(0.0, APART * dense)
+        (a.length.min(b.length) - ONE_SURFACE).clamp(0.0, spacing.close)
     } else {
         0.0
     }
@@ -128,9 +147,9 @@ impl ScanBitmap {
         }
     }
 
-    /// Marks the cells that the beams passed and in which they ended. Neighbouring beams are at most one cell apart up to `dense` cells from
-    /// the origin. Up to [`APART`] times as far, what lies between two that both pass it was passed too: no beam is a line.
-    pub(super) fn draw(&mut self, origin: Point2<f64>, beams: &[Beam], dense: f64, mode: InsertMode) {
+    /// Marks the cells that the beams passed and in which they ended. What lies between two beams that are close and both pass it was passed
+    /// too: no beam is a line.
+    pub(super) fn draw(&mut self, origin: Point2<f64>, beams: &[Beam], spacing: Spacing, mode: InsertMode) {
         let corner = self.corner();
         let origin = origin - corner;
         let here = |beam: &Beam| Beam {
@@ -139,13 +158,14 @@ impl ScanBitmap {
         };
         let beams = beams.iter().map(here);
         match mode {
-            InsertMode::Fast => self.fill(origin, beams, dense),
-            InsertMode::Reference => self.rays(origin, beams, dense),
+            InsertMode::Fast => self.fill(origin, beams, spacing),
+            InsertMode::Reference => self.rays(origin, beams, spacing),
         }
     }
 
     /// Draws beam by beam, with rays between neighbours that are more than a cell apart.
-    fn rays(&mut self, origin: Point2<f64>, beams: impl Iterator<Item = Beam>, dense: f64) {
+    fn rays(&mut self, origin: Point2<f64>, beams: impl Iterator<Item = Beam>, spacing: Spacing) {
+        let dense = spacing.dense;
         let mut before: Option<Beam> = None;
         for beam in beams {
             if beam.hit {
@@ -155,7 +175,7 @@ impl ScanBitmap {
             let Some(last) = before.replace(beam) else {
                 continue;
             };
-            let passed = passed_between(&last, &beam, dense);
+            let passed = passed_between(&last, &beam, spacing);
             // So many that none is farther than a cell from the next.
             let between = (passed / dense).ceil().max(1.0);
             for nth in 1..between as u32 {
@@ -242,10 +262,11 @@ impl ScanBitmap {
     ///
     /// Between two neighbouring beams that are nowhere more than one cell apart, one of the two meets every cell whose centre lies between
     /// them: a line within half a cell of a centre meets that cell. So wedges are filled, 64 cells at a time, as far as both beams reach and
-    /// the beams are dense (`dense` cells from the origin), or as far as they passed what is between them; each beam is drawn only from the end of the shorter of its two wedges. Where
+    /// the beams are dense, or as far as they passed what is between them; each beam is drawn only from the end of the shorter of its two wedges. Where
     /// neighbours end close together on one surface, the wedge is filled up to that surface and nothing is drawn: the cells missed thereby
     /// lie within the last cell length of a beam with their centre behind the surface, and nearly all of them are hit themselves.
-    fn fill(&mut self, origin: Point2<f64>, beams: impl Iterator<Item = Beam>, dense: f64) {
+    fn fill(&mut self, origin: Point2<f64>, beams: impl Iterator<Item = Beam>, spacing: Spacing) {
+        let dense = spacing.dense;
         let home = Corner::at(origin);
         // End of the border so far, and its distance from the origin.
         let (mut border, mut reach) = (home, 0.0_f64);
@@ -264,7 +285,7 @@ impl ScanBitmap {
             } else if outer - inner <= ONE_SURFACE && outer <= CLOSE * dense {
                 (last.length, beam.length)
             } else {
-                let passed = passed_between(&last, &beam, dense).max(inner.min(dense));
+                let passed = passed_between(&last, &beam, spacing).max(inner.min(dense));
                 (passed, passed)
             };
             if last.length - reach.min(from) > SMALL_STEP {

@@ -61,10 +61,10 @@ proptest::proptest! {
                 seen.extend(whole.walk(Point2::new(x, y), end).map(|cell| whole.index(cell)));
                 hit.extend((f64::from(*range) <= scan.range_max).then(|| whole.index(whole.cell_at(end).unwrap())));
             }
-            // Where neighbours are one to four cells apart, so many rays between them that none is farther than a cell from the next.
+            // Where neighbours are at most 0.1 m apart, so many rays between them that none is farther than a cell from the next.
             for (beam, pair) in scan.ranges.windows(2).enumerate() {
                 let nearest = f64::from(pair[0].min(pair[1])).min(scan.range_max);
-                let passed = (nearest / whole.resolution - 1.0).clamp(0.0, 4.0 / step);
+                let passed = (nearest / whole.resolution - 1.0).clamp(0.0, 0.1 / whole.resolution / step);
                 let [first, second] = [beam, beam + 1].map(|beam| {
                     let yaw = yaw + scan.angle(beam);
                     Vector2::new(yaw.cos(), yaw.sin()) * whole.resolution

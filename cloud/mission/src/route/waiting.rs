@@ -27,7 +27,7 @@ const LEANS: f64 = 6.0;
 const ROOM: (f64, f64) = (0.3, 2.0);
 /// Most goals that things are looked for around.
 const MAX_GOALS: usize = 8;
-/// What may touch a robot beyond its circumscribed disc, m: a cell's diagonal.
+/// What may touch a robot beyond its circumscribed disc, m: some cells.
 const BESIDE: f64 = 0.08;
 /// Cells this near to one another bar the way as one thing, m.
 const ONE_THING: f64 = 0.8;
@@ -107,8 +107,7 @@ impl Waiting {
         self.cells.iter().filter(stands).count()
     }
 
-    /// Drives a robot aside into which it has run, and on which it has leaned for a while: it waits for the robot, too. Says whether it leans on
-    /// it.
+    /// Drives a robot aside into which it has run, and on which it has leaned for a while: it waits for the robot, too. Says whether it did.
     pub(super) fn make_room(&self, ctx: &mut Context) -> bool {
         let (Some(pose), Some(model)) = (ctx.robot.pose(), ctx.robot.model()) else {
             return false;
@@ -116,24 +115,17 @@ impl Waiting {
         let base_from_map = pose.inverse();
         let leans = |cell: &Point2<f64>| model.footprint.distance(base_from_map.transform_point(*cell)) <= BESIDE;
         if !ctx.robot.was_bumped_within(ctx.now, BUMPED) || !self.cells.iter().any(leans) {
+            ctx.goal.leaned_on = None;
             return false;
         }
-        let since = ctx
-            .goal
-            .made_room
-            .map_or(self.blockage.since, |last| last.max(self.blockage.since));
-        if ctx.now.secs_since(since) >= LEANS
-            && ask_behaviour(
-                ctx,
-                BehaviourAction::ToFree {
-                    clearance: ROOM.0,
-                    within: ROOM.1,
-                },
-            )
-        {
-            ctx.goal.made_room = Some(ctx.now);
+        let since = *ctx.goal.leaned_on.get_or_insert(ctx.now);
+        let (clearance, within) = ROOM;
+        let drives =
+            ctx.now.secs_since(since) >= LEANS && ask_behaviour(ctx, BehaviourAction::ToFree { clearance, within });
+        if drives {
+            ctx.goal.leaned_on = Some(ctx.now);
         }
-        true
+        drives
     }
 
     /// What is waited for, in words.

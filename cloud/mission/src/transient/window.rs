@@ -13,9 +13,9 @@ const LINK: f64 = 0.1;
 const SIZES: std::ops::RangeInclusive<f64> = 0.2..=0.8;
 /// Cells that a thing must have at least.
 const MIN_CELLS: usize = 4;
-/// Share of the cells around a cell that were free once, for what stands there to have come: all around a person, three in five along a wall of
-/// which one row was grazed, four in five where two were.
-const FREE_AROUND: f64 = 0.85;
+/// Share of the cells around a cell that were free once, for what stands there to have come: all around a person, eight in nine along a wall of
+/// which 10 cm were grazed.
+const FREE_AROUND: f64 = 0.92;
 /// What is this near to a cell on each axis is around it, m.
 const AROUND: f64 = 0.1;
 /// Share of the box around a lone thing that must be free, itself left out: half of it beside a piece of a wall.

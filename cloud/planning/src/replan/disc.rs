@@ -38,7 +38,7 @@ use zenav_space::{BitGrid, ConfigurationSpace, LineOfSight};
 /// Answers that are kept.
 const KEPT: usize = 16;
 /// How far a robot may be beside the path, cells.
-const BESIDE: u32 = 3;
+const BESIDE: u32 = 6;
 
 /// Paths for one disc on one map as it changes.
 #[derive(Clone, Debug)]
