@@ -64,15 +64,15 @@ proptest::proptest! {
             // Where neighbours are at most 0.1 m apart, so many rays between them that none is farther than a cell from the next.
             for (beam, pair) in scan.ranges.windows(2).enumerate() {
                 let nearest = f64::from(pair[0].min(pair[1])).min(scan.range_max);
-                let passed = (nearest / whole.resolution - 1.0).clamp(0.0, 0.1 / whole.resolution / step);
+                let passed = (nearest / whole.resolution - 1.0).clamp(0.0, 0.1 / (whole.resolution * step));
                 let [first, second] = [beam, beam + 1].map(|beam| {
                     let yaw = yaw + scan.angle(beam);
                     Vector2::new(yaw.cos(), yaw.sin()) * whole.resolution
                 });
-                let gaps = (passed * step).ceil() as u32;
+                let gaps = (passed / step.recip()).ceil() as u32;
                 for nth in 1..gaps {
                     let direction = first.lerp(&second, f64::from(nth) / f64::from(gaps));
-                    let [a, b] = [1.0 / step, passed].map(|cells| Point2::new(x, y) + direction * cells);
+                    let [a, b] = [step.recip(), passed].map(|cells| Point2::new(x, y) + direction * cells);
                     seen.extend(whole.walk(a, b).map(|cell| whole.index(cell)));
                 }
             }
