@@ -30,6 +30,9 @@ const JOINED: Duration = Duration::from_secs(90);
 /// Three robots in a hall, each with a lane of its own; two of everything that another may have to stand in for. Nothing is said of security: its
 /// links are encrypted, and each part proves who it is.
 const DEPLOYMENT: &str = r#"
+# All parts share the cores of one machine, and come from a debug build.
+[mapping]
+resolution = 0.05
 [simulation]
 world = "hall.toml"
 speed = {speed}
