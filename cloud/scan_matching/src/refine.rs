@@ -54,8 +54,8 @@ pub struct Refined {
 }
 
 impl Refined {
-    /// This match, along `degenerate` as near to the pose that was expected as the scan allows, a metre counting as much as a radian. What the scan says there is not only little but wrong: along a corridor
-    /// the ends of what is seen of the walls come with the robot. After Zhang, Kaess and Singh, "On degeneracy of optimization-based state
+    /// This match, along `degenerate` as near to the pose that was expected as the scan allows, a metre counting as much as a radian. What the
+    /// scan says there is not only little but wrong: along a corridor the ends of what is seen of the walls come with the robot. After Zhang, Kaess and Singh, "On degeneracy of optimization-based state
     /// estimation problems", ICRA 2016.
     #[must_use]
     pub fn expected_where_degenerate(self, expected: Pose2) -> Self {

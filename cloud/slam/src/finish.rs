@@ -99,8 +99,8 @@ fn replace(slam: &mut Slam) {
     }
 }
 
-/// Matches a scan about where it lies. Along a direction that it does not tell there it stays: elsewhere the ends of what was seen may fit on one
-/// another, and look as if they told it.
+/// Matches a scan about where it lies. Along a direction that it does not tell there it stays: elsewhere the ends of what was seen may fit
+/// on one another, and look as if they told it.
 fn refine_here(field: &LikelihoodField, points: &[Point2<f64>], here: Pose2, settings: &RefineSettings) -> Refined {
     let unmoved = RefineSettings {
         max_iterations: 0,

@@ -2,8 +2,8 @@
 //! gyro's bias and the three systematic errors of a differential drive (Borenstein and Feng 1996): the radius of either wheel and their
 //! separation.
 //!
-//! Every noise comes from the robot file: encoder noise and slip for each wheel, gyro noise for each reading, half a step of what is
-//! quantised; that of the map which corrections refer to is a setting. Encoder steps are ignored, because they do not add up. A constant
+//! Sensor noise comes from the robot file: encoder noise and slip for each wheel, gyro noise for each reading, half a step of what is
+//! quantised. How states wander, and the map which corrections refer to, are settings. Encoder steps are ignored, because they do not add up. A constant
 //! error is a state, not noise, because it does not average out. Source: Bar-Shalom, Li, Kirubarajan, *Estimation with Applications to
 //! Tracking and Navigation*, 2001, ch. 5 and 10; gates by the Mahalanobis distance.
 

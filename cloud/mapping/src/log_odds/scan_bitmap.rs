@@ -262,8 +262,8 @@ impl ScanBitmap {
     ///
     /// Between two neighbouring beams that are nowhere more than one cell apart, one of the two meets every cell whose centre lies between
     /// them: a line within half a cell of a centre meets that cell. So wedges are filled, 64 cells at a time, as far as both beams reach and
-    /// the beams are dense, or as far as they passed what is between them; each beam is drawn only from the end of the shorter of its two wedges. Where
-    /// neighbours end close together on one surface, the wedge is filled up to that surface and nothing is drawn: the cells missed thereby
+    /// the beams are dense, or as far as they passed what is between them; each beam is drawn only from the end of the shorter of its two
+    /// wedges. Where neighbours end close together on one surface, the wedge is filled up to that surface and nothing is drawn: the cells missed thereby
     /// lie within the last cell length of a beam with their centre behind the surface, and nearly all of them are hit themselves.
     fn fill(&mut self, origin: Point2<f64>, beams: impl Iterator<Item = Beam>, spacing: Spacing) {
         let dense = spacing.dense;
