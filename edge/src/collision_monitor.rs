@@ -14,9 +14,14 @@ use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 
 use crate::local_obstacles::LocalObstacles;
-use crate::passive_safety::{LEAST_CLEARANCE, Motion, Mover, closing_speed, contact_point, share_beside};
+use crate::passive_safety::{
+    LEAST_CLEARANCE, Motion, Mover, closing_speed, contact_point, fastest_outward, share_beside,
+};
 use crate::settings::{CollisionMonitorSettings, EdgeSettings, PassiveSafetySettings};
 use crate::time_to_contact::SweptFootprint;
+
+/// No point of the outline moves outwards faster than this once a faster motion has faded, m/s.
+const FADED: f64 = 0.009;
 
 /// Judges every twist before it goes to the wheels.
 #[derive(Clone, Debug)]
@@ -31,6 +36,8 @@ pub struct CollisionMonitor {
     pub blind_speed: f64,
     /// Whether the wheel encoders say nothing new although the wheels turn.
     pub encoders_silent: bool,
+    /// The twist that the wheels drive by now, as their motors lag behind what they were told.
+    driven: Twist2,
     /// The oldest of the lidars' newest scans, and when it arrived.
     scan: Option<(Stamp, Stamp)>,
     zone: GuardZone,
@@ -62,6 +69,7 @@ impl CollisionMonitor {
             margin: model.controller.guard_margin,
             blind_speed: model.controller.blind_speed,
             encoders_silent: false,
+            driven: Twist2::ZERO,
             scan: None,
             zone: GuardZone::Clear,
             since: Stamp::ZERO,
@@ -101,16 +109,35 @@ impl CollisionMonitor {
             share if share < self.settings.clear_share => GuardZone::Slow,
             _ => GuardZone::Clear,
         };
-        let twist = if share <= 0.0 || !wanted.is_finite() {
+        let allowed = if share <= 0.0 || !wanted.is_finite() {
             Twist2::ZERO
         } else {
             Twist2::new(share * wanted.v, share * wanted.w)
         };
+        let twist = if self.fades(allowed) { Twist2::ZERO } else { allowed };
+        self.follow(twist);
         Verdict {
             twist,
             zone,
             change: self.enter(now, zone, reason),
         }
+    }
+
+    /// Whether more than a gentle motion is left of what the wheels were told before, while no more than a gentle one may be told now: both
+    /// together would be no gentle one.
+    fn fades(&self, allowed: Twist2) -> bool {
+        let fastest = |twist| fastest_outward(&self.model.footprint, twist);
+        fastest(allowed) <= FADED && fastest(self.driven) > FADED
+    }
+
+    /// The wheels follow a twist as their motors do.
+    fn follow(&mut self, told: Twist2) {
+        let lag = self.model.drive.motor_lag;
+        let left = if lag > 0.0 { (-self.tick / lag).exp() } else { 0.0 };
+        self.driven = Twist2::new(
+            told.v + left * (self.driven.v - told.v),
+            told.w + left * (self.driven.w - told.w),
+        );
     }
 
     /// Time to contact with any known obstacle along a twist's arc, s; `None` without contact within the horizon.

@@ -356,7 +356,7 @@ impl<'a> Motion<'a> {
 
     /// How fast a point of the outline moves along its normal, m/s.
     fn outward(&self, at: Point2<f64>, normal: Vector2<f64>) -> f64 {
-        Vector2::new(self.twist.v - self.twist.w * at.y, self.twist.w * at.x).dot(&normal)
+        outward(self.twist, at, normal)
     }
 }
 
@@ -393,18 +393,42 @@ fn outline_samples(footprint: &Footprint, margin: f64) -> Vec<(Point2<f64>, Vect
         }
         Footprint::Polygon(corners) => {
             let edges = corners.iter().zip(corners.iter().cycle().skip(1));
-            edges
+            let normal = |a: &Point2<f64>, b: &Point2<f64>| {
+                let along = (b - a).normalize();
+                Vector2::new(along.y, -along.x)
+            };
+            let mut samples: Vec<_> = edges
                 .flat_map(|(a, b)| {
                     let along = (b - a).normalize();
-                    let normal = Vector2::new(along.y, -along.x);
+                    let normal = normal(a, b);
                     let length = (b - a).norm() + 2.0 * margin;
                     let count = (length / SAMPLE).ceil().clamp(1.0, 1000.0);
                     let from = a + (normal - along) * margin;
                     (0..=count as u32).map(move |step| (from + along * (length * f64::from(step) / count), normal))
                 })
-                .collect()
+                .collect();
+            // A corner is touched from between its two sides as well.
+            let before = corners.iter().cycle().skip(corners.len() - 1);
+            let after = corners.iter().cycle().skip(1);
+            samples.extend(corners.iter().zip(before).zip(after).map(|((corner, before), after)| {
+                let between = (normal(before, corner) + normal(corner, after)).normalize();
+                (corner + between * margin, between)
+            }));
+            samples
         }
     }
+}
+
+/// How fast a twist moves any point of the outline outwards, at most, m/s.
+pub(crate) fn fastest_outward(footprint: &Footprint, twist: Twist2) -> f64 {
+    let samples = outline_samples(footprint, 0.0);
+    let outward = samples.iter().map(|(at, normal)| outward(twist, *at, *normal));
+    outward.fold(0.0, f64::max)
+}
+
+/// How fast a point of the outline moves along its normal, m/s.
+fn outward(twist: Twist2, at: Point2<f64>, normal: Vector2<f64>) -> f64 {
+    Vector2::new(twist.v - twist.w * at.y, twist.w * at.x).dot(&normal)
 }
 
 /// How fast a twist brings the outline nearer to a static point (base frame), m/s; negative: away from it.

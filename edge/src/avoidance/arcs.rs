@@ -3,7 +3,7 @@
 //! A twist is kept along an arc, as fast as the monitor allows it now. The arc is held against what stands and against where tracks are
 //! predicted; its end is judged by the value function.
 
-use zenav_protocol::geometry::{Pose2, Twist2};
+use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
 
 use super::{Avoidance, AvoidanceInput, kept, lead};
 use crate::blind_spot_grid::Floor;
@@ -30,8 +30,12 @@ const LEAST_DISTANCE: f64 = 0.03;
 const CONTACT_COST: f64 = 12.0;
 /// Where the end of the plan cannot be reached it counts as this far, s.
 const MOST_VALUE: f64 = 60.0;
+/// A robot that is slower than this is taken to stay where it is, whatever it tells, m/s.
+const STANDS: f64 = 0.05;
 /// Cost of the end of an arc that has no way on, at most, s.
 const DOOMED_COST: f64 = 10.0;
+/// And for each rad that it looks away from where the plan leads, s.
+const LOOK_COST: f64 = 0.5;
 /// Cost of an arc all along the way of a track, s.
 const NEARNESS_COST: f64 = 15.0;
 /// Cost of an arc that the collision monitor would stop, s.
@@ -211,13 +215,21 @@ impl Avoidance {
                     let way = track.way(after, lead);
                     nearest = nearest.min(self.distance_from_way(pose, &way, track.radius) - kept);
                 }
+                let least = LEAST_DISTANCE.min(before - LEAST_CLEARANCE);
+                let mut touches = distance < least;
+                if track.is_robot() {
+                    // It does not go where it says while this one is in its way: an arc that leads out of there is better than none.
+                    cost += f64::from(u8::from(touches)) * CONTACT_COST * (1.0 + left) / f64::from(ARC_STEPS);
+                    touches =
+                        track.velocity.norm() < STANDS && self.distance(pose, track.position) - track.radius < least;
+                }
                 // Nearer than this the collision monitor slows the robot down.
                 let fast = if track.is_robot() { 0.0 } else { track.velocity.norm() };
                 let kept = fast * (self.reaction + speed / self.drive.hard_braking);
-                if distance < kept && (at - pose.position()).dot(&pose.heading()) * twist.v > 0.0 {
+                if kept > 0.0 && distance < kept && (at - pose.position()).dot(&pose.heading()) * twist.v > 0.0 {
                     slowed = slowed.max((1.0 - distance / kept) * speed / self.drive.top_speed());
                 }
-                if distance < LEAST_DISTANCE.min(before - LEAST_CLEARANCE) {
+                if touches {
                     // Sooner is worse, and so is the robot's own part in it.
                     return cost + from_here + CONTACT_COST * (1.0 + left) + 0.5 * speed;
                 }
@@ -230,9 +242,16 @@ impl Avoidance {
                 return cost;
             }
         }
-        // Where there is no way out there will be a contact, but later.
         let value = self.values.at(pose, lasts, self.drive.top_yaw_rate());
-        cost + value.min(from_here + DOOMED_COST)
+        if value < from_here + DOOMED_COST {
+            return cost + value;
+        }
+        // Where there is no way out there will be a contact, but later. What has left since a lidar saw it last may have opened one.
+        let looks_away = input.ahead.last().map_or(0.0, |end| {
+            let toward = end.pose.position() - pose.position();
+            wrap_angle(toward.y.atan2(toward.x) - pose.yaw).abs()
+        });
+        cost + from_here + DOOMED_COST + LOOK_COST * looks_away
     }
 
     /// Distance of the covering discs at a pose from what stands, m, to within a cell.

@@ -8,6 +8,7 @@ mod tests;
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;
+use zenav_protocol::grid::Cell;
 use zenav_protocol::messages::{PlanOrigin, PlanOutcome};
 use zenav_protocol::robot::Footprint;
 use zenav_space::{ConfigurationSpace, DistanceCost};
@@ -24,6 +25,8 @@ use straight_out::straight_out;
 
 /// Points closer together than this are one, m.
 const ROUNDING: f64 = 1e-9;
+/// Where the footprint does not stand at the goal, the nearest place where it does is looked for so far around, m.
+const BESIDE_GOAL: f64 = 0.5;
 
 /// What stood for the footprint in the search that found a path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -248,7 +251,15 @@ fn fit_footprint(
     budget: Budget<'_>,
     planned: &mut Planned,
 ) {
-    if !se2_search::can_stand(space, query.start, query.heading) || !se2_search::can_stand(space, query.goal, None) {
+    if !se2_search::can_stand(space, query.start, query.heading) {
+        return;
+    }
+    if !se2_search::can_stand(space, query.goal, None) {
+        if let PlanOutcome::Found { .. } | PlanOutcome::GoalOccupied { .. } = planned.outcome {
+            let nearest_free = nearest_standing(space, query.goal);
+            planned.outcome = PlanOutcome::GoalOccupied { nearest_free };
+            planned.found_by = None;
+        }
         return;
     }
     let costs = costs_of(space, options);
@@ -279,6 +290,24 @@ fn fit_footprint(
         (Err(_), PlanOutcome::Found { .. }) => planned.outcome = PlanOutcome::NoPath,
         (Err(_), _) => {}
     }
+}
+
+/// The cell nearest to a place on which the footprint stands with some heading, [`BESIDE_GOAL`] away at most.
+fn nearest_standing(space: &ConfigurationSpace, place: Point2<f64>) -> Option<Point2<f64>> {
+    let spec = space.spec();
+    let home = spec.cell_at(place)?;
+    let reach = (BESIDE_GOAL / spec.resolution).ceil().clamp(1.0, 64.0) as i64;
+    let around = (-reach..=reach).flat_map(|dy| (-reach..=reach).map(move |dx| (dx, dy)));
+    let mut free: Vec<(f64, Point2<f64>)> = around
+        .map(|(dx, dy)| (i64::from(home.x) + dx, i64::from(home.y) + dy))
+        .filter(|(x, y)| spec.contains(*x, *y))
+        .map(|(x, y)| Cell::new(x as u32, y as u32))
+        .filter(|cell| space.is_free(*cell))
+        .map(|cell| ((spec.center(cell) - place).norm(), spec.center(cell)))
+        .collect();
+    free.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut places = free.into_iter().map(|(_, place)| place);
+    places.find(|place| se2_search::can_stand(space, *place, None))
 }
 
 fn found(path: Vec<Point2<f64>>) -> PlanOutcome {

@@ -127,16 +127,20 @@ fn a_robot_close_to_a_wall_leaves_it() {
     ));
 }
 
-/// A robot of 0.8 m by 0.3 m in the room, whose wall across has a door of `gap` cells.
+/// 0.8 m by 0.3 m.
+fn long_outline() -> Footprint {
+    let corners = [(-0.4, -0.15), (0.4, -0.15), (0.4, 0.15), (-0.4, 0.15)];
+    Footprint::Polygon(corners.map(|(x, y)| Point2::new(x, y)).to_vec())
+}
+
+/// That robot in the room, whose wall across has a door of `gap` cells.
 fn ask_long(gap: u32, start: Pose2, goal: (f64, f64), planner: Planner) -> Planned {
     let mut grid = room();
     for y in 1..79 {
         let is_door = (40..40 + gap).contains(&y);
         grid[Cell::new(50, y)] = if is_door { Occupancy::FREE } else { Occupancy::OCCUPIED };
     }
-    let outline = [(-0.4, -0.15), (0.4, -0.15), (0.4, 0.15), (-0.4, 0.15)].map(|(x, y)| Point2::new(x, y));
-    let footprint = Footprint::Polygon(outline.to_vec());
-    let space = ConfigurationSpace::new(&grid, &footprint, UnknownPolicy::Blocked, 0.0);
+    let space = ConfigurationSpace::new(&grid, &long_outline(), UnknownPolicy::Blocked, 0.0);
     let mut searcher = Searcher::new(space.free()).unwrap();
     let mut options = PlanOptions::new(planner);
     options.settings.sampling.improving = 200;
@@ -172,6 +176,42 @@ fn every_path_of_every_planner_can_be_driven_by_a_robot_that_is_longer_than_wide
         assert!(by(9, *planner).0.is_some(), "{planner}");
         assert_eq!(by(5, *planner), (None, PlanOutcome::NoPath), "{planner}");
     }
+}
+
+#[test]
+fn a_long_robot_goes_into_a_niche_as_far_as_it_fits_and_not_as_far_as_a_disc_would() {
+    let (mut grid, goal) = (room(), Point2::new(3.0, 0.0));
+    // The niche is 0.3 m deep behind the goal and open on one side; the robot reaches 0.4 m.
+    let cells = (0..80).flat_map(|y| (0..100).map(move |x| Cell::new(x, y)));
+    for cell in cells {
+        let off = grid.spec().center(cell) - goal;
+        if (0.3..0.4).contains(&off.norm()) && !(off.x > 0.0 && off.y.abs() < 0.25) {
+            grid[cell] = Occupancy::OCCUPIED;
+        }
+    }
+    let space = ConfigurationSpace::new(&grid, &long_outline(), UnknownPolicy::Blocked, 0.0);
+    let ask = |goal_tolerance| {
+        let options = PlanOptions {
+            goal_tolerance,
+            ..PlanOptions::default()
+        };
+        let (start, goal) = (Pose2::new(0.0, 0.0, 0.0), Pose2::new(goal.x, goal.y, 0.0));
+        let mut searcher = Searcher::new(space.free()).unwrap();
+        plan(&space, &mut searcher, start, goal, &options, Budget::UNLIMITED)
+    };
+    let PlanOutcome::GoalOccupied {
+        nearest_free: Some(near),
+    } = ask(0.0).outcome
+    else {
+        panic!("{:?}", ask(0.0))
+    };
+    assert!((0.05..0.25).contains(&(near - goal).norm()), "{near}");
+    let planned = ask(0.25);
+    let PlanOutcome::Found { path, .. } = &planned.outcome else {
+        panic!("{planned:?}")
+    };
+    assert!((path[path.len() - 1] - goal).norm() <= 0.25);
+    assert!(se2_search::is_drivable(&space, path, &planned.backwards, Some(0.0)));
 }
 
 #[test]
