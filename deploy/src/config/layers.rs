@@ -230,6 +230,27 @@ mod tests {
     }
 
     #[test]
+    fn a_value_of_another_kind_is_told_with_its_line_in_every_section() {
+        for (line, told) in [
+            (
+                "poses = \"gps\"",
+                "unknown variant `gps`, expected one of `edge`, `slam`, `localise`",
+            ),
+            ("enabled = 1", "expected true or false"),
+            ("resolution = true", "expected a number"),
+        ] {
+            let failure = read(&format!("[mapping]\nlive = true\n{line}\n"), &[])
+                .map(|_| ())
+                .unwrap_err();
+            for part in ["mine.toml", "line 3", line, told] {
+                assert!(failure.message.contains(part), "{part}: {failure}");
+            }
+        }
+        let failure = read("", &[("ZENAV_MAPPING__POSES", "gps")]).map(|_| ()).unwrap_err();
+        assert!(failure.message.contains("`mapping.poses`"), "{failure}");
+    }
+
+    #[test]
     fn a_library_s_settings_stand_in_the_section_of_its_service() {
         let text = "[mapping]\nenabled = false\nresolution = 0.1\n[mapping.sensor_model]\nhit = 0.7\n";
         let mapping = read(text, &[]).unwrap().deployment.mapping;
