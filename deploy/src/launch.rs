@@ -219,7 +219,7 @@ pub struct CloudArgs {
     #[command(flatten)]
     part: PartArgs,
     /// The orchestrator's name, instead of the deployment's; no two may share it
-    #[arg(long)]
+    #[arg(long, value_parser = connect::name)]
     holder: Option<String>,
     /// Names this process's workers
     #[arg(long)]

@@ -111,6 +111,8 @@ impl Layers {
         let robot = misnamed.map_or_else(|| "robots".to_owned(), |name| format!("robots.{name}"));
         self.deployment.robot_ids().map_err(at(robot))?;
         self.deployment.group_ids().map_err(at("groups".to_owned()))?;
+        let holder = Id::new(self.deployment.mission.run.holder.as_str()).map_err(Failure::usage);
+        holder.map_err(at("mission.holder".to_owned()))?;
         Ok(())
     }
 
@@ -330,9 +332,14 @@ mod tests {
     }
 
     #[test]
-    fn a_name_that_no_robot_may_have_is_told_with_its_line() {
+    fn a_name_that_nobody_may_have_is_told_with_its_line() {
         let failure = read("[robots.a]\n[robots.\"b/c\"]\n", &[]).map(|_| ()).unwrap_err();
         assert_eq!(failure.code, exit_code::USAGE);
         assert!(failure.message.contains("mine.toml:2: [robots.b/c]"), "{failure}");
+        let failure = read("[mission]\nholder = \"a b\"\n", &[]).map(|_| ()).unwrap_err();
+        assert!(
+            failure.message.contains("mine.toml:2: `a b` is not a valid name"),
+            "{failure}"
+        );
     }
 }

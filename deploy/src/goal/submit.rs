@@ -13,7 +13,7 @@ use zenav_protocol::topics;
 
 use super::{Report, follow, phase_code};
 use crate::completion;
-use crate::connect::{self, RobotArgs, check_yaw, finite, fresh_id, heading, positive};
+use crate::connect::{self, RobotArgs, check_yaw, finite, fresh_id, heading, name, positive};
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::inspect::bt::includer;
@@ -45,7 +45,7 @@ pub(super) struct SubmitArgs {
     #[arg(long, value_name = "NAME=VALUE", requires = "tree", value_parser = entry)]
     blackboard: Vec<(String, serde_json::Value)>,
     /// Id of the goal; sending the same id again is idempotent [default: generated]
-    #[arg(long, value_parser = goal_id)]
+    #[arg(long, value_parser = name)]
     id: Option<String>,
     /// What to do while another goal is running
     #[arg(long, value_enum, default_value_t)]
@@ -54,7 +54,7 @@ pub(super) struct SubmitArgs {
     #[arg(long, value_name = "N", default_value_t = 0)]
     priority: i32,
     /// Group of robots instead of one: the nearest free robot takes the goal
-    #[arg(long, value_name = "NAME", conflicts_with = "robot", value_parser = goal_id)]
+    #[arg(long, value_name = "NAME", conflicts_with = "robot", value_parser = name)]
     group: Option<String>,
     /// Abort the goal after this time, s
     #[arg(long, value_name = "SECS", value_parser = positive)]
@@ -80,10 +80,6 @@ enum OnBusyArg {
     Preempt,
     /// Refuse
     Reject,
-}
-
-fn goal_id(text: &str) -> Result<String, String> {
-    Id::new(text).map(String::from).map_err(|error| error.to_string())
 }
 
 fn waypoint(text: &str) -> Result<GoalPoint, String> {
