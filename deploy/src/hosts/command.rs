@@ -157,7 +157,7 @@ fn render(file: &Path, out: &Path, target: Target) -> Outcome {
     output::line(&format!(
         "{}: {} files; README.md says what to do with them",
         out.display(),
-        paths.len()
+        output::counted(paths.len(), "file")
     ));
     Ok(exit_code::OK)
 }
@@ -219,8 +219,9 @@ fn report_keys(missing: &[String], layout: &Layout<'_>, keys: &Path) -> Outcome 
     }
     let parts = layout.parts().count();
     output::line(&format!(
-        "{} hosts, {parts} parts: nothing is wrong",
-        layout.hosts.len()
+        "{}, {}: nothing is wrong",
+        output::counted(layout.hosts.len(), "host"),
+        output::counted(layout.parts().count(), "part")
     ));
     Ok(exit_code::OK)
 }
