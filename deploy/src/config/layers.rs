@@ -287,6 +287,14 @@ mod tests {
                 .ends_with("mine.toml:2: `mapping.resolution` is 0.001: expected 0.005 to 10 m"),
             "{failure}"
         );
+        let text = "[robots.a]\nstart = { x = 1, y = 2, yaw = 90 }\n";
+        let failure = read(text, &[]).map(|_| ()).unwrap_err();
+        assert!(
+            failure
+                .message
+                .contains("mine.toml:2: `robots.a.start.yaw` is 90: expected an angle in rad"),
+            "{failure}"
+        );
         let failure = read("", &[("ZENAV_SIMULATION__SPEED", "-1")]).map(|_| ()).unwrap_err();
         assert!(
             failure.message.starts_with("environment ZENAV_SIMULATION__SPEED: "),
