@@ -116,6 +116,23 @@ impl Layers {
         Ok(())
     }
 
+    /// Whether the file is there that a key names: for a part that goes on to read it, as not every host has it.
+    ///
+    /// # Errors
+    /// Exit code 3, with the key, where it is written, and the path that was looked for.
+    pub(crate) fn check_file(&self, key: &str) -> Result<(), Failure> {
+        let mut files = self.deployment.files().into_iter();
+        let missing = files.find(|(named, file)| *named == key && file.is_some_and(|file| !file.exists()));
+        let Some((_, Some(file))) = missing else { return Ok(()) };
+        let path = std::path::absolute(file)?;
+        Err(Failure::not_found(format!(
+            "{}: `{key}` is `{}`: there is no file {}",
+            self.origin(key),
+            file.display(),
+            path.display()
+        )))
+    }
+
     /// Where the value of a key came from.
     pub(crate) fn origin(&self, key: &str) -> String {
         if let Some(variable) = self.environment.get(key) {
@@ -305,6 +322,29 @@ mod tests {
             read("", &[("ZENAV_IMAGE", "zenav:next")]).is_ok(),
             "no setting of a deployment"
         );
+    }
+
+    #[test]
+    fn a_file_that_is_not_there_is_told_with_its_line_and_its_path() {
+        let layers = read(
+            "[zones]\nfile = \"no/wet.toml\"\n[mapping]\nmap = \"/no/map.yaml\"\n",
+            &[],
+        )
+        .unwrap();
+        let wet = std::path::absolute("no/wet.toml").unwrap();
+        for (key, line, path) in [
+            ("zones.file", 2, wet.as_path()),
+            ("mapping.map", 4, Path::new("/no/map.yaml")),
+        ] {
+            let failure = layers.check_file(key).unwrap_err();
+            assert_eq!(failure.code, exit_code::NOT_FOUND);
+            let at = format!("mine.toml:{line}: `{key}` is `");
+            let end = format!("there is no file {}", path.display());
+            assert!(
+                failure.message.contains(&at) && failure.message.ends_with(&end),
+                "{failure}"
+            );
+        }
     }
 
     #[test]

@@ -16,7 +16,7 @@ mod service;
 mod show;
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use zenav_cloud::mapping::{PoseSettings, PoseSource};
 use zenav_cloud::motion::MotionSettings;
@@ -249,6 +249,14 @@ impl Deployment {
             planning: self.planning.settings.clone(),
             smoothing: self.smoothing,
         }
+    }
+
+    /// The files that its services read, by key.
+    pub(crate) fn files(&self) -> [(&'static str, Option<&Path>); 2] {
+        [
+            ("mapping.map", self.mapping.run.map.as_deref()),
+            ("zones.file", self.zones.file.as_deref()),
+        ]
     }
 
     /// Folder for a robot's files.

@@ -54,10 +54,7 @@ pub(super) fn of(deployment: &Deployment, folder: &Path) -> Result<Vec<String>, 
             name(format!("robots.{id}.model"), part, shipped);
         }
     }
-    for (key, file) in [
-        ("mapping.map", &deployment.mapping.run.map),
-        ("zones.file", &deployment.zones.file),
-    ] {
+    for (key, file) in deployment.files() {
         if let Some(file) = file {
             name(key.to_owned(), &file.to_string_lossy(), false);
         }
