@@ -12,6 +12,7 @@ use zenav_protocol::settings::{Row, Settings as _};
 use super::{Deployment, HostSection, RobotSection};
 use crate::failure::Failure;
 use crate::files;
+use crate::hosts;
 
 /// The origin of what nobody has set.
 const DEFAULT: &str = "default";
@@ -116,15 +117,22 @@ impl Layers {
         Ok(())
     }
 
-    /// Whether the file is there that a key names: for a part that goes on to read it, as not every host has it.
+    /// Whether the file is there that a key names, and the image that this file names: for a part that goes on to read it, as not every
+    /// host has it.
     ///
     /// # Errors
     /// Exit code 3, with the key, where it is written, and the path that was looked for.
     pub(crate) fn check_file(&self, key: &str) -> Result<(), Failure> {
         let mut files = self.deployment.files().into_iter();
-        let missing = files.find(|(named, file)| *named == key && file.is_some_and(|file| !file.exists()));
-        let Some((_, Some(file))) = missing else { return Ok(()) };
-        let path = std::path::absolute(file)?;
+        let Some((_, Some(file))) = files.find(|(named, _)| *named == key) else {
+            return Ok(());
+        };
+        let images = hosts::images(file).into_iter().map(|image| file.with_file_name(image));
+        let mut paths = std::iter::once(file.to_owned()).chain(images);
+        let Some(missing) = paths.find(|path| !path.exists()) else {
+            return Ok(());
+        };
+        let path = std::path::absolute(missing)?;
         Err(Failure::not_found(format!(
             "{}: `{key}` is `{}`: there is no file {}",
             self.origin(key),
@@ -345,6 +353,23 @@ mod tests {
                 "{failure}"
             );
         }
+    }
+
+    #[test]
+    fn the_image_of_a_map_that_is_not_there_is_told_as_its_description_is() {
+        let folder = tempfile::tempdir().unwrap();
+        let map = folder.path().join("floor.yaml");
+        std::fs::write(&map, "image: floor.pgm\n").unwrap();
+        let layers = read(&format!("[mapping]\nmap = '{}'\n", map.display()), &[]).unwrap();
+        let image = folder.path().join("floor.pgm");
+        let failure = layers.check_file("mapping.map").unwrap_err();
+        let end = format!("there is no file {}", image.display());
+        assert!(
+            failure.message.contains("mine.toml:2") && failure.message.ends_with(&end),
+            "{failure}"
+        );
+        std::fs::write(image, "").unwrap();
+        layers.check_file("mapping.map").unwrap();
     }
 
     #[test]
