@@ -89,6 +89,14 @@ fn robot_name(text: &str) -> Result<String, String> {
     Id::robot(text).map(String::from).map_err(|error| error.to_string())
 }
 
+/// A name on the command line.
+///
+/// # Errors
+/// With what was expected.
+pub fn name(text: &str) -> Result<String, String> {
+    Id::new(text).map(String::from).map_err(|error| error.to_string())
+}
+
 /// The namespace that the environment names, as for a deployment.
 pub(crate) fn namespace() -> String {
     std::env::var("ZENAV_BUS__NAMESPACE").unwrap_or_default()

@@ -9,7 +9,7 @@ use zenav_protocol::geometry::Pose2;
 use zenav_sim::World;
 
 use crate::components::{CloudPart, Parts};
-use crate::config::{self, Deployment, IdentityArgs, RobotSection, SecurityArgs};
+use crate::config::{self, Deployment, IdentityArgs, Layers, RobotSection, SecurityArgs};
 use crate::connect::{self, DEFAULT_ENDPOINT, ROBOT_ENDPOINT, check_yaw, finite};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
@@ -41,6 +41,16 @@ impl KnownMapArgs {
             deployment.mapping.run.map = Some(map.clone());
             deployment.mapping.run.live = self.live;
         }
+    }
+
+    /// Whether the files are there that services read, before anything runs that would have to end again; not the deployment's map where
+    /// another was named.
+    fn check_files(&self, layers: &Layers, which: CloudPart) -> Result<(), Failure> {
+        let is_mapped = matches!(which, CloudPart::All | CloudPart::Mapping) && layers.deployment.mapping.run.enabled;
+        if is_mapped && !self.names_map() {
+            layers.check_file("mapping.map")?;
+        }
+        layers.check_file("zones.file")
     }
 
     /// Whether a map was named.
@@ -219,7 +229,7 @@ pub struct CloudArgs {
     #[command(flatten)]
     part: PartArgs,
     /// The orchestrator's name, instead of the deployment's; no two may share it
-    #[arg(long)]
+    #[arg(long, value_parser = connect::name)]
     holder: Option<String>,
     /// Names this process's workers
     #[arg(long)]
@@ -257,8 +267,8 @@ pub(crate) async fn until_interrupted(mut parts: Parts) -> Outcome {
 }
 
 impl PartArgs {
-    fn deployment(&self) -> Result<Deployment, Failure> {
-        let mut deployment = config::load(self.deployment.as_deref())?;
+    /// Lays the arguments over a deployment.
+    fn over(&self, mut deployment: Deployment) -> Result<Deployment, Failure> {
         if let Some(connect) = &self.connect {
             deployment.bus.connect.clone_from(connect);
         }
@@ -287,7 +297,9 @@ impl PartArgs {
 /// # Errors
 /// Bad files, a taken port, a part that failed.
 pub fn up(args: &UpArgs) -> Outcome {
-    let mut deployment = config::load(args.file.as_deref())?;
+    let layers = Layers::load(args.file.as_deref())?;
+    args.known.check_files(&layers, CloudPart::All)?;
+    let mut deployment = layers.deployment;
     if !args.listen.is_empty() {
         deployment.router.listen.clone_from(&args.listen);
         deployment.bus.connect.clone_from(&args.listen[0]);
@@ -448,7 +460,7 @@ async fn outdated(identity: Option<&Identity>) {
 /// # Errors
 /// Bad files, a taken port, an unknown robot.
 pub fn edge(args: &EdgeArgs) -> Outcome {
-    let mut deployment = args.part.deployment()?;
+    let mut deployment = args.part.over(config::load(args.part.deployment.as_deref())?)?;
     deployment.simulation.speed = args.speed.unwrap_or(deployment.simulation.speed);
     deployment.simulation.seed = args.seed.unwrap_or(deployment.simulation.seed);
     for section in deployment.robots.values_mut() {
@@ -473,7 +485,9 @@ pub fn edge(args: &EdgeArgs) -> Outcome {
 /// # Errors
 /// Bad files, a store that another process has.
 pub fn cloud(args: &CloudArgs) -> Outcome {
-    let mut deployment = args.part.deployment()?;
+    let layers = Layers::load(args.part.deployment.as_deref())?;
+    args.known.check_files(&layers, args.service)?;
+    let mut deployment = args.part.over(layers.deployment)?;
     if let Some(holder) = &args.holder {
         deployment.mission.run.holder.clone_from(holder);
     }

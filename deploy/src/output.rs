@@ -1,5 +1,6 @@
 //! Output. How is data printed? On stdout, as a table for people or as JSON for programs.
 
+use std::fmt::Display;
 use std::io::{IsTerminal as _, Write as _};
 use std::sync::Mutex;
 use std::time::Duration;
@@ -46,6 +47,13 @@ pub fn line(text: &str) {
             exit_code::FAILED.into()
         });
     }
+}
+
+/// A count of things that add an `s` when they are several: `1 plan`, `2 plans`.
+#[must_use]
+pub fn counted<N: Display + PartialEq + From<u8>>(count: N, thing: &str) -> String {
+    let plural = if count == N::from(1_u8) { "" } else { "s" };
+    format!("{count} {thing}{plural}")
 }
 
 /// Prints one value: pretty as JSON, in one line as NDJSON, or by `table`.

@@ -1,5 +1,6 @@
 //! Configuration text. What did a user write in a file, on which line, and is it within its bounds?
 
+use std::f64::consts::TAU;
 use std::fmt;
 
 use nalgebra::Point2;
@@ -82,6 +83,8 @@ pub enum Expected {
     Share,
     /// Any finite number.
     Finite,
+    /// An angle in rad: more than a full turn was hardly meant, as where it is written in degrees.
+    Angle,
     /// From the one to the other, and how that is said.
     Range(f64, f64, &'static str),
 }
@@ -93,6 +96,7 @@ impl Expected {
             Self::NotNegative => value.is_finite() && value >= 0.0,
             Self::Share => (0.0..=1.0).contains(&value),
             Self::Finite => value.is_finite(),
+            Self::Angle => value.abs() <= TAU,
             Self::Range(least, most, _) => (least..=most).contains(&value),
         }
     }
@@ -105,6 +109,7 @@ impl fmt::Display for Expected {
             Self::NotNegative => "zero or a positive number",
             Self::Share => "a share, 0 to 1",
             Self::Finite => "a finite number",
+            Self::Angle => "an angle in rad, -2 pi to 2 pi",
             Self::Range(.., words) => words,
         })
     }

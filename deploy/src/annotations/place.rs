@@ -81,7 +81,7 @@ pub fn place(args: &PlaceArgs) -> Outcome {
             PlaceCommand::Add { name, x, y, .. } => {
                 format!("{robot} knows {name} at ({x}, {y}): `zenav goal submit --place {name}` goes there")
             }
-            _ => format!("{robot} knows {} places", places.len()),
+            _ => format!("{robot} knows {}", output::counted(places.len(), "place")),
         })?;
         Ok(exit_code::OK)
     })

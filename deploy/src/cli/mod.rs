@@ -364,6 +364,8 @@ mod tests {
         };
         let deadline = refused(&["goal", "submit", "1", "2", "--deadline", "-1"]);
         assert!(deadline.contains("invalid value '-1' for '--deadline"), "{deadline}");
+        let speed = refused(&["demo", "--speed", "-1"]);
+        assert!(speed.contains("expected a number from 0.001 to 1000"), "{speed}");
         let goal = refused(&["goal", "submit"]);
         assert!(goal.contains("<X>") && goal.contains("<Y>"), "{goal}");
     }

@@ -12,6 +12,7 @@ use zenav_protocol::settings::{Row, Settings as _};
 use super::{Deployment, HostSection, RobotSection};
 use crate::failure::Failure;
 use crate::files;
+use crate::hosts;
 
 /// The origin of what nobody has set.
 const DEFAULT: &str = "default";
@@ -111,7 +112,33 @@ impl Layers {
         let robot = misnamed.map_or_else(|| "robots".to_owned(), |name| format!("robots.{name}"));
         self.deployment.robot_ids().map_err(at(robot))?;
         self.deployment.group_ids().map_err(at("groups".to_owned()))?;
+        let holder = Id::new(self.deployment.mission.run.holder.as_str()).map_err(Failure::usage);
+        holder.map_err(at("mission.holder".to_owned()))?;
         Ok(())
+    }
+
+    /// Whether the file is there that a key names, and the image that this file names: for a part that goes on to read it, as not every
+    /// host has it.
+    ///
+    /// # Errors
+    /// Exit code 3, with the key, where it is written, and the path that was looked for.
+    pub(crate) fn check_file(&self, key: &str) -> Result<(), Failure> {
+        let mut files = self.deployment.files().into_iter();
+        let Some((_, Some(file))) = files.find(|(named, _)| *named == key) else {
+            return Ok(());
+        };
+        let images = hosts::images(file).into_iter().map(|image| file.with_file_name(image));
+        let mut paths = std::iter::once(file.to_owned()).chain(images);
+        let Some(missing) = paths.find(|path| !path.exists()) else {
+            return Ok(());
+        };
+        let path = std::path::absolute(missing)?;
+        Err(Failure::not_found(format!(
+            "{}: `{key}` is `{}`: there is no file {}",
+            self.origin(key),
+            file.display(),
+            path.display()
+        )))
     }
 
     /// Where the value of a key came from.
@@ -230,6 +257,27 @@ mod tests {
     }
 
     #[test]
+    fn a_value_of_another_kind_is_told_with_its_line_in_every_section() {
+        for (line, told) in [
+            (
+                "poses = \"gps\"",
+                "unknown variant `gps`, expected one of `edge`, `slam`, `localise`",
+            ),
+            ("enabled = 1", "expected true or false"),
+            ("resolution = true", "expected a number"),
+        ] {
+            let failure = read(&format!("[mapping]\nlive = true\n{line}\n"), &[])
+                .map(|_| ())
+                .unwrap_err();
+            for part in ["mine.toml", "line 3", line, told] {
+                assert!(failure.message.contains(part), "{part}: {failure}");
+            }
+        }
+        let failure = read("", &[("ZENAV_MAPPING__POSES", "gps")]).map(|_| ()).unwrap_err();
+        assert!(failure.message.contains("`mapping.poses`"), "{failure}");
+    }
+
+    #[test]
     fn a_library_s_settings_stand_in_the_section_of_its_service() {
         let text = "[mapping]\nenabled = false\nresolution = 0.1\n[mapping.sensor_model]\nhit = 0.7\n";
         let mapping = read(text, &[]).unwrap().deployment.mapping;
@@ -264,6 +312,14 @@ mod tests {
                 .ends_with("mine.toml:2: `mapping.resolution` is 0.001: expected 0.005 to 10 m"),
             "{failure}"
         );
+        let text = "[robots.a]\nstart = { x = 1, y = 2, yaw = 90 }\n";
+        let failure = read(text, &[]).map(|_| ()).unwrap_err();
+        assert!(
+            failure
+                .message
+                .contains("mine.toml:2: `robots.a.start.yaw` is 90: expected an angle in rad"),
+            "{failure}"
+        );
         let failure = read("", &[("ZENAV_SIMULATION__SPEED", "-1")]).map(|_| ()).unwrap_err();
         assert!(
             failure.message.starts_with("environment ZENAV_SIMULATION__SPEED: "),
@@ -274,6 +330,46 @@ mod tests {
             read("", &[("ZENAV_IMAGE", "zenav:next")]).is_ok(),
             "no setting of a deployment"
         );
+    }
+
+    #[test]
+    fn a_file_that_is_not_there_is_told_with_its_line_and_its_path() {
+        let layers = read(
+            "[zones]\nfile = \"no/wet.toml\"\n[mapping]\nmap = \"/no/map.yaml\"\n",
+            &[],
+        )
+        .unwrap();
+        let wet = std::path::absolute("no/wet.toml").unwrap();
+        for (key, line, path) in [
+            ("zones.file", 2, wet.as_path()),
+            ("mapping.map", 4, Path::new("/no/map.yaml")),
+        ] {
+            let failure = layers.check_file(key).unwrap_err();
+            assert_eq!(failure.code, exit_code::NOT_FOUND);
+            let at = format!("mine.toml:{line}: `{key}` is `");
+            let end = format!("there is no file {}", path.display());
+            assert!(
+                failure.message.contains(&at) && failure.message.ends_with(&end),
+                "{failure}"
+            );
+        }
+    }
+
+    #[test]
+    fn the_image_of_a_map_that_is_not_there_is_told_as_its_description_is() {
+        let folder = tempfile::tempdir().unwrap();
+        let map = folder.path().join("floor.yaml");
+        std::fs::write(&map, "image: floor.pgm\n").unwrap();
+        let layers = read(&format!("[mapping]\nmap = '{}'\n", map.display()), &[]).unwrap();
+        let image = folder.path().join("floor.pgm");
+        let failure = layers.check_file("mapping.map").unwrap_err();
+        let end = format!("there is no file {}", image.display());
+        assert!(
+            failure.message.contains("mine.toml:2") && failure.message.ends_with(&end),
+            "{failure}"
+        );
+        std::fs::write(image, "").unwrap();
+        layers.check_file("mapping.map").unwrap();
     }
 
     #[test]
@@ -309,9 +405,14 @@ mod tests {
     }
 
     #[test]
-    fn a_name_that_no_robot_may_have_is_told_with_its_line() {
+    fn a_name_that_nobody_may_have_is_told_with_its_line() {
         let failure = read("[robots.a]\n[robots.\"b/c\"]\n", &[]).map(|_| ()).unwrap_err();
         assert_eq!(failure.code, exit_code::USAGE);
         assert!(failure.message.contains("mine.toml:2: [robots.b/c]"), "{failure}");
+        let failure = read("[mission]\nholder = \"a b\"\n", &[]).map(|_| ()).unwrap_err();
+        assert!(
+            failure.message.contains("mine.toml:2: `a b` is not a valid name"),
+            "{failure}"
+        );
     }
 }

@@ -16,7 +16,7 @@ mod service;
 mod show;
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use zenav_cloud::mapping::{PoseSettings, PoseSource};
 use zenav_cloud::motion::MotionSettings;
@@ -26,7 +26,7 @@ use zenav_localisation::LocalisationSettings;
 use zenav_mapping::MappingSettings;
 use zenav_mission::MissionSettings;
 use zenav_planning::PlanningSettings;
-use zenav_protocol::config_text::OutOfBounds;
+use zenav_protocol::config_text::{Expected, OutOfBounds, check_all};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::LostPolicy;
@@ -211,7 +211,11 @@ fn one_robot() -> BTreeMap<String, RobotSection> {
 impl Deployment {
     fn fits(&self) -> Result<(), OutOfBounds> {
         for (name, robot) in &self.robots {
-            robot.check().map_err(|error| error.within(name).within("robots"))?;
+            let start = robot.start.unwrap_or_default();
+            robot
+                .check()
+                .and_then(|()| check_all(&[("start.yaw", start.yaw, Expected::Angle)]))
+                .map_err(|error| error.within(name).within("robots"))?;
             if robot.attach && robot.driver {
                 return Err(OutOfBounds {
                     key: format!("robots.{name}.driver"),
@@ -245,6 +249,14 @@ impl Deployment {
             planning: self.planning.settings.clone(),
             smoothing: self.smoothing,
         }
+    }
+
+    /// The files that its services read, by key.
+    pub(crate) fn files(&self) -> [(&'static str, Option<&Path>); 2] {
+        [
+            ("mapping.map", self.mapping.run.map.as_deref()),
+            ("zones.file", self.zones.file.as_deref()),
+        ]
     }
 
     /// Folder for a robot's files.

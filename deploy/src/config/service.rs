@@ -48,28 +48,28 @@ impl<'de, R: Settings, S: Settings> Visitor<'de> for Section<R, S> {
     }
 
     fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Self::Value, A::Error> {
-        let mut taken = toml::Table::new();
+        let mut run = R::default();
         let others = Others {
             map,
             keys: R::rows().into_iter().map(|row| row.key).collect(),
-            taken: &mut taken,
+            taken: toml::Table::new(),
+            run: &mut run,
         };
         let settings = S::deserialize(MapAccessDeserializer::new(others))?;
-        let run = taken
-            .try_into()
-            .map_err(|error: toml::de::Error| A::Error::custom(error.message()))?;
         Ok(Service { run, settings })
     }
 }
 
 /// The entries of a section but for some keys, which are taken out.
-struct Others<'a, A> {
+struct Others<'a, A, R> {
     map: A,
     keys: Vec<String>,
-    taken: &'a mut toml::Table,
+    taken: toml::Table,
+    /// Made of what was taken.
+    run: &'a mut R,
 }
 
-impl<'de, A: MapAccess<'de>> MapAccess<'de> for Others<'_, A> {
+impl<'de, A: MapAccess<'de>, R: Settings> MapAccess<'de> for Others<'_, A, R> {
     type Error = A::Error;
 
     fn next_key_seed<K: DeserializeSeed<'de>>(&mut self, seed: K) -> Result<Option<K::Value>, A::Error> {
@@ -83,8 +83,8 @@ impl<'de, A: MapAccess<'de>> MapAccess<'de> for Others<'_, A> {
                 None => return Ok(None),
                 Some(Found::Other(key)) => return Ok(Some(key)),
                 Some(Found::Ours(key)) => {
-                    let value = self.map.next_value()?;
-                    self.taken.insert(key, value);
+                    let (taken, run) = (&mut self.taken, &mut *self.run);
+                    self.map.next_value_seed(Own { key, taken, run })?;
                 }
             }
         }
@@ -119,5 +119,23 @@ impl<'de, K: DeserializeSeed<'de>> DeserializeSeed<'de> for Key<'_, K> {
             .take()
             .ok_or_else(|| D::Error::custom("a key was read twice"))?;
         seed.deserialize(key.into_deserializer()).map(Found::Other)
+    }
+}
+
+/// A value of a key that is taken out, read as a key is.
+struct Own<'a, R> {
+    key: String,
+    taken: &'a mut toml::Table,
+    run: &'a mut R,
+}
+
+impl<'de, R: Settings> DeserializeSeed<'de> for Own<'_, R> {
+    type Value = ();
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
+        self.taken.insert(self.key, toml::Value::deserialize(deserializer)?);
+        let run = self.taken.clone().try_into();
+        *self.run = run.map_err(|error: toml::de::Error| D::Error::custom(error.message()))?;
+        Ok(())
     }
 }

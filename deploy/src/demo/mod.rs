@@ -40,6 +40,7 @@ use zenav_sim::World;
 use crate::completion;
 use crate::components::{CloudPart, Parts};
 use crate::config::{self, Deployment, RobotSection};
+use crate::connect;
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
@@ -140,7 +141,7 @@ pub struct DemoArgs {
     #[arg(value_enum, default_value = "kitchen")]
     scenario: Scenario,
     /// Simulated time against wall time
-    #[arg(long, default_value_t = 1.0)]
+    #[arg(long, default_value_t = 1.0, value_parser = connect::speed)]
     speed: f64,
     /// Seed of all noise
     #[arg(long, default_value_t = 1)]
@@ -193,9 +194,6 @@ impl DemoArgs {
 /// # Errors
 /// Bad arguments, or a part that failed.
 pub fn run(args: &DemoArgs) -> Outcome {
-    if !(args.speed.is_finite() && args.speed > 0.0) {
-        return Err(Failure::usage("--speed: expected a positive number"));
-    }
     if let Some(film) = &args.film {
         let ending = film.extension().and_then(|ending| ending.to_str());
         if !ending.is_some_and(|ending| ending.eq_ignore_ascii_case("gif")) || args.scenario.script().alone {

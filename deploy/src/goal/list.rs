@@ -117,7 +117,7 @@ fn remark(goal: &GoalState) -> String {
             let length: f64 = goal.legs.iter().map(|leg| leg.planned_length).sum();
             let length = (length > 0.0).then(|| format!("{length:.1} m planned"));
             let plans = goal.feedback.plans;
-            let plans = (plans > 0).then(|| format!("{plans} plan{}", if plans == 1 { "" } else { "s" }));
+            let plans = (plans > 0).then(|| output::counted(plans, "plan"));
             [error, length, plans]
                 .into_iter()
                 .flatten()
@@ -155,7 +155,7 @@ pub(super) fn target(request: &GoalRequest) -> String {
     }
     match (request.x, request.y) {
         (Some(x), Some(y)) => format!("{x:.2}, {y:.2}"),
-        _ => format!("{} waypoints", request.waypoints.len()),
+        _ => output::counted(request.waypoints.len(), "waypoint"),
     }
 }
 
@@ -197,6 +197,8 @@ fn print(format: Format, robot: &str, reply: GoalReply) -> Outcome {
 #[cfg(test)]
 #[allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 mod tests {
+    use zenav_protocol::messages::GoalPoint;
+
     use super::*;
 
     #[test]
@@ -225,6 +227,22 @@ mod tests {
             ..goal
         };
         assert_eq!(remark(&paused), "");
+    }
+
+    #[test]
+    fn one_waypoint_is_not_several() {
+        let of = |waypoints: &[GoalPoint]| {
+            target(&GoalRequest {
+                waypoints: waypoints.to_vec(),
+                ..GoalRequest::default()
+            })
+        };
+        let at = GoalPoint {
+            x: 1.0,
+            y: 2.0,
+            yaw: None,
+        };
+        assert_eq!((of(&[at]), of(&[at, at])), ("1 waypoint".into(), "2 waypoints".into()));
     }
 
     #[test]

@@ -13,7 +13,7 @@ use zenav_protocol::topics;
 
 use super::{Report, follow, phase_code};
 use crate::completion;
-use crate::connect::{self, RobotArgs, check_yaw, finite, fresh_id, heading, positive};
+use crate::connect::{self, RobotArgs, check_yaw, finite, fresh_id, heading, name, positive};
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::inspect::bt::includer;
@@ -45,7 +45,7 @@ pub(super) struct SubmitArgs {
     #[arg(long, value_name = "NAME=VALUE", requires = "tree", value_parser = entry)]
     blackboard: Vec<(String, serde_json::Value)>,
     /// Id of the goal; sending the same id again is idempotent [default: generated]
-    #[arg(long, value_parser = goal_id)]
+    #[arg(long, value_parser = name)]
     id: Option<String>,
     /// What to do while another goal is running
     #[arg(long, value_enum, default_value_t)]
@@ -54,7 +54,7 @@ pub(super) struct SubmitArgs {
     #[arg(long, value_name = "N", default_value_t = 0)]
     priority: i32,
     /// Group of robots instead of one: the nearest free robot takes the goal
-    #[arg(long, value_name = "NAME", conflicts_with = "robot", value_parser = goal_id)]
+    #[arg(long, value_name = "NAME", conflicts_with = "robot", value_parser = name)]
     group: Option<String>,
     /// Abort the goal after this time, s
     #[arg(long, value_name = "SECS", value_parser = positive)]
@@ -80,10 +80,6 @@ enum OnBusyArg {
     Preempt,
     /// Refuse
     Reject,
-}
-
-fn goal_id(text: &str) -> Result<String, String> {
-    Id::new(text).map(String::from).map_err(|error| error.to_string())
 }
 
 fn waypoint(text: &str) -> Result<GoalPoint, String> {
@@ -157,27 +153,50 @@ fn tree(text: &str) -> Result<String, Failure> {
     }
 }
 
+/// What a mission says of a tree that came as text, with the name of its file before line and column. Lines of the file itself are where
+/// they were; what it includes follows them.
+fn in_file(file: &str, sent: &str, reason: &str) -> String {
+    let is_whole = std::fs::read_to_string(file).is_ok_and(|text| text == sent);
+    let name = if is_whole {
+        file.to_owned()
+    } else {
+        format!("{file} with what it includes")
+    };
+    let lines = reason.lines().map(|line| match line.strip_prefix("tree:") {
+        Some(place) => format!("{name}:{place}"),
+        None => line.to_owned(),
+    });
+    lines.collect::<Vec<_>>().join("\n")
+}
+
 pub(super) fn run(robot: &RobotArgs, format: Format, args: &SubmitArgs) -> Outcome {
     let request = args.request()?;
     let patience = robot.link.patience();
     match &args.group {
         Some(group) => connect::on_bus(&robot.link, async |bus| {
             connect::find_group(&bus, group).await?;
-            submit(&bus, group, &request, patience, args.wait, format).await
+            submit(&bus, group, &request, patience, args, format).await
         }),
         None => connect::on_robot(robot, async |bus, robot| {
-            submit(&bus, &robot, &request, patience, args.wait, format).await
+            submit(&bus, &robot, &request, patience, args, format).await
         }),
     }
 }
 
 /// Sends a goal to a robot or a group.
-async fn submit(bus: &Bus, to: &str, request: &GoalRequest, patience: Duration, wait: bool, format: Format) -> Outcome {
+async fn submit(
+    bus: &Bus,
+    to: &str,
+    request: &GoalRequest,
+    patience: Duration,
+    args: &SubmitArgs,
+    format: Format,
+) -> Outcome {
     let id = request.id.clone().unwrap_or_default();
     let report = match bus.ask(&topics::GOAL, &[to], request, patience).await {
         Ok(reply) => {
             let robot = reply.robot.as_deref().unwrap_or(to);
-            if wait && !reply.state.is_end() {
+            if args.wait && !reply.state.is_end() {
                 // The mission keeps the last state for those who come late: no end is missed.
                 return finish(bus, robot, &reply, format).await;
             }
@@ -187,6 +206,13 @@ async fn submit(bus: &Bus, to: &str, request: &GoalRequest, patience: Duration, 
             nearest_free,
             ..Report::new(to, &id, GoalPhase::Rejected, Some(reason))
         },
+        Err(AskError::Refused(Refusal::BadRequest { reason })) => {
+            let reason = match (&args.tree, &request.tree) {
+                (Some(file), Some(sent)) => in_file(file, sent, &reason),
+                _ => reason,
+            };
+            return Err(AskError::Refused(Refusal::BadRequest { reason }).into());
+        }
         Err(error) => return Err(error.into()),
     };
     output::value(format, &report, Report::line)?;
@@ -297,6 +323,25 @@ mod tests {
         assert!(error.contains("none.xml") && error.contains("lost.xml"), "{error}");
         let error = request(&["--tree", &file("device.xml", "<include path=\"/dev/zero\"/>")]).unwrap_err();
         assert!(error.contains("expected a file"), "{error}");
+    }
+
+    #[test]
+    fn a_leaf_that_the_mission_does_not_know_is_told_with_the_file_and_the_nearest_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("patrol.xml");
+        let (include, tree) = (
+            "<include path=\"kitchen.xml\"/>",
+            "<BehaviorTree ID=\"M\"><Spinn/></BehaviorTree>",
+        );
+        for (more, name) in [("", "patrol.xml"), (include, "patrol.xml with what it includes")] {
+            std::fs::write(&file, format!("<root BTCPP_format=\"4\">{more}\n{tree}</root>")).unwrap();
+            let file = file.to_str().unwrap();
+            let sent = request(&["--tree", file]).unwrap().tree.unwrap();
+            let refused = zenav_mission::trees::build(&sent).unwrap_err().to_string();
+            let told = in_file(file, &sent, &refused);
+            let expected = format!("{name}:2:22: unknown node `Spinn`: expected a registered node, perhaps `Spin`");
+            assert!(told.contains(&expected), "{told}");
+        }
     }
 
     #[test]

@@ -1,8 +1,11 @@
 //! Health of a part on this machine. Is it ready? What a container's engine asks, by the binary itself: there is no shell in its image.
 
-use std::io::{Read as _, Write as _};
+use std::io::{Error, ErrorKind, Read as _, Write as _};
 use std::net::{SocketAddr, TcpStream};
 use std::time::Duration;
+
+use crate::exit_code;
+use crate::failure::Failure;
 
 /// Longest wait for a connection, and for each piece of the answer.
 const PATIENCE: Duration = Duration::from_secs(2);
@@ -12,10 +15,21 @@ const MOST: u64 = 4096;
 /// Asks `GET /readyz`; the answer's text.
 ///
 /// # Errors
-/// What is not as it should be: nobody listens, or the part says that it is not ready.
-pub(super) fn ready(address: SocketAddr) -> Result<String, String> {
-    let failed = |error: std::io::Error| format!("{address}: {error}");
-    let mut stream = TcpStream::connect_timeout(&address, PATIENCE).map_err(failed)?;
+/// Exit code 4 where nobody listens, 5 without an answer in time, 1 where the part says that it is not ready, or another listens.
+pub(super) fn ready(address: SocketAddr) -> Result<String, Failure> {
+    let failed = |error: Error| {
+        let code = match error.kind() {
+            ErrorKind::WouldBlock | ErrorKind::TimedOut => exit_code::TIMEOUT,
+            _ => exit_code::FAILED,
+        };
+        Failure::new(code, format!("{address}: {error}"))
+    };
+    let mut stream = TcpStream::connect_timeout(&address, PATIENCE).map_err(|error| {
+        Failure::new(
+            exit_code::CANNOT_CONNECT,
+            format!("cannot connect to {address}: {error}"),
+        )
+    })?;
     stream.set_read_timeout(Some(PATIENCE)).map_err(failed)?;
     stream.set_write_timeout(Some(PATIENCE)).map_err(failed)?;
     let request = format!("GET /readyz HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n");
@@ -29,7 +43,7 @@ pub(super) fn ready(address: SocketAddr) -> Result<String, String> {
         (Some("HTTP/1.1" | "HTTP/1.0"), Some("200")) => Ok(body.trim().to_owned()),
         _ => {
             let first = head.lines().next().unwrap_or_default();
-            Err(format!("{address}: {first}: {}", body.trim()))
+            Err(Failure::failed(format!("{address}: {first}: {}", body.trim())))
         }
     }
 }
@@ -60,12 +74,23 @@ mod tests {
     #[test]
     fn a_part_is_ready_when_it_says_so_and_only_then() {
         let yes = answering("HTTP/1.1 200 OK\r\nContent-Length: 2\r\n\r\nok");
-        assert_eq!(ready(yes), Ok("ok".to_owned()));
+        assert_eq!(ready(yes).unwrap(), "ok");
         let no = answering("HTTP/1.1 503 Service Unavailable\r\n\r\nno router");
-        let error = ready(no).unwrap_err();
-        assert!(error.contains("503") && error.contains("no router"), "{error}");
-        assert!(ready(answering("SSH-2.0\r\n")).is_err());
-        let nobody = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
-        assert!(ready(nobody).is_err());
+        let failure = ready(no).unwrap_err();
+        assert_eq!(failure.code, exit_code::FAILED);
+        assert!(
+            failure.message.contains("503") && failure.message.contains("no router"),
+            "{failure}"
+        );
+        assert_eq!(ready(answering("SSH-2.0\r\n")).unwrap_err().code, exit_code::FAILED);
+    }
+
+    #[test]
+    fn who_does_not_listen_and_who_does_not_answer_are_told_apart() {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = listener.local_addr().unwrap();
+        assert_eq!(ready(address).unwrap_err().code, exit_code::TIMEOUT);
+        drop(listener);
+        assert_eq!(ready(address).unwrap_err().code, exit_code::CANNOT_CONNECT);
     }
 }

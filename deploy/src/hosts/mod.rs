@@ -31,3 +31,4 @@ mod systemd;
 mod tests;
 
 pub use command::{DeployArgs, deploy};
+pub(crate) use named_files::images;

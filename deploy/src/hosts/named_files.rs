@@ -54,10 +54,7 @@ pub(super) fn of(deployment: &Deployment, folder: &Path) -> Result<Vec<String>, 
             name(format!("robots.{id}.model"), part, shipped);
         }
     }
-    for (key, file) in [
-        ("mapping.map", &deployment.mapping.run.map),
-        ("zones.file", &deployment.zones.file),
-    ] {
+    for (key, file) in deployment.files() {
         if let Some(file) = file {
             name(key.to_owned(), &file.to_string_lossy(), false);
         }
@@ -72,7 +69,7 @@ pub(super) fn of(deployment: &Deployment, folder: &Path) -> Result<Vec<String>, 
 }
 
 /// Files that a file names itself: the image of a map's description, the description of a world's map.
-fn images(file: &Path) -> Vec<String> {
+pub(crate) fn images(file: &Path) -> Vec<String> {
     let Ok(text) = std::fs::read_to_string(file) else {
         return Vec::new();
     };

@@ -245,9 +245,9 @@ fn text(report: &Report) -> String {
     }
     let count = |verdict| report.checks.iter().filter(|check| check.verdict == verdict).count();
     lines.push(format!(
-        "{} ok, {} warnings, {} failed",
+        "{} ok, {}, {} failed",
         count(Verdict::Ok),
-        count(Verdict::Warn),
+        output::counted(count(Verdict::Warn), "warning"),
         count(Verdict::Fail)
     ));
     lines.join("\n")

@@ -8,7 +8,6 @@ use zenav_mapping::{CellCounts, map_file};
 use zenav_protocol::bus::Bus;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::{GridSpec, OccupancyGrid};
-use zenav_protocol::id::Id;
 use zenav_protocol::messages::MapRequest;
 use zenav_protocol::robot::Footprint;
 use zenav_protocol::topics;
@@ -74,7 +73,7 @@ enum MapCommand {
     /// Store a robot's map in the data folder of mapping: for the next start, or under a name for `map load`
     Store {
         /// Name [default: the map that the next start begins with]
-        #[arg(value_parser = stored_name)]
+        #[arg(value_parser = connect::name)]
         name: Option<String>,
     },
     /// Begin a new map; the robot comes to rest for it, stored maps are kept
@@ -91,10 +90,6 @@ enum MapCommand {
     Build(build::BuildArgs),
     /// Merge two SLAM sessions of one building into one map
     Merge(MergeArgs),
-}
-
-fn stored_name(text: &str) -> Result<String, String> {
-    Id::new(text).map(String::from).map_err(|error| error.to_string())
 }
 
 /// Saves, draws, loads, stores, converts and builds maps.

@@ -233,6 +233,9 @@ impl Scenario<'_> {
         if let Some(map) = &known_map {
             mapping.resolution = map.spec().resolution;
         }
+        if self.zones.is_none() {
+            layers.check_file("zones.file")?;
+        }
         Ok(ClosedLoopConfig {
             edge: edge_config(&id, &section, files::robot(&section.model)?, start),
             mission: MissionConfig {

@@ -27,7 +27,7 @@ pub struct LeaseArgs {
     #[arg(short, long, global = true, value_enum, default_value_t)]
     output: Format,
     /// Name to command under [default: operator-USER]
-    #[arg(long, global = true, value_name = "NAME")]
+    #[arg(long, global = true, value_name = "NAME", value_parser = connect::name)]
     holder: Option<String>,
     #[command(subcommand)]
     command: Option<LeaseCommand>,

@@ -33,7 +33,19 @@ pub use teleop::{TeleopArgs, teleop};
 /// The name under which this user commands: the same for every command of the user, so that one can release what another took.
 fn holder() -> String {
     let user = std::env::var("USER").or_else(|_| std::env::var("USERNAME"));
-    format!("operator-{}", user.unwrap_or_else(|_| user_number()))
+    holder_of(&user.unwrap_or_else(|_| user_number()))
+}
+
+/// A valid [`Id`](zenav_protocol::id::Id): `_` stands for what may not be in one.
+fn holder_of(user: &str) -> String {
+    let valid = |letter: char| {
+        if letter.is_ascii_alphanumeric() || letter == '-' {
+            letter
+        } else {
+            '_'
+        }
+    };
+    format!("operator-{}", user.chars().take(50).map(valid).collect::<String>())
 }
 
 /// A user whose name the environment does not tell.
@@ -67,5 +79,18 @@ async fn ended() {
     #[cfg(not(unix))]
     {
         let _ = tokio::signal::ctrl_c().await;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_user_commands_under_a_name_that_can_be_given_to_holder() {
+        assert_eq!(holder_of("anna.m"), "operator-anna_m");
+        for user in ["", "DOMAIN\\jürgen", &"x".repeat(100)] {
+            assert!(crate::connect::name(&holder_of(user)).is_ok(), "{user}");
+        }
     }
 }

@@ -137,13 +137,13 @@ fn table(written: &Written) -> String {
         .collect();
     let mut lines = vec![output::table(&["KEY", "MESSAGES", "HZ"], &rows), String::new()];
     lines.push(format!(
-        "{} messages on {} keys in {:.1} s: {:.1} MB of payload, {:.1} MB in the file{}; {} dropped",
-        written.messages,
-        written.keys.len(),
+        "{} on {} in {:.1} s: {:.1} MB of payload, {:.1} MB in {}; {} dropped",
+        output::counted(written.messages, "message"),
+        output::counted(written.keys.len(), "key"),
         written.secs,
         written.payload_bytes as f64 * 1e-6,
         written.file_bytes as f64 * 1e-6,
-        if written.files.len() == 1 { "" } else { "s" },
+        output::counted(written.files.len(), "file"),
         written.dropped,
     ));
     lines.extend(written.files.iter().map(|file| format!("wrote {}", file.display())));

@@ -114,8 +114,11 @@ pub fn replay(args: &ReplayArgs) -> Outcome {
     }
     output::value(args.output, &replayed, |replayed| {
         format!(
-            "replayed {} messages on {} keys, {:.1} s of the record; the latest left {:.1} ms late",
-            replayed.messages, replayed.keys, replayed.secs, replayed.latest_ms
+            "replayed {} on {}, {:.1} s of the record; the latest left {:.1} ms late",
+            output::counted(replayed.messages, "message"),
+            output::counted(replayed.keys, "key"),
+            replayed.secs,
+            replayed.latest_ms
         )
     })?;
     Ok(exit_code::OK)

@@ -5,7 +5,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::LATENCY;
+use super::{LATENCY, TURN};
 use crate::config_text::{Expected, OutOfBounds, check_all};
 
 /// Wheel encoders.
@@ -43,7 +43,7 @@ impl EncoderModel {
         check_all(&[
             ("rate_hz", self.rate_hz.unwrap_or(1.0), Expected::Positive),
             ("noise", self.noise, Expected::NotNegative),
-            ("resolution", self.resolution, Expected::NotNegative),
+            ("resolution", self.resolution, TURN),
             ("dropout", self.dropout, Expected::Share),
             ("latency", self.latency, LATENCY),
         ])

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::LATENCY;
+use super::{LATENCY, TURN};
 use crate::config_text::{Expected, OutOfBounds, check_all};
 use crate::time::Stamp;
 
@@ -50,16 +50,12 @@ impl ImuModel {
         check_all(&[
             ("rate_hz", self.rate_hz, Expected::Positive),
             ("gyro_noise", self.gyro_noise, Expected::NotNegative),
-            (
-                "compass_noise",
-                self.compass_noise.unwrap_or(0.0),
-                Expected::NotNegative,
-            ),
+            ("compass_noise", self.compass_noise.unwrap_or(0.0), TURN),
             ("resolution", self.resolution, Expected::NotNegative),
             ("dropout", self.dropout, Expected::Share),
             ("latency", self.latency, LATENCY),
             ("gyro_bias", self.gyro_bias, Expected::Finite),
-            ("compass_bias", self.compass_bias, Expected::Finite),
+            ("compass_bias", self.compass_bias, Expected::Angle),
         ])
     }
 }

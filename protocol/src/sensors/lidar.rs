@@ -107,10 +107,10 @@ impl LidarModel {
             ("dropout", self.dropout, Expected::Share),
             ("latency", self.latency, LATENCY),
             ("bias", self.bias, Expected::Finite),
+            ("mount.x", self.mount.x, Expected::Finite),
+            ("mount.y", self.mount.y, Expected::Finite),
+            ("mount.yaw", self.mount.yaw, Expected::Angle),
         ])?;
-        if !self.mount.is_finite() {
-            return Err(OutOfBounds::unlike("mount", f64::NAN, "finite numbers"));
-        }
         if !(1..=MAX_BEAMS).contains(&self.beams) {
             return Err(OutOfBounds::unlike(
                 "beams",
@@ -119,7 +119,11 @@ impl LidarModel {
             ));
         }
         if self.field_of_view > TAU + 1e-6 {
-            return Err(OutOfBounds::unlike("field_of_view", self.field_of_view, "at most 2 pi"));
+            return Err(OutOfBounds::unlike(
+                "field_of_view",
+                self.field_of_view,
+                "at most 2 pi rad",
+            ));
         }
         if self.range_min >= self.range_max {
             return Err(OutOfBounds::unlike("range_min", self.range_min, "less than range_max"));

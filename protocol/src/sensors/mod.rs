@@ -47,3 +47,5 @@ macro_rules! sensor_kinds {
 
 /// Longest time from a measurement to its delivery, s.
 pub(crate) const LATENCY: Expected = Expected::Range(0.0, 10.0, "0 to 10 s");
+/// An angle without a sign, rad: as [`Expected::Angle`].
+pub(crate) const TURN: Expected = Expected::Range(0.0, std::f64::consts::TAU, "0 to 2 pi rad");

@@ -432,6 +432,12 @@ fn a_model_makes_a_node_known_but_not_runnable() {
     );
     let errors = build("m.xml", good.as_bytes(), &registry(), None, none).unwrap_err();
     assert!(errors.to_string().contains("nothing here implements `Grab`"));
+    let near = good.replace("Grab", "Sequense");
+    let errors = build("m.xml", near.as_bytes(), &registry(), None, none).unwrap_err();
+    assert_eq!(
+        errors.to_string(),
+        "m.xml:2:22: nothing here implements `Sequense`: expected a node that this program can run, perhaps `Sequence`"
+    );
 }
 
 #[test]

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use super::check::{pointer, specification};
 use super::document::{Attribute, Element, ElementId, Forest};
 use super::error::{Collector, Place};
+use super::nearest::hint;
 use crate::blackboard::{Blackboard, ScopeId, Slot};
 use crate::node::{Guards, Info, Memory, Node, NodeId, NodeState, Role};
 use crate::nodes::{Always, Ports, SubTree};
@@ -252,13 +253,14 @@ impl<C> Site<'_, '_, C> {
                 (Role::Leaf(body), ports)
             }
             _ => {
+                let known = registry.specs().map(|known| known.id.as_str());
+                let can_run = |id: &&str| !matches!(registry.make(id), Some(Make::Declared));
+                let hint = hint(&spec.id, known.filter(can_run));
                 let message = format!("nothing here implements `{}`", spec.id);
-                let (at, builder) = (self.element.at, &mut *self.builder);
-                match builder.looked_at {
-                    true => builder
-                        .errors
-                        .warn(at, &format!("{message}: a mission would refuse it")),
-                    false => builder.errors.add(at, message, "a node that this program can run"),
+                let (at, errors) = (self.element.at, &mut *self.builder.errors);
+                match self.builder.looked_at {
+                    true => errors.warn(at, &format!("{message}: a mission would refuse it{hint}")),
+                    false => errors.add(at, message, format!("a node that this program can run{hint}")),
                 }
                 (Role::Builtin(Box::new(Always(Status::Failure))), ports)
             }

@@ -69,7 +69,7 @@ impl Validated {
             let trees: Vec<String> = self
                 .trees
                 .iter()
-                .map(|(id, nodes)| format!("{id} ({nodes} nodes)"))
+                .map(|(id, nodes)| format!("{id} ({})", output::counted(*nodes, "node")))
                 .collect();
             let trees = if trees.is_empty() {
                 "no tree in it".to_owned()
@@ -161,7 +161,7 @@ mod tests {
         );
         assert_eq!(
             report.text(),
-            "t.xml: valid: T (1 nodes)\nwarning: t.xml:2:34: nothing here implements `SaySomething`: a mission would refuse it"
+            "t.xml: valid: T (1 node)\nwarning: t.xml:2:34: nothing here implements `SaySomething`: a mission would refuse it"
         );
     }
 
