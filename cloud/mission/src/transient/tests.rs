@@ -118,6 +118,19 @@ fn a_door_may_leave_and_the_surface_of_a_wall_may_not_though_both_were_seen_free
 }
 
 #[test]
+fn the_last_cells_of_who_went_on_may_leave_and_noise_at_a_wall_may_not() {
+    let mut shown = Shown::new();
+    shown.show(100, 20..110, 110..111).show(0, 20..110, 20..110);
+    shown.show(100, 64..65, 64..65).show(100, 80..81, 109..110);
+    let cells = shown.cells(true);
+    let left = SPEC.from_cells(Point2::new(64.5, 64.5));
+    assert!(
+        matches!(cells[..], [cell] if (cell.center - left).norm() < 1e-9),
+        "{cells:?}"
+    );
+}
+
+#[test]
 fn what_stands_alone_may_leave_unless_it_is_large_or_in_a_stored_map() {
     let mut shown = Shown::new();
     shown.show(100, 60..68, 62..64).show(100, 20..40, 62..64);

@@ -86,18 +86,22 @@ impl Window {
             .map(|(cell, occupied)| *occupied && is_new(in_map(cell).0, in_map(cell).1))
             .collect();
         let around = self.cells(AROUND);
-        let square = (2 * around + 1) * (2 * around + 1);
-        let is_in_the_open = |cell: Place| {
+        let square = (2 * around + 1).pow(2);
+        let openness = |cell: Place| {
             let (x, y) = in_map(cell);
             let free = beside(around).filter(|(dx, dy)| was_free(x + dx, y + dy));
-            free.count() as f64 >= FREE_AROUND * square as f64
+            free.count() as f64 / square as f64
         };
         let come: Vec<bool> = each()
             .zip(&new)
-            .map(|(cell, new)| *new && is_in_the_open(cell))
+            .map(|(cell, new)| *new && openness(cell) >= FREE_AROUND)
             .collect();
+        // The last cells of who went on, which nobody has looked through since, are small.
+        let may_leave = |thing: &&Thing| {
+            self.is_large_enough(thing) || thing.cells.iter().all(|cell| openness(*cell) >= 1.0)
+        };
         let mut cells = Vec::new();
-        for thing in self.things(&come).iter().filter(|thing| self.is_large_enough(thing)) {
+        for thing in self.things(&come).iter().filter(may_leave) {
             // It may touch a wall: there its last cells are not in the open.
             let reach = beside(self.cells(AROUND + LINK));
             let touched = reach.flat_map(|(dx, dy)| thing.cells.iter().map(move |(x, y)| (x + dx, y + dy)));
