@@ -5,6 +5,7 @@
 use std::cell::Cell;
 
 use super::*;
+use crate::course::Course;
 use nalgebra::Vector2;
 use zenav_protocol::readings::Sweep;
 use zenav_protocol::time::Stamp;
@@ -20,6 +21,8 @@ struct Hall {
     twist: Twist2,
     half: f64,
     least: f64,
+    /// One that tells its course and has right of way, but stands.
+    robot: Option<(Point2<f64>, Course)>,
 }
 
 impl Hall {
@@ -32,6 +35,7 @@ impl Hall {
             twist: Twist2::ZERO,
             half,
             least: f64::INFINITY,
+            robot: None,
             model,
         }
     }
@@ -68,6 +72,12 @@ impl Hall {
             let now = f64::from(step) / RATE;
             let walkers = walkers(now, self.pose);
             self.scan(now, &walkers);
+            let robot = self.robot.clone().map(|(place, course)| {
+                let mut track = Track::of_robot(1 << 48, 0.25, Vector2::zeros(), Stamp::from_secs(now), course);
+                track.position = place;
+                track
+            });
+            self.obstacles.set_robots(robot.into_iter());
             let ahead: Vec<Ahead> = (0..=120)
                 .map(|nth| 0.1 * f64::from(nth))
                 .map(|secs| Ahead {
@@ -162,6 +172,24 @@ fn it_gets_away_from_who_runs_into_it_and_leans_on_it() {
         assert!(hall.least > -0.06, "{robot} drives into it: {}", hall.least);
         assert!(secs.is_some_and(|secs| secs < 45.0), "{robot}: {secs:?}");
     }
+}
+
+#[test]
+fn it_gets_out_of_the_course_of_a_robot_that_waits_for_it_to_do_so() {
+    // The other stands beside it, as near as covering discs allow, and means to go through its place.
+    let mut hall = Hall::new("jackal", 4.0);
+    let (place, step) = (Point2::new(0.1, 0.5), 0.4);
+    let places = (0..16).map(|nth| Point2::new(0.1, 0.5 - 0.6 * f64::from(nth)));
+    let course = Course {
+        places: places.collect(),
+        step,
+        begun: 0.0,
+        makes_way: false,
+    };
+    hall.robot = Some((place, course));
+    let secs = hall.drive(0.6, |_, _| vec![place]);
+    assert!(secs.is_some_and(|secs| secs < 25.0), "{secs:?}");
+    assert!(hall.least > 0.0, "{}", hall.least);
 }
 
 #[test]

@@ -388,6 +388,37 @@ fn into_the_blind_spot_it_backs_up_only_over_floor_seen_before_and_at_the_allowe
 }
 
 #[test]
+fn a_gentle_motion_waits_until_a_faster_one_has_faded() {
+    let model = jackal();
+    let nothing = wall(&model, 3.0);
+    let mut monitor = CollisionMonitor::new(&model, 0.02);
+    let mut judge = |secs: f64, wanted| {
+        let now = Stamp::from_secs(1.05 + secs);
+        monitor.judge(now, wanted, &nothing, Pose2::IDENTITY, &NO_BUMP).twist
+    };
+    let gentle = Twist2::new(0.0, 0.03);
+    assert_eq!(judge(0.0, gentle), gentle, "from rest");
+    for tick in 1..=3 {
+        judge(0.02 * f64::from(tick), Twist2::new(0.1, 0.0));
+    }
+    assert_eq!(judge(0.08, gentle), Twist2::ZERO);
+    let later: Vec<Twist2> = (5..20).map(|tick| judge(0.02 * f64::from(tick), gentle)).collect();
+    assert_eq!(later.last(), Some(&gentle), "{later:?}");
+    // What is no gentle motion is not held up.
+    judge(0.42, Twist2::new(0.2, 0.0));
+    assert_eq!(judge(0.44, Twist2::new(0.05, 0.3)).w, 0.3);
+}
+
+#[test]
+fn a_corner_is_touched_from_between_its_sides_too() {
+    let footprint = jackal().footprint;
+    let turn = fastest_outward(&footprint, Twist2::new(0.0, 1.0));
+    let both = fastest_outward(&footprint, Twist2::new(0.2, 1.0));
+    // Straight on moves the front edge alone, a turn the ends of the sides; a corner does both.
+    assert!((turn - 0.21).abs() < 1e-9 && both > 0.36, "{turn} {both}");
+}
+
+#[test]
 fn a_moving_obstacle_stops_the_robot_earlier_than_a_static_one() {
     let model = tiago();
     let lidar = model.first_lidar().unwrap();

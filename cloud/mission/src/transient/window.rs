@@ -97,9 +97,8 @@ impl Window {
             .map(|(cell, new)| *new && openness(cell) >= FREE_AROUND)
             .collect();
         // The last cells of who went on, which nobody has looked through since, are small.
-        let may_leave = |thing: &&Thing| {
-            self.is_large_enough(thing) || thing.cells.iter().all(|cell| openness(*cell) >= 1.0)
-        };
+        let may_leave =
+            |thing: &&Thing| self.is_large_enough(thing) || thing.cells.iter().all(|cell| openness(*cell) >= 1.0);
         let mut cells = Vec::new();
         for thing in self.things(&come).iter().filter(may_leave) {
             // It may touch a wall: there its last cells are not in the open.

@@ -185,7 +185,7 @@ fn a_long_robot_goes_into_a_niche_as_far_as_it_fits_and_not_as_far_as_a_disc_wou
     let cells = (0..80).flat_map(|y| (0..100).map(move |x| Cell::new(x, y)));
     for cell in cells {
         let off = grid.spec().center(cell) - goal;
-        if (0.3..0.4).contains(&off.norm()) && !(off.x > 0.0 && off.y.abs() < 0.25) {
+        if (0.3..0.4).contains(&off.norm()) && !(off.x < 0.0 && off.y.abs() < 0.25) {
             grid[cell] = Occupancy::OCCUPIED;
         }
     }
