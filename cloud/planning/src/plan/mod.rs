@@ -151,7 +151,7 @@ fn from_place(
     find: &mut Find<'_>,
 ) -> Planned {
     let mut last = goal;
-    let mut planned = drivable(space, first, last, options, budget, find);
+    let mut planned = drivable(space, first, last, options.goal_tolerance, options, budget, find);
     // Each end may be moved once.
     for _ in 0..2 {
         match planned.outcome {
@@ -168,7 +168,9 @@ fn from_place(
             _ => break,
         }
         let before = planned.expansions;
-        planned = drivable(space, first, last, options, budget, find);
+        // What it has been moved by is used up.
+        let tolerance = options.goal_tolerance - last.distance(&goal);
+        planned = drivable(space, first, last, tolerance, options, budget, find);
         planned.expansions += before;
     }
     planned.escapes = first != start;
@@ -186,11 +188,12 @@ fn from_place(
     planned
 }
 
-/// The searches of [`plan`] in their order.
+/// The searches of [`plan`] in their order; beside obstacles the path may end `tolerance` metres from the goal.
 fn drivable(
     space: &ConfigurationSpace,
     start: Pose2,
     goal: Pose2,
+    tolerance: f64,
     options: &PlanOptions,
     budget: Budget<'_>,
     find: &mut Find<'_>,
@@ -199,7 +202,7 @@ fn drivable(
         start: start.position(),
         heading: (!options.any_heading).then_some(start.yaw),
         goal: goal.position(),
-        tolerance: options.goal_tolerance,
+        tolerance,
     };
     let leaving = &options.settings.leaving;
     let footprint = space.footprint();
