@@ -11,7 +11,7 @@ use super::Place;
 const LINK: f64 = 0.1;
 /// Longer side of the box around a thing, m: less is noise at the edge of a wall, more than a person is not taken for one.
 const SIZES: std::ops::RangeInclusive<f64> = 0.2..=0.8;
-/// Cells that a thing must have at least.
+/// Cells that a thing must have at least, unless all around it was free.
 const MIN_CELLS: usize = 4;
 /// Share of the cells around a cell that were free once, for what stands there to have come: all around a person, eight in nine along a wall of
 /// which 10 cm were grazed.
