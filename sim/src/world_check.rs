@@ -1,5 +1,6 @@
 //! Which values may a world hold? Finite, bounded, and outlines that enclose an area; what is wrong is named with its line.
 
+use std::f64::consts::TAU;
 use std::ops::Range;
 
 use nalgebra::Point2;
@@ -103,6 +104,18 @@ impl Source<'_> {
                 self.fail(span, key, problem)
             }
         }
+    }
+
+    /// A heading, rad: more than a full turn is hardly meant in radians.
+    pub fn heading(self, span: Range<usize>, key: &'static str, yaw: f64) -> Result<(), WorldError> {
+        if yaw.abs() <= TAU {
+            return Ok(());
+        }
+        let problem = format!(
+            "{}: expected radians within a full turn; 90 degrees are 1.571",
+            Number(yaw)
+        );
+        self.fail(span, key, problem)
     }
 
     pub fn points(

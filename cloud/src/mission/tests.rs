@@ -176,6 +176,7 @@ fn state() -> EdgeState {
         uplink: 1.0,
         round_trip_secs: None,
         makes_way: false,
+        among_people: false,
         faults: Default::default(),
     }
 }

@@ -20,7 +20,7 @@ use crate::connect;
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
-use crate::output::{Format, value};
+use crate::output::{Format, counted, value};
 
 /// Arguments of `zenav run`.
 #[derive(Debug, Args)]
@@ -287,7 +287,7 @@ fn fleet_text(report: &FleetReport) -> String {
 
 fn text(report: &RunReport) -> String {
     let mut lines = vec![format!(
-        "{:?}{} after {:.2} s, {:.2} m driven, least clearance {:.3} m, error {:.3} m, {} collisions, {} replans, {} recoveries, {:.0} J ({:.0} J/m)",
+        "{:?}{} after {:.2} s, {:.2} m driven, least clearance {:.3} m, error {:.3} m, {}, {}, {}, {:.0} J ({:.0} J/m)",
         report.outcome,
         report
             .reason
@@ -298,9 +298,13 @@ fn text(report: &RunReport) -> String {
         report.length_m,
         report.min_clearance_m,
         report.final_error_m,
-        report.collisions,
-        report.replans,
-        report.recoveries,
+        counted(report.collisions, "collision"),
+        counted(report.replans, "replan"),
+        if report.recoveries == 1 {
+            "1 recovery".to_owned()
+        } else {
+            format!("{} recoveries", report.recoveries)
+        },
         report.energy_j,
         report.energy_per_m
     )];

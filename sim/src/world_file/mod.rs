@@ -80,6 +80,7 @@ pub(crate) fn read(
         Some(start) => {
             let StartTable { x, y, yaw } = *start.get_ref();
             source.coordinates(start.span(), "start", &[x, y, yaw])?;
+            source.heading(start.span(), "start.yaw", yaw)?;
             if !within(low, high, Point2::new(x, y)) {
                 let problem = format!(
                     "({x}, {y}) lies outside of the world: expected {} to {} by {} to {}",
@@ -202,6 +203,7 @@ fn places(source: Source<'_>, tables: &[Spanned<PlaceTable>]) -> Result<Vec<Plac
             return source.fail(written.span(), "place.name", format!("`{name}` is taken"));
         }
         source.coordinates(table.span(), "place", &[*x, *y, yaw.unwrap_or(0.0)])?;
+        source.heading(table.span(), "place.yaw", yaw.unwrap_or(0.0))?;
         places.push(Place {
             name,
             x: *x,

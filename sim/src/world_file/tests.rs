@@ -113,6 +113,14 @@ fn a_wrong_key_or_value_is_named_with_file_line_and_key() {
             ["w.toml:7:", "mover.walk"],
         ),
         ("[start]\nx = 9\ny = 0\n", ["w.toml:4:", "expected -1 to 4 by 0 to 6"]),
+        (
+            "[start]\nx = 1\ny = 2\nyaw = 90\n",
+            ["start.yaw", "expected radians within a full turn"],
+        ),
+        (
+            "[[place]]\nname = \"sink\"\nx = 1\ny = 2\nyaw = -180\n",
+            ["place.yaw", "90 degrees are 1.571"],
+        ),
         ("[[circle]]\nx = 1\ny = 1e300\nradius = 1\n", ["w.toml:4:", "1e300"]),
     ] {
         let error = error(body);

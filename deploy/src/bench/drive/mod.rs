@@ -25,6 +25,9 @@ pub struct DriveArgs {
     /// Seeds of each scenario and robot [default: 20 worlds a level in S2, else 3]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=10_000))]
     seeds: Option<u64>,
+    /// First of them: worlds that nothing was tuned on
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u64).range(..=1_000_000_000))]
+    first_seed: u64,
     /// Folder of BARN's worlds, `world_N.world` or `world_N.toml`, for S1
     #[arg(long, value_name = "DIR")]
     worlds: Option<PathBuf>,
@@ -74,7 +77,7 @@ pub(super) fn drive(args: &DriveArgs) -> Outcome {
     let barn = args.worlds.as_deref().map(|folder| (folder, 0.01 * args.noise));
     let mut cases = Vec::new();
     for suite in suites {
-        cases.extend(suite.cases(args.seeds, barn)?);
+        cases.extend(suite.cases(args.first_seed, args.seeds, barn)?);
     }
     if let Some(only) = &args.only {
         cases.retain(|case| case.name == *only);

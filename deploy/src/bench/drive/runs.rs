@@ -297,7 +297,7 @@ mod tests {
 
     #[test]
     fn a_case_goes_alike_twice_and_anchors_that_know_more_reach_the_goal() {
-        let cases = Suite::S3.cases(Some(1), None).unwrap();
+        let cases = Suite::S3.cases(0, Some(1), None).unwrap();
         let case = cases.iter().find(|case| case.name == "crossing-1-jackal-0").unwrap();
         let field = Field::new(&case.world, case.model.footprint.inscribed_radius(), case.goal);
         let drive = |anchor| anchors::drive(anchor, case, &field, |_, _| {}).unwrap();

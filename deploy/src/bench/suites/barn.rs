@@ -6,6 +6,7 @@
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
+use std::ops::Range;
 use std::path::Path;
 
 use roxmltree::{Document, Node};
@@ -27,7 +28,7 @@ const BOUNDS: [[f64; 2]; 2] = [[-6.75, -1.0], [9.0, 16.0]];
 
 /// S1: the worlds of a folder, with ranges that are as noisy as told (standard deviation, m). A file `optimal.csv` beside them (world,
 /// metres) tells the lengths of the optimal paths; without it the shortest way of the disc inside the robot counts.
-pub(super) fn barn(folder: &Path, noise: f64, seeds: u64) -> Result<Vec<Case>, Failure> {
+pub(super) fn barn(folder: &Path, noise: f64, seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
     let mut worlds = BTreeMap::new();
     for entry in std::fs::read_dir(folder).map_err(Failure::failed_at(folder))? {
         let path = entry.map_err(Failure::failed_at(folder))?.path();
@@ -69,7 +70,7 @@ pub(super) fn barn(folder: &Path, noise: f64, seeds: u64) -> Result<Vec<Case>, F
         let read = World::from_toml(&text, &file, &|_| Err("a world of BARN has no map".to_owned()));
         let world = read.map_err(|error| Failure::usage(error.to_string()))?;
         let goal = world.start() * Pose2::new(AHEAD, 0.0, 0.0);
-        for seed in 0..seeds {
+        for seed in seeds.clone() {
             let name = format!("barn-{number:03}-{seed}");
             let mut case = Case::within(
                 &scenario,

@@ -1,5 +1,7 @@
 //! Broken sensors. How does it drive when what it senses is late, lost or crooked? Each run beside the same one without the fault.
 
+use std::ops::Range;
+
 use super::places::{clutter, office};
 use super::{Case, ROBOTS, rng};
 use crate::failure::Failure;
@@ -32,12 +34,12 @@ const FAULTS: [(&str, &str); 11] = [
 ];
 
 /// S9: pillars and an office by turns, all robots, one fault each.
-pub(super) fn broken(seeds: u64) -> Result<Vec<Case>, Failure> {
+pub(super) fn broken(seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
     let mut cases = Vec::new();
     for (label, fault) in FAULTS {
         let scenario = format!("S9 {label}");
         for robot in ROBOTS {
-            for seed in 0..seeds {
+            for seed in seeds.clone() {
                 let mut rng = rng("S9", seed);
                 let (mut floor, goal) = if seed % 2 == 0 {
                     clutter(&mut rng)

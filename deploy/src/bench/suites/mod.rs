@@ -22,6 +22,7 @@ mod places;
 mod robots;
 mod whereabouts;
 
+use std::ops::Range;
 use std::path::Path;
 
 use clap::ValueEnum;
@@ -72,27 +73,30 @@ pub(super) enum Suite {
 }
 
 impl Suite {
-    /// All scenarios with their runs, in order; `seeds` of each where it is given. S1 is of the worlds in a folder, with noise of ranges
+    /// All scenarios with their runs, in order, from the `first` seed on, `count` of each where it is given. S1 is of the worlds in a folder, with noise of ranges
     /// (standard deviation, m), and of none without one.
     ///
     /// # Errors
     /// A folder that holds no worlds; never for what is made here.
-    pub(super) fn cases(self, seeds: Option<u64>, barn: Option<(&Path, f64)>) -> Result<Vec<Case>, Failure> {
+    pub(super) fn cases(
+        self,
+        first: u64,
+        count: Option<u64>,
+        barn: Option<(&Path, f64)>,
+    ) -> Result<Vec<Case>, Failure> {
+        let seeds = |usual: u64| first..first + count.unwrap_or(usual);
         match self {
-            Self::S1 => barn.map_or_else(
-                || Ok(Vec::new()),
-                |(folder, noise)| barn::barn(folder, noise, seeds.unwrap_or(1)),
-            ),
-            Self::S2 => people::field(seeds.unwrap_or(20)),
-            Self::S3 => people::encounters(seeds.unwrap_or(3)),
-            Self::S5 => places::tight(seeds.unwrap_or(3)),
-            Self::S6 => places::rooms(seeds.unwrap_or(3)),
-            Self::S4 => people::manners(seeds.unwrap_or(4)),
-            Self::S7 => patience::patience(seeds.unwrap_or(3)),
-            Self::S8 => whereabouts::whereabouts(seeds.unwrap_or(3)),
-            Self::S9 => broken::broken(seeds.unwrap_or(2)),
-            Self::S12 => cost::cost(seeds.unwrap_or(1)),
-            Self::S11 => robots::robots(seeds.unwrap_or(1)),
+            Self::S1 => barn.map_or_else(|| Ok(Vec::new()), |(folder, noise)| barn::barn(folder, noise, seeds(1))),
+            Self::S2 => people::field(seeds(20)),
+            Self::S3 => people::encounters(seeds(3)),
+            Self::S5 => places::tight(seeds(3)),
+            Self::S6 => places::rooms(seeds(3)),
+            Self::S4 => people::manners(seeds(4)),
+            Self::S7 => patience::patience(seeds(3)),
+            Self::S8 => whereabouts::whereabouts(seeds(3)),
+            Self::S9 => broken::broken(seeds(2)),
+            Self::S12 => cost::cost(seeds(1)),
+            Self::S11 => robots::robots(seeds(1)),
         }
     }
 }
@@ -259,11 +263,11 @@ impl Case {
 type Make = fn(&mut Pcg64Mcg) -> (Floor, [f64; 2]);
 
 /// All robots in the worlds of some scenarios.
-fn each(scenarios: &[(&str, Make)], seeds: u64) -> Result<Vec<Case>, Failure> {
+fn each(scenarios: &[(&str, Make)], seeds: &Range<u64>) -> Result<Vec<Case>, Failure> {
     let mut cases = Vec::new();
     for (scenario, make) in scenarios {
         for robot in ROBOTS {
-            for seed in 0..seeds {
+            for seed in seeds.clone() {
                 let (floor, goal) = make(&mut rng(scenario, seed));
                 cases.push(Case::new(scenario, robot, seed, floor, goal)?);
             }
@@ -307,7 +311,10 @@ mod tests {
     #[test]
     fn a_seed_makes_the_same_worlds_where_robot_and_goal_have_room() {
         for suite in Suite::value_variants() {
-            let (cases, again) = (suite.cases(Some(2), None).unwrap(), suite.cases(Some(2), None).unwrap());
+            let (cases, again) = (
+                suite.cases(0, Some(2), None).unwrap(),
+                suite.cases(0, Some(2), None).unwrap(),
+            );
             let mut names: Vec<&str> = cases.iter().map(|case| case.name.as_str()).collect();
             names.sort_unstable();
             names.dedup();

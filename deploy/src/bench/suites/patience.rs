@@ -1,5 +1,7 @@
 //! Patience. Who leaves again? The way is shut for a while, and there is no other.
 
+use std::ops::Range;
+
 use rand::RngExt as _;
 
 use super::floor::{FOR_GOOD, Floor, PERSON};
@@ -14,7 +16,7 @@ pub(super) fn two_rooms() -> Floor {
 }
 
 /// S7: somebody in a door for 20 s, a door that cycles, a goal that is taken for 22 s, a slow one ahead.
-pub(super) fn patience(seeds: u64) -> Result<Vec<Case>, Failure> {
+pub(super) fn patience(seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
     let scenarios: [(&str, Make); 4] = [
         ("S7 stander in a door, 20 s", |rng| {
             let aside = [5.0 + rng.random_range(0.0..1.0), 0.6];
@@ -40,5 +42,5 @@ pub(super) fn patience(seeds: u64) -> Result<Vec<Case>, Failure> {
             (floor.mover(PERSON, speed, &path), [14.5, 0.6])
         }),
     ];
-    each(&scenarios, seeds)
+    each(&scenarios, &seeds)
 }

@@ -1,6 +1,7 @@
 //! People. Who walks about? In S2 and S3 nobody of them looks out for the robot, in S4 they make way as far as it does.
 
 use std::f64::consts::FRAC_PI_2;
+use std::ops::Range;
 
 use rand::RngExt as _;
 use rand_pcg::Pcg64Mcg;
@@ -31,12 +32,12 @@ fn centimetres(metres: f64) -> f64 {
 
 /// S2, after DynaBARN (Nair et al., "DynaBARN: Benchmarking Metric Ground Navigation in Dynamic Environments", 2022): an open field of
 /// 10 m by 20 m, a Jackal, discs on random polylines; harder by number and speed.
-pub(super) fn field(seeds: u64) -> Result<Vec<Case>, Failure> {
+pub(super) fn field(seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
     let (size, start) = ([10.0, 20.0], [5.0, 1.0]);
     let mut cases = Vec::new();
     for (level, discs, speeds) in [("easy", 6, 0.4..0.8), ("medium", 10, 0.6..1.2), ("hard", 14, 0.8..1.6)] {
         let scenario = format!("S2 field {level}");
-        for seed in 0..seeds {
+        for seed in seeds.clone() {
             let mut rng = rng(&scenario, seed);
             let mut floor = Floor::new(size, [start[0], start[1], FRAC_PI_2]);
             for _ in 0..discs {
@@ -50,7 +51,7 @@ pub(super) fn field(seeds: u64) -> Result<Vec<Case>, Failure> {
 }
 
 /// S3: crowds of blind walkers in a hall, people who cross, who come along, who come round a corner.
-pub(super) fn encounters(seeds: u64) -> Result<Vec<Case>, Failure> {
+pub(super) fn encounters(seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
     let scenarios: [(&str, Make); 7] = [
         ("S3 crowd 5", |rng| crowd(rng, 5)),
         ("S3 crowd 10", |rng| crowd(rng, 10)),
@@ -60,7 +61,7 @@ pub(super) fn encounters(seeds: u64) -> Result<Vec<Case>, Failure> {
         ("S3 oncoming 3 m", oncoming),
         ("S3 blind corner", blind_corner),
     ];
-    each(&scenarios, seeds)
+    each(&scenarios, &seeds)
 }
 
 /// A hall of 14 m by 8 m, walkers of 0.5 to 1.5 m/s.
@@ -115,7 +116,7 @@ fn blind_corner(rng: &mut Pcg64Mcg) -> (Floor, [f64; 2]) {
 }
 
 /// S4: people who make way by ORCA or by social force, as the seed draws, in the situations of SEAN 2.0 (Tsoi et al., 2022).
-pub(super) fn manners(seeds: u64) -> Result<Vec<Case>, Failure> {
+pub(super) fn manners(seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
     let scenarios: [(&str, Make); 6] = [
         ("S4 crossing", |rng| {
             let mut floor = Floor::new([12.0, 8.0], [1.0, 4.0, 0.0]);
@@ -167,7 +168,7 @@ pub(super) fn manners(seeds: u64) -> Result<Vec<Case>, Failure> {
             (floor.person(manners, walk(rng), &joins), [10.5, 4.0])
         }),
     ];
-    each(&scenarios, seeds)
+    each(&scenarios, &seeds)
 }
 
 /// How somebody makes way.

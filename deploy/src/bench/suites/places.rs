@@ -1,5 +1,7 @@
 //! Places. How tight and how crooked is it? Nothing moves but the robot.
 
+use std::ops::Range;
+
 use rand::RngExt as _;
 use rand_pcg::Pcg64Mcg;
 
@@ -9,12 +11,12 @@ use crate::failure::Failure;
 use crate::files;
 
 /// S5: doors little wider than the robot, a lane to back out of, a goal beside a wall.
-pub(super) fn tight(seeds: u64) -> Result<Vec<Case>, Failure> {
+pub(super) fn tight(seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
     let mut cases = Vec::new();
     for robot in ROBOTS {
         let model = files::robot(robot)?;
         let (half, [ahead, behind]) = (half_width(&model), ends(&model));
-        for seed in 0..seeds {
+        for seed in seeds.clone() {
             for (scenario, spare) in [("S5 door +5 cm", 0.05), ("S5 door +10 cm", 0.10)] {
                 let mut rng = rng(scenario, seed);
                 let (y, from, to) = (
@@ -50,13 +52,13 @@ pub(super) fn tight(seeds: u64) -> Result<Vec<Case>, Failure> {
 }
 
 /// S6: pillars, a trap, an office; each unknown and known.
-pub(super) fn rooms(seeds: u64) -> Result<Vec<Case>, Failure> {
+pub(super) fn rooms(seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
     let mut cases = Vec::new();
     let scenarios: [(&str, Make); 3] = [("S6 clutter", clutter), ("S6 trap", trap), ("S6 office", office)];
     for (scenario, make) in scenarios {
         for (how, known_map) in [("unknown", false), ("known", true)] {
             for robot in ROBOTS {
-                for seed in 0..seeds {
+                for seed in seeds.clone() {
                     let (floor, goal) = make(&mut rng(scenario, seed));
                     let case = Case::new(&format!("{scenario} {how}"), robot, seed, floor, goal)?;
                     cases.push(if known_map { case.knowing_the_map() } else { case });

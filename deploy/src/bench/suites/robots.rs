@@ -1,6 +1,7 @@
 //! Robots. Which other robots are on their way? All of one kind; each has its own goal, sensors, map and mission.
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
+use std::ops::Range;
 
 use nalgebra::Point2;
 use rand::RngExt as _;
@@ -20,7 +21,7 @@ const TIME: f64 = 120.0;
 type Ways = Vec<([f64; 3], [f64; 2])>;
 
 /// S11: robots that swap places in a corridor, meet in a lane with a niche, cross, change sides on a circle, or want each other's places.
-pub(super) fn robots(seeds: u64) -> Result<Vec<Case>, Failure> {
+pub(super) fn robots(seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
     type Make = fn() -> (Floor, Ways);
     let scenarios: [(&str, Make); 10] = [
         ("S11 swap, 3.0 m", || swap(3.0)),
@@ -37,7 +38,7 @@ pub(super) fn robots(seeds: u64) -> Result<Vec<Case>, Failure> {
     let mut cases = Vec::new();
     for (scenario, make) in scenarios {
         for robot in ROBOTS {
-            for seed in 0..seeds {
+            for seed in seeds.clone() {
                 let mut rng = rng(scenario, seed);
                 let mut ways = Vec::new();
                 for ([x, y, yaw], [to_x, to_y]) in make().1 {

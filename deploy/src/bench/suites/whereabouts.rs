@@ -1,5 +1,7 @@
 //! Whereabouts. Does it know where it is, without GPS and compass, with odometry as it comes and as an old robot's is?
 
+use std::ops::Range;
+
 use rand::RngExt as _;
 use rand_pcg::Pcg64Mcg;
 use zenav_cloud::mapping::PoseSource;
@@ -19,7 +21,7 @@ const ROBOTS: [&str; 4] = [
 ];
 
 /// S8: an office of 65 m and a hall of 90 m, known and unknown, and the hall without anything in sight.
-pub(super) fn whereabouts(seeds: u64) -> Result<Vec<Case>, Failure> {
+pub(super) fn whereabouts(seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
     let scenarios: [(&str, Make, PoseSource); 5] = [
         ("S8 office known", office, PoseSource::Localise),
         ("S8 hall known", hall, PoseSource::Localise),
@@ -30,7 +32,7 @@ pub(super) fn whereabouts(seeds: u64) -> Result<Vec<Case>, Failure> {
     let mut cases = Vec::new();
     for (scenario, make, poses) in scenarios {
         for robot in ROBOTS {
-            for seed in 0..seeds {
+            for seed in seeds.clone() {
                 // Alike, known and unknown.
                 let drawn = if scenario.contains("office") {
                     "S8 office"
