@@ -117,6 +117,15 @@ pub(crate) fn endpoint(text: &str) -> Result<String, String> {
     }
 }
 
+/// Endpoints on the command line, separated by commas.
+///
+/// # Errors
+/// With what was expected.
+pub(crate) fn endpoints(text: &str) -> Result<String, String> {
+    let checked: Result<Vec<String>, String> = text.split(',').map(|one| endpoint(one.trim())).collect();
+    checked.map(|endpoints| endpoints.join(","))
+}
+
 /// A finite number on the command line.
 ///
 /// # Errors

@@ -135,7 +135,7 @@ pub struct RouterArgs {
     #[arg(long, default_value = DEFAULT_ENDPOINT, value_parser = connect::endpoint)]
     listen: Vec<String>,
     /// Other routers to link to
-    #[arg(long)]
+    #[arg(long, value_parser = connect::endpoint)]
     connect: Vec<String>,
     #[command(flatten)]
     rest: RestArgs,
@@ -160,7 +160,7 @@ struct PartArgs {
     #[arg(long, value_name = "FILE")]
     deployment: Option<PathBuf>,
     /// The router's endpoint, instead of the deployment's; of several, separated by commas, one is enough
-    #[arg(long)]
+    #[arg(long, value_parser = connect::endpoints)]
     connect: Option<String>,
     /// Folder for what is kept, instead of the deployment's
     #[arg(long)]
@@ -301,8 +301,8 @@ pub fn up(args: &UpArgs) -> Outcome {
     args.known.check_files(&layers, CloudPart::All)?;
     let mut deployment = layers.deployment;
     if !args.listen.is_empty() {
-        deployment.router.listen.clone_from(&args.listen);
-        deployment.bus.connect.clone_from(&args.listen[0]);
+        deployment.router.listen = args.listen.iter().map(|endpoint| with_free_port(endpoint)).collect();
+        deployment.bus.connect.clone_from(&deployment.router.listen[0]);
     }
     if let Some(world) = &args.world {
         deployment.simulation.world.clone_from(world);
@@ -363,6 +363,17 @@ pub fn up(args: &UpArgs) -> Outcome {
         }
         result
     })
+}
+
+/// An endpoint whose port is one that is free now, where it is 0: all parts have to know it.
+fn with_free_port(endpoint: &str) -> String {
+    let free = |address: &str| std::net::TcpListener::bind(address)?.local_addr();
+    match endpoint.strip_suffix(":0").zip(endpoint.split_once('/')) {
+        Some((stem, (_, address))) => {
+            free(address).map_or_else(|_| endpoint.to_owned(), |bound| format!("{stem}:{}", bound.port()))
+        }
+        None => endpoint.to_owned(),
+    }
 }
 
 /// Two deployments on one machine: where the default robot's own endpoint is taken, it takes a free one.

@@ -56,6 +56,8 @@ const FRESH: Duration = Duration::from_millis(500);
 pub(super) struct ClockSeen {
     /// Simulated seconds passed for each wall second, when simulated time is published.
     pub(super) simulated_rate: Option<f64>,
+    /// How often it went back by more than a second.
+    pub(super) steps_back: u32,
 }
 
 /// Judges one robot after listening for `time`.
@@ -355,6 +357,12 @@ pub(super) fn workers(service: &'static str, count: usize) -> Check {
 /// Judges the time that all share.
 pub(super) fn clock(seen: &ClockSeen) -> Check {
     match seen.simulated_rate {
+        Some(_) if seen.steps_back > 1 => Check::fail(
+            "clock",
+            "time",
+            "two simulations give the time",
+            "end one of the edges: robots of one deployment share one world (`zenav up`, or `zenav sim serve` with `zenav edge --attach`)",
+        ),
         None => Check::ok("clock", "time", "wall clock (no simulated time is published)"),
         Some(rate) if rate < 0.05 => Check::fail(
             "clock",
@@ -557,12 +565,20 @@ pub(super) mod tests {
     fn simulated_time_that_stands_still_fails() {
         assert_eq!(
             clock(&ClockSeen {
-                simulated_rate: Some(0.0)
+                simulated_rate: Some(0.0),
+                steps_back: 0,
             })
             .verdict,
             Verdict::Fail
         );
-        assert_eq!(clock(&ClockSeen { simulated_rate: None }).verdict, Verdict::Ok);
+        assert_eq!(
+            clock(&ClockSeen {
+                simulated_rate: None,
+                steps_back: 0
+            })
+            .verdict,
+            Verdict::Ok
+        );
         assert_eq!(workers("motion", 0).verdict, Verdict::Fail);
     }
 }

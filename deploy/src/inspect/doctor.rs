@@ -204,15 +204,21 @@ async fn heard<A: Arrivals>(topic: &mut A, end: Instant) -> Heard<A::Item> {
 async fn clock(bus: &Bus, end: Instant) -> Result<ClockSeen, Failure> {
     let mut clocks = bus.latest(&topics::SIM_CLOCK, &[])?;
     let mut first: Option<(Instant, Stamp)> = None;
-    let mut last = None;
+    let mut last: Option<Stamp> = None;
+    let mut steps_back = 0;
     while let Ok(Some(value)) = timeout_at(end, clocks.next()).await {
-        first.get_or_insert((Instant::now(), value.message.stamp));
-        last = Some(value.message.stamp);
+        let stamp = value.message.stamp;
+        first.get_or_insert((Instant::now(), stamp));
+        steps_back += u32::from(last.is_some_and(|last| last.secs_since(stamp) > 1.0));
+        last = Some(stamp);
     }
     let rate = first
         .zip(last)
         .map(|((start, from), to)| to.secs_since(from) / end.duration_since(start).as_secs_f64().max(1e-3));
-    Ok(ClockSeen { simulated_rate: rate })
+    Ok(ClockSeen {
+        simulated_rate: rate,
+        steps_back,
+    })
 }
 
 fn text(report: &Report) -> String {

@@ -4,7 +4,8 @@
 //! when the system time is set. A simulated clock stands still until its handle, or the topic `zenav/sim/clock`, moves it.
 //!
 //! On the topic, one message that leaps far ahead changes nothing: the time is there only when the next message goes on from it, as after a
-//! pause of the link.
+//! pause of the link. A simulation that begins anew is believed after some messages without one of the old time in between: two simulations
+//! that both give the time do not make it race, the first one counts.
 
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -18,6 +19,8 @@ use crate::topics::SIM_CLOCK;
 
 /// A step back by more than this means that the simulation restarted; a smaller one is a reordered message.
 const RESTART: Duration = Duration::from_secs(1);
+/// Messages of the new time, one after the other, after which a step back is believed.
+const BEGUN_ANEW: u32 = 20;
 /// A longer step forwards on the topic is believed only when the next message goes on from there.
 const LEAP: Duration = Duration::from_secs(10);
 /// No simulation comes this far: 73 years.
@@ -51,6 +54,8 @@ struct Follower {
     ahead: Duration,
     /// Where the last message leapt to.
     leap: Option<Stamp>,
+    /// Messages in a row that are back in time.
+    back: u32,
 }
 
 impl Follower {
@@ -73,8 +78,13 @@ impl Follower {
         }
         self.leap = None;
         if self.shown.since(now) > RESTART {
+            self.back += 1;
+            if self.back < BEGUN_ANEW {
+                return None;
+            }
             self.ahead = self.shown.since(stamp);
         }
+        self.back = 0;
         self.shown = self.shown.max(stamp + self.ahead);
         Some(self.shown)
     }
@@ -277,10 +287,29 @@ mod tests {
         let mut follower = Follower::default();
         let (late, later) = (Stamp::from_secs(500.0), Stamp::from_secs(500.02));
         assert_eq!((follower.follow(late), follower.follow(later)), (None, Some(later)));
+        for _ in 1..BEGUN_ANEW {
+            assert_eq!(follower.follow(Stamp::from_secs(0.02)), None);
+        }
         let begun = follower.follow(Stamp::from_secs(0.02)).map(Stamp::as_secs);
         assert!(begun.is_some_and(|begun| (begun - 500.02).abs() < 1e-6), "{begun:?}");
         let on = follower.follow(Stamp::from_secs(0.52)).map(Stamp::as_secs);
         assert!(on.is_some_and(|on| (on - 500.52).abs() < 1e-6), "{on:?}");
+    }
+
+    #[test]
+    fn of_two_simulations_that_give_the_time_one_counts() {
+        for behind in [3.0, 12.0, 100.0] {
+            let mut follower = Follower::default();
+            let mut shown = Stamp::ZERO;
+            for tick in 0..2_000_u32 {
+                let now = 1.0 + 0.01 * f64::from(tick);
+                shown = follower.follow(Stamp::from_secs(now + behind)).unwrap_or(shown);
+                shown = follower.follow(Stamp::from_secs(now)).unwrap_or(shown);
+            }
+            let passed = shown.as_secs() - 1.0;
+            let is_of = |line: f64| (passed - line - 19.99).abs() < 0.1;
+            assert!(is_of(0.0) || is_of(behind), "{behind}: {passed}");
+        }
     }
 
     #[tokio::test]

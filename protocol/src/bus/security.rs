@@ -89,8 +89,12 @@ impl Security {
     /// Whether these endpoints may be dialled and listened on.
     pub(super) fn check(&self, connect: &[String], listen: &[String]) -> Result<(), BusError> {
         for endpoint in connect.iter().chain(listen) {
-            let protocol = endpoint.split_once('/').map(|(protocol, _)| protocol);
+            let protocol = match endpoint.split_once('/') {
+                Some((protocol @ ("tcp" | "quic" | "tls"), address)) if address.contains(':') => Some(protocol),
+                _ => None,
+            };
             let expected = match self {
+                _ if protocol.is_none() => "tcp/HOST:PORT, or quic/HOST:PORT with an identity",
                 Self::Mtls(_) if protocol != Some("quic") => "quic/HOST:PORT, as this has an identity",
                 Self::Loopback | Self::Insecure if matches!(protocol, Some("quic" | "tls")) => {
                     "an identity (`--identity FOLDER`, ZENAV_IDENTITY; `zenav keys issue` makes one)"
@@ -98,7 +102,7 @@ impl Security {
                 _ => continue,
             };
             return Err(BusError::Config {
-                reason: format!("{endpoint}: expected {expected}"),
+                reason: format!("endpoint `{endpoint}`: expected {expected}"),
             });
         }
         match (self, listen.iter().find(|endpoint| !is_loopback(endpoint))) {

@@ -136,7 +136,7 @@ pub enum BusError {
         endpoint: String,
     },
     /// An endpoint is malformed, not for the identity at hand, or there is none at all.
-    #[error("bad bus configuration: {reason}")]
+    #[error("{reason}")]
     Config {
         /// What Zenoh reports.
         reason: String,
@@ -446,6 +446,6 @@ pub(super) fn link_settings(
     }
     security.settings(mode, listen, &mut settings)?;
     Config::from_json5(&settings.to_string()).map_err(|error| BusError::Config {
-        reason: error.to_string(),
+        reason: format!("Zenoh's settings: {error}"),
     })
 }
