@@ -186,13 +186,17 @@ impl CollisionMonitor {
             1.0
         };
         let standing = motion.limit_static(obstacles, odom_from_base);
-        let floor = motion.limit_blind_spot(obstacles, odom_from_base, self.speed_into_blind_spot(now, obstacles));
+        let floor = motion.limit_blind_spot(
+            obstacles,
+            odom_from_base,
+            self.speed_into_blind_spot(now, obstacles, odom_from_base),
+        );
         moving.min(felt).min(standing).min(floor)
     }
 
     /// Whoever went into the blind spot and did not come out may stand there still.
-    fn speed_into_blind_spot(&self, now: Stamp, obstacles: &LocalObstacles) -> f64 {
-        match obstacles.moving().may_be_in_blind_spot(now) {
+    fn speed_into_blind_spot(&self, now: Stamp, obstacles: &LocalObstacles, odom_from_base: Pose2) -> f64 {
+        match obstacles.moving().may_be_in_blind_spot(now, odom_from_base.position()) {
             true => 0.0,
             false => self.blind_speed,
         }
@@ -261,7 +265,7 @@ impl CollisionMonitor {
         } else {
             1.0
         };
-        let blind_speed = self.speed_into_blind_spot(now, obstacles);
+        let blind_speed = self.speed_into_blind_spot(now, obstacles, odom_from_base);
         let limits = [
             (in_contact, "sliding along a contact"),
             (without_encoders.min(1.0), "the wheel encoders are silent"),

@@ -147,6 +147,8 @@ impl<'a> Motion<'a> {
         let near = self.footprint.circumscribed_radius() + self.margin + self.stopping_distance(1.0) + LEAST_CLEARANCE;
         let outer = SweptFootprint::new(self.footprint, self.margin, self.twist);
         let inner = SweptFootprint::new(self.footprint, LEAST_CLEARANCE.min(self.margin), self.twist);
+        // What moves the outline hardly at all, as a disc that turns on the spot, needs no more room.
+        let slow = 0.25 * GENTLE / fastest_outward(self.footprint, self.twist).max(1e-9);
         let mut share: f64 = 1.0;
         for point in obstacles.in_base(odom_from_base) {
             if point.coords.norm_squared() > near * near {
@@ -172,9 +174,10 @@ impl<'a> Motion<'a> {
                     share => share,
                 }
             } else {
-                inner
+                let creeping = inner
                     .time_to_contact(point)
-                    .map_or(1.0, |time| time / self.settings.creep_time)
+                    .map_or(1.0, |time| time / self.settings.creep_time);
+                creeping.max(slow)
             };
             share = share.min(stopping.max(creeping));
         }
@@ -465,7 +468,7 @@ pub(crate) fn share_beside(footprint: &Footprint, twist: Twist2, point: Point2<f
     let closing = closing_speed(footprint, twist, point);
     if closing <= RESTING {
         1.0
-    } else if closing <= SLIDING * twist.v.abs() {
+    } else if closing <= SLIDING * (twist.v.abs() + twist.w.abs() * footprint.circumscribed_radius()) {
         (0.25 * GENTLE / closing).min(1.0)
     } else {
         0.0

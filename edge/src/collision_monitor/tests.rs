@@ -269,14 +269,22 @@ fn whoever_went_into_the_blind_spot_and_did_not_come_out_is_not_backed_into() {
     // One passes close by, one out of reach of the corners.
     for (from, velocity, may_touch) in [((0.6, 0.5), -1.0, true), ((-1.2, 2.5), -1.3, false)] {
         let (obstacles, stamp) = beside(&model, Point2::new(from.0, from.1), velocity);
-        let there = |secs: f64| obstacles.moving().may_be_in_blind_spot(stamp.plus_secs(secs));
-        assert!(there(0.1) && there(55.0) && !there(61.0), "{from:?}");
+        let there = |secs: f64| {
+            let here = Point2::origin();
+            obstacles.moving().may_be_in_blind_spot(stamp.plus_secs(secs), here)
+        };
+        assert_eq!(there(0.1), may_touch, "{from:?}: who is far off has not come yet");
+        assert!(there(2.5) && there(55.0) && !there(61.0), "{from:?}");
         let corners = |secs: f64| obstacles.moving().occluded(stamp.plus_secs(secs)).next().is_some();
         assert_eq!((corners(0.1), corners(11.0)), (may_touch, false), "{from:?}");
     }
     let mut nobody = LocalObstacles::new(&model);
     looked(&mut nobody, &model, 1.0, 0.0);
-    assert!(!nobody.moving().may_be_in_blind_spot(Stamp::from_secs(1.1)));
+    assert!(
+        !nobody
+            .moving()
+            .may_be_in_blind_spot(Stamp::from_secs(1.1), Point2::origin())
+    );
     // Over floor that it has seen it backs up as fast as is allowed, until somebody may be there.
     let mut floor = LocalObstacles::new(&model);
     looked(&mut floor, &model, 0.8, std::f64::consts::PI);
@@ -354,6 +362,27 @@ fn a_robot_touched_at_its_side_slides_along_slowly_and_turns_away_only() {
     assert!(place.x > 0.0);
     assert_eq!(allowed(Twist2::new(0.0, 0.5)).w, 0.0);
     assert!(allowed(Twist2::new(0.0, -0.05)).w < -0.04);
+}
+
+#[test]
+fn a_round_robot_on_which_somebody_leans_turns_on_the_spot_though_its_controller_creeps() {
+    let model = tiago();
+    let turn = Twist2::new(-0.001, 1.2);
+    let allowed = |obstacles: &LocalObstacles, bump: &Bump| {
+        let mut monitor = CollisionMonitor::new(&model, 0.02);
+        monitor
+            .judge(Stamp::from_secs(1.05), turn, obstacles, Pose2::IDENTITY, bump)
+            .twist
+    };
+    let behind = Bump {
+        pressed: true,
+        bearing: Some(3.0),
+        ..NO_BUMP
+    };
+    assert_eq!(allowed(&wall(&model, 3.0), &behind), turn);
+    for distance in [0.27, 0.276, 0.28] {
+        assert_eq!(allowed(&wall(&model, distance), &NO_BUMP), turn, "{distance}");
+    }
 }
 
 /// Free floor all around, seen at 1.0 s from a robot that looks along `yaw`.

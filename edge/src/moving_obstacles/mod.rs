@@ -205,10 +205,14 @@ impl MovingObstacles {
             .filter(|occluded| occluded.is_near)
     }
 
-    /// Whether a moving obstacle may still be in the blind spot, at rest or not.
+    /// Whether a moving obstacle may still be in the blind spot, at rest or not, and near the robot at a place (odometry frame) by now.
     #[must_use]
-    pub fn may_be_in_blind_spot(&self, now: Stamp) -> bool {
-        self.entered_within(self.settings.memory_backing, now).next().is_some()
+    pub fn may_be_in_blind_spot(&self, now: Stamp, robot: Point2<f64>) -> bool {
+        let mut entered = self.entered_within(self.settings.memory_backing, now);
+        entered.any(|occluded| {
+            let secs = now.secs_since(occluded.stamp).max(0.0) + self.settings.near_secs;
+            occluded.is_within(2.0 * self.circumscribed_radius + secs * occluded.speed, robot)
+        })
     }
 
     fn entered_within(&self, secs: f64, now: Stamp) -> impl Iterator<Item = &RecentPlace> + '_ {
