@@ -188,7 +188,7 @@ impl Parts {
                 SimError::Outside { robot, .. } | SimError::Occupied { robot, .. } | SimError::NotFinite(robot) => {
                     Failure::usage(format!("{error}; `start` of [robots.{robot}] says where"))
                 }
-                _ => Failure::usage(error),
+                _ => Failure::usage(&error),
             })?;
         let mut referees = Vec::new();
         for (((id, section), spec), (body, referee)) in here.into_iter().zip(specs).zip(SimBody::all(simulation)) {
