@@ -19,7 +19,7 @@ use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::GoalPoint;
 use zenav_protocol::robot::RobotModel;
-use zenav_sim::{RobotSpec, Simulation, World};
+use zenav_sim::{RobotSpec, SimError, Simulation, World};
 
 use crate::config::{Deployment, RobotSection};
 use crate::exit_code;
@@ -183,8 +183,13 @@ impl Parts {
         if specs.is_empty() {
             return Ok(Vec::new());
         }
-        let simulation = Simulation::new(world, specs.clone(), deployment.simulation.seed)
-            .map_err(|error| Failure::usage(format!("{error}; each robot of a deployment may have a `start`")))?;
+        let simulation =
+            Simulation::new(world, specs.clone(), deployment.simulation.seed).map_err(|error| match &error {
+                SimError::Outside { robot, .. } | SimError::Occupied { robot, .. } | SimError::NotFinite(robot) => {
+                    Failure::usage(format!("{error}; `start` of [robots.{robot}] says where"))
+                }
+                _ => Failure::usage(&error),
+            })?;
         let mut referees = Vec::new();
         for (((id, section), spec), (body, referee)) in here.into_iter().zip(specs).zip(SimBody::all(simulation)) {
             let service = ServiceConfig {

@@ -4,7 +4,10 @@
 //! it is found by the liveliness tokens of its components, or by the state that it publishes (on a robot's own endpoint).
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::Display;
 use std::net::ToSocketAddrs as _;
+use std::ops::RangeInclusive;
+use std::str::FromStr;
 use std::time::Duration;
 
 use tokio::time::Instant;
@@ -15,7 +18,7 @@ use zenav_protocol::topics;
 use crate::completion;
 use crate::config::IdentityArgs;
 use crate::exit_code;
-use crate::failure::Failure;
+use crate::failure::{Failure, in_words};
 
 /// Where the router is unless told otherwise: Zenoh's own port.
 pub const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
@@ -173,6 +176,50 @@ pub fn positive(text: &str) -> Result<f64, String> {
         Ok(number)
     } else {
         Err("expected a positive number".to_owned())
+    }
+}
+
+/// A whole number on the command line.
+///
+/// # Errors
+/// With what was expected.
+pub fn whole<N: FromStr>(text: &str) -> Result<N, String> {
+    let expected = || in_words(&format!("expected {}", std::any::type_name::<N>()));
+    text.parse().map_err(|_| expected())
+}
+
+/// A whole number on the command line, within bounds.
+pub fn whole_in<N>(bounds: RangeInclusive<N>) -> impl Fn(&str) -> Result<N, String> + Clone
+where
+    N: FromStr + PartialOrd + Display + Clone,
+{
+    move |text| {
+        let number = text.parse::<N>().ok().filter(|number| bounds.contains(number));
+        number.ok_or_else(|| format!("expected a whole number from {} to {}", bounds.start(), bounds.end()))
+    }
+}
+
+/// The address of something that listens, on the command line.
+///
+/// # Errors
+/// With what was expected.
+pub fn address(text: &str) -> Result<String, String> {
+    match text.rsplit_once(':') {
+        Some((host, port)) if !host.is_empty() && port.parse::<u16>().is_ok() => Ok(text.to_owned()),
+        _ => Err("expected ADDRESS:PORT, such as 127.0.0.1:7480".to_owned()),
+    }
+}
+
+/// Side of a map's cells on the command line, m; bounded as that of a deployment.
+///
+/// # Errors
+/// With what was expected.
+pub fn resolution(text: &str) -> Result<f64, String> {
+    let resolution = finite(text)?;
+    if (0.005..=10.0).contains(&resolution) {
+        Ok(resolution)
+    } else {
+        Err("expected 0.005 to 10 m".to_owned())
     }
 }
 
@@ -483,5 +530,24 @@ mod tests {
         assert_eq!(finite("-1.5"), Ok(-1.5));
         assert!(finite("NaN").is_err() && finite("inf").is_err() && finite("x").is_err());
         assert!(positive("0").is_err());
+        assert_eq!(whole("-3"), Ok(-3));
+        assert_eq!(
+            whole::<u64>("-1").unwrap_err(),
+            "expected a whole number that is not negative"
+        );
+        assert_eq!(whole::<i32>("high").unwrap_err(), "expected a whole number");
+        assert_eq!(whole_in(1..=9_u32)("9"), Ok(9));
+        assert_eq!(
+            whole_in(1..=9_u32)("0").unwrap_err(),
+            "expected a whole number from 1 to 9"
+        );
+    }
+
+    #[test]
+    fn an_address_has_a_port() {
+        assert!(address("127.0.0.1:0").is_ok() && address("[::1]:7480").is_ok() && address("localhost:7480").is_ok());
+        for bad in ["7480", ":7480", "127.0.0.1", "127.0.0.1:99999", "foo"] {
+            assert!(address(bad).unwrap_err().contains("127.0.0.1:7480"), "{bad}");
+        }
     }
 }

@@ -60,7 +60,7 @@ impl Failure {
 }
 
 /// A message of a parser, with the types of Rust that it expected in words.
-fn in_words(message: &str) -> String {
+pub(crate) fn in_words(message: &str) -> String {
     const EXPECTED: &str = "expected ";
     let mut parts = message.split(EXPECTED);
     let mut told = parts.next().unwrap_or_default().to_owned();

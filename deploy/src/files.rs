@@ -6,7 +6,8 @@ use std::sync::Arc;
 
 use flate2::read::MultiGzDecoder;
 use zenav_edge::trackers::Law;
-use zenav_mapping::map_file;
+use zenav_mapping::atomic;
+use zenav_mapping::map_file::{self, MapFileError};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::{Occupancy, OccupancyGrid};
 use zenav_protocol::robot::{self, Footprint, RobotError, RobotModel};
@@ -94,6 +95,22 @@ fn is_pipe(_: std::fs::FileType) -> bool {
 /// Names the file that cannot be written.
 pub fn write(path: &Path, bytes: impl AsRef<[u8]>) -> Result<(), Failure> {
     std::fs::write(path, bytes).map_err(Failure::failed_at(path))
+}
+
+/// Writes a file of a map so that nobody ever reads a part of it.
+///
+/// # Errors
+/// Names the file that cannot be written.
+pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
+    atomic::write_atomically(path, bytes).map_err(unwritten(path))
+}
+
+/// A failure to write a file of a map, which it names, and not the one beside it that is written first; for `map_err`.
+pub fn unwritten(path: &Path) -> impl FnOnce(MapFileError) -> Failure {
+    move |error| match error {
+        MapFileError::Io { source, .. } => Failure::failed_at(path)(source),
+        other => Failure::failed(other),
+    }
 }
 
 /// Zones of a map, where a file names any.

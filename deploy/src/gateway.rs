@@ -5,15 +5,14 @@ use std::time::Duration;
 
 use clap::Args;
 use zenav_cloud::gateway::{Gateway, GatewayConfig, GatewayError};
-use zenav_gateway::DEFAULT_LISTEN;
 use zenav_observability::logging::{self, Format};
 use zenav_sim::World;
 
 use crate::components::{Parts, places};
-use crate::config::{self, Deployment, IdentityArgs};
+use crate::config::{Deployment, IdentityArgs, Layers};
+use crate::connect;
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
-use crate::files;
 use crate::health::HealthArgs;
 use crate::launch::{runtime, until_interrupted};
 
@@ -29,7 +28,7 @@ pub(crate) const FREE_PORT: &str = "127.0.0.1:0";
 )]
 pub struct GatewayArgs {
     /// Address of the page and of the API; port 0 takes a free one [default: the deployment's, 127.0.0.1:7480]
-    #[arg(long, value_name = "ADDRESS:PORT")]
+    #[arg(long, value_name = "ADDRESS:PORT", value_parser = connect::address)]
     listen: Option<String>,
     /// The router's endpoint, instead of the deployment's
     #[arg(long, value_name = "ENDPOINT")]
@@ -53,7 +52,7 @@ pub struct GatewayArgs {
 #[derive(Debug, Default, Args)]
 pub struct PageArgs {
     /// Address of the mission-control page; port 0 takes a free one
-    #[arg(long, value_name = "ADDRESS:PORT")]
+    #[arg(long, value_name = "ADDRESS:PORT", value_parser = connect::address)]
     gateway: Option<String>,
     /// Without the mission-control page
     #[arg(long, conflicts_with = "gateway")]
@@ -76,6 +75,19 @@ impl PageArgs {
     }
 }
 
+/// Two deployments on one machine: where the default address of the page is taken, and nobody has named one, it takes a free port.
+pub(crate) fn free_default_address(deployment: &mut Deployment) {
+    let gateway = &mut deployment.gateway;
+    let is_taken = |address: &str| {
+        let bound = std::net::TcpListener::bind(address);
+        bound.is_err_and(|error| error.kind() == std::io::ErrorKind::AddrInUse)
+    };
+    if gateway.run.enabled && is_taken(&gateway.settings.listen) {
+        tracing::info!("{} is in use: the page takes a free port", gateway.settings.listen);
+        FREE_PORT.clone_into(&mut gateway.settings.listen);
+    }
+}
+
 /// Tells where the page is: the last line before the mission's own output.
 pub(crate) fn tell(address: &str) {
     match logging::format() {
@@ -85,7 +97,7 @@ pub(crate) fn tell(address: &str) {
 }
 
 impl Parts {
-    /// Starts the gateway of a deployment, if it runs one; returns the page's address. A default port that is taken gives way to a free one.
+    /// Starts the gateway of a deployment, if it runs one; returns the page's address.
     ///
     /// # Errors
     /// An address that is taken or that needs a token, a token file that cannot be read.
@@ -129,21 +141,11 @@ async fn bind(deployment: &Deployment, world: &World) -> Result<Option<Gateway>,
     if !deployment.gateway.run.enabled {
         return Ok(None);
     }
-    let mut config = GatewayConfig {
+    let config = GatewayConfig {
         settings: deployment.gateway.settings.clone(),
         places: places(world),
     };
-    let bound = match Gateway::bind(config.clone()).await {
-        Err(GatewayError::Listen { error, .. })
-            if error.kind() == std::io::ErrorKind::AddrInUse && config.settings.listen == DEFAULT_LISTEN =>
-        {
-            tracing::info!("{DEFAULT_LISTEN} is in use: the page takes a free port");
-            FREE_PORT.clone_into(&mut config.settings.listen);
-            Gateway::bind(config).await
-        }
-        bound => bound,
-    };
-    bound.map(Some).map_err(failure)
+    Gateway::bind(config).await.map(Some).map_err(failure)
 }
 
 fn failure(error: GatewayError) -> Failure {
@@ -159,22 +161,27 @@ fn failure(error: GatewayError) -> Failure {
 /// # Errors
 /// A taken address, one that needs a token, bad files.
 pub fn gateway(args: &GatewayArgs) -> Outcome {
-    let mut deployment = config::load(args.deployment.as_deref())?;
+    let layers = Layers::load(args.deployment.as_deref())?;
+    let mut deployment = layers.deployment.clone();
     if let Some(connect) = &args.connect {
         deployment.bus.connect.clone_from(connect);
     }
-    if let Some(world) = &args.world {
-        deployment.simulation.world.clone_from(world);
-    }
     deployment.gateway.run.enabled = true;
-    let settings = &mut deployment.gateway.settings;
-    if let Some(listen) = &args.listen {
-        settings.listen.clone_from(listen);
+    match &args.listen {
+        Some(listen) => deployment.gateway.settings.listen.clone_from(listen),
+        None if layers.sets("gateway.listen") => {}
+        None => free_default_address(&mut deployment),
     }
     if let Some(file) = &args.token_file {
-        settings.token_file = Some(file.clone());
+        if !file.exists() {
+            return Err(Failure::not_found(format!(
+                "--token-file {}: there is no such file",
+                file.display()
+            )));
+        }
+        deployment.gateway.settings.token_file = Some(file.clone());
     }
-    let world = files::world(&deployment.simulation.world)?;
+    let world = layers.world(args.world.as_deref())?;
     let security = args.identity.security_of(&deployment)?;
     runtime()?.block_on(async {
         args.health.serve().await?;

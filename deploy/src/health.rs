@@ -7,6 +7,7 @@ use std::path::PathBuf;
 use clap::Args;
 use zenav_observability::{server, trace};
 
+use crate::connect;
 use crate::exit_code;
 use crate::failure::Failure;
 
@@ -14,7 +15,7 @@ use crate::failure::Failure;
 #[derive(Debug, Default, Args)]
 pub(crate) struct HealthArgs {
     /// Serve /livez, /readyz and /metrics here; port 0 takes a free one
-    #[arg(long, value_name = "ADDRESS:PORT", env = "ZENAV_METRICS", hide_env_values = true)]
+    #[arg(long, value_name = "ADDRESS:PORT", env = "ZENAV_METRICS", hide_env_values = true, value_parser = connect::address)]
     metrics: Option<String>,
     /// Write spans of what goes from part to part into this file: OTLP in JSON, one a line
     #[arg(long, value_name = "FILE", env = "ZENAV_TRACE", hide_env_values = true)]

@@ -9,12 +9,12 @@ use zenav_protocol::geometry::Pose2;
 use zenav_sim::World;
 
 use crate::components::{CloudPart, Parts};
-use crate::config::{self, Deployment, IdentityArgs, Layers, RobotSection, SecurityArgs};
+use crate::config::{Deployment, IdentityArgs, Layers, RobotSection, SecurityArgs};
 use crate::connect::{self, DEFAULT_ENDPOINT, ROBOT_ENDPOINT, check_yaw, finite};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
-use crate::gateway::PageArgs;
+use crate::gateway::{self, PageArgs};
 use crate::greeting::Greeting;
 use crate::health::HealthArgs;
 use crate::record::{self, LiveView};
@@ -119,7 +119,7 @@ pub struct UpArgs {
     #[command(flatten)]
     page: PageArgs,
     /// Serve what goes over the bus to Foxglove, live, at an address of loopback
-    #[arg(long, value_name = "ADDRESS:PORT", num_args = 0..=1, default_missing_value = record::FOXGLOVE_LISTEN)]
+    #[arg(long, value_name = "ADDRESS:PORT", num_args = 0..=1, default_missing_value = record::FOXGLOVE_LISTEN, value_parser = connect::address)]
     foxglove: Option<String>,
     #[command(flatten)]
     security: SecurityArgs,
@@ -149,7 +149,7 @@ pub struct RouterArgs {
 #[derive(Debug, Args)]
 struct RestArgs {
     /// Answer `GET /KEY` with a key's value, at an address of loopback
-    #[arg(long, value_name = "ADDRESS:PORT", num_args = 0..=1, default_missing_value = rest::DEFAULT_LISTEN)]
+    #[arg(long, value_name = "ADDRESS:PORT", num_args = 0..=1, default_missing_value = rest::DEFAULT_LISTEN, value_parser = connect::address)]
     rest: Option<String>,
 }
 
@@ -209,7 +209,7 @@ pub struct EdgeArgs {
     #[arg(long, value_parser = connect::speed)]
     speed: Option<f64>,
     /// Seed of the simulated noise, instead of the deployment's
-    #[arg(long)]
+    #[arg(long, value_parser = connect::whole::<u64>)]
     seed: Option<u64>,
     #[command(flatten)]
     begin: PoseArgs,
@@ -299,7 +299,9 @@ impl PartArgs {
 pub fn up(args: &UpArgs) -> Outcome {
     let layers = Layers::load(args.file.as_deref())?;
     args.known.check_files(&layers, CloudPart::All)?;
-    let mut deployment = layers.deployment;
+    layers.check_models(layers.deployment.robots.keys())?;
+    let world = layers.world(args.world.as_deref())?;
+    let mut deployment = layers.deployment.clone();
     if !args.listen.is_empty() {
         deployment.router.listen = args.listen.iter().map(|endpoint| with_free_port(endpoint)).collect();
         deployment.bus.connect.clone_from(&deployment.router.listen[0]);
@@ -316,10 +318,12 @@ pub fn up(args: &UpArgs) -> Outcome {
     args.known.apply(&mut deployment);
     args.begin.apply(&mut deployment)?;
     args.page.apply(&mut deployment);
+    if !args.page.names_address() && !layers.sets("gateway.listen") {
+        gateway::free_default_address(&mut deployment);
+    }
     // Before anything runs that would have to end again.
     let data = &deployment.data.dir;
     std::fs::create_dir_all(data).map_err(Failure::failed_at(data))?;
-    let world = files::world(&deployment.simulation.world)?;
     let security = args.security.security_of(&deployment)?;
     if deployment.router.enabled {
         crate::receivers::ensure_enough();
@@ -471,7 +475,11 @@ async fn outdated(identity: Option<&Identity>) {
 /// # Errors
 /// Bad files, a taken port, an unknown robot.
 pub fn edge(args: &EdgeArgs) -> Outcome {
-    let mut deployment = args.part.over(config::load(args.part.deployment.as_deref())?)?;
+    let layers = Layers::load(args.part.deployment.as_deref())?;
+    let mut deployment = args.part.over(layers.deployment.clone())?;
+    if args.model.is_none() {
+        layers.check_models(deployment.robots.keys())?;
+    }
     deployment.simulation.speed = args.speed.unwrap_or(deployment.simulation.speed);
     deployment.simulation.seed = args.seed.unwrap_or(deployment.simulation.seed);
     for section in deployment.robots.values_mut() {
@@ -481,7 +489,7 @@ pub fn edge(args: &EdgeArgs) -> Outcome {
         section.driver |= args.body == Some(BodyKind::Bus);
     }
     args.begin.apply(&mut deployment)?;
-    let world = files::world(&deployment.simulation.world)?;
+    let world = layers.world(args.part.world.as_deref())?;
     let security = args.security.security_of(&deployment)?;
     runtime()?.block_on(async {
         args.part.health.serve().await?;
@@ -498,12 +506,12 @@ pub fn edge(args: &EdgeArgs) -> Outcome {
 pub fn cloud(args: &CloudArgs) -> Outcome {
     let layers = Layers::load(args.part.deployment.as_deref())?;
     args.known.check_files(&layers, args.service)?;
-    let mut deployment = args.part.over(layers.deployment)?;
+    let mut deployment = args.part.over(layers.deployment.clone())?;
     if let Some(holder) = &args.holder {
         deployment.mission.run.holder.clone_from(holder);
     }
     args.known.apply(&mut deployment);
-    let world = files::world(&deployment.simulation.world)?;
+    let world = layers.world(args.part.world.as_deref())?;
     let worker = args
         .worker
         .clone()

@@ -56,6 +56,16 @@ pub fn counted<N: Display + PartialEq + From<u8>>(count: N, thing: &str) -> Stri
     format!("{count} {thing}{plural}")
 }
 
+/// `, perhaps `X``: the known name that may have been meant, of those that differ in at most so many letters.
+#[must_use]
+pub fn perhaps<'n>(meant: &str, known: impl IntoIterator<Item = &'n str>, slips: usize) -> String {
+    let told = known.into_iter().map(|name| (strsim::osa_distance(meant, name), name));
+    match told.min() {
+        Some((distance, name)) if distance <= slips => format!(", perhaps `{name}`"),
+        _ => String::new(),
+    }
+}
+
 /// Prints one value: pretty as JSON, in one line as NDJSON, or by `table`.
 ///
 /// # Errors

@@ -54,8 +54,8 @@ pub struct DemoReport {
     pub latency: Latency,
     /// Energy drawn, J.
     pub energy_j: f64,
-    /// Energy drawn for each metre driven, J/m.
-    pub energy_per_m: f64,
+    /// Energy drawn for each metre driven, J/m; `None` where hardly any was.
+    pub energy_per_m: Option<f64>,
     /// How walls were followed, where they were.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub walls: Option<WallReport>,
@@ -155,14 +155,31 @@ pub struct GoalReport {
     pub final_error_m: Option<f64>,
     /// Energy drawn, J.
     pub energy_j: f64,
-    /// Energy drawn for each metre driven, J/m.
-    pub energy_per_m: f64,
+    /// Energy drawn for each metre driven, J/m; `None` where hardly any was.
+    pub energy_per_m: Option<f64>,
 }
 
-/// Energy for each metre of a path, J/m; zero where nothing was driven.
+/// Energy for each metre of a path, J/m; `None` where it is too short to tell.
 #[must_use]
-pub fn per_metre(joules: f64, metres: f64) -> f64 {
-    if metres > 0.0 { joules / metres } else { 0.0 }
+pub fn per_metre(joules: f64, metres: f64) -> Option<f64> {
+    (metres >= ENOUGH_WAY).then(|| joules / metres)
+}
+
+/// Energy drawn, and for each metre where that is known, in words.
+#[must_use]
+pub fn energy(joules: f64, per_metre: Option<f64>) -> String {
+    let per_metre = per_metre.map(|energy| format!(" ({energy:.0} J/m)"));
+    format!("{joules:.0} J{}", per_metre.unwrap_or_default())
+}
+
+/// Least clearance, m, in words; infinite where there was nothing.
+#[must_use]
+pub fn least_clearance(metres: f64) -> String {
+    if metres.is_finite() {
+        format!("least clearance {metres:.3} m")
+    } else {
+        "no obstacle in reach".to_owned()
+    }
 }
 
 /// Outcome of a goal that was.
@@ -212,8 +229,9 @@ impl Percentiles {
     }
 }
 
-fn millis(value: Option<f64>) -> String {
-    value.map_or_else(|| "-".to_owned(), |value| format!("{value:.1}"))
+/// A number with so many decimals; `-` where there is none.
+fn short(value: Option<f64>, decimals: usize) -> String {
+    value.map_or_else(|| "-".to_owned(), |value| format!("{value:.decimals$}"))
 }
 
 impl DemoReport {
@@ -267,14 +285,9 @@ impl DemoReport {
                     outcome.to_owned(),
                     format!("{:.1}", goal.time_s),
                     format!("{:.2}", goal.length_m),
-                    format!("{:.3}", goal.min_clearance_m),
-                    goal.final_error_m
-                        .map_or_else(|| "-".to_owned(), |error| format!("{error:.3}")),
-                    if goal.length_m < ENOUGH_WAY {
-                        "-".to_owned()
-                    } else {
-                        format!("{:.0}", goal.energy_per_m)
-                    },
+                    short(Some(goal.min_clearance_m).filter(|clearance| clearance.is_finite()), 3),
+                    short(goal.final_error_m, 3),
+                    short(goal.energy_per_m, 0),
                 ]
             })
             .collect();
@@ -308,8 +321,10 @@ impl DemoReport {
             lines.push(format!("refused: goal {}: {}{near}", goal.name, goal.reason));
         }
         lines.push(format!(
-            "collisions {}, least clearance {:.3} m, energy {:.0} J ({:.0} J/m)",
-            self.collisions, self.min_clearance_m, self.energy_j, self.energy_per_m
+            "collisions {}, {}, energy {}",
+            self.collisions,
+            least_clearance(self.min_clearance_m),
+            energy(self.energy_j, self.energy_per_m)
         ));
         lines.push(format!(
             "simulated {:.1} s in {:.1} s at speed {}, {} plans, {} replans",
@@ -317,10 +332,10 @@ impl DemoReport {
         ));
         lines.push(format!(
             "latency p50/p99 ms: scan to plan {}/{}, goal to motion {}/{}",
-            millis(latency.scan_to_plan_ms.p50),
-            millis(latency.scan_to_plan_ms.p99),
-            millis(latency.goal_to_motion_ms.p50),
-            millis(latency.goal_to_motion_ms.p99)
+            short(latency.scan_to_plan_ms.p50, 1),
+            short(latency.scan_to_plan_ms.p99, 1),
+            short(latency.goal_to_motion_ms.p50, 1),
+            short(latency.goal_to_motion_ms.p99, 1)
         ));
         lines.extend(self.notes.iter().map(|note| format!("note: {note}")));
         lines.extend(self.files.iter().map(|file| format!("wrote {}", file.display())));
@@ -331,6 +346,15 @@ impl DemoReport {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_was_hardly_driven_tells_nothing_of_the_energy_for_a_metre() {
+        assert_eq!((per_metre(100.0, 1e-18), per_metre(100.0, 2.0)), (None, Some(50.0)));
+        assert_eq!(energy(100.0, None), "100 J");
+        assert_eq!(energy(100.0, Some(50.0)), "100 J (50 J/m)");
+        assert_eq!(least_clearance(0.25), "least clearance 0.250 m");
+        assert_eq!(least_clearance(f64::INFINITY), "no obstacle in reach");
+    }
 
     #[test]
     fn percentiles_are_by_nearest_rank() {

@@ -114,7 +114,7 @@ pub(crate) fn run(
                 }
                 if blind.is_none_or(|last| last.elapsed() >= BLIND_PERIOD) {
                     blind = Some(Instant::now());
-                    let outbox = pilot.step_blind(handoff.take_inbox(), &error.to_string());
+                    let outbox = pilot.step_blind(handoff.take_inbox(), &error.0);
                     handoff.put_outbox(pilot.now(), outbox);
                 }
                 continue;

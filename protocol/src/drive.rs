@@ -8,6 +8,9 @@ use serde::{Deserialize, Serialize};
 use crate::config_text::{Expected, OutOfBounds, check_all, pair};
 use crate::geometry::Twist2;
 
+/// No base is faster, m/s.
+const FASTEST: f64 = 50.0;
+
 /// How the wheels are arranged.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -191,10 +194,13 @@ impl Drive {
         const ERROR: Expected = Expected::Range(-0.5, 0.5, "a share, -0.5 to 0.5");
         const LOAD: Expected = Expected::Range(-0.9, 10.0, "a share, -0.9 to 10");
         const LATE: Expected = Expected::Range(0.0, 2.0, "0 to 2 s");
+        const LAG: Expected = Expected::Range(0.0, 5.0, "0 to 5 s");
+        const WHEEL: Expected = Expected::Range(f64::MIN_POSITIVE, 5.0, "a positive number of metres, at most 5");
+        const METRES: Expected = Expected::Range(f64::MIN_POSITIVE, 10.0, "a positive number of metres, at most 10");
         let [left, right] = self.errors.wheel_radius;
         check_all(&[
-            ("wheel_radius", self.wheel_radius, Expected::Positive),
-            ("wheel_separation", self.wheel_separation, Expected::Positive),
+            ("wheel_radius", self.wheel_radius, WHEEL),
+            ("wheel_separation", self.wheel_separation, METRES),
             ("max_wheel_speed", self.max_wheel_speed, Expected::Positive),
             (
                 "max_wheel_acceleration",
@@ -210,7 +216,7 @@ impl Drive {
             ("max_yaw_rate", self.max_yaw_rate, Expected::Positive),
             ("max_speed", self.max_speed, Expected::Positive),
             ("max_jerk", self.max_jerk.unwrap_or(1.0), Expected::Positive),
-            ("motor_lag", self.motor_lag, Expected::NotNegative),
+            ("motor_lag", self.motor_lag, LAG),
             ("errors.slip", self.errors.slip, Expected::NotNegative),
             ("errors.mass", self.errors.mass, LOAD),
             ("errors.motor_lag", self.errors.motor_lag, LATE),
@@ -218,7 +224,19 @@ impl Drive {
             ("errors.wheel_radius", left, ERROR),
             ("errors.wheel_radius", right, ERROR),
             ("errors.wheel_separation", self.errors.wheel_separation, ERROR),
-        ])
+        ])?;
+        let most = FASTEST / self.wheel_radius;
+        if self.max_wheel_speed > most {
+            return Err(OutOfBounds::unlike(
+                "max_wheel_speed",
+                self.max_wheel_speed,
+                format_args!(
+                    "rad/s, at most {}: {FASTEST} m/s with this `wheel_radius`",
+                    most.floor()
+                ),
+            ));
+        }
+        Ok(())
     }
 }
 

@@ -228,7 +228,9 @@ impl RobotModel {
     /// # Errors
     /// [`RobotError`] for text that is not TOML, unknown or missing keys, and values that no robot has: file, line and key.
     pub fn from_toml(text: &str, name: &str) -> Result<Self, RobotError> {
-        let model: Self = toml::from_str(text).map_err(|source| RobotError::toml(name, source))?;
+        let refused = |source| RobotError::toml(name, source);
+        let model: Self = toml::from_str(text).map_err(refused)?;
+        let model = model.fitted(&text.parse::<toml::Table>().map_err(refused)?);
         model
             .check()
             .map_err(|error| RobotError::value(error, name, Some(text)))?;
@@ -284,8 +286,23 @@ impl RobotModel {
                 })?;
             }
         }
-        let model: Self = sum.try_into().map_err(|source| RobotError::toml(names, source))?;
-        model.checked(names)
+        let model: Self = sum
+            .clone()
+            .try_into()
+            .map_err(|source| RobotError::toml(names, source))?;
+        model.fitted(&sum).checked(names)
+    }
+
+    /// With the wall follower's distances for this robot where its `file` has none.
+    fn fitted(self, file: &toml::Table) -> Self {
+        let written = file.get("wall_following").and_then(toml::Value::as_table);
+        let reach = self.footprint.circumscribed_radius();
+        Self {
+            wall_following: self
+                .wall_following
+                .fitted(reach, |key| written.is_some_and(|written| written.contains_key(key))),
+            ..self
+        }
     }
 
     /// Checks values, wherever they came from; `name` is for errors.
@@ -367,6 +384,29 @@ mod tests {
         }
         let refused = RobotModel::with_options("tiago+bad", |_| Ok("without = \"gps\"".to_owned())).unwrap_err();
         assert!(refused.to_string().contains("expected a list of keys"), "{refused}");
+    }
+
+    #[test]
+    fn a_large_robot_keeps_its_distance_from_walls_without_being_told_to() {
+        let nothing = |name: &str| Err(format!("no such file: {name}"));
+        for (half_length, half_width) in [(0.6, 0.4), (1.0, 0.5)] {
+            let corners = [(1, 1), (-1, 1), (-1, -1), (1, -1)]
+                .map(|(x, y)| [f64::from(x) * half_length, f64::from(y) * half_width]);
+            let text = shipped("tiago")
+                .unwrap()
+                .replace("radius = 0.265", &format!("polygon = {corners:?}"));
+            let model = RobotModel::from_toml(&text, "agv.toml").unwrap();
+            assert!(model.wall_following.target_distance > model.footprint.circumscribed_radius() + 0.1);
+            let read = |name: &str| {
+                if name == "agv.toml" {
+                    Ok(text.clone())
+                } else {
+                    nothing(name)
+                }
+            };
+            let indoors = RobotModel::with_options("agv.toml+indoor", read).unwrap();
+            assert_eq!(indoors.wall_following, model.wall_following);
+        }
     }
 
     #[test]

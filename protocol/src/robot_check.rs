@@ -3,13 +3,15 @@
 use nalgebra::Point2;
 use thiserror::Error;
 
-use crate::config_text::{Expected, OutOfBounds, check_all, line_of};
+use crate::config_text::{Expected, Number, OutOfBounds, check_all, line_of};
 use crate::id::Id;
 use crate::polygon::is_convex;
 use crate::robot::{Footprint, RobotModel};
 use crate::sensors::DEFAULT_LIDAR;
 use crate::settings::Settings as _;
 
+/// No robot reaches farther from its origin, m.
+const MAX_REACH: f64 = 10.0;
 /// Most lidars of one robot.
 const MAX_LIDARS: usize = 16;
 
@@ -102,7 +104,19 @@ impl RobotModel {
             "footprint.radius",
             self.footprint.inscribed_radius(),
             Expected::Positive,
-        )])
+        )])?;
+        let reach = self.footprint.circumscribed_radius();
+        if reach <= MAX_REACH {
+            return Ok(());
+        }
+        let expected = format!("metres, at most {MAX_REACH}");
+        Err(match self.footprint {
+            Footprint::Radius(radius) => OutOfBounds::unlike("footprint.radius", radius, expected),
+            Footprint::Polygon(_) => OutOfBounds {
+                key: "footprint.polygon".to_owned(),
+                problem: format!("reaches {} from the base: expected {expected}", Number(reach)),
+            },
+        })
     }
 
     fn check_lidars(&self) -> Result<(), OutOfBounds> {
@@ -168,6 +182,54 @@ mod tests {
                 "radius = -1",
                 line_of("radius = 0.265"),
                 "`footprint.radius` is -1: expected a positive number",
+            ),
+            (
+                "radius = 0.265",
+                "radius = 265",
+                line_of("radius = 0.265"),
+                "`footprint.radius` is 265: expected metres, at most 10",
+            ),
+            (
+                "radius = 0.265",
+                "polygon = [[300, 200], [-300, 200], [-300, -200], [300, -200]]",
+                line_of("radius = 0.265"),
+                "from the base: expected metres, at most 10",
+            ),
+            (
+                "wheel_separation = 0.4044",
+                "wheel_separation = 404.4",
+                line_of("wheel_separation = 0.4044"),
+                "`drive.wheel_separation` is 404.4: expected a positive number of metres, at most 10",
+            ),
+            (
+                "max_wheel_speed = 6.28",
+                "max_wheel_speed = 8000",
+                line_of("max_wheel_speed = 6.28"),
+                "`drive.max_wheel_speed` is 8000: expected rad/s, at most 507",
+            ),
+            (
+                "motor_lag = 0.05",
+                "motor_lag = 50",
+                line_of("motor_lag = 0.05"),
+                "`drive.motor_lag` is 50: expected 0 to 5 s",
+            ),
+            (
+                "mount = { x = 0.2, y = 0.0, yaw = 0.0 }",
+                "mount = { x = 20, y = 0.0, yaw = 0.0 }",
+                line_of("mount = { x = 0.2, y = 0.0, yaw = 0.0 }"),
+                "`lidar.mount.x` is 20: expected metres, -10 to 10",
+            ),
+            (
+                "range_max = 5.6",
+                "range_max = 5600",
+                line_of("range_max = 5.6"),
+                "`lidar.range_max` is 5600: expected a positive number of metres, at most 1000",
+            ),
+            (
+                "capacity = 2.0e6",
+                "capacity = 5",
+                line_of("capacity = 2.0e6"),
+                "`battery.capacity` is 5: expected J, at least 100",
             ),
             (
                 "wheel_radius = 0.0985",

@@ -3,13 +3,16 @@
 use crate::config_text::OutOfBounds;
 use crate::settings::Settings as _;
 
+/// Room that a robot has beside a wall where no distance is written, m.
+const BESIDE: f64 = 0.15;
+
 crate::settings! {
     /// Distances, speeds and gains of the wall follower.
     pub struct WallFollowing {
-        /// Distance that is kept from the wall.
-        pub target_distance: f64 = 0.55, "m", 0.05..=5.0;
-        /// Distance at which an approached wall counts as reached.
-        pub identify_wall_distance: f64 = 0.75, "m", 0.05..=5.0;
+        /// Distance that is kept from the wall. Where it is not written, at least 0.15 m more than the robot reaches.
+        pub target_distance: f64 = 0.55, "m", 0.05..=12.0;
+        /// Distance at which an approached wall counts as reached. Where it is not written, it grows with `target_distance`.
+        pub identify_wall_distance: f64 = 0.75, "m", 0.05..=12.0;
         /// Neighbouring returns that make a wall: fewer are noise.
         pub wall_min_points: usize = 5, "", 2..=100;
         /// Neighbouring returns farther apart than this belong to different walls.
@@ -30,10 +33,11 @@ crate::settings! {
         pub turn_rate: f64 = 0.8, "rad/s", 0.1..=5.0;
         /// Half the opening of the cone ahead in which obstacles widen the distance.
         pub cone_angle: f64 = 0.6, "rad", 0.1..=1.2;
-        /// Length of that cone.
-        pub cone_reach: f64 = 1.1, "m", 0.1..=5.0;
-        /// Distance from the wall up to which the robot goes around an obstacle; what needs more is a corner.
-        pub widest_distance: f64 = 0.85, "m", 0.05..=5.0;
+        /// Length of that cone. Where it is not written, it grows with `target_distance`.
+        pub cone_reach: f64 = 1.1, "m", 0.1..=12.0;
+        /// Distance from the wall up to which the robot goes around an obstacle; what needs more is a corner. Where it is not written, it
+        /// grows with `target_distance`.
+        pub widest_distance: f64 = 0.85, "m", 0.05..=12.0;
         /// Yaw rate for the distance error.
         pub wall_p: f64 = 4.0, "rad/(m s)", 0.0..=200.0;
         /// Yaw rate for the integral of the distance error.
@@ -50,6 +54,26 @@ crate::settings! {
 }
 
 impl WallFollowing {
+    /// The same for a robot whose outline reaches `reach` m from its origin: the distances that nobody has `written` grow with a robot for
+    /// which the usual ones are too short, and with a longer distance from the wall.
+    #[must_use]
+    pub(crate) fn fitted(self, reach: f64, written: impl Fn(&str) -> bool) -> Self {
+        let grown = |key, distance: f64, by: f64| if written(key) { distance } else { distance + by.max(0.0) };
+        let target_distance = grown(
+            "target_distance",
+            self.target_distance,
+            reach + BESIDE - self.target_distance,
+        );
+        let by = target_distance - Self::default().target_distance;
+        Self {
+            target_distance,
+            identify_wall_distance: grown("identify_wall_distance", self.identify_wall_distance, by),
+            cone_reach: grown("cone_reach", self.cone_reach, by),
+            widest_distance: grown("widest_distance", self.widest_distance, by),
+            ..self
+        }
+    }
+
     /// Whether all settings are within bounds and fit one another, for a robot whose outline reaches `reach` m from its
     /// origin.
     ///
@@ -89,12 +113,31 @@ mod tests {
     use super::*;
 
     #[test]
+    fn distances_that_nobody_wrote_grow_with_the_robot() {
+        let usual = WallFollowing::default();
+        assert_eq!(usual.clone().fitted(0.39, |_| false), usual);
+        for reach in [0.72, 1.12, 10.0] {
+            let fitted = usual.clone().fitted(reach, |_| false);
+            fitted.check_for(reach).unwrap();
+            assert!((fitted.target_distance - reach - BESIDE).abs() < 1e-9);
+        }
+        let far = WallFollowing {
+            target_distance: 2.0,
+            ..usual.clone()
+        }
+        .fitted(0.3, |key| key == "target_distance");
+        assert_eq!((far.target_distance, far.check_for(0.3)), (2.0, Ok(())));
+        let near = usual.fitted(1.0, |key| key == "target_distance").check_for(1.0);
+        assert!(near.unwrap_err().to_string().contains("at least the robot's own reach"));
+    }
+
+    #[test]
     fn what_cannot_be_is_refused_with_its_name_and_what_was_expected() {
         let defaults = WallFollowing::default();
         defaults.check_for(0.3).unwrap();
         for (name, value, words) in [
             ("target_distance", 0.1, "at least the robot's own reach"),
-            ("target_distance", f64::NAN, "expected 0.05 to 5 m"),
+            ("target_distance", f64::NAN, "expected 0.05 to 12 m"),
             ("target_distance", 0.9, "`widest_distance`"),
             ("least_speed", 0.5, "`greatest_speed` is 0.3"),
             ("wall_min_points", 2.5, "a whole number"),

@@ -8,6 +8,8 @@ use zenav_protocol::time::Stamp;
 /// A fault as the world file describes it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FaultModel {
+    /// Where it is written: file and line.
+    pub at: String,
     /// The robot's name; every robot that has the sensor where it is `None`.
     pub robot: Option<Id>,
     /// `encoders`, `imu`, another kind of sensor as the robot file names it (`gps`), or a lidar by name.
@@ -86,6 +88,7 @@ mod tests {
     #[test]
     fn faults_hold_in_their_windows_and_add_up() {
         let fault = |kind, window| FaultModel {
+            at: "w.toml:1".to_owned(),
             robot: None,
             sensor: "imu".to_owned(),
             kind,

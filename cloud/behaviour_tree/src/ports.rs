@@ -145,6 +145,8 @@ pub struct LiteralRules {
     pub form: fn(kind: &str) -> Option<&'static str>,
     /// The first name in a literal that only whoever runs the tree can resolve: worth a warning.
     pub name: for<'t> fn(kind: &str, text: &'t str) -> Option<&'t str>,
+    /// What in a number on a port of this name was hardly meant: worth a warning.
+    pub doubt: fn(port: &str, number: f64) -> Option<&'static str>,
 }
 
 /// A literal as data if it is JSON, else as text.

@@ -8,7 +8,8 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use serde::{Deserialize, Serialize};
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize};
 
 use super::leaf::{Leaf, LeafIo};
 use super::registry::{Category, Registry};
@@ -22,6 +23,7 @@ use super::xml::{Include, TreeErrors, build};
 #[serde(deny_unknown_fields, default)]
 pub struct Script {
     /// Simulated time between two ticks, ms; at least 1.
+    #[serde(deserialize_with = "tick_period")]
     pub tick_period_ms: u64,
     /// Simulated time after which a tree that still runs is stopped, ms.
     pub timeout_ms: u64,
@@ -42,6 +44,14 @@ impl Default for Script {
             blackboard: BTreeMap::new(),
             events: Vec::new(),
         }
+    }
+}
+
+/// A period that time gets on with.
+fn tick_period<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u64, D::Error> {
+    match u64::deserialize(deserializer)? {
+        0 => Err(D::Error::custom("`tick_period_ms` is 0: expected at least 1")),
+        period => Ok(period),
     }
 }
 

@@ -40,8 +40,18 @@ pub enum MapFileError {
         /// Largest size that is read, bytes.
         limit: u64,
     },
+    /// The image that a description names cannot be read.
+    #[error("{}:{line}: `image`: {source}", path.display())]
+    Described {
+        /// Path of the description.
+        path: PathBuf,
+        /// Line of the description, from 1.
+        line: usize,
+        /// What is wrong with the image.
+        source: Box<MapFileError>,
+    },
     /// The description is malformed.
-    #[error("{}: {source}", path.display())]
+    #[error("{}", source.in_file(path))]
     Yaml {
         /// Path of the file that failed.
         path: PathBuf,
@@ -170,9 +180,19 @@ fn read_described(path: &Path) -> Result<OccupancyGrid, MapFileError> {
         path: path.to_owned(),
         source,
     })?;
+    for (line, key, meant) in MapYaml::slips(&text) {
+        tracing::warn!(
+            "{}:{line}: `{key}` says nothing here, perhaps `{meant}` is meant",
+            path.display()
+        );
+    }
     // `join` keeps an absolute path as it is.
     let image_path = path.parent().unwrap_or_else(|| Path::new("")).join(&yaml.image);
-    let image = read_image(&image_path)?;
+    let image = read_image(&image_path).map_err(|source| MapFileError::Described {
+        path: path.to_owned(),
+        line: MapYaml::line_of(&text, "image").unwrap_or(1),
+        source: Box::new(source),
+    })?;
     // Our own images state their place too: an image that was replaced just before a crash is not read with the older place.
     if let Some(tag) = image.comments.iter().find_map(|comment| Tag::parse(comment))
         && !text
@@ -371,9 +391,19 @@ mod tests {
         std::fs::write(&picture, &whole[..whole.len() - 2]).unwrap();
         let message = read_map(&path, 1.0).unwrap_err().to_string();
         assert!(
-            message.ends_with("map.pgm: truncated: 6 pixels expected, 4 found"),
+            message.contains("map.yaml:2: `image`: ")
+                && message.ends_with("map.pgm: truncated: 6 pixels expected, 4 found"),
             "{message}"
         );
+        std::fs::write(&path, "image: none.pgm\nresolution: 0.1\norigin: [1, 2, 0]\n").unwrap();
+        let message = read_map(&path, 1.0).unwrap_err().to_string();
+        assert!(
+            message.contains("map.yaml:1: `image`: ") && message.contains("none.pgm"),
+            "{message}"
+        );
+        std::fs::write(&path, "image: none.pgm\nresolution: 0\n").unwrap();
+        let message = read_map(&path, 1.0).unwrap_err().to_string();
+        assert!(message.contains("map.yaml:2: `resolution`"), "{message}");
         assert!(matches!(
             read_map(&folder.path().join("none.yaml"), 1.0),
             Err(MapFileError::Io { .. })

@@ -3,8 +3,28 @@
 //! Only the subset of YAML that `map_server` files use: `key: value` lines, lists in brackets or as `- item` lines, comments, quotes. Unknown
 //! keys are ignored, as in `map_server`. A YAML library would cost more than these lines, and its errors do not name key and line.
 
+use std::ops::RangeInclusive;
+use std::path::Path;
+
 use nalgebra::Point2;
 use thiserror::Error;
+
+/// The keys that say something here.
+const KEYS: [&str; 7] = [
+    "image",
+    "resolution",
+    "origin",
+    "negate",
+    "occupied_thresh",
+    "free_thresh",
+    "mode",
+];
+/// Side of a pixel, m.
+const RESOLUTION: RangeInclusive<f64> = 1e-3..=100.0;
+/// No map lies farther from the origin along an axis, m: coordinates of a national grid are within.
+const FARTHEST: f64 = 1e7;
+/// An unknown key that differs from a known one in no more letters was meant to be that one.
+const SLIPS: usize = 2;
 
 /// How brightness becomes occupancy, as in Nav2's `map_io`; `p` is darkness, or brightness with `negate`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -63,6 +83,16 @@ pub enum MapYamlError {
     /// A mandatory key is missing.
     #[error("`{0}` is missing")]
     Missing(&'static str),
+}
+
+impl MapYamlError {
+    /// What is wrong, and where in this file.
+    pub(crate) fn in_file(&self, path: &Path) -> String {
+        match self {
+            Self::Line { line, what } => format!("{}:{line}: {what}", path.display()),
+            Self::Missing(_) => format!("{}: {self}", path.display()),
+        }
+    }
 }
 
 /// A key with its values and its line.
@@ -124,24 +154,35 @@ impl MapYaml {
     /// let yaml = MapYaml::parse("image: map.pgm\nresolution: 0.05\norigin: [-1, -2, 0]\n").unwrap();
     /// assert_eq!((yaml.resolution, yaml.origin.x), (0.05, -1.0));
     /// let error = MapYaml::parse("image: map.pgm\nresolution: -1\n").unwrap_err();
-    /// assert_eq!(error.to_string(), "line 2: `resolution`: expected a positive number of metres, found `-1`");
+    /// assert_eq!(error.to_string(), "line 2: `resolution`: expected 0.001 to 100 m, found `-1`");
     /// ```
     pub fn parse(text: &str) -> Result<Self, MapYamlError> {
         let mut yaml = Self::new(String::new(), 0.0, Point2::origin());
         let (mut has_origin, mut threshold) = (false, 0);
-        for entry in entries(text)? {
+        let entries = entries(text)?;
+        for (index, entry) in entries.iter().enumerate() {
+            if KEYS.contains(&entry.key.as_str())
+                && let Some(before) = entries[..index].iter().find(|before| before.key == entry.key)
+            {
+                return Err(MapYamlError::Line {
+                    line: entry.line,
+                    what: format!("`{}` is written twice: line {} has it too", entry.key, before.line),
+                });
+            }
             if entry.key.ends_with("_thresh") {
                 threshold = entry.line;
             }
             match entry.key.as_str() {
                 "image" => yaml.image = entry.text()?.to_owned(),
-                "resolution" => yaml.resolution = entry.number("a positive number of metres", |value| value > 0.0)?,
+                "resolution" => {
+                    yaml.resolution = entry.number("0.001 to 100 m", |value| RESOLUTION.contains(&value))?
+                }
                 "origin" => {
                     let numbers: Vec<f64> = entry
                         .values
                         .iter()
                         .filter_map(|value| value.parse().ok())
-                        .filter(|value: &f64| value.is_finite())
+                        .filter(|value: &f64| value.abs() <= FARTHEST)
                         .collect();
                     match (numbers.as_slice(), entry.values.len()) {
                         ([x, y], 2) => yaml.origin = Point2::new(*x, *y),
@@ -149,7 +190,7 @@ impl MapYaml {
                         ([_, _, _], 3) => {
                             return Err(entry.wrong("a yaw of 0 (rotated maps are not supported: rotate the image)"));
                         }
-                        _ => return Err(entry.wrong("[x, y, yaw]")),
+                        _ => return Err(entry.wrong("[x, y, yaw], m within 10000000")),
                     }
                     has_origin = true;
                 }
@@ -196,6 +237,26 @@ impl MapYaml {
         Ok(yaml)
     }
 
+    /// Line of a key, from 1; `None` where it is not written.
+    pub(crate) fn line_of(text: &str, key: &str) -> Option<usize> {
+        let entry = entries(text).ok()?.into_iter().find(|entry| entry.key == key)?;
+        Some(entry.line)
+    }
+
+    /// Keys that are ignored but look like slips: each with its line and the key that was meant.
+    pub(crate) fn slips(text: &str) -> Vec<(usize, String, &'static str)> {
+        let entries = entries(text).unwrap_or_default().into_iter();
+        let slip = |entry: Entry| {
+            let near = KEYS.map(|key| (strsim::osa_distance(&entry.key, key), key));
+            let (_, key) = near
+                .into_iter()
+                .filter(|(slips, _)| (1..=SLIPS).contains(slips))
+                .min()?;
+            Some((entry.line, entry.key, key))
+        };
+        entries.filter_map(slip).collect()
+    }
+
     /// The description as text, with all digits; `comments` come first.
     #[must_use]
     pub fn to_text(&self, comments: &[String]) -> String {
@@ -219,11 +280,19 @@ impl MapYaml {
 
 fn entries(text: &str) -> Result<Vec<Entry>, MapYamlError> {
     let mut entries: Vec<Entry> = Vec::new();
+    // Editors of Windows begin a file with a byte order mark.
+    let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     for (index, line) in text.lines().enumerate() {
         let line_number = index + 1;
         let content = without_comment(line).trim();
         if content.is_empty() || content == "---" || content == "..." || content.starts_with('%') {
             continue;
+        }
+        if content.starts_with('{') {
+            return Err(MapYamlError::Line {
+                line: line_number,
+                what: "`{` begins a map in one line: expected `key: value` with a line for each key".to_owned(),
+            });
         }
         if let Some(item) = content.strip_prefix("- ").or_else(|| (content == "-").then_some("")) {
             match entries.last_mut() {
@@ -320,7 +389,7 @@ mod tests {
         let error = |text: &str| MapYaml::parse(text).unwrap_err().to_string();
         assert_eq!(
             error("image: a.pgm\nresolution: -1\n"),
-            "line 2: `resolution`: expected a positive number of metres, found `-1`"
+            "line 2: `resolution`: expected 0.001 to 100 m, found `-1`"
         );
         assert_eq!(
             error("image: a.pgm\nresolution 0.1\n"),
@@ -340,6 +409,33 @@ mod tests {
             "line 1: `mode`: expected trinary, scale or raw, found `grey`"
         );
         assert_eq!(error("- 3\n"), "line 1: a list item without a key");
+        assert_eq!(
+            error("image: a.pgm\nresolution: 1e-9\n"),
+            "line 2: `resolution`: expected 0.001 to 100 m, found `1e-9`"
+        );
+        assert_eq!(
+            error("image: a.pgm\norigin: [-1e99, 0, 0]\n"),
+            "line 2: `origin`: expected [x, y, yaw], m within 10000000, found `-1e99, 0, 0`"
+        );
+        assert_eq!(
+            error("resolution: 0.1\nimage: a.pgm\nresolution: 0.05\n"),
+            "line 3: `resolution` is written twice: line 1 has it too"
+        );
+        assert_eq!(
+            error("{image: a.pgm, resolution: 0.1, origin: [0, 0, 0]}\n"),
+            "line 1: `{` begins a map in one line: expected `key: value` with a line for each key"
+        );
+    }
+
+    #[test]
+    fn a_byte_order_mark_is_passed_over_and_a_slip_is_told() {
+        let text = "\u{feff}image: a.pgm\nresolution: 0.1\norigin: [0, 0, 0]\nfree_tresh: 0.25\nvoxel: 3\n";
+        assert_eq!(MapYaml::parse(text).unwrap().image, "a.pgm");
+        assert_eq!(MapYaml::slips(text), [(4, "free_tresh".to_owned(), "free_thresh")]);
+        assert_eq!(
+            (MapYaml::line_of(text, "image"), MapYaml::line_of(text, "mode")),
+            (Some(1), None)
+        );
     }
 
     proptest! {

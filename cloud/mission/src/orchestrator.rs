@@ -277,6 +277,8 @@ impl Mission {
             leaned_on: None,
         };
         self.published.legs = 0;
+        // What the goal before it did last is no news of this one.
+        self.published.feedback = goal.state.feedback.clone();
         let name = trees::shipped(name).map_or_else(|| tree.id().to_owned(), |_| name.to_owned());
         Ok(Running {
             goal_id: id.clone(),

@@ -171,10 +171,12 @@ impl Mission {
                     .map_or(0.0, |since| now.since(since).as_secs_f64());
             }),
             (GoalPhase::Paused, false) | (GoalPhase::Active, true) => {}
-            (phase, _) => {
-                return Err(Refusal::rejected(format!(
-                    "goal {id} is {phase:?}: only an active goal can be paused"
-                )));
+            (phase, resume) => {
+                let expected = match resume {
+                    true => "only a paused goal can be resumed",
+                    false => "only an active goal can be paused",
+                };
+                return Err(Refusal::rejected(format!("goal {id} is {phase:?}: {expected}")));
             }
         }
         self.state_of(&id)

@@ -22,6 +22,17 @@ impl Service {
             });
             return;
         }
+        // Those that begin with `_` are Zenoh's own.
+        let unknown = request
+            .parameters
+            .keys()
+            .find(|name| *name != "format" && !name.starts_with('_'));
+        if let Some(name) = unknown {
+            let name: String = name.chars().take(40).collect();
+            let reason = format!("no parameter `{name}`: there is `format`");
+            request.refuse(&Refusal::bad_request(reason));
+            return;
+        }
         let format = request.parameters.get("format").map_or("json", String::as_str);
         match format {
             "json" | "cbor" => {

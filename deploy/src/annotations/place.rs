@@ -1,8 +1,14 @@
 //! `zenav place`. Which named goals has the map of a robot?
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
+use std::time::Duration;
 
-use zenav_protocol::messages::{AnnotateAction, GoalPoint};
+use nalgebra::Point2;
+use zenav_protocol::bus::Bus;
+use zenav_protocol::messages::{AnnotateAction, GoalPoint, InfoRequest, MapRequest};
+use zenav_protocol::topics;
+use zenav_space::{ConfigurationSpace, UnknownPolicy};
 
 use super::{change, read};
 use crate::completion;
@@ -10,6 +16,9 @@ use crate::connect::{self, RobotArgs, finite, heading};
 use crate::exit_code;
 use crate::failure::Outcome;
 use crate::output::{self, Format};
+
+/// Longest wait for map and robot, to look at a place in it.
+const LOOK_WITHIN: Duration = Duration::from_secs(2);
 
 /// Named places.
 #[derive(Debug, clap::Args)]
@@ -77,14 +86,55 @@ pub fn place(args: &PlaceArgs) -> Outcome {
             PlaceCommand::Remove { name } => AnnotateAction::RemovePlace { name: name.clone() },
         };
         let places = change(&bus, &robot, patience, action).await?.places;
-        output::value(args.output, &places, |places| match &args.command {
-            PlaceCommand::Add { name, x, y, .. } => {
-                format!("{robot} knows {name} at ({x}, {y}): `zenav goal submit --place {name}` goes there")
-            }
-            _ => format!("{robot} knows {}", output::counted(places.len(), "place")),
+        let PlaceCommand::Add { name, x, y, .. } = &args.command else {
+            output::value(args.output, &places, |places| {
+                format!("{robot} knows {}", output::counted(places.len(), "place"))
+            })?;
+            return Ok(exit_code::OK);
+        };
+        let looked_at = doubt(&bus, &robot, Point2::new(*x, *y)).await;
+        if let Some(Some(doubt)) = looked_at {
+            eprintln!("zenav: ({x}, {y}) {doubt}: a goal there may be refused");
+        }
+        let goes_there = match looked_at {
+            Some(None) => format!(
+                ": `zenav goal submit --place {} --robot {robot}` goes there",
+                quoted(name)
+            ),
+            _ => String::new(),
+        };
+        output::value(args.output, &places, |_| {
+            format!("{robot} knows {name} at ({x}, {y}){goes_there}")
         })?;
         Ok(exit_code::OK)
     })
+}
+
+/// What speaks against a goal at a point, if anything does; `None` where map or robot do not answer.
+async fn doubt(bus: &Bus, robot: &str, at: Point2<f64>) -> Option<Option<&'static str>> {
+    let map = bus
+        .ask(&topics::MAP, &[robot], &MapRequest::default(), LOOK_WITHIN)
+        .await;
+    let grid = map.ok()?.grid().ok()?;
+    if grid.spec().cell_at(at).is_none() {
+        return Some(Some("lies outside the map"));
+    }
+    let info = bus
+        .ask(&topics::EDGE_INFO, &[robot], &InfoRequest {}, LOOK_WITHIN)
+        .await;
+    let model = info.ok()?.model?;
+    let space = ConfigurationSpace::new(&grid, &model.footprint, UnknownPolicy::Free, 0.0);
+    let fits = space.clearance(at) > space.radius();
+    Some((!fits).then_some("is where the robot does not fit"))
+}
+
+/// A name as a shell takes it for one word.
+fn quoted(name: &str) -> Cow<'_, str> {
+    let plain = |letter: char| letter.is_alphanumeric() || "-_.".contains(letter);
+    match name.chars().all(plain) {
+        true => name.into(),
+        false => format!("'{}'", name.replace('\'', r"'\''")).into(),
+    }
 }
 
 fn table(places: &BTreeMap<String, GoalPoint>) -> String {
@@ -96,4 +146,14 @@ fn table(places: &BTreeMap<String, GoalPoint>) -> String {
         })
         .collect();
     output::table(&["PLACE", "X m", "Y m", "YAW rad"], &rows)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_of_several_words_is_one_to_a_shell() {
+        assert_eq!(["sink", "a b", "it's"].map(quoted), ["sink", "'a b'", r"'it'\''s'"]);
+    }
 }

@@ -43,18 +43,18 @@ enum ZoneCommand {
 }
 
 #[derive(Debug, clap::Args)]
-#[group(skip)]
+#[command(group(clap::ArgGroup::new("rule").required(true).args(["keep_out", "max_speed"])))]
 struct AddArgs {
     /// Name of the zone
     name: String,
     /// No part of a robot enters
-    #[arg(long, required_unless_present = "max_speed", conflicts_with = "max_speed")]
+    #[arg(long)]
     keep_out: bool,
     /// Largest speed while the robot's centre is inside, m/s
     #[arg(long, value_name = "M/S", value_parser = positive)]
     max_speed: Option<f64>,
     /// Corners of the zone in order, map frame, m: x and y of at least three
-    #[arg(value_name = "X Y", required = true, num_args = 6.., value_parser = finite)]
+    #[arg(value_name = "X Y", required = true, num_args = 1.., value_parser = finite)]
     coordinates: Vec<f64>,
 }
 
@@ -91,10 +91,10 @@ impl AddArgs {
             None => ZoneRule::KeepOut,
         };
         let (pairs, odd) = self.coordinates.as_chunks::<2>();
-        if !odd.is_empty() {
+        if !odd.is_empty() || pairs.len() < 3 {
             return Err(Failure::usage(format!(
-                "{} coordinates: expected x and y of each corner",
-                self.coordinates.len()
+                "{}: expected x and y of each of at least three corners",
+                output::counted(self.coordinates.len() as u64, "coordinate")
             )));
         }
         let zone = Zone {
@@ -154,12 +154,15 @@ mod tests {
         let zone = added(&["door", "--max-speed", "0.2", "0", "0", "1", "0", "1", "1"]).unwrap();
         assert_eq!(zone.rule, ZoneRule::SpeedLimit { max_speed: 0.2 });
         for (words, what) in [
-            (&["a", "0", "0", "1", "0", "1", "1"][..], "--keep-out"),
+            (
+                &["a", "0", "0", "1", "0", "1", "1"][..],
+                "<--keep-out|--max-speed <M/S>>",
+            ),
             (
                 &["a", "--keep-out", "--max-speed", "1", "0", "0", "1", "0", "1", "1"],
                 "cannot be used with",
             ),
-            (&["a", "--keep-out", "0", "0", "1", "0"], "6"),
+            (&["a", "--keep-out", "0", "0", "1", "0"], "4 coordinates"),
             (&["a", "--keep-out", "0", "0", "1", "0", "1", "1", "2"], "7 coordinates"),
             (&["a", "--keep-out", "0", "0", "1", "1", "1", "0", "0", "1"], "zone `a`"),
         ] {

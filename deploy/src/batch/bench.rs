@@ -6,7 +6,7 @@ use zenav_sim::made_worlds;
 
 use super::show::{self, ShowArgs};
 use super::{sim_bench, thread_time};
-use crate::connect::positive;
+use crate::connect::{self, positive};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
@@ -45,10 +45,10 @@ struct SimBenchArgs {
     #[arg(long, value_name = "R", default_value = "tiago")]
     robot: String,
     /// Robots in the world, as far as there is room
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = connect::whole::<usize>)]
     robots: usize,
     /// Beams of each lidar [default: the robot's own]
-    #[arg(long, value_name = "B")]
+    #[arg(long, value_name = "B", value_parser = connect::whole::<usize>)]
     beams: Option<usize>,
     /// Scans a second of each lidar
     #[arg(long, value_name = "HZ", default_value_t = 10.0, value_parser = positive)]

@@ -64,7 +64,7 @@ impl Results {
         let out: Box<dyn Write> = if path == Path::new("-") {
             Box::new(std::io::stdout())
         } else {
-            Box::new(std::fs::File::create(path).map_err(|error| at(path, &error))?)
+            Box::new(std::fs::File::create(path).map_err(Failure::failed_at(path))?)
         };
         Ok(Self {
             path: path.to_owned(),
@@ -86,15 +86,9 @@ impl Results {
         match result {
             // Whoever reads stdout has seen enough (`zenav plan … | head`).
             Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => std::process::exit(0),
-            result => result.map_err(|error| at(&self.path, &error)),
+            result => result.map_err(Failure::failed_at(&self.path)),
         }
     }
-}
-
-/// An I/O failure that names its file.
-fn at(path: &Path, error: &std::io::Error) -> Failure {
-    let code = Failure::from(std::io::Error::from(error.kind())).code;
-    Failure::new(code, format!("{}: {error}", path.display()))
 }
 
 /// What this thread has computed so far: one core is timed, whatever else the machine does.
@@ -106,7 +100,7 @@ pub(crate) fn thread_time() -> Duration {
 /// A folder for one file a query, made where it is missing.
 fn folder(path: Option<&Path>) -> Result<(), Failure> {
     path.map_or(Ok(()), |path| {
-        std::fs::create_dir_all(path).map_err(|error| at(path, &error))
+        std::fs::create_dir_all(path).map_err(Failure::failed_at(path))
     })
 }
 

@@ -12,7 +12,7 @@ use super::queries::{self, Query};
 use super::watchdog::{Watchdog, timed};
 use super::{Results, folder, median, planner, progress, read_map};
 use crate::completion;
-use crate::connect::positive;
+use crate::connect::{self, positive};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
@@ -54,7 +54,7 @@ pub struct PlanArgs {
     #[arg(long, value_name = "MS", value_parser = positive)]
     time_limit_ms: Option<f64>,
     /// Seed of sampling-based planners
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, value_parser = connect::whole::<u64>)]
     seed: u64,
     /// Unknown cells may be driven through
     #[arg(long)]

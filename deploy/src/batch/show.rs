@@ -12,12 +12,13 @@ use zenav_sim::scatter::scatter;
 use zenav_sim::shape::Shape;
 use zenav_sim::{RobotSpec, Simulation, World};
 
+use crate::connect;
 use crate::drawing::canvas::{Canvas, Color};
 use crate::drawing::plane::{FREE, Mark, OCCUPIED, PLACE, Plane, ROBOT, circle};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
-use crate::output::{self, Format};
+use crate::output::{self, Format, counted};
 
 const OUTSIDE: Color = [236, 238, 241];
 const GRID: Color = [228, 231, 235];
@@ -45,16 +46,16 @@ pub(super) struct ShowArgs {
     #[arg(long, value_name = "R", default_value = "tiago")]
     robot: String,
     /// Robots: the first at the world's start, the others wherever there is room
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = connect::whole::<usize>)]
     robots: usize,
     /// Simulated time at which movers and doors are shown, s
-    #[arg(long, value_name = "SECS", default_value_t = 0.0)]
+    #[arg(long, value_name = "SECS", default_value_t = 0.0, value_parser = connect::finite)]
     time: f64,
     /// Seed of walkers and of the other robots' places
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, value_parser = connect::whole::<u64>)]
     seed: u64,
     /// Pixels of the longer side
-    #[arg(long, value_name = "PX", default_value_t = 1200, value_parser = clap::value_parser!(u32).range(64..=8192))]
+    #[arg(long, value_name = "PX", default_value_t = 1200, value_parser = connect::whole_in(64..=8192_u32))]
     size: u32,
     /// Output format
     #[arg(short, long, value_enum, default_value_t)]
@@ -103,7 +104,7 @@ pub(super) fn show(args: &ShowArgs) -> Outcome {
             picture.display()
         )));
     }
-    std::fs::write(&picture, bytes).map_err(|error| super::at(&picture, &error))?;
+    files::write(&picture, bytes)?;
     let (low, high) = world.bounds();
     let shown = Shown {
         world: world.name().to_owned(),
@@ -123,18 +124,18 @@ pub(super) fn show(args: &ShowArgs) -> Outcome {
     output::value(args.output, &shown, |shown| {
         let Shown { low, high, .. } = shown;
         format!(
-            "{}: {:.2} x {:.2} m from ({:.2}, {:.2}); {} polygons, {} discs, {} cells of a map, {} movers and doors, {} robots, {} places, at {:.1} s\n{}",
+            "{}: {:.2} x {:.2} m from ({:.2}, {:.2}); {}, {}, {} of a map, {}, {}, {}, at {:.1} s\n{}",
             shown.world,
             high[0] - low[0],
             high[1] - low[1],
             low[0],
             low[1],
-            shown.polygons,
-            shown.discs,
-            shown.map_cells,
-            shown.movers,
-            shown.robots.len(),
-            shown.places.len(),
+            counted(shown.polygons, "polygon"),
+            counted(shown.discs, "disc"),
+            counted(shown.map_cells, "cell"),
+            counted(shown.movers, "mover"),
+            counted(shown.robots.len(), "robot"),
+            counted(shown.places.len(), "place"),
             shown.time_s,
             shown.picture.display()
         )

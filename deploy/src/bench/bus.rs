@@ -12,7 +12,7 @@ use crate::output::{self, Format};
 #[derive(Debug, clap::Args)]
 pub struct BusArgs {
     /// Samples of each kind
-    #[arg(long, value_name = "N", default_value_t = 2000, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    #[arg(long, value_name = "N", default_value_t = 2000, value_parser = connect::whole_in(1..=1_000_000_u32))]
     samples: u32,
     /// Output format
     #[arg(short, long, value_enum, default_value_t)]

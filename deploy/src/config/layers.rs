@@ -8,6 +8,7 @@ use toml::{Table, Value};
 use zenav_protocol::config_text::{OutOfBounds, line_of};
 use zenav_protocol::id::Id;
 use zenav_protocol::settings::{Row, Settings as _};
+use zenav_sim::World;
 
 use super::{Deployment, HostSection, RobotSection};
 use crate::failure::Failure;
@@ -101,19 +102,19 @@ impl Layers {
     fn check(&self) -> Result<(), Failure> {
         let checked = self.deployment.check();
         checked.map_err(|error: OutOfBounds| Failure::usage(format!("{}: {error}", self.origin(&error.key))))?;
-        let at = |key: String| {
-            move |failure: Failure| Failure::new(failure.code, format!("{}: {failure}", self.origin(&key)))
-        };
         let misnamed = self
             .deployment
             .robots
             .keys()
             .find(|name| Id::robot(name.as_str()).is_err());
         let robot = misnamed.map_or_else(|| "robots".to_owned(), |name| format!("robots.{name}"));
-        self.deployment.robot_ids().map_err(at(robot))?;
-        self.deployment.group_ids().map_err(at("groups".to_owned()))?;
+        self.deployment.robot_ids().map_err(self.at(&robot))?;
+        for (name, robots) in &self.deployment.groups {
+            let group = self.deployment.group(name, robots);
+            group.map_err(self.at(&format!("groups.{name}")))?;
+        }
         let holder = Id::new(self.deployment.mission.run.holder.as_str()).map_err(Failure::usage);
-        holder.map_err(at("mission.holder".to_owned()))?;
+        holder.map_err(self.at("mission.holder"))?;
         Ok(())
     }
 
@@ -139,6 +140,47 @@ impl Layers {
             file.display(),
             path.display()
         )))
+    }
+
+    /// The world that a flag names, or else the deployment.
+    ///
+    /// # Errors
+    /// As [`files::world`], with where the deployment's is written.
+    pub(crate) fn world(&self, flag: Option<&str>) -> Result<World, Failure> {
+        match flag {
+            Some(name) => files::world(name),
+            None => files::world(&self.deployment.simulation.world).map_err(self.at("simulation.world")),
+        }
+    }
+
+    /// Whether the models of these robots can be had.
+    ///
+    /// # Errors
+    /// As [`files::robot`], with where the model is written.
+    pub(crate) fn check_models<'r>(&self, robots: impl Iterator<Item = &'r String>) -> Result<(), Failure> {
+        for name in robots {
+            if let Some(robot) = self.deployment.robots.get(name) {
+                files::robot(&robot.model).map_err(self.at(&format!("robots.{name}.model")))?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Puts where a key is written before what is wrong with its value; for `map_err`.
+    fn at(&self, key: &str) -> impl FnOnce(Failure) -> Failure + use<> {
+        let origin = self.origin(key);
+        move |failure| match origin.as_str() {
+            DEFAULT => failure,
+            origin => Failure::new(failure.code, format!("{origin}: {failure}")),
+        }
+    }
+
+    /// Where a key is written, or else the section or the file that lacks it.
+    pub(crate) fn nearest_origin(&self, key: &str) -> String {
+        let sections = std::iter::successors(Some(key), |key| Some(key.rsplit_once('.')?.0));
+        let written = sections.map(|key| self.origin(key)).find(|origin| origin != DEFAULT);
+        let file = || self.file.as_ref().map(|(path, _)| path.display().to_string());
+        written.or_else(file).unwrap_or_else(|| DEFAULT.to_owned())
     }
 
     /// Where the value of a key came from.
@@ -414,5 +456,54 @@ mod tests {
             failure.message.contains("mine.toml:2: `a b` is not a valid name"),
             "{failure}"
         );
+        let failure = read("[groups]\na = [\"tiago\"]\nall = [\"x\"]\n", &[])
+            .map(|_| ())
+            .unwrap_err();
+        assert!(
+            failure.message.contains("mine.toml:3: [groups] all: no robot `x`"),
+            "{failure}"
+        );
+    }
+
+    #[test]
+    fn what_is_no_endpoint_or_address_is_told_with_its_line() {
+        for (text, told) in [
+            (
+                "[robots.tiago]\nlisten = \"7450\"\n",
+                "`robots.tiago.listen` is `7450`: expected an endpoint",
+            ),
+            (
+                "[router]\nlisten = [\"7447\"]\n",
+                "`router.listen` is `7447`: expected an endpoint",
+            ),
+            (
+                "[gateway]\nlisten = \"7480\"\n",
+                "`gateway.listen` is `7480`: expected ADDRESS:PORT",
+            ),
+            (
+                "[router]\nrest = \"8000\"\n",
+                "`router.rest` is `8000`: expected ADDRESS:PORT",
+            ),
+        ] {
+            let failure = read(text, &[]).map(|_| ()).unwrap_err();
+            assert!(failure.message.contains(&format!("mine.toml:2: {told}")), "{failure}");
+        }
+    }
+
+    #[test]
+    fn a_model_and_a_world_that_nobody_knows_are_told_with_their_line() {
+        let layers = read(
+            "[robots.a]\nmodel = \"tiagoo\"\n[simulation]\nworld = \"nowhere\"\n",
+            &[],
+        )
+        .unwrap();
+        let model = layers.check_models(layers.deployment.robots.keys()).unwrap_err();
+        let world = layers.world(None).map(|_| ()).unwrap_err();
+        for (failure, told) in [(model, "mine.toml:2: no robot"), (world, "mine.toml:4: no world")] {
+            assert_eq!(failure.code, exit_code::NOT_FOUND);
+            assert!(failure.message.contains(told), "{failure}");
+        }
+        assert!(layers.nearest_origin("robots.a.listen").ends_with("mine.toml:1"));
+        assert!(layers.nearest_origin("hosts").ends_with("mine.toml"));
     }
 }

@@ -35,7 +35,7 @@ use zenav_protocol::settings::Settings as _;
 use zenav_slam::SlamSettings;
 use zenav_smoothing::SmoothingSettings;
 
-use crate::connect::{DEFAULT_ENDPOINT, ROBOT_ENDPOINT};
+use crate::connect::{self, DEFAULT_ENDPOINT, ROBOT_ENDPOINT};
 use crate::failure::Failure;
 
 pub use hosts::{HostSection, Role};
@@ -223,6 +223,29 @@ impl Deployment {
                 });
             }
         }
+        let robots = self.robots.iter();
+        let endpoints = robots
+            .map(|(name, robot)| (format!("robots.{name}.listen"), &robot.listen))
+            .chain(
+                self.router
+                    .listen
+                    .iter()
+                    .map(|endpoint| ("router.listen".to_owned(), endpoint)),
+            );
+        let addresses = [
+            ("router.rest", &self.router.rest),
+            ("gateway.listen", &self.gateway.settings.listen),
+        ];
+        let addresses = addresses.into_iter().filter(|(_, address)| !address.is_empty());
+        let all = endpoints
+            .map(|(key, text)| (key, text, connect::endpoint(text)))
+            .chain(addresses.map(|(key, text)| (key.to_owned(), text, connect::address(text))));
+        for (key, text, read) in all {
+            read.map_err(|expected| OutOfBounds {
+                key,
+                problem: format!("is `{text}`: {expected}"),
+            })?;
+        }
         if self.robots.is_empty() {
             return Err(OutOfBounds {
                 key: "robots".to_owned(),
@@ -285,25 +308,27 @@ impl Deployment {
     /// # Errors
     /// A usage failure that names the bad group.
     pub fn group_ids(&self) -> Result<Vec<(Id, Vec<Id>)>, Failure> {
-        let check = |(name, robots): (&String, &Vec<String>)| {
-            let bad = |why: String| Failure::usage(format!("[groups] {name}: {why}"));
-            let group = Id::robot(name.clone()).map_err(|error| bad(error.to_string()))?;
-            if self.robots.contains_key(name) {
-                return Err(bad("a robot has this name".to_owned()));
-            }
-            if robots.is_empty() {
-                return Err(bad("expected names of robots".to_owned()));
-            }
-            if let Some(robot) = robots.iter().find(|robot| !self.robots.contains_key(*robot)) {
-                let known: Vec<&str> = self.robots.keys().map(String::as_str).collect();
-                return Err(bad(format!(
-                    "no robot `{robot}` under [robots]: there are {}",
-                    known.join(", ")
-                )));
-            }
-            let members: Result<Vec<Id>, _> = robots.iter().map(|robot| Id::robot(robot.clone())).collect();
-            Ok((group, members.map_err(|error| bad(error.to_string()))?))
-        };
-        self.groups.iter().map(check).collect()
+        let groups = self.groups.iter();
+        groups.map(|(name, robots)| self.group(name, robots)).collect()
+    }
+
+    fn group(&self, name: &str, robots: &[String]) -> Result<(Id, Vec<Id>), Failure> {
+        let bad = |why: String| Failure::usage(format!("[groups] {name}: {why}"));
+        let group = Id::robot(name).map_err(|error| bad(error.to_string()))?;
+        if self.robots.contains_key(name) {
+            return Err(bad("a robot has this name".to_owned()));
+        }
+        if robots.is_empty() {
+            return Err(bad("expected names of robots".to_owned()));
+        }
+        if let Some(robot) = robots.iter().find(|robot| !self.robots.contains_key(*robot)) {
+            let known: Vec<&str> = self.robots.keys().map(String::as_str).collect();
+            return Err(bad(format!(
+                "no robot `{robot}` under [robots]: there are {}",
+                known.join(", ")
+            )));
+        }
+        let members: Result<Vec<Id>, _> = robots.iter().map(|robot| Id::robot(robot.clone())).collect();
+        Ok((group, members.map_err(|error| bad(error.to_string()))?))
     }
 }

@@ -144,7 +144,7 @@ pub struct DemoArgs {
     #[arg(long, default_value_t = 1.0, value_parser = connect::speed)]
     speed: f64,
     /// Seed of all noise
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, value_parser = connect::whole::<u64>)]
     seed: u64,
     /// The robot has GPS and a compass, and draws the map by its own poses (kitchen and online)
     #[arg(long)]

@@ -8,7 +8,7 @@ use zenav_protocol::bus::{Bus, Latest};
 use zenav_protocol::messages::{GoalState, GoalsRequest};
 use zenav_protocol::topics;
 
-use super::{Report, phase_code};
+use super::{Report, no_goal, phase_code};
 use crate::connect::{self, RobotArgs};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
@@ -48,7 +48,8 @@ impl Watch {
         loop {
             let state = tokio::select! {
                 _ = &mut interrupted => {
-                    eprintln!("zenav: detached; goal {} continues (`zenav goal watch {}`, `zenav goal cancel {}`)", self.id, self.id, self.id);
+                    let (id, robot) = (&self.id, &self.robot);
+                    eprintln!("zenav: detached; goal {id} continues (`zenav goal watch {id} --robot {robot}`, `zenav goal cancel {id} --robot {robot}`)");
                     return Ok(exit_code::INTERRUPTED);
                 }
                 received = self.states.next() => received.ok_or_else(|| Failure::new(exit_code::CANNOT_CONNECT, "the bus was closed"))?.message,
@@ -91,11 +92,11 @@ pub(super) fn watch(robot: &RobotArgs, format: Format, id: &str) -> Outcome {
     let patience = robot.link.patience();
     connect::on_robot(robot, async |bus, robot| {
         if zenav_protocol::id::Id::new(id).is_err() {
-            return Err(Failure::not_found(format!("no goal `{id}`")));
+            return Err(no_goal(&robot, id));
         }
         let watch = Watch::new(&bus, &robot, id)?;
         let Some(state) = query(&bus, &robot, id, patience).await? else {
-            return Err(Failure::not_found(format!("robot {robot} has no goal `{id}`")));
+            return Err(no_goal(&robot, id));
         };
         if state.state.is_end() {
             output::value(format, &Report::of(&state), Report::line)?;
@@ -152,6 +153,7 @@ impl Progress {
             return;
         }
         let step = format!("{:?} {}", state.state, state.feedback.step);
+        let step = step.trim_end();
         let left = state
             .feedback
             .distance_left
@@ -162,6 +164,6 @@ impl Progress {
             None if step != self.last => self.say(&format!("{} {step}{left}", state.id)),
             None => {}
         }
-        self.last = step;
+        step.clone_into(&mut self.last);
     }
 }

@@ -1,13 +1,14 @@
 //! Goal list. Which goals are there, and how is one paused or cancelled?
 
 use serde::Serialize;
+use zenav_protocol::bus::AskError;
 use zenav_protocol::messages::{
-    CancelRequest, GoalPhase, GoalReply, GoalRequest, GoalState, GoalsRequest, PauseRequest,
+    CancelRequest, GoalPhase, GoalReply, GoalRequest, GoalState, GoalsRequest, PauseRequest, Refusal,
 };
 use zenav_protocol::topics;
 
 use super::Report;
-use crate::connect::{self, RobotArgs, fresh_id};
+use crate::connect::{self, RobotArgs, fresh_id, whole};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
@@ -19,7 +20,7 @@ pub(super) struct ListArgs {
     #[arg(long, value_name = "STATE", value_delimiter = ',', value_parser = phase)]
     state: Vec<GoalPhase>,
     /// At most so many, newest first
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = whole::<usize>)]
     limit: Option<usize>,
 }
 
@@ -166,7 +167,17 @@ pub(super) fn cancel(robot: &RobotArgs, format: Format, id: Option<String>) -> O
             id,
             request_id: Some(fresh_id("cancel")),
         };
-        let reply = bus.ask(&topics::CANCEL, &[&robot], &request, patience).await?;
+        let reply = bus.ask(&topics::CANCEL, &[&robot], &request, patience).await;
+        let reply = reply.map_err(|error| not_there(&robot, request.id.as_deref(), error))?;
+        if reply.state.is_end() && reply.state != GoalPhase::Canceled {
+            return Err(Failure::new(
+                exit_code::REJECTED,
+                format!(
+                    "goal {} is {:?}: only a goal that has not ended can be cancelled",
+                    reply.id, reply.state
+                ),
+            ));
+        }
         print(format, &robot, reply)
     })
 }
@@ -179,9 +190,21 @@ pub(super) fn pause(robot: &RobotArgs, format: Format, id: Option<String>, resum
             resume,
             request_id: Some(fresh_id("pause")),
         };
-        let reply = bus.ask(&topics::PAUSE, &[&robot], &request, patience).await?;
+        let reply = bus.ask(&topics::PAUSE, &[&robot], &request, patience).await;
+        let reply = reply.map_err(|error| not_there(&robot, request.id.as_deref(), error))?;
         print(format, &robot, reply)
     })
+}
+
+/// Why there is no answer: mostly, that the robot has no such goal.
+fn not_there(robot: &str, id: Option<&str>, error: AskError) -> Failure {
+    match (error, id) {
+        (AskError::Refused(Refusal::NotFound { .. }), Some(id)) => super::no_goal(robot, id),
+        (AskError::Refused(Refusal::NotFound { .. }), None) => {
+            Failure::not_found(format!("robot {robot} has no active goal"))
+        }
+        (error, _) => error.into(),
+    }
 }
 
 fn print(format: Format, robot: &str, reply: GoalReply) -> Outcome {

@@ -18,7 +18,7 @@ use zenav_protocol::messages::{GoalPhase, GoalPoint, GoalState};
 use crate::completion;
 use crate::connect::RobotArgs;
 use crate::exit_code;
-use crate::failure::Outcome;
+use crate::failure::{Failure, Outcome};
 use crate::output::Format;
 
 /// Goals: submit, list, watch, move, cancel.
@@ -85,6 +85,11 @@ pub fn run(args: &GoalArgs) -> Outcome {
         GoalCommand::Pause { id } => list::pause(&args.robot, args.output, id.clone(), false),
         GoalCommand::Resume { id } => list::pause(&args.robot, args.output, id.clone(), true),
     }
+}
+
+/// Of a goal that a robot does not have.
+fn no_goal(robot: &str, id: &str) -> Failure {
+    Failure::not_found(format!("robot {robot} has no goal `{id}`"))
 }
 
 /// Exit code for where a goal stands.

@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use clap::ValueEnum;
 use zenav_behaviour_tree::inline;
+use zenav_mission::trees::{self, NoTree};
 use zenav_protocol::bus::{AskError, Bus};
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{DrivingProfile, GoalPhase, GoalPoint, GoalReply, GoalRequest, OnBusy, Refusal};
@@ -13,7 +14,7 @@ use zenav_protocol::topics;
 
 use super::{Report, follow, phase_code};
 use crate::completion;
-use crate::connect::{self, RobotArgs, check_yaw, finite, fresh_id, heading, name, positive};
+use crate::connect::{self, RobotArgs, check_yaw, finite, fresh_id, heading, name, positive, whole};
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::inspect::bt::includer;
@@ -51,7 +52,7 @@ pub(super) struct SubmitArgs {
     #[arg(long, value_enum, default_value_t)]
     on_busy: OnBusyArg,
     /// Queue priority, highest first
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = whole::<i32>)]
     priority: i32,
     /// Group of robots instead of one: the nearest free robot takes the goal
     #[arg(long, value_name = "NAME", conflicts_with = "robot", value_parser = name)]
@@ -196,6 +197,9 @@ async fn submit(
     let report = match bus.ask(&topics::GOAL, &[to], request, patience).await {
         Ok(reply) => {
             let robot = reply.robot.as_deref().unwrap_or(to);
+            if args.group.is_some() {
+                eprintln!("zenav: {robot} takes goal {}", reply.id);
+            }
             if args.wait && !reply.state.is_end() {
                 // The mission keeps the last state for those who come late: no end is missed.
                 return finish(bus, robot, &reply, format).await;
@@ -207,6 +211,10 @@ async fn submit(
             ..Report::new(to, &id, GoalPhase::Rejected, Some(reason))
         },
         Err(AskError::Refused(Refusal::BadRequest { reason })) => {
+            let unknown = request.tree.as_deref().map(trees::build);
+            if let Some(Err(NoTree::Unknown(_))) = unknown {
+                return Err(Failure::not_found(reason));
+            }
             let reason = match (&args.tree, &request.tree) {
                 (Some(file), Some(sent)) => in_file(file, sent, &reason),
                 _ => reason,

@@ -1,11 +1,13 @@
 //! `zenav deploy render`, `check` and `health`: arguments, files and the bus around the pure parts.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::{self, Display};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use clap::{Args, Subcommand};
+use serde::Serialize;
 use zenav_protocol::bus::Bus;
 use zenav_protocol::config_text::OutOfBounds;
 use zenav_protocol::topics;
@@ -71,9 +73,14 @@ enum DeployCommand {
     /// when nobody listens there, 5 when nobody answers within 2 s
     Health {
         /// Where the part serves its health
-        #[arg(value_name = "ADDRESS:PORT", default_value = "127.0.0.1:9464")]
+        #[arg(value_name = "ADDRESS:PORT", default_value = "127.0.0.1:9464", value_parser = socket)]
         address: SocketAddr,
     },
+}
+
+fn socket(text: &str) -> Result<SocketAddr, String> {
+    let expected = || "expected ADDRESS:PORT, such as 127.0.0.1:9464".to_owned();
+    text.parse().map_err(|_| expected())
 }
 
 /// `zenav deploy`.
@@ -90,13 +97,13 @@ pub fn deploy(args: &DeployArgs) -> Outcome {
             link,
             output,
         } => {
-            let layers = Layers::load(Some(file))?;
-            let layout = laid_out(&layers, file)?;
-            let missing = without_keys(&layout, keys);
-            if !*against_bus {
-                return report_keys(&missing, &layout, keys);
+            let layers =
+                Layers::load(Some(file)).map_err(|error| refused(&[Problem::said(&error)], *output, error.code))?;
+            let (layout, _) = laid_out(&layers, file, *output)?;
+            if *against_bus {
+                return compare(&layout, link, *output);
             }
-            compare(&layout, link, *output)
+            report_keys(&without_keys(&layout, keys), &layout, keys, *output)
         }
         DeployCommand::Health { address } => {
             output::line(&health::ready(*address)?);
@@ -105,19 +112,70 @@ pub fn deploy(args: &DeployArgs) -> Outcome {
     }
 }
 
-/// All problems of a file, one a line, each with the line that it is on.
-fn told(layers: &Layers, problems: &[OutOfBounds]) -> Failure {
-    let lines: Vec<String> = problems
-        .iter()
-        .map(|problem| format!("{}: {problem}", layers.origin(&problem.key)))
-        .collect();
-    Failure::usage(lines.join("\n"))
+/// What is wrong with a deployment.
+#[derive(Serialize)]
+struct Problem {
+    /// Where it is written, or what lacks it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    at: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    key: Option<String>,
+    problem: String,
 }
 
-fn laid_out<'l>(layers: &'l Layers, file: &Path) -> Result<Layout<'l>, Failure> {
-    let layout = Layout::of(&layers.deployment).map_err(|problems| told(layers, &problems))?;
-    named_files::of(&layers.deployment, &folder_of(file)).map_err(|problems| told(layers, &problems))?;
-    Ok(layout)
+impl Problem {
+    fn of(layers: &Layers, error: &OutOfBounds) -> Self {
+        Self {
+            at: Some(layers.nearest_origin(&error.key)),
+            key: Some(error.key.clone()),
+            problem: error.problem.clone(),
+        }
+    }
+
+    /// One that is told with its place.
+    fn said(problem: impl Display) -> Self {
+        Self {
+            at: None,
+            key: None,
+            problem: problem.to_string(),
+        }
+    }
+}
+
+impl Display for Problem {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(at) = &self.at {
+            write!(f, "{at}: ")?;
+        }
+        if let Some(key) = &self.key {
+            write!(f, "`{key}` ")?;
+        }
+        f.write_str(&self.problem)
+    }
+}
+
+/// All problems, one a line; as JSON on stdout too, for a program.
+fn refused(problems: &[Problem], format: Format, code: u8) -> Failure {
+    let lines: Vec<String> = problems.iter().map(Problem::to_string).collect();
+    let printed = match format {
+        Format::Table => Ok(()),
+        format => output::values(format, problems, |_| String::new()),
+    };
+    printed.err().unwrap_or_else(|| Failure::new(code, lines.join("\n")))
+}
+
+/// The deployment on its hosts, and the files that it names.
+///
+/// # Errors
+/// All problems of the file, each with the line that it is on.
+fn laid_out<'l>(layers: &'l Layers, file: &Path, format: Format) -> Result<(Layout<'l>, Vec<String>), Failure> {
+    let told = |errors: Vec<OutOfBounds>| {
+        let problems: Vec<Problem> = errors.iter().map(|error| Problem::of(layers, error)).collect();
+        refused(&problems, format, exit_code::USAGE)
+    };
+    let layout = Layout::of(&layers.deployment).map_err(told)?;
+    let named = named_files::of(&layers.deployment, &folder_of(file)).map_err(told)?;
+    Ok((layout, named))
 }
 
 fn folder_of(file: &Path) -> PathBuf {
@@ -126,8 +184,7 @@ fn folder_of(file: &Path) -> PathBuf {
 
 fn render(file: &Path, out: &Path, target: Target) -> Outcome {
     let layers = Layers::load(Some(file))?;
-    let layout = laid_out(&layers, file)?;
-    let named = named_files::of(&layers.deployment, &folder_of(file)).map_err(|problems| told(&layers, &problems))?;
+    let (layout, named) = laid_out(&layers, file, Format::Table)?;
     let config = [vec!["deployment.toml".to_owned()], named.clone()].concat();
     let texts = files::render(&layout, &config, target).map_err(Failure::failed)?;
     let before = rendered_before(out)?;
@@ -204,24 +261,24 @@ fn without_keys(layout: &Layout<'_>, keys: &Path) -> Vec<String> {
         .collect()
 }
 
-fn report_keys(missing: &[String], layout: &Layout<'_>, keys: &Path) -> Outcome {
-    if !missing.is_empty() {
-        let commands: Vec<String> = missing
-            .iter()
-            .map(|identity| {
-                format!(
-                    "no identity {identity}: `zenav keys issue {identity} --dir {}` makes it",
-                    keys.display()
-                )
-            })
-            .collect();
-        return Err(Failure::failed(commands.join("\n")));
+fn report_keys(missing: &[String], layout: &Layout<'_>, keys: &Path, format: Format) -> Outcome {
+    let without = |identity: &String| {
+        Problem::said(format_args!(
+            "no identity {identity}: `zenav keys issue {identity} --dir {}` makes it",
+            keys.display()
+        ))
+    };
+    let problems: Vec<Problem> = missing.iter().map(without).collect();
+    if !problems.is_empty() {
+        return Err(refused(&problems, format, exit_code::FAILED));
     }
-    output::line(&format!(
-        "{}, {}: nothing is wrong",
-        output::counted(layout.hosts.len(), "host"),
-        output::counted(layout.parts().count(), "part")
-    ));
+    output::values(format, &problems, |_| {
+        format!(
+            "{}, {}: nothing is wrong",
+            output::counted(layout.hosts.len(), "host"),
+            output::counted(layout.parts().count(), "part")
+        )
+    })?;
     Ok(exit_code::OK)
 }
 

@@ -16,7 +16,7 @@ const MOST_LETTERS: usize = 52;
 pub(super) fn of(deployment: &Deployment) -> Vec<OutOfBounds> {
     let mut found = Found(Vec::new());
     if deployment.hosts.is_empty() {
-        found.add("hosts", "names no host: expected at least one section [hosts.NAME]");
+        found.add("hosts", "is missing: expected at least one section [hosts.NAME]");
         return found.0;
     }
     let mut parsed = BTreeMap::new();
@@ -51,15 +51,19 @@ impl Found {
             );
         }
         if section.role.is_none() {
-            self.add(key("role"), "is not set: expected robot, edge_site, cloud or operator");
+            self.add(key("role"), "is missing: expected robot, edge_site, cloud or operator");
         }
         let address = &section.address;
         let is_address = address.parse::<std::net::IpAddr>().is_ok_and(|ip| ip.is_ipv4())
-            || (!address.is_empty()
-                && address
-                    .bytes()
-                    .all(|b| b.is_ascii_alphanumeric() || matches!(b, b'-' | b'.' | b'_')));
-        if !is_address {
+            || address
+                .bytes()
+                .all(|b| b.is_ascii_alphanumeric() || matches!(b, b'-' | b'.' | b'_'));
+        if address.is_empty() {
+            self.add(
+                key("address"),
+                "is missing: expected a name or an IPv4 address at which the other hosts reach it",
+            );
+        } else if !is_address {
             self.add(
                 key("address"),
                 format!("is `{address}`: expected a name or an IPv4 address, without a port"),

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
-use serde_json::Value;
+use serde_json::{Value, json};
 use zenav_protocol::bus::{AskError, RawReply};
 use zenav_protocol::messages::Refusal;
 use zenav_protocol::topics::{self, Ask, Producer, Row, TABLE, TableVisitor, Topic};
@@ -59,7 +59,7 @@ pub(super) struct PubArgs {
     #[arg(long, value_name = "HZ", value_parser = positive)]
     hz: Option<f64>,
     /// End after this many messages
-    #[arg(long, value_name = "N", requires = "hz")]
+    #[arg(long, value_name = "N", requires = "hz", value_parser = connect::whole::<u64>)]
     count: Option<u64>,
     /// Publish on a key that only the robot or its cloud may write
     #[arg(long)]
@@ -134,7 +134,7 @@ pub fn ask(args: &AskArgs) -> Outcome {
 }
 
 /// Publishes a message.
-pub(super) fn publish(args: &PubArgs, robot: &RobotArgs) -> Outcome {
+pub(super) fn publish(args: &PubArgs, robot: &RobotArgs, format: Format) -> Outcome {
     let text = input(&args.json)?;
     connect::on_bus(&robot.link, async |bus| {
         let key = concrete(&bus, &args.key, robot, false).await?;
@@ -179,7 +179,10 @@ pub(super) fn publish(args: &PubArgs, robot: &RobotArgs) -> Outcome {
                 break;
             }
         }
-        eprintln!("published {sent} on {key}");
+        match format {
+            Format::Table => eprintln!("published {sent} on {key}"),
+            format => output::value(format, &json!({ "key": key, "published": sent }), |_| String::new())?,
+        }
         Ok(exit_code::OK)
     })
 }
@@ -328,9 +331,7 @@ fn fits<T: DeserializeOwned>(text: &str, name: &str) -> Result<(), Failure> {
         Some(field) => {
             let last = field.rsplit('.').next().unwrap_or(field);
             let known = super::schema::fields(name);
-            let slips = |known: &&String| strsim::osa_distance(last, known);
-            let perhaps = known.iter().min_by_key(slips).filter(|known| slips(known) <= SLIPS);
-            let perhaps = perhaps.map(|known| format!(", perhaps `{known}`")).unwrap_or_default();
+            let perhaps = output::perhaps(last, known.iter().map(String::as_str), SLIPS);
             Err(Failure::usage(format!(
                 "{name} has no field `{field}`{perhaps}; {hint}"
             )))

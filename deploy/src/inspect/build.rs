@@ -11,7 +11,7 @@ use zenav_mapping::{InsertMode, build as maps, map_file};
 use zenav_protocol::messages::Scan;
 
 use crate::batch::thread_time;
-use crate::connect::positive;
+use crate::connect::resolution;
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
@@ -26,7 +26,7 @@ pub(super) struct BuildArgs {
     #[arg(long, value_name = "FILE")]
     log: PathBuf,
     /// Side of a cell, m
-    #[arg(long, value_name = "M", default_value_t = 0.05, value_parser = positive)]
+    #[arg(long, value_name = "M", default_value_t = 0.05, value_parser = resolution)]
     resolution: f64,
     /// Folder for map.pgm and map.yaml
     #[arg(long, value_name = "DIR")]

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::ValueEnum;
 use zenav_mapping::map_yaml::MapMode;
-use zenav_mapping::{atomic, image, map_file, map_image};
+use zenav_mapping::{image, map_file, map_image};
 use zenav_protocol::grid::{Occupancy, OccupancyGrid};
 
 use super::map::Summary;
@@ -62,7 +62,7 @@ pub(super) fn convert(args: &ConvertArgs, format: Format) -> Outcome {
         .to_ascii_lowercase();
     let picture = match ending.as_str() {
         "map" => {
-            atomic::write_atomically(target, moving_ai(&grid).as_bytes()).map_err(Failure::failed)?;
+            files::write_atomically(target, moving_ai(&grid).as_bytes())?;
             None
         }
         "yaml" | "yml" if matches!(mode, MapMode::Scale) => {
@@ -98,9 +98,8 @@ pub(super) fn convert(args: &ConvertArgs, format: Format) -> Outcome {
         } else {
             target.with_extension("yaml")
         };
-        atomic::write_atomically(&picture, &bytes).map_err(Failure::failed)?;
-        atomic::write_atomically(&yaml, map_image::to_yaml(&grid, mode, name).to_text(&[]).as_bytes())
-            .map_err(Failure::failed)?;
+        files::write_atomically(&picture, &bytes)?;
+        files::write_atomically(&yaml, map_image::to_yaml(&grid, mode, name).to_text(&[]).as_bytes())?;
         written = yaml;
     }
     output::value(format, &Summary::of_file(&written, &grid), Summary::line)?;

@@ -10,7 +10,7 @@ use zenav_protocol::bus::{Bus, RawSample, RawSubscription};
 use super::meter::{Meter, Reading, bytes};
 use super::payload;
 use crate::completion;
-use crate::connect::positive;
+use crate::connect::{self, positive};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
@@ -28,7 +28,7 @@ pub(super) struct ListenArgs {
     #[arg(add = completion::keys())]
     pub(super) key: String,
     /// End after this many messages
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = connect::whole::<u64>)]
     count: Option<u64>,
     /// End after this time, s
     #[arg(long = "for", value_name = "SECS", value_parser = positive)]

@@ -14,7 +14,7 @@ use zenav_protocol::topics;
 
 use super::map_control::{self, Mapping};
 use super::{build, convert};
-use crate::connect::{self, RobotArgs};
+use crate::connect::{self, RobotArgs, whole_in};
 use crate::drawing::scene::Scene;
 use crate::drawing::terminal::{self, Mark, Screen};
 use crate::exit_code;
@@ -23,6 +23,9 @@ use crate::files;
 use crate::live_map::LiveMap;
 use crate::output::{self, Format};
 use crate::slam::{self, MergeArgs};
+
+/// A picture of fewer columns shows nothing.
+const LEAST_WIDTH: usize = 8;
 
 /// Maps.
 #[derive(Debug, clap::Args)]
@@ -53,7 +56,7 @@ enum MapCommand {
         /// A map file; without one, the robot's map
         file: Option<PathBuf>,
         /// Columns at most [default: the terminal's]
-        #[arg(long)]
+        #[arg(long, value_parser = whole_in(LEAST_WIDTH..=1000))]
         width: Option<usize>,
         /// Write a picture, a PNG, instead
         #[arg(long, value_name = "FILE.png", conflicts_with = "width")]
@@ -227,7 +230,8 @@ fn save(robot: &RobotArgs, format: Format, name: &Path) -> Outcome {
             .parent()
             .filter(|folder| !folder.as_os_str().is_empty())
             .unwrap_or_else(|| Path::new("."));
-        summary.file = Some(map_file::write_map(folder, stem, &grid, &label).map_err(Failure::failed)?);
+        let wanted = folder.join(format!("{stem}.yaml"));
+        summary.file = Some(map_file::write_map(folder, stem, &grid, &label).map_err(files::unwritten(&wanted))?);
         output::value(format, &summary, Summary::line)?;
         Ok(exit_code::OK)
     })

@@ -124,10 +124,9 @@ pub(super) fn load(robot: &RobotArgs, format: Format, source: &str, live: bool) 
     connect::on_robot(robot, async |bus, robot| {
         let reply = send(&bus, &robot, patience, request.clone(), true).await?;
         output::value(format, &Changed::new(&robot, reply), |changed| {
-            let state = if live {
-                "scans go on into it"
-            } else {
-                "held: `zenav map resume` maps on"
+            let state = match live {
+                true => "scans go on into it".to_owned(),
+                false => format!("held: `zenav map resume --robot {robot}` maps on"),
             };
             format!("{robot} drives by {source}: {} ({state})", changed.size())
         })?;
@@ -146,7 +145,7 @@ pub(super) fn store(robot: &RobotArgs, format: Format, name: Option<&str>) -> Ou
         let reply = send(&bus, &robot, patience, request.clone(), false).await?;
         output::value(format, &Changed::new(&robot, reply), |changed| {
             let what = match name {
-                Some(name) => format!("as {name} (`zenav map load {name}` brings it back)"),
+                Some(name) => format!("as {name} (`zenav map load {name} --robot {robot}` brings it back)"),
                 None => "the next start begins with it".to_owned(),
             };
             format!("stored the map of {robot}: {}; {what}", changed.size())

@@ -132,10 +132,7 @@ pub fn schema(args: &SchemaArgs) -> Outcome {
         name.eq_ignore_ascii_case(wanted) || (wanted.contains('/') && described.keys.iter().any(by_key))
     };
     let Some((_, described)) = all.0.iter().find(is_meant) else {
-        let slips = |name: &&&&str| strsim::osa_distance(wanted, name);
-        let perhaps = all.0.keys().collect::<Vec<_>>();
-        let perhaps = perhaps.iter().min_by_key(slips).filter(|name| slips(name) <= 4);
-        let perhaps = perhaps.map(|name| format!(", perhaps `{name}`")).unwrap_or_default();
+        let perhaps = output::perhaps(wanted, all.0.keys().copied(), 4);
         return Err(Failure::not_found(format!(
             "no message `{wanted}`{perhaps} (`zenav schema --list` lists all)"
         )));

@@ -73,7 +73,7 @@ pub fn topic(args: &TopicArgs) -> Outcome {
         return Ok(exit_code::OK);
     }
     if let TopicCommand::Pub(message) = &args.command {
-        return publish(message, &args.robot);
+        return publish(message, &args.robot, args.output);
     }
     let robot = args.robot.robot.as_deref();
     connect::on_bus(&args.robot.link, async |bus| {

@@ -8,6 +8,7 @@
 mod certificate;
 mod fleet;
 
+use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
@@ -48,7 +49,7 @@ enum KeysCommand {
         /// ROLE.NAME; roles are router, robot, service, operator, viewer
         member: Member,
         /// Name or address under which others dial a router or robot, beside localhost; may be repeated
-        #[arg(long, value_name = "HOST")]
+        #[arg(long, value_name = "HOST", value_parser = host_name)]
         host: Vec<String>,
         /// Days that it is valid; parts of a day are
         #[arg(long, default_value_t = 365.0, value_parser = days)]
@@ -111,6 +112,17 @@ impl Row {
         let hosts = self.hosts.join(" ");
         let cells = [self.role, &self.name, &self.serial, &self.expires, state, &hosts];
         cells.map(str::to_owned).into()
+    }
+}
+
+/// What may stand in a certificate as a name of who listens.
+fn host_name(text: &str) -> Result<String, String> {
+    let name = text.strip_prefix("*.").unwrap_or(text);
+    let is_name = |letter: u8| letter.is_ascii_alphanumeric() || matches!(letter, b'-' | b'.' | b'_');
+    if text.parse::<IpAddr>().is_ok() || (!name.is_empty() && name.bytes().all(is_name)) {
+        Ok(text.to_owned())
+    } else {
+        Err("expected a name or an IP address, without a port".to_owned())
     }
 }
 
@@ -280,6 +292,16 @@ mod tests {
         for file in ["ca.key", "issued/robot.a/key.pem"] {
             let mode = std::fs::metadata(dir.join(file)).unwrap().permissions().mode();
             assert_eq!(mode & 0o777, 0o600, "{file}");
+        }
+    }
+
+    #[test]
+    fn a_host_is_a_name_or_an_address() {
+        for good in ["site1.local", "10.0.0.2", "fe80::1", "*.site1.local"] {
+            assert!(host_name(good).is_ok(), "{good}");
+        }
+        for bad in ["", "a b", "site1:7447", "tcp/site1"] {
+            assert!(host_name(bad).unwrap_err().contains("without a port"), "{bad}");
         }
     }
 }

@@ -8,9 +8,11 @@ use nalgebra::Point2;
 use serde::Serialize;
 use zenav_cloud::mapping::PoseSource;
 use zenav_mission::goal_validation::TOLERANCE;
+use zenav_protocol::config_text::Number;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::DrivingProfile;
 use zenav_protocol::trajectory::TrajectoryPoint;
+use zenav_sim::World;
 
 use super::referee::{ContactKind, ContactReport};
 use super::scenario::{Entrant, Scenario};
@@ -21,6 +23,7 @@ use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::output::{Format, counted, value};
+use crate::report::{energy, least_clearance};
 
 /// Arguments of `zenav run`.
 #[derive(Debug, Args)]
@@ -130,8 +133,8 @@ pub struct RunReport {
     pub pose_error_rad: f64,
     /// Energy drawn, J.
     pub energy_j: f64,
-    /// Energy drawn for each metre driven, J/m.
-    pub energy_per_m: f64,
+    /// Energy drawn for each metre driven, J/m; `None` where hardly any was.
+    pub energy_per_m: Option<f64>,
     /// Seed of all noise and delays.
     pub seed: u64,
     /// Mean delay from scan to plan, ms.
@@ -160,9 +163,11 @@ pub fn run(args: &RunArgs) -> Outcome {
     check(args)?;
     let layers = Layers::load(args.deployment.as_deref())?;
     let world = files::world(args.world.as_ref().unwrap_or(&layers.deployment.simulation.world))?;
+    let entrants = entrants(args)?;
+    check_goals(&world, &entrants)?;
     let scenario = Scenario {
         world: &world,
-        entrants: entrants(args)?,
+        entrants,
         seed: args.seed,
         known_map: args.known_map,
         poses: args.poses,
@@ -271,6 +276,23 @@ fn entrants(args: &RunArgs) -> Result<Vec<Entrant<'_>>, Failure> {
     Ok(entrants.collect())
 }
 
+/// Nobody is meant to drive outside of the world.
+fn check_goals(world: &World, entrants: &[Entrant<'_>]) -> Result<(), Failure> {
+    let Some(outside) = entrants.iter().find(|entrant| !world.holds(entrant.goal)) else {
+        return Ok(());
+    };
+    let (goal, (low, high)) = (outside.goal, world.bounds());
+    Err(Failure::usage(format!(
+        "--goal {} {} lies outside of the world: expected {} to {} by {} to {}",
+        Number(goal.x),
+        Number(goal.y),
+        low.x,
+        high.x,
+        low.y,
+        high.y
+    )))
+}
+
 /// The worst outcome of several robots.
 pub(crate) fn worst(reports: &[RunReport]) -> RunOutcome {
     let worst = reports.iter().map(|report| report.outcome).max();
@@ -287,7 +309,7 @@ fn fleet_text(report: &FleetReport) -> String {
 
 fn text(report: &RunReport) -> String {
     let mut lines = vec![format!(
-        "{:?}{} after {:.2} s, {:.2} m driven, least clearance {:.3} m, error {:.3} m, {}, {}, {}, {:.0} J ({:.0} J/m)",
+        "{:?}{} after {:.2} s, {:.2} m driven, {}, error {:.3} m, {}, {}, {}, {}",
         report.outcome,
         report
             .reason
@@ -296,7 +318,7 @@ fn text(report: &RunReport) -> String {
             .unwrap_or_default(),
         report.time_s,
         report.length_m,
-        report.min_clearance_m,
+        least_clearance(report.min_clearance_m),
         report.final_error_m,
         counted(report.collisions, "collision"),
         counted(report.replans, "replan"),
@@ -305,8 +327,7 @@ fn text(report: &RunReport) -> String {
         } else {
             format!("{} recoveries", report.recoveries)
         },
-        report.energy_j,
-        report.energy_per_m
+        energy(report.energy_j, report.energy_per_m)
     )];
     lines.push(format!(
         "the estimate is off by {:.3} m and {:.3} rad{}",
@@ -329,4 +350,26 @@ fn text(report: &RunReport) -> String {
         )
     }));
     lines.join("\n")
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "tests")]
+    use super::*;
+
+    #[test]
+    fn a_goal_outside_of_the_world_is_refused() {
+        let world = World::shipped("empty").unwrap();
+        let entrant = |x, y| Entrant {
+            robot: None,
+            start: None,
+            goal: Point2::new(x, y),
+        };
+        assert!(check_goals(&world, &[entrant(3.0, -10.0)]).is_ok());
+        let refused = check_goals(&world, &[entrant(3.0, 0.0), entrant(100.0, 0.5)]).unwrap_err();
+        assert_eq!(
+            refused.to_string(),
+            "--goal 100 0.5 lies outside of the world: expected -10 to 10 by -10 to 10"
+        );
+    }
 }

@@ -66,6 +66,8 @@ pub(crate) struct Scenario<'a> {
 /// One robot on its way to its goal.
 struct Going {
     referee: Referee,
+    /// Energy of its full battery, J.
+    capacity: f64,
     /// When its mission ended, s.
     mission_ended: Option<f64>,
     report: Option<RunReport>,
@@ -105,6 +107,7 @@ impl Scenario<'_> {
             });
             all.push(Going {
                 referee: Referee::new(entrant.goal, tolerance, model.footprint.circumscribed_radius()),
+                capacity: model.battery.capacity,
                 mission_ended: None,
                 report: None,
             });
@@ -130,7 +133,7 @@ impl Scenario<'_> {
                 see(index, now, &truth);
                 going.referee.watch(now, &truth);
                 if going.report.is_none()
-                    && let Some((outcome, reason)) = self.end(going, robot, now.as_secs())
+                    && let Some((outcome, reason)) = self.end(going, robot, &truth, now.as_secs())
                 {
                     going.report = Some(self.report(going, robot, &truth, seed, outcome, reason));
                 }
@@ -144,13 +147,23 @@ impl Scenario<'_> {
     }
 
     /// Whether a robot is done, and why.
-    fn end(&self, going: &mut Going, robot: &RobotLoop, now: f64) -> Option<(RunOutcome, Option<String>)> {
+    fn end(
+        &self,
+        going: &mut Going,
+        robot: &RobotLoop,
+        truth: &Truth,
+        now: f64,
+    ) -> Option<(RunOutcome, Option<String>)> {
         let referee = &going.referee;
         if referee.is_reached() {
             return Some((RunOutcome::Reached, None));
         }
         if let Some(Err(refusal)) = robot.replies().first() {
             return Some((RunOutcome::Rejected, Some(refusal.to_string())));
+        }
+        // With an empty battery a robot does not move again.
+        if truth.drawn_j >= going.capacity && referee.is_at_rest() {
+            return Some((RunOutcome::Aborted, Some("the battery is empty".to_owned())));
         }
         if let Some(state) = robot.goal().filter(|state| state.state.is_end()) {
             let since = *going.mission_ended.get_or_insert(now);

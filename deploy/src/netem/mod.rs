@@ -72,7 +72,7 @@ pub struct NetemArgs {
     #[arg(long, value_name = "FILE")]
     script: Option<PathBuf>,
     /// Seed of jitter and stalls
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = crate::connect::whole::<u64>)]
     seed: u64,
 }
 
@@ -114,7 +114,7 @@ fn timeline(args: &NetemArgs) -> Result<Script, Failure> {
         .extend(args.cut_at.iter().map(|at| link::Cut { at: *at, lasts }));
     script.resets.extend(&args.reset_at);
     if let Some(path) = &args.script {
-        let text = std::fs::read_to_string(path).map_err(Failure::failed_at(path))?;
+        let text = crate::files::text(path)?;
         script
             .read(&text)
             .map_err(|error| Failure::usage(format!("{}: {error}", path.display())))?;
@@ -247,9 +247,5 @@ async fn pass(mut from: OwnedReadHalf, mut to: OwnedWriteHalf, mut link: Link, s
 
 /// `HOST:PORT`, with or without `tcp/` before it.
 fn address(text: &str) -> Result<String, String> {
-    let address = text.strip_prefix("tcp/").unwrap_or(text);
-    match address.rsplit_once(':') {
-        Some((host, port)) if !host.is_empty() && port.parse::<u16>().is_ok() => Ok(address.to_owned()),
-        _ => Err("expected HOST:PORT, such as 127.0.0.1:7450".to_owned()),
-    }
+    crate::connect::address(text.strip_prefix("tcp/").unwrap_or(text))
 }

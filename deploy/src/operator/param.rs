@@ -4,7 +4,8 @@
 use std::collections::BTreeMap;
 
 use serde::Serialize;
-use zenav_protocol::messages::ParamRequest;
+use zenav_protocol::bus::AskError;
+use zenav_protocol::messages::{ParamRequest, Refusal};
 use zenav_protocol::topics;
 
 use super::change;
@@ -12,6 +13,9 @@ use crate::connect::{self, RobotArgs, finite};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
+
+/// A name that differs in more letters was hardly meant.
+const SLIPS: usize = 3;
 
 /// Parameters of a running robot.
 #[derive(Debug, clap::Args)]
@@ -70,7 +74,18 @@ pub fn param(args: &ParamArgs) -> Outcome {
                 name: name.cloned(),
                 ..ParamRequest::default()
             };
-            Ok(bus.ask(&topics::PARAM, &[&robot], &request, patience).await?.params)
+            match (bus.ask(&topics::PARAM, &[&robot], &request, patience).await, name) {
+                (Ok(reply), _) => Ok(reply.params),
+                (Err(AskError::Refused(Refusal::NotFound { .. })), Some(name)) => {
+                    let all = ParamRequest::default();
+                    let known = bus.ask(&topics::PARAM, &[&robot], &all, patience).await?.params;
+                    let perhaps = output::perhaps(name, known.keys().map(String::as_str), SLIPS);
+                    Err(Failure::not_found(format!(
+                        "{robot} has no parameter `{name}`{perhaps} (`zenav param list --robot {robot}` lists all)"
+                    )))
+                }
+                (Err(error), _) => Err(error.into()),
+            }
         };
         match &args.command {
             ParamCommand::List => {

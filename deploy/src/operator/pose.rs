@@ -45,7 +45,7 @@ struct ShowArgs {
 #[derive(Debug, Args)]
 struct SetArgs {
     /// Pose in the map: m, m, rad
-    #[arg(num_args = 3, value_names = ["X", "Y", "YAW"], required = true)]
+    #[arg(num_args = 3, value_names = ["X", "Y", "YAW"], required = true, value_parser = connect::finite)]
     pose: Vec<f64>,
     #[command(flatten)]
     show: ShowArgs,

@@ -86,7 +86,7 @@ pub fn teleop(args: &TeleopArgs) -> Outcome {
         let stopped = session.leave(&last).await;
         drop(screen);
         stopped?;
-        eprintln!("{robot} is stopped; `zenav resume` releases it");
+        eprintln!("{robot} is stopped; `zenav resume --robot {robot}` releases it");
         driven.map(|_| exit_code::OK)
     })
 }

@@ -10,7 +10,7 @@ use super::recorder::Recording;
 use super::writer::{RecordOptions, Written};
 use crate::connect::{self, RobotArgs, positive};
 use crate::exit_code;
-use crate::failure::Outcome;
+use crate::failure::{Failure, Outcome};
 use crate::inspect::pattern;
 use crate::output::{self, Format};
 
@@ -29,7 +29,7 @@ pub struct RecordArgs {
     #[arg(value_name = "KEYS")]
     keys: Vec<String>,
     /// File; it must not exist yet
-    #[arg(value_name = "OUT.mcap")]
+    #[arg(value_name = "OUT.mcap", value_parser = mcap)]
     out: PathBuf,
     /// Connection and robot.
     #[command(flatten)]
@@ -52,6 +52,15 @@ pub struct RecordArgs {
     /// Output format
     #[arg(short, long, value_enum, default_value_t)]
     output: Format,
+}
+
+/// A file's name; without this check a key would be one, where the name was forgotten.
+fn mcap(text: &str) -> Result<PathBuf, String> {
+    let path = PathBuf::from(text);
+    match path.extension() {
+        Some(ending) if ending.eq_ignore_ascii_case("mcap") => Ok(path),
+        _ => Err("expected a file's name that ends with .mcap".to_owned()),
+    }
 }
 
 /// A size in bytes, with the endings of the metric system.
@@ -119,6 +128,12 @@ pub fn record(args: &RecordArgs) -> Outcome {
         }
     })?;
     output::value(args.output, &written, table)?;
+    if written.messages == 0 {
+        return Err(Failure::new(
+            exit_code::TIMEOUT,
+            format!("nothing came on {}: the record is empty", patterns.join(", ")),
+        ));
+    }
     Ok(exit_code::OK)
 }
 
@@ -183,6 +198,10 @@ mod tests {
             );
         }
         assert!(Line::try_parse_from(["record"]).is_err());
+        let error = Line::try_parse_from(["record", "scan", "pose"])
+            .unwrap_err()
+            .to_string();
+        assert!(error.contains("ends with .mcap"), "{error}");
         assert!(Line::try_parse_from(["record", "--all", "scan", "run.mcap"]).is_err());
     }
 

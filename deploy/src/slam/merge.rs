@@ -27,7 +27,7 @@ pub struct MergeArgs {
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Side of a cell of the map, m
-    #[arg(long, value_name = "M", default_value_t = 0.05, value_parser = crate::connect::positive)]
+    #[arg(long, value_name = "M", default_value_t = 0.05, value_parser = crate::connect::resolution)]
     resolution: f64,
 }
 

@@ -55,7 +55,7 @@ pub struct SlamArgs {
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Side of a cell of the map, m
-    #[arg(long, value_name = "M", default_value_t = 0.05, value_parser = crate::connect::positive)]
+    #[arg(long, value_name = "M", default_value_t = 0.05, value_parser = crate::connect::resolution)]
     resolution: f64,
     /// Output format
     #[arg(short, long, value_enum, default_value_t)]

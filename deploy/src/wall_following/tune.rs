@@ -21,7 +21,7 @@ use super::evolution::Evolution;
 use super::lockstep;
 use super::rooms::room;
 use crate::batch::progress;
-use crate::connect::positive;
+use crate::connect::{self, positive};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
@@ -63,22 +63,22 @@ struct WallFollowArgs {
     #[arg(long, default_value = "neato")]
     robot: String,
     /// Rooms to search in, and as many others to judge in
-    #[arg(long, default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    #[arg(long, default_value_t = 8, value_parser = connect::whole_in(1..=1000_u32))]
     rooms: u32,
     /// Generations of the search
-    #[arg(long, default_value_t = 14, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    #[arg(long, default_value_t = 14, value_parser = connect::whole_in(1..=1000_u32))]
     generations: u32,
     /// Candidates a generation
-    #[arg(long, default_value_t = 8, value_parser = clap::value_parser!(u32).range(4..=1000))]
+    #[arg(long, default_value_t = 8, value_parser = connect::whole_in(4..=1000_u32))]
     population: u32,
     /// Simulated time in each room, s
     #[arg(long, default_value_t = 90.0, value_name = "SECS", value_parser = positive)]
     time: f64,
     /// Seed of rooms, noise and search
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, value_parser = connect::whole::<u64>)]
     seed: u64,
     /// Simulations at a time [default: one a core]
-    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1024))]
+    #[arg(long, value_parser = connect::whole_in(1..=1024_u32))]
     threads: Option<u32>,
     /// Folder for the robot file, `report.json` and `tuning.svg`
     #[arg(long, default_value = "zenav-tune")]

@@ -51,7 +51,7 @@ pub struct ServeArgs {
     #[arg(long, default_value_t = 1.0, value_parser = connect::speed)]
     speed: f64,
     /// Seed of all noise and of what walks at random
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, value_parser = connect::whole::<u64>)]
     seed: u64,
     /// Endpoints of a router of its own [default: tcp/127.0.0.1:7447, without --connect]
     #[arg(long, value_name = "ENDPOINT", value_parser = connect::endpoint)]

@@ -33,8 +33,9 @@ impl Default for BatteryModel {
 impl BatteryModel {
     /// The first value that no battery has.
     pub(crate) fn check(&self) -> Result<(), OutOfBounds> {
+        const CAPACITY: Expected = Expected::Range(100.0, f64::MAX, "J, at least 100 (1 Wh is 3600 J)");
         check_all(&[
-            ("capacity", self.capacity, Expected::Positive),
+            ("capacity", self.capacity, CAPACITY),
             ("idle_power", self.idle_power, Expected::NotNegative),
             ("low", self.low, Expected::Share),
         ])

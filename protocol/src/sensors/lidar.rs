@@ -97,9 +97,11 @@ impl LidarModel {
 
     /// The first value that no lidar has.
     pub(crate) fn check(&self) -> Result<(), OutOfBounds> {
+        const MOUNT: Expected = Expected::Range(-10.0, 10.0, "metres, -10 to 10");
+        const RANGE: Expected = Expected::Range(f64::MIN_POSITIVE, 1000.0, "a positive number of metres, at most 1000");
         check_all(&[
             ("rate_hz", self.rate_hz, Expected::Positive),
-            ("range_max", self.range_max, Expected::Positive),
+            ("range_max", self.range_max, RANGE),
             ("field_of_view", self.field_of_view, Expected::Positive),
             ("range_min", self.range_min, Expected::NotNegative),
             ("noise", self.noise, Expected::NotNegative),
@@ -107,8 +109,8 @@ impl LidarModel {
             ("dropout", self.dropout, Expected::Share),
             ("latency", self.latency, LATENCY),
             ("bias", self.bias, Expected::Finite),
-            ("mount.x", self.mount.x, Expected::Finite),
-            ("mount.y", self.mount.y, Expected::Finite),
+            ("mount.x", self.mount.x, MOUNT),
+            ("mount.y", self.mount.y, MOUNT),
             ("mount.yaw", self.mount.yaw, Expected::Angle),
         ])?;
         if !(1..=MAX_BEAMS).contains(&self.beams) {

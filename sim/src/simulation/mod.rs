@@ -171,10 +171,15 @@ impl Simulation {
 
     /// Whether each fault is somebody's; without robots there is nobody to ask.
     fn check_faults(&self) -> Result<(), SimError> {
-        let mut named = self.faults.iter().filter_map(|fault| fault.robot.as_ref());
-        if let Some(robot) = named.find(|robot| !self.bodies.is_empty() && !self.ids.contains_key(*robot)) {
+        let mut named = self
+            .faults
+            .iter()
+            .filter_map(|fault| Some((fault, fault.robot.as_ref()?)));
+        if let Some((fault, robot)) = named.find(|(_, robot)| !self.bodies.is_empty() && !self.ids.contains_key(*robot))
+        {
             let known: Vec<&str> = self.ids.keys().map(Id::as_str).collect();
             return Err(SimError::FaultOfNobody {
+                at: fault.at.clone(),
                 robot: robot.clone(),
                 known: known.join(", "),
             });
@@ -415,6 +420,7 @@ fn faulty<'a>(fault: &FaultModel, bodies: impl IntoIterator<Item = &'a Body>) ->
     known.sort_unstable();
     known.dedup();
     Err(SimError::Fault {
+        at: fault.at.clone(),
         sensor: fault.sensor.clone(),
         known: known.join(", "),
     })

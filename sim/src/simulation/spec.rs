@@ -58,16 +58,20 @@ pub enum SimError {
         y: f64,
     },
     /// A fault of the world is one of a sensor that no robot has.
-    #[error("a fault of sensor `{sensor}`: there are {known}")]
+    #[error("{at}: `fault.sensor` is `{sensor}`: expected a sensor that there is: {known}")]
     Fault {
+        /// Where the fault is written: file and line.
+        at: String,
         /// The sensor.
         sensor: String,
         /// The sensors that there are.
         known: String,
     },
     /// A fault of the world is one of a robot that is not in it.
-    #[error("a fault of robot `{robot}`: there are {known}")]
+    #[error("{at}: `fault.robot` is `{robot}`: expected a robot that there is: {known}")]
     FaultOfNobody {
+        /// Where the fault is written: file and line.
+        at: String,
         /// The robot.
         robot: Id,
         /// The robots that there are.

@@ -2,6 +2,8 @@
 //! writes them, `stamp;frame;x;y;z;qx;qy;qz;qw` (`nav2_behavior_tree/bt_utils.hpp`); or as JSON. Where a pose is wanted, a
 //! place may be named.
 
+use std::f64::consts::TAU;
+
 use serde::Deserialize;
 use serde_json::Value as Json;
 
@@ -24,6 +26,7 @@ pub(super) const RULES: LiteralRules = LiteralRules {
     fits,
     form,
     name: named,
+    doubt,
 };
 
 /// Numbers and words of one of Nav2's poses.
@@ -46,6 +49,11 @@ fn numbers(text: &str) -> Option<Vec<f64>> {
     text.split(';').map(number).collect()
 }
 
+/// Whether a pose can be meant: finite, with a heading in radians within a full turn.
+fn is_meant(pose: &Pose) -> bool {
+    pose.x.is_finite() && pose.y.is_finite() && pose.yaw.is_none_or(|yaw| yaw.abs() <= TAU)
+}
+
 /// A pose that is written out; `None` for a name and for what is neither.
 pub fn pose(text: &str) -> Option<Pose> {
     if let Some(json) = json_of(text) {
@@ -55,7 +63,7 @@ pub fn pose(text: &str) -> Option<Pose> {
     match fields.len() {
         2 | 3 => match *numbers(text)?.as_slice() {
             [x, y] => Some(Pose { x, y, yaw: None }),
-            [x, y, yaw] => Some(Pose { x, y, yaw: Some(yaw) }),
+            [x, y, yaw] => Some(Pose { x, y, yaw: Some(yaw) }).filter(is_meant),
             _ => None,
         },
         FIELDS => nav2_pose(&fields),
@@ -92,8 +100,7 @@ pub fn pose_of_json(json: &Json) -> Option<Pose> {
         }
         None => serde_json::from_value(pose.clone()).ok()?,
     };
-    let finite = found.x.is_finite() && found.y.is_finite() && found.yaw.is_none_or(f64::is_finite);
-    finite.then_some(found)
+    is_meant(&found).then_some(found)
 }
 
 /// Heading of a quaternion.
@@ -180,14 +187,25 @@ fn fits(kind: &str, text: &str) -> bool {
 /// How a literal of the type of this name is written.
 fn form(kind: &str) -> Option<&'static str> {
     Some(match kind {
-        "PoseStamped" => "`x;y`, `x;y;yaw`, the name of a place, or JSON",
-        "Goals" | "vector<PoseStamped>" => "poses `x;y` or `x;y;yaw` separated by |, or JSON",
+        "PoseStamped" => "`x;y`, `x;y;yaw` (radians within a full turn), the name of a place, or JSON",
+        "Goals" | "vector<PoseStamped>" => {
+            "poses `x;y` or `x;y;yaw` (radians within a full turn) separated by |, or JSON"
+        }
         "Path" => "JSON `[[x, y], …]`",
         "Point" => "`x;y;z`",
         "Quaternion" => "`x;y;z;w`",
         "vector<double>" | "vector<float>" => "numbers separated by ;",
         _ => return None,
     })
+}
+
+/// What in a number on one of Nav2's ports was hardly meant.
+fn doubt(port: &str, number: f64) -> Option<&'static str> {
+    match port {
+        "spin_dist" if number.abs() > TAU => Some("more than a full turn; 90 degrees are 1.571 rad"),
+        "wait_duration" | "time_allowance" if number < 0.0 => Some("expected seconds, not negative"),
+        _ => None,
+    }
 }
 
 /// The first place that a literal of the type of this name takes by its name.
@@ -224,7 +242,17 @@ mod tests {
                 "{text}"
             );
         }
-        for text in ["", "1", "1;x", "1;2;3;4", "NaN;1", "x;map;1;2;0;0;0;0;1", "{}", "{"] {
+        for text in [
+            "",
+            "1",
+            "1;x",
+            "1;2;3;4",
+            "1;2;90",
+            "NaN;1",
+            "x;map;1;2;0;0;0;0;1",
+            "{}",
+            "{",
+        ] {
             assert_eq!(pose(text), None, "{text}");
         }
     }
@@ -236,7 +264,15 @@ mod tests {
             (
                 "PoseStamped",
                 vec!["1;2", "sink", "room 2", pose],
-                vec!["", "1", "1;x", "1,2", "{\"x\": 1}"],
+                vec![
+                    "",
+                    "1",
+                    "1;x",
+                    "1,2",
+                    "{\"x\": 1}",
+                    "1;2;90",
+                    "{\"x\": 1, \"y\": 2, \"yaw\": -90}",
+                ],
             ),
             (
                 "Goals",

@@ -352,7 +352,7 @@ fn literals_of_poses_and_lists_are_checked_and_names_are_told() {
     };
     assert_eq!(
         of("<ArePosesNear ref_pose=\"1;x\" target_pose=\"0;0;0\"/>"),
-        Err("p.xml:1:42: port `ref_pose` is `1;x`: expected a PoseStamped: `x;y`, `x;y;yaw`, the name of a place, or JSON".to_owned())
+        Err("p.xml:1:42: port `ref_pose` is `1;x`: expected a PoseStamped: `x;y`, `x;y;yaw` (radians within a full turn), the name of a place, or JSON".to_owned())
     );
     assert_eq!(of("<ComputePathToPose goal=\"1;2\"/>"), Ok(Vec::new()));
     assert_eq!(
@@ -362,6 +362,24 @@ fn literals_of_poses_and_lists_are_checked_and_names_are_told() {
         ])
     );
     assert!(of("<ComputePathThroughPoses goals=\"1;2|3\"/>").is_err());
+    assert!(of("<ComputePathToPose goal=\"1;2;90\"/>").is_err());
+    for (node, told) in [
+        (
+            "<Spin spin_dist=\"90\"/>",
+            "port `spin_dist` is 90: more than a full turn; 90 degrees are 1.571 rad",
+        ),
+        (
+            "<Wait wait_duration=\"-1\"/>",
+            "port `wait_duration` is -1: expected seconds, not negative",
+        ),
+    ] {
+        let warnings = of(node).unwrap();
+        assert!(
+            matches!(&warnings[..], [warning] if warning.ends_with(told)),
+            "{warnings:?}"
+        );
+    }
+    assert_eq!(of("<Spin spin_dist=\"-6.28\"/>"), Ok(Vec::new()));
 }
 
 #[test]

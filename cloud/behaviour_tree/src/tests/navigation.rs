@@ -208,6 +208,10 @@ fn while_driving_the_way_is_planned_once_a_second_unless_it_is_still_valid() {
 #[test]
 fn a_script_is_checked_and_time_runs_out() {
     assert!(serde_json::from_str::<Script>(r#"{"leafs": {}}"#).is_err());
+    let still = serde_json::from_str::<Script>(r#"{"tick_period_ms": 0}"#)
+        .unwrap_err()
+        .to_string();
+    assert!(still.contains("`tick_period_ms` is 0: expected at least 1"), "{still}");
     assert!(serde_json::from_str::<Script>(r#"{"leaves": {"A": {"fails": []}}}"#).is_err());
     let endless = r#"{"timeout_ms": 100, "leaves": {"FollowPath": {"status": "RUNNING"}}}"#;
     let outcome = run(TREE, endless);

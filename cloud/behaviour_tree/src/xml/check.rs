@@ -11,7 +11,7 @@ use super::unfold::{Size, unfold};
 use crate::ports::{Direction, LiteralRules, PortSpec, PortType};
 use crate::registry::{Category, NodeSpec, Registry};
 use crate::script;
-use crate::value::parse_bool;
+use crate::value::{Value, parse_bool};
 
 /// What a file holds that passed.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -385,5 +385,9 @@ fn port_value(attribute: &Attribute, port: &PortSpec, literals: Option<LiteralRu
         let name = shortened(name, 60);
         let message = format!("port `{}`: `{name}` is taken for the name of a place", port.name);
         errors.warn(attribute.at, &message);
+    } else if let Some(number) = Value::text(value).as_double()
+        && let Some(doubt) = literals.and_then(|rules| (rules.doubt)(&port.name, number))
+    {
+        errors.warn(attribute.at, &format!("port `{}` is {number}: {doubt}", port.name));
     }
 }

@@ -59,6 +59,8 @@ pub mod error_code {
 pub(crate) const NEARBY: f64 = 0.8;
 /// A path shorter than this is none, m.
 const AT_GOAL: f64 = 0.05;
+/// What a search does whose request nobody answers.
+const NO_WORKER: &str = "waits for a motion worker";
 
 /// A path and its trajectory.
 #[derive(Clone, Debug, PartialEq)]
@@ -181,6 +183,8 @@ pub struct Search {
     asked: Stamp,
     /// The frame of the map in which it was asked for.
     frame: u64,
+    /// Whether no motion worker answered last time.
+    unanswered: bool,
 }
 
 impl Search {
@@ -200,6 +204,7 @@ impl Search {
             waiting: None,
             asked: from,
             frame: ctx.frames.at(),
+            unanswered: false,
         }
     }
 
@@ -255,11 +260,11 @@ impl Search {
                 Some(answer) => self.without_what_may_leave(ctx, no_route, answer),
             },
             Stage::Asked(ticket, begin) => match ctx.asks.take(ticket) {
-                None => Searching::Wait("plans"),
+                None => self.awaits(ctx, "plans"),
                 Some(answer) => self.answered(ctx, begin, answer),
             },
             Stage::Given(ticket, begin, path) => match ctx.asks.take(ticket) {
-                None => Searching::Wait("smooths"),
+                None => self.awaits(ctx, "smooths"),
                 Some(answer) => self.smoothed(ctx, begin, path, answer),
             },
         }
@@ -313,7 +318,7 @@ impl Search {
             };
             let ticket = ctx.asks.ask(Ask::Motion(Box::new(MotionRequest::Smooth(request))));
             self.stage = Stage::Given(ticket, begin, path);
-            return Searching::Wait("smooths");
+            return self.awaits(ctx, "smooths");
         }
         let plan = self.plan_request(ctx, model, map, begin.pose);
         let request = if self.request.from.is_some() {
@@ -327,7 +332,13 @@ impl Search {
             })
         };
         self.stage = Stage::Asked(ctx.asks.ask(Ask::Motion(Box::new(request))), begin);
-        Searching::Wait("plans")
+        self.awaits(ctx, "plans")
+    }
+
+    /// An answer is awaited. After as long as a search may take, nobody may be there to give it.
+    fn awaits(&self, ctx: &Context, what: &'static str) -> Searching {
+        let late = ctx.now.secs_since(self.asked) > ctx.config.settings.search_budget;
+        Searching::Wait(if late || self.unanswered { NO_WORKER } else { what })
     }
 
     fn plan_request(&self, ctx: &Context, model: RobotModel, map: MapRef, start: Pose2) -> PlanRequest {
@@ -350,6 +361,7 @@ impl Search {
     }
 
     fn answered(&mut self, ctx: &mut Context, begin: Begin, answer: Result<Answer, NoAnswer>) -> Searching {
+        self.unanswered = matches!(answer, Err(NoAnswer::Silent(_)));
         let reply = match answer {
             Ok(Answer::Motion(reply)) => *reply,
             Err(NoAnswer::Refused(refusal)) => {
@@ -357,7 +369,7 @@ impl Search {
             }
             Err(NoAnswer::Silent(_)) => {
                 // The goal's own deadline bounds this.
-                return self.again(ctx, "waits for a motion worker");
+                return self.again(ctx, NO_WORKER);
             }
             Ok(_) => return off_topic(),
         };
@@ -421,6 +433,7 @@ impl Search {
         path: Vec<Point2<f64>>,
         answer: Result<Answer, NoAnswer>,
     ) -> Searching {
+        self.unanswered = matches!(answer, Err(NoAnswer::Silent(_)));
         let why = match answer {
             Ok(Answer::Motion(reply)) => match *reply {
                 MotionReply::Smooth(reply) if reply.map.frame != ctx.frames.at() || self.frame != ctx.frames.at() => {
@@ -433,7 +446,7 @@ impl Search {
                 _ => return off_topic(),
             },
             Err(NoAnswer::Refused(refusal)) => refusal.to_string(),
-            Err(NoAnswer::Silent(_)) => return self.again(ctx, "waits for a motion worker"),
+            Err(NoAnswer::Silent(_)) => return self.again(ctx, NO_WORKER),
             Ok(_) => return off_topic(),
         };
         tracing::info!(goal = ctx.goal.id, why, "the given path cannot be driven");

@@ -11,6 +11,7 @@ use serde::Serialize;
 use self::runs::{Run, all, compare};
 use self::table::{EXTRAS, Extra, Row};
 use super::suites::Suite;
+use crate::connect;
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
@@ -23,16 +24,16 @@ pub struct DriveArgs {
     #[arg(long, value_enum, value_name = "S", ignore_case = true)]
     suite: Option<Suite>,
     /// Seeds of each scenario and robot [default: 20 worlds a level in S2, else 3]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=10_000))]
+    #[arg(long, value_name = "N", value_parser = connect::whole_in(1..=10_000_u64))]
     seeds: Option<u64>,
     /// First of them: worlds that nothing was tuned on
-    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u64).range(..=1_000_000_000))]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = connect::whole_in(0..=1_000_000_000_u64))]
     first_seed: u64,
     /// Folder of BARN's worlds, `world_N.world` or `world_N.toml`, for S1
     #[arg(long, value_name = "DIR")]
     worlds: Option<PathBuf>,
     /// Standard deviation of the lidar's ranges in S1, cm; its own is the least
-    #[arg(long, value_name = "CM", default_value_t = 1.0, requires = "worlds")]
+    #[arg(long, value_name = "CM", default_value_t = 1.0, requires = "worlds", value_parser = connect::finite)]
     noise: f64,
     /// The run of this name only, as the table names it
     #[arg(long, value_name = "NAME")]
@@ -44,7 +45,7 @@ pub struct DriveArgs {
     #[arg(long, value_name = "DIR")]
     world_out: Option<PathBuf>,
     /// Runs at once [default: one a core]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    #[arg(long, value_name = "N", value_parser = connect::whole_in(1..=1024_u16))]
     threads: Option<u16>,
     /// Output format
     #[arg(short, long, value_enum, default_value_t)]

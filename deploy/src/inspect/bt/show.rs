@@ -8,6 +8,7 @@ use super::{Source, bad_tree, includer};
 use crate::drawing::tree;
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
+use crate::files;
 use crate::output::{self, Format};
 
 /// Drawn over the simulation's nodes: a tree for another robot can be looked at too.
@@ -34,6 +35,6 @@ pub(super) fn show(file: &str, id: Option<&str>, out: Option<&Path>, format: For
             )));
         }
     };
-    std::fs::write(out, picture).map_err(Failure::usage_at(out))?;
+    files::write(out, picture)?;
     Ok(exit_code::OK)
 }

@@ -213,8 +213,17 @@ fn faults_break_the_sensor_that_they_name_in_their_window() {
         let error = Simulation::new(&world(&text), vec![robot(robots, "tiago", Pose2::IDENTITY)], 1);
         let error = error.err().unwrap().to_string();
         assert!(
-            error.contains(wrong) && error.contains("encoders, gps, imu, lidar"),
+            error.contains(wrong)
+                && error.contains("a sensor that there is: encoders, gps, imu, lidar")
+                && error.starts_with("test.toml:3: `fault.sensor` is "),
             "{error}"
         );
     }
+    let text = fault("sensor = \"imu\"\nkind = \"dead\"");
+    let error = Simulation::new(&world(&text), vec![robot("b", "tiago", Pose2::IDENTITY)], 1);
+    let error = error.err().unwrap().to_string();
+    assert!(
+        error.ends_with("`fault.robot` is `a`: expected a robot that there is: b"),
+        "{error}"
+    );
 }
