@@ -344,7 +344,9 @@ pub async fn tell_absence(bus: &Bus, robot: Option<&str>) {
     if let Some(robot) = robot
         && find(bus, Some(robot)).await.is_err()
     {
-        eprintln!("zenav: robot `{robot}` does not show; waiting for it (Ctrl-C ends)");
+        crate::output::note(format_args!(
+            "zenav: robot `{robot}` does not show; waiting for it (Ctrl-C ends)"
+        ));
     }
 }
 

@@ -91,7 +91,7 @@ pub(crate) fn free_default_address(deployment: &mut Deployment) {
 /// Tells where the page is: the last line before the mission's own output.
 pub(crate) fn tell(address: &str) {
     match logging::format() {
-        Format::Text => eprintln!("mission control: {address}"),
+        Format::Text => crate::output::note(format_args!("mission control: {address}")),
         Format::Json => tracing::info!(address, "mission control"),
     }
 }

@@ -50,7 +50,7 @@ impl Greeting {
         tokio::time::sleep(2 * LOOK).await;
         if logging::format() == Format::Text {
             for line in self.lines(took) {
-                eprintln!("{line}");
+                crate::output::note(line);
             }
         }
         if let Some(page) = &self.page {

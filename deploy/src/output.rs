@@ -49,6 +49,11 @@ pub fn line(text: &str) {
     }
 }
 
+/// Writes a line to stderr: what a person at a terminal reads beside the output. Where nobody reads it, it is lost, and the command goes on.
+pub fn note(text: impl Display) {
+    let _ = writeln!(std::io::stderr(), "{text}");
+}
+
 /// A count of things that add an `s` when they are several: `1 plan`, `2 plans`.
 #[must_use]
 pub fn counted<N: Display + PartialEq + From<u8>>(count: N, thing: &str) -> String {

@@ -1,5 +1,6 @@
 //! The robot's own binary: one edge, no cloud.
 
+use std::io::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -112,7 +113,7 @@ fn main() -> ExitCode {
     match start(arguments) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
-            eprintln!("error: {}", failure.reason);
+            let _ = writeln!(std::io::stderr(), "error: {}", failure.reason);
             ExitCode::from(failure.code)
         }
     }

@@ -57,7 +57,8 @@ where
     let format = *FORMAT.get_or_init(|| format);
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(filter));
     let all = registry().with(filter).with(KeepRecent);
-    let lines = fmt::layer().with_writer(writer);
+    // A closed stderr is nobody's error: told there, it would end the process.
+    let lines = fmt::layer().with_writer(writer).log_internal_errors(false);
     let _ = match format {
         Format::Text => all.with(lines.with_ansi(colors()).with_target(false)).try_init(),
         Format::Json => {

@@ -94,7 +94,7 @@ pub fn place(args: &PlaceArgs) -> Outcome {
         };
         let looked_at = doubt(&bus, &robot, Point2::new(*x, *y)).await;
         if let Some(Some(doubt)) = looked_at {
-            eprintln!("zenav: ({x}, {y}) {doubt}: a goal there may be refused");
+            crate::output::note(format_args!("zenav: ({x}, {y}) {doubt}: a goal there may be refused"));
         }
         let goes_there = match looked_at {
             Some(None) => format!(

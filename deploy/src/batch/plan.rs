@@ -98,7 +98,12 @@ pub fn plan(args: &PlanArgs) -> Outcome {
     }
     bar.finish_and_clear();
     results.finish()?;
-    eprintln!("{} (planner {}, seed {})", tally.summary(), args.planner, args.seed);
+    crate::output::note(format_args!(
+        "{} (planner {}, seed {})",
+        tally.summary(),
+        args.planner,
+        args.seed
+    ));
     Ok(exit_code::OK)
 }
 

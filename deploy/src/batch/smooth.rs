@@ -119,7 +119,7 @@ pub fn smooth(args: &SmoothArgs) -> Outcome {
     }
     bar.finish_and_clear();
     results.finish()?;
-    eprintln!("{}", tally.summary());
+    crate::output::note(format_args!("{}", tally.summary()));
     Ok(exit_code::OK)
 }
 

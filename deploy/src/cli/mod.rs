@@ -237,7 +237,7 @@ pub(crate) fn main() -> ExitCode {
     match run(cli.command) {
         Ok(code) => ExitCode::from(code),
         Err(failure) => {
-            eprintln!("zenav: {failure}");
+            crate::output::note(format_args!("zenav: {failure}"));
             ExitCode::from(failure.code)
         }
     }

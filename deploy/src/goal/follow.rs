@@ -49,7 +49,7 @@ impl Watch {
             let state = tokio::select! {
                 _ = &mut interrupted => {
                     let (id, robot) = (&self.id, &self.robot);
-                    eprintln!("zenav: detached; goal {id} continues (`zenav goal watch {id} --robot {robot}`, `zenav goal cancel {id} --robot {robot}`)");
+                    crate::output::note(format_args!("zenav: detached; goal {id} continues (`zenav goal watch {id} --robot {robot}`, `zenav goal cancel {id} --robot {robot}`)"));
                     return Ok(exit_code::INTERRUPTED);
                 }
                 received = self.states.next() => received.ok_or_else(|| Failure::new(exit_code::CANNOT_CONNECT, "the bus was closed"))?.message,
@@ -140,7 +140,7 @@ impl Progress {
     pub(super) fn say(&self, text: &str) {
         match &self.bar {
             Some(bar) => bar.set_message(text.to_owned()),
-            None => eprintln!("{text}"),
+            None => crate::output::note(text),
         }
     }
 

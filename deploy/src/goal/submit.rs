@@ -198,7 +198,7 @@ async fn submit(
         Ok(reply) => {
             let robot = reply.robot.as_deref().unwrap_or(to);
             if args.group.is_some() {
-                eprintln!("zenav: {robot} takes goal {}", reply.id);
+                crate::output::note(format_args!("zenav: {robot} takes goal {}", reply.id));
             }
             if args.wait && !reply.state.is_end() {
                 // The mission keeps the last state for those who come late: no end is missed.

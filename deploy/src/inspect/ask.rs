@@ -180,7 +180,7 @@ pub(super) fn publish(args: &PubArgs, robot: &RobotArgs, format: Format) -> Outc
             }
         }
         match format {
-            Format::Table => eprintln!("published {sent} on {key}"),
+            Format::Table => crate::output::note(format_args!("published {sent} on {key}")),
             format => output::value(format, &json!({ "key": key, "published": sent }), |_| String::new())?,
         }
         Ok(exit_code::OK)

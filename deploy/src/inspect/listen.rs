@@ -104,9 +104,9 @@ async fn next_or_hint(
         if until.is_none_or(|until| until > soon) {
             match next(samples, Some(soon)).await {
                 Err(Ending::OutOfTime) => {
-                    eprintln!(
+                    crate::output::note(format_args!(
                         "zenav: nothing on {pattern} yet (`zenav topic list` shows what is published); Ctrl-C ends"
-                    );
+                    ));
                 }
                 other => return other,
             }

@@ -135,10 +135,10 @@ pub fn run(args: &KeysArgs) -> Outcome {
     match &args.command {
         KeysCommand::Init { days } => {
             Fleet::create(dir, *days)?;
-            eprintln!(
+            crate::output::note(format_args!(
                 "{}: an authority; who has its ca.key makes members of the fleet",
                 dir.display()
-            );
+            ));
         }
         KeysCommand::Issue {
             member,
@@ -154,12 +154,15 @@ pub fn run(args: &KeysArgs) -> Outcome {
             let fleet = Fleet::open(dir)?;
             let facts = fleet.issue(member, host, *days, *renew)?;
             let expires = facts.expires.format(&Rfc3339).map_err(Failure::failed)?;
-            eprintln!("{}: valid until {expires}", fleet.identity(member).display());
+            crate::output::note(format_args!(
+                "{}: valid until {expires}",
+                fleet.identity(member).display()
+            ));
         }
         KeysCommand::Revoke { member } => {
             let fleet = Fleet::open(dir)?;
             if fleet.revoke(member)?.is_none() {
-                eprintln!("{member} was revoked before");
+                crate::output::note(format_args!("{member} was revoked before"));
                 return Ok(exit_code::OK);
             }
             let listens: Vec<String> = fleet
@@ -168,10 +171,10 @@ pub fn run(args: &KeysArgs) -> Outcome {
                 .filter(|issued| issued.member.role.listens() && !issued.is_revoked)
                 .map(|issued| issued.member.to_string())
                 .collect();
-            eprintln!(
+            crate::output::note(format_args!(
                 "{member} is revoked. Copy members.txt to the machines of {}: a router lets it in no more a second later, a robot from its next start on",
                 listens.join(", ")
-            );
+            ));
         }
         KeysCommand::List { output } => {
             let rows: Vec<Row> = Fleet::open(dir)?

@@ -103,7 +103,7 @@ pub fn lease(args: &LeaseArgs) -> Outcome {
                     _ = tokio::signal::ctrl_c() => exit_code::INTERRUPTED,
                 },
                 None => {
-                    eprintln!("kept until Ctrl-C");
+                    crate::output::note(format_args!("kept until Ctrl-C"));
                     let _ = tokio::signal::ctrl_c().await;
                     exit_code::OK
                 }

@@ -142,7 +142,9 @@ async fn warn_if_not_stored(bus: &Bus, robot: &str) {
     if let Ok(Some(state)) = tokio::time::timeout(STATE_WITHIN, states.next()).await
         && let Some(why) = state.message.faults.storage
     {
-        eprintln!("warning: {robot} has obeyed, but it is not stored: {why}; a restart of its edge would forget it");
+        crate::output::note(format_args!(
+            "warning: {robot} has obeyed, but it is not stored: {why}; a restart of its edge would forget it"
+        ));
     }
 }
 

@@ -86,7 +86,9 @@ pub fn teleop(args: &TeleopArgs) -> Outcome {
         let stopped = session.leave(&last).await;
         drop(screen);
         stopped?;
-        eprintln!("{robot} is stopped; `zenav resume --robot {robot}` releases it");
+        crate::output::note(format_args!(
+            "{robot} is stopped; `zenav resume --robot {robot}` releases it"
+        ));
         driven.map(|_| exit_code::OK)
     })
 }
@@ -126,7 +128,7 @@ impl Drop for RawTerminal {
     fn drop(&mut self) {
         // Nothing can be done about a terminal that is gone.
         let _ = terminal::disable_raw_mode();
-        eprintln!();
+        crate::output::note("");
     }
 }
 

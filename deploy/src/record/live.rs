@@ -71,7 +71,7 @@ pub fn view(args: &ViewArgs) -> Outcome {
         let robot = args.robot.robot.as_deref();
         connect::tell_absence(&bus, robot).await;
         let mut view = LiveView::start(&bus, robot, &args.listen, args.goals).await?;
-        eprintln!("Foxglove: {}", view.address());
+        crate::output::note(format_args!("Foxglove: {}", view.address()));
         tokio::select! {
             () = interrupted() => {}
             () = view.ended() => {}
