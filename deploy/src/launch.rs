@@ -13,7 +13,6 @@ use crate::config::{Deployment, IdentityArgs, Layers, RobotSection, SecurityArgs
 use crate::connect::{self, DEFAULT_ENDPOINT, ROBOT_ENDPOINT, check_yaw, finite};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
-use crate::files;
 use crate::gateway::{self, PageArgs};
 use crate::greeting::Greeting;
 use crate::health::HealthArgs;

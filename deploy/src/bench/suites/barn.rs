@@ -208,10 +208,10 @@ mod tests {
     fn a_folder_of_barn_is_driven_from_its_start_to_ten_metres_ahead() {
         let folder = tempfile::tempdir().unwrap();
         let write = |name: &str, text: &str| std::fs::write(folder.path().join(name), text).unwrap();
-        assert!(barn(folder.path(), 0.01, 1).is_err());
+        assert!(barn(folder.path(), 0.01, 0..1).is_err());
         write("world_7.world", GAZEBO);
         write("optimal.csv", "world,optimal_length_m\n7,12.5\n");
-        let cases = barn(folder.path(), 0.03, 1).unwrap();
+        let cases = barn(folder.path(), 0.03, 0..1).unwrap();
         let case = cases.first().unwrap();
         assert_eq!(
             (cases.len(), case.optimal, case.world.faults().len()),
@@ -228,7 +228,7 @@ mod tests {
             "world_8.world",
             "<sdf><world><model name='m'><pose>1 2</pose><link><collision/></link></model></world></sdf>",
         );
-        let error = barn(folder.path(), 0.01, 1).err().unwrap().to_string();
+        let error = barn(folder.path(), 0.01, 0..1).err().unwrap().to_string();
         assert!(
             error.contains("world_8.world") && error.contains("six numbers"),
             "{error}"
