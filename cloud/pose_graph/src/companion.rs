@@ -6,22 +6,18 @@
 use nalgebra::{Matrix2, Matrix3};
 use zenav_protocol::geometry::Pose2;
 
+use crate::descent::{DescentStatus, Objective, minimise};
 use crate::graph::PoseGraph;
 use crate::linear::{BlockSystem, Pattern};
+use crate::settings::DescentSettings;
+use crate::start::Positions;
 
 /// Smallest weight in the plane, as a share of the larger of the two: an edge that knows one direction alone.
 const LEAST_SHARE: f64 = 1e-6;
 /// The descent ends where the next step would lower the cost by less than this share of it.
 const TOLERANCE: f64 = 1e-15;
-/// Cost that nobody misses, where it is zero but for rounding.
-const NEGLIGIBLE: f64 = 1e-18;
 /// Steps, at most.
-const MAX_STEPS: usize = 60;
-/// Largest turn of a step after which the factors of the step before are good enough, rad.
-const SAME_FACTORS: f64 = 0.2;
-/// Steps with old factors shrink at least by this.
-const SHRINK: f64 = 0.1;
-
+const MAX_STEPS: u32 = 60;
 /// An edge with the same weight in each direction of the plane.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Isotropic {
@@ -153,64 +149,63 @@ fn linearise(
     gradient
 }
 
-/// The stationary point of the companion's cost that descending from `poses` leads to. `None` where the systems cannot be solved.
-pub(crate) fn stationary(edges: &[Isotropic], pattern: &Pattern, poses: &[Pose2]) -> Option<Vec<Pose2>> {
-    let mut system = BlockSystem::<3>::new(pattern);
-    let mut poses = poses.to_vec();
-    let mut now = cost(edges, &poses);
-    // Whether the factors at hand are good enough for another step, and how much the last step promised.
-    let (mut is_kept, mut promised) = (false, f64::INFINITY);
-    for _ in 0..MAX_STEPS {
-        let mut step = if is_kept {
-            linearise(edges, &poses, true, None)
-        } else {
-            let gradient = linearise(edges, &poses, true, Some(&mut system));
-            if system.factorise() != Some(0) {
-                // Far from a minimum the exact Hessian need not be positive.
-                linearise(edges, &poses, false, Some(&mut system));
-                system.factorise().filter(|negative| *negative == 0)?;
-            }
-            gradient
-        };
-        let gradient = step.clone();
-        system.solve(&mut step);
-        let promise: f64 = gradient
-            .iter()
-            .zip(&step)
-            .map(|(a, b)| (0..3).map(|k| a[k] * b[k]).sum::<f64>())
-            .sum();
-        if promise.abs() <= (TOLERANCE * now).max(NEGLIGIBLE) {
-            return Some(moved(&poses, &step, 1.0));
-        }
-        if is_kept && promise > SHRINK * promised {
-            is_kept = false;
-            promised = f64::INFINITY;
-            continue;
-        }
-        // Half the step, and half of that, while it leads uphill.
-        let mut share = 1.0;
-        let (next, cost) = loop {
-            let next = moved(&poses, &step, share);
-            let cost = cost(edges, &next);
-            if cost <= now * (1.0 + f64::EPSILON) {
-                break (next, cost);
-            }
-            share *= 0.5;
-            if share < 1e-6 {
-                // Rounding alone stands between here and the minimum.
-                return Some(poses);
-            }
-        };
-        let turn = step.iter().map(|block| block[2].abs()).fold(0.0, f64::max);
-        is_kept = turn < SAME_FACTORS && share == 1.0;
-        (poses, now, promised) = (next, cost, promise);
-    }
-    Some(poses)
+/// The companion as a cost to be lowered.
+struct Companion<'p> {
+    edges: &'p [Isotropic],
+    system: BlockSystem<'p, 3>,
+    positions: Positions<'p>,
 }
 
-/// The poses after a share of a step against the direction given.
-pub(crate) fn moved(poses: &[Pose2], step: &[[f64; 3]], share: f64) -> Vec<Pose2> {
+impl Objective for Companion<'_> {
+    fn cost(&self, poses: &[Pose2]) -> f64 {
+        cost(self.edges, poses)
+    }
+
+    fn gradient(&mut self, poses: &[Pose2]) -> Vec<[f64; 3]> {
+        linearise(self.edges, poses, true, None)
+    }
+
+    fn factorise(&mut self, poses: &[Pose2], damping: f64) -> bool {
+        // Far from a minimum the exact Hessian need not be positive.
+        [true, false].into_iter().any(|is_exact| {
+            linearise(self.edges, poses, is_exact, Some(&mut self.system));
+            self.system.damp(damping);
+            self.system.factorise() == Some(0)
+        })
+    }
+
+    fn solve(&mut self, gradient: &mut [[f64; 3]]) {
+        self.system.solve(gradient);
+    }
+
+    /// Turns the nodes, and puts each where it then agrees best: along a straight step a long chain that turns would be torn.
+    fn moved(&mut self, poses: &[Pose2], step: &[[f64; 3]]) -> Vec<Pose2> {
+        let turned = moved(poses, step);
+        let positions = self.positions.of(poses[0], self.edges, &headings(&turned));
+        let both = positions.iter().zip(&turned);
+        both.map(|(at, turned)| Pose2::new(at.x, at.y, turned.yaw)).collect()
+    }
+}
+
+/// The stationary point of the companion's cost that descending from `poses` leads to, or how far it came. `None` where the systems cannot
+/// be solved.
+pub(crate) fn stationary(edges: &[Isotropic], pattern: &Pattern, poses: &[Pose2]) -> Option<Vec<Pose2>> {
+    let mut companion = Companion {
+        edges,
+        system: BlockSystem::new(pattern),
+        positions: Positions::new(edges, pattern)?,
+    };
+    let settings = DescentSettings {
+        max_iterations: MAX_STEPS,
+        tolerance: TOLERANCE,
+    };
+    let end = minimise(&mut companion, poses, &settings);
+    (end.status != DescentStatus::Singular).then_some(end.poses)
+}
+
+/// The poses after a step against the direction given.
+pub(crate) fn moved(poses: &[Pose2], step: &[[f64; 3]]) -> Vec<Pose2> {
     let all = poses.iter().zip(step);
-    all.map(|(pose, [x, y, yaw])| Pose2::new(pose.x - share * x, pose.y - share * y, pose.yaw - share * yaw))
+    all.map(|(pose, [x, y, yaw])| Pose2::new(pose.x - x, pose.y - y, pose.yaw - yaw))
         .collect()
 }

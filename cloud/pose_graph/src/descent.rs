@@ -1,7 +1,8 @@
 //! Descent. How is the cost of the measurements brought down from a start?
 //!
-//! Gauss and Newton's steps; where one leads uphill, Levenberg and Marquardt's damping. Near the minimum the factors of an earlier step
-//! serve for several: the gradient is always that of the place, so what they cost is speed, not accuracy.
+//! Gauss and Newton's steps; where one leads uphill, Levenberg and Marquardt's damping, which follows how much of what a step promised it
+//! kept (Nielsen, "Damping parameter in Marquardt's method", 1999). Near the minimum the factors of an earlier step serve for several: the
+//! gradient is always that of the place, so what they cost is speed, not accuracy.
 
 use nalgebra::{Matrix3, Vector3};
 use zenav_protocol::geometry::{Pose2, wrap_angle};
@@ -12,11 +13,17 @@ use crate::linear::{BlockSystem, Pattern};
 use crate::settings::DescentSettings;
 use crate::start::pattern;
 
-/// Damping of the first step that needs some, as a share of the diagonal, and by how much it grows and shrinks.
+/// Damping of the first step that needs some, as a share of the diagonal.
 const FIRST_DAMPING: f64 = 1e-4;
-const DAMPING_GROWS: f64 = 10.0;
+/// By how much damping grows, twice as much each time in a row, and how much of it is left at least after a step.
+const DAMPING_GROWS: f64 = 2.0;
+const DAMPING_LEFT: f64 = 0.1;
+/// Less damping is none: the longest waves of a graph of ten thousand nodes in a row are this stiff, against its diagonal.
+const LEAST_DAMPING: f64 = 1e-9;
 /// From here on no step leads downhill but for rounding.
 const MOST_DAMPING: f64 = 1e10;
+/// Share of a cost that is rounding.
+const ROUNDING: f64 = 1e-14;
 /// Chi squared that nobody misses, where the cost is zero but for rounding.
 const NEGLIGIBLE: f64 = 1e-14;
 /// Largest turn of a step after which the factors of the step before are good enough, rad.
@@ -137,14 +144,6 @@ impl<'p> Problem<'p> {
         }
     }
 
-    fn cost(&self, poses: &[Pose2]) -> f64 {
-        let headings = crate::companion::headings(poses);
-        self.factors
-            .iter()
-            .map(|factor| factor.chi_squared(poses, &headings))
-            .sum()
-    }
-
     /// Half the gradient by node, and with `is_full` the normal equations into the system.
     fn linearise(&mut self, poses: &[Pose2], is_full: bool) -> Vec<[f64; 3]> {
         let headings = crate::companion::headings(poses);
@@ -186,63 +185,150 @@ impl<'p> Problem<'p> {
 
     /// Brings the cost down.
     pub(crate) fn descend(&mut self, start: &[Pose2], settings: &DescentSettings) -> Descent {
-        let mut poses = start.to_vec();
-        let mut cost = self.cost(&poses);
-        let mut damping = 0.0;
-        let (mut is_kept, mut promised) = (false, f64::INFINITY);
-        let ended = |poses, chi_squared, iterations, status| Descent {
-            poses,
-            chi_squared,
-            iterations,
-            status,
-        };
-        let mut iterations = 0;
-        while iterations < settings.max_iterations {
-            let gradient = self.linearise(&poses, !is_kept);
-            if !is_kept {
-                if damping > 0.0 {
-                    self.system.damp(damping);
-                }
-                if self.system.factorise() != Some(0) {
-                    damping = (damping * DAMPING_GROWS).max(FIRST_DAMPING);
-                    if damping > MOST_DAMPING {
-                        return ended(poses, cost, iterations, DescentStatus::Singular);
-                    }
-                    continue;
-                }
-            }
-            let mut step = gradient.clone();
-            self.system.solve(&mut step);
-            let products = gradient.iter().zip(&step);
-            let promise: f64 = products.map(|(a, b)| (0..3).map(|k| a[k] * b[k]).sum::<f64>()).sum();
-            if promise <= (settings.tolerance * cost).max(NEGLIGIBLE) && damping <= FIRST_DAMPING {
-                return ended(moved(&poses, &step, 1.0), cost, iterations, DescentStatus::Converged);
-            }
-            if is_kept && promise > SHRINK * promised {
-                is_kept = false;
-                promised = f64::INFINITY;
-                continue;
-            }
-            let next = moved(&poses, &step, 1.0);
-            let next_cost = self.cost(&next);
+        minimise(self, start, settings)
+    }
+}
+
+/// A cost that poses can be moved to lower.
+pub(crate) trait Objective {
+    fn cost(&self, poses: &[Pose2]) -> f64;
+
+    /// Half the gradient by node.
+    fn gradient(&mut self, poses: &[Pose2]) -> Vec<[f64; 3]>;
+
+    /// Makes the factors of half the Hessian, or of what stands for it, with a share of its diagonal added; whether it is positive.
+    fn factorise(&mut self, poses: &[Pose2], damping: f64) -> bool;
+
+    /// The step of a gradient with these factors.
+    fn solve(&mut self, gradient: &mut [[f64; 3]]);
+
+    /// The poses after a step against the direction given.
+    fn moved(&mut self, poses: &[Pose2], step: &[[f64; 3]]) -> Vec<Pose2> {
+        moved(poses, step)
+    }
+}
+
+impl Objective for Problem<'_> {
+    fn cost(&self, poses: &[Pose2]) -> f64 {
+        let headings = crate::companion::headings(poses);
+        let factors = self.factors.iter();
+        factors.map(|factor| factor.chi_squared(poses, &headings)).sum()
+    }
+
+    fn gradient(&mut self, poses: &[Pose2]) -> Vec<[f64; 3]> {
+        self.linearise(poses, false)
+    }
+
+    fn factorise(&mut self, poses: &[Pose2], damping: f64) -> bool {
+        self.linearise(poses, true);
+        self.system.damp(damping);
+        self.system.factorise() == Some(0)
+    }
+
+    fn solve(&mut self, gradient: &mut [[f64; 3]]) {
+        self.system.solve(gradient);
+    }
+}
+
+/// Brings a cost down from `start`.
+pub(crate) fn minimise(objective: &mut impl Objective, start: &[Pose2], settings: &DescentSettings) -> Descent {
+    let mut poses = start.to_vec();
+    let mut cost = objective.cost(&poses);
+    let mut damping = Damping::NONE;
+    let (mut is_kept, mut promised, mut is_uphill) = (false, f64::INFINITY, false);
+    let ended = |poses, chi_squared, iterations, status| Descent {
+        poses,
+        chi_squared,
+        iterations,
+        status,
+    };
+    let mut iterations = 0;
+    while iterations < settings.max_iterations {
+        if !is_kept && !objective.factorise(&poses, damping.share) {
             iterations += 1;
-            if next_cost <= cost {
-                let turn = step.iter().map(|block| block[2].abs()).fold(0.0, f64::max);
-                is_kept = turn < SAME_FACTORS && damping == 0.0;
-                damping = if damping <= FIRST_DAMPING {
-                    0.0
-                } else {
-                    damping / DAMPING_GROWS
-                };
-                (poses, cost, promised) = (next, next_cost, promise);
-            } else {
-                (is_kept, promised) = (false, f64::INFINITY);
-                damping = (damping * DAMPING_GROWS).max(FIRST_DAMPING);
-                if damping > MOST_DAMPING {
-                    return ended(poses, cost, iterations, DescentStatus::Converged);
-                }
+            damping.grow();
+            if damping.share > MOST_DAMPING {
+                return ended(poses, cost, iterations, DescentStatus::Singular);
+            }
+            continue;
+        }
+        let gradient = objective.gradient(&poses);
+        let mut step = gradient.clone();
+        objective.solve(&mut step);
+        let promise = dot(&gradient, &step);
+        if promise <= (settings.tolerance * cost).max(NEGLIGIBLE) {
+            // Damped steps promise little wherever they are: that counts where longer ones lead uphill.
+            if damping.share == 0.0 || is_uphill {
+                let poses = objective.moved(&poses, &step);
+                return ended(poses, cost, iterations, DescentStatus::Converged);
+            }
+            iterations += 1;
+            damping.shrink(1.0);
+            continue;
+        }
+        if is_kept && promise > SHRINK * promised {
+            is_kept = false;
+            promised = f64::INFINITY;
+            continue;
+        }
+        let next = objective.moved(&poses, &step);
+        let next_cost = objective.cost(&next);
+        iterations += 1;
+        if next_cost <= cost * (1.0 + ROUNDING) {
+            let turn = step.iter().map(|block| block[2].abs()).fold(0.0, f64::max);
+            is_kept = turn < SAME_FACTORS && damping.share == 0.0;
+            damping.shrink((cost - next_cost) / promise);
+            (poses, cost, promised, is_uphill) = (next, next_cost, promise, false);
+        } else {
+            (is_kept, promised, is_uphill) = (false, f64::INFINITY, true);
+            damping.grow();
+            if damping.share > MOST_DAMPING {
+                return ended(poses, cost, iterations, DescentStatus::Converged);
             }
         }
-        ended(poses, cost, iterations, DescentStatus::OutOfIterations)
     }
+    ended(poses, cost, iterations, DescentStatus::OutOfIterations)
+}
+
+/// How much shorter steps are made than Gauss and Newton's.
+struct Damping {
+    /// Of the diagonal, what is added to it.
+    share: f64,
+    /// The next share, where there is none.
+    first: f64,
+    /// The factor of the next growth.
+    grows: f64,
+}
+
+impl Damping {
+    const NONE: Self = Self {
+        share: 0.0,
+        first: FIRST_DAMPING,
+        grows: DAMPING_GROWS,
+    };
+
+    /// After a step uphill.
+    fn grow(&mut self) {
+        if self.share == 0.0 {
+            self.share = self.first;
+        } else {
+            self.share *= self.grows;
+            self.grows *= DAMPING_GROWS;
+        }
+    }
+
+    /// After a step downhill that kept this share of what it promised.
+    fn shrink(&mut self, kept: f64) {
+        self.share *= (1.0 - (2.0 * kept - 1.0).powi(3)).max(DAMPING_LEFT);
+        self.grows = DAMPING_GROWS;
+        if self.share > 0.0 && self.share < LEAST_DAMPING {
+            (self.share, self.first) = (0.0, LEAST_DAMPING);
+        }
+    }
+}
+
+/// Sum of the products of all numbers.
+fn dot(a: &[[f64; 3]], b: &[[f64; 3]]) -> f64 {
+    let products = a.iter().zip(b);
+    products.map(|(a, b)| (0..3).map(|k| a[k] * b[k]).sum::<f64>()).sum()
 }

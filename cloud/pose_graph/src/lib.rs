@@ -15,10 +15,10 @@
 //!    consistency).
 //! 2. **start** ([`chordal_start()`]): rotations from a linear problem, then positions from another (Carlone et al. 2015).
 //! 3. **companion** ([`certify()`]): the same graph with isotropic weights and the chordal distance of rotations, descended by Newton's
-//!    method. With complex `zᵢ = exp(i θᵢ)` its cost is a Hermitian form `x* M x`, and with `λᵢ = Re(z̄ᵢ (M x)ᵢ)` its stationary point is
+//!    method, positions following rotations at each step. With complex `zᵢ = exp(i θᵢ)` its cost is a Hermitian form `x* M x`, and with `λᵢ = Re(z̄ᵢ (M x)ᵢ)` its stationary point is
 //!    the **global optimum** where `S = M - diag(0, λ)` has no negative eigenvalue (Carlone et al. 2016; Rosen et al. 2019). One sparse
 //!    factorisation counts them, by Sylvester's law of inertia.
-//! 4. **descent** ([`descend()`]): Gauss-Newton with Levenberg's damping where it is needed, from there.
+//! 4. **descent** ([`descend()`]): Gauss-Newton with Marquardt's damping where it is needed, from there.
 //! 5. **robust weights** ([`solve_robust()`]): graduated non-convexity with truncated least squares (Yang et al. 2020) decides on closures.
 //!
 //! Linear systems are sparse, of blocks that [`amd`] orders, factorised as LDLᵀ by [`clarabel::qdldl`].
@@ -68,5 +68,5 @@ pub use graph::{Edge, EdgeKind, GraphError, PoseGraph};
 pub use reduced::composed_edges;
 pub use robust::{RobustSolution, solve_robust};
 pub use settings::{DescentSettings, RobustSettings};
-pub use solver::{Solution, SolveError, solve};
+pub use solver::{Solution, SolveError, Unknown, solve};
 pub use start::{chordal_start, odometry_start};

@@ -20,6 +20,8 @@ pub struct Solution {
     pub chi_squared: f64,
     /// Steps of the last descent.
     pub iterations: u32,
+    /// Whether it ended at a minimum; otherwise the poses are the best that were reached, and nothing is certified.
+    pub is_minimum: bool,
     /// Is there no better valley?
     pub certificate: Certificate,
 }
@@ -39,14 +41,22 @@ pub enum SolveError {
     /// Information matrices leave a direction of a node free, or are too far apart for the arithmetic.
     #[error("the measurements leave a node free, or their information matrices lie too far apart")]
     Singular,
+}
+
+/// Why nothing is known of how good a solution is.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+pub enum Unknown {
     /// Steps ran out: raise `max_iterations`.
-    #[error("no minimum within {0} iterations")]
-    OutOfIterations(u32),
+    #[error("no minimum within {0} iterations: the poses are the best that were reached")]
+    NoMinimum(u32),
+    /// The companion has no stationary point near enough for the proof: its gradient as a share of its terms.
+    #[error("the companion problem is not stationary: {0:e}")]
+    NotStationary(f64),
 }
 
 /// Finds the poses that agree best with all edges, each with weight 1, and certifies them.
 ///
-/// Starts from the chordal relaxation, and where that ends without a certificate from the graph's own poses too; the certified or else the
+/// Where steps run out the best poses are returned all the same: [`Solution::unknown_because`]. Starts from the chordal relaxation, and where that ends without a certificate from the graph's own poses too; the certified or else the
 /// cheaper of the two is returned. Cost: about six sparse factorisations.
 ///
 /// # Errors
@@ -110,14 +120,28 @@ fn solve_from(
         iterations,
         status,
     } = problem.descend(optimum, settings);
-    match status {
-        DescentStatus::Converged => Ok(Solution {
-            certificate: certificate.with_distance(optimum, &poses),
-            poses,
-            chi_squared,
-            iterations,
-        }),
-        DescentStatus::OutOfIterations => Err(SolveError::OutOfIterations(iterations)),
-        DescentStatus::Singular => Err(SolveError::Singular),
+    let is_minimum = status == DescentStatus::Converged;
+    if status == DescentStatus::Singular {
+        return Err(SolveError::Singular);
+    }
+    let certificate = if is_minimum { certificate } else { UNKNOWN };
+    Ok(Solution {
+        certificate: certificate.with_distance(optimum, &poses),
+        poses,
+        chi_squared,
+        iterations,
+        is_minimum,
+    })
+}
+
+impl Solution {
+    /// Why nothing is known of how good the solution is, where that is so.
+    #[must_use]
+    pub fn unknown_because(&self) -> Option<Unknown> {
+        match self.certificate.optimality {
+            Optimality::Unknown if !self.is_minimum => Some(Unknown::NoMinimum(self.iterations)),
+            Optimality::Unknown => Some(Unknown::NotStationary(self.certificate.stationarity)),
+            _ => None,
+        }
     }
 }

@@ -104,33 +104,52 @@ pub(crate) fn chordal(poses: &[Pose2], edges: &[Isotropic], pattern: &Pattern) -
     }
     rotations.solve(&mut headings);
     headings[0] = [anchor.yaw.cos(), anchor.yaw.sin()];
-    let mut positions = BlockSystem::<1>::new(pattern);
-    let (mut xs, mut ys) = (vec![[0.0]; poses.len()], vec![[0.0]; poses.len()]);
-    for (pair, edge) in edges.iter().enumerate() {
-        let own = Matrix1::new(edge.translation);
-        positions.add_node(edge.from, &own);
-        positions.add_node(edge.to, &own);
-        positions.add_pair(pair, &-own);
-        let [cos, sin] = headings[edge.from];
-        let length = cos.hypot(sin).max(f64::MIN_POSITIVE);
-        let step = Point2::new(
-            edge.translation * (cos * edge.x - sin * edge.y) / length,
-            edge.translation * (sin * edge.x + cos * edge.y) / length,
-        );
-        for (all, step) in [(&mut xs, step.x), (&mut ys, step.y)] {
-            all[edge.to][0] += step;
-            all[edge.from][0] -= step;
-        }
+    for [cos, sin] in &mut headings {
+        let length = cos.hypot(*sin).max(f64::MIN_POSITIVE);
+        (*cos, *sin) = (*cos / length, *sin / length);
     }
-    if positions.factorise()? > 0 {
-        return None;
-    }
-    positions.solve(&mut xs);
-    positions.solve(&mut ys);
-    let nodes = headings.iter().zip(xs.iter().zip(&ys));
+    let positions = Positions::new(edges, pattern)?.of(anchor, edges, &headings);
+    let nodes = headings.iter().zip(&positions);
     let mut start: Vec<Pose2> = nodes
-        .map(|([cos, sin], ([x], [y]))| Pose2::new(anchor.x + x, anchor.y + y, sin.atan2(*cos)))
+        .map(|([cos, sin], position)| Pose2::new(position.x, position.y, sin.atan2(*cos)))
         .collect();
     start[0] = anchor;
     Some(start)
+}
+
+/// The positions that agree best once rotations are known: a linear problem whose matrix is always the same.
+pub(crate) struct Positions<'p>(BlockSystem<'p, 1>);
+
+impl<'p> Positions<'p> {
+    /// `None` where the graph does not hold together.
+    pub(crate) fn new(edges: &[Isotropic], pattern: &'p Pattern) -> Option<Self> {
+        let mut system = BlockSystem::new(pattern);
+        for (pair, edge) in edges.iter().enumerate() {
+            let own = Matrix1::new(edge.translation);
+            system.add_node(edge.from, &own);
+            system.add_node(edge.to, &own);
+            system.add_pair(pair, &-own);
+        }
+        (system.factorise()? == 0).then_some(Self(system))
+    }
+
+    /// The positions with these cosines and sines of yaws, by node; the anchor stays.
+    pub(crate) fn of(&mut self, anchor: Pose2, edges: &[Isotropic], headings: &[[f64; 2]]) -> Vec<Point2<f64>> {
+        let (mut xs, mut ys) = (vec![[0.0]; headings.len()], vec![[0.0]; headings.len()]);
+        for edge in edges {
+            let [cos, sin] = headings[edge.from];
+            let step = Point2::new(
+                edge.translation * (cos * edge.x - sin * edge.y),
+                edge.translation * (sin * edge.x + cos * edge.y),
+            );
+            for (all, step) in [(&mut xs, step.x), (&mut ys, step.y)] {
+                all[edge.to][0] += step;
+                all[edge.from][0] -= step;
+            }
+        }
+        self.0.solve(&mut xs);
+        self.0.solve(&mut ys);
+        let both = xs.iter().zip(&ys);
+        both.map(|([x], [y])| Point2::new(anchor.x + x, anchor.y + y)).collect()
+    }
 }

@@ -4,8 +4,10 @@
 
 use nalgebra::Matrix3;
 use proptest::prelude::*;
+use rand::SeedableRng as _;
+use rand_distr::{Distribution as _, StandardNormal};
 use zenav_pose_graph::{
-    DescentSettings, Edge, EdgeKind, GraphError, Optimality, PoseGraph, RobustSettings, SolveError, certify,
+    DescentSettings, Edge, EdgeKind, GraphError, Optimality, PoseGraph, RobustSettings, SolveError, Unknown, certify,
     chi_squared, chordal_start, descend, g2o, marginal_covariance, relative_covariance, solve, solve_robust, supported,
 };
 use zenav_protocol::geometry::{Pose2, wrap_angle};
@@ -90,6 +92,98 @@ fn the_wrong_valley_is_refused() {
     let right = solve(&graph, &settings).unwrap();
     assert!(right.chi_squared < 1e-9);
     assert_eq!(right.certificate.optimality, Optimality::Certified);
+}
+
+/// A walk whose steps and closures turn by more than they should, with what that leaves of their information.
+fn dizzy(nodes: usize, seed: u64, sigma: f64) -> PoseGraph {
+    let (walked, _) = walk(nodes, seed);
+    let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(seed);
+    let mut graph = PoseGraph::new();
+    for pose in walked.poses() {
+        graph.add_node(*pose).unwrap();
+    }
+    for edge in walked.edges() {
+        let turn: f64 = StandardNormal.sample(&mut random);
+        let mut information = edge.information;
+        information[(2, 2)] = 1.0 / (sigma * sigma + 1.0 / information[(2, 2)]);
+        let edge = Edge {
+            measurement: edge.measurement * Pose2::new(0.0, 0.0, sigma * turn),
+            information,
+            ..*edge
+        };
+        graph.add_edge(edge).unwrap();
+    }
+    graph
+}
+
+#[test]
+fn headings_that_are_hardly_known_and_long_chains_are_solved_to_the_minimum() {
+    for seed in 0..3 {
+        for sigma in [0.1, 0.2] {
+            let graph = dizzy(3000, seed, sigma);
+            let solution = solve(&graph, &DescentSettings::default()).unwrap();
+            assert!(solution.is_minimum && solution.iterations < 40, "{solution:?}");
+            // With more noise the proof need not exist.
+            let is_certified = solution.certificate.optimality == Optimality::Certified;
+            assert!(is_certified || sigma > 0.1, "{seed}: {:?}", solution.certificate);
+        }
+    }
+    // Twenty rounds of a spiral of 500 nodes, each round seen from the next: the softest waves are as long as all of it.
+    let graph = spiral(20, 500);
+    let solution = solve(&graph, &DescentSettings::default()).unwrap();
+    assert_eq!(
+        solution.certificate.optimality,
+        Optimality::Certified,
+        "{:?}",
+        solution.certificate
+    );
+}
+
+/// Rounds on one circle with noise, each place seen from where it was passed the round before, every fortieth node.
+fn spiral(rounds: usize, nodes: usize) -> PoseGraph {
+    let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(1);
+    let mut noisy = |pose: Pose2| {
+        let [x, y, yaw] = manhattan::SIGMA.map(|sigma| {
+            let drawn: f64 = StandardNormal.sample(&mut random);
+            0.2 * sigma * drawn
+        });
+        pose * Pose2::new(x, y, yaw)
+    };
+    let mut graph = PoseGraph::new();
+    graph.add_node(Pose2::IDENTITY).unwrap();
+    for to in 1..rounds * nodes {
+        let measurement = noisy(Pose2::new(1.0, 0.0, std::f64::consts::TAU / nodes as f64));
+        graph.add_node(graph.poses()[to - 1] * measurement).unwrap();
+        let edge = |from, measurement, kind| Edge {
+            from,
+            to,
+            measurement,
+            information: 25.0 * information(),
+            kind,
+        };
+        graph.add_edge(edge(to - 1, measurement, EdgeKind::Odometry)).unwrap();
+        if to >= nodes && to % 40 == 0 {
+            let seen = noisy(Pose2::IDENTITY);
+            graph.add_edge(edge(to - nodes, seen, EdgeKind::Closure)).unwrap();
+        }
+    }
+    graph
+}
+
+#[test]
+fn where_steps_run_out_the_best_poses_are_handed_back_and_nothing_is_claimed() {
+    let graph = dizzy(500, 7, 0.2);
+    let settings = DescentSettings {
+        max_iterations: 1,
+        ..DescentSettings::default()
+    };
+    let solution = solve(&graph, &settings).unwrap();
+    assert_eq!(solution.certificate.optimality, Optimality::Unknown);
+    assert_eq!(solution.unknown_because(), Some(Unknown::NoMinimum(1)));
+    let start = chordal_start(&graph, &ones(&graph)).unwrap();
+    assert!(solution.chi_squared < chi_squared(&graph, &start, &ones(&graph)));
+    let whole = solve(&graph, &DescentSettings::default()).unwrap();
+    assert_eq!(whole.unknown_because(), None);
 }
 
 #[test]

@@ -11,7 +11,7 @@
 use zenav_fixtures::thread_time;
 use zenav_protocol::messages::Scan;
 use zenav_protocol::settings::Settings;
-use zenav_slam::{Relation, Slam, SlamSettings, read_relations, relation_errors};
+use zenav_slam::{Relation, Slam, SlamSettings, in_order, read_relations, relation_errors};
 
 #[path = "../tests/house/mod.rs"]
 mod house;
@@ -23,7 +23,7 @@ fn main() {
             let log = zenav_mapping::carmen::open(log.as_ref()).unwrap();
             let relations = arguments.get(1).map(|path| std::fs::read_to_string(path).unwrap());
             let relations = read_relations(&relations.unwrap_or_default()).unwrap();
-            (log.map(Result::unwrap).collect(), relations)
+            (in_order(log.map(Result::unwrap).collect()).unwrap().scans, relations)
         }
         None => house::drive(1),
     };

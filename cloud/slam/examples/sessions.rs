@@ -10,12 +10,12 @@
 
 use zenav_fixtures::thread_time;
 use zenav_protocol::messages::Scan;
-use zenav_slam::{Relation, Slam, SlamSettings, merge, read_relations, relation_errors};
+use zenav_slam::{Relation, Slam, SlamSettings, in_order, merge, read_relations, relation_errors};
 
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let log = zenav_mapping::carmen::open(arguments[0].as_ref()).unwrap();
-    let scans: Vec<Scan> = log.map(Result::unwrap).collect();
+    let scans = in_order(log.map(Result::unwrap).collect()).unwrap().scans;
     let relations = arguments.get(1).map(|path| std::fs::read_to_string(path).unwrap());
     let relations = read_relations(&relations.unwrap_or_default()).unwrap();
     let (first, second) = scans.split_at(scans.len() / 2);

@@ -128,19 +128,19 @@ impl BackEnd {
     /// The certificate of where the nodes lie now, with the weights as they are.
     pub(crate) fn solved(&self, descent: &DescentSettings) -> Result<RobustSolution, SolveError> {
         let end = descend(&self.graph, self.graph.poses(), &self.weights, descent);
-        match end.status {
-            DescentStatus::Converged => Ok(RobustSolution {
-                solution: Solution {
-                    certificate: certify(&self.graph, &end.poses, &self.weights),
-                    poses: end.poses,
-                    chi_squared: end.chi_squared,
-                    iterations: end.iterations,
-                },
-                weights: self.weights.clone(),
-                rounds: 0,
-            }),
-            DescentStatus::OutOfIterations => Err(SolveError::OutOfIterations(end.iterations)),
-            DescentStatus::Singular => Err(SolveError::Singular),
+        if end.status == DescentStatus::Singular {
+            return Err(SolveError::Singular);
         }
+        Ok(RobustSolution {
+            solution: Solution {
+                certificate: certify(&self.graph, &end.poses, &self.weights),
+                poses: end.poses,
+                chi_squared: end.chi_squared,
+                iterations: end.iterations,
+                is_minimum: end.status == DescentStatus::Converged,
+            },
+            weights: self.weights.clone(),
+            rounds: 0,
+        })
     }
 }

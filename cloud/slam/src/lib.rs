@@ -37,6 +37,7 @@
 //!
 //! | file | answers |
 //! |---|---|
+//! | `order` | which scans of a log come one after the other? |
 //! | `slam` | where is the robot? |
 //! | `submap` | what does a short stretch of the way look like? |
 //! | `closure` | was the robot here before? |
@@ -54,6 +55,7 @@ mod finish;
 mod joining;
 mod metric;
 mod odometry;
+mod order;
 mod session;
 mod settings;
 mod slam;
@@ -61,6 +63,7 @@ mod submap;
 
 pub use joining::{MergeError, merge};
 pub use metric::{Relation, RelationError, RelationErrors, Spread, read_relations, relation_errors};
+pub use order::{Disorder, Ordered, in_order};
 pub use session::{MOST_BYTES, SessionError, Snapshot};
 pub use settings::{ClosureSettings, FinishSettings, FrontSettings, SlamSettings};
 pub use slam::{Counts, Effects, Slam, SlamError};

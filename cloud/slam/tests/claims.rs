@@ -9,7 +9,7 @@ use zenav_protocol::messages::Scan;
 use zenav_protocol::settings::Settings;
 use zenav_protocol::time::Stamp;
 use zenav_scan_matching::{ScanSettings, points};
-use zenav_slam::{Relation, Slam, SlamError, SlamSettings, read_relations, relation_errors};
+use zenav_slam::{Relation, Slam, SlamError, SlamSettings, in_order, read_relations, relation_errors};
 
 mod house;
 
@@ -74,6 +74,49 @@ fn scans_that_cannot_be_are_refused_and_change_nothing() {
     broken.odom_from_base.x = f64::NAN;
     assert_eq!(slam.step(&broken), Err(SlamError::Scan(broken.stamp.as_secs())));
     assert_eq!(slam.trajectory().len(), 1);
+}
+
+#[test]
+fn of_a_log_the_fewest_scans_are_skipped_that_go_back() {
+    let (scans, _) = house::drive(3);
+    let stamped = |secs: &[f64]| -> Vec<Scan> {
+        let all = scans.iter().zip(secs);
+        all.map(|(scan, secs)| Scan {
+            stamp: Stamp::from_secs(*secs),
+            ..scan.clone()
+        })
+        .collect()
+    };
+    let kept = |secs: &[f64]| -> Vec<f64> {
+        let scans = in_order(stamped(secs)).unwrap().scans;
+        scans.iter().map(|scan| scan.stamp.as_secs()).collect()
+    };
+    assert_eq!(kept(&[1.0, 1.0, 2.0]), [1.0, 1.0, 2.0]);
+    // The later of two that were swapped; a clock that was far ahead once; one that was set back for a while.
+    assert_eq!(kept(&[1.0, 3.0, 2.0, 4.0]), [1.0, 3.0, 4.0]);
+    assert_eq!(kept(&[1.0, 900.0, 2.0, 3.0]), [1.0, 2.0, 3.0]);
+    assert_eq!(kept(&[5.0, 6.0, 1.0, 2.0, 7.0, 8.0]), [5.0, 6.0, 7.0, 8.0]);
+    let log = in_order(stamped(&[5.0, 6.0, 1.0, 2.0, 7.0])).unwrap();
+    assert_eq!((log.skipped, log.first_skipped), (2, Some((3, 1.0))));
+    let backwards = in_order(stamped(&[5.0, 4.0, 3.0, 2.0])).unwrap_err();
+    assert_eq!(
+        backwards.to_string(),
+        "3 of 4 scans go back in time, the first of them scan 2 at 4.000000 s: sort the log by its stamps"
+    );
+    assert_eq!(in_order(Vec::new()).unwrap().skipped, 0);
+
+    // What is left is a map like any other.
+    let mut stamps: Vec<f64> = scans.iter().map(|scan| scan.stamp.as_secs()).collect();
+    for index in (10..stamps.len()).step_by(25) {
+        stamps[index] -= 0.7;
+    }
+    let mut slam = Slam::new(SlamSettings::default());
+    let log = in_order(stamped(&stamps)).unwrap();
+    assert_eq!(log.skipped, (10..stamps.len()).step_by(25).count());
+    for scan in &log.scans {
+        slam.step(scan).unwrap();
+    }
+    assert_eq!(slam.trajectory().len(), log.scans.len());
 }
 
 #[test]

@@ -28,6 +28,8 @@ pub(super) struct Solved {
     /// `certified`, `refused`, `elsewhere` or `unknown`.
     optimality: &'static str,
     certified: bool,
+    /// Why nothing is known of it, where that is so.
+    reason: Option<String>,
     negative_pivots: usize,
     /// Largest distance to the optimum of the problem that the certificate is about, m.
     companion_distance: f64,
@@ -55,6 +57,7 @@ impl Solved {
                 Optimality::Unknown => "unknown",
             },
             certified: optimality == Optimality::Certified,
+            reason: robust.solution.unknown_because().map(|unknown| unknown.to_string()),
             negative_pivots,
             companion_distance: distance,
             solve_ms,
@@ -63,8 +66,10 @@ impl Solved {
 
     /// In a sentence.
     pub(super) fn told(&self) -> String {
+        let reason = self.reason.as_ref();
+        let reason = reason.map_or_else(String::new, |reason| format!(" ({reason})"));
         format!(
-            "graph: {} nodes, {} edges, {} held to be false, chi squared {:.3}, {} in {:.1} ms",
+            "graph: {} nodes, {} edges, {} held to be false, chi squared {:.3}, {}{reason} in {:.1} ms",
             self.nodes, self.edges, self.dropped, self.chi_squared, self.optimality, self.solve_ms
         )
     }

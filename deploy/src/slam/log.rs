@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::Scan;
-use zenav_slam::{RelationErrors, Slam, SlamSettings, Spread, read_relations, relation_errors};
+use zenav_slam::{Ordered, RelationErrors, Slam, SlamSettings, Spread, in_order, read_relations, relation_errors};
 
 use super::SlamArgs;
 use super::graph::Solved;
@@ -20,6 +20,9 @@ use crate::{files, output};
 #[derive(Debug, Serialize)]
 struct Mapped {
     scans: usize,
+    /// Scans whose stamps go back.
+    skipped: usize,
+    warnings: Vec<String>,
     /// Scans in a second of this thread's own time, closures, solves and finish included.
     scans_per_s: f64,
     /// Duration of the log over that time.
@@ -96,9 +99,12 @@ pub(super) fn map(args: &SlamArgs) -> Outcome {
         .as_deref()
         .map(|start| Pose2::new(start[0], start[1], start[2]));
     let (mut slam, mut scans, mut steps, mut finish) = (older, Vec::new(), Vec::new(), 0.0);
-    let mut solved = None;
+    let (mut solved, mut skipped, mut warnings) = (None, 0, Vec::new());
     for path in &args.log {
-        let log = read_log(path)?;
+        let log = in_order(read_log(path)?).map_err(Failure::usage_at(path))?;
+        skipped += log.skipped;
+        warnings.extend(warning(path, &log));
+        let log = log.scans;
         slam = slam.begin_session(start.take());
         for scan in &log {
             let start = thread_time();
@@ -149,6 +155,8 @@ pub(super) fn map(args: &SlamArgs) -> Outcome {
     let counts = slam.counts();
     let mapped = Mapped {
         scans: scans.len(),
+        skipped,
+        warnings,
         scans_per_s: scans.len() as f64 / total.max(1e-9),
         real_time_factor: duration / total.max(1e-9),
         cpu_ms_per_scan: Times {
@@ -191,8 +199,9 @@ pub(super) fn map(args: &SlamArgs) -> Outcome {
         } else {
             String::new()
         };
+        let warnings: String = mapped.warnings.iter().map(|w| format!("\nwarning: {w}")).collect();
         format!(
-            "{}: {} scans at {:.2} ms, {:.0} x real time, {} submaps, {} closures found\n{}{sessions}{relations}",
+            "{}: {} scans at {:.2} ms, {:.0} x real time, {} submaps, {} closures found\n{}{sessions}{relations}{warnings}",
             mapped.map.display(),
             mapped.scans,
             mapped.cpu_ms_per_scan.mean,
@@ -203,6 +212,17 @@ pub(super) fn map(args: &SlamArgs) -> Outcome {
         )
     })?;
     Ok(exit_code::OK)
+}
+
+/// What is wrong with a log that is mapped all the same.
+fn warning(path: &Path, log: &Ordered) -> Option<String> {
+    let (number, stamp) = log.first_skipped?;
+    Some(format!(
+        "{}: {} of {} scans go back in time and were skipped, the first of them scan {number} at {stamp:.6} s",
+        path.display(),
+        log.skipped,
+        log.skipped + log.scans.len()
+    ))
 }
 
 fn told((errors, odometry): (RelationErrors, RelationErrors)) -> Relations {
