@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use clap::Args;
 use zenav_cloud::gateway::{Gateway, GatewayConfig, GatewayError};
+use zenav_gateway::DEFAULT_LISTEN;
 use zenav_observability::logging::{self, Format};
 use zenav_sim::World;
 
@@ -75,16 +76,21 @@ impl PageArgs {
     }
 }
 
-/// Two deployments on one machine: where the default address of the page is taken, and nobody has named one, it takes a free port.
-pub(crate) fn free_default_address(deployment: &mut Deployment) {
-    let gateway = &mut deployment.gateway;
-    let is_taken = |address: &str| {
-        let bound = std::net::TcpListener::bind(address);
-        bound.is_err_and(|error| error.kind() == std::io::ErrorKind::AddrInUse)
-    };
-    if gateway.run.enabled && is_taken(&gateway.settings.listen) {
-        tracing::info!("{} is in use: the page takes a free port", gateway.settings.listen);
-        FREE_PORT.clone_into(&mut gateway.settings.listen);
+/// Refuses an address of the page that somebody has named and that is taken: the default one gives way to a free port.
+///
+/// # Errors
+/// With the address.
+pub(crate) fn check_named(deployment: &Deployment) -> Result<(), Failure> {
+    let gateway = &deployment.gateway;
+    let taken = std::net::TcpListener::bind(&gateway.settings.listen)
+        .err()
+        .filter(|error| gateway.run.enabled && error.kind() == std::io::ErrorKind::AddrInUse);
+    match taken {
+        Some(error) => Err(Failure::failed(format!(
+            "gateway: cannot listen on {}: {error}",
+            gateway.settings.listen
+        ))),
+        None => Ok(()),
     }
 }
 
@@ -97,7 +103,7 @@ pub(crate) fn tell(address: &str) {
 }
 
 impl Parts {
-    /// Starts the gateway of a deployment, if it runs one; returns the page's address.
+    /// Starts the gateway of a deployment, if it runs one; returns the page's address. A default port that is taken gives way to a free one.
     ///
     /// # Errors
     /// An address that is taken or that needs a token, a token file that cannot be read.
@@ -141,11 +147,21 @@ async fn bind(deployment: &Deployment, world: &World) -> Result<Option<Gateway>,
     if !deployment.gateway.run.enabled {
         return Ok(None);
     }
-    let config = GatewayConfig {
+    let mut config = GatewayConfig {
         settings: deployment.gateway.settings.clone(),
         places: places(world),
     };
-    Gateway::bind(config).await.map(Some).map_err(failure)
+    let bound = match Gateway::bind(config.clone()).await {
+        Err(GatewayError::Listen { error, .. })
+            if error.kind() == std::io::ErrorKind::AddrInUse && config.settings.listen == DEFAULT_LISTEN =>
+        {
+            tracing::info!("{DEFAULT_LISTEN} is in use: the page takes a free port");
+            FREE_PORT.clone_into(&mut config.settings.listen);
+            Gateway::bind(config).await
+        }
+        bound => bound,
+    };
+    bound.map(Some).map_err(failure)
 }
 
 fn failure(error: GatewayError) -> Failure {
@@ -167,10 +183,11 @@ pub fn gateway(args: &GatewayArgs) -> Outcome {
         deployment.bus.connect.clone_from(connect);
     }
     deployment.gateway.run.enabled = true;
-    match &args.listen {
-        Some(listen) => deployment.gateway.settings.listen.clone_from(listen),
-        None if layers.sets("gateway.listen") => {}
-        None => free_default_address(&mut deployment),
+    if let Some(listen) = &args.listen {
+        deployment.gateway.settings.listen.clone_from(listen);
+    }
+    if args.listen.is_some() || layers.sets("gateway.listen") {
+        check_named(&deployment)?;
     }
     if let Some(file) = &args.token_file {
         if !file.exists() {

@@ -317,8 +317,8 @@ pub fn up(args: &UpArgs) -> Outcome {
     args.known.apply(&mut deployment);
     args.begin.apply(&mut deployment)?;
     args.page.apply(&mut deployment);
-    if !args.page.names_address() && !layers.sets("gateway.listen") {
-        gateway::free_default_address(&mut deployment);
+    if args.page.names_address() || layers.sets("gateway.listen") {
+        gateway::check_named(&deployment)?;
     }
     // Before anything runs that would have to end again.
     let data = &deployment.data.dir;

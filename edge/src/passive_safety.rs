@@ -35,6 +35,8 @@ const FASTEST_ROBOT: f64 = 3.0;
 const RESTING: f64 = 1e-6;
 /// Contact at this speed is no harm, m/s.
 pub(crate) const GENTLE: f64 = 0.008;
+/// So is a controller's last bit of speed towards what is touched, m/s.
+const HARMLESS: f64 = 0.25 * GENTLE;
 /// A point inside an outline that is this much deeper behind one side than behind another may have come in through either, m.
 const CORNER: f64 = 0.03;
 /// A motion that comes nearer to a point at no more than this share of its speed goes along it.
@@ -148,7 +150,7 @@ impl<'a> Motion<'a> {
         let outer = SweptFootprint::new(self.footprint, self.margin, self.twist);
         let inner = SweptFootprint::new(self.footprint, LEAST_CLEARANCE.min(self.margin), self.twist);
         // What moves the outline hardly at all, as a disc that turns on the spot, needs no more room.
-        let slow = 0.25 * GENTLE / fastest_outward(self.footprint, self.twist).max(1e-9);
+        let slow = HARMLESS / fastest_outward(self.footprint, self.twist).max(1e-9);
         let mut share: f64 = 1.0;
         for point in obstacles.in_base(odom_from_base) {
             if point.coords.norm_squared() > near * near {
@@ -463,13 +465,13 @@ pub(crate) fn closing_speed(footprint: &Footprint, twist: Twist2, point: Point2<
 }
 
 /// The share of a twist that is allowed beside a point (base frame) that it may not come nearer to: all of it away from the point, and
-/// along it so slowly that the drive's and the sensors' errors do no harm; nothing towards it.
+/// along it so slowly that the drive's and the sensors' errors do no harm; nothing towards it that is faster than those.
 pub(crate) fn share_beside(footprint: &Footprint, twist: Twist2, point: Point2<f64>) -> f64 {
     let closing = closing_speed(footprint, twist, point);
     if closing <= RESTING {
         1.0
-    } else if closing <= SLIDING * (twist.v.abs() + twist.w.abs() * footprint.circumscribed_radius()) {
-        (0.25 * GENTLE / closing).min(1.0)
+    } else if closing <= (SLIDING * twist.v.abs()).max(HARMLESS) {
+        (HARMLESS / closing).min(1.0)
     } else {
         0.0
     }

@@ -479,7 +479,6 @@ mod tests {
             missed_ticks: 0,
             uplink: 1.0,
             makes_way: false,
-            among_people: false,
             frame: 0,
             faults: Faults::default(),
         }

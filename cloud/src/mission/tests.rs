@@ -176,7 +176,6 @@ fn state() -> EdgeState {
         uplink: 1.0,
         round_trip_secs: None,
         makes_way: false,
-        among_people: false,
         faults: Default::default(),
     }
 }

@@ -411,7 +411,6 @@ pub(super) mod tests {
             uplink: 1.0,
             round_trip_secs: None,
             makes_way: false,
-            among_people: false,
             faults: Default::default(),
         }
     }

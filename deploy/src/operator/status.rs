@@ -156,7 +156,6 @@ mod tests {
             uplink: 1.0,
             round_trip_secs: None,
             makes_way: false,
-            among_people: false,
             faults: Default::default(),
         }
     }

@@ -155,7 +155,6 @@ impl Memory {
             uplink: 1.0,
             round_trip_secs: None,
             makes_way: false,
-            among_people: false,
             faults: Default::default(),
         }
     }

@@ -155,12 +155,6 @@ impl Avoidance {
         self.evading && self.for_robot
     }
 
-    /// Whether it makes way for somebody who tells no course.
-    #[must_use]
-    pub fn is_for_people(&self) -> bool {
-        self.evading && !self.for_robot
-    }
-
     /// Where it makes way to, odometry frame, and the time from place to place, s; `None` while it follows its plan.
     #[must_use]
     pub fn course(&self) -> Option<(&[Point2<f64>], f64)> {

@@ -53,7 +53,6 @@ impl Pilot {
             missed_ticks: self.missed_ticks,
             uplink: self.telemetry.share(),
             makes_way: self.avoidance.is_for_robot(),
-            among_people: self.avoidance.is_for_people(),
             frame: self.frame.number(),
             faults: self.faults.clone(),
         }

@@ -152,9 +152,6 @@ pub struct EdgeState {
     /// Whether the robot waits or leaves its plan to make way for another robot.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub makes_way: bool,
-    /// Whether it does so for somebody who tells no course: a person, say.
-    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
-    pub among_people: bool,
     /// Frame of the map that the robot's pose and plan are in.
     #[serde(default, skip_serializing_if = "is_first")]
     pub frame: u64,

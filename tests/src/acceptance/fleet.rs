@@ -226,7 +226,6 @@ impl FakeRobot {
                 uplink: 1.0,
                 round_trip_secs: None,
                 makes_way: false,
-                among_people: false,
                 frame: 0,
                 faults: Default::default(),
             });

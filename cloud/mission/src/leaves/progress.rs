@@ -7,21 +7,11 @@ use crate::context::Context;
 
 /// Who makes way for another robot is given so many times as long: after that, both stand.
 const MAKING_WAY: f64 = 2.0;
-/// And who makes way for people, so many times: they go on.
-const AMONG_PEOPLE: f64 = 4.0;
 
 /// Where and when the robot was seen to get on last.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Progress {
-    anchor: Option<Anchor>,
-}
-
-#[derive(Clone, Copy, Debug)]
-struct Anchor {
-    since: Stamp,
-    pose: Pose2,
-    /// How many times as long it is given, by what it has made way for since.
-    times: f64,
+    anchor: Option<(Stamp, Pose2)>,
 }
 
 impl Progress {
@@ -34,25 +24,17 @@ impl Progress {
     pub fn is_stuck(&mut self, ctx: &Context) -> bool {
         let Some(pose) = ctx.robot.pose() else { return false };
         let settings = &ctx.config.settings.progress;
-        let times = ctx.robot.state().map_or(1.0, |state| match () {
-            () if state.among_people => AMONG_PEOPLE,
-            () if state.makes_way => MAKING_WAY,
-            () => 1.0,
-        });
-        match &mut self.anchor {
-            Some(anchor)
-                if anchor.pose.distance(&pose) < settings.distance
-                    && wrap_angle(pose.yaw - anchor.pose.yaw).abs() < settings.angle =>
+        let makes_way = ctx.robot.state().is_some_and(|state| state.makes_way);
+        let timeout = if makes_way { MAKING_WAY } else { 1.0 } * settings.timeout;
+        match self.anchor {
+            Some((since, anchor))
+                if anchor.distance(&pose) < settings.distance
+                    && wrap_angle(pose.yaw - anchor.yaw).abs() < settings.angle =>
             {
-                anchor.times = anchor.times.max(times);
-                ctx.now.secs_since(anchor.since) > anchor.times * settings.timeout
+                ctx.now.secs_since(since) > timeout
             }
             _ => {
-                self.anchor = Some(Anchor {
-                    since: ctx.now,
-                    pose,
-                    times,
-                });
+                self.anchor = Some((ctx.now, pose));
                 false
             }
         }

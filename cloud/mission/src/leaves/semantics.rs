@@ -157,7 +157,6 @@ fn state(now: Stamp) -> EdgeState {
         uplink: 1.0,
         round_trip_secs: None,
         makes_way: false,
-        among_people: false,
         faults: Default::default(),
         wall_follower: None,
     }
