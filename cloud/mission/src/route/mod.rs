@@ -253,7 +253,9 @@ impl Search {
 
     fn advance(&mut self, ctx: &mut Context) -> Searching {
         match self.stage.clone() {
-            Stage::Idle(from) if ctx.now < from && !self.may_go_on(ctx) => Searching::Wait("is about to plan"),
+            Stage::Idle(from) if ctx.now < from && !self.may_go_on(ctx) => {
+                Searching::Wait(if self.unanswered { NO_WORKER } else { "is about to plan" })
+            }
             Stage::Idle(_) => self.ask(ctx),
             Stage::Cleared(ticket, no_route) => match ctx.asks.take(ticket) {
                 None => Searching::Wait("asks what bars the way"),
