@@ -18,6 +18,7 @@ const LEAST_SHARE: f64 = 1e-6;
 const TOLERANCE: f64 = 1e-15;
 /// Steps, at most.
 const MAX_STEPS: u32 = 60;
+
 /// An edge with the same weight in each direction of the plane.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Isotropic {

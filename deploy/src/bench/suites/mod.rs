@@ -73,8 +73,8 @@ pub(super) enum Suite {
 }
 
 impl Suite {
-    /// All scenarios with their runs, in order, from the `first` seed on, `count` of each where it is given. S1 is of the worlds in a folder, with noise of ranges
-    /// (standard deviation, m), and of none without one.
+    /// All scenarios with their runs, in order, from the `first` seed on, `count` of each where it is given. S1 is of the worlds in a folder,
+    /// with noise of ranges (standard deviation, m), and of none without one.
     ///
     /// # Errors
     /// A folder that holds no worlds; never for what is made here.
