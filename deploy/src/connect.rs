@@ -11,7 +11,8 @@ use std::str::FromStr;
 use std::time::Duration;
 
 use tokio::time::Instant;
-use zenav_protocol::bus::{Bus, BusConfig, BusError};
+use zenav_protocol::bus::{Bus, BusConfig, BusError, link_protocol};
+use zenav_protocol::config_text::Expected;
 use zenav_protocol::id::Id;
 use zenav_protocol::topics;
 
@@ -112,12 +113,10 @@ pub(crate) fn namespace() -> String {
 pub(crate) fn endpoint(text: &str) -> Result<String, String> {
     // Quoted, as a deployment takes its environment.
     let text = text.trim_matches('"');
-    match text.split_once('/') {
-        Some(("tcp" | "quic" | "tls", address)) if address.contains(':') => Ok(text.to_owned()),
-        _ => Err(format!(
-            "expected an endpoint, such as {DEFAULT_ENDPOINT}: links are over tcp, or over quic with an identity"
-        )),
-    }
+    let form = || {
+        format!("expected an endpoint, such as {DEFAULT_ENDPOINT}: links are over tcp, or over quic with an identity")
+    };
+    link_protocol(text).map(|_| text.to_owned()).ok_or_else(form)
 }
 
 /// Endpoints on the command line, separated by commas.
@@ -134,27 +133,7 @@ pub(crate) fn endpoints(text: &str) -> Result<String, String> {
 /// # Errors
 /// With what was expected.
 pub fn finite(text: &str) -> Result<f64, String> {
-    let number: f64 = text.parse().map_err(|_| "expected a number".to_owned())?;
-    if number.is_finite() {
-        Ok(number)
-    } else {
-        Err("expected a finite number".to_owned())
-    }
-}
-
-/// Says that a heading is hardly meant in radians.
-///
-/// # Errors
-/// With what was expected, for a heading beyond a full turn.
-pub fn check_yaw(yaw: f64) -> Result<(), String> {
-    if yaw.abs() <= std::f64::consts::TAU {
-        Ok(())
-    } else {
-        Err(format!(
-            "a heading of {yaw} rad: expected radians within a full turn; {yaw} degrees are {:.3}",
-            yaw.to_radians()
-        ))
-    }
+    number(text, Expected::Finite)
 }
 
 /// A heading on the command line, rad.
@@ -162,8 +141,7 @@ pub fn check_yaw(yaw: f64) -> Result<(), String> {
 /// # Errors
 /// With what was expected.
 pub fn heading(text: &str) -> Result<f64, String> {
-    let yaw = finite(text)?;
-    check_yaw(yaw).map(|()| yaw)
+    number(text, Expected::Angle)
 }
 
 /// A positive, finite number on the command line.
@@ -171,12 +149,20 @@ pub fn heading(text: &str) -> Result<f64, String> {
 /// # Errors
 /// With what was expected.
 pub fn positive(text: &str) -> Result<f64, String> {
-    let number = finite(text)?;
-    if number > 0.0 {
-        Ok(number)
-    } else {
-        Err("expected a positive number".to_owned())
-    }
+    number(text, Expected::Positive)
+}
+
+/// Zero, or a positive, finite number, on the command line.
+///
+/// # Errors
+/// With what was expected.
+pub fn not_negative(text: &str) -> Result<f64, String> {
+    number(text, Expected::NotNegative)
+}
+
+fn number(text: &str, expected: Expected) -> Result<f64, String> {
+    let number = text.parse().ok().filter(|number| expected.holds(*number));
+    number.ok_or_else(|| format!("expected {expected}"))
 }
 
 /// A whole number on the command line.
@@ -215,12 +201,7 @@ pub fn address(text: &str) -> Result<String, String> {
 /// # Errors
 /// With what was expected.
 pub fn resolution(text: &str) -> Result<f64, String> {
-    let resolution = finite(text)?;
-    if (0.005..=10.0).contains(&resolution) {
-        Ok(resolution)
-    } else {
-        Err("expected 0.005 to 10 m".to_owned())
-    }
+    number(text, Expected::Range(0.005, 10.0, "0.005 to 10 m"))
 }
 
 /// How fast simulated time is to go, on the command line.
@@ -228,12 +209,7 @@ pub fn resolution(text: &str) -> Result<f64, String> {
 /// # Errors
 /// With what was expected.
 pub fn speed(text: &str) -> Result<f64, String> {
-    let speed = finite(text)?;
-    if (0.001..=1000.0).contains(&speed) {
-        Ok(speed)
-    } else {
-        Err("expected a number from 0.001 to 1000".to_owned())
-    }
+    number(text, Expected::Range(0.001, 1000.0, "a number from 0.001 to 1000"))
 }
 
 /// Runs a command's work in a Tokio runtime of its own (a multi-threaded one: Zenoh needs it).

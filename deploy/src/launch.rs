@@ -5,12 +5,13 @@ use std::time::{Duration, Instant};
 
 use clap::{Args, ValueEnum};
 use zenav_protocol::bus::{Identity, Router, RouterConfig, interrupted, service_manager};
+use zenav_protocol::config_text::Expected;
 use zenav_protocol::geometry::Pose2;
 use zenav_sim::World;
 
 use crate::components::{CloudPart, Parts};
 use crate::config::{Deployment, IdentityArgs, Layers, RobotSection, SecurityArgs};
-use crate::connect::{self, DEFAULT_ENDPOINT, ROBOT_ENDPOINT, check_yaw, finite};
+use crate::connect::{self, DEFAULT_ENDPOINT, ROBOT_ENDPOINT, finite};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::gateway::{self, PageArgs};
@@ -75,7 +76,8 @@ impl PoseArgs {
         let Some([x, y, yaw]) = self.pose.as_deref() else {
             return Ok(());
         };
-        check_yaw(*yaw).map_err(|why| Failure::usage(format!("--pose: {why}")))?;
+        let check = Expected::Angle.check(*yaw);
+        check.map_err(|why| Failure::usage(format!("--pose: YAW {why}")))?;
         let count = deployment.robots.len();
         match deployment.robots.values_mut().next() {
             Some(robot) if count == 1 => {

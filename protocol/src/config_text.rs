@@ -90,7 +90,21 @@ pub enum Expected {
 }
 
 impl Expected {
-    fn holds(self, value: f64) -> bool {
+    /// The value, where it is what is expected.
+    ///
+    /// # Errors
+    /// In words: what it is, and what was expected.
+    pub fn check(self, value: f64) -> Result<f64, String> {
+        if self.holds(value) {
+            Ok(value)
+        } else {
+            Err(format!("{}: expected {self}", Number(value)))
+        }
+    }
+
+    /// Whether a value is what is expected.
+    #[must_use]
+    pub fn holds(self, value: f64) -> bool {
         match self {
             Self::Positive => value.is_finite() && value > 0.0,
             Self::NotNegative => value.is_finite() && value >= 0.0,
@@ -109,7 +123,7 @@ impl fmt::Display for Expected {
             Self::NotNegative => "zero or a positive number",
             Self::Share => "a share, 0 to 1",
             Self::Finite => "a finite number",
-            Self::Angle => "an angle in rad, -2 pi to 2 pi",
+            Self::Angle => "radians within a full turn; 90 degrees are 1.571",
             Self::Range(.., words) => words,
         })
     }
@@ -127,7 +141,6 @@ pub fn check_all(values: &[(&'static str, f64, Expected)]) -> Result<(), OutOfBo
 }
 
 /// A number in a message: what would need a line of digits is written with an exponent.
-/// A number in a message to the user: a very large or small one is shown with an exponent.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Number(pub f64);
 

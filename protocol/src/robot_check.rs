@@ -253,13 +253,13 @@ mod tests {
                 "mount = { x = 0.2, y = 0.0, yaw = 0.0 }",
                 "mount = { x = 0.2, y = 0.0, yaw = 90 }",
                 line_of("mount = { x = 0.2, y = 0.0, yaw = 0.0 }"),
-                "`lidar.mount.yaw` is 90: expected an angle in rad",
+                "`lidar.mount.yaw` is 90: expected radians within a full turn",
             ),
             (
                 "compass_noise = 0.01",
                 "compass_bias = -10",
                 line_of("compass_noise = 0.01"),
-                "`imu.compass_bias` is -10: expected an angle in rad",
+                "`imu.compass_bias` is -10: expected radians within a full turn",
             ),
             (
                 "",

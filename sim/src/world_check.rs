@@ -1,12 +1,11 @@
 //! Which values may a world hold? Finite, bounded, and outlines that enclose an area; what is wrong is named with its line.
 
-use std::f64::consts::TAU;
 use std::ops::Range;
 
 use nalgebra::Point2;
 use thiserror::Error;
 use toml::Spanned;
-use zenav_protocol::config_text::{Number, Pair};
+use zenav_protocol::config_text::{Expected, Number, Pair};
 use zenav_protocol::polygon;
 
 /// Most polygons, circles and walls, each.
@@ -106,16 +105,12 @@ impl Source<'_> {
         }
     }
 
-    /// A heading, rad: more than a full turn is hardly meant in radians.
+    /// A heading, rad.
     pub fn heading(self, span: Range<usize>, key: &'static str, yaw: f64) -> Result<(), WorldError> {
-        if yaw.abs() <= TAU {
-            return Ok(());
+        match Expected::Angle.check(yaw) {
+            Ok(_) => Ok(()),
+            Err(problem) => self.fail(span, key, problem),
         }
-        let problem = format!(
-            "{}: expected radians within a full turn; 90 degrees are 1.571",
-            Number(yaw)
-        );
-        self.fail(span, key, problem)
     }
 
     pub fn points(

@@ -38,7 +38,7 @@ impl Prepared {
             file.into_inner()?.sync_all()
         };
         written().map_err(|source| MapFileError::Io {
-            path: prepared.temporary.clone(),
+            path: prepared.path.clone(),
             source,
         })?;
         Ok(prepared)

@@ -1,7 +1,6 @@
 //! Goal validation. Is this a goal, and can it be reached? Checked when it is submitted; a rejection has a reason and the nearest free place.
 
 use nalgebra::Point2;
-use zenav_protocol::config_text::Number;
 use zenav_protocol::grid::Occupancy;
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{GoalPoint, GoalRequest, Refusal};
@@ -20,8 +19,6 @@ const MAX_FLOODED: usize = 4_000_000;
 const MAX_ENTRIES: usize = 256;
 /// Longest name of a blackboard entry, bytes.
 const MAX_NAME: usize = 256;
-/// Coordinates beyond this are a mistake, m.
-const FARTHEST: f64 = 1e6;
 /// Bounds of a goal's tolerance, m.
 pub const TOLERANCE: std::ops::RangeInclusive<f64> = 0.02..=10.0;
 /// Longest deadline, s.
@@ -139,25 +136,9 @@ pub fn target(request: &GoalRequest, ctx: &Context) -> Result<Target, Refusal> {
 }
 
 fn checked_point(point: GoalPoint, name: &str) -> Result<GoalPoint, Refusal> {
-    let good = |value: f64| value.is_finite() && value.abs() <= FARTHEST;
-    if !(good(point.x) && good(point.y)) {
-        return Err(Refusal::BadRequest {
-            reason: format!(
-                "{name} ({}, {}): expected finite coordinates within {FARTHEST} m",
-                Number(point.x),
-                Number(point.y)
-            ),
-        });
-    }
-    match point.yaw {
-        Some(yaw) if !(yaw.is_finite() && yaw.abs() <= std::f64::consts::TAU) => Err(Refusal::BadRequest {
-            reason: format!("{name}: yaw is {yaw}: expected radians within a full turn; 90 degrees are 1.571"),
-        }),
-        yaw => Ok(GoalPoint {
-            yaw: yaw.map(zenav_protocol::geometry::wrap_angle),
-            ..point
-        }),
-    }
+    point.checked().map_err(|why| Refusal::BadRequest {
+        reason: format!("{name}: {why}"),
+    })
 }
 
 /// Whether the robot can reach the target on the known map, or a place within the tolerance (m) of the pose; unknown space counts for the

@@ -13,8 +13,6 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 use zenav_mapping::atomic::write_atomically;
 use zenav_protocol::bus::Request;
-use zenav_protocol::config_text::Number;
-use zenav_protocol::geometry::wrap_angle;
 use zenav_protocol::messages::{AnnotateAction, AnnotateRequest, Annotations, GoalPoint, MapFrame, Refusal, Zone};
 use zenav_protocol::time::Stamp;
 use zenav_space::Zones;
@@ -31,8 +29,6 @@ const MAX_NAME: usize = 64;
 const MAX_PLACES: usize = 1000;
 /// Most corners of all zones: what is published stays within its key's limit.
 const MAX_CORNERS: usize = 20_000;
-/// Coordinates lie within this, m.
-const FARTHEST: f64 = 100_000.0;
 
 /// What people changed; `None` stands for a place or zone of the base that they removed.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -244,7 +240,9 @@ impl AnnotationBook {
             AnnotateAction::Get => return Ok(None),
             AnnotateAction::AddPlace { name, at } => {
                 check_name(&name)?;
-                overlay.places.insert(name, Some(checked(at)?));
+                overlay
+                    .places
+                    .insert(name, Some(at.checked().map_err(Refusal::bad_request)?));
             }
             AnnotateAction::RemovePlace { name } => {
                 if !self.now.places.contains_key(&name) {
@@ -348,7 +346,7 @@ fn read(file: &Path) -> Result<Overlay, String> {
     let text = std::fs::read(file).map_err(|error| error.to_string())?;
     let overlay: Overlay = serde_json::from_slice(&text).map_err(|error| error.to_string())?;
     for place in overlay.places.values().flatten() {
-        checked(*place).map_err(|refusal| refusal.to_string())?;
+        place.checked()?;
     }
     let zones: Vec<Zone> = overlay.zones.values().flatten().cloned().collect();
     Zones::new(&zones).map_err(|error| error.to_string())?;
@@ -365,28 +363,6 @@ fn check_name(name: &str) -> Result<(), Refusal> {
     Err(Refusal::bad_request(format!(
         "the name {found:?}: expected 1 to {MAX_NAME} bytes without `|`, `;`, line breaks or spaces at its ends"
     )))
-}
-
-/// A place that can be: finite, near, its heading in radians.
-pub(super) fn checked(at: GoalPoint) -> Result<GoalPoint, Refusal> {
-    let good = |value: f64| value.is_finite() && value.abs() <= FARTHEST;
-    if !(good(at.x) && good(at.y)) {
-        return Err(Refusal::bad_request(format!(
-            "({}, {}): expected finite coordinates within {FARTHEST} m",
-            Number(at.x),
-            Number(at.y)
-        )));
-    }
-    match at.yaw {
-        Some(yaw) if !(yaw.is_finite() && yaw.abs() <= std::f64::consts::TAU) => Err(Refusal::bad_request(format!(
-            "yaw is {}: expected radians within 2 pi; 90 degrees are 1.571",
-            Number(yaw)
-        ))),
-        yaw => Ok(GoalPoint {
-            yaw: yaw.map(wrap_angle),
-            ..at
-        }),
-    }
 }
 
 fn unknown<'a>(kind: &str, name: &str, known: impl Iterator<Item = &'a String>) -> Refusal {

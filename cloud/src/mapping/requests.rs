@@ -9,7 +9,6 @@ use zenav_protocol::messages::{
 };
 use zenav_protocol::time::Stamp;
 
-use super::annotations::checked;
 use super::{Service, storage};
 
 /// Most answers that are kept for repeated requests.
@@ -104,7 +103,7 @@ impl Service {
             y: pose.y,
             yaw: Some(pose.yaw),
         };
-        checked(at)?;
+        at.checked().map_err(Refusal::bad_request)?;
         let correction = self.core.place(pose)?;
         self.corrections.put(&correction);
         Ok(())

@@ -359,7 +359,7 @@ mod tests {
         assert!(
             failure
                 .message
-                .contains("mine.toml:2: `robots.a.start.yaw` is 90: expected an angle in rad"),
+                .contains("mine.toml:2: `robots.a.start.yaw` is 90: expected radians within a full turn"),
             "{failure}"
         );
         let failure = read("", &[("ZENAV_SIMULATION__SPEED", "-1")]).map(|_| ()).unwrap_err();

@@ -8,13 +8,14 @@ use clap::ValueEnum;
 use zenav_behaviour_tree::inline;
 use zenav_mission::trees::{self, NoTree};
 use zenav_protocol::bus::{AskError, Bus};
+use zenav_protocol::config_text::Expected;
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{DrivingProfile, GoalPhase, GoalPoint, GoalReply, GoalRequest, OnBusy, Refusal};
 use zenav_protocol::topics;
 
 use super::{Report, follow, phase_code};
 use crate::completion;
-use crate::connect::{self, RobotArgs, check_yaw, finite, fresh_id, heading, name, positive, whole};
+use crate::connect::{self, RobotArgs, finite, fresh_id, heading, name, positive, whole};
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::inspect::bt::includer;
@@ -94,10 +95,10 @@ fn waypoint(text: &str) -> Result<GoalPoint, String> {
             y: *y,
             yaw: None,
         }),
-        [x, y, yaw] => check_yaw(*yaw).map(|()| GoalPoint {
+        [x, y, yaw] => Expected::Angle.check(*yaw).map(|yaw| GoalPoint {
             x: *x,
             y: *y,
-            yaw: Some(*yaw),
+            yaw: Some(yaw),
         }),
         _ => Err("expected X,Y or X,Y,YAW".to_owned()),
     }

@@ -8,7 +8,7 @@ use nalgebra::Point2;
 use serde::Serialize;
 use zenav_cloud::mapping::PoseSource;
 use zenav_mission::goal_validation::TOLERANCE;
-use zenav_protocol::config_text::Number;
+use zenav_protocol::config_text::{Expected, Number};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::DrivingProfile;
 use zenav_protocol::trajectory::TrajectoryPoint;
@@ -18,7 +18,7 @@ use super::referee::{ContactKind, ContactReport};
 use super::scenario::{Entrant, Scenario};
 use crate::completion;
 use crate::config::Layers;
-use crate::connect;
+use crate::connect::{finite, not_negative, whole};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
@@ -42,19 +42,19 @@ pub struct RunArgs {
     #[arg(long, add = completion::models())]
     robot: Vec<String>,
     /// Start, m and rad in the world, instead of the deployment's; of several robots, once for each goal
-    #[arg(long, num_args = 3, value_names = ["X", "Y", "YAW"])]
+    #[arg(long, num_args = 3, value_names = ["X", "Y", "YAW"], value_parser = finite)]
     start: Vec<f64>,
     /// Goal, m in the world; again for each further robot
-    #[arg(long, num_args = 2, value_names = ["X", "Y"], required = true)]
+    #[arg(long, num_args = 2, value_names = ["X", "Y"], required = true, value_parser = finite)]
     goal: Vec<f64>,
     /// Simulated time after which the run has failed, s
-    #[arg(long, default_value_t = 100.0)]
+    #[arg(long, default_value_t = 100.0, value_parser = not_negative)]
     timeout: f64,
     /// Seed of all noise and delays, instead of the deployment's
-    #[arg(long)]
+    #[arg(long, value_parser = whole::<u64>)]
     seed: Option<u64>,
     /// Distance that counts as reached, m, instead of the deployment's
-    #[arg(long)]
+    #[arg(long, value_parser = finite)]
     tolerance: Option<f64>,
     /// Start with the true map
     #[arg(long)]
@@ -66,7 +66,7 @@ pub struct RunArgs {
     #[arg(long, value_name = "FILE")]
     zones: Option<PathBuf>,
     /// Mean delay from scan to plan, ms; the latency budget is twice that where the deployment sets none
-    #[arg(long, default_value_t = 100.0)]
+    #[arg(long, default_value_t = 100.0, value_parser = not_negative)]
     cloud_delay_ms: f64,
     /// Driving profile, `fastest` or `economy`, instead of the deployment's
     #[arg(long)]
@@ -223,20 +223,6 @@ fn check(args: &RunArgs) -> Result<(), Failure> {
             "--poses localise: expected --known-map, the map to localise in",
         ));
     }
-    let places = args.goal.iter().map(|number| ("--goal", *number));
-    let starts = args.start.iter().map(|number| ("--start", *number));
-    for (name, number) in places
-        .chain(starts)
-        .chain([("--timeout", args.timeout), ("--cloud-delay-ms", args.cloud_delay_ms)])
-    {
-        let is_place = matches!(name, "--goal" | "--start");
-        if !number.is_finite() || (!is_place && number < 0.0) {
-            return Err(Failure::usage(format!(
-                "{name} {number}: expected a finite number{}",
-                if is_place { "" } else { ", not negative" }
-            )));
-        }
-    }
     if let Some(tolerance) = args.tolerance.filter(|tolerance| !TOLERANCE.contains(tolerance)) {
         return Err(Failure::usage(format!(
             "--tolerance {tolerance}: expected {} to {} m",
@@ -246,8 +232,8 @@ fn check(args: &RunArgs) -> Result<(), Failure> {
     }
     let mut headings = args.start.chunks_exact(3).map(|start| start[2]);
     headings
-        .try_for_each(connect::check_yaw)
-        .map_err(|error| Failure::usage(format!("--start: {error}")))
+        .try_for_each(|yaw| Expected::Angle.check(yaw).map(drop))
+        .map_err(|why| Failure::usage(format!("--start: YAW {why}")))
 }
 
 /// A robot for each goal.

@@ -2,6 +2,7 @@
 
 use clap::{Args, Subcommand};
 use serde::Serialize;
+use zenav_protocol::config_text::Expected;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::{Health, LocaliseAction, LocaliseRequest, PoseEstimate};
 use zenav_protocol::topics;
@@ -75,7 +76,9 @@ pub fn pose(args: &PoseArgs) -> Outcome {
             if !pose.is_finite() {
                 return Err(Failure::usage(format!("{x} {y} {yaw}: expected finite numbers")));
             }
-            connect::check_yaw(yaw).map_err(Failure::usage)?;
+            Expected::Angle
+                .check(yaw)
+                .map_err(|why| Failure::usage(format!("YAW {why}")))?;
             act(&args.show, LocaliseAction::At, Some(pose))
         }
     }

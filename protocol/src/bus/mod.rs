@@ -90,7 +90,7 @@ pub use keyed::KeyedPublisher;
 pub use publish::Publisher;
 pub use raw::{RawReply, RawSample, RawSubscription};
 pub use router::{Router, RouterConfig};
-pub use security::Security;
+pub use security::{Security, link_protocol};
 pub use serve::{Request, Server};
 pub use serve_part::{Call, PartServer, Responder};
 pub use session::{Bus, BusConfig, BusError};

@@ -89,10 +89,7 @@ impl Security {
     /// Whether these endpoints may be dialled and listened on.
     pub(super) fn check(&self, connect: &[String], listen: &[String]) -> Result<(), BusError> {
         for endpoint in connect.iter().chain(listen) {
-            let protocol = match endpoint.split_once('/') {
-                Some((protocol @ ("tcp" | "quic" | "tls"), address)) if address.contains(':') => Some(protocol),
-                _ => None,
-            };
+            let protocol = link_protocol(endpoint);
             let expected = match self {
                 _ if protocol.is_none() => "tcp/HOST:PORT, or quic/HOST:PORT with an identity",
                 Self::Mtls(_) if protocol != Some("quic") => "quic/HOST:PORT, as this has an identity",
@@ -139,6 +136,13 @@ impl Security {
 }
 
 /// Whether only programs of this machine reach an endpoint.
+/// The protocol of an endpoint, `PROTOCOL/HOST:PORT`; `None` where no link goes over it.
+#[must_use]
+pub fn link_protocol(endpoint: &str) -> Option<&str> {
+    let (protocol, address) = endpoint.split_once('/')?;
+    (matches!(protocol, "tcp" | "quic" | "tls") && address.contains(':')).then_some(protocol)
+}
+
 fn is_loopback(endpoint: &str) -> bool {
     let address = endpoint.split_once('/').map_or(endpoint, |(_, address)| address);
     let address = address.split(['#', '?', ';']).next().unwrap_or_default();

@@ -5,6 +5,8 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use super::DrivingProfile;
+use crate::config_text::{Expected, Number};
+use crate::geometry::wrap_angle;
 use crate::time::Stamp;
 
 /// A place, map frame.
@@ -18,6 +20,29 @@ pub struct GoalPoint {
     /// Heading, rad; without it, any.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub yaw: Option<f64>,
+}
+
+impl GoalPoint {
+    /// The place, with its heading wrapped.
+    ///
+    /// # Errors
+    /// What was expected: coordinates within 1,000 km, a heading in radians.
+    pub fn checked(self) -> Result<Self, String> {
+        const FARTHEST: f64 = 1e6;
+        let is_near = |value: f64| value.abs() <= FARTHEST;
+        if !(is_near(self.x) && is_near(self.y)) {
+            return Err(format!(
+                "({}, {}): expected finite coordinates within {FARTHEST} m",
+                Number(self.x),
+                Number(self.y)
+            ));
+        }
+        let yaw = self.yaw.map(|yaw| Expected::Angle.check(yaw)).transpose();
+        Ok(Self {
+            yaw: yaw.map_err(|why| format!("yaw is {why}"))?.map(wrap_angle),
+            ..self
+        })
+    }
 }
 
 /// A goal: exactly one of (`x`, `y`), `place` and `waypoints`; or a `tree`, alone or with one of them.

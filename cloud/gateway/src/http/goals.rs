@@ -1,7 +1,6 @@
 //! Goals. How are they submitted, listed, cancelled and paused?
 
 use std::collections::BTreeMap;
-use std::f64::consts::TAU;
 
 use axum::extract::State;
 use axum::http::StatusCode;
@@ -9,6 +8,7 @@ use axum::response::Response;
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer};
 use serde_json::Value;
+use zenav_protocol::config_text::Expected;
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{
     CancelRequest, DrivingProfile, GoalPoint, GoalRequest, GoalsRequest, MoveGoalRequest, OnBusy, PauseRequest,
@@ -94,12 +94,8 @@ impl GoalBody {
 
 /// A heading in degrees is a slip.
 pub(super) fn in_radians(yaw: f64) -> Result<(), ApiError> {
-    if yaw.abs() <= TAU {
-        return Ok(());
-    }
-    Err(ApiError::bad_request(format!(
-        "`yaw` is {yaw}: expected radians, -6.283 to 6.283 (90° is 1.571)"
-    )))
+    let checked = Expected::Angle.check(yaw).map(drop);
+    checked.map_err(|why| ApiError::bad_request(format!("`yaw` is {why}")))
 }
 
 /// Where in the queue a goal is moved to.
