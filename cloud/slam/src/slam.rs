@@ -8,7 +8,7 @@ use thiserror::Error;
 use zenav_pose_graph::{DescentSettings, Edge, EdgeKind, GraphError, PoseGraph, RobustSolution, SolveError};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::Scan;
-use zenav_scan_matching::{Prior, Refined, Window, floored, points, refine, search, turned};
+use zenav_scan_matching::{Prior, Refined, Window, floored, judge, points, refine, search, turned};
 
 use crate::back_end::BackEnd;
 use crate::closure::close;
@@ -58,10 +58,11 @@ pub struct Effects {
     pub is_inserted: bool,
     /// Score of the match, 0 to 1, where there was one that counts.
     pub score: Option<f64>,
-    /// Whether the scan agrees with the map around it, if only well enough for a node: it contradicts nothing.
+    /// Whether the scan agrees with the map around it, if only well enough for a node.
     pub fits: bool,
-    /// Whether it is the first of all: there is nothing yet that it could be matched to.
-    pub is_first: bool,
+    /// Whether it says that the robot is elsewhere: it does not fit, and its beams go through walls, or nobody knows where it was switched
+    /// on. Who stands around the robot hides the map, and contradicts nothing.
+    pub contradicts: bool,
     /// Points that the scan saw.
     pub points: usize,
     /// Whether a wide search was needed.
@@ -240,13 +241,13 @@ impl Slam {
         let way = node_from_base.x.hypot(node_from_base.y);
         let is_near = way < front.distance && node_from_base.yaw.abs() < front.turn;
         if is_near && !self.is_doubted {
-            return Ok(self.track(stamp, node_from_base, seen));
+            return Ok(self.track(stamp, node_from_base, seen, scan.base_from_laser.position()));
         }
         self.insert(stamp, node_from_base, seen, scan.base_from_laser.position(), is_near)
     }
 
     /// A scan near the last node is matched, but makes no node of its own.
-    fn track(&mut self, stamp: f64, step: Pose2, seen: Vec<Point2<f64>>) -> Effects {
+    fn track(&mut self, stamp: f64, step: Pose2, seen: Vec<Point2<f64>>, laser: Point2<f64>) -> Effects {
         let settings = &self.settings;
         let poses = self.back_end.poses();
         let last = self.scans.len() - 1;
@@ -259,10 +260,12 @@ impl Slam {
         let is_match = refined.score >= least;
         let anchor_from_base = if is_match { refined.pose } else { expected };
         let pose = poses[submap.anchor] * anchor_from_base;
+        let fits = refined.score >= settings.front.min_score;
         let effects = Effects {
             pose,
             score: is_match.then_some(refined.score),
-            fits: refined.score >= settings.front.min_score,
+            fits,
+            contradicts: !fits && self.goes_through_walls(submap, expected, laser, &seen),
             points: seen.len(),
             degenerate: refined
                 .degenerate
@@ -275,6 +278,19 @@ impl Slam {
         let anchor = submap.anchor;
         self.stand(stamp, anchor, anchor_from_base, seen);
         effects
+    }
+
+    /// Whether the beams of a scan say that it was not made at a pose in a submap.
+    fn goes_through_walls(
+        &self,
+        submap: &Submap,
+        anchor_from_base: Pose2,
+        laser: Point2<f64>,
+        seen: &[Point2<f64>],
+    ) -> bool {
+        let settings = &self.settings;
+        let verdict = judge(&submap.field, laser, seen, anchor_from_base, &settings.verdict);
+        verdict.through_walls > settings.closure.through_walls
     }
 
     /// Covariance of a match along the map's axes.
@@ -312,7 +328,6 @@ impl Slam {
         self.stand(stamp, 0, Pose2::IDENTITY, Vec::new());
         let effects = Effects {
             pose: self.start,
-            is_first: true,
             fits: true,
             is_inserted: true,
             ..Effects::default()
@@ -367,6 +382,8 @@ impl Slam {
         let map_from_anchor = self.back_end.poses()[anchor];
         let expected = map_from_anchor.inverse() * self.back_end.poses()[last] * corrected;
         let matched = self.matched(active, expected, &prior, &seen, &mut effects);
+        effects.contradicts = matched.is_none()
+            && (was_doubted || self.goes_through_walls(&self.submaps[active], expected, laser, &seen));
         if is_near && matched.is_none() {
             self.stand(stamp, anchor, expected, seen);
             return Ok(Effects {

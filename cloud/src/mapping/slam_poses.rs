@@ -26,7 +26,7 @@ const SMALLEST_MOVE: (f64, f64) = (0.01, 0.002);
 const TOLD_AGAIN: f64 = 0.3;
 /// The session is kept after so many new nodes: a robot that was restarted meanwhile is looked for as far as it comes with these.
 const KEPT_AFTER: u32 = 20;
-/// Scans in a row that fit nowhere before the robot is lost, and from how many points a scan says something.
+/// Scans that contradict the map, and none between them that fits, before the robot is lost; and from how many points a scan says something.
 const CONTRADICTIONS: (u32, usize) = (5, 40);
 
 /// The map drawn anew, so far.
@@ -70,7 +70,7 @@ pub(super) struct SlamPoses {
     handed: usize,
     /// Whether what was handed out last is not on disk, or is of an older frame or another map.
     is_overdue: bool,
-    /// Scans in a row that fit nowhere.
+    /// Scans that contradict the map since one fitted.
     contradictions: u32,
     health: Health,
     statements: Statements,
@@ -251,7 +251,7 @@ impl SlamPoses {
     fn judge(&mut self, effects: &Effects) {
         if effects.fits {
             self.contradictions = 0;
-        } else if effects.points >= CONTRADICTIONS.1 && !effects.is_first {
+        } else if effects.contradicts && effects.points >= CONTRADICTIONS.1 {
             self.contradictions += 1;
         }
         self.health = match effects.degenerate {
