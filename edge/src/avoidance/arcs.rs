@@ -3,7 +3,10 @@
 //! A twist is kept along an arc, as fast as the monitor allows it now. The arc is held against what stands and against where tracks are
 //! predicted; its end is judged by the value function.
 
+use std::f64::consts::TAU;
+
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
+use zenav_protocol::robot::Drive;
 
 use super::{Avoidance, AvoidanceInput, kept, lead};
 use crate::blind_spot_grid::Floor;
@@ -18,9 +21,15 @@ const ARC_STEPS: u32 = 12;
 /// Speeds and yaw rates of the window.
 const SPEEDS: i32 = 8;
 const YAW_RATES: i32 = 6;
-/// Steps of an arc that a turn away from a contact takes at most, and the share of the top speed after it.
-const TURN_STEPS: u32 = 6;
+/// Directions in which a way out of a contact leads, the share of the top speed that it is driven at, and how far the robot may look beside it
+/// then, rad.
+const WAYS_OUT: u32 = 24;
 const AWAY: f64 = 0.4;
+const ALIGNED: f64 = 0.15;
+/// A turn slows down when so little time is left of it, s.
+const TURN_SLOWS: f64 = 0.12;
+/// Another way out is taken when it costs less by this, s: else two that are as good hold the robot between them.
+const KEPT_GAIN: f64 = 2.0;
 /// Share of the top speed that is used backwards.
 const BACKWARDS: f64 = 0.4;
 /// Nearer than this to what stands, or to a track, is a contact, m.
@@ -84,11 +93,34 @@ impl<'a> Situation<'a> {
     }
 }
 
+/// A direction in the odometry frame that leads out of a contact: the robot turns on the spot until it looks there, then drives.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct WayOut(u32);
+
+impl WayOut {
+    /// The twist that goes on from a heading, rad, and is kept for so many s at least.
+    fn twist(self, drive: &Drive, yaw: f64, kept: f64) -> Twist2 {
+        let off = wrap_angle(TAU * f64::from(self.0) / f64::from(WAYS_OUT) - yaw);
+        let turn = fastest_turn(drive);
+        let v = if off.abs() < ALIGNED {
+            AWAY * drive.top_speed()
+        } else {
+            0.0
+        };
+        Twist2::new(v, (off / kept.max(TURN_SLOWS)).clamp(-turn, turn))
+    }
+}
+
+/// The highest yaw rate that is tried, rad/s.
+fn fastest_turn(drive: &Drive) -> f64 {
+    drive.top_yaw_rate().min(3.0)
+}
+
 impl Avoidance {
-    /// The twist whose arc costs least.
-    pub(super) fn best_arc(&self, situation: &Situation<'_>) -> Twist2 {
+    /// The twist whose arc costs least, and the way out of a contact that it begins.
+    pub(super) fn best_arc(&self, situation: &Situation<'_>) -> (Twist2, Option<WayOut>) {
         let input = situation.input;
-        let (top, turn) = (self.drive.top_speed(), self.drive.top_yaw_rate().min(3.0));
+        let (top, turn) = (self.drive.top_speed(), fastest_turn(&self.drive));
         let backwards = if input.obstacles.blind_spots().leads_into_blind_spot(-1.0) {
             0.9 * input.blind_speed.min(BACKWARDS * top)
         } else {
@@ -107,6 +139,12 @@ impl Avoidance {
             .filter_map(mover)
             .collect();
         let bump = self.touched.is_so().then_some(input.bump);
+        let share_of = |wanted: Twist2| {
+            let (obstacles, here) = (input.obstacles, input.odom_from_base);
+            input
+                .monitor
+                .share_among(input.now, wanted, &movers, obstacles, here, bump)
+        };
         // Who is touched creeps away, however slowly.
         let held_cost = if bump.is_some() { 0.0 } else { HELD_COST };
         let mut best = (f64::INFINITY, Twist2::ZERO);
@@ -123,10 +161,10 @@ impl Avoidance {
                 if self.drive.surface_speed(wanted) > input.speed_cap + 1e-9 {
                     continue;
                 }
-                let (obstacles, here) = (input.obstacles, input.odom_from_base);
-                let share = input
-                    .monitor
-                    .share_among(input.now, wanted, &movers, obstacles, here, bump);
+                let share = share_of(wanted);
+                if bump.is_some() && share <= 0.0 && wanted != Twist2::ZERO {
+                    continue;
+                }
                 let driven = Twist2::new(share * wanted.v, share * wanted.w);
                 let cost = self.arc_cost(situation, driven, None, best.0) + held_cost * (1.0 - share);
                 if cost < best.0 {
@@ -134,31 +172,29 @@ impl Avoidance {
                 }
             }
         }
+        let mut chosen = None;
         if bump.is_some() {
             // Away from a contact leads often no single arc, but a turn and then straight on.
-            let away = Twist2::new(AWAY * top, 0.0);
-            for wanted in [-turn, -0.5 * turn, 0.5 * turn, turn].map(|w| Twist2::new(0.0, w)) {
-                let (obstacles, here) = (input.obstacles, input.odom_from_base);
-                let share = input
-                    .monitor
-                    .share_among(input.now, wanted, &movers, obstacles, here, bump);
+            for way_out in (0..WAYS_OUT).map(WayOut) {
+                let wanted = way_out.twist(&self.drive, input.odom_from_base.yaw, input.dt);
+                let share = share_of(wanted);
                 if share <= 0.0 {
                     continue;
                 }
-                let driven = Twist2::new(0.0, share * wanted.w);
-                for steps in 1..=TURN_STEPS {
-                    let cost = self.arc_cost(situation, driven, Some((steps, away)), best.0);
-                    if cost < best.0 {
-                        best = (cost, wanted);
-                    }
+                let first = Twist2::new(share * wanted.v, share * wanted.w);
+                let kept = if self.way_out == Some(way_out) { KEPT_GAIN } else { 0.0 };
+                let cost = self.arc_cost(situation, first, Some((way_out, share)), best.0 + kept) - kept;
+                if cost < best.0 {
+                    best = (cost, wanted);
+                    chosen = Some(way_out);
                 }
             }
         }
-        best.1
+        (best.1, chosen)
     }
 
-    /// Cost of going over to a twist and keeping it, or only for some steps and then another one, s; given up beyond `limit`.
-    fn arc_cost(&self, situation: &Situation<'_>, wanted: Twist2, then: Option<(u32, Twist2)>, limit: f64) -> f64 {
+    /// Cost of going over to a twist and keeping it, or of a way out with a share of its turn, s; given up beyond `limit`.
+    fn arc_cost(&self, situation: &Situation<'_>, wanted: Twist2, way_out: Option<(WayOut, f64)>, limit: f64) -> f64 {
         let (input, from_here) = (situation.input, situation.value);
         let touched = self.touched.is_so();
         let lasts = if touched { TOUCHED_ARC_SECS } else { ARC_SECS };
@@ -170,8 +206,10 @@ impl Avoidance {
         let mut target = self.drive.wheels(wanted);
         let change = self.drive.max_wheel_acceleration * step;
         for nth in 1..=ARC_STEPS {
-            if let Some((_, then)) = then.filter(|(steps, _)| nth == steps + 1) {
-                target = self.drive.wheels(then);
+            if let Some((way_out, share)) = way_out {
+                let twist = way_out.twist(&self.drive, pose.yaw, step);
+                let share = if twist.v > 0.0 { 1.0 } else { share };
+                target = self.drive.wheels(Twist2::new(twist.v, share * twist.w));
             }
             for (wheel, target) in wheels.iter_mut().zip(target) {
                 *wheel += (target - *wheel).clamp(-change, change);

@@ -32,7 +32,7 @@ use crate::course::Way;
 use crate::local_obstacles::LocalObstacles;
 use crate::obstacle_tracks::Track;
 use crate::settings::AvoidanceSettings;
-use arcs::Situation;
+use arcs::{Situation, WayOut};
 use clearance_grid::ClearanceGrid;
 use touched::Touched;
 use value_function::ValueFunction;
@@ -106,6 +106,8 @@ pub struct Avoidance {
     evading: bool,
     calm_for: f64,
     touched: Touched,
+    /// Which way it goes in contact.
+    way_out: Option<WayOut>,
     /// Whether what it makes way for is a robot.
     for_robot: bool,
     /// Where it makes way to.
@@ -132,6 +134,7 @@ impl Avoidance {
             evading: false,
             calm_for: 0.0,
             touched: Touched::default(),
+            way_out: None,
             for_robot: false,
             course: Vec::new(),
             hit_for: 0.0,
@@ -170,6 +173,7 @@ impl Avoidance {
     /// The plan has changed or ended: the tracker drives.
     pub fn reset(&mut self) {
         self.evading = false;
+        self.way_out = None;
         self.calm_for = 0.0;
         self.hit_for = 0.0;
     }
@@ -219,7 +223,9 @@ impl Avoidance {
             self.trapped_for = lasts;
         }
         self.clearances.fill(input.odom_from_base.position(), &self.standing);
-        Control::Evade(self.best_arc(&Situation::new(self, input, &tracks, &leaning)))
+        let (best, way_out) = self.best_arc(&Situation::new(self, input, &tracks, &leaning));
+        self.way_out = way_out;
+        Control::Evade(best)
     }
 
     /// Whether the plan, at its own pace, comes too near to where a track is predicted.

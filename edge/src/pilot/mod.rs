@@ -188,8 +188,9 @@ impl Pilot {
         }
         let gap = last.map_or(0.0, |last| now.secs_since(last));
         let dt = gap.clamp(0.0, LONGEST_TICK);
-        // A body without commands for some ticks stops its wheels, and so does contact.
-        if readings.bump.pressed || gap >= SILENT_TICKS * self.config.tick {
+        // A body without commands for some ticks stops its wheels, and so does what it runs into.
+        let is_hit = readings.bump.pressed && !self.pressed;
+        if is_hit || gap >= SILENT_TICKS * self.config.tick {
             self.wheel_coordination.reset();
         }
         let wheels = self

@@ -285,6 +285,29 @@ fn a_bump_stops_the_robot_and_is_reported() {
 }
 
 #[test]
+fn who_is_touched_in_front_backs_away_as_fast_as_ever() {
+    let backed = |touched: Option<f64>| {
+        let mut rig = fresh();
+        rig.bump = touched;
+        let epoch = rig.lease("me", LeaseRole::Operator, "o").unwrap();
+        for _ in 0..10 {
+            rig.inbox.teleops.push(Teleop {
+                epoch,
+                twist: Twist2::new(-0.3, 0.0),
+                echo: rig.now,
+            });
+            rig.run(0.1);
+        }
+        -rig.pose.x
+    };
+    let (free, touched) = (backed(None), backed(Some(0.0)));
+    assert!(
+        free > 0.1 && touched > 0.9 * free,
+        "{touched} m, {free} m where nothing touches"
+    );
+}
+
+#[test]
 fn a_repeated_request_gets_the_first_answer() {
     let mut rig = fresh();
     assert_eq!(rig.lease("m", LeaseRole::Mission, "r1"), Ok(1));
