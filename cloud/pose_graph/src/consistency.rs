@@ -6,65 +6,9 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::{Matrix3, Vector3};
-use zenav_protocol::geometry::Pose2;
-
-use crate::covariance::mahalanobis;
 use crate::graph::{Edge, EdgeKind, PoseGraph};
 use crate::settings::RobustSettings;
-
-/// Added to information matrices before they are inverted, as a share of the largest entry: directions that an edge does not know.
-const LEAST_INFORMATION: f64 = 1e-9;
-
-/// A relative pose and its covariance in the frame of its far end.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Uncertain {
-    pub(crate) pose: Pose2,
-    pub(crate) covariance: Matrix3<f64>,
-}
-
-/// What turns a small motion at the far end of `pose` into one at its near end.
-fn adjoint(pose: Pose2) -> Matrix3<f64> {
-    let (sin, cos) = pose.yaw.sin_cos();
-    Matrix3::new(cos, -sin, pose.y, sin, cos, -pose.x, 0.0, 0.0, 1.0)
-}
-
-impl Uncertain {
-    pub(crate) const CERTAIN: Self = Self {
-        pose: Pose2::IDENTITY,
-        covariance: Matrix3::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-    };
-
-    pub(crate) fn of(edge: &Edge) -> Self {
-        let least = Matrix3::identity() * (LEAST_INFORMATION * edge.information.amax());
-        Self {
-            pose: edge.measurement,
-            covariance: (edge.information + least).try_inverse().unwrap_or_else(Matrix3::zeros),
-        }
-    }
-
-    pub(crate) fn inverse(&self) -> Self {
-        let turn = adjoint(self.pose);
-        Self {
-            pose: self.pose.inverse(),
-            covariance: turn * self.covariance * turn.transpose(),
-        }
-    }
-
-    pub(crate) fn then(&self, next: &Self) -> Self {
-        let back = adjoint(next.pose.inverse());
-        Self {
-            pose: self.pose * next.pose,
-            covariance: back * self.covariance * back.transpose() + next.covariance,
-        }
-    }
-
-    /// How far this is from no motion at all.
-    fn chi_squared(&self) -> f64 {
-        let Pose2 { x, y, yaw } = self.pose;
-        mahalanobis(&Vector3::new(x, y, yaw), &self.covariance)
-    }
-}
+use crate::uncertain::Uncertain;
 
 /// Whether each edge has support: odometry always, a closure where it agrees with odometry alone within the window, or with another closure
 /// around a cycle of at most twice the window's odometry steps.

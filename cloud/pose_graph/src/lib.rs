@@ -42,6 +42,7 @@
 //! | `companion`, `certificate` | is there no better valley? |
 //! | `consistency`, `robust` | which closures are false? |
 //! | `covariance` | how well are nodes known? |
+//! | `uncertain` | how well is a node known along a chain of measurements? |
 //! | `reduced` | what is still known when nodes are dropped? |
 //! | `linear` | how is a sparse system of blocks solved? |
 //! | `settings` | what can be tuned? |
@@ -59,6 +60,7 @@ mod robust;
 mod settings;
 mod solver;
 mod start;
+mod uncertain;
 
 pub use certificate::{Certificate, Optimality, certify};
 pub use consistency::supported;
@@ -70,3 +72,4 @@ pub use robust::{RobustSolution, solve_robust};
 pub use settings::{DescentSettings, RobustSettings};
 pub use solver::{Solution, SolveError, Unknown, solve};
 pub use start::{chordal_start, odometry_start};
+pub use uncertain::Uncertain;

@@ -7,8 +7,8 @@
 
 use std::collections::{BTreeMap, BinaryHeap};
 
-use crate::consistency::Uncertain;
 use crate::graph::{Edge, EdgeKind, GraphError, PoseGraph};
+use crate::uncertain::Uncertain;
 
 /// Edges that replace dropped nodes, between those that are left.
 ///

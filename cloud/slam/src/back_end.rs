@@ -1,11 +1,15 @@
 //! Back end. Which poses agree best with all odometry and all matches so far?
 
+use std::collections::BTreeMap;
+
 use zenav_pose_graph::{
     DescentSettings, DescentStatus, Edge, EdgeKind, GraphError, PoseGraph, RobustSettings, RobustSolution, Solution,
-    SolveError, certify, descend, edge_chi_squared, solve_robust,
+    SolveError, Uncertain, certify, descend, edge_chi_squared, solve_robust,
 };
 use zenav_protocol::geometry::Pose2;
 
+use crate::drift::Drift;
+use crate::settings::FrontSettings;
 use crate::slam::SlamError;
 
 /// Rounds in which closures change sides, at most, each time the graph is settled.
@@ -18,6 +22,7 @@ pub(crate) struct BackEnd {
     weights: Vec<f64>,
     /// Which edges are matches of a finish: the next one makes its own.
     is_final: Vec<bool>,
+    drift: Drift,
 }
 
 impl BackEnd {
@@ -55,6 +60,19 @@ impl BackEnd {
     /// `map_from_node` of all nodes.
     pub(crate) fn poses(&self) -> &[Pose2] {
         self.graph.poses()
+    }
+
+    /// The last node as seen from submaps that begin at `anchors`, `anchor_from_node`, where its position is known to within a standard
+    /// deviation of `limit`, m.
+    pub(crate) fn as_seen_from(
+        &mut self,
+        anchors: &[usize],
+        front: &FrontSettings,
+        limit: f64,
+    ) -> BTreeMap<usize, Uncertain> {
+        let edges = self.graph.edges().iter().zip(self.is_final.iter().copied());
+        self.drift.update(edges, self.graph.poses().len(), anchors, front);
+        self.drift.of_last_node(&self.weights, limit)
     }
 
     /// Moves the nodes, and has every measurement agree with where they lie then.

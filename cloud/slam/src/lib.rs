@@ -16,8 +16,9 @@
 //! 2. **front**: after 0.1 m or 3 degrees the scan is refined on the older of two submaps that grow, with odometry as prior. Where the
 //!    match is doubtful (its score, or how far it is from odometry), an exact search of a wide window decides. In between, scans are
 //!    matched and make no node.
-//! 3. **closure**: one inserted scan of six is searched for in the nearest older submap, by exact branch and bound; taken where it scores
-//!    well, no second place is as good, the points are explained and the beams pass no walls.
+//! 3. **closure**: one inserted scan of six is searched for in the nearest older submap, by exact branch and bound, within three standard
+//!    deviations of the covariance between the two; taken where it scores well, no second place is as good, the points are explained and
+//!    the beams pass no walls. A match far from where it was expected needs a second scan that confirms it.
 //! 4. **back end**: a new closure settles the graph; closures that do not fit fall out and may come back.
 //!
 //! [`Slam::finish`] ends a log: closures are decided anew ([`zenav_pose_graph::solve_robust`]), every scan is matched to submaps around
@@ -41,6 +42,7 @@
 //! | `slam` | where is the robot? |
 //! | `submap` | what does a short stretch of the way look like? |
 //! | `closure` | was the robot here before? |
+//! | `drift` | how well is a node known as seen from an old submap? |
 //! | `odometry` | how good is odometry, as far as matches have shown? |
 //! | `back_end` | which poses agree best? |
 //! | `finish` | where does each scan lie once all are known? |
@@ -51,6 +53,7 @@
 
 mod back_end;
 mod closure;
+mod drift;
 mod finish;
 mod joining;
 mod metric;

@@ -65,15 +65,12 @@ zenav_protocol::settings! {
         pub submaps: u32 = 1, "", 1..=100;
         /// Inserted scans between a submap and a scan, at least.
         pub gap: u32 = 80, "", 1..=100_000;
-        /// Submaps whose middle is farther away than this, beyond what drift allows, are not searched.
+        /// Submaps whose middle is farther away than this, beyond the window, are not searched. A window so wide is a usual one; one that is
+        /// larger by a factor is searched that much more rarely, and none is wider than ten of these.
         pub near: f64 = 5.0, "m", 0.1..=100.0;
-        /// Window, to each side: this at least.
+        /// Window, to each side, beyond three standard deviations of the position; a match farther off needs a second one that confirms it.
         pub reach: f64 = 0.6, "m", 0.0..=50.0;
-        /// Window, to each side, for each metre driven since the submap or the last closure.
-        pub reach_per_metre: f64 = 0.05, "m/m", 0.0..=1.0;
-        /// Window, to each side, at most.
-        pub max_reach: f64 = 4.0, "m", 0.0..=50.0;
-        /// Window of headings, to each side.
+        /// Window of headings, to each side, at least.
         pub turn: f64 = 0.35, "rad", 0.0..=3.15;
         /// A closure scores at least this.
         pub min_score: f64 = 0.6, "", 0.0..=1.0;
@@ -81,7 +78,7 @@ zenav_protocol::settings! {
         pub explained: f64 = 0.65, "", 0.0..=1.0;
         /// Share of beams through walls, at most.
         pub through_walls: f64 = 0.15, "", 0.0..=1.0;
-        /// Blocks that one search may score.
+        /// Blocks that the search of a usual window may score; that of a larger one may score as many more as it is rarer.
         pub budget: u32 = 60_000, "", 100..=100_000_000;
     }
 }

@@ -91,6 +91,8 @@ pub struct Counts {
     pub unmatched: usize,
     /// Submaps searched for a closure.
     pub searched: usize,
+    /// Of these, searches that spent their budget before anything was known: in vain.
+    pub cut: usize,
     /// Closures found.
     pub found: usize,
 }
@@ -134,8 +136,6 @@ pub struct Slam {
     pub(crate) start: Pose2,
     /// Running mean of the scores of matches.
     pub(crate) usual: f64,
-    /// Way since the last closure, m.
-    pub(crate) since_closure: f64,
     /// Whether closures came since the graph was settled.
     pub(crate) is_dirty: bool,
     pub(crate) counts: Counts,
@@ -163,7 +163,6 @@ impl Slam {
             keeps_all: true,
             start: Pose2::IDENTITY,
             usual: 0.0,
-            since_closure: 0.0,
             is_dirty: false,
             counts: Counts::default(),
         }
@@ -392,7 +391,6 @@ impl Slam {
                 ..effects
             });
         }
-        self.since_closure += step.x.hypot(step.y);
         self.is_apart = false;
         let anchor_from_scan = matched.as_ref().map_or(expected, |refined| refined.pose);
         let node = self.back_end.add_node(map_from_anchor * anchor_from_scan)?;

@@ -56,6 +56,8 @@ struct Times {
 struct Closures {
     /// Submaps that were searched.
     searched: usize,
+    /// Searches in vain, because the budget was spent before the best place was known.
+    cut: usize,
     found: usize,
 }
 
@@ -168,6 +170,7 @@ pub(super) fn map(args: &SlamArgs) -> Outcome {
         submaps: slam.submaps(),
         closures: Closures {
             searched: counts.searched,
+            cut: counts.cut,
             found: counts.found,
         },
         graph,

@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, Vector3};
 use zenav_pose_graph::{Edge, EdgeKind, GraphError};
 use zenav_protocol::geometry::Pose2;
 
-use crate::closure::{closure, seen_again};
+use crate::closure::{Around, Seen, closure, seen_again};
 use crate::slam::Slam;
 
 /// How well the votes alone say where one map lies in the other, m and rad. This measurement is trusted and holds the graph together; the
@@ -29,7 +29,7 @@ pub(crate) fn closures(older: &mut Slam, newer: &Slam, older_from_newer: Pose2) 
         let expected = older.nodes()[older.submaps[index].anchor].inverse() * here;
         let submap = &mut older.submaps[index];
         let (laser, scan) = (newer.laser_of(node), &newer.scans[node]);
-        if let Some(refined) = seen_again(submap, expected, limits.reach, laser, scan, &settings) {
+        if let Seen::At(refined, _) = seen_again(submap, expected, Around::near(limits), laser, scan, &settings) {
             found.push(closure(submap.anchor, node, &refined, &settings));
         }
     }
@@ -91,7 +91,6 @@ pub(crate) fn joined(older: Slam, newer: Slam, older_from_newer: Pose2, closures
         sessions: older.sessions.into_iter().chain(newer.sessions).collect(),
         older: None,
         start: older.start,
-        since_closure: 0.0,
         is_dirty: true,
         counts,
         ..newer

@@ -42,7 +42,6 @@ pub(super) struct Content {
     keeps_all: bool,
     start: Row,
     usual: f64,
-    since_closure: f64,
     is_dirty: bool,
     counts: Counts,
 }
@@ -128,7 +127,6 @@ impl Content {
             keeps_all: slam.keeps_all,
             start: row(slam.start),
             usual: slam.usual,
-            since_closure: slam.since_closure,
             is_dirty: slam.is_dirty,
             counts: slam.counts,
         }
@@ -156,7 +154,7 @@ impl Content {
         for session in &self.sessions {
             finite(&[session.laser.x, session.laser.y])?;
         }
-        finite(&[self.usual, self.since_closure])?;
+        finite(&[self.usual])?;
         let points = |steps: &[i32]| unpacked(steps).ok_or_else(|| expected("points within 1 km"));
         let scans: Vec<_> = self
             .scans
@@ -180,7 +178,6 @@ impl Content {
             keeps_all: self.keeps_all,
             start: pose(self.start)?,
             usual: self.usual,
-            since_closure: self.since_closure,
             is_dirty: self.is_dirty,
             counts: self.counts,
             ..Slam::new(self.settings)

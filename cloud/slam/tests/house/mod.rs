@@ -54,6 +54,11 @@ const NOISE: f64 = 0.01;
 pub struct House(Vec<Vec<(f64, f64)>>);
 
 impl House {
+    /// Walls, each a closed row of corners, m.
+    pub fn of(walls: Vec<Vec<(f64, f64)>>) -> Self {
+        Self(walls)
+    }
+
     /// The house of all tests.
     pub fn usual() -> Self {
         Self(WALLS.iter().map(|wall| wall.to_vec()).collect())

@@ -1,0 +1,73 @@
+//! Uncertain poses. How well is one pose known as seen from another, along a chain of measurements?
+//!
+//! First order, on the tangent space at the far end: Smith, Self and Cheeseman, "Estimating uncertain spatial relationships in robotics",
+//! UAI 1986 (compounding and inversion).
+
+use nalgebra::{Matrix3, Vector3};
+use zenav_protocol::geometry::Pose2;
+
+use crate::covariance::mahalanobis;
+use crate::graph::Edge;
+
+/// Added to information matrices before they are inverted, as a share of the largest entry: directions that an edge does not know.
+const LEAST_INFORMATION: f64 = 1e-9;
+
+/// A relative pose `near_from_far` and its covariance.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Uncertain {
+    /// `near_from_far`, m and rad.
+    pub pose: Pose2,
+    /// Covariance of x, y (m²) and yaw (rad²) in the frame of the far end.
+    pub covariance: Matrix3<f64>,
+}
+
+/// What turns a small motion at the far end of `pose` into one at its near end.
+fn adjoint(pose: Pose2) -> Matrix3<f64> {
+    let (sin, cos) = pose.yaw.sin_cos();
+    Matrix3::new(cos, -sin, pose.y, sin, cos, -pose.x, 0.0, 0.0, 1.0)
+}
+
+impl Uncertain {
+    /// A pose as seen from itself.
+    pub const CERTAIN: Self = Self {
+        pose: Pose2::IDENTITY,
+        covariance: Matrix3::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+    };
+
+    /// What an edge says of its far end.
+    #[must_use]
+    pub fn of(edge: &Edge) -> Self {
+        let least = Matrix3::identity() * (LEAST_INFORMATION * edge.information.amax());
+        Self {
+            pose: edge.measurement,
+            covariance: (edge.information + least).try_inverse().unwrap_or_else(Matrix3::zeros),
+        }
+    }
+
+    /// The near end as seen from the far one.
+    #[must_use]
+    pub fn inverse(&self) -> Self {
+        let turn = adjoint(self.pose);
+        Self {
+            pose: self.pose.inverse(),
+            covariance: turn * self.covariance * turn.transpose(),
+        }
+    }
+
+    /// The far end of `next`, which begins at the far end of this one; their errors are independent.
+    #[must_use]
+    pub fn then(&self, next: &Self) -> Self {
+        let back = adjoint(next.pose.inverse());
+        Self {
+            pose: self.pose * next.pose,
+            covariance: back * self.covariance * back.transpose() + next.covariance,
+        }
+    }
+
+    /// Squared Mahalanobis distance from no motion at all: chi squared with three degrees of freedom.
+    #[must_use]
+    pub fn chi_squared(&self) -> f64 {
+        let Pose2 { x, y, yaw } = self.pose;
+        mahalanobis(&Vector3::new(x, y, yaw), &self.covariance)
+    }
+}

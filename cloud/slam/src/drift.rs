@@ -1,0 +1,246 @@
+//! Drift. How well is a node known as seen from a submap of another time?
+//!
+//! A closure says nothing of places that it does not lead to: what counts is the covariance between this node and that submap. It adds up
+//! along any chain of measurements between the two, and the best chain bounds it from above. The chain is found as by Bosse et al.,
+//! "Simultaneous localization and map building in large-scale cyclic environments using the Atlas framework", IJRR 2004: Dijkstra's
+//! algorithm over submaps, in which a path is as long as the covariance composed along it is large. Cost: submaps and closures times a
+//! logarithm; nodes do not count.
+//!
+//! All of this follows from the measurements of the graph and from where submaps begin: there is nothing to be saved.
+
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BinaryHeap};
+
+use nalgebra::Matrix3;
+use zenav_pose_graph::{Edge, EdgeKind, Uncertain};
+
+use crate::settings::FrontSettings;
+
+/// A map that is drawn while its matches are made of it drifts by a match's least deviation for each such stretch of the way, m: about as
+/// far as a scan sees of what others drew.
+const STRETCH: f64 = 4.0;
+
+/// A submap that still grew when a node was inserted, `anchor_from_node`.
+#[derive(Clone, Copy, Debug)]
+struct Growing {
+    submap: usize,
+    /// By odometry and matches.
+    matched: Uncertain,
+    /// What the submap itself drifted by.
+    drawn: Uncertain,
+}
+
+impl Growing {
+    fn from(submap: usize) -> Self {
+        Self {
+            submap,
+            matched: Uncertain::CERTAIN,
+            drawn: Uncertain::CERTAIN,
+        }
+    }
+
+    /// Goes on with a step of odometry.
+    fn step(&mut self, step: &Edge, front: &FrontSettings) {
+        let way = step.measurement.x.hypot(step.measurement.y);
+        let [floor, turn] = [front.floor, front.floor_turn].map(|sigma| sigma * sigma * way / STRETCH);
+        let drift = Uncertain {
+            pose: step.measurement,
+            covariance: Matrix3::from_diagonal(&[floor, floor, turn].into()),
+        };
+        self.matched = self.matched.then(&Uncertain::of(step));
+        self.drawn = self.drawn.then(&drift);
+    }
+
+    /// Takes in a match with the submap.
+    fn fuse(&mut self, edge: &Edge) {
+        let by_odometry = self.matched.covariance.try_inverse().unwrap_or_else(Matrix3::zeros);
+        self.matched = match (by_odometry + edge.information).try_inverse() {
+            Some(covariance) => Uncertain {
+                pose: edge.measurement,
+                covariance,
+            },
+            None => Uncertain::of(edge),
+        };
+    }
+
+    fn anchor_from_node(&self) -> Uncertain {
+        Uncertain {
+            pose: self.matched.pose,
+            covariance: self.matched.covariance + self.drawn.covariance,
+        }
+    }
+}
+
+/// What joins two submaps, `near_from_far`.
+#[derive(Clone, Debug)]
+struct Link {
+    near: usize,
+    far: usize,
+    near_from_far: Uncertain,
+    /// The edge that it rests on, where that may be held to be false.
+    edge: Option<usize>,
+}
+
+/// How the submaps hang together.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Drift {
+    /// Edges that were taken in.
+    edges: usize,
+    /// The submap of each node, the older where there are two, and the node as seen from its anchor.
+    homes: Vec<Option<(usize, Uncertain)>>,
+    /// Submaps that grew when the last node was inserted, the older first.
+    growing: Vec<Growing>,
+    links: Vec<Link>,
+    /// Links of each submap.
+    links_of: BTreeMap<usize, Vec<usize>>,
+}
+
+impl Drift {
+    /// Takes in nodes and edges that are new. `anchors`: the node at which each submap begins; `edges`: all of the graph, each with whether it
+    /// is a match of a finish, which says nothing of drift; `nodes`: how many there are.
+    pub(crate) fn update<'e>(
+        &mut self,
+        edges: impl ExactSizeIterator<Item = (&'e Edge, bool)>,
+        nodes: usize,
+        anchors: &[usize],
+        front: &FrontSettings,
+    ) {
+        let known = self.homes.len();
+        let mut incoming: BTreeMap<usize, Vec<(usize, &Edge)>> = BTreeMap::new();
+        let mut between = Vec::new();
+        let count = edges.len();
+        for (index, (edge, is_final)) in edges.enumerate().skip(self.edges) {
+            if edge.kind == EdgeKind::Odometry && edge.to >= known && edge.from < edge.to {
+                incoming.entry(edge.to).or_default().push((index, edge));
+            } else if !is_final {
+                between.push((index, edge));
+            }
+        }
+        self.edges = count;
+        for node in known..nodes {
+            let edges = incoming.remove(&node).unwrap_or_default();
+            let submap = anchors.binary_search(&node).ok();
+            between.extend(self.add_node(node, &edges, anchors, submap, front));
+        }
+        for (index, edge) in between {
+            let false_at = (edge.kind == EdgeKind::Closure).then_some(index);
+            if let (Some((from, a)), Some((to, b))) = (self.homes[edge.from], self.homes[edge.to]) {
+                self.link(from, to, a.then(&Uncertain::of(edge)).then(&b.inverse()), false_at);
+            }
+        }
+    }
+
+    /// Adds a node with the trusted edges that lead to it; `submap`: the one that begins there. Returns the edges that lead there from
+    /// elsewhere than the node before and the submaps that grow.
+    fn add_node<'e>(
+        &mut self,
+        node: usize,
+        edges: &[(usize, &'e Edge)],
+        anchors: &[usize],
+        submap: Option<usize>,
+        front: &FrontSettings,
+    ) -> Vec<(usize, &'e Edge)> {
+        let mut rest = edges.iter();
+        let mut elsewhere = Vec::new();
+        match edges.first().filter(|(_, edge)| edge.from + 1 == node) {
+            Some((_, step)) => {
+                rest.next();
+                self.growing.iter_mut().for_each(|growing| growing.step(step, front));
+            }
+            None => self.growing.clear(),
+        }
+        for (index, edge) in rest {
+            match self
+                .growing
+                .iter_mut()
+                .find(|growing| anchors[growing.submap] == edge.from)
+            {
+                Some(growing) => growing.fuse(edge),
+                None => elsewhere.push((*index, *edge)),
+            }
+        }
+        if let Some(submap) = submap {
+            for growing in self.growing.clone() {
+                self.link(growing.submap, submap, growing.anchor_from_node(), None);
+            }
+            if self.growing.len() > 1 {
+                self.growing.remove(0);
+            }
+            self.growing.push(Growing::from(submap));
+        }
+        let home = self.growing.first();
+        self.homes
+            .push(home.map(|growing| (growing.submap, growing.anchor_from_node())));
+        elsewhere
+    }
+
+    fn link(&mut self, near: usize, far: usize, near_from_far: Uncertain, edge: Option<usize>) {
+        if near == far {
+            return;
+        }
+        for submap in [near, far] {
+            self.links_of.entry(submap).or_default().push(self.links.len());
+        }
+        self.links.push(Link {
+            near,
+            far,
+            near_from_far,
+            edge,
+        });
+    }
+
+    /// The node that was inserted last as seen from the submaps, `anchor_from_node`, where its position is known to within a standard
+    /// deviation of `limit`, m. `weights`: of the edges, 0 for a closure that is held to be false.
+    pub(crate) fn of_last_node(&self, weights: &[f64], limit: f64) -> BTreeMap<usize, Uncertain> {
+        let mut reached = BTreeMap::new();
+        let mut found: Vec<(usize, Uncertain)> = Vec::new();
+        let mut frontier = BinaryHeap::new();
+        let starts = self.growing.iter();
+        let mut next: Vec<_> = starts
+            .map(|growing| (growing.submap, growing.anchor_from_node().inverse()))
+            .collect();
+        loop {
+            for (submap, node_from_anchor) in next.drain(..) {
+                let spread = spread(&node_from_anchor);
+                if spread <= limit && !reached.contains_key(&submap) {
+                    // The bits of numbers that are not negative sort as the numbers do.
+                    frontier.push(Reverse((spread.to_bits(), found.len())));
+                    found.push((submap, node_from_anchor));
+                }
+            }
+            let Some(Reverse((_, index))) = frontier.pop() else {
+                return reached;
+            };
+            let (submap, node_from_anchor) = found[index];
+            if reached.contains_key(&submap) {
+                continue;
+            }
+            reached.insert(submap, node_from_anchor.inverse());
+            for link in self
+                .links_of
+                .get(&submap)
+                .into_iter()
+                .flatten()
+                .map(|index| &self.links[*index])
+            {
+                let is_false = link.edge.is_some_and(|edge| weights[edge] == 0.0);
+                let (other, step) = if link.near == submap {
+                    (link.far, link.near_from_far)
+                } else {
+                    (link.near, link.near_from_far.inverse())
+                };
+                if !is_false && !reached.contains_key(&other) {
+                    next.push((other, node_from_anchor.then(&step)));
+                }
+            }
+        }
+    }
+}
+
+/// Standard deviation of a position along the direction in which it is known worst, m.
+pub(crate) fn spread(uncertain: &Uncertain) -> f64 {
+    let covariance = uncertain.covariance.fixed_view::<2, 2>(0, 0);
+    let [a, b, d] = [covariance[(0, 0)], covariance[(0, 1)], covariance[(1, 1)]];
+    let largest = 0.5 * (a + d) + (0.5 * (a - d)).hypot(b);
+    largest.max(0.0).sqrt()
+}
