@@ -93,3 +93,22 @@ fn a_scan_at_rest_that_would_do_for_a_node_contradicts_nothing() {
     }
     assert_eq!(between, 9, "too little for a correction");
 }
+
+#[test]
+fn who_stands_around_the_robot_contradicts_nothing_and_a_look_through_walls_does() {
+    let (mut slam, truth, _) = driven();
+    slam.interrupt(0);
+    let mut scans = standing(truth, 11).into_iter();
+    slam.step(&scans.next().unwrap()).unwrap();
+    for (index, mut scan) in scans.enumerate() {
+        let is_among_people = index < 5;
+        for range in &mut scan.ranges {
+            *range = if is_among_people { range.min(0.5) } else { 1.6 * *range };
+        }
+        let effects = slam.step(&scan).unwrap();
+        assert!(
+            !effects.fits && effects.contradicts != is_among_people,
+            "{index}: {effects:?}"
+        );
+    }
+}

@@ -37,6 +37,8 @@ const LEAST_CLEARANCE: f64 = 0.02;
 const LEAST_DISTANCE: f64 = 0.03;
 /// Cost of a contact at the end of an arc, s; at its beginning twice that.
 const CONTACT_COST: f64 = 12.0;
+/// Cost of a contact straight ahead for who does not see behind itself, s: it can only creep away from it.
+const HEAD_ON_COST: f64 = 8.0;
 /// Where the end of the plan cannot be reached it counts as this far, s.
 const MOST_VALUE: f64 = 60.0;
 /// A robot that is slower than this is taken to stay where it is, whatever it tells, m/s.
@@ -197,6 +199,7 @@ impl Avoidance {
     fn arc_cost(&self, situation: &Situation<'_>, wanted: Twist2, way_out: Option<(WayOut, f64)>, limit: f64) -> f64 {
         let (input, from_here) = (situation.input, situation.value);
         let touched = self.touched.is_so();
+        let backs_slowly = input.obstacles.blind_spots().leads_into_blind_spot(-1.0);
         let lasts = if touched { TOUCHED_ARC_SECS } else { ARC_SECS };
         let step = lasts / f64::from(ARC_STEPS);
         let mut wheels = self.drive.wheels(input.command);
@@ -268,8 +271,14 @@ impl Avoidance {
                     slowed = slowed.max((1.0 - distance / kept) * speed / self.drive.top_speed());
                 }
                 if touches {
-                    // Sooner is worse, and so is the robot's own part in it.
-                    return cost + from_here + CONTACT_COST * (1.0 + left) + 0.5 * speed;
+                    // Sooner is worse, and so is the robot's own part in it, and who stands where the robot could drive away to.
+                    let ahead = (at - pose.position()).dot(&pose.heading()) / (at - pose.position()).norm().max(1e-9);
+                    let held = if backs_slowly {
+                        HEAD_ON_COST * ahead.max(0.0)
+                    } else {
+                        0.0
+                    };
+                    return cost + from_here + CONTACT_COST * (1.0 + left) + 0.5 * speed + held;
                 }
             }
             cost += SLOWED_COST * slowed / f64::from(ARC_STEPS);
