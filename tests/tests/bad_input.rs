@@ -257,7 +257,7 @@ async fn every_ask_refuses_and_every_topic_ignores_what_cannot_be_read_and_the_r
             matches!(refusal, Refusal::NotFound { .. })
         }),
         (
-            r#"{"x": 1e6, "y": 0}"#,
+            r#"{"x": 90000, "y": 0}"#,
             |refusal| matches!(refusal, Refusal::Rejected { reason, .. } if reason.contains("outside")),
         ),
         (

@@ -26,9 +26,9 @@ impl GoalPoint {
     /// The place, with its heading wrapped.
     ///
     /// # Errors
-    /// What was expected: coordinates within 1,000 km, a heading in radians.
+    /// What was expected: coordinates within 100 km, a heading in radians.
     pub fn checked(self) -> Result<Self, String> {
-        const FARTHEST: f64 = 1e6;
+        const FARTHEST: f64 = 100_000.0;
         let is_near = |value: f64| value.abs() <= FARTHEST;
         if !(is_near(self.x) && is_near(self.y)) {
             return Err(format!(
