@@ -102,10 +102,10 @@ pub fn write(path: &Path, bytes: impl AsRef<[u8]>) -> Result<(), Failure> {
 /// # Errors
 /// Names the file that cannot be written.
 pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
-    atomic::write_atomically(path, bytes).map_err(unwritten(path))
+    atomic::write_atomically(path, bytes).map_err(Failure::failed)
 }
 
-/// A failure to write a file of a map, which it names, and not the one beside it that is written first; for `map_err`.
+/// A failure to write a map, which it names by this file, and not by the image beside it that is written first; for `map_err`.
 pub fn unwritten(path: &Path) -> impl FnOnce(MapFileError) -> Failure {
     move |error| match error {
         MapFileError::Io { source, .. } => Failure::failed_at(path)(source),

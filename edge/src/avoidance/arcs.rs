@@ -13,6 +13,7 @@ use crate::blind_spot_grid::Floor;
 use crate::field_of_view::rigid;
 use crate::obstacle_tracks::Track;
 use crate::passive_safety::Mover;
+use crate::trackers::capped;
 
 /// Arcs last this long, s, and in contact, where the robot only creeps, in so many steps.
 const ARC_SECS: f64 = 1.2;
@@ -178,7 +179,8 @@ impl Avoidance {
         if bump.is_some() {
             // Away from a contact leads often no single arc, but a turn and then straight on.
             for way_out in (0..WAYS_OUT).map(WayOut) {
-                let wanted = way_out.twist(&self.drive, input.odom_from_base.yaw, input.dt);
+                let twist = way_out.twist(&self.drive, input.odom_from_base.yaw, input.dt);
+                let wanted = capped(&self.drive, twist, input.speed_cap);
                 let share = share_of(wanted);
                 if share <= 0.0 {
                     continue;

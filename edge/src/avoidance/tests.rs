@@ -19,6 +19,7 @@ struct Hall {
     obstacles: LocalObstacles,
     pose: Pose2,
     twist: Twist2,
+    speed_cap: f64,
     half: f64,
     least: f64,
     /// One that tells its course and has right of way, but stands.
@@ -33,6 +34,7 @@ impl Hall {
             obstacles: LocalObstacles::new(&model),
             pose: Pose2::IDENTITY,
             twist: Twist2::ZERO,
+            speed_cap: f64::INFINITY,
             half,
             least: f64::INFINITY,
             robot: None,
@@ -92,13 +94,20 @@ impl Hall {
                 bump: &Bump::none(Stamp::from_secs(now)),
                 odom_from_base: self.pose,
                 command: self.twist,
-                speed_cap: f64::INFINITY,
+                speed_cap: self.speed_cap,
                 blind_speed: 0.1,
                 ahead: &ahead,
                 obstacles: &self.obstacles,
             });
             let wanted = match control {
-                Control::Evade(twist) => twist,
+                Control::Evade(twist) => {
+                    let speed = self.model.drive.surface_speed(twist);
+                    assert!(
+                        speed <= self.speed_cap + 1e-6,
+                        "{twist:?} is faster than the plan's end allows"
+                    );
+                    twist
+                }
                 _ => Twist2::new(pace, -2.0 * self.pose.y - 2.0 * self.pose.yaw),
             };
             let change = self.model.drive.acceleration() / RATE;
@@ -154,8 +163,9 @@ fn it_lets_somebody_cross() {
 
 #[test]
 fn it_gets_away_from_who_runs_into_it_and_leans_on_it() {
-    for robot in ["tiago", "jackal"] {
+    for (robot, speed_cap) in [("tiago", f64::INFINITY), ("jackal", f64::INFINITY), ("tiago", 0.15)] {
         let mut hall = Hall::new(robot, 6.0);
+        hall.speed_cap = speed_cap;
         let footprint = hall.model.footprint.clone();
         let (walker, leans) = (Cell::new(Point2::new(4.0, 4.0)), Cell::new(false));
         let follows = |_: f64, robot: Pose2| {

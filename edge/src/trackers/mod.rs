@@ -215,7 +215,7 @@ fn bearing(map_from_base: &Pose2, target: Point2<f64>) -> f64 {
 }
 
 /// Scales a twist down to a wheel surface speed; the curvature stays.
-fn capped(drive: &Drive, twist: Twist2, cap: f64) -> Twist2 {
+pub(crate) fn capped(drive: &Drive, twist: Twist2, cap: f64) -> Twist2 {
     let share = (cap / drive.surface_speed(twist).max(1e-9)).min(1.0);
     Twist2::new(share * twist.v, share * twist.w)
 }
