@@ -3,7 +3,8 @@
 //!
 //! Static: reaction (scan age, tick, motor lag) plus braking distance, `u tau + u²/(2 a)`, within the time to contact along the robot's
 //! own arc. Moving: passive safety (Macek et al., "Towards safe vehicle navigation in dynamic urban scenarios", Automatika 2009): a
-//! moving obstacle may come at the robot at the assumed speed; by the time that it could arrive the robot is at rest. Occluded
+//! moving obstacle may come at the robot at the assumed speed, around it but not through it; by the time that it could arrive the robot is
+//! at rest. Occluded
 //! (Bouraine et al., "Provably safe navigation for mobile robots with limited field-of-views in dynamic environments", Autonomous Robots
 //! 2012): by that time no point of the outline moves outwards faster than gently, by driving or by turning.
 
@@ -39,6 +40,8 @@ pub(crate) const GENTLE: f64 = 0.008;
 const HARMLESS: f64 = 0.25 * GENTLE;
 /// A point inside an outline that is this much deeper behind one side than behind another may have come in through either, m.
 const CORNER: f64 = 0.03;
+/// What touches a robot is seen inside its outline by no more than this, m.
+const DEPTH: f64 = 0.05;
 /// A motion that comes nearer to a point at no more than this share of its speed goes along it.
 const SLIDING: f64 = 0.05;
 
@@ -100,6 +103,54 @@ pub struct Hidden {
     pub radius: f64,
     /// As fast as it may move, m/s.
     pub speed: f64,
+}
+
+/// A step of a motion until rest.
+struct Step {
+    /// Its end, s from now.
+    until: f64,
+    /// The fastest that the robot may be within it, as a share of the wanted twist.
+    share: f64,
+    /// The base frame at its begin, in the base frame of now.
+    here_from_there: Isometry2<f64>,
+    /// Length of the way of the base from now to its begin, m.
+    way: f64,
+}
+
+impl Step {
+    /// What the robot occupies from now to the begin of the step, in the base frame there: a disc of this radius (m) around the base is
+    /// nowhere farther than half of the way from the middle.
+    fn always_occupied(&self, there_from_here: Isometry2<f64>, inscribed: f64) -> Disc {
+        Disc {
+            center: Point2::from(0.5 * there_from_here.translation.vector),
+            radius: inscribed - 0.5 * self.way,
+        }
+    }
+}
+
+/// A disc that nobody goes through.
+struct Disc {
+    center: Point2<f64>,
+    radius: f64,
+}
+
+impl Disc {
+    /// The shortest way from place to place for something round of a radius, around this disc, m; `None` where the disc is not in the way.
+    fn way_around(&self, from: Point2<f64>, to: Point2<f64>, radius: f64) -> Option<f64> {
+        let (off, to_end, radius) = (from - self.center, to - self.center, self.radius + radius);
+        let straight = (to - from).norm();
+        let along = (to - from) / straight.max(1e-9);
+        let nearest = off + along * (-off.dot(&along)).clamp(0.0, straight);
+        let (far, far_end) = (off.norm(), to_end.norm());
+        if radius <= 0.0 || nearest.norm() >= radius || far.min(far_end) < radius - DEPTH {
+            return None;
+        }
+        // Who touches the disc may be seen inside it.
+        let (far, far_end) = (far.max(radius), far_end.max(radius));
+        let tangents = (far * far - radius * radius).sqrt() + (far_end * far_end - radius * radius).sqrt();
+        let bent = off.angle(&to_end) - (radius / far).acos() - (radius / far_end).acos();
+        Some(tangents + radius * bent.max(0.0))
+    }
 }
 
 impl<'a> Motion<'a> {
@@ -204,7 +255,8 @@ impl<'a> Motion<'a> {
     }
 
     /// Limit by moving obstacles: wherever one may be by then, at its own speed and turning at will, no point of the outline that it can
-    /// reach moves outwards faster than gently. So the robot may make way at any speed, and is at rest before contact else.
+    /// reach moves outwards faster than gently. So the robot may make way at any speed, and is at rest before contact else. Nobody goes
+    /// through the robot: who stands behind it has a long way to what is ahead of it.
     #[must_use]
     pub fn limit_among(&self, movers: &[Mover]) -> f64 {
         let stopping_time = self.stopping_time(1.0);
@@ -222,30 +274,41 @@ impl<'a> Motion<'a> {
         SHARES.iter().find(safe).copied().unwrap_or(0.0)
     }
 
-    /// Where the robot is at most, from a share of its speed until rest, in steps: the end of the step (s from now), the fastest that it may
-    /// be within the step as a share of the wanted twist, and the base frame at its begin, in the base frame of now.
-    fn until_rest(&self, share: f64) -> impl Iterator<Item = (f64, f64, Isometry2<f64>)> + '_ {
+    /// Where the robot is at most, from a share of its speed until rest, in steps.
+    fn until_rest(&self, share: f64) -> impl Iterator<Item = Step> + '_ {
         let (speed, all) = (share * self.speed, self.stopping_time(share));
         let (mut travelled, mut before) = (0.0, 0.0);
         (1..=STOPPING_STEPS).map(move |step| {
             let until = all * f64::from(step) / f64::from(STOPPING_STEPS);
-            let now = (speed - self.braking * (before - self.reaction).max(0.0)).max(0.0) / self.speed;
-            let here_from_there = rigid(Pose2::IDENTITY.advance(self.twist, travelled));
-            travelled += now * (until - before);
+            let share = (speed - self.braking * (before - self.reaction).max(0.0)).max(0.0) / self.speed;
+            let step = Step {
+                until,
+                share,
+                here_from_there: rigid(Pose2::IDENTITY.advance(self.twist, travelled)),
+                way: travelled * self.twist.v.abs(),
+            };
+            travelled += share * (until - before);
             before = until;
-            (until, now, here_from_there)
+            step
         })
     }
 
     /// Whether one of these movers may touch the outline where it moves outwards, before the robot is at rest from a share of its speed.
     fn may_be_touched(&self, share: f64, samples: &[(Point2<f64>, Vector2<f64>)], movers: &[Mover]) -> bool {
-        self.until_rest(share).any(|(until, now, here_from_there)| {
-            let there_from_here = here_from_there.inverse();
+        let inscribed = self.footprint.inscribed_radius();
+        self.until_rest(share).any(|step| {
+            let there_from_here = step.here_from_there.inverse();
+            let occupied = step.always_occupied(there_from_here, inscribed);
             movers.iter().any(|mover| {
-                let place = there_from_here * (mover.at + mover.velocity * until);
-                let reach = self.margin + mover.radius + mover.speed * until;
+                let place = there_from_here * (mover.at + mover.velocity * step.until);
+                let way = self.margin + mover.speed * step.until;
+                let reach = way + mover.radius;
                 samples.iter().any(|(at, normal)| {
-                    (place - at).norm_squared() <= reach * reach && now * self.outward(*at, *normal) > GENTLE
+                    (place - at).norm_squared() <= reach * reach
+                        && step.share * self.outward(*at, *normal) > GENTLE
+                        && occupied
+                            .way_around(place, at + normal * mover.radius, mover.radius)
+                            .is_none_or(|around| around <= way)
                 })
             })
         })
@@ -343,14 +406,14 @@ impl<'a> Motion<'a> {
         obstacles: &LocalObstacles,
         then_from_here: Isometry2<f64>,
     ) -> bool {
-        self.until_rest(share).any(|(until, now, here_from_there)| {
-            let then_from_there = then_from_here * here_from_there;
-            let moving = samples.iter().filter(|(_, _, outward)| now * outward > GENTLE);
+        self.until_rest(share).any(|step| {
+            let then_from_there = then_from_here * step.here_from_there;
+            let moving = samples.iter().filter(|(_, _, outward)| step.share * outward > GENTLE);
             moving.into_iter().any(|(at, normal, _)| {
                 hidden.iter().any(|hidden| {
                     // Where its center is when it touches there.
                     let center = then_from_there * (at + normal * hidden.radius);
-                    let reach = self.margin + hidden.speed * until;
+                    let reach = self.margin + hidden.speed * step.until;
                     let known = reach + hidden.radius + hidden.travelled;
                     (center - hidden.last_seen).norm_squared() <= known * known
                         && hidden.radius - obstacles.depth_out_of_sight(center) <= reach
@@ -474,5 +537,52 @@ pub(crate) fn share_beside(footprint: &Footprint, twist: Twist2, point: Point2<f
         (HARMLESS / closing).min(1.0)
     } else {
         0.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f64::consts::{FRAC_PI_2, PI};
+
+    /// A disc of half a metre, 1 m to the left.
+    const DISC: Disc = Disc {
+        center: Point2::new(0.0, 1.0),
+        radius: 0.5,
+    };
+
+    #[test]
+    fn around_a_disc_lead_tangents_and_an_arc_where_it_is_in_the_way() {
+        let around = |from, to, radius| DISC.way_around(Point2::from(from), Point2::from(to), radius);
+        let near = |way: Option<f64>, expected: f64| way.is_some_and(|way| (way - expected).abs() < 1e-6);
+        assert!(near(around([0.0, 0.5], [0.0, 1.5], 0.0), 0.5 * PI), "half around");
+        // A tangent, a quarter of the circle, a tangent.
+        assert!(near(around([-0.5, 0.5], [0.5, 1.5], 0.0), 1.0 + 0.5 * FRAC_PI_2));
+        assert_eq!(around([-2.0, 0.4], [2.0, 0.4], 0.0), None, "past it");
+        // Something round goes around on a wider circle.
+        let wide = around([-2.0, 0.4], [2.0, 0.4], 0.2);
+        assert!(wide.is_some_and(|way| way > 4.0 && way < 4.1), "{wide:?}");
+    }
+
+    #[test]
+    fn who_leans_on_the_robot_from_behind_does_not_hold_it_and_who_stands_ahead_does() {
+        let model = zenav_fixtures::robot("tiago");
+        let settings = PassiveSafetySettings::default();
+        let ahead = Twist2::new(0.3, 0.0);
+        let motion = Motion::new(&model.footprint, &model.drive, ahead, 0.05, 0.02, 0.05, &settings);
+        let at = |bearing: f64| {
+            let touching = model.footprint.circumscribed_radius() + 0.01;
+            Mover::at_will(
+                Point2::new(touching * bearing.cos(), touching * bearing.sin()),
+                0.0,
+                1.0,
+            )
+        };
+        assert_eq!(motion.limit_among(&[at(PI)]), 1.0);
+        assert_eq!(motion.limit_among(&[at(0.0)]), 0.0);
+        assert!(
+            motion.limit_among(&[at(FRAC_PI_2)]) < 1.0,
+            "it is not far around a quarter of the robot"
+        );
     }
 }
