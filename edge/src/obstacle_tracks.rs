@@ -7,6 +7,8 @@
 //! prediction for a while; one whose place is seen to be empty ends. What is too slow for that evidence is watched for longer
 //! (`slow_movers`). A robot that tells its course ([`crate::other_robots`]) is a track by its own word.
 
+use std::f64::consts::PI;
+
 use nalgebra::{Point2, Rotation2, Vector2};
 use zenav_protocol::time::Stamp;
 
@@ -518,9 +520,13 @@ fn on_robot(robots: &[Track], point: Point2<f64>, slack: f64) -> Option<&Track> 
     robots.iter().find(on)
 }
 
-/// The disc that a run of returns looks like; `None` for a single return.
+/// The disc that a run of returns looks like; `None` for a single return, and for what encloses the robot.
 fn segment(scan: &ProjectedScan<'_>, moved: &[bool], beams: (usize, usize), laser: Point2<f64>) -> Option<Segment> {
     let (first, last) = beams;
+    if (last - first) as f64 * scan.lidar.angle_increment() >= PI {
+        // The ends of what stands around the robot enclose the rest of the circle.
+        return None;
+    }
     let ranges = scan.ranges.get(first..=last)?;
     let nearest = ranges
         .iter()

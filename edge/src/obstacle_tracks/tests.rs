@@ -163,3 +163,25 @@ fn a_wall_that_comes_within_range_does_not_move() {
         assert_eq!(moving.tracks().iter().count(), 0, "after {now} s");
     }
 }
+
+#[test]
+fn walls_around_the_robot_are_no_disc_where_they_end_behind_it() {
+    let robot = zenav_fixtures::robot("turtlebot3_waffle");
+    let lidar = robot.first_lidar().unwrap();
+    // The dead end of a lane 0.7 m wide, which is open behind.
+    let range = |beam: usize| {
+        let (sin, cos) = (lidar.angle_min() + beam as f64 * lidar.angle_increment()).sin_cos();
+        let behind = cos < 0.0 && sin.abs() < 0.25;
+        if behind {
+            f32::INFINITY
+        } else {
+            (0.35 / sin.abs()).min(if cos > 0.0 { 0.6 / cos } else { f64::INFINITY }) as f32
+        }
+    };
+    let sweep = Sweep::new(Stamp::from_secs(1.0), (0..lidar.beams).map(range).collect());
+    let mut projector = ScanProjector::new(lidar);
+    let scan = projector.project(&sweep, Pose2::IDENTITY).unwrap();
+    let mut tracks = ObstacleTracks::new(&TrackingSettings::default());
+    tracks.cut(&scan, &vec![true; lidar.beams]);
+    assert!(tracks.segments.is_empty(), "{:?}", tracks.segments);
+}
