@@ -4,9 +4,8 @@
 //! Static: reaction (scan age, tick, motor lag) plus braking distance, `u tau + u²/(2 a)`, within the time to contact along the robot's
 //! own arc. Moving: passive safety (Macek et al., "Towards safe vehicle navigation in dynamic urban scenarios", Automatika 2009): a
 //! moving obstacle may come at the robot at the assumed speed, around it but not through it; by the time that it could arrive the robot is
-//! at rest. Occluded
-//! (Bouraine et al., "Provably safe navigation for mobile robots with limited field-of-views in dynamic environments", Autonomous Robots
-//! 2012): by that time no point of the outline moves outwards faster than gently, by driving or by turning.
+//! at rest. Occluded (Bouraine et al., "Provably safe navigation for mobile robots with limited field-of-views in dynamic environments",
+//! Autonomous Robots 2012): by that time no point of the outline moves outwards faster than gently, by driving or by turning.
 
 use nalgebra::{Isometry2, Point2, Vector2};
 use zenav_protocol::geometry::{Pose2, Twist2};
