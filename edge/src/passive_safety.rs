@@ -112,17 +112,17 @@ struct Step {
     share: f64,
     /// The base frame at its begin, in the base frame of now.
     here_from_there: Isometry2<f64>,
-    /// Length of the way of the base from now to its begin, m.
-    way: f64,
+    /// Length of the way of the base from now to its begin, and to its end, m.
+    way: [f64; 2],
 }
 
 impl Step {
-    /// What the robot occupies from now to the begin of the step, in the base frame there: a disc of this radius (m) around the base is
-    /// nowhere farther than half of the way from the middle.
+    /// What the robot occupies from now to the end of the step, in the base frame at its begin, for a disc of this radius (m) around the base:
+    /// that is never farther than this from the middle between where it is now and where it is at the begin.
     fn always_occupied(&self, there_from_here: Isometry2<f64>, inscribed: f64) -> Disc {
         Disc {
             center: Point2::from(0.5 * there_from_here.translation.vector),
-            radius: inscribed - 0.5 * self.way,
+            radius: inscribed - (self.way[1] - 0.5 * self.way[0]),
         }
     }
 }
@@ -280,14 +280,14 @@ impl<'a> Motion<'a> {
         (1..=STOPPING_STEPS).map(move |step| {
             let until = all * f64::from(step) / f64::from(STOPPING_STEPS);
             let share = (speed - self.braking * (before - self.reaction).max(0.0)).max(0.0) / self.speed;
+            let after = travelled + share * (until - before);
             let step = Step {
                 until,
                 share,
                 here_from_there: rigid(Pose2::IDENTITY.advance(self.twist, travelled)),
-                way: travelled * self.twist.v.abs(),
+                way: [travelled, after].map(|secs| secs * self.twist.v.abs()),
             };
-            travelled += share * (until - before);
-            before = until;
+            (travelled, before) = (after, until);
             step
         })
     }
