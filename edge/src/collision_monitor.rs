@@ -35,6 +35,8 @@ pub struct CollisionMonitor {
     pub margin: f64,
     /// Largest speed into the lidar's blind spot, m/s.
     pub blind_speed: f64,
+    /// And over floor there that was never seen, m/s.
+    pub unseen_speed: f64,
     /// Whether the wheel encoders say nothing new although the wheels turn.
     pub encoders_silent: bool,
     /// The twist that the wheels drive by now, as their motors lag behind what they were told.
@@ -69,6 +71,7 @@ impl CollisionMonitor {
             passive_safety: PassiveSafetySettings::default(),
             margin: model.controller.guard_margin,
             blind_speed: model.controller.blind_speed,
+            unseen_speed: 0.0,
             encoders_silent: false,
             driven: Twist2::ZERO,
             scan: None,
@@ -190,6 +193,7 @@ impl CollisionMonitor {
             obstacles,
             odom_from_base,
             self.speed_into_blind_spot(now, obstacles, odom_from_base),
+            self.unseen_speed,
         );
         moving.min(felt).min(standing).min(floor)
     }
@@ -279,7 +283,7 @@ impl CollisionMonitor {
                 "moving obstacle nearby",
             ),
             (
-                motion.limit_blind_spot(obstacles, odom_from_base, blind_speed),
+                motion.limit_blind_spot(obstacles, odom_from_base, blind_speed, self.unseen_speed),
                 "moving into the lidar's blind spot (`blind_speed` allows more)",
             ),
             (

@@ -313,10 +313,16 @@ impl<'a> Motion<'a> {
         })
     }
 
-    /// Limit by the lidar's blind spot: the outline moves only over floor that was seen before, but for what moves gently, and straight into
-    /// the blind spot no faster than `allowed` (m/s), because somebody may have come up unseen.
+    /// Limit by the lidar's blind spot: the outline moves only over floor that was seen before, but for what moves as slowly as `unseen`
+    /// (m/s), and straight into the blind spot no faster than `allowed` (m/s), because somebody may have come up unseen.
     #[must_use]
-    pub fn limit_blind_spot(&self, obstacles: &LocalObstacles, odom_from_base: Pose2, allowed: f64) -> f64 {
+    pub fn limit_blind_spot(
+        &self,
+        obstacles: &LocalObstacles,
+        odom_from_base: Pose2,
+        allowed: f64,
+        unseen: f64,
+    ) -> f64 {
         let grid = obstacles.blind_spots();
         if !grid.has_blind_spot() {
             return 1.0;
@@ -337,7 +343,7 @@ impl<'a> Motion<'a> {
                 (
                     at,
                     at - normal * (self.margin + self.settings.unseen_margin - LEAST_CLEARANCE),
-                    GENTLE / self.outward(at, normal),
+                    self.outward(at, normal),
                 )
             })
             .collect();
@@ -348,16 +354,20 @@ impl<'a> Motion<'a> {
                 break;
             }
             let there = rigid(Pose2::IDENTITY.advance(self.twist, f64::from(pose) * step));
-            for (outer, inner, gentle) in &samples {
-                if *gentle >= share {
+            for (outer, inner, outward) in &samples {
+                if GENTLE >= share * outward {
                     continue;
                 }
                 let floor = grid.floor(&odom_from_base, there * outer);
-                let met = || grid.floor(&odom_from_base, there * inner) == Floor::Occupied;
                 // An occupied cell is coarse: its obstacle is remembered as a point, too.
-                if floor == Floor::Unknown || (floor != Floor::InSight && met()) {
-                    share = share.min(stopping.max(*gentle));
-                }
+                let met = || grid.floor(&odom_from_base, there * inner) == Floor::Occupied;
+                let harmless = match floor {
+                    Floor::InSight => continue,
+                    _ if met() => GENTLE,
+                    Floor::Unknown => unseen.max(GENTLE),
+                    Floor::Free | Floor::Occupied => continue,
+                };
+                share = share.min(stopping.max(harmless / outward));
             }
         }
         if grid.leads_into_blind_spot(self.twist.v) {

@@ -8,6 +8,7 @@ use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::messages::{
     BasedOn, EdgeState, Event, EventKind, MapRef, Mode, Plan, PlanStatistics, Revision, Splice,
 };
+use zenav_protocol::robot::Footprint;
 use zenav_protocol::time::Stamp;
 use zenav_protocol::trajectory::Trajectory;
 
@@ -18,8 +19,10 @@ use zenav_space::ConfigurationSpace;
 
 /// Spacing of the poses that are rechecked, m and rad: between two poses the check is exact at constant velocity.
 const SPACING: (f64, f64) = (0.05, 0.1);
-/// The path this near to the robot is not rechecked: what stands there is its collision monitor's business, m.
+/// The path this near to the robot is not rechecked, by the way of the outline: what stands there is its collision monitor's business, m.
 const NEAR: f64 = 0.1;
+/// The rate of plan time is taken over this time, s.
+const PACE: f64 = 0.3;
 /// Poses rechecked at once; the first block that collides tells when.
 const BLOCK: usize = 16;
 /// Clearances above this are all the same to a recheck, m.
@@ -80,8 +83,33 @@ struct ActivePlan {
     held: bool,
     /// Whether the robot has accepted this trajectory: then a refusal is of a renewal.
     was_taken: bool,
+    pace: Pace,
     /// The newest revision when a refusal came last: over a slow link others were under way then, whose refusals tell nothing new.
     refused: Option<Revision>,
+}
+
+/// How fast plan time runs: more slowly where something holds the robot back.
+#[derive(Clone, Copy, Debug, Default)]
+struct Pace {
+    /// The robot's time and its plan time, when the rate was taken last.
+    taken: Option<(Stamp, f64)>,
+    rate: Option<f64>,
+}
+
+impl Pace {
+    fn observe(&mut self, stamp: Stamp, time: f64) {
+        let secs = self.taken.map_or(PACE, |(taken, _)| stamp.secs_since(taken));
+        if secs < PACE {
+            return;
+        }
+        self.rate = self.taken.map(|(_, before)| ((time - before) / secs).clamp(0.0, 1.0));
+        self.taken = Some((stamp, time));
+    }
+
+    /// Plan time that goes by in so many seconds, s; as many before the rate is known.
+    fn within(&self, secs: f64) -> f64 {
+        secs * self.rate.unwrap_or(1.0)
+    }
 }
 
 /// Keeps the plan in force.
@@ -126,6 +154,7 @@ impl MotionKeeper {
             held: false,
             was_taken: true,
             refused: None,
+            pace: Pace::default(),
         });
     }
 
@@ -220,6 +249,7 @@ impl MotionKeeper {
             held: false,
             was_taken: false,
             refused: None,
+            pace: Pace::default(),
         });
         self.changed = true;
         self.was_begun_for_leg = true;
@@ -299,6 +329,7 @@ impl MotionKeeper {
         match &state.plan {
             Some(progress) if progress.trajectory_id == current.plan.trajectory_id => {
                 current.confirmed = now;
+                current.pace.observe(state.stamp, progress.time);
                 if matches!(current.status, PlanStatus::Sent | PlanStatus::Taken) {
                     current.was_taken = true;
                     // By the state alone: an event may be anybody's, and names no revision.
@@ -317,16 +348,18 @@ impl MotionKeeper {
         }
     }
 
-    /// Plan time that the robot has reached by now, s; `None` unless it is driving this trajectory.
+    /// Plan time that the robot, whose state is of so many seconds ago, has reached after another `ahead` s if it goes on as it does, s; `None`
+    /// unless it is driving this trajectory.
     #[must_use]
-    pub fn time(&self, state: &EdgeState, age: f64) -> Option<f64> {
+    pub fn time(&self, state: &EdgeState, age: f64, ahead: f64) -> Option<f64> {
         let current = self.current.as_ref()?;
         let progress = state
             .plan
             .as_ref()
             .filter(|progress| progress.trajectory_id == current.plan.trajectory_id)?;
         let moving = state.mode == Mode::Follow && !progress.finished && progress.valid_for > 0.0;
-        Some(progress.time + if moving { age.clamp(0.0, 0.5) } else { 0.0 })
+        let since = if moving { age.clamp(0.0, 0.5) } else { 0.0 };
+        Some(progress.time + current.pace.within(since + ahead))
     }
 
     /// Rechecks the rest of the trajectory, from plan time `from` on, with the true footprint.
@@ -375,13 +408,21 @@ impl ActivePlan {
 /// `escape` m.
 #[must_use]
 pub fn recheck(trajectory: &Trajectory, space: &ConfigurationSpace, from: f64, escape: f64) -> Recheck {
+    // A disc turns in its place.
+    let arm = match space.footprint() {
+        Footprint::Radius(_) => 0.0,
+        Footprint::Polygon(_) => space.footprint().circumscribed_radius(),
+    };
     let mut poses: Vec<(f64, Pose2)> = Vec::new();
-    let mut travelled = 0.0;
+    let (mut travelled, mut turned) = (0.0, 0.0);
     let mut before: Option<Pose2> = None;
     let mut leaving = true;
     for point in trajectory.spaced(from, SPACING.0, SPACING.1) {
         let pose = point.pose();
-        travelled += before.map_or(0.0, |before: Pose2| before.distance(&pose));
+        if let Some(before) = before {
+            travelled += before.distance(&pose);
+            turned += wrap_angle(pose.yaw - before.yaw).abs();
+        }
         before = Some(pose);
         // A robot that by the map stands in something must be let out of it.
         leaving = leaving && travelled < escape && space.footprint_clearance(pose) <= 0.0;
@@ -392,7 +433,7 @@ pub fn recheck(trajectory: &Trajectory, space: &ConfigurationSpace, from: f64, e
         let spaced = poses.last().is_none_or(|(_, kept)| {
             kept.distance(&pose) >= SPACING.0 || wrap_angle(pose.yaw - kept.yaw).abs() >= SPACING.1
         });
-        if travelled >= NEAR && (spaced || last) {
+        if travelled + arm * turned >= NEAR && (spaced || last) {
             poses.push((point.t, pose));
         }
     }
@@ -420,11 +461,14 @@ mod tests {
     use zenav_protocol::geometry::Twist2;
     use zenav_protocol::grid::{GridSpec, Occupancy, OccupancyGrid};
     use zenav_protocol::messages::{Faults, GuardZone, LeaseState, Link, PlanProgress};
-    use zenav_protocol::robot::Footprint;
     use zenav_protocol::trajectory::TrajectoryPoint;
     use zenav_space::UnknownPolicy;
 
     fn space(occupied: &[(f64, f64)]) -> ConfigurationSpace {
+        space_of(occupied, &Footprint::Radius(0.25))
+    }
+
+    fn space_of(occupied: &[(f64, f64)], footprint: &Footprint) -> ConfigurationSpace {
         let spec = GridSpec {
             origin: Point2::new(-1.0, -1.0),
             resolution: 0.05,
@@ -435,7 +479,53 @@ mod tests {
         for (x, y) in occupied {
             grid[spec.cell_at(Point2::new(*x, *y)).unwrap()] = Occupancy::OCCUPIED;
         }
-        ConfigurationSpace::new(&grid, &Footprint::Radius(0.25), UnknownPolicy::Free, 0.0)
+        ConfigurationSpace::new(&grid, footprint, UnknownPolicy::Free, 0.0)
+    }
+
+    #[test]
+    fn a_turn_on_the_spot_is_rechecked_by_the_way_of_the_outline() {
+        let outline = [(-0.3, -0.1), (0.3, -0.1), (0.3, 0.1), (-0.3, 0.1)];
+        let outline = Footprint::Polygon(outline.iter().map(|(x, y)| Point2::new(*x, *y)).collect());
+        let space = space_of(&[(0.0, 0.2)], &outline);
+        let turn: Trajectory = (0..=30)
+            .map(|i| TrajectoryPoint {
+                t: 0.1 * f64::from(i),
+                yaw: 0.05 * f64::from(i),
+                w: 0.5,
+                ..TrajectoryPoint::default()
+            })
+            .collect();
+        assert!(matches!(recheck(&turn, &space, 0.0, 0.6), Recheck::Blocked(ahead) if ahead > 0.5));
+    }
+
+    #[test]
+    fn who_is_held_back_is_expected_where_its_pace_leads() {
+        let mut keeper = MotionKeeper::new(1);
+        let based_on = BasedOn {
+            stamp: Stamp(1),
+            boot_id: "b".into(),
+        };
+        let plan = keeper.begin(PlanDraft::default(), "g", 7, based_on, 5.0, Stamp(1));
+        let mut expected = Vec::new();
+        for (secs, time) in [(1.0, 2.0), (1.1, 2.1), (1.4, 2.4), (1.8, 2.48)] {
+            let progress = PlanProgress {
+                epoch: 7,
+                revision: plan.revision,
+                trajectory_id: plan.trajectory_id,
+                time,
+                valid_for: 1.0,
+                ..PlanProgress::default()
+            };
+            let state = EdgeState {
+                stamp: Stamp::from_secs(secs),
+                ..state(0.1, progress)
+            };
+            keeper.observe(Stamp(2), Some(&state), &[]);
+            expected.push(keeper.time(&state, 0.1, 0.4).unwrap() - time);
+        }
+        let near = |a: f64, b: f64| (a - b).abs() < 1e-9;
+        assert!(near(expected[0], 0.5) && near(expected[2], 0.5), "{expected:?}");
+        assert!(near(expected[3], 0.2 * 0.5), "{expected:?}");
     }
 
     /// Straight on at 0.5 m/s for 8 m.

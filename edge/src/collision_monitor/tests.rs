@@ -417,6 +417,23 @@ fn into_the_blind_spot_it_backs_up_only_over_floor_seen_before_and_at_the_allowe
 }
 
 #[test]
+fn over_floor_never_seen_it_feels_its_way_as_fast_as_is_allowed() {
+    let model = tiago();
+    let mut ahead = LocalObstacles::new(&model);
+    looked(&mut ahead, &model, 1.0, 0.0);
+    let mut monitor = CollisionMonitor::new(&model, 0.02);
+    (monitor.blind_speed, monitor.unseen_speed) = (0.05, 0.05);
+    let wanted = Twist2::new(-0.3, 0.0);
+    let verdict = monitor.judge(Stamp::from_secs(1.05), wanted, &ahead, Pose2::IDENTITY, &NO_BUMP);
+    assert!((verdict.twist.v + 0.05).abs() < 1e-9, "{verdict:?}");
+    // What the bumper has felt there may be somebody.
+    ahead.touch(Stamp::from_secs(1.05), Some(Point2::new(-0.29, 0.0)), Pose2::IDENTITY);
+    ahead.touch(Stamp::from_secs(1.06), None, Pose2::IDENTITY);
+    let verdict = monitor.judge(Stamp::from_secs(1.07), wanted, &ahead, Pose2::IDENTITY, &NO_BUMP);
+    assert!(verdict.twist.v >= -0.01, "{verdict:?}");
+}
+
+#[test]
 fn a_gentle_motion_waits_until_a_faster_one_has_faded() {
     let model = jackal();
     let nothing = wall(&model, 3.0);

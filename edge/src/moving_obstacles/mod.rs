@@ -47,6 +47,8 @@ pub struct MovingObstacles {
     came_out: VecDeque<u64>,
     /// What moves, over time.
     tracks: ObstacleTracks,
+    /// When something was seen to move last.
+    moved: Option<Stamp>,
 }
 
 impl MovingObstacles {
@@ -68,6 +70,7 @@ impl MovingObstacles {
             occluded: RecentPlaces::new(OCCLUDED_PLACES, settings.moving_obstacles.place_spacing),
             came_out: VecDeque::new(),
             tracks: ObstacleTracks::new(&settings.tracking),
+            moved: None,
         }
     }
 
@@ -87,6 +90,9 @@ impl MovingObstacles {
             if !tracks.robots().is_empty() {
                 left = detector.leave_out(evident, |point| tracks.is_by_robot(point));
             }
+        }
+        if self.tracks.iter().next().is_some() {
+            self.moved = Some(scan.stamp);
         }
         self.track_occlusions(index, scan);
         if let Some(detector) = self.detectors.get_mut(index) {
@@ -215,6 +221,13 @@ impl MovingObstacles {
         })
     }
 
+    /// Whether nothing has been seen to move for as long as somebody in the blind spot is remembered.
+    #[must_use]
+    pub fn is_quiet(&self, now: Stamp) -> bool {
+        let memory = self.settings.memory_backing;
+        self.moved.is_none_or(|moved| now.secs_since(moved) > memory)
+    }
+
     fn entered_within(&self, secs: f64, now: Stamp) -> impl Iterator<Item = &RecentPlace> + '_ {
         self.occluded
             .iter()
@@ -315,6 +328,9 @@ mod tests {
         }
         assert_eq!(still.in_base(Pose2::IDENTITY).count(), 0);
         assert!(moving.in_base(Pose2::IDENTITY).count() >= 2);
+        let (now, long_after) = (Stamp::from_secs(2.0), Stamp::from_secs(100.0));
+        assert_eq!([still.is_quiet(now), moving.is_quiet(now)], [true, false]);
+        assert!(moving.is_quiet(long_after));
     }
 
     #[test]

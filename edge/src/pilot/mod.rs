@@ -309,6 +309,12 @@ impl Pilot {
             Mode::Behaviour | Mode::Follow => self.gains.blind_speed.max(self.config.settings.maneuvers.blind_speed),
             _ => self.gains.blind_speed,
         };
+        self.collision_monitor.unseen_speed = 0.0;
+        if matches!(self.mode, Mode::Follow | Mode::Behaviour) && self.obstacles.moving().is_quiet(now) {
+            let feeling = self.config.settings.collision_monitor.feeling_speed;
+            self.collision_monitor.blind_speed = self.collision_monitor.blind_speed.max(feeling);
+            self.collision_monitor.unseen_speed = feeling;
+        }
         self.collision_monitor.encoders_silent =
             self.encoder_watch.silence() > self.config.settings.estimator.encoder_timeout;
         let verdict = self.collision_monitor.judge(

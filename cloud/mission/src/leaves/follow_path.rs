@@ -396,7 +396,7 @@ impl FollowPath {
         let Some(state) = ctx.robot.state() else {
             return (0.0, None);
         };
-        let time = ctx.motion.time(state, 0.0).unwrap_or(0.0);
+        let time = ctx.motion.time(state, 0.0, 0.0).unwrap_or(0.0);
         let ours = state
             .plan
             .as_ref()

@@ -40,14 +40,14 @@ pub(super) fn predicted(ctx: &mut Context, from_rest: bool) -> Result<Begin, &'s
     }
     let ahead = ctx
         .motion
-        .time(state, ctx.robot.state_age(ctx.now))
+        .time(state, ctx.robot.state_age(ctx.now), ctx.latency_budget())
         .filter(|_| ctx.motion.status() == Some(&PlanStatus::Taken));
     // A trajectory that is held runs on to where the new one begins, if slower.
     let follows = state.mode == Mode::Follow && !from_rest;
     if let (Some(time), true, Some(trajectory), Some(trajectory_id)) =
         (ahead, follows, ctx.motion.here(), ctx.motion.id())
     {
-        let time = (time + ctx.latency_budget()).max(0.0);
+        let time = time.max(0.0);
         if time + SHORT_REST < trajectory.end_time() {
             let point = trajectory.sample(time);
             let splice = Splice { trajectory_id, time };

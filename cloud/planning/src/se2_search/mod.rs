@@ -33,8 +33,13 @@ use zenav_space::ConfigurationSpace;
 
 /// Apart from one another, the places behind the start from which it is tried to go on, m.
 const BACK: f64 = 0.1;
-/// From so many places away a start or a goal that lies between places is gone to straight.
-const FAR: f64 = 10.0;
+/// From this far away a start or a goal that lies between places is gone to straight, m: on a shorter leg a robot comes to a place beside a
+/// wall at an angle at which it does not fit there.
+const FAR: f64 = 0.5;
+/// The roomiest end of a path is looked for in so many directions from the goal, at this share of the tolerance: the robot does not come to
+/// its ends exactly.
+const ENDS: u32 = 16;
+const END_SHARE: f64 = 0.5;
 
 /// Start and goal of a search.
 #[derive(Clone, Copy, Debug)]
@@ -185,6 +190,8 @@ fn expand(
         let left = (u64::from(left) * weight) >> 8;
         cost.saturating_add(u32::try_from(left).unwrap_or(u32::MAX))
     };
+    let ends = [Some(query.goal), roomiest_end(space, query).filter(|_| is_tight)];
+    let ends: Vec<Point2<f64>> = ends.into_iter().flatten().collect();
     let starts = starts(masks, query, settings);
     for (number, start) in starts.iter().enumerate() {
         let cost = (start.cost / spec.resolution * UNIT) as u32;
@@ -222,8 +229,9 @@ fn expand(
         }
         let (index, heading) = ((at >> 4) as i64, (at & 15) as usize);
         let place = (index % masks.width, index / masks.width);
-        if arrives(masks, place, yaw_of(heading) - f64::from(since), goal) {
-            return Ok(trace(masks, &reached, &starts, at, query.goal));
+        let come_to = yaw_of(heading) - f64::from(since);
+        if let Some(end) = ends.iter().find(|end| arrives(masks, place, come_to, **end)) {
+            return Ok(trace(masks, &reached, &starts, at, *end));
         }
         if (masks.point(place) - goal).norm() < enough {
             let end = spec.from_cells(masks.point(place));
@@ -323,7 +331,7 @@ fn starts_with(
             break;
         }
         // Places beside the line ahead take a small turn only.
-        for near in [from, from + ahead * (spacing * FAR)] {
+        for near in [from, from + ahead * FAR] {
             starts_beside(masks, (start, heading), from, near, (way, false), starts);
         }
         if starts.len() > known {
@@ -392,21 +400,31 @@ fn starts_beside(
     }
 }
 
-/// Whether the goal (cells) is at a place that was come to with a heading (rad), or a last turn and a last leg away.
-fn arrives(masks: &FootprintMasks<'_>, place: (i64, i64), heading: f64, goal: Point2<f64>) -> bool {
+/// The place within the query's tolerance that has the most room, if it is not the goal: the robot comes to it at more angles.
+fn roomiest_end(space: &ConfigurationSpace, query: &Query) -> Option<Point2<f64>> {
+    let around = (0..ENDS).map(|i| {
+        let (sin, cos) = (f64::from(i) * std::f64::consts::TAU / f64::from(ENDS)).sin_cos();
+        query.goal + Vector2::new(cos, sin) * (END_SHARE * query.tolerance)
+    });
+    let roomiest = around.max_by(|a, b| space.clearance(*a).total_cmp(&space.clearance(*b)))?;
+    (space.clearance(roomiest) > space.clearance(query.goal)).then_some(roomiest)
+}
+
+/// Whether an end of a path is at a place that was come to with a heading (rad), or a last turn and a last leg away.
+fn arrives(masks: &FootprintMasks<'_>, place: (i64, i64), heading: f64, to: Point2<f64>) -> bool {
     let space = masks.space;
-    let at = masks.point(place);
-    let leg = goal - at;
+    let spec = space.spec();
+    let from = spec.from_cells(masks.point(place));
+    let leg = to - from;
     if leg.norm() < 1e-9 {
         return true;
     }
-    let is_beside = leg.amax() < 1.01 * masks.spacing;
+    let is_beside = leg.amax() < 1.01 * masks.spacing * spec.resolution;
     let turn = wrap_angle(leg.y.atan2(leg.x) - heading).abs();
     // From farther away with a small turn only.
-    if !is_beside && (leg.norm() > FAR * masks.spacing || turn > 0.2) {
+    if !is_beside && (leg.norm() > FAR || turn > 0.2) {
         return false;
     }
-    let [from, to] = [at, goal].map(|p| space.spec().from_cells(p));
     space.leg_clearance(from, to, MARGIN) >= MARGIN
         && space.is_permitted_between(from, to)
         && space.turn_is_free(from, heading, leg.y.atan2(leg.x))

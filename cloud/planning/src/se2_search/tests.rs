@@ -106,6 +106,28 @@ fn coarse_cells_leave_places_between_their_centres() {
 }
 
 #[test]
+fn beside_a_wall_the_path_ends_where_the_robot_comes_to_at_an_angle() {
+    let space = ConfigurationSpace::new(&room(|_, _| false), &long(), UnknownPolicy::Blocked, 0.0);
+    let query = Query {
+        start: Point2::new(1.0, 2.0),
+        heading: Some(0.3),
+        // 1 cm of room beside the outline when it stands along the wall.
+        goal: Point2::new(4.0, 0.05 + 0.15 + 0.01),
+        tolerance: 0.06,
+    };
+    let budget = Budget {
+        max_expansions: 200_000,
+        ..Budget::UNLIMITED
+    };
+    let path = search(&space, &Uniform, &query, &Se2Settings::default(), budget)
+        .result
+        .unwrap();
+    assert!(is_drivable(&space, &path.corners, &path.backwards, query.heading));
+    let end = path.corners[path.corners.len() - 1];
+    assert!((end - query.goal).norm() <= query.tolerance, "{end}");
+}
+
+#[test]
 fn a_search_without_budget_times_out() {
     let space = ConfigurationSpace::new(&room(|_, _| false), &long(), UnknownPolicy::Blocked, 0.0);
     let query = Query {
