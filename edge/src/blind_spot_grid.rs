@@ -2,7 +2,7 @@
 //! left the field of view.
 //!
 //! A ring buffer of cells around the robot in the odometry frame. Floor that was never seen counts as occupied: a robot does not drive
-//! backwards into the unknown. At the start, the disc that the robot needs to turn is taken to be free.
+//! backwards into the unknown, unless it feels its way. At the start, the disc that the robot needs to turn is taken to be free.
 
 use nalgebra::{Isometry2, Point2, Vector2};
 use zenav_protocol::robot::Footprint;

@@ -1,7 +1,7 @@
 //! Collision monitor. May the robot move as it wants to? It has the last word: after the limiters, directly before the wheels.
 //!
 //! It scales the wanted twist down, at constant curvature, until the robot can stop before any static obstacle, before any moving
-//! obstacle could reach it, and within the floor that the lidar has seen; it does not swing towards a moving obstacle that has left the
+//! obstacle could reach it, and within the floor that the lidar has seen, but for what it may feel its way over; it does not swing towards a moving obstacle that has left the
 //! field of view (see [`crate::passive_safety`]). A robot that only grazes an obstacle inside the margin may creep on while its time to
 //! contact is at least a second; motion that does not reduce the clearance is always allowed. What the motors still do of a faster motion fades
 //! before a gentle one begins.
@@ -35,7 +35,7 @@ pub struct CollisionMonitor {
     pub margin: f64,
     /// Largest speed into the lidar's blind spot, m/s.
     pub blind_speed: f64,
-    /// And over floor there that was never seen, m/s.
+    /// Largest speed over floor in the blind spot that was never seen, m/s.
     pub unseen_speed: f64,
     /// Whether the wheel encoders say nothing new although the wheels turn.
     pub encoders_silent: bool,
@@ -284,7 +284,7 @@ impl CollisionMonitor {
             ),
             (
                 motion.limit_blind_spot(obstacles, odom_from_base, blind_speed, self.unseen_speed),
-                "moving into the lidar's blind spot (`blind_speed` allows more)",
+                "moving into the lidar's blind spot (`blind_speed` and `feeling_speed` allow more)",
             ),
             (
                 motion.limit_occluded(now, obstacles, odom_from_base),

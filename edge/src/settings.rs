@@ -202,8 +202,8 @@ zenav_protocol::settings! {
         pub hysteresis: f64 = 0.3, "s", 0.0..=5.0;
         /// In contact, a motion leads away from what is touched if it does so at this share of its speed at least.
         pub departure_share: f64 = 0.2, "", 0.0..=1.0;
-        /// Largest speed of a plan or a maneuver into the lidar's blind spot, over floor that was never seen too, where nothing has been seen
-        /// to move for `moving_obstacles.memory_backing`: the robot feels its way, and its bumper stops it.
+        /// Largest speed of a plan or a maneuver into the lidar's blind spot, over floor that was never seen too, while nothing has been seen
+        /// to move since the start or for `moving_obstacles.memory_backing`: the robot feels its way until its bumper stops it. 0 without a bumper.
         pub feeling_speed: f64 = 0.05, "m/s", 0.0..=0.3;
         /// Largest speed along what is touched.
         pub sliding_speed: f64 = 0.1, "m/s", 0.0..=1.0;

@@ -19,10 +19,12 @@ use zenav_space::ConfigurationSpace;
 
 /// Spacing of the poses that are rechecked, m and rad: between two poses the check is exact at constant velocity.
 const SPACING: (f64, f64) = (0.05, 0.1);
-/// The path this near to the robot is not rechecked, by the way of the outline: what stands there is its collision monitor's business, m.
+/// Until a point of the outline has gone this far the path is not rechecked: what stands there is the collision monitor's business, m.
 const NEAR: f64 = 0.1;
 /// The rate of plan time is taken over this time, s.
 const PACE: f64 = 0.3;
+/// A robot takes a plan whose begin is this long ago, s.
+const LATE: f64 = 1.0;
 /// Poses rechecked at once; the first block that collides tells when.
 const BLOCK: usize = 16;
 /// Clearances above this are all the same to a recheck, m.
@@ -98,17 +100,23 @@ struct Pace {
 
 impl Pace {
     fn observe(&mut self, stamp: Stamp, time: f64) {
-        let secs = self.taken.map_or(PACE, |(taken, _)| stamp.secs_since(taken));
-        if secs < PACE {
+        let Some((taken, before)) = self.taken else {
+            self.taken = Some((stamp, time));
             return;
+        };
+        let secs = stamp.secs_since(taken);
+        if secs >= PACE {
+            *self = Self {
+                taken: Some((stamp, time)),
+                rate: Some(((time - before) / secs).clamp(0.0, 1.0)),
+            };
         }
-        self.rate = self.taken.map(|(_, before)| ((time - before) / secs).clamp(0.0, 1.0));
-        self.taken = Some((stamp, time));
     }
 
-    /// Plan time that goes by in so many seconds, s; as many before the rate is known.
+    /// Plan time that goes by in so many seconds, s; as many before the rate is known. A robot may go on at full pace at once: then it is
+    /// [`LATE`] farther at most.
     fn within(&self, secs: f64) -> f64 {
-        secs * self.rate.unwrap_or(1.0)
+        (secs * self.rate.unwrap_or(1.0)).max(secs - LATE)
     }
 }
 
@@ -222,6 +230,9 @@ impl MotionKeeper {
         now: Stamp,
     ) -> Plan {
         self.motions += 1;
+        // What holds the robot back holds it on its next plan too, if it drives on.
+        let before = self.current.as_ref().filter(|_| draft.splice.is_some());
+        let rate = before.and_then(|before| before.pace.rate);
         let plan = Plan {
             goal_id: goal_id.to_owned(),
             epoch,
@@ -249,7 +260,7 @@ impl MotionKeeper {
             held: false,
             was_taken: false,
             refused: None,
-            pace: Pace::default(),
+            pace: Pace { rate, taken: None },
         });
         self.changed = true;
         self.was_begun_for_leg = true;
@@ -414,18 +425,17 @@ pub fn recheck(trajectory: &Trajectory, space: &ConfigurationSpace, from: f64, e
         Footprint::Polygon(_) => space.footprint().circumscribed_radius(),
     };
     let mut poses: Vec<(f64, Pose2)> = Vec::new();
-    let (mut travelled, mut turned) = (0.0, 0.0);
+    let mut way = 0.0;
     let mut before: Option<Pose2> = None;
     let mut leaving = true;
     for point in trajectory.spaced(from, SPACING.0, SPACING.1) {
         let pose = point.pose();
         if let Some(before) = before {
-            travelled += before.distance(&pose);
-            turned += wrap_angle(pose.yaw - before.yaw).abs();
+            way += before.distance(&pose) + arm * wrap_angle(pose.yaw - before.yaw).abs();
         }
         before = Some(pose);
         // A robot that by the map stands in something must be let out of it.
-        leaving = leaving && travelled < escape && space.footprint_clearance(pose) <= 0.0;
+        leaving = leaving && way < escape && space.footprint_clearance(pose) <= 0.0;
         if leaving {
             continue;
         }
@@ -433,7 +443,7 @@ pub fn recheck(trajectory: &Trajectory, space: &ConfigurationSpace, from: f64, e
         let spaced = poses.last().is_none_or(|(_, kept)| {
             kept.distance(&pose) >= SPACING.0 || wrap_angle(pose.yaw - kept.yaw).abs() >= SPACING.1
         });
-        if travelled + arm * turned >= NEAR && (spaced || last) {
+        if way >= NEAR && (spaced || last) {
             poses.push((point.t, pose));
         }
     }

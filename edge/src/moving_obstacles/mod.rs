@@ -26,6 +26,9 @@ use detector::Detector;
 /// Most places kept where an obstacle entered the blind spot.
 const OCCLUDED_PLACES: usize = 128;
 
+/// Who went into the blind spot and has not come out is forgotten once the robot is this far away, m.
+const STAYS: f64 = 2.0;
+
 /// No more of the radius of somebody hidden is relied on, m: two who walk side by side look like one.
 const SURE_RADIUS: f64 = 0.25;
 
@@ -91,7 +94,8 @@ impl MovingObstacles {
                 left = detector.leave_out(evident, |point| tracks.is_by_robot(point));
             }
         }
-        if self.tracks.iter().next().is_some() {
+        // A robot that tells its course is known in the blind spot too.
+        if self.tracks.iter().any(|track| !track.is_robot()) {
             self.moved = Some(scan.stamp);
         }
         self.track_occlusions(index, scan);
@@ -148,6 +152,7 @@ impl MovingObstacles {
     fn forget_reappeared(&mut self, index: usize, scan: &ProjectedScan<'_>, beside: f64, none_beside: bool) {
         let (now, settings, view) = (scan.stamp, &self.settings, &self.view);
         let base_from_odom = scan.odom_from_base.inverse();
+        let robot = scan.odom_from_base * Point2::origin();
         let points = self.detectors.get(index).map_or(&[][..], |detector| &detector.points);
         let may_be = |occluded: &RecentPlace, place: Point2<f64>| {
             let reach = occluded.speed * now.secs_since(occluded.stamp) + settings.reappearance_tolerance;
@@ -157,10 +162,11 @@ impl MovingObstacles {
         self.occluded.retain(|occluded| {
             let untracked = occluded.track.is_none() && none_beside;
             // Who has been in sight since before is somebody else.
-            let is_new = |point: Point2<f64>| tracks.at(point).is_none_or(|track| track.born > occluded.stamp);
-            let comes_out = |point: &&Point2<f64>| may_be(occluded, **point) && is_new(**point);
+            let is_other = |point: Point2<f64>| tracks.at(point).is_none_or(|track| track.born > occluded.stamp);
+            let comes_out = |point: &&Point2<f64>| may_be(occluded, **point) && is_other(**point);
             let is_out = untracked && points.iter().any(|point| comes_out(&point));
-            now.secs_since(occluded.stamp) <= settings.memory.max(settings.memory_backing) && !is_out
+            let is_new = now.secs_since(occluded.stamp) <= settings.memory.max(settings.memory_backing);
+            (is_new || occluded.is_within(STAYS, robot)) && !is_out
         });
         let mut waiting: Vec<RecentPlace> = Vec::new();
         for occluded in self.occluded.iter().filter(|occluded| occluded.track.is_some()) {
@@ -221,11 +227,12 @@ impl MovingObstacles {
         })
     }
 
-    /// Whether nothing has been seen to move for as long as somebody in the blind spot is remembered.
+    /// Whether nothing has been seen to move since the start, or for as long as somebody in the blind spot is remembered, and nobody went in
+    /// there, or was felt there, and may stand there still.
     #[must_use]
     pub fn is_quiet(&self, now: Stamp) -> bool {
         let memory = self.settings.memory_backing;
-        self.moved.is_none_or(|moved| now.secs_since(moved) > memory)
+        self.moved.is_none_or(|moved| now.secs_since(moved) > memory) && self.occluded.iter().next().is_none()
     }
 
     fn entered_within(&self, secs: f64, now: Stamp) -> impl Iterator<Item = &RecentPlace> + '_ {

@@ -33,8 +33,8 @@ use zenav_space::ConfigurationSpace;
 
 /// Apart from one another, the places behind the start from which it is tried to go on, m.
 const BACK: f64 = 0.1;
-/// From this far away a start or a goal that lies between places is gone to straight, m: on a shorter leg a robot comes to a place beside a
-/// wall at an angle at which it does not fit there.
+/// The last leg to a goal that lies between places, and the first leg from a start, may be this long, m: a longer leg comes in at a smaller
+/// angle, at which a robot fits beside a wall.
 const FAR: f64 = 0.5;
 /// The roomiest end of a path is looked for in so many directions from the goal, at this share of the tolerance: the robot does not come to
 /// its ends exactly.
@@ -331,7 +331,8 @@ fn starts_with(
             break;
         }
         // Places beside the line ahead take a small turn only.
-        for near in [from, from + ahead * FAR] {
+        for leg in [0.0, FAR.min(10.0 * spacing), FAR] {
+            let near = from + ahead * leg;
             starts_beside(masks, (start, heading), from, near, (way, false), starts);
         }
         if starts.len() > known {

@@ -113,7 +113,7 @@ fn beside_a_wall_the_path_ends_where_the_robot_comes_to_at_an_angle() {
         heading: Some(0.3),
         // 1 cm of room beside the outline when it stands along the wall.
         goal: Point2::new(4.0, 0.05 + 0.15 + 0.01),
-        tolerance: 0.06,
+        tolerance: 0.1,
     };
     let budget = Budget {
         max_expansions: 200_000,
@@ -124,7 +124,7 @@ fn beside_a_wall_the_path_ends_where_the_robot_comes_to_at_an_angle() {
         .unwrap();
     assert!(is_drivable(&space, &path.corners, &path.backwards, query.heading));
     let end = path.corners[path.corners.len() - 1];
-    assert!((end - query.goal).norm() <= query.tolerance, "{end}");
+    assert!((0.01..=query.tolerance).contains(&(end - query.goal).norm()), "{end}");
 }
 
 #[test]

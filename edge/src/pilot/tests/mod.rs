@@ -285,6 +285,42 @@ fn a_bump_stops_the_robot_and_is_reported() {
 }
 
 #[test]
+fn a_plan_backs_into_the_blind_spot_by_feeling_and_teleop_and_who_has_felt_somebody_gently() {
+    const GENTLE: f64 = -0.01;
+    let mut rig = Rig::of(zenav_fixtures::robot("tiago"), Persisted::default());
+    let epoch = rig.mission();
+    let ahead = rig.ahead(epoch, 1, 7, 1.0);
+    let back = |point: &TrajectoryPoint| TrajectoryPoint {
+        x: -point.x,
+        v: -point.v,
+        ..*point
+    };
+    rig.send(Plan {
+        trajectory: ahead.trajectory.iter().map(back).collect(),
+        ..ahead
+    });
+    assert_eq!(rig.rejection(), None);
+    rig.run(1.5);
+    assert!((rig.velocity.v + 0.05).abs() < 0.005, "{:?}", rig.velocity);
+    rig.bump = Some(std::f64::consts::PI);
+    rig.run(0.1);
+    rig.bump = None;
+    rig.run(1.0);
+    assert!(rig.velocity.v >= GENTLE, "{:?}", rig.velocity);
+    let mut rig = Rig::of(zenav_fixtures::robot("tiago"), Persisted::default());
+    let epoch = rig.lease("me", LeaseRole::Operator, "o").unwrap();
+    for _ in 0..10 {
+        rig.inbox.teleops.push(Teleop {
+            epoch,
+            twist: Twist2::new(-0.3, 0.0),
+            echo: rig.now,
+        });
+        rig.run(0.1);
+        assert!(rig.velocity.v >= GENTLE, "{:?}", rig.velocity);
+    }
+}
+
+#[test]
 fn who_is_touched_in_front_backs_away_as_fast_as_ever() {
     let backed = |touched: Option<f64>| {
         let mut rig = fresh();
