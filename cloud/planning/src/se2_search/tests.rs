@@ -116,7 +116,7 @@ fn beside_a_wall_the_path_ends_where_the_robot_comes_to_at_an_angle() {
         tolerance: 0.1,
     };
     let budget = Budget {
-        max_expansions: 200_000,
+        max_expansions: 1_500_000,
         ..Budget::UNLIMITED
     };
     let path = search(&space, &Uniform, &query, &Se2Settings::default(), budget)
