@@ -1,10 +1,10 @@
 //! Collision monitor. May the robot move as it wants to? It has the last word: after the limiters, directly before the wheels.
 //!
 //! It scales the wanted twist down, at constant curvature, until the robot can stop before any static obstacle, before any moving
-//! obstacle could reach it, and within the floor that the lidar has seen, but for what it may feel its way over; it does not swing towards a moving obstacle that has left the
-//! field of view (see [`crate::passive_safety`]). A robot that only grazes an obstacle inside the margin may creep on while its time to
-//! contact is at least a second; motion that does not reduce the clearance is always allowed. What the motors still do of a faster motion fades
-//! before a gentle one begins.
+//! obstacle could reach it, and within the floor that the lidar has seen, unless it feels its way at `unseen_speed`. It does not swing
+//! towards a moving obstacle that has left the field of view (see [`crate::passive_safety`]). A robot that only grazes an obstacle inside the
+//! margin may creep on while its time to contact is at least a second; motion that does not reduce the clearance is always allowed. What the
+//! motors still do of a faster motion fades before a gentle one begins.
 //! Scans may come late: the robot reacts by so much later, and drives as slowly as that needs. When they stop coming it slows down, and is
 //! at rest a set time after the last one. While the wheel encoders are silent it drives slowly. A scan that is too old, a command that is
 //! not finite, and bumper contact stop it at once.

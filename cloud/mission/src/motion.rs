@@ -85,6 +85,7 @@ struct ActivePlan {
     held: bool,
     /// Whether the robot has accepted this trajectory: then a refusal is of a renewal.
     was_taken: bool,
+    /// How fast the robot goes on.
     pace: Pace,
     /// The newest revision when a refusal came last: over a slow link others were under way then, whose refusals tell nothing new.
     refused: Option<Revision>,
@@ -95,6 +96,7 @@ struct ActivePlan {
 struct Pace {
     /// The robot's time and its plan time, when the rate was taken last.
     taken: Option<(Stamp, f64)>,
+    /// Seconds of plan time a second, 0 to 1.
     rate: Option<f64>,
 }
 

@@ -25,6 +25,16 @@ fn fresh() -> Rig {
     Rig::new(Persisted::default())
 }
 
+/// Teleop backwards for a tenth of a second.
+fn back_by_hand(rig: &mut Rig, epoch: u64) {
+    rig.inbox.teleops.push(Teleop {
+        epoch,
+        twist: Twist2::new(-0.3, 0.0),
+        echo: rig.now,
+    });
+    rig.run(0.1);
+}
+
 /// A robot that has just begun to drive four metres ahead.
 fn driving() -> (Rig, u64, Plan) {
     let mut rig = fresh();
@@ -223,12 +233,7 @@ fn a_change_of_holder_discards_the_plan_and_the_operator_drives() {
         rig.lease("me", LeaseRole::Operator, "o2").unwrap()
     };
     for _ in 0..20 {
-        rig.inbox.teleops.push(Teleop {
-            epoch,
-            twist: Twist2::new(-0.3, 0.0),
-            echo: rig.now,
-        });
-        rig.run(0.1);
+        back_by_hand(&mut rig, epoch);
     }
     assert!(rig.pose.x < before.x - 0.2, "{:?}", rig.pose);
     rig.run(1.0);
@@ -285,7 +290,7 @@ fn a_bump_stops_the_robot_and_is_reported() {
 }
 
 #[test]
-fn a_plan_backs_into_the_blind_spot_by_feeling_and_teleop_and_who_has_felt_somebody_gently() {
+fn a_plan_feels_its_way_into_the_blind_spot_and_teleop_and_a_robot_that_was_touched_there_creep() {
     const GENTLE: f64 = -0.01;
     let mut rig = Rig::of(zenav_fixtures::robot("tiago"), Persisted::default());
     let epoch = rig.mission();
@@ -310,12 +315,7 @@ fn a_plan_backs_into_the_blind_spot_by_feeling_and_teleop_and_who_has_felt_someb
     let mut rig = Rig::of(zenav_fixtures::robot("tiago"), Persisted::default());
     let epoch = rig.lease("me", LeaseRole::Operator, "o").unwrap();
     for _ in 0..10 {
-        rig.inbox.teleops.push(Teleop {
-            epoch,
-            twist: Twist2::new(-0.3, 0.0),
-            echo: rig.now,
-        });
-        rig.run(0.1);
+        back_by_hand(&mut rig, epoch);
         assert!(rig.velocity.v >= GENTLE, "{:?}", rig.velocity);
     }
 }
@@ -327,12 +327,7 @@ fn who_is_touched_in_front_backs_away_as_fast_as_ever() {
         rig.bump = touched;
         let epoch = rig.lease("me", LeaseRole::Operator, "o").unwrap();
         for _ in 0..10 {
-            rig.inbox.teleops.push(Teleop {
-                epoch,
-                twist: Twist2::new(-0.3, 0.0),
-                echo: rig.now,
-            });
-            rig.run(0.1);
+            back_by_hand(&mut rig, epoch);
         }
         -rig.pose.x
     };
