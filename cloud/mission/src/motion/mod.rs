@@ -3,32 +3,23 @@
 //! A trajectory keeps its name while its plan is renewed; the robot goes on where it is. A new trajectory gets a new name.
 //! Nothing here decides to move: leaves do.
 
+mod pace;
+mod recheck;
+
 use nalgebra::Point2;
-use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::messages::{
     BasedOn, EdgeState, Event, EventKind, MapRef, Mode, Plan, PlanStatistics, Revision, Splice,
 };
-use zenav_protocol::robot::Footprint;
 use zenav_protocol::time::Stamp;
 use zenav_protocol::trajectory::Trajectory;
+use zenav_space::ConfigurationSpace;
 
+use self::pace::Pace;
+pub use self::recheck::{Recheck, recheck};
 use super::frames::Frames;
 use super::lease::newer;
 use super::robot::is_rest;
-use zenav_space::ConfigurationSpace;
 
-/// Spacing of the poses that are rechecked, m and rad: between two poses the check is exact at constant velocity.
-const SPACING: (f64, f64) = (0.05, 0.1);
-/// Until a point of the outline has gone this far the path is not rechecked: what stands there is the collision monitor's business, m.
-const NEAR: f64 = 0.1;
-/// The rate of plan time is taken over this time, s.
-const PACE: f64 = 0.3;
-/// A robot takes a plan whose begin is this long ago, s.
-const LATE: f64 = 1.0;
-/// Poses rechecked at once; the first block that collides tells when.
-const BLOCK: usize = 16;
-/// Clearances above this are all the same to a recheck, m.
-const CONTACT: f64 = 2e-3;
 /// A robot that says nothing of an accepted plan for this long has dropped it, s.
 const DROPPED: f64 = 0.6;
 
@@ -62,15 +53,6 @@ pub enum PlanStatus {
     Void(String),
 }
 
-/// What a recheck says.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Recheck {
-    /// Free as far as the map knows.
-    Free,
-    /// Something stands on the path, this many seconds of plan time ahead.
-    Blocked(f64),
-}
-
 #[derive(Clone, Debug)]
 struct ActivePlan {
     /// As it was published, in the frame that it names.
@@ -89,37 +71,6 @@ struct ActivePlan {
     pace: Pace,
     /// The newest revision when a refusal came last: over a slow link others were under way then, whose refusals tell nothing new.
     refused: Option<Revision>,
-}
-
-/// How fast plan time runs: more slowly where something holds the robot back.
-#[derive(Clone, Copy, Debug, Default)]
-struct Pace {
-    /// The robot's time and its plan time, when the rate was taken last.
-    taken: Option<(Stamp, f64)>,
-    /// Seconds of plan time a second, 0 to 1.
-    rate: Option<f64>,
-}
-
-impl Pace {
-    fn observe(&mut self, stamp: Stamp, time: f64) {
-        let Some((taken, before)) = self.taken else {
-            self.taken = Some((stamp, time));
-            return;
-        };
-        let secs = stamp.secs_since(taken);
-        if secs >= PACE {
-            *self = Self {
-                taken: Some((stamp, time)),
-                rate: Some(((time - before) / secs).clamp(0.0, 1.0)),
-            };
-        }
-    }
-
-    /// Plan time that goes by in so many seconds, s; as many before the rate is known. A robot may go on at full pace at once: then it is
-    /// [`LATE`] farther at most.
-    fn within(&self, secs: f64) -> f64 {
-        (secs * self.rate.unwrap_or(1.0)).max(secs - LATE)
-    }
 }
 
 /// Keeps the plan in force.
@@ -232,9 +183,8 @@ impl MotionKeeper {
         now: Stamp,
     ) -> Plan {
         self.motions += 1;
-        // What holds the robot back holds it on its next plan too, if it drives on.
         let before = self.current.as_ref().filter(|_| draft.splice.is_some());
-        let rate = before.and_then(|before| before.pace.rate);
+        let pace = before.map(|before| before.pace.carried_over()).unwrap_or_default();
         let plan = Plan {
             goal_id: goal_id.to_owned(),
             epoch,
@@ -262,7 +212,7 @@ impl MotionKeeper {
             held: false,
             was_taken: false,
             refused: None,
-            pace: Pace { rate, taken: None },
+            pace,
         });
         self.changed = true;
         self.was_begun_for_leg = true;
@@ -417,98 +367,12 @@ impl ActivePlan {
     }
 }
 
-/// Rechecks a trajectory from plan time `from` on, with the true footprint. A robot that by the map stands in an obstacle may leave it for
-/// `escape` m.
-#[must_use]
-pub fn recheck(trajectory: &Trajectory, space: &ConfigurationSpace, from: f64, escape: f64) -> Recheck {
-    // A disc turns in its place.
-    let arm = match space.footprint() {
-        Footprint::Radius(_) => 0.0,
-        Footprint::Polygon(_) => space.footprint().circumscribed_radius(),
-    };
-    let mut poses: Vec<(f64, Pose2)> = Vec::new();
-    let mut way = 0.0;
-    let mut before: Option<Pose2> = None;
-    let mut leaving = true;
-    for point in trajectory.spaced(from, SPACING.0, SPACING.1) {
-        let pose = point.pose();
-        if let Some(before) = before {
-            way += before.distance(&pose) + arm * wrap_angle(pose.yaw - before.yaw).abs();
-        }
-        before = Some(pose);
-        // A robot that by the map stands in something must be let out of it.
-        leaving = leaving && way < escape && space.footprint_clearance(pose) <= 0.0;
-        if leaving {
-            continue;
-        }
-        let last = point.t >= trajectory.end_time();
-        let spaced = poses.last().is_none_or(|(_, kept)| {
-            kept.distance(&pose) >= SPACING.0 || wrap_angle(pose.yaw - kept.yaw).abs() >= SPACING.1
-        });
-        if way >= NEAR && (spaced || last) {
-            poses.push((point.t, pose));
-        }
-    }
-    // Blocks share their ends, so that nothing between them is missed.
-    let mut first = 0;
-    while first < poses.len() {
-        let end = (first + BLOCK).min(poses.len());
-        let Some(block) = poses.get(first..end) else { break };
-        let sweep: Vec<Pose2> = block.iter().map(|(_, pose)| *pose).collect();
-        if space.sweep_clearance_within(&sweep, CONTACT) <= 0.0 {
-            return Recheck::Blocked((block.first().map_or(from, |(t, _)| *t) - from).max(0.0));
-        }
-        if end == poses.len() {
-            break;
-        }
-        first = end - 1;
-    }
-    Recheck::Free
-}
-
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
     use zenav_protocol::geometry::Twist2;
-    use zenav_protocol::grid::{GridSpec, Occupancy, OccupancyGrid};
     use zenav_protocol::messages::{Faults, GuardZone, LeaseState, Link, PlanProgress};
-    use zenav_protocol::trajectory::TrajectoryPoint;
-    use zenav_space::UnknownPolicy;
-
-    fn space(occupied: &[(f64, f64)]) -> ConfigurationSpace {
-        space_of(occupied, &Footprint::Radius(0.25))
-    }
-
-    fn space_of(occupied: &[(f64, f64)], footprint: &Footprint) -> ConfigurationSpace {
-        let spec = GridSpec {
-            origin: Point2::new(-1.0, -1.0),
-            resolution: 0.05,
-            width: 200,
-            height: 60,
-        };
-        let mut grid = OccupancyGrid::filled(spec, Occupancy::FREE);
-        for (x, y) in occupied {
-            grid[spec.cell_at(Point2::new(*x, *y)).unwrap()] = Occupancy::OCCUPIED;
-        }
-        ConfigurationSpace::new(&grid, footprint, UnknownPolicy::Free, 0.0)
-    }
-
-    #[test]
-    fn a_turn_on_the_spot_is_rechecked_by_the_way_of_the_outline() {
-        let outline = [(-0.3, -0.1), (0.3, -0.1), (0.3, 0.1), (-0.3, 0.1)];
-        let outline = Footprint::Polygon(outline.iter().map(|(x, y)| Point2::new(*x, *y)).collect());
-        let space = space_of(&[(0.0, 0.2)], &outline);
-        let turn: Trajectory = (0..=30)
-            .map(|i| TrajectoryPoint {
-                t: 0.1 * f64::from(i),
-                yaw: 0.05 * f64::from(i),
-                w: 0.5,
-                ..TrajectoryPoint::default()
-            })
-            .collect();
-        assert!(matches!(recheck(&turn, &space, 0.0, 0.6), Recheck::Blocked(ahead) if ahead > 0.5));
-    }
 
     #[test]
     fn who_is_held_back_is_expected_where_its_pace_leads() {
@@ -538,30 +402,6 @@ mod tests {
         let near = |a: f64, b: f64| (a - b).abs() < 1e-9;
         assert!(near(expected[0], 0.5) && near(expected[2], 0.5), "{expected:?}");
         assert!(near(expected[3], 0.2 * 0.5), "{expected:?}");
-    }
-
-    /// Straight on at 0.5 m/s for 8 m.
-    fn straight() -> Trajectory {
-        (0..=320)
-            .map(|i| f64::from(i) * 0.05)
-            .map(|t| TrajectoryPoint {
-                t,
-                x: 0.5 * t,
-                v: 0.5,
-                ..TrajectoryPoint::default()
-            })
-            .collect()
-    }
-
-    #[test]
-    fn what_lies_ahead_is_found_and_what_lies_behind_is_not() {
-        let (path, space) = (straight(), space(&[(4.0, 0.2)]));
-        let Recheck::Blocked(ahead) = recheck(&path, &space, 0.0, 0.6) else {
-            panic!("missed")
-        };
-        assert!((5.5..7.6).contains(&ahead), "{ahead}");
-        assert_eq!(recheck(&path, &space, 9.0, 0.6), Recheck::Free);
-        assert_eq!(recheck(&path, &self::space(&[(4.0, 0.3)]), 0.0, 0.6), Recheck::Free);
     }
 
     fn state(velocity: f64, progress: PlanProgress) -> EdgeState {
@@ -646,18 +486,5 @@ mod tests {
         }
         keeper.observe(Stamp(4), Some(&state(0.0, end)), &[]);
         assert_eq!(keeper.status(), Some(&PlanStatus::Finished));
-    }
-
-    #[test]
-    fn a_robot_that_stands_in_something_is_let_out_of_it() {
-        assert_eq!(recheck(&straight(), &space(&[(-0.1, 0.1)]), 0.0, 0.6), Recheck::Free);
-        assert!(matches!(
-            recheck(&straight(), &space(&[(-0.1, 0.1), (1.0, 0.0)]), 0.0, 0.6),
-            Recheck::Blocked(_)
-        ));
-        assert!(matches!(
-            recheck(&straight(), &space(&[(0.5, 0.0)]), 0.0, 0.6),
-            Recheck::Blocked(_)
-        ));
     }
 }
