@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use clap::{Args, ValueEnum};
-use zenav_protocol::bus::{Identity, Router, RouterConfig, interrupted, service_manager};
+use zenav_protocol::bus::{Identity, Router, RouterConfig, interrupted, service_manager, threads};
 use zenav_protocol::config_text::Expected;
 use zenav_protocol::geometry::Pose2;
 use zenav_sim::World;
@@ -241,11 +241,12 @@ pub struct CloudArgs {
     identity: IdentityArgs,
 }
 
-/// A runtime for services and commands.
+/// A runtime for parts, in a process that has enough threads of Zenoh's: it may begin anew here.
 ///
 /// # Errors
 /// When the system gives no threads.
 pub fn runtime() -> Result<tokio::runtime::Runtime, Failure> {
+    threads::ensure_enough();
     Ok(tokio::runtime::Builder::new_multi_thread().enable_all().build()?)
 }
 
@@ -326,9 +327,6 @@ pub fn up(args: &UpArgs) -> Outcome {
     let data = &deployment.data.dir;
     std::fs::create_dir_all(data).map_err(Failure::failed_at(data))?;
     let security = args.security.security_of(&deployment)?;
-    if deployment.router.enabled {
-        crate::receivers::ensure_enough();
-    }
     free_robot_endpoint(&mut deployment);
     runtime()?.block_on(async {
         args.health.serve().await?;
@@ -436,7 +434,6 @@ pub fn router(args: &RouterArgs) -> Outcome {
         security: args.security.security()?,
         ..RouterConfig::default()
     };
-    crate::receivers::ensure_enough();
     let is_outdated = runtime()?.block_on(async {
         args.health.serve().await?;
         let router = open_router(&config, args.rest.rest.as_deref().unwrap_or_default()).await?;
@@ -450,7 +447,7 @@ pub fn router(args: &RouterArgs) -> Outcome {
     })?;
     if is_outdated {
         tracing::info!("the fleet's members or the certificate have changed: the router starts anew");
-        let error = crate::receivers::restart();
+        let error = threads::restart();
         return Err(Failure::failed(format!("cannot start anew: {error}")));
     }
     Ok(exit_code::OK)

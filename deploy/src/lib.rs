@@ -7,7 +7,6 @@
 //! | `launch` | what `up`, `router`, `edge` and `cloud` run |
 //! | `components` | how the parts start and end that share a process |
 //! | `hosts` | a deployment of many hosts as units, containers and manifests, and whether it runs |
-//! | `receivers` | how many threads receive, in a process with a router |
 //! | `rest` | values of keys over HTTP, read-only |
 //! | `gateway` | how people see and command robots in a browser |
 //! | `world_server` | how robots on several machines share one world |
@@ -56,7 +55,6 @@ pub mod lockstep;
 pub mod netem;
 pub mod operator;
 pub mod output;
-pub mod receivers;
 pub mod record;
 pub mod report;
 mod rest;

@@ -7,7 +7,7 @@ use std::process::ExitCode;
 use clap::Parser;
 use zenav_edge::{AttachError, Attached, Body, EdgeConfig, EdgeSettings, RemoteBody, ServiceConfig, exit_code};
 use zenav_observability::{logging, server, trace};
-use zenav_protocol::bus::{Bus, BusConfig, BusError, IdentityError, Security, Shutdown, service_manager};
+use zenav_protocol::bus::{Bus, BusConfig, BusError, IdentityError, Security, Shutdown, service_manager, threads};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::LostPolicy;
@@ -110,6 +110,7 @@ fn pose(text: &str) -> Result<Pose2, String> {
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
     logging::init(arguments.log_format, "info,zenoh=warn", std::io::stderr);
+    threads::ensure_enough();
     match start(arguments) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {

@@ -31,7 +31,8 @@ pub enum Qos {
     Latest,
     /// As `Latest`, at real-time priority and sent at once.
     RealTime,
-    /// Advanced publication: the writer keeps this many samples for late joiners and gaps; receivers get all, in order.
+    /// Advanced publication: the writer keeps this many samples for late joiners and gaps; receivers get all, in order. Of bulk (CBOR) a
+    /// late joiner gets none.
     Events {
         /// Samples kept by the writer.
         cache: usize,
@@ -360,7 +361,7 @@ crate::sensor_kinds!(key_table [
         INTENT: Intent = "zenav/{robot}/edge/intent", Edge, Qos::Latest, 16 * KIB;
         MARKER: Marker = "zenav/{robot}/edge/marker", Edge, Qos::Latest, 64 * KIB;
         MAP_INFO: MapInfo = "zenav/{robot}/cloud/map", Mapping, Qos::State, 16 * KIB;
-        MAP_PATCH: MapPatch = "zenav/{robot}/cloud/map_patch", Mapping, Qos::Events { cache: 64 }, 64 * MIB, Cbor;
+        MAP_PATCH: MapPatch = "zenav/{robot}/cloud/map_patch", Mapping, Qos::Events { cache: 4 }, 64 * MIB, Cbor;
         MAP_FRAME: MapFrame = "zenav/{robot}/cloud/frame", Mapping, Qos::State, MIB;
         ANNOTATIONS: Annotations = "zenav/{robot}/cloud/annotations", Mapping, Qos::State, 4 * MIB;
         CORRECTION: Correction = "zenav/{robot}/cloud/correction", Mapping, Qos::Latest, 4 * KIB;

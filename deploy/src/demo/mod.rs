@@ -211,7 +211,6 @@ pub fn run(args: &DemoArgs) -> Outcome {
     if args.gps && !args.scenario.has_gps() {
         return Err(Failure::usage("--gps: expected kitchen or online"));
     }
-    crate::receivers::ensure_enough();
     let folder = args.folder();
     std::fs::create_dir_all(&folder).map_err(Failure::failed_at(&folder))?;
     let mut report = runtime()?.block_on(scenario(args))?;

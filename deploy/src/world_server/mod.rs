@@ -86,9 +86,6 @@ pub fn serve(args: &ServeArgs) -> Outcome {
         (listen, _) => listen.to_owned(),
     };
     let security = args.security.security()?;
-    if !listen.is_empty() {
-        crate::receivers::ensure_enough();
-    }
     runtime()?.block_on(async {
         args.health.serve().await?;
         // With an endpoint a router itself: readings reach the edges' links without a detour.

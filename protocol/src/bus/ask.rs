@@ -224,13 +224,15 @@ impl Bus {
         if bytes.len() > ask.max_bytes {
             return Err(AskError::Refused(Refusal::TooLarge { limit: ask.max_bytes }));
         }
-        let parameters = match ask.reply_encoding {
-            Encoding::Json => "",
-            Encoding::Cbor => "format=cbor",
+        // A reply has the priority of its request: bulk must not keep small answers waiting.
+        let (parameters, priority) = match ask.reply_encoding {
+            Encoding::Json => ("", Priority::InteractiveHigh),
+            Encoding::Cbor => ("format=cbor", Priority::DataLow),
         };
         Ok(Question {
             key,
             parameters,
+            priority,
             payload: bytes.into(),
         })
     }
@@ -244,7 +246,7 @@ impl Bus {
             .target(QueryTarget::All)
             // Deliver the first reply at once, not after the last server has answered.
             .consolidation(ConsolidationMode::None)
-            .priority(Priority::InteractiveHigh)
+            .priority(question.priority)
             .timeout(timeout.max(Duration::from_millis(1)))
             .callback(move |reply| {
                 // When the queue is full, further replies are dropped.
@@ -268,6 +270,7 @@ impl Bus {
 struct Question {
     key: KeyExpr<'static>,
     parameters: &'static str,
+    priority: Priority,
     payload: zenoh::bytes::ZBytes,
 }
 

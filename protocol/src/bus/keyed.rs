@@ -101,7 +101,12 @@ impl Bus {
         let token_key = Self::key(cache_key(&pattern, zid, FIRST_SOURCE - 1))?;
         let answer = {
             let (kept, token_key, encoding) = (Arc::clone(&kept), token_key.clone(), topic.encoding);
-            move |query: Query| lock(&kept).answer(&query, zid, &token_key, encoding)
+            let elsewhere = tokio::runtime::Handle::current();
+            move |query: Query| {
+                let asked = lock(&kept).asked(&query, &token_key);
+                // A reply waits for room, and a receiving thread must not.
+                elsewhere.spawn_blocking(move || answer(&query, &asked, zid, encoding));
+            }
         };
         let cache = self.declared(self.session.declare_queryable(all).callback(answer).wait())?;
         let token = self.declared(self.session.liveliness().declare_token(token_key).wait())?;
@@ -198,24 +203,29 @@ impl Kept {
         })
     }
 
-    /// Answers an advanced subscriber: who asks the token's own key asks for all.
-    fn answer(&self, query: &Query, zid: ZenohId, token_key: &KeyExpr<'static>, encoding: Encoding) {
+    /// What an advanced subscriber asks for: who asks the token's own key asks for all.
+    fn asked(&self, query: &Query, token_key: &KeyExpr<'static>) -> Vec<Value> {
         let of_all = query.key_expr().as_str() == token_key.as_str();
         let range = query.parameters().get("_sn").map(numbers);
-        for value in &self.values {
-            let is_asked = of_all || query.key_expr().intersects(&value.cache_key);
-            if !is_asked || range.is_some_and(|(from, to)| !(from..=to).contains(&value.number)) {
-                continue;
-            }
-            let info = SourceInfo::new(EntityGlobalId::new(zid, value.source), value.number);
-            let replied = query
-                .reply(value.key.clone(), value.bytes.clone())
-                .encoding(zenoh::bytes::Encoding::from(encoding.mime()))
-                .source_info(info)
-                .wait();
-            if let Err(error) = replied {
-                tracing::debug!(key = %value.key, %error, "its last value was asked for, and is not told");
-            }
+        let is_asked = |value: &&Value| {
+            (of_all || query.key_expr().intersects(&value.cache_key))
+                && range.is_none_or(|(from, to)| (from..=to).contains(&value.number))
+        };
+        self.values.iter().filter(is_asked).cloned().collect()
+    }
+}
+
+/// Answers an advanced subscriber.
+fn answer(query: &Query, asked: &[Value], zid: ZenohId, encoding: Encoding) {
+    for value in asked {
+        let info = SourceInfo::new(EntityGlobalId::new(zid, value.source), value.number);
+        let replied = query
+            .reply(value.key.clone(), value.bytes.clone())
+            .encoding(zenoh::bytes::Encoding::from(encoding.mime()))
+            .source_info(info)
+            .wait();
+        if let Err(error) = replied {
+            tracing::debug!(key = %value.key, %error, "its last value was asked for, and is not told");
         }
     }
 }

@@ -50,6 +50,7 @@
 //! | `raw` | untyped bytes, for tools |
 //! | `tap` | everything that comes, as it came and when, for recorders; and publishing it again |
 //! | `clock`, `shutdown` | the only [`Clock`] of a service, and its [`Shutdown`] |
+//! | `threads` | Zenoh's threads: how many a process needs |
 //! | `service_manager` | what whoever started the process is told: ready, alive, ending |
 //! | `overhead` | cost of the typed bus over raw Zenoh |
 //! | `link`, `flow` | for the metrics and the log: links to routers; what goes over a topic, and what of it is lost |
@@ -81,6 +82,7 @@ mod session;
 mod shutdown;
 mod subscribe;
 mod tap;
+pub mod threads;
 
 pub use alive::{AliveToken, AliveWatch};
 pub use ask::{Answer, AskError};

@@ -4,6 +4,9 @@
 //! them and a reader asks again for a missing one (dropped under congestion, or lost while a link was cut). So even they are sent with
 //! congestion control "drop", and no frozen reader can hold up a robot. Only bulk (CBOR) blocks for room, for one lost fragment would cost
 //! the whole message.
+//!
+//! What a cache tells again blocks for room too, whatever the topic's quality of service (Zenoh 1.10 gives a reply that of its request), and it
+//! does so on a thread that receives. So of bulk a late joiner gets nothing that was told before, and a gap shows with the next sample only.
 
 use std::fmt;
 use std::marker::PhantomData;
@@ -18,7 +21,7 @@ use zenoh_ext::{AdvancedPublisher, AdvancedPublisherBuilderExt, CacheConfig, Mis
 
 use super::flow::Departures;
 use super::inbox::Complaints;
-use super::{Bus, BusError};
+use super::{Bus, BusError, threads};
 use crate::codec::{self, Encoding};
 use crate::topics::{Qos, Topic};
 
@@ -100,10 +103,14 @@ impl Bus {
         Ok(match qos {
             Qos::Latest | Qos::RealTime => Carrier::Plain(self.declared(plain.wait())?),
             Qos::Events { .. } | Qos::State => {
-                let advanced = plain
-                    .cache(CacheConfig::default().max_samples(kept(qos)))
-                    .sample_miss_detection(MissDetectionConfig::default().heartbeat(HEARTBEAT))
-                    .publisher_detection();
+                let advanced = plain.cache(CacheConfig::default().max_samples(kept(qos)));
+                let numbered = MissDetectionConfig::default();
+                let advanced = match encoding {
+                    Encoding::Json => advanced
+                        .sample_miss_detection(numbered.heartbeat(HEARTBEAT))
+                        .publisher_detection(),
+                    Encoding::Cbor => advanced.sample_miss_detection(numbered),
+                };
                 Carrier::Advanced(Box::new(self.declared(advanced.wait())?))
             }
         })
@@ -144,10 +151,12 @@ impl<T: Serialize> Publisher<T> {
     }
 
     fn put_bytes(&self, bytes: Vec<u8>, attachment: Option<ZBytes>) -> zenoh::Result<()> {
-        match &self.carrier {
+        let length = bytes.len();
+        let put = || match &self.carrier {
             Carrier::Plain(publisher) => publisher.put(bytes).attachment(attachment).wait(),
             Carrier::Advanced(publisher) => publisher.put(bytes).attachment(attachment).wait(),
-        }
+        };
+        threads::send(length, put)
     }
 }
 

@@ -17,7 +17,7 @@ use zenoh::query::{Query, Queryable};
 use super::flow::Arrivals;
 use super::inbox::{Inbox, Queue};
 use super::subscribe::encoding_of;
-use super::{Bus, BusError};
+use super::{Bus, BusError, threads};
 use crate::codec::{self, CodecError, Encoding};
 use crate::messages::Refusal;
 use crate::topics::Ask;
@@ -182,10 +182,9 @@ impl<Q, R: Serialize> Request<Q, R> {
 impl<Q, R> Request<Q, R> {
     /// Replies with bytes of any encoding, such as `image/png`.
     pub fn reply_bytes(self, bytes: Vec<u8>, mime: &str) {
-        sent(
-            &self.query,
-            self.query.reply(&self.key, bytes).encoding(Wire::from(mime)).wait(),
-        );
+        let length = bytes.len();
+        let reply = self.query.reply(&self.key, bytes).encoding(Wire::from(mime));
+        sent(&self.query, threads::send(length, || reply.wait()));
     }
 
     /// Refuses the request, with the reason.

@@ -1,19 +1,41 @@
-//! Receiver threads. How many does Zenoh need in a process with a router?
+//! Zenoh's threads. How many does a process need in which sessions live?
 //!
-//! All sessions of a process share Zenoh's receiving threads, two by default. A router's receiving thread waits while the next hop
-//! has not taken a large message, and so does every other one that has something for the same hop. With both waiting the router
-//! serves nobody; and if the hop is a session of the same process it is never read, until Zenoh cuts its link five seconds later.
-//! There must be more threads than links of the router. Zenoh takes their number from the environment alone, and a process may not
-//! safely change its own: it starts itself anew, as the same process, with the variable set.
+//! All sessions of a process share Zenoh's runtimes, two threads that receive and one for the network by default. Both can be kept waiting for
+//! room on a link, for up to five seconds, until Zenoh cuts the link:
+//!
+//! - A router's receiving thread waits while the next hop has not taken a large message, and so does every other one that has something for
+//!   the same hop. With both waiting the router serves nobody; and if the hop is a session of the same process it is never read.
+//! - The heartbeats of advanced publishers run on the network's thread. One that waits for a queue which somebody else holds keeps waiting all
+//!   that runs there, and that is, after a link came back, the QUIC connection itself: it sends nothing, and the queue never gets room.
+//!
+//! There must be more threads than links of a router and publishers of a session. Zenoh takes their numbers from the environment alone, and a
+//! process may not safely change its own: it starts itself anew, as the same process, with the variable set.
 
 use std::ffi::OsStr;
 
+use tokio::runtime::{Handle, RuntimeFlavor};
+
 /// What Zenoh reads, once, when the first session opens.
 const VARIABLE: &str = "ZENOH_RUNTIME";
-/// More than the router of one machine has links; idle ones cost next to nothing.
-const ENOUGH: &str = "(rx: (worker_threads: 64))";
+/// More than the router of one machine has links, and a session publishers; idle ones cost next to nothing.
+const ENOUGH: &str = "(rx: (worker_threads: 64), net: (worker_threads: 64))";
 
-/// Returns at once when this process has enough receiving threads, or its user has chosen their number; else starts it anew.
+/// What is smaller finds room in a batch, bytes.
+const BULK: usize = 32 * 1024;
+
+/// Sends so many bytes. Where they may have to wait for room on a link, the other tasks of this thread go on elsewhere meanwhile.
+pub(super) fn send<R>(bytes: usize, sending: impl FnOnce() -> R) -> R {
+    let is_shared =
+        || Handle::try_current().is_ok_and(|runtime| runtime.runtime_flavor() == RuntimeFlavor::MultiThread);
+    if bytes > BULK && is_shared() {
+        tokio::task::block_in_place(sending)
+    } else {
+        sending()
+    }
+}
+
+/// Returns at once when this process has enough threads of Zenoh's, or its user has chosen their number; else starts it anew. To be called
+/// before the process has done anything else.
 pub fn ensure_enough() {
     if std::env::var_os(VARIABLE).is_none() {
         restart_with(ENOUGH.as_ref());
@@ -22,13 +44,17 @@ pub fn ensure_enough() {
 
 #[cfg(unix)]
 fn restart_with(value: &OsStr) {
-    // Returns only when it fails; two threads do for small messages.
+    // Returns only when it fails; the default does for small messages over TCP.
     let error = anew(Some(value));
-    tracing::warn!(%error, "cannot restart with more receiving threads");
+    tracing::warn!(%error, "cannot restart with more threads for Zenoh");
 }
 
-/// Starts this process anew, as the same process with the same arguments; returns only when that fails.
+/// Starts this process anew, as the same process with the same arguments.
+///
+/// # Errors
+/// Returns only when that fails.
 #[cfg(unix)]
+#[must_use]
 pub fn restart() -> std::io::Error {
     anew(None)
 }
@@ -53,6 +79,7 @@ fn restart_with(value: &OsStr) {
 
 /// Starts this process anew: not on this system.
 #[cfg(not(unix))]
+#[must_use]
 pub fn restart() -> std::io::Error {
     std::io::ErrorKind::Unsupported.into()
 }

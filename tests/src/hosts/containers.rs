@@ -20,20 +20,21 @@ const DIALLED: [(&str, &str); 3] = [
     ("hall-world", "bodies"),
 ];
 
+/// What parts log here: Zenoh's word too when it closes a link.
+const LOGGED: &str = "info,zenoh=off,zenoh_link=off,zenoh_transport=error";
+
 /// A second compose file: parts that this process dials have fixed addresses, for certificates name who is dialled.
-fn fixed_addresses(site: u8) -> Value {
-    let services: Map<String, Value> = DIALLED
-        .iter()
-        .map(|(part, network)| {
-            let host = HOSTS
-                .iter()
-                .find(|host| part.starts_with(**host))
-                .copied()
-                .unwrap_or_default();
-            let address = super::address(site, host, network);
-            let mut networks = json!({ "fleet": {} });
-            networks[*network] = json!({ "ipv4_address": address });
-            ((*part).to_owned(), json!({ "networks": networks }))
+fn additions<'a>(site: u8, parts: impl Iterator<Item = &'a str>) -> Value {
+    let services: Map<String, Value> = parts
+        .map(|part| {
+            let mut service = json!({ "environment": { "RUST_LOG": LOGGED } });
+            if let Some((_, network)) = DIALLED.iter().find(|(dialled, _)| *dialled == part) {
+                let host = HOSTS.iter().find(|host| part.starts_with(**host)).copied();
+                let address = super::address(site, host.unwrap_or_default(), network);
+                service["networks"] = json!({ "fleet": {} });
+                service["networks"][*network] = json!({ "ipv4_address": address });
+            }
+            (part.to_owned(), service)
         })
         .collect();
     let networks: Map<String, Value> = NETWORKS
@@ -104,13 +105,10 @@ impl Containers {
         )?;
         let keys = folder.path().join(KEYS).join("issued").display().to_string();
         checked("chown", &["-R", USER, &keys], folder.path())?;
-        let addresses = folder.path().join("addresses.json");
-        let text = fixed_addresses(number).to_string();
-        std::fs::write(&addresses, text).map_err(|error| error.to_string())?;
-        let compose = compose().unwrap_or_default();
-        let files = [rendered.join("compose.yaml"), addresses].map(|file| file.display().to_string());
+        let added = folder.path().join("additions.json");
+        let files = [rendered.join("compose.yaml"), added.clone()].map(|file| file.display().to_string());
         let options = ["-p", &project, "-f", &files[0], "-f", &files[1]];
-        let compose = [compose, options.map(str::to_owned).to_vec()].concat();
+        let compose = [compose().unwrap_or_default(), options.map(str::to_owned).to_vec()].concat();
         let images = ["now", "next"].map(|tag| format!("{project}:{tag}"));
         let mut site = Self {
             folder,
@@ -121,8 +119,12 @@ impl Containers {
             ids: BTreeMap::new(),
         };
         site.build(binary)?;
+        let write = |text: String| std::fs::write(&added, text).map_err(|error| error.to_string());
+        write(additions(number, std::iter::empty()).to_string())?;
+        let parts = site.compose(0, &["config", "--services"])?;
+        write(additions(number, parts.lines()).to_string())?;
         site.compose(0, &["up", "-d"])?;
-        for part in site.compose(0, &["config", "--services"])?.lines() {
+        for part in parts.lines() {
             let id = site.compose(0, &["ps", "-q", part])?;
             site.ids.insert(part.to_owned(), id);
         }

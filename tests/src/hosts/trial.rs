@@ -164,6 +164,25 @@ pub async fn run(
         let (client, ending) = (Arc::clone(&client), Arc::clone(&ending));
         async move { client.feed(&ending).await }
     });
+    let happened = happen(site, faults, begun, &mut truth, &mut findings).await;
+    ending.store(true, Ordering::Relaxed);
+    // Robots without goals rest: why they got none comes first.
+    feeding.await.map_err(|error| error.to_string())??;
+    happened?;
+    client.all_end(2 * LONG).await?;
+    findings.count(&client).await?;
+    findings.judge(&truth);
+    Ok(findings)
+}
+
+/// One fault after the other, each once all robots drive.
+async fn happen(
+    site: &mut dyn Site,
+    faults: impl IntoIterator<Item = Fault, IntoIter: Send>,
+    begun: Instant,
+    truth: &mut Truth,
+    findings: &mut Findings,
+) -> Result<(), String> {
     let drives = |_: &str, rest: f64| rest < DRIVES;
     for fault in faults {
         truth
@@ -204,12 +223,7 @@ pub async fn run(
             took: since.elapsed().as_secs_f64(),
         });
     }
-    ending.store(true, Ordering::Relaxed);
-    feeding.await.map_err(|error| error.to_string())??;
-    client.all_end(2 * LONG).await?;
-    findings.count(&client).await?;
-    findings.judge(&truth);
-    Ok(findings)
+    Ok(())
 }
 
 impl Fault {
