@@ -134,21 +134,26 @@ struct Disc {
 }
 
 impl Disc {
-    /// The shortest way from place to place for something round of a radius, around this disc, m; `None` where the disc is not in the way.
-    fn way_around(&self, from: Point2<f64>, to: Point2<f64>, radius: f64) -> Option<f64> {
+    /// Whether something round of a radius gets from place to place around this disc within a way, m; wherever the disc is not in the way it
+    /// does.
+    fn is_passed(&self, from: Point2<f64>, to: Point2<f64>, radius: f64, within: f64) -> bool {
         let (off, to_end, radius) = (from - self.center, to - self.center, self.radius + radius);
         let straight = (to - from).norm();
         let along = (to - from) / straight.max(1e-9);
         let nearest = off + along * (-off.dot(&along)).clamp(0.0, straight);
         let (far, far_end) = (off.norm(), to_end.norm());
         if radius <= 0.0 || nearest.norm() >= radius || far.min(far_end) < radius - DEPTH {
-            return None;
+            return true;
         }
         // Who touches the disc may be seen inside it.
         let (far, far_end) = (far.max(radius), far_end.max(radius));
         let tangents = (far * far - radius * radius).sqrt() + (far_end * far_end - radius * radius).sqrt();
+        // No way around is shorter than its tangents, nor than the straight one outside the disc.
+        if tangents > within || straight - 2.0 * DEPTH > within {
+            return false;
+        }
         let bent = off.angle(&to_end) - (radius / far).acos() - (radius / far_end).acos();
-        Some(tangents + radius * bent.max(0.0))
+        tangents + radius * bent.max(0.0) <= within
     }
 }
 
@@ -305,9 +310,7 @@ impl<'a> Motion<'a> {
                 samples.iter().any(|(at, normal)| {
                     (place - at).norm_squared() <= reach * reach
                         && step.share * self.outward(*at, *normal) > GENTLE
-                        && occupied
-                            .way_around(place, at + normal * mover.radius, mover.radius)
-                            .is_none_or(|around| around <= way)
+                        && occupied.is_passed(place, at + normal * mover.radius, mover.radius, way)
                 })
             })
         })
@@ -562,15 +565,14 @@ mod tests {
 
     #[test]
     fn around_a_disc_lead_tangents_and_an_arc_where_it_is_in_the_way() {
-        let around = |from, to, radius| DISC.way_around(Point2::from(from), Point2::from(to), radius);
-        let near = |way: Option<f64>, expected: f64| way.is_some_and(|way| (way - expected).abs() < 1e-6);
-        assert!(near(around([0.0, 0.5], [0.0, 1.5], 0.0), 0.5 * PI), "half around");
+        let passed = |from, to, radius, within| DISC.is_passed(Point2::from(from), Point2::from(to), radius, within);
+        let takes = |from, to, way: f64| !passed(from, to, 0.0, way - 1e-6) && passed(from, to, 0.0, way + 1e-6);
+        assert!(takes([0.0, 0.5], [0.0, 1.5], 0.5 * PI), "half around");
         // A tangent, a quarter of the circle, a tangent.
-        assert!(near(around([-0.5, 0.5], [0.5, 1.5], 0.0), 1.0 + 0.5 * FRAC_PI_2));
-        assert_eq!(around([-2.0, 0.4], [2.0, 0.4], 0.0), None, "past it");
+        assert!(takes([-0.5, 0.5], [0.5, 1.5], 1.0 + 0.5 * FRAC_PI_2));
+        assert!(passed([-2.0, 0.4], [2.0, 0.4], 0.0, 1.0), "past it");
         // Something round goes around on a wider circle.
-        let wide = around([-2.0, 0.4], [2.0, 0.4], 0.2);
-        assert!(wide.is_some_and(|way| way > 4.0 && way < 4.1), "{wide:?}");
+        assert!(!passed([-2.0, 0.4], [2.0, 0.4], 0.2, 4.0) && passed([-2.0, 0.4], [2.0, 0.4], 0.2, 4.1));
     }
 
     #[test]

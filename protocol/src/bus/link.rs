@@ -86,9 +86,15 @@ pub(super) fn count(session: &Session) {
     for (_, gauge) in &gauges {
         gauge.set(0.0);
     }
+    let mut routers = 0;
     watch(session, move |links| {
         for (kind, gauge) in &gauges {
             gauge.set(links.of(*kind) as f64);
+        }
+        let now = links.of(WhatAmI::Router);
+        if now != routers {
+            tracing::info!(routers = now, "links to other routers and robots");
+            routers = now;
         }
     });
 }
