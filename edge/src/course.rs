@@ -46,12 +46,26 @@ impl Way {
     /// Distance of a point from it, m.
     #[must_use]
     pub fn distance(&self, point: Point2<f64>) -> f64 {
-        let legs = self.points[..self.count].windows(2).map(|leg| {
+        let mut distance = [0.0];
+        self.distances(&[point.x], point.y, &mut distance);
+        distance[0]
+    }
+
+    /// Distances of the points of a row from it, m; as many as there is room for.
+    pub fn distances(&self, xs: &[f64], y: f64, distances: &mut [f64]) {
+        distances.fill(f64::INFINITY);
+        for leg in self.points[..self.count].windows(2) {
             let (from, along) = (leg[0], leg[1] - leg[0]);
-            let share = ((point - from).dot(&along) / along.norm_squared().max(1e-9)).clamp(0.0, 1.0);
-            (point - (from + along * share)).norm_squared()
-        });
-        legs.fold(f64::INFINITY, f64::min).sqrt()
+            let squared = along.norm_squared().max(1e-9);
+            for (least, x) in distances.iter_mut().zip(xs) {
+                let point = Point2::new(*x, y);
+                let share = ((point - from).dot(&along) / squared).clamp(0.0, 1.0);
+                *least = least.min((point - (from + along * share)).norm_squared());
+            }
+        }
+        for distance in distances {
+            *distance = distance.sqrt();
+        }
     }
 
     /// A place in its middle, and the distance of its farthest point from there, m.
