@@ -241,12 +241,11 @@ pub struct CloudArgs {
     identity: IdentityArgs,
 }
 
-/// A runtime for parts, in a process that has enough threads of Zenoh's: it may begin anew here.
+/// A runtime for services and commands.
 ///
 /// # Errors
 /// When the system gives no threads.
 pub fn runtime() -> Result<tokio::runtime::Runtime, Failure> {
-    threads::ensure_enough();
     Ok(tokio::runtime::Builder::new_multi_thread().enable_all().build()?)
 }
 

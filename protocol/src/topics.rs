@@ -31,8 +31,7 @@ pub enum Qos {
     Latest,
     /// As `Latest`, at real-time priority and sent at once.
     RealTime,
-    /// Advanced publication: the writer keeps this many samples for late joiners and gaps; receivers get all, in order. Of bulk (CBOR) a
-    /// late joiner gets none.
+    /// Advanced publication: the writer keeps this many samples for late joiners and gaps; receivers get all, in order.
     Events {
         /// Samples kept by the writer.
         cache: usize,

@@ -234,6 +234,9 @@ pub(crate) fn main() -> ExitCode {
     let cli = Cli::from_arg_matches(&command().get_matches()).unwrap_or_else(|error| error.exit());
     // A second initialisation (tests in one process) changes nothing.
     logging::init(cli.log_format, LOGGED, || output::LogWriter);
+    if hosts_parts(&cli.command) {
+        zenav_protocol::bus::threads::ensure_enough();
+    }
     match run(cli.command) {
         Ok(code) => ExitCode::from(code),
         Err(failure) => {
@@ -241,6 +244,20 @@ pub(crate) fn main() -> ExitCode {
             ExitCode::from(failure.code)
         }
     }
+}
+
+/// Whether a command's process may host parts, whose sessions need more of Zenoh's threads than by default.
+const fn hosts_parts(command: &Command) -> bool {
+    matches!(
+        command,
+        Command::Demo(_)
+            | Command::Up(_)
+            | Command::Router(_)
+            | Command::Edge(_)
+            | Command::Cloud(_)
+            | Command::Gateway(_)
+            | Command::Sim(_)
+    )
 }
 
 fn run(command: Command) -> Outcome {

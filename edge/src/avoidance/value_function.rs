@@ -363,3 +363,35 @@ impl ValueFunction {
         value + TURN_COST * turn / yaw_rate.max(0.1)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_layer_is_the_best_of_waiting_and_the_eight_moves() {
+        let mut state = 1_u32;
+        let mut share = || {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (state >> 8) as f32 / (1 << 24) as f32
+        };
+        let mut layer = |no_way: f32, most: f32| -> Vec<f32> {
+            let value = |share: f32, other: f32| if share < no_way { NO_WAY } else { most * other };
+            (0..CELLS).map(|_| value(share(), share())).collect()
+        };
+        let (floor, next, last) = (layer(0.2, 0.0), layer(0.1, 8.0), layer(0.1, 1.0));
+        let (step, mut now) = (0.16, vec![0.0; CELLS]);
+        step_back(step, &floor, [&next, &last], &mut now);
+        for index in 0..CELLS {
+            let (row, column) = (index / SIDE, index % SIDE);
+            let mut least = next[index] + if last[index] < step { 0.0 } else { step };
+            if (1..SIDE - 1).contains(&row) && (1..SIDE - 1).contains(&column) {
+                let there = |shift: isize| next[(index as isize + shift) as usize];
+                let moves = NEIGHBOURS.iter().map(|(shift, steps)| there(*shift) + step * steps);
+                least = moves.fold(least, f32::min);
+            }
+            let expected = if floor[index] > 0.0 { NO_WAY } else { least.min(NO_WAY) };
+            assert_eq!(now[index], expected, "row {row}, column {column}");
+        }
+    }
+}

@@ -224,15 +224,13 @@ impl Bus {
         if bytes.len() > ask.max_bytes {
             return Err(AskError::Refused(Refusal::TooLarge { limit: ask.max_bytes }));
         }
-        // A reply has the priority of its request: bulk must not keep small answers waiting.
-        let (parameters, priority) = match ask.reply_encoding {
-            Encoding::Json => ("", Priority::InteractiveHigh),
-            Encoding::Cbor => ("format=cbor", Priority::DataLow),
+        let parameters = match ask.reply_encoding {
+            Encoding::Json => "",
+            Encoding::Cbor => "format=cbor",
         };
         Ok(Question {
             key,
             parameters,
-            priority,
             payload: bytes.into(),
         })
     }
@@ -246,7 +244,7 @@ impl Bus {
             .target(QueryTarget::All)
             // Deliver the first reply at once, not after the last server has answered.
             .consolidation(ConsolidationMode::None)
-            .priority(question.priority)
+            .priority(Priority::InteractiveHigh)
             .timeout(timeout.max(Duration::from_millis(1)))
             .callback(move |reply| {
                 // When the queue is full, further replies are dropped.
@@ -270,7 +268,6 @@ impl Bus {
 struct Question {
     key: KeyExpr<'static>,
     parameters: &'static str,
-    priority: Priority,
     payload: zenoh::bytes::ZBytes,
 }
 

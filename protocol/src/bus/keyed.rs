@@ -103,9 +103,12 @@ impl Bus {
             let (kept, token_key, encoding) = (Arc::clone(&kept), token_key.clone(), topic.encoding);
             let elsewhere = tokio::runtime::Handle::current();
             move |query: Query| {
-                let asked = lock(&kept).asked(&query, &token_key);
+                let (kept, token_key) = (Arc::clone(&kept), token_key.clone());
                 // A reply waits for room, and a receiving thread must not.
-                elsewhere.spawn_blocking(move || answer(&query, &asked, zid, encoding));
+                elsewhere.spawn_blocking(move || {
+                    let asked = lock(&kept).asked(&query, &token_key);
+                    answer(&query, &asked, zid, encoding);
+                });
             }
         };
         let cache = self.declared(self.session.declare_queryable(all).callback(answer).wait())?;

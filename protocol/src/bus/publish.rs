@@ -6,7 +6,7 @@
 //! the whole message.
 //!
 //! What a cache tells again blocks for room too, whatever the topic's quality of service (Zenoh 1.10 gives a reply that of its request), and it
-//! does so on a thread that receives. So of bulk a late joiner gets nothing that was told before, and a gap shows with the next sample only.
+//! does so on a thread that receives. So little bulk is kept, and a process has more such threads than by default ([`threads`]).
 
 use std::fmt;
 use std::marker::PhantomData;
@@ -103,14 +103,10 @@ impl Bus {
         Ok(match qos {
             Qos::Latest | Qos::RealTime => Carrier::Plain(self.declared(plain.wait())?),
             Qos::Events { .. } | Qos::State => {
-                let advanced = plain.cache(CacheConfig::default().max_samples(kept(qos)));
-                let numbered = MissDetectionConfig::default();
-                let advanced = match encoding {
-                    Encoding::Json => advanced
-                        .sample_miss_detection(numbered.heartbeat(HEARTBEAT))
-                        .publisher_detection(),
-                    Encoding::Cbor => advanced.sample_miss_detection(numbered),
-                };
+                let advanced = plain
+                    .cache(CacheConfig::default().max_samples(kept(qos)))
+                    .sample_miss_detection(MissDetectionConfig::default().heartbeat(HEARTBEAT))
+                    .publisher_detection();
                 Carrier::Advanced(Box::new(self.declared(advanced.wait())?))
             }
         })
@@ -151,12 +147,15 @@ impl<T: Serialize> Publisher<T> {
     }
 
     fn put_bytes(&self, bytes: Vec<u8>, attachment: Option<ZBytes>) -> zenoh::Result<()> {
-        let length = bytes.len();
         let put = || match &self.carrier {
             Carrier::Plain(publisher) => publisher.put(bytes).attachment(attachment).wait(),
             Carrier::Advanced(publisher) => publisher.put(bytes).attachment(attachment).wait(),
         };
-        threads::send(length, put)
+        if self.encoding == Encoding::Cbor {
+            threads::waiting_for_room(put)
+        } else {
+            put()
+        }
     }
 }
 

@@ -24,6 +24,8 @@ use crate::topics::Ask;
 
 /// Most requests that wait to be answered; further ones are refused as `Busy`.
 const MAX_WAITING: usize = 64;
+/// Replies larger than this may wait for room for long, bytes.
+const BULK: usize = 32 * 1024;
 
 /// Receives the requests of one ask.
 pub struct Server<Q, R> {
@@ -182,9 +184,14 @@ impl<Q, R: Serialize> Request<Q, R> {
 impl<Q, R> Request<Q, R> {
     /// Replies with bytes of any encoding, such as `image/png`.
     pub fn reply_bytes(self, bytes: Vec<u8>, mime: &str) {
-        let length = bytes.len();
+        let is_bulk = bytes.len() > BULK;
         let reply = self.query.reply(&self.key, bytes).encoding(Wire::from(mime));
-        sent(&self.query, threads::send(length, || reply.wait()));
+        let result = if is_bulk {
+            threads::waiting_for_room(|| reply.wait())
+        } else {
+            reply.wait()
+        };
+        sent(&self.query, result);
     }
 
     /// Refuses the request, with the reason.

@@ -167,17 +167,15 @@ impl Bus {
         let carrier = match topic.qos {
             Qos::Latest | Qos::RealTime => Carrier::Plain(self.declared(plain.wait())?),
             Qos::Events { .. } | Qos::State => {
-                let advanced = match topic.encoding {
-                    Encoding::Json => plain
-                        .history(
-                            HistoryConfig::default()
-                                .detect_late_publishers()
-                                .max_samples(kept(topic.qos)),
-                        )
-                        .recovery(RecoveryConfig::default().heartbeat()),
-                    Encoding::Cbor => plain.advanced().recovery(RecoveryConfig::default()),
-                };
-                Carrier::Advanced(self.declared(advanced.query_timeout(HISTORY_TIMEOUT).wait())?)
+                let advanced = plain
+                    .history(
+                        HistoryConfig::default()
+                            .detect_late_publishers()
+                            .max_samples(kept(topic.qos)),
+                    )
+                    .recovery(RecoveryConfig::default().heartbeat())
+                    .query_timeout(HISTORY_TIMEOUT);
+                Carrier::Advanced(self.declared(advanced.wait())?)
             }
         };
         Ok(Reader {

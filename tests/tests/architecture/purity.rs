@@ -98,6 +98,11 @@ const CORES: &[&str] = &[
 const EXEMPT: &[(&str, &[Effect], &str)] = &[
     ("protocol/src/bus/", &[Network, Clock], "the bus itself"),
     (
+        "protocol/src/bus/threads.rs",
+        &[Process],
+        "starts its process anew with what Zenoh reads from the environment",
+    ),
+    (
         "protocol/src/bus/identity.rs",
         &[Disk],
         "a process's certificate, and the list of its fleet's members",
