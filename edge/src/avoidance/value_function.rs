@@ -71,7 +71,7 @@ const NEIGHBOURS: [(isize, f32); 8] = [
 ];
 
 /// The values of a layer from those of the next one and of the last one. Row by row and without branches, so that the compiler takes several
-/// cells at once: a tenth of the time.
+/// cells at once.
 fn step_back(step: f32, floor: &[f32], [next, last]: [&[f32]; 2], now: &mut [f32]) {
     // `f32::min` and `max` look for what is no number.
     let less = |a: f32, b: f32| if a < b { a } else { b };

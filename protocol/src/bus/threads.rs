@@ -8,8 +8,8 @@
 //! - The heartbeats of advanced publishers run on the network's thread. One that waits for a queue which somebody else holds keeps waiting all
 //!   that runs there, and that is, after a link came back, the QUIC connection itself: it sends nothing, and the queue never gets room.
 //!
-//! There must be more threads than links of a router, and about as many as a process's sessions have publishers. Zenoh takes their numbers from the environment alone, and a
-//! process may not safely change its own: it starts itself anew, as the same process, with the variable set.
+//! There must be more threads than links of a router, and about as many as a process's sessions have publishers. Zenoh takes their numbers from
+//! the environment alone, and a process may not safely change its own: it starts itself anew, as the same process, with the variable set.
 
 use std::ffi::OsStr;
 
