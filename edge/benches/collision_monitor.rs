@@ -10,7 +10,7 @@
 use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use nalgebra::{Point2, Vector2};
+use nalgebra::Point2;
 use zenav_edge::collision_monitor::CollisionMonitor;
 use zenav_edge::local_obstacles::LocalObstacles;
 use zenav_protocol::geometry::{Pose2, Twist2};
@@ -38,29 +38,13 @@ fn model(name: &str) -> RobotModel {
     model
 }
 
-/// Way along a direction until a disc is met, m.
-fn to_disc(from: Point2<f64>, along: Vector2<f64>, (x, y, radius): (f64, f64, f64)) -> f64 {
-    let to = Point2::new(x, y) - from;
-    let (ahead, off) = (to.dot(&along), to.perp(&along));
-    let half = (radius * radius - off * off).sqrt();
-    // Written so that NaN is a miss.
-    if ahead > half { ahead - half } else { f64::INFINITY }
-}
-
 fn sweep(model: &RobotModel, secs: f64, base: Pose2, people: &[(f64, f64, f64)]) -> Sweep {
-    let lidar = model.first_lidar().unwrap();
-    let laser = base * lidar.mount;
-    let range = |beam: usize| {
-        let angle = laser.yaw + lidar.angle_min() + beam as f64 * lidar.angle_increment();
-        let along = Vector2::new(angle.cos(), angle.sin());
-        let x = (ROOM.0 * along.x.signum() - laser.x) / along.x;
-        let y = (ROOM.1 * along.y.signum() - laser.y) / along.y;
-        let discs = FURNITURE.iter().chain(people);
-        discs
-            .map(|disc| to_disc(laser.position(), along, *disc))
-            .fold(x.min(y), f64::min) as f32
-    };
-    Sweep::new(Stamp::from_secs(secs), (0..lidar.beams).map(range).collect())
+    let discs: Vec<_> = FURNITURE
+        .iter()
+        .chain(people)
+        .map(|(x, y, radius)| (Point2::new(*x, *y), *radius))
+        .collect();
+    zenav_fixtures::sweep_in_room(model.first_lidar().unwrap(), secs, base, ROOM, &discs)
 }
 
 /// Three seconds of a robot that turns about and comes to look along x.

@@ -46,21 +46,31 @@ impl Way {
     /// Distance of a point from it, m.
     #[must_use]
     pub fn distance(&self, point: Point2<f64>) -> f64 {
-        let mut distance = [0.0];
-        self.distances(&[point.x], point.y, &mut distance);
-        distance[0]
+        let squared = self.points[..self.count].windows(2).map(|leg| {
+            let (from, along) = (leg[0], leg[1] - leg[0]);
+            let share = (point - from).dot(&along) / along.norm_squared().max(1e-9);
+            (point - (from + along * share.clamp(0.0, 1.0))).norm_squared()
+        });
+        squared.fold(f64::INFINITY, f64::min).sqrt()
     }
 
-    /// Distances of the points of a row from it, m; as many as there is room for.
-    pub fn distances(&self, xs: &[f64], y: f64, distances: &mut [f64]) {
-        distances.fill(f64::INFINITY);
+    /// Distances of the points of a row from it, m; as many as there is room for. The row is counted from `origin`; without branches, so that the
+    /// compiler takes several points at once.
+    pub(crate) fn distances(&self, origin: Point2<f64>, xs: &[f32], y: f32, distances: &mut [f32]) {
+        distances.fill(f32::INFINITY);
         for leg in self.points[..self.count].windows(2) {
-            let (from, along) = (leg[0], leg[1] - leg[0]);
-            let squared = along.norm_squared().max(1e-9);
+            let (from, along) = ((leg[0] - origin).cast::<f32>(), (leg[1] - leg[0]).cast::<f32>());
+            let per_squared = 1.0 / along.norm_squared().max(1e-6);
+            let up = y - from.y;
             for (least, x) in distances.iter_mut().zip(xs) {
-                let point = Point2::new(*x, y);
-                let share = ((point - from).dot(&along) / squared).clamp(0.0, 1.0);
-                *least = least.min((point - (from + along * share)).norm_squared());
+                let right = x - from.x;
+                let share = (right * along.x + up * along.y) * per_squared;
+                // `f32::clamp` and `min` look for what is no number.
+                let share = if share > 0.0 { share } else { 0.0 };
+                let share = if share < 1.0 { share } else { 1.0 };
+                let (right, up) = (right - along.x * share, up - along.y * share);
+                let squared = right * right + up * up;
+                *least = if squared < *least { squared } else { *least };
             }
         }
         for distance in distances {

@@ -5,10 +5,11 @@
 
 use std::f64::consts::TAU;
 
-use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
+use nalgebra::{Isometry2, Point2, Vector2};
+use zenav_protocol::geometry::{Twist2, wrap_angle};
 use zenav_protocol::robot::Drive;
 
-use super::{Avoidance, AvoidanceInput, kept, lead};
+use super::{Avoidance, AvoidanceInput, PlacedDiscs, kept, lead};
 use crate::blind_spot_grid::Floor;
 use crate::field_of_view::rigid;
 use crate::obstacle_tracks::Track;
@@ -81,9 +82,10 @@ impl<'a> Situation<'a> {
         leaning: &'a [&'a Track],
     ) -> Self {
         let here = input.odom_from_base;
+        let discs = avoidance.placed(here);
         let distance = |track: &Track| {
             let at = track.at(input.now.secs_since(track.stamp));
-            avoidance.distance(here, at) - track.radius
+            discs.distance(at) - track.radius
         };
         let value = avoidance.values.at(here, 0.0, avoidance.drive.top_yaw_rate());
         Self {
@@ -91,7 +93,7 @@ impl<'a> Situation<'a> {
             tracks: tracks.iter().map(|track| (*track, distance(track))).collect(),
             leaning,
             value: value.min(MOST_VALUE),
-            clear: avoidance.clear(here),
+            clear: avoidance.clear(&discs),
         }
     }
 }
@@ -204,6 +206,7 @@ impl Avoidance {
         let backs_slowly = input.obstacles.blind_spots().leads_into_blind_spot(-1.0);
         let lasts = if touched { TOUCHED_ARC_SECS } else { ARC_SECS };
         let step = lasts / f64::from(ARC_STEPS);
+        let base_from_odom = rigid(input.odom_from_base).inverse();
         let mut wheels = self.drive.wheels(input.command);
         let (mut pose, mut cost) = (input.odom_from_base, 0.0);
         cost += 0.1 * (wanted.v - input.command.v).abs() / self.drive.top_speed()
@@ -224,7 +227,8 @@ impl Avoidance {
             let secs = step * f64::from(nth);
             let left = 1.0 - secs / lasts;
             let moving = self.drive.surface_speed(twist) > 0.02;
-            let clear = self.clear(pose);
+            let (heading, discs) = (pose.heading(), self.placed(pose));
+            let clear = self.clear(&discs);
             // Who is too near already may leave; in contact the grid is too coarse to tell.
             if moving && clear < LEAST_CLEARANCE.min(situation.clear - if touched { COARSE } else { LEAST_CLEARANCE }) {
                 return from_here + 60.0 + 60.0 * left;
@@ -240,7 +244,7 @@ impl Avoidance {
                 }
             }
             cost += 0.6 * (1.0 - clear / 0.1).max(0.0) / f64::from(ARC_STEPS);
-            if moving && self.leaves_known_floor(input, pose, twist) {
+            if moving && self.leaves_known_floor(input, base_from_odom, pose.position(), heading, twist) {
                 return from_here + 50.0 + 50.0 * left;
             }
             let (mut nearest, mut slowed) = (f64::INFINITY, 0.0_f64);
@@ -253,28 +257,27 @@ impl Avoidance {
                 if (at - pose.position()).norm_squared() > far * far {
                     continue;
                 }
-                let distance = self.distance(pose, at) - track.radius;
+                let distance = discs.distance(at) - track.radius;
                 if let Some(kept) = kept(&self.settings, track, secs) {
                     let way = track.way(after, lead);
-                    nearest = nearest.min(self.distance_from_way(pose, &way, track.radius) - kept);
+                    nearest = nearest.min(discs.distance_from_way(&way) - track.radius - kept);
                 }
                 let least = LEAST_DISTANCE.min(before - LEAST_CLEARANCE);
                 let mut touches = distance < least;
                 if track.is_robot() {
                     // It does not go where it says while this one is in its way: an arc that leads out of there is better than none.
                     cost += f64::from(u8::from(touches)) * CONTACT_COST * (1.0 + left) / f64::from(ARC_STEPS);
-                    touches =
-                        track.velocity.norm() < STANDS && self.distance(pose, track.position) - track.radius < least;
+                    touches = track.velocity.norm() < STANDS && discs.distance(track.position) - track.radius < least;
                 }
                 // Nearer than this the collision monitor slows the robot down.
                 let fast = if track.is_robot() { 0.0 } else { track.velocity.norm() };
                 let kept = fast * (self.reaction + speed / self.drive.hard_braking);
-                if kept > 0.0 && distance < kept && (at - pose.position()).dot(&pose.heading()) * twist.v > 0.0 {
+                if kept > 0.0 && distance < kept && (at - pose.position()).dot(&heading) * twist.v > 0.0 {
                     slowed = slowed.max((1.0 - distance / kept) * speed / self.drive.top_speed());
                 }
                 if touches {
                     // Sooner is worse, and so is the robot's own part in it, and who stands where the robot could drive away to.
-                    let ahead = (at - pose.position()).dot(&pose.heading()) / (at - pose.position()).norm().max(1e-9);
+                    let ahead = (at - pose.position()).dot(&heading) / (at - pose.position()).norm().max(1e-9);
                     let held = if backs_slowly {
                         HEAD_ON_COST * ahead.max(0.0)
                     } else {
@@ -303,25 +306,29 @@ impl Avoidance {
         cost + from_here + DOOMED_COST + LOOK_COST * looks_away
     }
 
-    /// Distance of the covering discs at a pose from what stands, m, to within a cell.
-    fn clear(&self, pose: Pose2) -> f64 {
-        let still = self
-            .discs
-            .iter()
-            .map(|(x, radius)| self.clearances.distance(pose.position() + pose.heading() * *x) - radius);
-        still.fold(f64::INFINITY, f64::min)
+    /// Distance of the covering discs from what stands, m, to within a cell.
+    fn clear(&self, discs: &PlacedDiscs) -> f64 {
+        discs.least(|place| self.clearances.distance(place))
     }
 
-    /// Whether the footprint at a pose is over floor that was never seen, ahead of its motion.
-    fn leaves_known_floor(&self, input: &AvoidanceInput<'_>, pose: Pose2, twist: Twist2) -> bool {
+    /// Whether the footprint at a place is over floor that was never seen, ahead of its motion.
+    fn leaves_known_floor(
+        &self,
+        input: &AvoidanceInput<'_>,
+        base_from_odom: Isometry2<f64>,
+        place: Point2<f64>,
+        heading: Vector2<f64>,
+        twist: Twist2,
+    ) -> bool {
         let grid = input.obstacles.blind_spots();
         if !grid.has_blind_spot() || twist.v >= 0.0 {
             return false;
         }
-        let odom_from_base = rigid(input.odom_from_base);
         let rear = self.discs.iter().map(|(x, radius)| x - radius).fold(0.0, f64::min);
-        let there = pose.position() + pose.heading() * rear;
-        let place = odom_from_base.inverse() * there;
-        matches!(grid.floor(&odom_from_base, place), Floor::Unknown | Floor::Occupied)
+        let place = base_from_odom * (place + heading * rear);
+        matches!(
+            grid.floor(&rigid(input.odom_from_base), place),
+            Floor::Unknown | Floor::Occupied
+        )
     }
 }

@@ -43,6 +43,8 @@ const REJOINED: (f64, f64) = (0.15, 0.5);
 const CALM: f64 = 0.3;
 /// And after which the tracker takes over wherever the robot is: too far off its plan it asks for a new one.
 const LONG_CALM: f64 = 1.5;
+/// A footprint is covered by so many discs at most.
+const MOST_DISCS: usize = 8;
 /// Whose best course leads into a robot's for more layers than this, and this long, s, is trapped, and stays so for a while, s.
 const TRAPPED: (u32, f64, f64) = (1, 0.5, 10.0);
 
@@ -238,29 +240,22 @@ impl Avoidance {
         within.into_iter().any(|ahead| {
             kept(&self.settings, track, ahead.secs).is_some_and(|kept| {
                 let way = track.way(ahead.secs + age, lead(&self.settings, track));
-                self.distance_from_way(ahead.pose, &way, track.radius) < kept
+                self.placed(ahead.pose).distance_from_way(&way) - track.radius < kept
             })
         })
     }
 
-    /// Distance of the footprint at a pose from a point, m.
-    fn distance(&self, pose: Pose2, point: Point2<f64>) -> f64 {
+    /// The covering discs of a robot at a pose.
+    fn placed(&self, pose: Pose2) -> PlacedDiscs {
         let heading = pose.heading();
-        let off = self
-            .discs
-            .iter()
-            .map(|(x, radius)| (pose.position() + heading * *x - point).norm() - radius);
-        off.fold(f64::INFINITY, f64::min)
-    }
-
-    /// Distance of the footprint at a pose from the way that a disc takes in some moments: the robot is to be out of it before.
-    fn distance_from_way(&self, pose: Pose2, way: &Way, radius: f64) -> f64 {
-        let heading = pose.heading();
-        let off = self
-            .discs
-            .iter()
-            .map(|(x, own)| way.distance(pose.position() + heading * *x) - own);
-        off.fold(f64::INFINITY, f64::min) - radius
+        let mut placed = PlacedDiscs {
+            discs: [(Point2::origin(), 0.0); MOST_DISCS],
+            count: self.discs.len(),
+        };
+        for (place, (x, radius)) in placed.discs.iter_mut().zip(&self.discs) {
+            *place = (pose.position() + heading * *x, *radius);
+        }
+        placed
     }
 
     /// Whether the robot is where its plan leads, and looks along it.
@@ -273,6 +268,32 @@ impl Avoidance {
         nearest.is_some_and(|nearest| {
             nearest.pose.distance(&here) < REJOINED.0 && wrap_angle(nearest.pose.yaw - here.yaw).abs() < REJOINED.1
         })
+    }
+}
+
+/// Discs that cover the footprint, where the robot is at some pose: centers, odometry frame, and radii, m.
+struct PlacedDiscs {
+    discs: [(Point2<f64>, f64); MOST_DISCS],
+    count: usize,
+}
+
+impl PlacedDiscs {
+    /// Their distance from a point, m.
+    fn distance(&self, point: Point2<f64>) -> f64 {
+        self.least(|center| (center - point).norm())
+    }
+
+    /// Their distance from the way that a disc's center takes in some moments, m: the robot is to be out of it before.
+    fn distance_from_way(&self, way: &Way) -> f64 {
+        self.least(|center| way.distance(center))
+    }
+
+    /// The least of what is measured from their centers, less their radii, m.
+    fn least(&self, measure: impl Fn(Point2<f64>) -> f64) -> f64 {
+        let off = self.discs[..self.count]
+            .iter()
+            .map(|(center, radius)| measure(*center) - radius);
+        off.fold(f64::INFINITY, f64::min)
     }
 }
 
@@ -307,7 +328,9 @@ fn covering_discs(footprint: &Footprint) -> Vec<(f64, f64)> {
             };
             let ((back, front), (right, left)) = (fold(|corner| corner.x), fold(|corner| corner.y));
             let half_width = right.abs().max(left.abs()).max(1e-3);
-            let count = ((front - back) / (1.5 * half_width)).ceil().clamp(1.0, 8.0);
+            let count = ((front - back) / (1.5 * half_width))
+                .ceil()
+                .clamp(1.0, MOST_DISCS as f64);
             let piece = (front - back) / count;
             let radius = half_width.hypot(0.5 * piece);
             (0..count as u32)

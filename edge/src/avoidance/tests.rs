@@ -7,7 +7,7 @@ use std::cell::Cell;
 use super::*;
 use crate::course::Course;
 use nalgebra::Vector2;
-use zenav_protocol::readings::Sweep;
+use zenav_fixtures::sweep_in_room;
 use zenav_protocol::time::Stamp;
 
 const RATE: f64 = 20.0;
@@ -43,28 +43,9 @@ impl Hall {
     }
 
     fn scan(&mut self, now: f64, walkers: &[Point2<f64>]) {
-        let lidar = self.model.first_lidar().unwrap().clone();
-        let laser = self.pose * lidar.mount;
-        let range = |beam: usize| {
-            let angle = laser.yaw + lidar.angle_min() + beam as f64 * lidar.angle_increment();
-            let ray = Vector2::new(angle.cos(), angle.sin());
-            let wall = (self.half - laser.y * ray.y.signum()) / ray.y.abs().max(1e-9);
-            let discs = walkers.iter().map(|walker| {
-                let off = walker - laser.position();
-                let (along, aside) = (off.dot(&ray), off.perp(&ray).abs());
-                if along <= 0.0 || aside >= 0.25 {
-                    return f64::INFINITY;
-                }
-                along - (0.0625 - aside * aside).sqrt()
-            });
-            let range = discs.fold(wall, f64::min);
-            if range > lidar.range_max {
-                f32::INFINITY
-            } else {
-                range as f32
-            }
-        };
-        let sweep = Sweep::new(Stamp::from_secs(now), (0..lidar.beams).map(range).collect());
+        let discs: Vec<_> = walkers.iter().map(|walker| (*walker, 0.25)).collect();
+        let lidar = self.model.first_lidar().unwrap();
+        let sweep = sweep_in_room(lidar, now, self.pose, (f64::INFINITY, self.half), &discs);
         self.obstacles.insert(&sweep, self.pose);
     }
 

@@ -193,26 +193,27 @@ impl ValueFunction {
         let far = near.max(track.radius + self.inscribed + kept);
         let (middle, reach) = way.disc();
         let [columns, rows] = self.around(middle, far + reach);
-        let xs: [f64; SIDE] = std::array::from_fn(|column| self.center(column).x);
+        let xs: [f32; SIDE] = std::array::from_fn(|column| (column as f32 + 0.5) * self.cell as f32);
+        let (near, far, cost) = (near as f32, far as f32, NEARNESS * self.layer as f32);
+        let per_depth = 1.0 / (far - near).max(1e-6);
         let mut distances = [0.0; SIDE];
         for row in rows {
-            // The distances of a row first: several at a time, too.
-            let y = self.center(row * SIDE).y;
-            way.distances(&xs[columns.clone()], y, &mut distances[columns.clone()]);
-            for (column, distance) in columns.clone().zip(distances[columns.clone()].iter().copied()) {
-                let index = nth * CELLS + row * SIDE + column;
-                if distance >= far && distance > near {
-                    continue;
-                }
-                let value = &mut self.values[index];
-                if distance > near {
-                    let depth = (far - distance) / (far - near);
-                    *value = (*value + NEARNESS * self.layer as f32 * depth as f32).min(NO_WAY);
-                } else if track.is_robot() {
-                    *value = (*value + HIT).min(NO_WAY);
-                    self.hits[index] = !track.makes_way();
-                } else {
-                    *value = NO_WAY;
+            let (xs, y) = (&xs[columns.clone()], (row as f32 + 0.5) * self.cell as f32);
+            let distances = &mut distances[columns.clone()];
+            way.distances(self.origin, xs, y, distances);
+            let start = nth * CELLS + row * SIDE;
+            let values = &mut self.values[start..][columns.clone()];
+            let hits = &mut self.hits[start..][columns.clone()];
+            let taken = |value: f32| if track.is_robot() { value + HIT } else { NO_WAY };
+            for (value, distance) in values.iter_mut().zip(&*distances) {
+                let depth = (far - distance) * per_depth;
+                let beside = *value + cost * if depth > 0.0 { depth } else { 0.0 };
+                let with = if *distance > near { beside } else { taken(*value) };
+                *value = if with < NO_WAY { with } else { NO_WAY };
+            }
+            if track.is_robot() {
+                for (hit, distance) in hits.iter_mut().zip(&*distances) {
+                    *hit = if *distance > near { *hit } else { !track.makes_way() };
                 }
             }
         }
@@ -287,30 +288,31 @@ impl ValueFunction {
         let values = &mut self.values[last..];
         values.fill(NO_WAY);
         // Times as integers, ms: the heap needs a total order.
-        let millis = |secs: f64| Reverse((1e3 * secs) as u32);
         let mut open = BinaryHeap::new();
+        let mut reach = |open: &mut BinaryHeap<_>, index: usize, secs: f32| {
+            let millis = (1e3 * secs) as u32;
+            if self.floor[index] < NO_WAY && 1e-3 * (millis as f32) < values[index] {
+                values[index] = 1e-3 * millis as f32;
+                open.push((Reverse(millis), index));
+            }
+        };
         for ahead in input.ahead {
-            let cell = cell_of(ahead.pose.position(), self.origin, self.cell, SIDE);
-            if let Some(index) = cell.filter(|index| self.floor[*index] < NO_WAY) {
-                open.push((millis(end - ahead.secs), index));
+            if let Some(index) = cell_of(ahead.pose.position(), self.origin, self.cell, SIDE) {
+                reach(&mut open, index, (end - ahead.secs) as f32);
             }
         }
-        while let Some((Reverse(time), index)) = open.pop() {
-            let secs = 1e-3 * time as f32;
-            if secs >= values[index] {
-                continue;
-            }
-            values[index] = secs;
+        let mut done = [false; CELLS];
+        while let Some((Reverse(millis), index)) = open.pop() {
             let (row, column) = (index / SIDE, index % SIDE);
-            if !(1..SIDE - 1).contains(&row) || !(1..SIDE - 1).contains(&column) {
+            if std::mem::replace(&mut done[index], true)
+                || !(1..SIDE - 1).contains(&row)
+                || !(1..SIDE - 1).contains(&column)
+            {
                 continue;
             }
             for (shift, steps) in &NEIGHBOURS {
                 let there = (index as isize + shift) as usize;
-                let then = secs + 1.2 * self.layer as f32 * steps;
-                if self.floor[there] < NO_WAY && then < values[there] {
-                    open.push((millis(f64::from(then)), there));
-                }
+                reach(&mut open, there, 1e-3 * millis as f32 + 1.2 * self.layer as f32 * steps);
             }
         }
     }

@@ -162,6 +162,11 @@ const RUNS: &[Run] = &[
         &["bench", "-p", "zenav-behaviour-tree", "--bench", "tick"],
     ),
     bench(
+        "avoidance",
+        "One decision of predictive control among people",
+        &["bench", "-p", "zenav-edge", "--bench", "avoidance"],
+    ),
+    bench(
         "collision_monitor",
         "One decision of the collision monitor",
         &["bench", "-p", "zenav-edge", "--bench", "collision_monitor"],
