@@ -1,5 +1,6 @@
 //! Active plan. How is an accepted plan driven, renewed and ended? The plan in force, its tracker, and its expiry.
 
+use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::messages::{Marker, Plan, PlanProgress};
 use zenav_protocol::robot::{ControllerGains, Drive, RobotModel};
@@ -10,9 +11,6 @@ use crate::avoidance::Ahead;
 use crate::local_obstacles::LocalObstacles;
 use crate::settings::{EdgeSettings, PlanSettings};
 use crate::trackers::{Law, Progress, Tracker, TrackerInput};
-
-/// Time between two places of the plan ahead, s.
-const AHEAD_STEP: f64 = 0.1;
 
 /// The plan in force.
 #[derive(Clone, Debug)]
@@ -180,40 +178,42 @@ impl ActivePlan {
         now < self.expiry
     }
 
-    /// One tick: the wanted twist, such that the robot is at rest by the expiry.
-    pub fn step(
-        &mut self,
-        now: Stamp,
-        dt: f64,
-        map_from_base: Pose2,
-        velocity: Twist2,
-        drive: &Drive,
-        gains: &ControllerGains,
-    ) -> Twist2 {
-        let view = TrackerInput {
-            dt,
-            map_from_base,
-            velocity,
-            speed_cap: self.speed_cap(now, dt, drive),
-        };
-        self.tracker.step(&view, gains)
+    /// One tick: the wanted twist. With [`Self::speed_cap`] as `view.speed_cap` at most the robot is at rest by the expiry.
+    pub fn step(&mut self, view: &TrackerInput, gains: &ControllerGains) -> Twist2 {
+        self.tracker.step(view, gains)
     }
 
-    /// The rest of the plan at its own pace, some time apart and to its end or `secs` from now, and its end; odometry frame.
-    pub fn ahead(&self, odom_from_map: Pose2, secs: f64, out: &mut Vec<Ahead>) {
+    /// The rest of the plan at its own pace, `apart` s apart and to its end or `secs` from now; odometry frame.
+    pub fn ahead(&self, odom_from_map: Pose2, secs: f64, apart: f64, out: &mut Vec<Ahead>) {
         out.clear();
         let Some((trajectory, now)) = self.tracker.followed() else {
             return;
         };
         let left = (trajectory.end_time() - now).max(0.0);
-        let steps = (left.min(secs) / AHEAD_STEP).ceil() as u32;
+        let steps = (left.min(secs) / apart).ceil() as u32;
         out.extend((0..=steps).map(|step| {
-            let secs = (AHEAD_STEP * f64::from(step)).min(left);
+            let secs = (apart * f64::from(step)).min(left);
             Ahead {
                 secs,
                 pose: odom_from_map * trajectory.sample(now + secs).pose(),
             }
         }));
+    }
+
+    /// The plan time that is reached, s; `None` without a trajectory.
+    #[must_use]
+    pub fn plan_time(&self) -> Option<f64> {
+        self.tracker.followed().map(|(_, now)| now)
+    }
+
+    /// Where the plan has the robot at its own pace, `step` s apart from `from` s from now on, and up to its end; map frame.
+    pub fn places(&self, from: f64, step: f64) -> impl Iterator<Item = Point2<f64>> {
+        let followed = self.tracker.followed();
+        followed.into_iter().flat_map(move |(trajectory, now)| {
+            let left = trajectory.end_time() - now - from;
+            let count = if left > 0.0 { (left / step).ceil() as u32 } else { 0 };
+            (0..=count).map(move |nth| trajectory.sample(now + from + step * f64::from(nth)).pose().position())
+        })
     }
 
     /// Something else drives the robot: the tracker goes on from the nearest place on the plan.
@@ -304,5 +304,13 @@ impl ActivePlan {
     pub fn speed_cap(&self, now: Stamp, tick: f64, drive: &Drive) -> f64 {
         let usable = self.expiry.secs_since(now) - 4.0 * drive.motor_lag - 2.0 * tick;
         (self.settings.braking_share * drive.acceleration() * usable).max(0.0)
+    }
+
+    /// Largest wheel surface speed from which the robot comes to rest within a way, m; the motors' lag at this speed included, m/s.
+    #[must_use]
+    pub fn speed_cap_within(&self, way: f64, tick: f64, drive: &Drive) -> f64 {
+        let braking = self.settings.braking_share * drive.acceleration();
+        let lag = braking * (4.0 * drive.motor_lag + 2.0 * tick);
+        (lag * lag + 2.0 * braking * way.max(0.0)).sqrt() - lag
     }
 }

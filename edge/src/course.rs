@@ -9,6 +9,10 @@ pub struct Course {
     pub places: Vec<Point2<f64>>,
     /// s.
     pub step: f64,
+    /// Where its plan leads after that, `later_step` apart, s.
+    pub later: Vec<Point2<f64>>,
+    /// s.
+    pub later_step: f64,
     /// How long after the first place the track's stamp is, s.
     pub begun: f64,
     /// Whether it makes way for this robot, rather than this one for it.
@@ -23,6 +27,24 @@ impl Course {
         let place = |nth: usize| self.places.get(nth).or(self.places.last()).copied().unwrap_or_default();
         let from = place(share as usize);
         from + (place(share as usize + 1) - from) * share.fract()
+    }
+}
+
+impl Course {
+    /// All places from the track's stamp on, and when it is there, s after that.
+    #[must_use]
+    pub fn timed(&self) -> Vec<(f64, Point2<f64>)> {
+        let steps = std::iter::repeat_n(self.step, self.places.len().saturating_sub(1));
+        let steps = steps.chain(std::iter::repeat_n(self.later_step, self.later.len()));
+        let mut secs = -self.begun;
+        let times = std::iter::once(secs).chain(steps.map(move |step| {
+            secs += step;
+            secs
+        }));
+        let timed: Vec<(f64, Point2<f64>)> = times.zip(self.places.iter().chain(&self.later).copied()).collect();
+        // From the leg on that it is on now.
+        let past = timed.iter().skip(1).take_while(|(secs, _)| *secs < 0.0).count();
+        timed[past.min(timed.len().saturating_sub(1))..].to_vec()
     }
 }
 

@@ -16,6 +16,7 @@
 //! | [`active_plan`], [`trackers`] | how is an accepted plan driven, renewed and ended? |
 //! | [`arbitration`] | which source moves it: plan, teleop, maneuver, wall follower, return to home, or nothing? |
 //! | [`maneuvers`], [`teleop`], [`wall_follower`], [`return_home`] | what moves it without a plan? |
+//! | [`right_of_way`] | where does it wait for other robots that go first? |
 //! | [`avoidance`] | does the plan lead into the way of somebody, and what does the robot do instead? |
 //! | [`limiter`], [`collision_monitor`], [`passive_safety`], [`time_to_contact`] | may it move as it wants to? |
 //! | [`wheel_coordination`] | how do both wheels slow down together? |
@@ -67,6 +68,7 @@ pub mod recent_places;
 pub mod remote_body;
 pub mod requests;
 pub mod return_home;
+pub mod right_of_way;
 mod scan_reprojection;
 pub mod service;
 pub mod settings;

@@ -127,6 +127,11 @@ impl Track {
         self.course.as_ref().is_some_and(|course| course.makes_way)
     }
 
+    /// Where it says that it will be, and when, s after its stamp; nothing where it tells no course.
+    pub(crate) fn told_course(&self) -> Vec<(f64, Point2<f64>)> {
+        self.course.as_ref().map(Course::timed).unwrap_or_default()
+    }
+
     fn new(id: u64, seen: &Segment, laser: Point2<f64>, stamp: Stamp, settings: &TrackingSettings) -> Self {
         let radius = if seen.is_cut() {
             seen.radius.max(HALF_SEEN)

@@ -56,9 +56,12 @@ impl OtherRobots {
         self.heard.iter().zip(FIRST_ID..).map(move |((arrived, intent), id)| {
             let (v, heading) = (intent.velocity.v, (odom_from_map * intent.map_from_base).heading());
             let places = intent.places.iter().map(|place| odom_from_map.transform_point(*place));
+            let later = intent.later.iter().map(|place| odom_from_map.transform_point(*place));
             let course = Course {
                 places: places.collect(),
                 step: intent.step,
+                later: later.collect(),
+                later_step: intent.later_step,
                 begun: now.secs_since(*arrived),
                 makes_way: own.goes_before(intent),
             };

@@ -176,6 +176,7 @@ fn it_gets_out_of_the_course_of_a_robot_that_waits_for_it_to_do_so() {
         step,
         begun: 0.0,
         makes_way: false,
+        ..Course::default()
     };
     hall.robot = Some((place, course));
     let secs = hall.drive(0.6, |_, _| vec![place]);

@@ -6,14 +6,15 @@ use zenav_protocol::time::Stamp;
 
 use super::Pilot;
 use crate::arbitration::MotionSource;
-use crate::avoidance::{AvoidanceInput, Control};
+use crate::avoidance::{Ahead, AvoidanceInput, Control};
 use crate::gyro_settling::SettlingInput;
 use crate::limiter::Braking;
 use crate::trackers::TrackerInput;
 use crate::wall_follower::WallFollowerInput;
 
-/// The plan is looked at this far ahead, s.
+/// The plan is looked at this far ahead, and at places this far apart, s.
 const AHEAD_SECS: f64 = 12.0;
+const AHEAD_STEP: f64 = 0.1;
 
 impl Pilot {
     /// The wanted twist of the source that may move the robot, and how it brakes.
@@ -135,9 +136,17 @@ impl Pilot {
         };
         let drive = &self.config.model.drive;
         let map_from_base = self.estimator.map_from_base();
-        if !active.is_finished() {
+        let mut speed_cap = active.speed_cap(now, dt, drive);
+        if active.is_finished() {
+            self.right_of_way.reset();
+        } else {
             let odom_from_map = self.estimator.map_from_odom().inverse();
-            active.ahead(odom_from_map, AHEAD_SECS, &mut self.ahead);
+            active.ahead(odom_from_map, AHEAD_SECS, AHEAD_STEP, &mut self.ahead);
+            let radius = self.config.model.footprint.circumscribed_radius();
+            let waits = self
+                .right_of_way
+                .update(now, active, odom_from_map, radius, &self.obstacles);
+            let way = waits.and_then(|secs| wait_on(&mut self.ahead, secs));
             let control = self.avoidance.step(&AvoidanceInput {
                 dt,
                 now,
@@ -146,7 +155,7 @@ impl Pilot {
                 odom_from_base: self.estimator.odom_from_base(),
                 command: self.limiter.twist(),
                 blind_speed: self.gains.blind_speed.max(self.config.settings.maneuvers.blind_speed),
-                speed_cap: active.speed_cap(now, dt, drive),
+                speed_cap,
                 ahead: &self.ahead,
                 obstacles: &self.obstacles,
             });
@@ -157,9 +166,32 @@ impl Pilot {
                 self.mode = Mode::Follow;
                 return twist;
             }
+            if let Some(way) = way {
+                speed_cap = speed_cap.min(active.speed_cap_within(way, dt, drive));
+            }
         }
-        let wanted = active.step(now, dt, map_from_base, self.estimator.velocity(), drive, &self.gains);
+        let view = TrackerInput {
+            dt,
+            map_from_base,
+            velocity: self.estimator.velocity(),
+            speed_cap,
+        };
+        let wanted = active.step(&view, &self.gains);
         self.mode = if active.is_finished() { Mode::Idle } else { Mode::Follow };
         wanted
     }
+}
+
+/// The plan of who waits in `secs`: from there on it stays where it is then. The way to there, m; `None` where the plan is not looked at so far ahead.
+fn wait_on(plan: &mut [Ahead], secs: f64) -> Option<f64> {
+    let last = plan.iter().position(|ahead| ahead.secs >= secs)?;
+    let steps = plan[..=last].windows(2);
+    let way = steps
+        .map(|two| (two[1].pose.position() - two[0].pose.position()).norm())
+        .sum();
+    let pose = plan[last].pose;
+    for ahead in &mut plan[last..] {
+        ahead.pose = pose;
+    }
+    Some(way)
 }

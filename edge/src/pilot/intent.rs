@@ -9,6 +9,9 @@ use crate::control_io::Publication;
 /// Time from one place that is told to the next, s, and how many there are.
 const STEP: f64 = 0.4;
 const PLACES: u32 = 16;
+/// Where the plan leads after that: time from place to place, s, and how many.
+const LATER_STEP: f64 = 2.0;
+const LATER: usize = 12;
 /// What moves without a plan goes on as it does for this long, s.
 const UNPLANNED: f64 = 1.0;
 /// Slower than this it stands, m/s and rad/s.
@@ -56,12 +59,20 @@ impl Pilot {
                 None => pose.advance(velocity, secs.min(UNPLANNED)).position(),
             }
         }));
+        let mut later = std::mem::take(&mut self.intent.later);
+        later.clear();
+        if let Some(active) = self.active_plan.as_ref().filter(|_| driving) {
+            let told = STEP * f64::from(PLACES - 1);
+            later.extend(active.places(told + LATER_STEP, LATER_STEP).take(LATER));
+        }
         self.intent = Intent {
             stamp: now,
             map_from_base: pose,
             velocity,
             step: STEP,
             places,
+            later,
+            later_step: LATER_STEP,
             driving,
             trapped: self.avoidance.is_trapped(),
             ..std::mem::take(&mut self.intent)

@@ -52,6 +52,7 @@ use crate::lost_beams::LostBeams;
 use crate::maneuvers::Maneuvers;
 use crate::other_robots::OtherRobots;
 use crate::return_home::ReturnHome;
+use crate::right_of_way::RightOfWay;
 use crate::telemetry::Telemetry;
 use crate::teleop::DeadMan;
 use crate::wall_follower::WallFollower;
@@ -79,6 +80,7 @@ pub struct Pilot {
     /// The plan ahead in the last tick that followed one.
     ahead: Vec<Ahead>,
     other_robots: OtherRobots,
+    right_of_way: RightOfWay,
     /// What other robots were told last.
     intent: Intent,
     /// The goal that the told length of the way is for.
@@ -133,6 +135,7 @@ impl Pilot {
             avoidance: Avoidance::new(model, &settings.avoidance),
             ahead: Vec::new(),
             other_robots: OtherRobots::new(config.robot.as_str()),
+            right_of_way: RightOfWay::default(),
             intent: Intent {
                 robot: config.robot.to_string(),
                 radius: model.footprint.circumscribed_radius(),

@@ -28,6 +28,13 @@ pub struct Intent {
     /// Where it will be: from the stamp on, a step apart; it stays at the last. Map frame, m.
     #[cfg_attr(feature = "schema", schemars(with = "Vec<[f64; 2]>"))]
     pub places: Vec<Point2<f64>>,
+    /// Where its plan leads after that, `later_step` apart; for who waits before both ways meet. Map frame, m.
+    #[serde(default)]
+    #[cfg_attr(feature = "schema", schemars(with = "Vec<[f64; 2]>"))]
+    pub later: Vec<Point2<f64>>,
+    /// Time from one of the later places to the next, s.
+    #[serde(default)]
+    pub later_step: f64,
     /// Whether it has somewhere to go now. Who has not cannot make way.
     pub driving: bool,
     /// Whether it has found no place to make way to.
@@ -53,10 +60,13 @@ impl Intent {
         let places = self
             .places
             .iter()
+            .chain(&self.later)
             .all(|place| place.coords.iter().all(|at| at.is_finite()));
         places
             && (1..=MOST_PLACES).contains(&self.places.len())
             && (0.02..=2.0).contains(&self.step)
+            && self.later.len() <= MOST_PLACES
+            && (0.0..=10.0).contains(&self.later_step)
             && (0.01..=5.0).contains(&self.radius)
             && self.way_secs.is_finite()
             && self.map_from_base.is_finite()

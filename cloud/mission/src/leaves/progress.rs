@@ -5,8 +5,8 @@ use zenav_protocol::time::Stamp;
 
 use crate::context::Context;
 
-/// Who makes way for another robot is given so many times as long: after that, both stand.
-const MAKING_WAY: f64 = 2.0;
+/// Who makes way for another robot is given so many times as long, for that one to come through a lane: after that, both stand.
+const MAKING_WAY: f64 = 4.0;
 
 /// Where and when the robot was seen to get on last.
 #[derive(Clone, Copy, Debug, Default)]
