@@ -28,6 +28,7 @@
 //! | `points` | which points did a scan see? |
 //! | `field` | how near is a point to what is known? |
 //! | `pyramid` | what can a block of positions score at most? |
+//! | `headings` | which headings are tried, and where do points fall from each? |
 //! | `search` | which pose of a window fits best, and by how much? |
 //! | `refine` | where exactly, and how well is that known? |
 //! | `verdict` | does it fit? |
@@ -35,6 +36,7 @@
 //! | `settings` | what can be tuned? |
 
 mod field;
+mod headings;
 mod information;
 mod points;
 mod pyramid;
@@ -44,10 +46,11 @@ mod settings;
 mod verdict;
 
 pub use field::LikelihoodField;
+pub use headings::heading_step;
 pub use information::{floored, marginal, odometry_information, turned};
 pub use points::points;
 pub use pyramid::Pyramid;
 pub use refine::{Prior, Refined, refine};
-pub use search::{Candidate, Search, Window, heading_step, search, search_among};
+pub use search::{Candidate, Search, Window, search, search_among};
 pub use settings::{FieldSettings, OdometrySettings, RefineSettings, ScanSettings, VerdictSettings};
 pub use verdict::{Verdict, judge};

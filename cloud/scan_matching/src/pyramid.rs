@@ -6,8 +6,6 @@
 
 use crate::field::LikelihoodField;
 
-/// Points after which a sum is given up where the rest cannot make it large enough.
-const PART: usize = 16;
 /// Sides of the first squares, cells; those after them are twice as large as the ones before the last.
 const FIRST: [u32; 3] = [2, 4, 6];
 
@@ -21,7 +19,7 @@ pub struct Pyramid {
 
 /// The largest values over all squares of a size.
 #[derive(Clone, Debug)]
-pub(crate) struct Table {
+struct Table {
     /// Any square of so many cells each way lies within what one value covers.
     side: u32,
     /// There is a value for every two to this power cells, each way.
@@ -31,6 +29,27 @@ pub(crate) struct Table {
     width: u32,
     height: u32,
     values: Vec<u8>,
+}
+
+/// The same to look at, the field itself among them as squares of one cell.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Squares<'a> {
+    shift: u32,
+    pad: i32,
+    width: u32,
+    height: u32,
+    values: &'a [u8],
+}
+
+/// The cells of points, and their squares in a table.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Spots {
+    cells: Vec<(i32, i32)>,
+    /// Column and row of the lower left of all squares, and of the upper right.
+    low: (i32, i32),
+    high: (i32, i32),
+    /// From the lower left one to each, in values; none where they reach farther than the table.
+    offsets: Vec<u32>,
 }
 
 impl Pyramid {
@@ -79,45 +98,122 @@ impl Pyramid {
     /// side of one it is the value of the cell itself; one that is larger than all squares tells nothing.
     #[must_use]
     pub fn bound(&self, side: u32, x: i32, y: i32) -> u8 {
+        self.squares(side).map_or(u8::MAX, |squares| squares.at(x, y))
+    }
+
+    /// The squares of a side, or the smallest ones that hold them; `None` where all are smaller.
+    pub(crate) fn squares(&self, side: u32) -> Option<Squares<'_>> {
         if side <= 1 {
-            return value_at(
-                self.field.values(),
-                self.field.spec().width,
-                self.field.spec().height,
-                x,
-                y,
-            );
+            let spec = self.field.spec();
+            return Some(Squares {
+                shift: 0,
+                pad: 0,
+                width: spec.width,
+                height: spec.height,
+                values: self.field.values(),
+            });
         }
-        self.table(side).map_or(u8::MAX, |table| table.at(x, y))
-    }
-
-    /// The table for squares of a side above one.
-    pub(crate) fn table(&self, side: u32) -> Option<&Table> {
-        self.tables.iter().find(|table| table.side >= side)
-    }
-
-    /// The sum of the field's values in cells, each moved by `(dx, dy)`; something smaller than `least` where the sum is.
-    pub(crate) fn sum(&self, cells: &[(i32, i32)], dx: i32, dy: i32, least: u32) -> u32 {
-        let (width, height) = (self.field.spec().width, self.field.spec().height);
-        let values = self.field.values();
-        summed(cells, least, |(x, y)| {
-            value_at(values, width, height, x.wrapping_add(dx), y.wrapping_add(dy))
+        let table = self.tables.iter().find(|table| table.side >= side)?;
+        Some(Squares {
+            shift: table.shift,
+            pad: table.pad,
+            width: table.width,
+            height: table.height,
+            values: &table.values,
         })
     }
 }
 
-impl Table {
-    /// The sum of what points can meet in the squares from cells on, each moved by `(dx, dy)`; something smaller than `least` where the sum is.
-    pub(crate) fn sum(&self, cells: &[(i32, i32)], dx: i32, dy: i32, least: u32) -> u32 {
-        summed(cells, least, |(x, y)| self.at(x.wrapping_add(dx), y.wrapping_add(dy)))
-    }
-
+impl Squares<'_> {
     #[inline]
     fn at(&self, x: i32, y: i32) -> u8 {
-        let step = |along: i32| along.wrapping_add(self.pad) >> self.shift;
-        value_at(&self.values, self.width, self.height, step(x), step(y))
+        // What is negative wraps to something too large.
+        let (column, row) = (self.line(x) as u32, self.line(y) as u32);
+        if column < self.width && row < self.height {
+            self.values[row as usize * self.width as usize + column as usize]
+        } else {
+            0
+        }
     }
 
+    /// The column of a cell's square, or its row.
+    fn line(&self, cell: i32) -> i32 {
+        cell.wrapping_add(self.pad) >> self.shift
+    }
+
+    /// Adds up what points can meet at most in each of four blocks, `half` cells wide: one moved by `(x, y)`, whole halves, and those to its
+    /// right, above it, and above and to the right.
+    #[inline]
+    pub(crate) fn add(&self, spots: &Spots, x: i32, y: i32, half: i32, sums: &mut [u32; 4]) {
+        let (column, row, step) = (x >> self.shift, y >> self.shift, half >> self.shift);
+        let (low, high) = (spots.low, spots.high);
+        let is_inside = step > 0
+            && low.0 + column >= 0
+            && low.1 + row >= 0
+            && high.0 + column + step < self.width as i32
+            && high.1 + row + step < self.height as i32;
+        if is_inside {
+            let (step, width) = (step as usize, self.width as usize);
+            let first = (low.1 + row) as usize * width + (low.0 + column) as usize;
+            let last = &self.values[first + step * width + step..];
+            let lower = &self.values[first..][..last.len()];
+            let right = &self.values[first + step..][..last.len()];
+            let upper = &self.values[first + step * width..][..last.len()];
+            for offset in &spots.offsets {
+                let offset = *offset as usize;
+                sums[0] += u32::from(lower[offset]);
+                sums[1] += u32::from(right[offset]);
+                sums[2] += u32::from(upper[offset]);
+                sums[3] += u32::from(last[offset]);
+            }
+        } else {
+            for (sum, (dx, dy)) in sums.iter_mut().zip(corners(half)) {
+                let value = |&(cx, cy): &(i32, i32)| self.at(cx + x + dx, cy + y + dy);
+                *sum += spots.cells.iter().map(|cell| u32::from(value(cell))).sum::<u32>();
+            }
+        }
+    }
+}
+
+impl Spots {
+    /// The spots of cells; without squares there is no bound on what is met there.
+    pub(crate) fn new(cells: Vec<(i32, i32)>, squares: Option<&Squares>) -> Self {
+        let Some(table) = squares else {
+            return Self {
+                cells,
+                ..Self::default()
+            };
+        };
+        let squares = cells.iter().map(|(x, y)| (table.line(*x), table.line(*y)));
+        let low = squares.clone().reduce(|a, b| (a.0.min(b.0), a.1.min(b.1)));
+        let high = squares.clone().reduce(|a, b| (a.0.max(b.0), a.1.max(b.1)));
+        let (low, high) = (low.unwrap_or_default(), high.unwrap_or_default());
+        let fits = high.0.abs_diff(low.0) < table.width && high.1.abs_diff(low.1) < table.height;
+        let offset = |(x, y): (i32, i32)| y.abs_diff(low.1) * table.width + x.abs_diff(low.0);
+        Self {
+            offsets: if fits {
+                squares.map(offset).collect()
+            } else {
+                Vec::new()
+            },
+            cells,
+            low,
+            high,
+        }
+    }
+
+    /// What they score at most.
+    pub(crate) fn most(&self) -> u32 {
+        self.cells.len() as u32 * u32::from(u8::MAX)
+    }
+}
+
+/// Where four blocks begin that are so many cells wide and lie two by two.
+pub(crate) fn corners(side: i32) -> [(i32, i32); 4] {
+    [(0, 0), (side, 0), (0, side), (side, side)]
+}
+
+impl Table {
     /// The table for squares of a larger side, of those of one that is at least half as large; `shift`: its own, at most one above.
     fn widened(&self, side: u32, shift: u32, field: &LikelihoodField) -> Self {
         let step = 1_u32 << shift;
@@ -176,31 +272,4 @@ fn raise_by<'a>(values: &mut [u8], others: impl Iterator<Item = &'a u8>) {
     for (value, other) in values.iter_mut().zip(others) {
         *value = (*value).max(*other);
     }
-}
-
-/// A value of a table, row by row from the lower left; zero outside.
-#[inline]
-fn value_at(values: &[u8], width: u32, height: u32, x: i32, y: i32) -> u8 {
-    // What is negative wraps to something too large.
-    let (x, y) = (x as u32, y as u32);
-    if x < width && y < height {
-        values[y as usize * width as usize + x as usize]
-    } else {
-        0
-    }
-}
-
-/// The sum of values of cells, given up where it cannot reach `least`.
-#[inline]
-fn summed(cells: &[(i32, i32)], least: u32, value: impl Fn((i32, i32)) -> u8) -> u32 {
-    let mut sum = 0;
-    let mut left = cells.len() as u32;
-    for part in cells.chunks(PART) {
-        sum += part.iter().map(|cell| u32::from(value(*cell))).sum::<u32>();
-        left -= part.len() as u32;
-        if sum + left * u32::from(u8::MAX) < least {
-            return sum;
-        }
-    }
-    sum
 }
