@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Point2};
 use zenav_protocol::geometry::{Pose2, wrap_angle};
-use zenav_scan_matching::{Window, floored, refine, search_among, turned};
+use zenav_scan_matching::{Refinable, Window, floored, search_among, turned};
 
 use crate::evidence::{Evidence, evidence};
 use crate::known_map::KnownMap;
@@ -15,9 +15,11 @@ const FOUND: (f64, f64) = (0.05, 0.02);
 const THICKNESSES: [f64; 3] = [0.06, 0.12, 0.18];
 /// So many more beams must end at the first wall for another pose.
 const BETTER: f64 = 0.02;
+/// Poses nearer than this, m and rad, are the same to the beams.
+const SAME: (f64, f64) = (5e-4, 2e-4);
 /// Where so many beams end at the first wall the faces are the right ones.
 const NEAR_FACES: f64 = 0.9;
-/// Of how many places the faces are looked at, the best first: it takes as long as finding them.
+/// Of how many places the faces are looked at, the best first: each takes some milliseconds.
 const FACED: usize = 8;
 /// Likelihood of a point in a wall's own cell, at least.
 const A_WALL: f64 = 0.99;
@@ -83,9 +85,10 @@ pub fn find(map: &KnownMap, laser: Point2<f64>, points: &[Point2<f64>], settings
     }
     // With so many places some were not looked at.
     let is_exact = searched.is_exact && searched.found.len() < window.count;
+    let scan = Refinable::new(points);
     let mut places: Vec<Hypothesis> = Vec::new();
     for candidate in &searched.found {
-        let refined = refine(map.field(), points, candidate.pose, None, &settings.refine);
+        let refined = scan.refine(map.field(), candidate.pose, None, &settings.refine);
         let pose = refined.pose;
         let is_known = places
             .iter()
@@ -110,7 +113,7 @@ pub fn find(map: &KnownMap, laser: Point2<f64>, points: &[Point2<f64>], settings
     }
     places.retain(|place| place.evidence.agreeing > best.evidence.agreeing - global.margin);
     for place in places.iter_mut().take(FACED) {
-        place.pose = at_near_faces(map, laser, points, place.pose, settings);
+        place.pose = at_near_faces(map, laser, points, &scan, place.pose, settings);
     }
     if places.len() > 1 {
         return Found::Ambiguous(places);
@@ -127,6 +130,7 @@ fn at_near_faces(
     map: &KnownMap,
     laser: Point2<f64>,
     points: &[Point2<f64>],
+    scan: &Refinable,
     found: Pose2,
     settings: &LocalisationSettings,
 ) -> Pose2 {
@@ -134,15 +138,21 @@ fn at_near_faces(
     if most >= NEAR_FACES {
         return found;
     }
+    let mut asked = vec![found];
     for direction in 0..8 {
         let (sin, cos) = (f64::from(direction) * std::f64::consts::FRAC_PI_4).sin_cos();
         for shift in THICKNESSES {
             let shifted = Pose2::new(found.x + shift * cos, found.y + shift * sin, found.yaw);
-            let pose = refine(map.field(), points, shifted, None, &settings.refine).pose;
-            let hits = first_hits(map, laser, points, pose);
+            let pose = scan.refine(map.field(), shifted, None, &settings.refine).pose;
             let is_near =
                 pose.distance(&found) < settings.global.apart && turns_less(pose, found, settings.global.apart_turn);
-            if is_near && hits > most + BETTER {
+            let is_asked = |known: &Pose2| known.distance(&pose) < SAME.0 && turns_less(pose, *known, SAME.1);
+            if !is_near || asked.iter().any(is_asked) {
+                continue;
+            }
+            asked.push(pose);
+            let hits = first_hits(map, laser, points, pose);
+            if hits > most + BETTER {
                 (best, most) = (pose, hits);
             }
         }
@@ -190,9 +200,10 @@ mod tests {
             .map(|point| truth.inverse().transform_point(point))
             .collect();
         let behind = Pose2::new(2.88, 1.88, 0.0);
-        let refined = refine(map.field(), &points, behind, None, &settings.refine).pose;
+        let scan = Refinable::new(&points);
+        let refined = scan.refine(map.field(), behind, None, &settings.refine).pose;
         assert!(refined.distance(&truth) > 0.1, "{refined:?}: refining alone would do");
-        let near = at_near_faces(&map, Point2::origin(), &points, refined, &settings);
+        let near = at_near_faces(&map, Point2::origin(), &points, &scan, refined, &settings);
         assert!(near.distance(&truth) < 0.06, "{near:?}");
     }
 }

@@ -142,6 +142,7 @@ impl LikelihoodField {
     }
 
     /// Likelihood, 0 to 1, of the cell that a point lies in. Zero outside.
+    #[inline]
     #[must_use]
     pub fn at(&self, point: Point2<f64>) -> f64 {
         let at = (point - self.spec.origin) / self.spec.resolution;

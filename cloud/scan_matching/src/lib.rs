@@ -50,7 +50,7 @@ pub use headings::heading_step;
 pub use information::{floored, marginal, odometry_information, turned};
 pub use points::points;
 pub use pyramid::Pyramid;
-pub use refine::{Prior, Refined, refine};
+pub use refine::{Prior, Refinable, Refined, refine};
 pub use search::{Candidate, Search, Window, search, search_among};
 pub use settings::{FieldSettings, OdometrySettings, RefineSettings, ScanSettings, VerdictSettings};
 pub use verdict::{Verdict, judge};

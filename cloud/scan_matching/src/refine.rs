@@ -118,51 +118,82 @@ pub fn refine(
     prior: Option<&Prior>,
     settings: &RefineSettings,
 ) -> Refined {
-    let mut pose = start;
-    let normals = normals(points);
-    // A step is short against the width of the field: surfaces keep their direction.
-    let surfaces = surfaces(field, points, &normals, pose);
-    for _ in 0..settings.max_iterations {
-        let (mut hessian, mut gradient, _) = sums(field, points, &surfaces, pose, settings);
-        if let Some(prior) = prior {
-            let away = Vector3::new(
-                pose.x - prior.pose.x,
-                pose.y - prior.pose.y,
-                wrap_angle(pose.yaw - prior.pose.yaw),
-            );
-            hessian += prior.information;
-            gradient += prior.information * away;
-        }
-        hessian += Matrix3::identity() * LEAST_INFORMATION;
-        let Some(factor) = hessian.cholesky() else {
-            break;
-        };
-        let mut step = factor.solve(&gradient);
-        // Further away the field bends.
-        let farthest = step.x.hypot(step.y);
-        if farthest > field.sigma() {
-            step *= field.sigma() / farthest;
-        }
-        pose = Pose2::new(pose.x - step.x, pose.y - step.y, pose.yaw - step.z);
-        if step.norm() < settings.tolerance {
-            break;
+    Refinable::new(points).refine(field, start, prior, settings)
+}
+
+/// A scan that is refined from several poses: what takes longest is the same for all of them.
+#[derive(Clone, Debug)]
+pub struct Refinable<'a> {
+    points: &'a [Point2<f64>],
+    /// Of the surfaces that the points lie on.
+    normals: Vec<Option<Vector2<f64>>>,
+}
+
+impl<'a> Refinable<'a> {
+    /// `points`: of the scan, in its frame, m.
+    #[must_use]
+    pub fn new(points: &'a [Point2<f64>]) -> Self {
+        Self {
+            points,
+            normals: normals(points),
         }
     }
-    let surfaces = self::surfaces(field, points, &normals, pose);
-    let (information, gradient, score) = sums(field, points, &surfaces, pose, settings);
-    let degenerate = degenerate(&information, settings);
-    let (sin, cos) = pose.yaw.sin_cos();
-    let turn = Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
-    let free = degenerate.map(|along| Free::along(&information, along));
-    let known = free.map_or(information, |free| free.without(&information));
-    let gradient = free.map_or(gradient, |free| free.across(gradient));
-    let by_scan = turn.transpose() * newton_step(&known, gradient, 0.5 * field.sigma());
-    Refined {
-        pose,
-        by_scan: Pose2::new(by_scan.x, by_scan.y, by_scan.z),
-        information: turn.transpose() * information * turn,
-        score,
-        degenerate,
+
+    /// As [`refine()`].
+    #[must_use]
+    pub fn refine(
+        &self,
+        field: &LikelihoodField,
+        start: Pose2,
+        prior: Option<&Prior>,
+        settings: &RefineSettings,
+    ) -> Refined {
+        let Self { points, normals } = self;
+        let mut pose = start;
+        // A step is short against the width of the field: surfaces keep their direction.
+        let surfaces = surfaces(field, points, normals, pose);
+        for _ in 0..settings.max_iterations {
+            let (mut hessian, mut gradient, _) = sums(field, points, &surfaces, pose, settings);
+            if let Some(prior) = prior {
+                let away = Vector3::new(
+                    pose.x - prior.pose.x,
+                    pose.y - prior.pose.y,
+                    wrap_angle(pose.yaw - prior.pose.yaw),
+                );
+                hessian += prior.information;
+                gradient += prior.information * away;
+            }
+            hessian += Matrix3::identity() * LEAST_INFORMATION;
+            let Some(factor) = hessian.cholesky() else {
+                break;
+            };
+            let mut step = factor.solve(&gradient);
+            // Further away the field bends.
+            let farthest = step.x.hypot(step.y);
+            if farthest > field.sigma() {
+                step *= field.sigma() / farthest;
+            }
+            pose = Pose2::new(pose.x - step.x, pose.y - step.y, pose.yaw - step.z);
+            if step.norm() < settings.tolerance {
+                break;
+            }
+        }
+        let surfaces = self::surfaces(field, points, normals, pose);
+        let (information, gradient, score) = sums(field, points, &surfaces, pose, settings);
+        let degenerate = degenerate(&information, settings);
+        let (sin, cos) = pose.yaw.sin_cos();
+        let turn = Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
+        let free = degenerate.map(|along| Free::along(&information, along));
+        let known = free.map_or(information, |free| free.without(&information));
+        let gradient = free.map_or(gradient, |free| free.across(gradient));
+        let by_scan = turn.transpose() * newton_step(&known, gradient, 0.5 * field.sigma());
+        Refined {
+            pose,
+            by_scan: Pose2::new(by_scan.x, by_scan.y, by_scan.z),
+            information: turn.transpose() * information * turn,
+            score,
+            degenerate,
+        }
     }
 }
 

@@ -47,7 +47,7 @@ pub struct Window {
     pub apart: f64,
     /// See [`Self::apart`], rad.
     pub apart_turn: f64,
-    /// Blocks that are scored, at most: the work. About 50 ns each for 60 points.
+    /// Blocks that are scored, at most: the work. Some 30 ns each for 60 points.
     pub budget: usize,
 }
 
