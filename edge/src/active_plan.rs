@@ -206,14 +206,11 @@ impl ActivePlan {
         self.tracker.followed().map(|(_, now)| now)
     }
 
-    /// Where the plan has the robot at its own pace, `step` s apart from `from` s from now on, and up to its end; map frame.
-    pub fn places(&self, from: f64, step: f64) -> impl Iterator<Item = Point2<f64>> {
-        let followed = self.tracker.followed();
-        followed.into_iter().flat_map(move |(trajectory, now)| {
-            let left = trajectory.end_time() - now - from;
-            let count = if left > 0.0 { (left / step).ceil() as u32 } else { 0 };
-            (0..=count).map(move |nth| trajectory.sample(now + from + step * f64::from(nth)).pose().position())
-        })
+    /// Where the plan, at its own pace, has the robot some time from now, s; map frame. At its end later on; `None` without a trajectory.
+    #[must_use]
+    pub fn place_in(&self, secs: f64) -> Option<Point2<f64>> {
+        let (trajectory, now) = self.tracker.followed()?;
+        Some(trajectory.sample(now + secs).pose().position())
     }
 
     /// Something else drives the robot: the tracker goes on from the nearest place on the plan.

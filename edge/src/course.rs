@@ -2,6 +2,9 @@
 
 use nalgebra::Point2;
 
+/// What is told of later than this is not listened to, s.
+const MOST_SECS: f64 = 60.0;
+
 /// What a robot has told of its future.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Course {
@@ -15,6 +18,8 @@ pub struct Course {
     pub later_step: f64,
     /// How long after the first place the track's stamp is, s.
     pub begun: f64,
+    /// Whether it drives by a plan.
+    pub planned: bool,
     /// Whether it makes way for this robot, rather than this one for it.
     pub makes_way: bool,
 }
@@ -31,7 +36,7 @@ impl Course {
 }
 
 impl Course {
-    /// All places from the track's stamp on, and when it is there, s after that.
+    /// All places from the track's stamp on, within a minute, and when it is there, s after that; its end once.
     #[must_use]
     pub fn timed(&self) -> Vec<(f64, Point2<f64>)> {
         let steps = std::iter::repeat_n(self.step, self.places.len().saturating_sub(1));
@@ -41,7 +46,13 @@ impl Course {
             secs += step;
             secs
         }));
-        let timed: Vec<(f64, Point2<f64>)> = times.zip(self.places.iter().chain(&self.later).copied()).collect();
+        let timed = times.zip(self.places.iter().chain(&self.later).copied());
+        let mut timed: Vec<(f64, Point2<f64>)> = timed.take_while(|(secs, _)| *secs <= MOST_SECS).collect();
+        while let [.., (_, before), (_, last)] = timed[..]
+            && before == last
+        {
+            timed.pop();
+        }
         // From the leg on that it is on now.
         let past = timed.iter().skip(1).take_while(|(secs, _)| *secs < 0.0).count();
         timed[past.min(timed.len().saturating_sub(1))..].to_vec()

@@ -127,6 +127,13 @@ impl Track {
         self.course.as_ref().is_some_and(|course| course.makes_way)
     }
 
+    /// Whether it drives by a plan, and has right of way over this robot.
+    pub(crate) fn goes_first(&self) -> bool {
+        self.course
+            .as_ref()
+            .is_some_and(|course| course.planned && !course.makes_way)
+    }
+
     /// Where it says that it will be, and when, s after its stamp; nothing where it tells no course.
     pub(crate) fn told_course(&self) -> Vec<(f64, Point2<f64>)> {
         self.course.as_ref().map(Course::timed).unwrap_or_default()

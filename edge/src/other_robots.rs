@@ -15,6 +15,8 @@ use crate::obstacle_tracks::Track;
 const MOST: usize = 64;
 /// Who has been silent for longer is forgotten, s.
 const SILENT: f64 = 1.0;
+/// Slower than this a robot stands, m/s and rad/s.
+const STANDS: f64 = 0.02;
 /// Ids of robots' tracks begin here: those of a lidar's never get there.
 const FIRST_ID: u64 = 1 << 48;
 
@@ -55,7 +57,12 @@ impl OtherRobots {
     pub fn tracks(&self, now: Stamp, own: &Intent, odom_from_map: Pose2) -> impl Iterator<Item = Track> {
         self.heard.iter().zip(FIRST_ID..).map(move |((arrived, intent), id)| {
             let (v, heading) = (intent.velocity.v, (odom_from_map * intent.map_from_base).heading());
-            let places = intent.places.iter().map(|place| odom_from_map.transform_point(*place));
+            let makes_way = own.goes_before(intent);
+            // Who waits for this robot stays there until it is through, whatever it means to do then.
+            let waits = makes_way && v.abs() < STANDS && intent.velocity.w.abs() < STANDS;
+            let told = if waits { 1 } else { intent.places.len() };
+            let places = intent.places.iter().take(told);
+            let places = places.map(|place| odom_from_map.transform_point(*place));
             let later = intent.later.iter().map(|place| odom_from_map.transform_point(*place));
             let course = Course {
                 places: places.collect(),
@@ -63,7 +70,8 @@ impl OtherRobots {
                 later: later.collect(),
                 later_step: intent.later_step,
                 begun: now.secs_since(*arrived),
-                makes_way: own.goes_before(intent),
+                planned: intent.driving,
+                makes_way,
             };
             Track::of_robot(id, intent.radius, heading * v + Vector2::zeros(), now, course)
         })
@@ -74,6 +82,7 @@ impl OtherRobots {
 mod tests {
     use super::*;
     use nalgebra::Point2;
+    use zenav_protocol::geometry::Twist2;
 
     #[test]
     fn a_robot_is_where_it_said_it_would_be_until_it_is_silent_for_long() {
@@ -83,6 +92,7 @@ mod tests {
             radius: 0.3,
             step: 0.5,
             places: vec![Point2::new(1.0, 0.0), Point2::new(1.5, 0.0), Point2::new(1.5, 0.5)],
+            velocity: Twist2::new(1.0, 0.0),
             driving: true,
             ..Intent::default()
         };
@@ -100,6 +110,13 @@ mod tests {
         assert!((bert.at(0.5) - Point2::new(1.5, 0.25)).norm() < 1e-9);
         assert!((bert.at(9.0) - Point2::new(1.5, 0.5)).norm() < 1e-9);
         assert!(bert.makes_way(), "by name");
+        let waiting = Intent {
+            velocity: Twist2::ZERO,
+            ..intent("bert")
+        };
+        others.receive(Stamp::from_secs(10.5), vec![waiting]);
+        let bert = &tracks(&others, 10.5)[0];
+        assert!((bert.at(3.0) - Point2::new(1.0, 0.0)).norm() < 1e-9, "it waits");
         others.receive(Stamp::from_secs(11.5), Vec::new());
         assert!(tracks(&others, 11.5).is_empty());
     }

@@ -7,7 +7,9 @@
 //! IJRR 1986).
 //!
 //! Waiting helps only off the other one's way. A robot that stands on it goes on as far as there is room to pass, and waits before the next
-//! narrow stretch. All else is predictive control's.
+//! narrow stretch. All else is predictive control's. Where another one's course ends it counts as gone: who parks is an obstacle of the map.
+
+use std::cell::LazyCell;
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;
@@ -23,11 +25,16 @@ const CLEARANCE: f64 = 0.3;
 /// A robot whose disc is nearer than this to the course of another one's stands on its way, m. Less than the clearance, or who waits just beside
 /// that way would be on it by an error of its pose.
 const ON_ITS_WAY: f64 = 0.1;
-/// Who goes first through a stretch has left each place of it so long before the other one gets there, s: this robot, which may get on more
-/// slowly than its plan; one that waits, which has to set out first; the other one.
+/// This robot goes first through a stretch if it gets to each place of it so long before the other one, s: it may be slower than its plan.
 const LEAD: f64 = 1.5;
+/// The same for a robot that waits: it has to set out.
 const LEAD_FROM_REST: f64 = 2.5;
+/// This robot follows if the other one has left each place so long before, s.
 const OTHERS_LEAD: f64 = 0.5;
+/// Two go the same way whose directions differ by less than this, as a cosine: then the one ahead needs no lead.
+const SAME_WAY: f64 = 0.7;
+/// A robot waits as soon as it is so near to where it will, s.
+const NEARLY_THERE: f64 = 1.0;
 /// Two pass where there is so much room beside both discs, m.
 const PASSING_ROOM: f64 = 0.2;
 /// What stands so far before or behind a place of the plan counts for the room there, and room is looked for so far to each side, m.
@@ -39,18 +46,30 @@ const PLAN_SECS: f64 = 30.0;
 const APART: f64 = 0.25;
 const PERIOD: f64 = 0.1;
 
-/// Where a robot waits on its plan.
+/// Waits before about the same place end with the last of them: places this near to one another on the plan, s.
+const SAME_PLACE: f64 = 1.0;
+
+/// Where on its plan a robot is to wait, and until when.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Wait {
+    /// Time of the plan, s from now at its own pace.
+    pub at: f64,
+    /// When all others are through, by their courses, s from now.
+    pub until: f64,
+}
+
+/// Whether and where the robot waits on its plan.
 #[derive(Clone, Debug, Default)]
 pub struct RightOfWay {
     looked: Option<Stamp>,
-    /// When the trajectory that was looked at has the robot where it waits: its number, and plan time, s.
-    waits_at: Option<(u64, f64)>,
+    /// The trajectory on which it waits, by its number; the plan time at which it does, s; until when.
+    waits: Option<(u64, f64, Stamp)>,
     plan: Vec<Ahead>,
     standing: Vec<Point2<f64>>,
 }
 
 impl RightOfWay {
-    /// The time of the plan in force, s from now, at which the robot is to wait; `None` if it may go on. `radius`: of the disc around its outline, m.
+    /// Looks at the plan in force, and at what other robots have told. `radius`: of the disc around the robot's outline, m.
     pub fn update(
         &mut self,
         now: Stamp,
@@ -58,40 +77,59 @@ impl RightOfWay {
         odom_from_map: Pose2,
         radius: f64,
         obstacles: &LocalObstacles,
-    ) -> Option<f64> {
+    ) {
         let robots = obstacles.moving().tracks().robots();
-        if robots.iter().all(Track::makes_way) {
-            self.waits_at = None;
-            return None;
-        }
+        let plan_time = active.plan_time().filter(|_| robots.iter().any(Track::goes_first));
+        let Some(plan_time) = plan_time else {
+            self.waits = None;
+            return;
+        };
         let id = active.plan().trajectory_id;
-        let plan_time = active.plan_time()?;
         let is_due = self.looked.is_none_or(|looked| now.secs_since(looked) >= PERIOD);
-        if is_due || self.waits_at.is_some_and(|(known, _)| known != id) {
+        if is_due || self.waits.is_some_and(|(known, ..)| known != id) {
             active.ahead(odom_from_map, PLAN_SECS, APART, &mut self.plan);
             self.standing.clear();
             self.standing.extend(obstacles.standing());
-            let waits = wait_before(&self.plan, radius, robots, &self.standing, self.is_waiting());
-            self.waits_at = waits.map(|secs| (id, plan_time + secs));
+            let wait = wait_before(&self.plan, radius, robots, &self.standing, self.waits.is_some());
+            self.waits = wait.map(|wait| (id, plan_time + wait.at, now.plus_secs(wait.until)));
             self.looked = Some(now);
         }
-        self.waits_at.map(|(_, time)| (time - plan_time).max(0.0))
     }
 
-    /// Whether it will wait for another robot on its plan, or does.
+    /// Where and until when it waits on the plan in force.
     #[must_use]
-    pub fn is_waiting(&self) -> bool {
-        self.waits_at.is_some()
+    pub fn wait(&self, now: Stamp, active: &ActivePlan) -> Option<Wait> {
+        let (_, time, until) = self.waits.filter(|(id, ..)| *id == active.plan().trajectory_id)?;
+        let at = (time - active.plan_time()?).max(0.0);
+        let until = until.secs_since(now).max(at);
+        Some(Wait { at, until })
+    }
+
+    /// Whether it waits on the plan in force, or is about to.
+    #[must_use]
+    pub fn is_waiting(&self, now: Stamp, active: &ActivePlan) -> bool {
+        self.wait(now, active).is_some_and(|wait| wait.at < NEARLY_THERE)
     }
 
     /// There is no plan to wait on.
     pub fn reset(&mut self) {
-        self.waits_at = None;
+        self.waits = None;
     }
 }
 
-/// The time of the plan, s from now, at which the robot is to wait; `None` if it may go on. `plan`: the rest of the plan from where the robot is;
-/// `radius`: of the disc around the outline, m; `standing`: what does not move. All in the odometry frame, now.
+impl Wait {
+    /// How far on the plan the robot will be in some time, s at the plan's own pace; at that pace all the way without a wait.
+    #[must_use]
+    pub fn plan_secs(wait: Option<Self>, secs: f64) -> f64 {
+        match wait {
+            Some(wait) if secs > wait.at => wait.at.max(secs - (wait.until - wait.at)),
+            _ => secs,
+        }
+    }
+}
+
+/// Where a robot is to wait; `None` if it may go on. `plan`: the rest of the plan from where the robot is; `radius`: of the disc around the
+/// outline, m; `standing`: what does not move; `waits`: whether it waits already. All in the odometry frame, now.
 #[must_use]
 pub fn wait_before(
     plan: &[Ahead],
@@ -99,45 +137,70 @@ pub fn wait_before(
     robots: &[Track],
     standing: &[Point2<f64>],
     waits: bool,
-) -> Option<f64> {
+) -> Option<Wait> {
     let lead = if waits { LEAD_FROM_REST } else { LEAD };
-    let first = robots.iter().filter(|robot| !robot.makes_way());
-    let waits = first.filter_map(|robot| wait_for(plan, radius, robot, standing, lead));
-    waits.min_by(f64::total_cmp)
+    let rooms = LazyCell::new(|| plan.iter().map(|ahead| room_at(ahead, standing)).collect());
+    let first = robots.iter().filter(|robot| robot.goes_first());
+    let waits = first.filter_map(|robot| wait_for(plan, radius, robot, &rooms, lead));
+    waits.reduce(|one, other| {
+        let (sooner, later) = if one.at <= other.at { (one, other) } else { (other, one) };
+        let is_same = later.at - sooner.at <= SAME_PLACE;
+        Wait {
+            until: if is_same {
+                sooner.until.max(later.until)
+            } else {
+                sooner.until
+            },
+            ..sooner
+        }
+    })
 }
 
-fn wait_for(plan: &[Ahead], radius: f64, robot: &Track, standing: &[Point2<f64>], lead: f64) -> Option<f64> {
+/// The room across the plan at each of its places, m, once it is asked for.
+type Rooms<F> = LazyCell<Vec<f64>, F>;
+
+fn wait_for<F: FnOnce() -> Vec<f64>>(
+    plan: &[Ahead],
+    radius: f64,
+    robot: &Track,
+    rooms: &Rooms<F>,
+    lead: f64,
+) -> Option<Wait> {
     let course = robot.told_course();
     let discs = radius + robot.radius;
-    let here = plan.first()?.pose.position();
-    let reach = plan.iter().map(|ahead| (ahead.pose.position() - here).norm());
+    let here = *plan.first()?;
+    let reach = plan
+        .iter()
+        .map(|ahead| (ahead.pose.position() - here.pose.position()).norm());
     let reach = reach.fold(0.0, f64::max) + discs + CLEARANCE;
-    if course.iter().all(|(_, place)| (place - here).norm() > reach) {
-        return None;
-    }
+    Meeting::at(&here, reach, &course)?;
     let meetings: Vec<Option<Meeting>> = plan
         .iter()
-        .map(|ahead| Meeting::at(ahead.pose.position(), discs + CLEARANCE, &course))
+        .map(|ahead| Meeting::at(ahead, discs + CLEARANCE, &course))
         .collect();
     // Up to there it is on the other one's way from the start.
-    let leaves = match Meeting::at(here, discs + ON_ITS_WAY, &course) {
+    let leaves = match Meeting::at(&here, discs + ON_ITS_WAY, &course) {
         Some(_) => meetings.iter().position(Option::is_none).unwrap_or(plan.len()),
         None => 0,
     };
     let room = 2.0 * discs + PASSING_ROOM;
-    let counts = |nth: usize| meetings[nth].is_some() && (nth >= leaves || room_at(&plan[nth], standing) < room);
+    let counts = |nth: usize| meetings[nth].is_some() && (nth >= leaves || rooms[nth] < room);
     let mut from = 0;
     while let Some(begin) = (from..plan.len()).find(|nth| counts(*nth)) {
         let end = (begin..plan.len()).find(|nth| !counts(*nth)).unwrap_or(plan.len());
-        let stretch = || plan[begin..end].iter().zip(&meetings[begin..end]);
-        let goes_first = stretch().all(|(own, met)| met.is_none_or(|met| own.secs + lead < met.begins));
-        let follows = stretch().all(|(own, met)| met.is_none_or(|met| met.ends + OTHERS_LEAD < own.secs));
         from = end;
+        let stretch = || plan[begin..end].iter().zip(meetings[begin..end].iter().flatten());
+        let goes_first = stretch().all(|(own, met)| own.secs + if met.same_way { 0.0 } else { lead } < met.begins);
+        let follows = stretch().all(|(own, met)| met.ends + OTHERS_LEAD < own.secs);
         if goes_first || follows {
             continue;
         }
+        // Who follows waits for no more than the lead that is missing.
+        let late = stretch().map(|(own, met)| met.ends + OTHERS_LEAD - (own.secs - plan[begin].secs));
+        let until = late.fold(0.0, f64::max);
         if begin >= leaves {
-            return Some(plan[begin.saturating_sub(1)].secs);
+            let at = plan[begin.saturating_sub(1)].secs;
+            return Some(Wait { at, until });
         }
         if begin == 0 {
             // It is in there.
@@ -149,29 +212,49 @@ fn wait_for(plan: &[Ahead], radius: f64, robot: &Track, standing: &[Point2<f64>]
             .iter()
             .rev()
             .find(|ahead| (ahead.pose.position() - mouth).norm() > discs + CLEARANCE);
-        return Some(before.map_or(0.0, |ahead| ahead.secs));
+        let at = before.map_or(0.0, |ahead| ahead.secs);
+        return Some(Wait { at, until });
     }
     None
 }
 
-/// When the disc of another robot is too near to a place, s from now.
+/// When the disc of another robot is too near to a place of the plan, s from now.
 #[derive(Clone, Copy, Debug)]
 struct Meeting {
     begins: f64,
     ends: f64,
+    /// Whether it goes the same way there.
+    same_way: bool,
 }
 
 impl Meeting {
-    fn at(place: Point2<f64>, near: f64, course: &[(f64, Point2<f64>)]) -> Option<Self> {
+    fn at(ahead: &Ahead, near: f64, course: &[(f64, Point2<f64>)]) -> Option<Self> {
         let mut met: Option<Self> = None;
         for leg in course.windows(2) {
-            let ((begins, from), (ends, to)) = (leg[0], leg[1]);
-            let along = to - from;
-            let share = (place - from).dot(&along) / along.norm_squared().max(1e-9);
-            if (place - (from + along * share.clamp(0.0, 1.0))).norm() < near {
-                let begins = met.map_or(begins, |met| met.begins);
-                met = Some(Self { begins, ends });
+            let ((from_secs, from), (to_secs, to)) = (leg[0], leg[1]);
+            let (along, off) = (to - from, ahead.pose.position() - from);
+            let length = along.norm();
+            // Of who stands the place alone counts.
+            let direction = along / length.max(1e-6);
+            let (middle, aside) = (off.dot(&direction), off.perp(&direction));
+            let half = (near * near - aside * aside).sqrt();
+            let (enters, leaves) = ((middle - half).max(0.0), (middle + half).min(length));
+            // Written so that NaN, a leg that passes far off, is none.
+            if !(enters <= leaves) {
+                continue;
             }
+            let secs = |way: f64| from_secs + (to_secs - from_secs) * way / length.max(1e-6);
+            let (begins, ends) = if length > 1e-6 {
+                (secs(enters), secs(leaves))
+            } else {
+                (from_secs, to_secs)
+            };
+            let same_way = direction.dot(&ahead.pose.heading()) > SAME_WAY;
+            met = Some(Self {
+                begins: met.map_or(begins, |met| met.begins),
+                ends,
+                same_way: same_way && met.is_none_or(|met| met.same_way),
+            });
         }
         met
     }
@@ -225,13 +308,18 @@ mod tests {
             later: (1..=12).map(|nth| place(15 + 5 * nth)).collect(),
             later_step: 2.0,
             begun: 0.0,
+            planned: true,
             makes_way,
         };
         Track::of_robot(1, RADIUS, Vector2::from(velocity), Stamp::ZERO, course)
     }
 
-    fn waits(robot: Track, standing: &[Point2<f64>]) -> Option<f64> {
+    fn wait(robot: Track, standing: &[Point2<f64>]) -> Option<Wait> {
         wait_before(&plan(), RADIUS, &[robot], standing, false)
+    }
+
+    fn waits(robot: Track, standing: &[Point2<f64>]) -> Option<f64> {
+        wait(robot, standing).map(|wait| wait.at)
     }
 
     #[test]
@@ -239,6 +327,8 @@ mod tests {
         // Both would be at x = 5 after 10 s.
         let secs = waits(robot([5.0, -5.0], [0.0, 0.5], false), &[]).unwrap();
         assert!((0.5 * secs - (5.0 - 2.0 * RADIUS - CLEARANCE)).abs() < 0.2, "{secs}");
+        let until = wait(robot([5.0, -5.0], [0.0, 0.5], false), &[]).unwrap().until;
+        assert!((11.5..14.5).contains(&until), "{until}: through at 11.8 s");
         assert_eq!(waits(robot([5.0, -5.0], [0.0, 0.5], true), &[]), None, "it goes first");
         assert_eq!(
             waits(robot([5.0, -1.0], [0.0, 0.5], false), &[]),
@@ -250,6 +340,14 @@ mod tests {
             None,
             "this one is gone"
         );
+    }
+
+    #[test]
+    fn what_it_tells_of_its_plan_holds_its_wait() {
+        let wait = Some(Wait { at: 3.0, until: 8.0 });
+        let told = [0.0, 3.0, 5.0, 8.0, 10.0].map(|secs| Wait::plan_secs(wait, secs));
+        assert_eq!(told, [0.0, 3.0, 3.0, 3.0, 5.0]);
+        assert!((Wait::plan_secs(None, 10.0) - 10.0).abs() < 1e-9);
     }
 
     #[test]
@@ -269,6 +367,11 @@ mod tests {
         let lane: Vec<Point2<f64>> = (0..40).flat_map(|nth| wall(3.0 + 0.1 * f64::from(nth))).collect();
         let secs = waits(oncoming(), &lane).unwrap();
         assert!((1.5..2.1).contains(&(0.5 * secs)), "{secs}");
+        assert_eq!(
+            waits(robot([-1.5, 0.0], [0.5, 0.0], false), &lane),
+            None,
+            "that one comes behind"
+        );
         let inside: Vec<Point2<f64>> = (0..40).flat_map(|nth| wall(-1.0 + 0.1 * f64::from(nth))).collect();
         assert_eq!(waits(oncoming(), &inside), None, "it cannot wait in there");
     }

@@ -23,6 +23,7 @@ impl Pilot {
         let source = self.authority.motion_source(now, plan_valid);
         if source != MotionSource::Plan {
             self.gyro_settling.interrupt();
+            self.right_of_way.reset();
         }
         if source != MotionSource::ReturnHome {
             self.return_home.record(self.estimator.map_from_base().position());
@@ -143,10 +144,10 @@ impl Pilot {
             let odom_from_map = self.estimator.map_from_odom().inverse();
             active.ahead(odom_from_map, AHEAD_SECS, AHEAD_STEP, &mut self.ahead);
             let radius = self.config.model.footprint.circumscribed_radius();
-            let waits = self
-                .right_of_way
+            self.right_of_way
                 .update(now, active, odom_from_map, radius, &self.obstacles);
-            let way = waits.and_then(|secs| wait_on(&mut self.ahead, secs));
+            let wait = self.right_of_way.wait(now, active);
+            let way = wait.and_then(|wait| wait_on(&mut self.ahead, wait.at));
             let control = self.avoidance.step(&AvoidanceInput {
                 dt,
                 now,

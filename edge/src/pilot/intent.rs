@@ -5,13 +5,16 @@ use zenav_protocol::time::Stamp;
 
 use super::Pilot;
 use crate::control_io::Publication;
+use crate::right_of_way::Wait;
 
 /// Time from one place that is told to the next, s, and how many there are.
 const STEP: f64 = 0.4;
 const PLACES: u32 = 16;
 /// Where the plan leads after that: time from place to place, s, and how many.
 const LATER_STEP: f64 = 2.0;
-const LATER: usize = 12;
+const LATER: u32 = 12;
+/// A robot that has stood for longer than this on its plan, and does not wait for another one, is held, s.
+const HELD: f64 = 3.0;
 /// What moves without a plan goes on as it does for this long, s.
 const UNPLANNED: f64 = 1.0;
 /// Slower than this it stands, m/s and rad/s.
@@ -43,6 +46,15 @@ impl Pilot {
         places.clear();
         let map_from_odom = self.estimator.map_from_odom();
         let course = self.avoidance.course().filter(|_| driving);
+        // Who is held tells that it stands, or others would wait for it.
+        self.held_since = match driving && stands && !self.waits_for_robot(now) {
+            true => self.held_since.or(Some(now)),
+            false => None,
+        };
+        let is_held = self.held_since.is_some_and(|since| now.secs_since(since) > HELD);
+        let plan = self.active_plan.as_ref().filter(|_| driving && !is_held);
+        let wait = plan.and_then(|active| self.right_of_way.wait(now, active));
+        let by_plan = |secs: f64| plan.and_then(|active| active.place_in(Wait::plan_secs(wait, secs)));
         places.extend((0..PLACES).map(|nth| {
             let secs = STEP * f64::from(nth);
             match course {
@@ -50,21 +62,13 @@ impl Pilot {
                     let place = course.get((secs / layer).round() as usize).or(course.last());
                     place.map_or(pose.position(), |place| map_from_odom.transform_point(*place))
                 }
-                None if driving && !self.ahead.is_empty() => {
-                    let place = self.ahead.iter().find(|ahead| ahead.secs >= secs).or(self.ahead.last());
-                    place.map_or(pose.position(), |ahead| {
-                        map_from_odom.transform_point(ahead.pose.position())
-                    })
-                }
-                None => pose.advance(velocity, secs.min(UNPLANNED)).position(),
+                None => by_plan(secs).unwrap_or_else(|| pose.advance(velocity, secs.min(UNPLANNED)).position()),
             }
         }));
         let mut later = std::mem::take(&mut self.intent.later);
         later.clear();
-        if let Some(active) = self.active_plan.as_ref().filter(|_| driving) {
-            let told = STEP * f64::from(PLACES - 1);
-            later.extend(active.places(told + LATER_STEP, LATER_STEP).take(LATER));
-        }
+        let told = STEP * f64::from(PLACES - 1);
+        later.extend((1..=LATER).map_while(|nth| by_plan(told + LATER_STEP * f64::from(nth))));
         self.intent = Intent {
             stamp: now,
             map_from_base: pose,
@@ -78,5 +82,10 @@ impl Pilot {
             ..std::mem::take(&mut self.intent)
         };
         out.push(Publication::Intent(self.intent.clone()));
+    }
+    /// Whether it waits on its plan for a robot that goes first.
+    pub(super) fn waits_for_robot(&self, now: Stamp) -> bool {
+        let plan = self.active_plan.as_ref().filter(|_| self.mode == Mode::Follow);
+        plan.is_some_and(|active| self.right_of_way.is_waiting(now, active))
     }
 }

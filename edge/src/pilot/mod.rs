@@ -87,6 +87,8 @@ pub struct Pilot {
     way_goal: Option<String>,
     /// Since when it has stood with nothing to drive to.
     parked_since: Option<Stamp>,
+    /// Since when it has stood on its plan without waiting for another robot.
+    held_since: Option<Stamp>,
     pub(crate) wall_following: WallFollowing,
     wall_follower: WallFollower,
     return_home: ReturnHome,
@@ -143,6 +145,7 @@ impl Pilot {
             },
             way_goal: None,
             parked_since: None,
+            held_since: None,
             wall_following: model.wall_following.clone(),
             wall_follower: WallFollower::new(model, &settings.wall_follower),
             return_home: ReturnHome::new(&settings.return_home),

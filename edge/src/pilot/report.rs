@@ -52,7 +52,7 @@ impl Pilot {
             wall_follower: (self.authority.policy() == LostPolicy::WallFollow).then(|| self.wall_follower.state()),
             missed_ticks: self.missed_ticks,
             uplink: self.telemetry.share(),
-            makes_way: self.avoidance.is_for_robot() || self.mode == Mode::Follow && self.right_of_way.is_waiting(),
+            makes_way: self.avoidance.is_for_robot() || self.waits_for_robot(now),
             frame: self.frame.number(),
             faults: self.faults.clone(),
         }

@@ -65,7 +65,7 @@ impl Intent {
         places
             && (1..=MOST_PLACES).contains(&self.places.len())
             && (0.02..=2.0).contains(&self.step)
-            && self.later.len() <= MOST_PLACES
+            && self.later.len() <= MOST_LATER
             && (0.0..=10.0).contains(&self.later_step)
             && (0.01..=5.0).contains(&self.radius)
             && self.way_secs.is_finite()
@@ -74,8 +74,9 @@ impl Intent {
     }
 }
 
-/// Most places that a robot tells.
-const MOST_PLACES: usize = 256;
+/// Most places that a robot tells, and most of those after them.
+const MOST_PLACES: usize = 64;
+const MOST_LATER: usize = 32;
 
 #[cfg(test)]
 mod tests {

@@ -4,14 +4,24 @@ use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::time::Stamp;
 
 use crate::context::Context;
+use crate::settings::ProgressSettings;
 
-/// Who makes way for another robot is given so many times as long, for that one to come through a lane: after that, both stand.
-const MAKING_WAY: f64 = 4.0;
+/// Time in which a robot makes way for another one counts for so much less: that one may have to come through a lane first.
+const MAKING_WAY: f64 = 0.25;
 
-/// Where and when the robot was seen to get on last.
+/// How long the robot has not got on.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Progress {
-    anchor: Option<(Stamp, Pose2)>,
+    anchor: Option<Anchor>,
+}
+
+/// Where the robot was seen to get on last.
+#[derive(Clone, Copy, Debug)]
+struct Anchor {
+    pose: Pose2,
+    /// When it was looked at last, and for how long it has not got on, s.
+    looked: Stamp,
+    stuck: f64,
 }
 
 impl Progress {
@@ -23,20 +33,50 @@ impl Progress {
     /// Whether the robot has been without progress for too long.
     pub fn is_stuck(&mut self, ctx: &Context) -> bool {
         let Some(pose) = ctx.robot.pose() else { return false };
-        let settings = &ctx.config.settings.progress;
         let makes_way = ctx.robot.state().is_some_and(|state| state.makes_way);
-        let timeout = if makes_way { MAKING_WAY } else { 1.0 } * settings.timeout;
-        match self.anchor {
-            Some((since, anchor))
-                if anchor.distance(&pose) < settings.distance
-                    && wrap_angle(pose.yaw - anchor.yaw).abs() < settings.angle =>
-            {
-                ctx.now.secs_since(since) > timeout
-            }
-            _ => {
-                self.anchor = Some((ctx.now, pose));
-                false
-            }
+        self.look(ctx.now, pose, makes_way, &ctx.config.settings.progress)
+    }
+
+    fn look(&mut self, now: Stamp, pose: Pose2, makes_way: bool, settings: &ProgressSettings) -> bool {
+        let gets_on = |anchor: &Anchor| {
+            anchor.pose.distance(&pose) >= settings.distance
+                || wrap_angle(pose.yaw - anchor.pose.yaw).abs() >= settings.angle
+        };
+        let (looked, stuck) = (now, 0.0);
+        let fresh = Anchor { pose, looked, stuck };
+        let anchor = self.anchor.get_or_insert(fresh);
+        if gets_on(anchor) {
+            *anchor = fresh;
         }
+        anchor.stuck += now.secs_since(anchor.looked) * if makes_way { MAKING_WAY } else { 1.0 };
+        anchor.looked = now;
+        anchor.stuck > settings.timeout
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_robot_is_stuck_after_a_time_without_progress_and_later_where_it_makes_way() {
+        let settings = ProgressSettings::default();
+        let stuck_after = |makes_way: fn(f64) -> bool, pose: fn(f64) -> Pose2| {
+            let mut progress = Progress::default();
+            (0..1200).map(|nth| 0.1 * f64::from(nth)).find(|secs| {
+                let now = Stamp::from_secs(*secs);
+                progress.look(now, pose(*secs), makes_way(*secs), &settings)
+            })
+        };
+        let stands = |_: f64| Pose2::IDENTITY;
+        let is = |found: Option<f64>, secs: f64| found.is_some_and(|found| (found - secs).abs() < 0.3);
+        assert!(is(stuck_after(|_| false, stands), settings.timeout));
+        assert!(is(stuck_after(|_| true, stands), settings.timeout / MAKING_WAY));
+        // Who has waited long is not stuck as soon as the way is free.
+        assert!(is(
+            stuck_after(|secs| secs < 16.0, stands),
+            16.0 + settings.timeout - 16.0 * MAKING_WAY
+        ));
+        assert_eq!(stuck_after(|_| false, |secs| Pose2::new(0.1 * secs, 0.0, 0.0)), None);
     }
 }

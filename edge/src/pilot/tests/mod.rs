@@ -6,6 +6,7 @@ mod faults;
 mod frames;
 mod localised;
 mod rig;
+mod robots;
 mod wall;
 
 use proptest::prelude::*;
