@@ -30,7 +30,7 @@ const LEAD: f64 = 1.5;
 /// The same for a robot that waits: it has to set out.
 const LEAD_FROM_REST: f64 = 2.5;
 /// This robot follows if the other one has left each place so long before, s.
-const OTHERS_LEAD: f64 = 0.5;
+const OTHERS_LEAD: f64 = 0.8;
 /// Two go the same way whose directions differ by less than this, as a cosine: then the one ahead needs no lead.
 const SAME_WAY: f64 = 0.7;
 /// A robot waits as soon as it is so near to where it will, s.
@@ -237,10 +237,10 @@ impl Meeting {
             // Of who stands the place alone counts.
             let direction = along / length.max(1e-6);
             let (middle, aside) = (off.dot(&direction), off.perp(&direction));
-            let half = (near * near - aside * aside).sqrt();
+            let squared = near * near - aside * aside;
+            let half = squared.max(0.0).sqrt();
             let (enters, leaves) = ((middle - half).max(0.0), (middle + half).min(length));
-            // Written so that NaN, a leg that passes far off, is none.
-            if !(enters <= leaves) {
+            if squared <= 0.0 || enters > leaves {
                 continue;
             }
             let secs = |way: f64| from_secs + (to_secs - from_secs) * way / length.max(1e-6);
