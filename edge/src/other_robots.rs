@@ -15,8 +15,6 @@ use crate::obstacle_tracks::Track;
 const MOST: usize = 64;
 /// Who has been silent for longer is forgotten, s.
 const SILENT: f64 = 1.0;
-/// A robot stops where two of the places that it tells are nearer to one another than this, m.
-const STOPS: f64 = 0.01;
 /// Ids of robots' tracks begin here: those of a lidar's never get there.
 const FIRST_ID: u64 = 1 << 48;
 
@@ -58,19 +56,7 @@ impl OtherRobots {
         self.heard.iter().zip(FIRST_ID..).map(move |((arrived, intent), id)| {
             let (v, heading) = (intent.velocity.v, (odom_from_map * intent.map_from_base).heading());
             let makes_way = own.goes_before(intent);
-            // Who makes way waits where it says that it stops, until this robot is through: what it means to do then does not matter.
-            let stops = || {
-                intent
-                    .places
-                    .windows(2)
-                    .position(|two| (two[1] - two[0]).norm() < STOPS)
-            };
-            let told = makes_way
-                .then(stops)
-                .flatten()
-                .map_or(intent.places.len(), |last| last + 1);
-            let places = intent.places.iter().take(told);
-            let places = places.map(|place| odom_from_map.transform_point(*place));
+            let places = intent.places.iter().map(|place| odom_from_map.transform_point(*place));
             let later = intent.later.iter().map(|place| odom_from_map.transform_point(*place));
             let course = Course {
                 places: places.collect(),
@@ -118,11 +104,6 @@ mod tests {
         assert!((bert.at(0.5) - Point2::new(1.5, 0.25)).norm() < 1e-9);
         assert!((bert.at(9.0) - Point2::new(1.5, 0.5)).norm() < 1e-9);
         assert!(bert.makes_way(), "by name");
-        let mut waiting = intent("bert");
-        waiting.places.insert(2, waiting.places[1]);
-        others.receive(Stamp::from_secs(10.5), vec![waiting]);
-        let bert = &tracks(&others, 10.5)[0];
-        assert!((bert.at(3.0) - Point2::new(1.5, 0.0)).norm() < 1e-9, "it waits");
         others.receive(Stamp::from_secs(11.5), Vec::new());
         assert!(tracks(&others, 11.5).is_empty());
     }

@@ -54,7 +54,9 @@ impl Pilot {
         let is_held = self.held_since.is_some_and(|since| now.secs_since(since) > HELD);
         let plan = self.active_plan.as_ref().filter(|_| driving && !is_held);
         let wait = plan.and_then(|active| self.right_of_way.wait(now, active));
-        let by_plan = |secs: f64| plan.and_then(|active| active.place_in(Wait::plan_secs(wait, secs)));
+        let by_plan = |plan_secs: f64| plan.and_then(|active| active.place_in(plan_secs));
+        // In the next seconds it stays where it waits: those who go first need not mind what comes after.
+        let soon = |secs: f64| by_plan(wait.map_or(secs, |wait| wait.at.min(secs)));
         places.extend((0..PLACES).map(|nth| {
             let secs = STEP * f64::from(nth);
             match course {
@@ -62,13 +64,14 @@ impl Pilot {
                     let place = course.get((secs / layer).round() as usize).or(course.last());
                     place.map_or(pose.position(), |place| map_from_odom.transform_point(*place))
                 }
-                None => by_plan(secs).unwrap_or_else(|| pose.advance(velocity, secs.min(UNPLANNED)).position()),
+                None => soon(secs).unwrap_or_else(|| pose.advance(velocity, secs.min(UNPLANNED)).position()),
             }
         }));
         let mut later = std::mem::take(&mut self.intent.later);
         later.clear();
         let told = STEP * f64::from(PLACES - 1);
-        later.extend((1..=LATER).map_while(|nth| by_plan(told + LATER_STEP * f64::from(nth))));
+        let later_on = |nth| Wait::plan_secs(wait, told + LATER_STEP * f64::from(nth));
+        later.extend((1..=LATER).map_while(|nth| by_plan(later_on(nth))));
         self.intent = Intent {
             stamp: now,
             map_from_base: pose,
