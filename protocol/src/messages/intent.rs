@@ -29,11 +29,11 @@ pub struct Intent {
     #[cfg_attr(feature = "schema", schemars(with = "Vec<[f64; 2]>"))]
     pub places: Vec<Point2<f64>>,
     /// Where its plan leads after that, `later_step` apart; for who waits before both ways meet. Map frame, m.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[cfg_attr(feature = "schema", schemars(with = "Vec<[f64; 2]>"))]
     pub later: Vec<Point2<f64>>,
     /// Time from one of the later places to the next, s.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "crate::drive::is_zero")]
     pub later_step: f64,
     /// Whether it has somewhere to go now. Who has not cannot make way.
     pub driving: bool,
