@@ -234,20 +234,25 @@ impl Meeting {
             let ((from_secs, from), (to_secs, to)) = (leg[0], leg[1]);
             let (along, off) = (to - from, ahead.pose.position() - from);
             let length = along.norm();
-            // Of who stands the place alone counts.
+            let stands = length < 1e-6;
             let direction = along / length.max(1e-6);
-            let (middle, aside) = (off.dot(&direction), off.perp(&direction));
+            // Of who stands the place alone counts.
+            let (middle, aside) = if stands {
+                (0.0, off.norm())
+            } else {
+                (off.dot(&direction), off.perp(&direction))
+            };
             let squared = near * near - aside * aside;
             let half = squared.max(0.0).sqrt();
             let (enters, leaves) = ((middle - half).max(0.0), (middle + half).min(length));
             if squared <= 0.0 || enters > leaves {
                 continue;
             }
-            let secs = |way: f64| from_secs + (to_secs - from_secs) * way / length.max(1e-6);
-            let (begins, ends) = if length > 1e-6 {
-                (secs(enters), secs(leaves))
-            } else {
+            let secs = |way: f64| from_secs + (to_secs - from_secs) * way / length;
+            let (begins, ends) = if stands {
                 (from_secs, to_secs)
+            } else {
+                (secs(enters), secs(leaves))
             };
             let same_way = direction.dot(&ahead.pose.heading()) > SAME_WAY;
             met = Some(Self {
@@ -340,6 +345,20 @@ mod tests {
             None,
             "this one is gone"
         );
+    }
+
+    #[test]
+    fn who_waits_far_off_is_met_nowhere() {
+        let mut course = vec![(0.0, Point2::new(5.0, -3.0)); 3];
+        let place = |x: f64| Ahead {
+            secs: 0.0,
+            pose: Pose2::new(x, 0.0, 0.0),
+        };
+        course[1].0 = 2.0;
+        course[2].0 = 4.0;
+        assert!(Meeting::at(&place(5.0), 0.9, &course).is_none());
+        let met = Meeting::at(&place(5.0), 3.1, &course).unwrap();
+        assert!((met.begins, met.ends) == (0.0, 4.0), "{met:?}");
     }
 
     #[test]
