@@ -3,7 +3,7 @@
 use nalgebra::{Point2, Vector3};
 use zenav_pose_graph::{Edge, EdgeKind, GraphError, RobustSolution};
 use zenav_protocol::geometry::Pose2;
-use zenav_scan_matching::{Prior, RefineSettings, Refined, floored};
+use zenav_scan_matching::{LikelihoodField, Prior, RefineSettings, Refined, floored, refine};
 
 use crate::slam::{Slam, SlamError};
 use crate::submap::Submap;
@@ -65,7 +65,7 @@ fn rematch(slam: &mut Slam, node: usize) -> Result<(), GraphError> {
     for (_, index) in near {
         let submap = &slam.submaps[index];
         let expected = slam.back_end.poses()[submap.anchor].inverse() * here;
-        let refined = refine_here(submap, &slam.scans[node], expected, &settings.refine);
+        let refined = refine_here(&submap.field, &slam.scans[node], expected, &settings.refine);
         let is_near = refined.pose.distance(&expected) < settings.finish.max_move;
         if refined.score < settings.closure.min_score || !is_near || submap.anchor == node {
             continue;
@@ -90,7 +90,8 @@ fn replace(slam: &mut Slam) {
         let Ok(index) = submaps.binary_search_by_key(&stand.node, |submap| submap.anchor) else {
             continue;
         };
-        let refined = refine_here(&submaps[index], &stand.points, stand.node_from_base, &settings.refine);
+        let field = &submaps[index].field;
+        let refined = refine_here(field, &stand.points, stand.node_from_base, &settings.refine);
         let is_near = refined.pose.distance(&stand.node_from_base) < settings.finish.max_move;
         if is_near && refined.score >= settings.closure.min_score {
             stand.node_from_base = refined.pose;
@@ -100,19 +101,17 @@ fn replace(slam: &mut Slam) {
 
 /// Matches a scan about where it lies. Along a direction that it does not tell there it stays: elsewhere the ends of what was seen may fit
 /// on one another, and look as if they told it.
-fn refine_here(submap: &Submap, points: &[Point2<f64>], here: Pose2, settings: &RefineSettings) -> Refined {
+fn refine_here(field: &LikelihoodField, points: &[Point2<f64>], here: Pose2, settings: &RefineSettings) -> Refined {
     let unmoved = RefineSettings {
         max_iterations: 0,
         ..*settings
     };
-    let held = submap.refine(points, here, None, &unmoved).degenerate.map(|along| {
+    let held = refine(field, points, here, None, &unmoved).degenerate.map(|along| {
         let along = Vector3::new(along.x, along.y, 0.0);
         Prior {
             pose: here,
             information: along * along.transpose() * HELD,
         }
     });
-    submap
-        .refine(points, here, held.as_ref(), settings)
-        .expected_where_degenerate(here)
+    refine(field, points, here, held.as_ref(), settings).expected_where_degenerate(here)
 }

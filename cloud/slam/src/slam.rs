@@ -8,7 +8,7 @@ use thiserror::Error;
 use zenav_pose_graph::{DescentSettings, Edge, EdgeKind, GraphError, PoseGraph, RobustSolution, SolveError};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::Scan;
-use zenav_scan_matching::{Prior, Refined, Window, floored, judge, points, search, turned};
+use zenav_scan_matching::{Prior, Refined, Window, floored, judge, points, refine, search, turned};
 
 use crate::back_end::BackEnd;
 use crate::closure::close;
@@ -23,8 +23,6 @@ use crate::submap::{SEARCH_POINTS, Submap, thinned};
 const USUAL: f64 = 0.05;
 /// A correction of odometry that is less likely than this (half of chi squared, three degrees of freedom) makes a match doubtful.
 const DOUBTFUL_CORRECTION: f64 = 8.0;
-/// What a point of a scan that fits better by its whole likelihood says for a match (half of chi squared): neighbours share their errors.
-const EVIDENCE: f64 = 1.5;
 /// No correction of odometry is less likely than this (half of chi squared): wheels slip.
 const SLIPPED: f64 = 25.0;
 
@@ -254,9 +252,8 @@ impl Slam {
         let last = self.scans.len() - 1;
         let submap = &self.submaps[self.active()];
         let expected = poses[submap.anchor].inverse() * poses[last] * self.odometry.corrected(step);
-        let by_odometry = self.odometry.expected(step, &settings.odometry);
-        let prior = Prior::of_odometry(expected, &by_odometry.information());
-        let refined = submap.refine(&seen, expected, Some(&prior), &settings.refine);
+        let prior = Prior::of_odometry(expected, &self.odometry.information(step, &settings.odometry));
+        let refined = refine(&submap.field, &seen, expected, Some(&prior), &settings.refine);
         let refined = refined.expected_where_degenerate(expected);
         let least = settings.front.min_score.max(settings.front.doubtful * self.usual);
         let is_match = refined.score >= least;
@@ -369,8 +366,7 @@ impl Slam {
         let by_odometry = self.odometry.information(step, &settings.odometry);
         let (reach, turn) = self.window();
         let nothing = Matrix3::from_diagonal(&[reach, reach, turn].map(|far| far.max(0.01).powi(-2)).into());
-        let known = self.odometry.expected(step, &settings.odometry);
-        let prior = if was_doubted { nothing } else { known.information() };
+        let prior = if was_doubted { nothing } else { by_odometry };
         let information = if self.is_apart { nothing } else { by_odometry };
         let corrected = self.odometry.corrected(step);
         // The older of the two submaps that grow has seen more.
@@ -406,22 +402,21 @@ impl Slam {
             kind: EdgeKind::Odometry,
         })?;
         if let Some(refined) = &matched {
-            let by_scan = floored(&refined.information, settings.front.floor, settings.front.floor_turn);
             self.back_end.add_edge(Edge {
                 from: anchor,
                 to: node,
                 measurement: refined.pose,
-                information: by_scan,
+                information: floored(&refined.information, settings.front.floor, settings.front.floor_turn),
                 kind: EdgeKind::Odometry,
             })?;
-            if was_doubted {
-                self.odometry.begin_anew(&by_scan);
-            } else {
+            if !was_doubted {
                 self.odometry.learn(
-                    &known,
-                    expected.inverse() * refined.pose,
-                    &by_scan,
-                    refined.degenerate.is_none(),
+                    step,
+                    expected,
+                    &information,
+                    refined.pose,
+                    &refined.information,
+                    &settings.odometry,
                 );
             }
             effects.score = Some(refined.score);
@@ -432,7 +427,6 @@ impl Slam {
                 .map(|along| along.y.atan2(along.x) + map_from_anchor.yaw);
         } else {
             self.counts.unmatched += 1;
-            self.odometry.go_on(&known);
         }
         self.keep(seen, laser);
         self.last_node_odometry = self.last_node_odometry * step;
@@ -483,7 +477,7 @@ impl Slam {
         let (reach, turn) = self.window();
         let submap = &mut self.submaps[active];
         let prior = Prior::of_odometry(expected, odometry);
-        let mut best = submap.refine(seen, expected, Some(&prior), &settings.refine);
+        let mut best = refine(&submap.field, seen, expected, Some(&prior), &settings.refine);
         let is_doubtful = self.is_doubted
             || best.score < settings.front.doubtful * self.usual
             || unlikely(odometry, expected, best.pose) > DOUBTFUL_CORRECTION;
@@ -497,9 +491,11 @@ impl Slam {
             };
             let found = search(submap.pyramid(), &thinned(seen, SEARCH_POINTS), &window);
             if let Some(candidate) = found.found.first() {
-                let wide = submap.refine(seen, candidate.pose, None, &settings.refine);
+                let wide = refine(&submap.field, seen, candidate.pose, None, &settings.refine);
                 // How much likelier the scan is from there, against how much less likely odometry is: few points overrule nothing.
-                let gain = EVIDENCE * seen.len() as f64 * (wide.score - best.score);
+                let per_point = (settings.field.sigma / settings.refine.point_sigma).powi(2)
+                    / settings.refine.points_per_independent;
+                let gain = per_point * seen.len() as f64 * (wide.score - best.score);
                 if gain > (unlikely(odometry, expected, wide.pose) - unlikely(odometry, expected, best.pose)).max(0.0) {
                     best = wide;
                 }

@@ -5,9 +5,7 @@ use std::sync::Arc;
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;
-use zenav_scan_matching::{
-    FieldSettings, LikelihoodField, Prior, Pyramid, Refinable, RefineSettings, Refined, Surfels,
-};
+use zenav_scan_matching::{FieldSettings, LikelihoodField, Pyramid};
 
 /// Levels of the pyramid: blocks of 32 cells.
 const LEVELS: u32 = 5;
@@ -20,7 +18,6 @@ pub(crate) struct Submap {
     /// Where the scans that are in it were inserted, `anchor_from_scan`: of the anchor and the nodes that follow it.
     pub(crate) inserted: Vec<Pose2>,
     pub(crate) field: LikelihoodField,
-    pub(crate) surfels: Surfels,
     /// Made when a place is searched for in it.
     pyramid: Option<Pyramid>,
 }
@@ -31,15 +28,12 @@ impl Submap {
             anchor,
             inserted: Vec::new(),
             field: LikelihoodField::new(settings),
-            surfels: Surfels::default(),
             pyramid: None,
         }
     }
 
     pub(crate) fn insert(&mut self, anchor_from_scan: Pose2, points: &[Point2<f64>]) {
         self.field.insert(anchor_from_scan, points);
-        self.surfels
-            .insert(anchor_from_scan, points, Refinable::new(points).normals());
         self.inserted.push(anchor_from_scan);
         self.pyramid = None;
     }
@@ -66,19 +60,6 @@ impl Submap {
     /// The nodes whose scans are in it.
     pub(crate) fn nodes(&self) -> Range<usize> {
         self.anchor..self.end()
-    }
-
-    /// A scan's points matched to this about a pose, `anchor_from_scan`.
-    pub(crate) fn refine(
-        &self,
-        points: &[Point2<f64>],
-        start: Pose2,
-        prior: Option<&Prior>,
-        settings: &RefineSettings,
-    ) -> Refined {
-        let scan = Refinable::new(points);
-        let rough = scan.refine(&self.field, start, prior, settings);
-        scan.polish(&self.field, &self.surfels, rough, prior, settings)
     }
 
     pub(crate) fn pyramid(&mut self) -> &Pyramid {
