@@ -37,7 +37,7 @@ crate::settings! {
         /// Laws on a path: the end is reached within this.
         pub end_distance: f64 = 0.05, "m", 0.005..=1.0;
         /// Waypoint laws: the last waypoint, a place to be at, is reached within this at most.
-        pub last_waypoint: f64 = 0.1, "m", 0.01..=2.0;
+        pub last_waypoint: f64 = 0.03, "m", 0.01..=2.0;
         /// Trajectory tracker, beyond its gains.
         pub time_law: TimeLawGains;
         /// Pure pursuit.

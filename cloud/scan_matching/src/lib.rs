@@ -14,7 +14,7 @@
 //! 1. **search** ([`search()`]): exact branch and bound over cells and headings, with bounds from a [`Pyramid`]; the best of the window,
 //!    and the second best place.
 //! 2. **refinement** ([`refine()`]): Gauss-Newton beyond cells, with a prior; the information matrix of the scan alone, and a direction in
-//!    which it says nothing (a corridor).
+//!    which it says nothing (a corridor). Where the map was drawn of scans, [`Surfels`] make it exact ([`Refinable::polish`]).
 //! 3. **verdict** ([`judge()`]): the share of the points that the map explains, and of the beams that pass through its walls.
 //!
 //! Frames: `field` is the map's, `scan` that of the points. Metres, radians, yaw counter-clockwise.
@@ -31,6 +31,8 @@
 //! | `headings` | which headings are tried, and where do points fall from each? |
 //! | `search` | which pose of a window fits best, and by how much? |
 //! | `refine` | where exactly, and how well is that known? |
+//! | `normals` | which way does a surface look? |
+//! | `surfels` | where exactly is the surface that a point was seen on? |
 //! | `verdict` | does it fit? |
 //! | `information` | how well are odometry and matches known? |
 //! | `settings` | what can be tuned? |
@@ -38,11 +40,13 @@
 mod field;
 mod headings;
 mod information;
+mod normals;
 mod points;
 mod pyramid;
 mod refine;
 mod search;
 mod settings;
+mod surfels;
 mod verdict;
 
 pub use field::LikelihoodField;
@@ -53,4 +57,5 @@ pub use pyramid::Pyramid;
 pub use refine::{Prior, Refinable, Refined, refine};
 pub use search::{Candidate, Search, Window, search, search_among};
 pub use settings::{FieldSettings, OdometrySettings, RefineSettings, ScanSettings, VerdictSettings};
+pub use surfels::Surfels;
 pub use verdict::{Verdict, judge};

@@ -4,25 +4,32 @@
 //! the squared distance, far from it a constant: Gauss and Newton's steps with weights `m` (Welsch's robust kernel), along the normals of
 //! surfaces. The information returned is that of these distances, and counts neighbouring points as one: it does not grow with the number
 //! of beams alone.
+//!
+//! A field is as sharp as its `σ` and as the noise of the scans in it. Where [surfels](Surfels) are at hand, [`Refinable::polish`] goes on
+//! from there: points whose neighbours show a surface are drawn to the surfels, along normals of the map; the others to the field.
 
-use nalgebra::{Matrix2, Matrix3, Point2, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix3, Point2, Rotation2, Vector2, Vector3};
 use zenav_protocol::geometry::{Pose2, wrap_angle};
 
 use crate::field::{LikelihoodField, placed};
+use crate::normals::normals;
 use crate::settings::RefineSettings;
+use crate::surfels::Surfels;
 
 /// Points with a likelihood below this do not pull: nothing known is near.
 const NEAR: f64 = 0.02;
-/// Neighbours on one surface are at most this far apart, m and rad as seen from the base.
-const FARTHEST: f64 = 1.0;
-const NEIGHBOURS: f64 = 0.03;
-/// Neighbours up to this distance to each side tell the direction of a surface, m.
-const STRETCH: f64 = 0.2;
-/// On a straight surface they lie on a line to within this standard deviation, m, and to within this share of their spread along it.
-const STRAIGHT: f64 = 0.03;
-const FLAT: f64 = 0.05;
 /// A scan is not believed to know the heading otherwise by more than this, rad.
 const FARTHEST_TURN: f64 = 0.03;
+/// A parabola about a match on surfels is trusted so far, m.
+const FARTHEST_STEP: f64 = 0.04;
+/// Surfels that would have a scan farther off than this, m and rad, are others.
+const ELSEWHERE: (f64, f64) = (0.1, 0.05);
+/// Points on surfels from which these count.
+const FEWEST: usize = 20;
+/// Points without a normal count in polishing from this likelihood on: farther away lies another surface, as the other side of a wall.
+const SURE: f64 = 0.8;
+/// Standard deviation of a point about its surfel, m: farther off it pulls less.
+const TOUCHING: f64 = 0.05;
 /// Added to the diagonal, so that a scan without any point near stays where the prior is.
 const LEAST_INFORMATION: f64 = 1e-9;
 /// Added where a direction was left out, and rounding must not bring it back: known to 30 m or rad.
@@ -148,50 +155,147 @@ impl<'a> Refinable<'a> {
         prior: Option<&Prior>,
         settings: &RefineSettings,
     ) -> Refined {
-        let Self { points, normals } = self;
-        let mut pose = start;
-        // A step is short against the width of the field: surfaces keep their direction.
-        let surfaces = surfaces(field, points, normals, pose);
-        for _ in 0..settings.max_iterations {
-            let (mut hessian, mut gradient, _) = sums(field, points, &surfaces, pose, settings);
-            if let Some(prior) = prior {
-                let away = Vector3::new(
-                    pose.x - prior.pose.x,
-                    pose.y - prior.pose.y,
-                    wrap_angle(pose.yaw - prior.pose.yaw),
-                );
-                hessian += prior.information;
-                gradient += prior.information * away;
-            }
-            hessian += Matrix3::identity() * LEAST_INFORMATION;
-            let Some(factor) = hessian.cholesky() else {
-                break;
-            };
-            let mut step = factor.solve(&gradient);
-            // Further away the field bends.
-            let farthest = step.x.hypot(step.y);
-            if farthest > field.sigma() {
-                step *= field.sigma() / farthest;
-            }
-            pose = Pose2::new(pose.x - step.x, pose.y - step.y, pose.yaw - step.z);
-            if step.norm() < settings.tolerance {
-                break;
-            }
+        // A step is short against the width of the field: surfaces keep their direction. Further away the field bends.
+        let surfaces = surfaces(field, self.points, &self.normals, start, Pull::Anywhere);
+        let at = |pose| Some(sums(field, self.points, &surfaces, pose, settings));
+        let pose = descend(start, prior, field.sigma(), settings, at).unwrap_or(start);
+        let surfaces = self::surfaces(field, self.points, &self.normals, pose, Pull::Anywhere);
+        let sums = sums(field, self.points, &surfaces, pose, settings);
+        Refined::new(pose, &sums, 0.5 * field.sigma(), settings.degenerate_sigma)
+    }
+
+    /// The scan's points, in its frame, m.
+    #[must_use]
+    pub const fn points(&self) -> &'a [Point2<f64>] {
+        self.points
+    }
+
+    /// The normals of the surfaces that the points lie on, towards the base, where their neighbours show them.
+    #[must_use]
+    pub fn normals(&self) -> &[Option<Vector2<f64>>] {
+        &self.normals
+    }
+
+    /// A match that was [refined](Self::refine) in a field made exact on the surfels that go with it. Where few points lie on any, or these
+    /// would have the scan elsewhere, it stays as it is.
+    #[must_use]
+    pub fn polish(
+        &self,
+        field: &LikelihoodField,
+        surfels: &Surfels,
+        rough: Refined,
+        prior: Option<&Prior>,
+        settings: &RefineSettings,
+    ) -> Refined {
+        let surfaces = surfaces(field, self.points, &self.normals, rough.pose, Pull::Across);
+        let at = |pose| self.touches(field, surfels, &surfaces, pose, settings);
+        let Some(pose) = descend(rough.pose, prior, FARTHEST_STEP, settings, at) else {
+            return rough;
+        };
+        let off = rough.pose.inverse() * pose;
+        let is_near = off.x.hypot(off.y) <= ELSEWHERE.0 && off.yaw.abs() <= ELSEWHERE.1;
+        let degenerate_sigma = settings.degenerate_sigma * settings.surfel_sigma / settings.point_sigma;
+        match at(pose).filter(|_| is_near) {
+            Some(sums) => Refined {
+                score: rough.score,
+                ..Refined::new(pose, &sums, FARTHEST_STEP, degenerate_sigma)
+            },
+            None => rough,
         }
-        let surfaces = self::surfaces(field, points, normals, pose);
-        let (information, gradient, score) = sums(field, points, &surfaces, pose, settings);
-        let degenerate = degenerate(&information, settings);
+    }
+
+    /// Sums over the points at a pose: those with a normal on surfels, the others in the field; `None` where few lie on a surfel. A point with a
+    /// normal and without a surfel is new: in the field it would be drawn to the end of what was known.
+    fn touches(
+        &self,
+        field: &LikelihoodField,
+        surfels: &Surfels,
+        surfaces: &[Surface],
+        pose: Pose2,
+        settings: &RefineSettings,
+    ) -> Option<Sums> {
+        let turn = Rotation2::new(pose.yaw);
+        let (mut sums, mut touched) = (Sums::default(), 0);
+        for ((point, normal), surface) in placed(pose, self.points).into_iter().zip(&self.normals).zip(surfaces) {
+            let Some(normal) = normal else {
+                sums.add_likely(field, point, surface, pose, SURE);
+                continue;
+            };
+            let Some(touch) = surfels.touched(point, turn * normal) else {
+                continue;
+            };
+            touched += 1;
+            let weight = touch.trust * (-0.5 * (touch.distance / TOUCHING).powi(2)).exp();
+            let across = touch.normal;
+            sums.add(
+                point,
+                &(across * across.transpose() * weight),
+                -across * (weight * touch.distance),
+                pose,
+            );
+        }
+        (touched >= FEWEST).then(|| sums.of(self.points.len(), settings.surfel_sigma, settings))
+    }
+}
+
+/// Steps of Gauss and Newton to the minimum of what `at` and a prior say, none longer than `farthest`, m; `None` where `at` says nothing.
+fn descend(
+    start: Pose2,
+    prior: Option<&Prior>,
+    farthest: f64,
+    settings: &RefineSettings,
+    at: impl Fn(Pose2) -> Option<Sums>,
+) -> Option<Pose2> {
+    let mut pose = start;
+    for _ in 0..settings.max_iterations {
+        let Sums {
+            mut information,
+            mut gradient,
+            ..
+        } = at(pose)?;
+        if let Some(prior) = prior {
+            let away = Vector3::new(
+                pose.x - prior.pose.x,
+                pose.y - prior.pose.y,
+                wrap_angle(pose.yaw - prior.pose.yaw),
+            );
+            information += prior.information;
+            gradient += prior.information * away;
+        }
+        information += Matrix3::identity() * LEAST_INFORMATION;
+        let Some(factor) = information.cholesky() else {
+            break;
+        };
+        let mut step = factor.solve(&gradient);
+        let length = step.x.hypot(step.y);
+        if length > farthest {
+            step *= farthest / length;
+        }
+        pose = Pose2::new(pose.x - step.x, pose.y - step.y, pose.yaw - step.z);
+        if step.norm() < settings.tolerance {
+            break;
+        }
+    }
+    Some(pose)
+}
+
+impl Refined {
+    /// Of what a scan alone says at a pose. `farthest`: how far a parabola is trusted, m; a direction known worse than `degenerate_sigma`, m, is
+    /// degenerate.
+    fn new(pose: Pose2, sums: &Sums, farthest: f64, degenerate_sigma: f64) -> Self {
+        let information = sums.information;
+        let degenerate = degenerate(&information, degenerate_sigma);
         let (sin, cos) = pose.yaw.sin_cos();
         let turn = Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
         let free = degenerate.map(|along| Free::along(&information, along));
         let known = free.map_or(information, |free| free.without(&information));
-        let gradient = free.map_or(gradient, |free| free.across(gradient));
-        let by_scan = turn.transpose() * newton_step(&known, gradient, 0.5 * field.sigma());
-        Refined {
+        let gradient = free.map_or(sums.gradient, |free| free.across(sums.gradient));
+        let by_scan = turn.transpose() * newton_step(&known, gradient, farthest);
+        Self {
             pose,
             by_scan: Pose2::new(by_scan.x, by_scan.y, by_scan.z),
             information: turn.transpose() * information * turn,
-            score,
+            score: sums.score,
             degenerate,
         }
     }
@@ -207,6 +311,15 @@ fn newton_step(hessian: &Matrix3<f64>, gradient: Vector3<f64>, farthest: f64) ->
     step / too_far.max(1.0)
 }
 
+/// Where a point pulls whose surface the field alone shows.
+#[derive(Clone, Copy, Debug)]
+enum Pull {
+    /// To the nearest that is known.
+    Anywhere,
+    /// Across the surface.
+    Across,
+}
+
 /// How a point pulls.
 #[derive(Clone, Copy, Debug)]
 struct Surface {
@@ -218,17 +331,17 @@ struct Surface {
 
 /// The surface of each point. Where neighbours in the scan show its direction, it pulls across it alone: the end of what is seen of a wall
 /// moves along it with the robot, and would draw the scan back to where it ended before. Elsewhere the slopes of the field around the point
-/// tell.
+/// tell its direction.
 fn surfaces(
     field: &LikelihoodField,
     points: &[Point2<f64>],
     normals: &[Option<Vector2<f64>>],
     pose: Pose2,
+    pull: Pull,
 ) -> Vec<Surface> {
     let away = field.sigma();
     let around = [(away, 0.0), (-away, 0.0), (0.0, away), (0.0, -away)].map(|(x, y)| Vector2::new(x, y));
-    let (sin, cos) = pose.yaw.sin_cos();
-    let turn = Matrix2::new(cos, -sin, sin, cos);
+    let turn = Rotation2::new(pose.yaw);
     let of = |(point, normal): (Point2<f64>, &Option<Vector2<f64>>)| {
         if let Some(normal) = normal {
             let normal = turn * normal;
@@ -240,74 +353,34 @@ fn surfaces(
         let sum = tensor.trace();
         let difference = (tensor.m11 - tensor.m22).hypot(2.0 * tensor.m12);
         let smaller = 0.5 * (sum - difference);
-        Surface {
-            plane: (tensor - Matrix2::identity() * smaller) / sum.max(f64::MIN_POSITIVE),
-            pull: Matrix2::identity(),
-        }
+        let plane = (tensor - Matrix2::identity() * smaller) / sum.max(f64::MIN_POSITIVE);
+        let pull = match pull {
+            Pull::Across => plane,
+            Pull::Anywhere => Matrix2::identity(),
+        };
+        Surface { plane, pull }
     };
     placed(pose, points).into_iter().zip(normals).map(of).collect()
 }
 
-/// Normals of the straight surfaces that points lie on, by their neighbours in the scan.
-fn normals(points: &[Point2<f64>]) -> Vec<Option<Vector2<f64>>> {
-    let is_near = |a: &Point2<f64>, b: &Point2<f64>| {
-        let turn = a.coords.perp(&b.coords).atan2(a.coords.dot(&b.coords));
-        (b - a).norm() <= FARTHEST && turn.abs() <= NEIGHBOURS
-    };
-    let of = |number: usize| {
-        let (mut first, mut last) = (number, number);
-        while first > 0
-            && (points[number] - points[first]).norm() < STRETCH
-            && is_near(&points[first], &points[first - 1])
-        {
-            first -= 1;
-        }
-        while last + 1 < points.len()
-            && (points[number] - points[last]).norm() < STRETCH
-            && is_near(&points[last], &points[last + 1])
-        {
-            last += 1;
-        }
-        let stretch = &points[first..=last];
-        if stretch.len() < 3 {
-            return None;
-        }
-        let count = stretch.len() as f64;
-        let middle = stretch.iter().map(|point| point.coords).sum::<Vector2<f64>>() / count;
-        let spread: Matrix2<f64> = stretch
-            .iter()
-            .map(|point| (point.coords - middle) * (point.coords - middle).transpose())
-            .sum::<Matrix2<f64>>()
-            / count;
-        let eigen = spread.symmetric_eigen();
-        let least = eigen.eigenvalues.imin();
-        let (small, large) = (eigen.eigenvalues[least], eigen.eigenvalues[1 - least]);
-        (small <= STRAIGHT * STRAIGHT && small <= FLAT * large).then(|| eigen.eigenvectors.column(least).into_owned())
-    };
-    (0..points.len()).map(of).collect()
+/// What the points of a scan say at a pose.
+#[derive(Clone, Copy, Debug, Default)]
+struct Sums {
+    /// Of the pose, axes of the field.
+    information: Matrix3<f64>,
+    /// Of the cost.
+    gradient: Vector3<f64>,
+    /// Mean likelihood of the points in the field.
+    score: f64,
 }
 
-/// Information and gradient of the points, and their mean likelihood.
-fn sums(
-    field: &LikelihoodField,
-    points: &[Point2<f64>],
-    surfaces: &[Surface],
-    pose: Pose2,
-    settings: &RefineSettings,
-) -> (Matrix3<f64>, Vector3<f64>, f64) {
-    let (mut hessian, mut gradient, mut total) = (Matrix3::zeros(), Vector3::zeros(), 0.0);
-    for (point, surface) in placed(pose, points).iter().zip(surfaces) {
-        let (likelihood, slope) = field.likelihood(*point);
-        total += likelihood;
-        if likelihood < NEAR {
-            continue;
-        }
+impl Sums {
+    /// A point with the information of its place, and where it is drawn to, m.
+    fn add(&mut self, point: Point2<f64>, plane: &Matrix2<f64>, drawn: Vector2<f64>, pose: Pose2) {
         let lever = Vector2::new(pose.y - point.y, point.x - pose.x);
-        let slope = surface.pull * slope;
-        gradient -= Vector3::new(slope.x, slope.y, slope.dot(&lever));
-        let plane = surface.plane * likelihood;
+        self.gradient -= Vector3::new(drawn.x, drawn.y, drawn.dot(&lever));
         let mixed = plane * lever;
-        hessian += Matrix3::new(
+        self.information += Matrix3::new(
             plane.m11,
             plane.m12,
             mixed.x,
@@ -319,26 +392,50 @@ fn sums(
             lever.dot(&mixed),
         );
     }
-    let per_point = settings.point_sigma.powi(-2) / settings.points_per_independent;
-    let score = if points.is_empty() {
-        0.0
-    } else {
-        total / points.len() as f64
-    };
-    (
-        hessian * per_point,
-        gradient * (per_point * field.sigma().powi(2)),
-        score,
-    )
+
+    /// A point that the field draws across its surface, where its likelihood is at `least` so much.
+    fn add_likely(&mut self, field: &LikelihoodField, point: Point2<f64>, surface: &Surface, pose: Pose2, least: f64) {
+        let (likelihood, slope) = field.likelihood(point);
+        self.score += likelihood;
+        if likelihood >= least {
+            let drawn = surface.pull * slope * field.sigma().powi(2);
+            self.add(point, &(surface.plane * likelihood), drawn, pose);
+        }
+    }
+
+    /// These over so many points, each known to a standard deviation, m.
+    fn of(self, points: usize, sigma: f64, settings: &RefineSettings) -> Self {
+        let per_point = sigma.powi(-2) / settings.points_per_independent;
+        Self {
+            information: self.information * per_point,
+            gradient: self.gradient * per_point,
+            score: self.score / points.max(1) as f64,
+        }
+    }
+}
+
+/// Sums over the points in a field.
+fn sums(
+    field: &LikelihoodField,
+    points: &[Point2<f64>],
+    surfaces: &[Surface],
+    pose: Pose2,
+    settings: &RefineSettings,
+) -> Sums {
+    let mut sums = Sums::default();
+    for (point, surface) in placed(pose, points).into_iter().zip(surfaces) {
+        sums.add_likely(field, point, surface, pose, NEAR);
+    }
+    sums.of(points.len(), settings.point_sigma, settings)
 }
 
 /// The direction in which the position is known worst, where that is too little. The heading is unknown too, as far as the scan goes.
-fn degenerate(information: &Matrix3<f64>, settings: &RefineSettings) -> Option<Vector2<f64>> {
+fn degenerate(information: &Matrix3<f64>, degenerate_sigma: f64) -> Option<Vector2<f64>> {
     let plane: Matrix2<f64> = information.fixed_view::<2, 2>(0, 0).into_owned();
     let mixed = Vector2::new(information.m13, information.m23);
     let position = plane - mixed * mixed.transpose() / information.m33.max(LEAST_INFORMATION);
     let eigen = position.symmetric_eigen();
     let worst = eigen.eigenvalues.imin();
-    let least = settings.degenerate_sigma.powi(-2);
+    let least = degenerate_sigma.powi(-2);
     (eigen.eigenvalues[worst] < least).then(|| eigen.eigenvectors.column(worst).into_owned())
 }

@@ -53,11 +53,14 @@ zenav_protocol::settings! {
         pub max_iterations: u32 = 12, "", 1..=1000;
         /// The refinement ends with a step shorter than this (turns count 1 m a radian).
         pub tolerance: f64 = 1e-4, "m", 1e-9..=0.1;
-        /// Standard deviation of one point's distance to its surface: scales the information.
+        /// Standard deviation of one point's distance to its surface in a likelihood field: scales the information.
         pub point_sigma: f64 = 0.03, "m", 0.001..=1.0;
+        /// The same where the surfaces are surfels, as in SLAM.
+        pub surfel_sigma: f64 = 0.0125, "m", 0.001..=1.0;
         /// Neighbouring points share their errors: so many points tell as much as one that is independent.
         pub points_per_independent: f64 = 5.0, "", 1.0..=1000.0;
-        /// A direction in which the scan alone knows the position worse than this is degenerate.
+        /// A direction in which the scan alone, in a likelihood field, knows the position worse than this is degenerate; on surfels, one in which
+        /// as few points tell it.
         pub degenerate_sigma: f64 = 0.05, "m", 0.001..=10.0;
     }
 }

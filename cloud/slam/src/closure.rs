@@ -7,7 +7,7 @@
 use nalgebra::Point2;
 use zenav_pose_graph::{Edge, EdgeKind, GraphError, Uncertain};
 use zenav_protocol::geometry::Pose2;
-use zenav_scan_matching::{Refined, Window, floored, judge, refine, search};
+use zenav_scan_matching::{Refinable, Refined, Window, floored, judge, search};
 
 use crate::drift::spread;
 use crate::settings::{ClosureSettings, SlamSettings};
@@ -234,7 +234,7 @@ pub(crate) fn seen_again(
     if margin < AMBIGUOUS {
         return Seen::No;
     }
-    let refined = refine(&submap.field, scan, best.pose, None, &settings.refine);
+    let refined = submap.refine(&Refinable::new(scan), best.pose, None, &settings.refine);
     let verdict = judge(&submap.field, laser, scan, refined.pose, &settings.verdict);
     let fits = verdict.explained >= closure.explained && verdict.through_walls <= closure.through_walls;
     if fits { Seen::At(refined, margin) } else { Seen::No }

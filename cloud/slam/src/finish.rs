@@ -1,9 +1,9 @@
 //! Finish. Where does each scan lie once all of them are known?
 
-use nalgebra::{Point2, Vector3};
+use nalgebra::Vector3;
 use zenav_pose_graph::{Edge, EdgeKind, GraphError, RobustSolution};
 use zenav_protocol::geometry::Pose2;
-use zenav_scan_matching::{LikelihoodField, Prior, RefineSettings, Refined, floored, refine};
+use zenav_scan_matching::{Prior, Refinable, RefineSettings, Refined, floored};
 
 use crate::slam::{Slam, SlamError};
 use crate::submap::Submap;
@@ -14,19 +14,21 @@ const HELD: f64 = 1e6;
 /// Decides on closures, then in rounds: submaps anew from where scans lie now, each scan matched to those of others around it, solved.
 pub(crate) fn finish(slam: &mut Slam) -> Result<RobustSolution, SlamError> {
     let settings = slam.settings;
+    let points = slam.scans.clone();
+    let scans: Vec<Refinable<'_>> = points.iter().map(|scan| Refinable::new(scan)).collect();
     slam.back_end.drop_final()?;
     let mut solved = slam.back_end.solve(&settings.descent, &settings.robust)?;
     for _ in 0..settings.finish.rounds {
-        redraw(slam);
+        redraw(slam, &scans);
         // Matches of the round before belong to other submaps: they go.
         slam.back_end.drop_final()?;
-        for node in 0..slam.scans.len() {
-            rematch(slam, node)?;
+        for (node, scan) in scans.iter().enumerate() {
+            rematch(slam, node, scan)?;
         }
         slam.back_end.settle(&settings.descent, &settings.robust)?;
     }
     if settings.finish.rounds > 0 {
-        redraw(slam);
+        redraw(slam, &scans);
         replace(slam);
         solved = slam.back_end.solved(&settings.descent)?;
     }
@@ -34,20 +36,20 @@ pub(crate) fn finish(slam: &mut Slam) -> Result<RobustSolution, SlamError> {
 }
 
 /// Draws all submaps anew.
-fn redraw(slam: &mut Slam) {
+fn redraw(slam: &mut Slam, scans: &[Refinable<'_>]) {
     let poses = slam.back_end.poses().to_vec();
     let field = slam.settings.field;
     for submap in &mut slam.submaps {
         let mut drawn = Submap::new(submap.anchor, &field);
         for node in submap.nodes() {
-            drawn.insert(poses[submap.anchor].inverse() * poses[node], &slam.scans[node]);
+            drawn.insert(poses[submap.anchor].inverse() * poses[node], &scans[node]);
         }
         *submap = drawn;
     }
 }
 
 /// Matches a scan to the nearest submaps that it is not in.
-fn rematch(slam: &mut Slam, node: usize) -> Result<(), GraphError> {
+fn rematch(slam: &mut Slam, node: usize, scan: &Refinable<'_>) -> Result<(), GraphError> {
     let settings = slam.settings;
     let here = slam.back_end.poses()[node];
     let mut near: Vec<(f64, usize)> = (0..slam.submaps.len())
@@ -65,7 +67,7 @@ fn rematch(slam: &mut Slam, node: usize) -> Result<(), GraphError> {
     for (_, index) in near {
         let submap = &slam.submaps[index];
         let expected = slam.back_end.poses()[submap.anchor].inverse() * here;
-        let refined = refine_here(&submap.field, &slam.scans[node], expected, &settings.refine);
+        let refined = refine_here(submap, scan, expected, &settings.refine);
         let is_near = refined.pose.distance(&expected) < settings.finish.max_move;
         if refined.score < settings.closure.min_score || !is_near || submap.anchor == node {
             continue;
@@ -90,8 +92,8 @@ fn replace(slam: &mut Slam) {
         let Ok(index) = submaps.binary_search_by_key(&stand.node, |submap| submap.anchor) else {
             continue;
         };
-        let field = &submaps[index].field;
-        let refined = refine_here(field, &stand.points, stand.node_from_base, &settings.refine);
+        let scan = Refinable::new(&stand.points);
+        let refined = refine_here(&submaps[index], &scan, stand.node_from_base, &settings.refine);
         let is_near = refined.pose.distance(&stand.node_from_base) < settings.finish.max_move;
         if is_near && refined.score >= settings.closure.min_score {
             stand.node_from_base = refined.pose;
@@ -101,17 +103,19 @@ fn replace(slam: &mut Slam) {
 
 /// Matches a scan about where it lies. Along a direction that it does not tell there it stays: elsewhere the ends of what was seen may fit
 /// on one another, and look as if they told it.
-fn refine_here(field: &LikelihoodField, points: &[Point2<f64>], here: Pose2, settings: &RefineSettings) -> Refined {
+fn refine_here(submap: &Submap, scan: &Refinable<'_>, here: Pose2, settings: &RefineSettings) -> Refined {
     let unmoved = RefineSettings {
         max_iterations: 0,
         ..*settings
     };
-    let held = refine(field, points, here, None, &unmoved).degenerate.map(|along| {
+    let held = submap.refine(scan, here, None, &unmoved).degenerate.map(|along| {
         let along = Vector3::new(along.x, along.y, 0.0);
         Prior {
             pose: here,
             information: along * along.transpose() * HELD,
         }
     });
-    refine(field, points, here, held.as_ref(), settings).expected_where_degenerate(here)
+    submap
+        .refine(scan, here, held.as_ref(), settings)
+        .expected_where_degenerate(here)
 }

@@ -3,20 +3,29 @@
 //! The settings say what any robot's odometry may be like. How this one's is shows as it drives: a wheel that is larger than stated makes
 //! every step shorter by the same share, and steps that matches confirm to a millimetre need not be doubted by a centimetre. Both are
 //! learned from matches that know the direction in question; what nothing shows stays as the settings have it.
+//!
+//! A Kalman filter over the pose in the map around it and the scale: where scans tell little of a direction, the error of odometry adds up
+//! until they do, and is then theirs to correct.
 
-use nalgebra::Matrix3;
+use nalgebra::{Matrix2, Matrix3, Matrix4, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
-use zenav_protocol::geometry::{Pose2, wrap_angle};
-use zenav_scan_matching::{OdometrySettings, marginal, odometry_information};
+use zenav_protocol::geometry::Pose2;
+use zenav_scan_matching::{OdometrySettings, odometry_information};
 
 /// Steps over which is averaged.
 const MEMORY: f64 = 200.0;
-/// Shortest step, m, that shows a scale.
-const SHORTEST: f64 = 0.03;
 /// Odometry is never trusted more than this times what the settings say, in variance.
 const LEAST: f64 = 0.01;
-/// A residual of more than this many standard deviations, squared, is a slip or a wrong match: it shows no scale.
+/// A correction of more than this many standard deviations, squared, is a slip or a wrong match: it shows no scale.
 const OUTLIER: f64 = 9.0;
+/// Standard deviation of the scale before anything was seen, and what it never falls below: tyres and floors change.
+const SCALE: [f64; 2] = [0.05, 0.001];
+/// The scale shows after so many matches in a row that told all directions: the first scans of a corridor seem to.
+const TOLD: u32 = 8;
+/// No wheel is smaller or larger than stated by more.
+const SCALES: [f64; 2] = [0.8, 1.25];
+/// Added to a covariance before it is inverted, m² and rad².
+const LEAST_VARIANCE: f64 = 1e-12;
 
 /// What was learned.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
@@ -27,6 +36,16 @@ pub(crate) struct Odometry {
     variance: [f64; 2],
     /// Steps, by how much their matches knew, that these rest on.
     seen: [f64; 2],
+    /// Matches in a row whose scans told all directions.
+    told: u32,
+    /// Covariance of the last node's pose in the map around it, in its own frame (m, m, rad), and of the scale.
+    known: [[f64; 4]; 4],
+}
+
+/// What odometry says of where a step led: the covariance of pose and scale.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Expected {
+    known: Matrix4<f64>,
 }
 
 impl Odometry {
@@ -35,12 +54,16 @@ impl Odometry {
         variance: [1.0; 2],
         // As if the settings had been confirmed some times.
         seen: [10.0; 2],
+        told: 0,
+        known: [[0.0; 4], [0.0; 4], [0.0; 4], [0.0, 0.0, 0.0, SCALE[0] * SCALE[0]]],
     };
 
     /// This, where all of it can be.
     pub(crate) fn checked(self) -> Option<Self> {
         let positive = [self.variance, self.seen].concat();
-        let is_sane = self.scale.is_finite() && positive.iter().all(|value| value.is_finite() && *value > 0.0);
+        let is_sane = self.scale.is_finite()
+            && positive.iter().all(|value| value.is_finite() && *value > 0.0)
+            && self.known.as_flattened().iter().all(|value| value.is_finite());
         is_sane.then_some(self)
     }
 
@@ -56,36 +79,90 @@ impl Odometry {
         trust * odometry_information(step, settings) * trust
     }
 
-    /// Learns from a match. `step` is odometry's, `expected` the pose that followed from it with the information `known`, `matched` the pose
-    /// that step and scan gave together, `scan` the information of the scan alone.
-    pub(crate) fn learn(
-        &mut self,
-        step: Pose2,
-        expected: Pose2,
-        known: &Matrix3<f64>,
-        matched: Pose2,
-        scan: &Matrix3<f64>,
-        settings: &OdometrySettings,
-    ) {
-        let stated = odometry_information(step, settings);
-        let off = expected.inverse() * matched;
-        let scan = marginal(scan);
-        for (which, off, axis) in [(0, off.x, 0), (1, wrap_angle(off.yaw), 2)] {
-            let (by_scan, by_odometry) = (scan[axis], known[(axis, axis)]);
-            let share = by_scan / (by_scan + by_odometry);
+    /// How well the end of a step from the last node is known.
+    pub(crate) fn expected(&self, step: Pose2, settings: &OdometrySettings) -> Expected {
+        let (sin, cos) = step.yaw.sin_cos();
+        let back = Matrix2::new(cos, sin, -sin, cos);
+        let mut on = Matrix4::identity();
+        on.fixed_view_mut::<2, 2>(0, 0).copy_from(&back);
+        on.fixed_view_mut::<2, 1>(0, 2)
+            .copy_from(&(back * Vector2::new(-step.y, step.x)));
+        on.fixed_view_mut::<2, 1>(0, 3)
+            .copy_from(&(back * Vector2::new(step.x, step.y)));
+        let mut known = on * Matrix4::from(self.known).transpose() * on.transpose();
+        let noise = self
+            .information(step, settings)
+            .try_inverse()
+            .unwrap_or_else(Matrix3::zeros);
+        let mut pose = known.fixed_view_mut::<3, 3>(0, 0);
+        pose += noise;
+        Expected { known }
+    }
+
+    /// Goes on without a match.
+    pub(crate) fn go_on(&mut self, expected: &Expected) {
+        self.known = expected.known.transpose().into();
+    }
+
+    /// Learns from a match, `off` from where it was expected, in the frame of the scan; `scan`: the information of the scan alone, and
+    /// whether it tells all directions.
+    pub(crate) fn learn(&mut self, expected: &Expected, off: Pose2, scan: &Matrix3<f64>, tells_all: bool) {
+        let before = expected.pose();
+        let Some(gain) = before.try_inverse() else { return };
+        let after = (gain + scan).try_inverse().unwrap_or(before);
+        let off = Vector3::new(off.x, off.y, off.yaw);
+        let mut has_slipped = false;
+        for (which, axis) in [(0, 0), (1, 2)] {
+            let shown = before[(axis, axis)] - after[(axis, axis)];
+            let share = shown / before[(axis, axis)].max(LEAST_VARIANCE);
             if share < 0.05 {
                 continue;
             }
-            // What the scan alone would have said.
-            let residual = off / share;
-            let squared = residual * residual * stated[(axis, axis)];
+            let ratio = (off[axis] * off[axis] / shown.max(LEAST_VARIANCE)).min(OUTLIER);
+            has_slipped |= ratio >= OUTLIER;
             self.seen[which] = (self.seen[which] + share).min(MEMORY);
             let rate = share / self.seen[which];
-            self.variance[which] += rate * (squared - self.variance[which]);
+            self.variance[which] *= 1.0 + rate * (ratio - 1.0);
             self.variance[which] = self.variance[which].clamp(LEAST, 1.0);
-            if which == 0 && step.x.abs() >= SHORTEST && squared < OUTLIER {
-                self.scale += rate * residual / step.x;
-            }
         }
+        // The scale goes with the pose as far as the two hang together.
+        let mixed = expected.known.fixed_view::<1, 3>(3, 0).into_owned();
+        let along = mixed * gain;
+        let mut spread = expected.known[(3, 3)];
+        self.told = if tells_all { self.told.saturating_add(1) } else { 0 };
+        if self.told > TOLD && !has_slipped {
+            self.scale = (self.scale + (along * off)[0]).clamp(SCALES[0], SCALES[1]);
+            spread -= (along * (before - after) * along.transpose())[0];
+        }
+        let mut known = Matrix4::zeros();
+        known.fixed_view_mut::<3, 3>(0, 0).copy_from(&after);
+        let mixed = along * after;
+        known.fixed_view_mut::<1, 3>(3, 0).copy_from(&mixed);
+        known.fixed_view_mut::<3, 1>(0, 3).copy_from(&mixed.transpose());
+        known[(3, 3)] = spread.max(SCALE[1] * SCALE[1]);
+        self.known = known.transpose().into();
+    }
+
+    /// The pose is known by a match alone.
+    pub(crate) fn begin_anew(&mut self, scan: &Matrix3<f64>) {
+        self.told = 0;
+        let pose = (scan + Matrix3::identity())
+            .try_inverse()
+            .unwrap_or_else(Matrix3::identity);
+        let mut known = Matrix4::zeros();
+        known.fixed_view_mut::<3, 3>(0, 0).copy_from(&pose);
+        known[(3, 3)] = self.known[3][3];
+        self.known = known.into();
+    }
+}
+
+impl Expected {
+    fn pose(&self) -> Matrix3<f64> {
+        self.known.fixed_view::<3, 3>(0, 0) + Matrix3::identity() * LEAST_VARIANCE
+    }
+
+    /// Information of the pose, in its frame.
+    pub(crate) fn information(&self) -> Matrix3<f64> {
+        self.pose().try_inverse().unwrap_or_else(Matrix3::zeros)
     }
 }

@@ -8,7 +8,7 @@ use thiserror::Error;
 use zenav_pose_graph::{DescentSettings, Edge, EdgeKind, GraphError, PoseGraph, RobustSolution, SolveError};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::Scan;
-use zenav_scan_matching::{Prior, Refined, Window, floored, judge, points, refine, search, turned};
+use zenav_scan_matching::{Prior, Refinable, Refined, Window, floored, judge, points, search, turned};
 
 use crate::back_end::BackEnd;
 use crate::closure::close;
@@ -23,6 +23,8 @@ use crate::submap::{SEARCH_POINTS, Submap, thinned};
 const USUAL: f64 = 0.05;
 /// A correction of odometry that is less likely than this (half of chi squared, three degrees of freedom) makes a match doubtful.
 const DOUBTFUL_CORRECTION: f64 = 8.0;
+/// What a point of a scan that fits better by its whole likelihood says for a match (half of chi squared): neighbours share their errors.
+const EVIDENCE: f64 = 1.5;
 /// No correction of odometry is less likely than this (half of chi squared): wheels slip.
 const SLIPPED: f64 = 25.0;
 
@@ -192,8 +194,8 @@ impl Slam {
     }
 
     /// Keeps a scan as that of a new node.
-    fn keep(&mut self, seen: Vec<Point2<f64>>, laser: Point2<f64>) {
-        self.scans.push(Arc::new(seen));
+    fn keep(&mut self, seen: Arc<Vec<Point2<f64>>>, laser: Point2<f64>) {
+        self.scans.push(seen);
         if let Some(session) = self.sessions.last_mut() {
             session.nodes += 1;
             session.laser = laser;
@@ -252,8 +254,9 @@ impl Slam {
         let last = self.scans.len() - 1;
         let submap = &self.submaps[self.active()];
         let expected = poses[submap.anchor].inverse() * poses[last] * self.odometry.corrected(step);
-        let prior = Prior::of_odometry(expected, &self.odometry.information(step, &settings.odometry));
-        let refined = refine(&submap.field, &seen, expected, Some(&prior), &settings.refine);
+        let by_odometry = self.odometry.expected(step, &settings.odometry);
+        let prior = Prior::of_odometry(expected, &by_odometry.information());
+        let refined = submap.refine(&Refinable::new(&seen), expected, Some(&prior), &settings.refine);
         let refined = refined.expected_where_degenerate(expected);
         let least = settings.front.min_score.max(settings.front.doubtful * self.usual);
         let is_match = refined.score >= least;
@@ -320,9 +323,9 @@ impl Slam {
     ) -> Result<Effects, SlamError> {
         self.back_end.add_node(self.start)?;
         let mut submap = Submap::new(0, &self.settings.field);
-        submap.insert(Pose2::IDENTITY, &seen);
+        submap.insert(Pose2::IDENTITY, &Refinable::new(&seen));
         self.submaps.push(submap);
-        self.keep(seen, laser);
+        self.keep(Arc::new(seen), laser);
         self.last_node_odometry = odometry;
         self.stand(stamp, 0, Pose2::IDENTITY, Vec::new());
         let effects = Effects {
@@ -366,7 +369,8 @@ impl Slam {
         let by_odometry = self.odometry.information(step, &settings.odometry);
         let (reach, turn) = self.window();
         let nothing = Matrix3::from_diagonal(&[reach, reach, turn].map(|far| far.max(0.01).powi(-2)).into());
-        let prior = if was_doubted { nothing } else { by_odometry };
+        let known = self.odometry.expected(step, &settings.odometry);
+        let prior = if was_doubted { nothing } else { known.information() };
         let information = if self.is_apart { nothing } else { by_odometry };
         let corrected = self.odometry.corrected(step);
         // The older of the two submaps that grow has seen more.
@@ -380,11 +384,13 @@ impl Slam {
         let anchor = self.submaps[active].anchor;
         let map_from_anchor = self.back_end.poses()[anchor];
         let expected = map_from_anchor.inverse() * self.back_end.poses()[last] * corrected;
-        let matched = self.matched(active, expected, &prior, &seen, &mut effects);
+        let seen = Arc::new(seen);
+        let scan = Refinable::new(&seen);
+        let matched = self.matched(active, expected, &prior, &scan, &mut effects);
         effects.contradicts = matched.is_none()
             && (was_doubted || self.goes_through_walls(&self.submaps[active], expected, laser, &seen));
         if is_near && matched.is_none() {
-            self.stand(stamp, anchor, expected, seen);
+            self.stand(stamp, anchor, expected, Arc::unwrap_or_clone(seen));
             return Ok(Effects {
                 pose: map_from_anchor * expected,
                 is_inserted: false,
@@ -402,21 +408,22 @@ impl Slam {
             kind: EdgeKind::Odometry,
         })?;
         if let Some(refined) = &matched {
+            let by_scan = floored(&refined.information, settings.front.floor, settings.front.floor_turn);
             self.back_end.add_edge(Edge {
                 from: anchor,
                 to: node,
                 measurement: refined.pose,
-                information: floored(&refined.information, settings.front.floor, settings.front.floor_turn),
+                information: by_scan,
                 kind: EdgeKind::Odometry,
             })?;
-            if !was_doubted {
+            if was_doubted {
+                self.odometry.begin_anew(&by_scan);
+            } else {
                 self.odometry.learn(
-                    step,
-                    expected,
-                    &information,
-                    refined.pose,
-                    &refined.information,
-                    &settings.odometry,
+                    &known,
+                    expected.inverse() * refined.pose,
+                    &by_scan,
+                    refined.degenerate.is_none(),
                 );
             }
             effects.score = Some(refined.score);
@@ -427,20 +434,21 @@ impl Slam {
                 .map(|along| along.y.atan2(along.x) + map_from_anchor.yaw);
         } else {
             self.counts.unmatched += 1;
+            self.odometry.go_on(&known);
         }
-        self.keep(seen, laser);
+        self.keep(Arc::clone(&seen), laser);
         self.last_node_odometry = self.last_node_odometry * step;
         self.stand(stamp, node, Pose2::IDENTITY, Vec::new());
         let map_from_node = self.back_end.poses()[node];
         effects.covariance = matched.and_then(|refined| self.covariance(&refined, map_from_node));
         for submap in &mut self.submaps[active..] {
             let anchor_from_node = self.back_end.poses()[submap.anchor].inverse() * map_from_node;
-            submap.insert(anchor_from_node, &self.scans[node]);
+            submap.insert(anchor_from_node, &scan);
         }
         let is_half = self.submaps.last().is_some_and(|newest| newest.inserted.len() >= half);
         if is_half {
             let mut next = Submap::new(node, &settings.field);
-            next.insert(Pose2::IDENTITY, &self.scans[node]);
+            next.insert(Pose2::IDENTITY, &scan);
             self.submaps.push(next);
         }
         if node % settings.closure.every as usize == 0 {
@@ -470,14 +478,14 @@ impl Slam {
         active: usize,
         expected: Pose2,
         odometry: &Matrix3<f64>,
-        seen: &[Point2<f64>],
+        scan: &Refinable<'_>,
         effects: &mut Effects,
     ) -> Option<Refined> {
         let settings = self.settings;
         let (reach, turn) = self.window();
         let submap = &mut self.submaps[active];
         let prior = Prior::of_odometry(expected, odometry);
-        let mut best = refine(&submap.field, seen, expected, Some(&prior), &settings.refine);
+        let mut best = submap.refine(scan, expected, Some(&prior), &settings.refine);
         let is_doubtful = self.is_doubted
             || best.score < settings.front.doubtful * self.usual
             || unlikely(odometry, expected, best.pose) > DOUBTFUL_CORRECTION;
@@ -489,13 +497,11 @@ impl Slam {
                 budget: settings.closure.budget as usize,
                 ..Window::around(expected, reach, turn)
             };
-            let found = search(submap.pyramid(), &thinned(seen, SEARCH_POINTS), &window);
+            let found = search(submap.pyramid(), &thinned(scan.points(), SEARCH_POINTS), &window);
             if let Some(candidate) = found.found.first() {
-                let wide = refine(&submap.field, seen, candidate.pose, None, &settings.refine);
+                let wide = submap.refine(scan, candidate.pose, None, &settings.refine);
                 // How much likelier the scan is from there, against how much less likely odometry is: few points overrule nothing.
-                let per_point = (settings.field.sigma / settings.refine.point_sigma).powi(2)
-                    / settings.refine.points_per_independent;
-                let gain = per_point * seen.len() as f64 * (wide.score - best.score);
+                let gain = EVIDENCE * scan.points().len() as f64 * (wide.score - best.score);
                 if gain > (unlikely(odometry, expected, wide.pose) - unlikely(odometry, expected, best.pose)).max(0.0) {
                     best = wide;
                 }

@@ -5,7 +5,12 @@ use std::sync::Arc;
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;
-use zenav_scan_matching::{FieldSettings, LikelihoodField, Pyramid};
+use zenav_scan_matching::{
+    FieldSettings, LikelihoodField, Prior, Pyramid, Refinable, RefineSettings, Refined, Surfels,
+};
+
+/// What is polished after it is refined in the field to so many times the tolerance.
+const ROUGH: f64 = 20.0;
 
 /// Levels of the pyramid: blocks of 32 cells.
 const LEVELS: u32 = 5;
@@ -18,6 +23,7 @@ pub(crate) struct Submap {
     /// Where the scans that are in it were inserted, `anchor_from_scan`: of the anchor and the nodes that follow it.
     pub(crate) inserted: Vec<Pose2>,
     pub(crate) field: LikelihoodField,
+    pub(crate) surfels: Surfels,
     /// Made when a place is searched for in it.
     pyramid: Option<Pyramid>,
 }
@@ -28,12 +34,14 @@ impl Submap {
             anchor,
             inserted: Vec::new(),
             field: LikelihoodField::new(settings),
+            surfels: Surfels::default(),
             pyramid: None,
         }
     }
 
-    pub(crate) fn insert(&mut self, anchor_from_scan: Pose2, points: &[Point2<f64>]) {
-        self.field.insert(anchor_from_scan, points);
+    pub(crate) fn insert(&mut self, anchor_from_scan: Pose2, scan: &Refinable<'_>) {
+        self.field.insert(anchor_from_scan, scan.points());
+        self.surfels.insert(anchor_from_scan, scan.points(), scan.normals());
         self.inserted.push(anchor_from_scan);
         self.pyramid = None;
     }
@@ -42,7 +50,7 @@ impl Submap {
     pub(crate) fn redrawn(&self, scans: &[Arc<Vec<Point2<f64>>>], settings: &FieldSettings) -> Self {
         let mut redrawn = Self::new(self.anchor, settings);
         for (anchor_from_scan, scan) in self.inserted.iter().zip(&scans[self.nodes()]) {
-            redrawn.insert(*anchor_from_scan, scan);
+            redrawn.insert(*anchor_from_scan, &Refinable::new(scan));
         }
         redrawn
     }
@@ -60,6 +68,22 @@ impl Submap {
     /// The nodes whose scans are in it.
     pub(crate) fn nodes(&self) -> Range<usize> {
         self.anchor..self.end()
+    }
+
+    /// A scan matched to this about a pose, `anchor_from_scan`.
+    pub(crate) fn refine(
+        &self,
+        scan: &Refinable<'_>,
+        start: Pose2,
+        prior: Option<&Prior>,
+        settings: &RefineSettings,
+    ) -> Refined {
+        let roughly = RefineSettings {
+            tolerance: ROUGH * settings.tolerance,
+            ..*settings
+        };
+        let rough = scan.refine(&self.field, start, prior, &roughly);
+        scan.polish(&self.field, &self.surfels, rough, prior, settings)
     }
 
     pub(crate) fn pyramid(&mut self) -> &Pyramid {

@@ -94,9 +94,9 @@ fn whatever_is_cut_off_or_changed_in_a_session_is_named() {
     assert!(Slam::load(&bytes).is_ok());
     let error = |bytes: &[u8]| Slam::load(bytes).unwrap_err();
     assert_eq!(error(b"P5 10 10 255"), SessionError::Foreign);
+    damaged[8] = 4;
+    assert_eq!(error(&damaged), SessionError::Version(4));
     damaged[8] = 3;
-    assert_eq!(error(&damaged), SessionError::Version(3));
-    damaged[8] = 2;
     damaged.push(0);
     assert!(matches!(error(&damaged), SessionError::Length { .. }));
 }

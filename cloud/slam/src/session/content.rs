@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use zenav_pose_graph::{Edge, EdgeKind, GraphError};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::settings::Settings as _;
+use zenav_scan_matching::Refinable;
 
 use super::grid::{packed, unpacked};
 use super::{Session, SessionError};
@@ -246,7 +247,7 @@ impl Content {
             least = anchor + 1;
             let mut submap = Submap::new(*anchor, &self.settings.field);
             for (anchor_from_scan, scan) in inserted.iter().zip(own) {
-                submap.insert(pose(*anchor_from_scan)?, scan);
+                submap.insert(pose(*anchor_from_scan)?, &Refinable::new(scan));
             }
             submaps.push(submap);
         }

@@ -15,7 +15,7 @@ use super::content::Content;
 /// How every session begins.
 const MAGIC: [u8; 8] = *b"zenavSLM";
 /// The version that is written, and the only one that is read.
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 const HEAD: usize = 24;
 /// Largest session, bytes: some hundred hours of a robot that drives.
 pub const MOST_BYTES: usize = 1 << 30;
