@@ -194,11 +194,10 @@ impl<'a> Refinable<'a> {
         };
         let off = rough.pose.inverse() * pose;
         let is_near = off.x.hypot(off.y) <= ELSEWHERE.0 && off.yaw.abs() <= ELSEWHERE.1;
-        let degenerate_sigma = settings.degenerate_sigma * settings.surfel_sigma / settings.point_sigma;
         match at(pose).filter(|_| is_near) {
             Some(sums) => Refined {
                 score: rough.score,
-                ..Refined::new(pose, &sums, FARTHEST_STEP, degenerate_sigma)
+                ..Refined::new(pose, &sums, FARTHEST_STEP, settings.degenerate_sigma)
             },
             None => rough,
         }

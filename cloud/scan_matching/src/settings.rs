@@ -59,8 +59,7 @@ zenav_protocol::settings! {
         pub surfel_sigma: f64 = 0.0125, "m", 0.001..=1.0;
         /// Neighbouring points share their errors: so many points tell as much as one that is independent.
         pub points_per_independent: f64 = 5.0, "", 1.0..=1000.0;
-        /// A direction in which the scan alone, in a likelihood field, knows the position worse than this is degenerate; on surfels, one in which
-        /// as few points tell it.
+        /// A direction in which the scan alone knows the position worse than this is degenerate.
         pub degenerate_sigma: f64 = 0.05, "m", 0.001..=10.0;
     }
 }
