@@ -5,30 +5,32 @@
 
 use nalgebra::{Matrix3, Point2, Vector2, Vector3};
 
-/// Neighbours on one surface are at most this far apart, m and rad as seen from the base.
+/// Neighbours on one surface are at most this far apart, m; those that lie this near to one another as seen from the base, rad, farther.
+const NEAR: f64 = 0.08;
 const FARTHEST: f64 = 1.0;
 const NEIGHBOURS: f64 = 0.03;
-/// Neighbours up to this distance to each side tell the direction of a surface, m.
+/// Neighbours up to this distance to each side, and the first beyond, tell the direction of a surface, m.
 const STRETCH: f64 = 0.2;
 /// They lie on it to within so many standard deviations of the noise, which is at least and at most this, m.
 const DEVIATIONS: f64 = 1.8;
 const NOISE: [f64; 2] = [0.0035, 0.017];
-/// On a straight surface, to within this share of their spread along it.
+/// On a straight surface their variance across it is at most this share of that along it.
 const FLAT: f64 = 0.05;
 /// A round surface has at least so many points, and its curvature is at most this, 1/m.
 const ROUND: usize = 5;
 const CURVATURE: f64 = 6.0;
 /// Three points in a row show noise where the outer ones are nearer than this, m.
 const CHORD: f64 = 0.4;
-/// The middle one of three points is off the other two's chord by half as much in the median as a point by one standard deviation: the
-/// median of a normal distribution's size, and the variances of all three.
+/// Median distance of the middle of three points from the chord of the others, in standard deviations of a point.
 const MEDIAN: f64 = 0.6745 * 1.2247;
 
-/// The unit normals of the surfaces that points lie on, towards the base.
-pub(crate) fn normals(points: &[Point2<f64>]) -> Vec<Option<Vector2<f64>>> {
+/// The unit normals of the surfaces that points lie on, towards the `laser` that saw them.
+pub(crate) fn normals(laser: Point2<f64>, points: &[Point2<f64>]) -> Vec<Option<Vector2<f64>>> {
     let is_near = |pair: &[Point2<f64>]| {
         let [a, b] = [pair[0].coords, pair[1].coords];
-        (b - a).norm_squared() <= FARTHEST * FARTHEST && a.perp(&b).abs() <= NEIGHBOURS.tan() * a.dot(&b)
+        let apart = (b - a).norm_squared();
+        let is_beside = || a.perp(&b).abs() <= NEIGHBOURS.tan() * a.dot(&b);
+        apart <= NEAR * NEAR || apart <= FARTHEST * FARTHEST && is_beside()
     };
     // Whether a point and the one after it lie on one surface.
     let joined: Vec<bool> = points.windows(2).map(is_near).collect();
@@ -47,8 +49,7 @@ pub(crate) fn normals(points: &[Point2<f64>]) -> Vec<Option<Vector2<f64>>> {
             let is_between = first < number && number < last;
             is_between.then(|| round(around, points[number], within)).flatten()
         })?;
-        // Towards where it was seen from.
-        Some(if normal.dot(&points[number].coords) > 0.0 {
+        Some(if normal.dot(&(points[number] - laser)) > 0.0 {
             -normal
         } else {
             normal
@@ -129,7 +130,7 @@ mod tests {
 
     #[test]
     fn a_wall_looks_at_the_base_all_along() {
-        let normals = normals(&seen(|angle| 2.0 / angle.cos()));
+        let normals = normals(Point2::origin(), &seen(|angle| 2.0 / angle.cos()));
         for normal in normals {
             assert!(normal.is_some_and(|normal| normal.x < -0.99), "{normal:?}");
         }
@@ -140,7 +141,7 @@ mod tests {
         // Of 0.3 m radius, 2 m away.
         let range = |angle: f64| 2.0 * angle.cos() - (0.09 - (2.0 * angle.sin()).powi(2)).max(0.0).sqrt();
         let points: Vec<_> = seen(range).into_iter().filter(|point| point.y.abs() < 0.25).collect();
-        let normals = normals(&points);
+        let normals = normals(Point2::origin(), &points);
         let known: Vec<_> = points
             .iter()
             .zip(&normals)
@@ -157,7 +158,7 @@ mod tests {
     fn about_a_corner_nobody_knows() {
         // Two walls that meet straight ahead, each at 45 degrees.
         let points = seen(|angle| 2.0 / (angle.cos() + angle.sin().abs()));
-        let normals = normals(&points);
+        let normals = normals(Point2::origin(), &points);
         let is_known = |at: f64| {
             normals
                 .iter()

@@ -6,7 +6,8 @@
 //! of beams alone.
 //!
 //! A field is as sharp as its `σ` and as the noise of the scans in it. Where [surfels](Surfels) are at hand, [`Refinable::polish`] goes on
-//! from there: points whose neighbours show a surface are drawn to the surfels, along normals of the map; the others to the field.
+//! from there: points whose neighbours show a surface are drawn to the surfels, along the mean of both normals; the others to
+//! the field.
 
 use nalgebra::{Matrix2, Matrix3, Point2, Rotation2, Vector2, Vector3};
 use zenav_protocol::geometry::{Pose2, wrap_angle};
@@ -49,8 +50,8 @@ pub struct Prior {
 pub struct Refined {
     /// `field_from_scan`.
     pub pose: Pose2,
-    /// From the pose to the one that the scan alone would have, without the prior: half a field's width and 0.03 rad away at most, and not
-    /// along `degenerate`.
+    /// From the pose to the one that the scan alone would have, without the prior: half a field's width (on surfels 0.04 m) and 0.03 rad away
+    /// at most, and not along `degenerate`.
     pub by_scan: Pose2,
     /// What the scan alone says: information of x, y (1/m², frame of the scan's pose) and yaw (1/rad²). The prior is not in it.
     pub information: Matrix3<f64>,
@@ -140,9 +141,15 @@ impl<'a> Refinable<'a> {
     /// `points`: of the scan, in its frame, m.
     #[must_use]
     pub fn new(points: &'a [Point2<f64>]) -> Self {
+        Self::seen_from(Point2::origin(), points)
+    }
+
+    /// The same of a scan whose beams begin at `laser`, in its frame, m: surfaces look there.
+    #[must_use]
+    pub fn seen_from(laser: Point2<f64>, points: &'a [Point2<f64>]) -> Self {
         Self {
             points,
-            normals: normals(points),
+            normals: normals(laser, points),
         }
     }
 
@@ -170,37 +177,33 @@ impl<'a> Refinable<'a> {
         self.points
     }
 
-    /// The normals of the surfaces that the points lie on, towards the base, where their neighbours show them.
+    /// The normals of the surfaces that the points lie on, towards where they were seen from, where their neighbours show them.
     #[must_use]
     pub fn normals(&self) -> &[Option<Vector2<f64>>] {
         &self.normals
     }
 
-    /// A match that was [refined](Self::refine) in a field made exact on the surfels that go with it. Where few points lie on any, or these
-    /// would have the scan elsewhere, it stays as it is.
+    /// A match that was [refined](Self::refine) in a field made exact on the surfels that go with it; `None` where few points lie on any, or
+    /// these would have the scan elsewhere.
     #[must_use]
     pub fn polish(
         &self,
         field: &LikelihoodField,
         surfels: &Surfels,
-        rough: Refined,
+        rough: &Refined,
         prior: Option<&Prior>,
         settings: &RefineSettings,
-    ) -> Refined {
+    ) -> Option<Refined> {
         let surfaces = surfaces(field, self.points, &self.normals, rough.pose, Pull::Across);
         let at = |pose| self.touches(field, surfels, &surfaces, pose, settings);
-        let Some(pose) = descend(rough.pose, prior, FARTHEST_STEP, settings, at) else {
-            return rough;
-        };
+        let pose = descend(rough.pose, prior, FARTHEST_STEP, settings, at)?;
         let off = rough.pose.inverse() * pose;
         let is_near = off.x.hypot(off.y) <= ELSEWHERE.0 && off.yaw.abs() <= ELSEWHERE.1;
-        match at(pose).filter(|_| is_near) {
-            Some(sums) => Refined {
-                score: rough.score,
-                ..Refined::new(pose, &sums, FARTHEST_STEP, settings.degenerate_sigma)
-            },
-            None => rough,
-        }
+        let sums = at(pose).filter(|_| is_near)?;
+        Some(Refined {
+            score: rough.score,
+            ..Refined::new(pose, &sums, FARTHEST_STEP, settings.degenerate_sigma)
+        })
     }
 
     /// Sums over the points at a pose: those with a normal on surfels, the others in the field; `None` where few lie on a surfel. A point with a

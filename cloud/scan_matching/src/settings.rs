@@ -55,7 +55,7 @@ zenav_protocol::settings! {
         pub tolerance: f64 = 1e-4, "m", 1e-9..=0.1;
         /// Standard deviation of one point's distance to its surface in a likelihood field: scales the information.
         pub point_sigma: f64 = 0.03, "m", 0.001..=1.0;
-        /// The same where the surfaces are surfels, as in SLAM.
+        /// The same where the surfaces are surfels: in SLAM, where the other points count alike.
         pub surfel_sigma: f64 = 0.0125, "m", 0.001..=1.0;
         /// Neighbouring points share their errors: so many points tell as much as one that is independent.
         pub points_per_independent: f64 = 5.0, "", 1.0..=1000.0;

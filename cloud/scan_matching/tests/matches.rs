@@ -7,8 +7,8 @@ use proptest::prelude::*;
 use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy};
 use zenav_scan_matching::{
-    FieldSettings, LikelihoodField, Prior, Pyramid, RefineSettings, VerdictSettings, Window, heading_step, judge,
-    marginal, refine, search,
+    FieldSettings, LikelihoodField, Prior, Pyramid, Refinable, RefineSettings, Surfels, VerdictSettings, Window,
+    heading_step, judge, marginal, refine, search,
 };
 
 /// Points on the walls of a room of 6 m by 4 m with a pillar, as seen from a pose in it.
@@ -309,4 +309,54 @@ fn an_occupancy_grid_makes_a_field() {
     let beside = field.at(Point2::new(center.x + 0.1, center.y));
     assert!((beside - (-0.5_f64).exp()).abs() < 0.003, "{beside}");
     assert_eq!(field.at(Point2::new(9.0, 9.0)), 0.0);
+}
+
+/// What a lidar in the middle of a box of 4 m by 3 m sees from a pose, each range off by up to a centimetre and a half; `scan`: of which scan.
+fn boxed(map_from_scan: Pose2, scan: u32) -> Vec<Point2<f64>> {
+    let seen = |beam: u32| {
+        let angle = map_from_scan.yaw + (0.5 * f64::from(beam)).to_radians();
+        let to = |wall: f64, from: f64, along: f64| {
+            if along * wall > 0.0 {
+                (wall - from) / along
+            } else {
+                f64::INFINITY
+            }
+        };
+        let walls = [
+            (2.0, map_from_scan.x, angle.cos()),
+            (-2.0, map_from_scan.x, angle.cos()),
+        ];
+        let others = [
+            (1.5, map_from_scan.y, angle.sin()),
+            (-1.5, map_from_scan.y, angle.sin()),
+        ];
+        let range = walls
+            .into_iter()
+            .chain(others)
+            .map(|(wall, from, along)| to(wall, from, along));
+        let off = 0.015 * (f64::from(beam) * 2.4 + f64::from(scan) * 1.7).sin();
+        let (range, angle) = (range.fold(f64::INFINITY, f64::min) + off, angle - map_from_scan.yaw);
+        Point2::new(range * angle.cos(), range * angle.sin())
+    };
+    (0..720).map(seen).collect()
+}
+
+#[test]
+fn surfels_make_a_match_exact_that_a_field_does_not() {
+    let settings = RefineSettings::default();
+    let (mut field, mut surfels) = (LikelihoodField::new(&FieldSettings::default()), Surfels::default());
+    for scan in 0..20 {
+        let at = Pose2::new(0.02 * f64::from(scan), 0.0, 0.0);
+        let points = boxed(at, scan);
+        field.insert(at, &points);
+        surfels.insert(at, &points, Refinable::new(&points).normals());
+    }
+    let truth = Pose2::new(0.45, 0.05, 0.02);
+    let points = boxed(truth, 21);
+    let scan = Refinable::new(&points);
+    let rough = scan.refine(&field, Pose2::new(0.43, 0.06, 0.03), None, &settings);
+    let fine = scan.polish(&field, &surfels, &rough, None, &settings).unwrap();
+    assert!(fine.pose.distance(&truth) < 0.002, "{:?}", fine.pose);
+    assert!(wrap_angle(fine.pose.yaw - truth.yaw).abs() < 0.001, "{:?}", fine.pose);
+    assert_eq!(scan.polish(&field, &Surfels::default(), &rough, None, &settings), None);
 }

@@ -234,7 +234,7 @@ pub(crate) fn seen_again(
     if margin < AMBIGUOUS {
         return Seen::No;
     }
-    let refined = submap.refine(&Refinable::new(scan), best.pose, None, &settings.refine);
+    let refined = submap.refine(&Refinable::seen_from(laser, scan), best.pose, None, &settings.refine);
     let verdict = judge(&submap.field, laser, scan, refined.pose, &settings.verdict);
     let fits = verdict.explained >= closure.explained && verdict.through_walls <= closure.through_walls;
     if fits { Seen::At(refined, margin) } else { Seen::No }

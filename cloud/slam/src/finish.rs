@@ -5,6 +5,7 @@ use zenav_pose_graph::{Edge, EdgeKind, GraphError, RobustSolution};
 use zenav_protocol::geometry::Pose2;
 use zenav_scan_matching::{Prior, Refinable, RefineSettings, Refined, floored};
 
+use crate::session::laser_of;
 use crate::slam::{Slam, SlamError};
 use crate::submap::Submap;
 
@@ -15,7 +16,13 @@ const HELD: f64 = 1e6;
 pub(crate) fn finish(slam: &mut Slam) -> Result<RobustSolution, SlamError> {
     let settings = slam.settings;
     let points = slam.scans.clone();
-    let scans: Vec<Refinable<'_>> = points.iter().map(|scan| Refinable::new(scan)).collect();
+    let seen_from = |(node, scan)| Refinable::seen_from(slam.laser_of(node), scan);
+    let scans: Vec<Refinable<'_>> = points
+        .iter()
+        .map(|scan| scan.as_slice())
+        .enumerate()
+        .map(seen_from)
+        .collect();
     slam.back_end.drop_final()?;
     let mut solved = slam.back_end.solve(&settings.descent, &settings.robust)?;
     for _ in 0..settings.finish.rounds {
@@ -87,12 +94,17 @@ fn rematch(slam: &mut Slam, node: usize, scan: &Refinable<'_>) -> Result<(), Gra
 /// Matches the scans that are no nodes to their submaps.
 fn replace(slam: &mut Slam) {
     let settings = slam.settings;
-    let Slam { submaps, stands, .. } = slam;
+    let Slam {
+        submaps,
+        stands,
+        sessions,
+        ..
+    } = slam;
     for stand in stands.iter_mut().filter(|stand| !stand.points.is_empty()) {
         let Ok(index) = submaps.binary_search_by_key(&stand.node, |submap| submap.anchor) else {
             continue;
         };
-        let scan = Refinable::new(&stand.points);
+        let scan = Refinable::seen_from(laser_of(sessions, stand.node), &stand.points);
         let refined = refine_here(&submaps[index], &scan, stand.node_from_base, &settings.refine);
         let is_near = refined.pose.distance(&stand.node_from_base) < settings.finish.max_move;
         if is_near && refined.score >= settings.closure.min_score {

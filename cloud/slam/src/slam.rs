@@ -256,7 +256,12 @@ impl Slam {
         let expected = poses[submap.anchor].inverse() * poses[last] * self.odometry.corrected(step);
         let by_odometry = self.odometry.expected(step, &settings.odometry);
         let prior = Prior::of_odometry(expected, &by_odometry.information());
-        let refined = submap.refine(&Refinable::new(&seen), expected, Some(&prior), &settings.refine);
+        let refined = submap.refine(
+            &Refinable::seen_from(laser, &seen),
+            expected,
+            Some(&prior),
+            &settings.refine,
+        );
         let refined = refined.expected_where_degenerate(expected);
         let least = settings.front.min_score.max(settings.front.doubtful * self.usual);
         let is_match = refined.score >= least;
@@ -323,7 +328,7 @@ impl Slam {
     ) -> Result<Effects, SlamError> {
         self.back_end.add_node(self.start)?;
         let mut submap = Submap::new(0, &self.settings.field);
-        submap.insert(Pose2::IDENTITY, &Refinable::new(&seen));
+        submap.insert(Pose2::IDENTITY, &Refinable::seen_from(laser, &seen));
         self.submaps.push(submap);
         self.keep(Arc::new(seen), laser);
         self.last_node_odometry = odometry;
@@ -385,7 +390,7 @@ impl Slam {
         let map_from_anchor = self.back_end.poses()[anchor];
         let expected = map_from_anchor.inverse() * self.back_end.poses()[last] * corrected;
         let seen = Arc::new(seen);
-        let scan = Refinable::new(&seen);
+        let scan = Refinable::seen_from(laser, &seen);
         let matched = self.matched(active, expected, &prior, &scan, &mut effects);
         effects.contradicts = matched.is_none()
             && (was_doubted || self.goes_through_walls(&self.submaps[active], expected, laser, &seen));

@@ -9,7 +9,9 @@ use zenav_scan_matching::{
     FieldSettings, LikelihoodField, Prior, Pyramid, Refinable, RefineSettings, Refined, Surfels,
 };
 
-/// What is polished after it is refined in the field to so many times the tolerance.
+use crate::session::{Session, laser_of};
+
+/// The match in the field ends at so many times the tolerance: polishing goes on from there.
 const ROUGH: f64 = 20.0;
 
 /// Levels of the pyramid: blocks of 32 cells.
@@ -47,10 +49,16 @@ impl Submap {
     }
 
     /// The same stretch in a field of other settings; `scans`: the points of all nodes.
-    pub(crate) fn redrawn(&self, scans: &[Arc<Vec<Point2<f64>>>], settings: &FieldSettings) -> Self {
+    pub(crate) fn redrawn(
+        &self,
+        sessions: &[Session],
+        scans: &[Arc<Vec<Point2<f64>>>],
+        settings: &FieldSettings,
+    ) -> Self {
         let mut redrawn = Self::new(self.anchor, settings);
-        for (anchor_from_scan, scan) in self.inserted.iter().zip(&scans[self.nodes()]) {
-            redrawn.insert(*anchor_from_scan, &Refinable::new(scan));
+        for (anchor_from_scan, node) in self.inserted.iter().zip(self.nodes()) {
+            let scan = Refinable::seen_from(laser_of(sessions, node), &scans[node]);
+            redrawn.insert(*anchor_from_scan, &scan);
         }
         redrawn
     }
@@ -83,7 +91,8 @@ impl Submap {
             ..*settings
         };
         let rough = scan.refine(&self.field, start, prior, &roughly);
-        scan.polish(&self.field, &self.surfels, rough, prior, settings)
+        scan.polish(&self.field, &self.surfels, &rough, prior, settings)
+            .unwrap_or_else(|| scan.refine(&self.field, rough.pose, prior, settings))
     }
 
     pub(crate) fn pyramid(&mut self) -> &Pyramid {

@@ -155,7 +155,7 @@ fn along_a_corridor_odometry_leads_and_the_ends_of_what_is_seen_of_its_walls_do_
     let check = |slam: &Slam| {
         let (_, pose) = *slam.trajectory().last().unwrap();
         let error = (first.inverse() * last).inverse() * pose;
-        assert!(error.x.abs() < 0.06 && error.y.abs() < 0.06, "{error:?}");
+        assert!(error.x.abs() < 0.04 && error.y.abs() < 0.1, "{error:?}");
     };
     assert!(is_flagged);
     check(&slam);

@@ -177,6 +177,6 @@ mod tests {
             pose = pose.advance(limiter.twist(), 0.02);
         }
         assert!(tracker.progress(&pose).finished);
-        assert!(pose.distance(&Pose2::new(0.0, 1.0, 0.0)) < 0.15, "{pose:?}");
+        assert!(pose.distance(&Pose2::new(0.0, 1.0, 0.0)) < 0.05, "{pose:?}");
     }
 }

@@ -7,7 +7,7 @@ use zenav_protocol::geometry::Pose2;
 use super::join::{closures, joined};
 use super::overview::Overview;
 use super::vote::{Vote, count};
-use crate::session::Session;
+use crate::session::laser_of;
 use crate::slam::Slam;
 
 /// Searches that agree, at least, where no start is given.
@@ -70,12 +70,7 @@ impl Slam {
     /// Where the beams of a node's scan begin, in the frame of its base, m.
     #[must_use]
     pub fn laser_of(&self, node: usize) -> Point2<f64> {
-        let mut end = 0;
-        let session = self.sessions.iter().find(|session| {
-            end += session.nodes;
-            node < end
-        });
-        session.copied().unwrap_or_else(Session::default).laser
+        laser_of(&self.sessions, node)
     }
 }
 

@@ -10,7 +10,7 @@ use zenav_protocol::settings::Settings as _;
 use zenav_scan_matching::Refinable;
 
 use super::grid::{packed, unpacked};
-use super::{Session, SessionError};
+use super::{Session, SessionError, laser_of};
 use crate::back_end::BackEnd;
 use crate::odometry::Odometry;
 use crate::settings::SlamSettings;
@@ -246,8 +246,9 @@ impl Content {
             };
             least = anchor + 1;
             let mut submap = Submap::new(*anchor, &self.settings.field);
-            for (anchor_from_scan, scan) in inserted.iter().zip(own) {
-                submap.insert(pose(*anchor_from_scan)?, &Refinable::new(scan));
+            for ((anchor_from_scan, scan), node) in inserted.iter().zip(own).zip(*anchor..) {
+                let scan = Refinable::seen_from(laser_of(&self.sessions, node), scan);
+                submap.insert(pose(*anchor_from_scan)?, &scan);
             }
             submaps.push(submap);
         }

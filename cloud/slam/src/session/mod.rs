@@ -43,6 +43,16 @@ impl Default for Session {
     }
 }
 
+/// Where the beams of a node's scan begin, in the frame of its base, m.
+pub(crate) fn laser_of(sessions: &[Session], node: usize) -> Point2<f64> {
+    let mut end = 0;
+    let session = sessions.iter().find(|session| {
+        end += session.nodes;
+        node < end
+    });
+    session.copied().unwrap_or_default().laser
+}
+
 /// A map as it was at a moment, to be made bytes beside what goes on.
 #[derive(Debug)]
 pub struct Snapshot {
@@ -100,7 +110,7 @@ impl Slam {
         let was = std::mem::replace(&mut self.settings, settings);
         if was.field != settings.field {
             for submap in &mut self.submaps {
-                *submap = submap.redrawn(&self.scans, &settings.field);
+                *submap = submap.redrawn(&self.sessions, &self.scans, &settings.field);
             }
         }
         if (was.field, was.scan, was.refine) != (settings.field, settings.scan, settings.refine) {

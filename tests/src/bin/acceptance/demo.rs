@@ -8,8 +8,8 @@ use zenav_fixtures::Row;
 
 use crate::{Verdict, zenav};
 
-/// Largest true distance from a goal that counts as reached, m: a drive that ends at its last waypoint stops within its tolerance.
-const MAX_ERROR: f64 = 0.1;
+/// Largest true distance from a goal that counts as reached, m.
+const MAX_ERROR: f64 = 0.05;
 /// Least true clearance, m.
 const MIN_CLEARANCE: f64 = 0.02;
 
