@@ -6,7 +6,7 @@
 use nalgebra::{Matrix3, Point2, Vector2, Vector3};
 
 /// Neighbours on one surface are at most this far apart, m; those that lie this near to one another as seen from the base, rad, farther.
-const NEAR: f64 = 0.08;
+const NEAR: f64 = 0.06;
 const FARTHEST: f64 = 1.0;
 const NEIGHBOURS: f64 = 0.03;
 /// Neighbours up to this distance to each side, and the first beyond, tell the direction of a surface, m.

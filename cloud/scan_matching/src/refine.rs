@@ -29,6 +29,8 @@ const ELSEWHERE: (f64, f64) = (0.1, 0.05);
 const FEWEST: usize = 20;
 /// Points without a normal count in polishing from this likelihood on: farther away lies another surface, as the other side of a wall.
 const SURE: f64 = 0.8;
+/// Normals of a wall are off by as much, rad: a direction in which a scan says no more than that of the one across is not told.
+const TILT: f64 = 0.1;
 /// Standard deviation of a point about its surfel, m: farther off it pulls less.
 const TOUCHING: f64 = 0.05;
 /// Added to the diagonal, so that a scan without any point near stays where the prior is.
@@ -62,7 +64,7 @@ pub struct Refined {
 }
 
 impl Refined {
-    /// This match, along `degenerate` as near to the pose that was expected as the scan allows, a metre counting as much as a radian. What the
+    /// This match, along `degenerate` where it was expected. What the
     /// scan says there is not only little but wrong: along a corridor the ends of what is seen of the walls come with the robot. After Zhang, Kaess and Singh, "On degeneracy of optimization-based state
     /// estimation problems", ICRA 2016.
     #[must_use]
@@ -73,47 +75,45 @@ impl Refined {
         let (sin, cos) = self.pose.yaw.sin_cos();
         let along = Vector2::new(cos * along.x + sin * along.y, cos * along.y - sin * along.x);
         let away = self.pose.inverse() * expected;
-        let free = Free::along(&self.information, along);
-        let share = free.way.dot(&Vector3::new(away.x, away.y, away.yaw)) / free.way.norm_squared();
-        let way = free.way * share;
+        let way = along * along.dot(&Vector2::new(away.x, away.y));
         Self {
-            pose: self.pose * Pose2::new(way.x, way.y, way.z),
-            information: free.without(&self.information),
+            pose: self.pose * Pose2::new(way.x, way.y, 0.0),
+            information: Untold::along(&self.information, along).without(&self.information),
             ..self
         }
     }
 }
 
-/// A way of the pose that a scan hardly tells: along a direction, turning as the scan asks.
+/// A direction that a scan hardly tells. What it says of it is noise, and so is how that hangs together with the rest: whatever the position
+/// along it, the rest stays as known as it was.
 #[derive(Clone, Copy, Debug)]
-struct Free {
-    /// Unit vector.
-    along: Vector2<f64>,
-    /// For each metre along it: x, y, m, and yaw, rad.
-    way: Vector3<f64>,
+struct Untold {
+    /// Unit vector: x, y, and no turn.
+    along: Vector3<f64>,
+    /// What the scan says of the position along it: information with all of the pose, and its own.
+    mixed: Vector3<f64>,
+    own: f64,
 }
 
-impl Free {
-    /// Along an eigenvector of the position's information, the heading being unknown.
+impl Untold {
     fn along(information: &Matrix3<f64>, along: Vector2<f64>) -> Self {
-        let mixed = Vector2::new(information.m13, information.m23);
-        let turn = -mixed.dot(&along) / information.m33.max(LEAST_INFORMATION);
+        let along = Vector3::new(along.x, along.y, 0.0);
+        let mixed = information * along;
         Self {
             along,
-            way: Vector3::new(along.x, along.y, turn),
+            mixed,
+            own: mixed.dot(&along).max(LEAST_INFORMATION),
         }
     }
 
-    /// Information of all else. By the choice of the way it acts along `along` alone: `H w = (w' H w) (along, 0)`.
+    /// Information of all else: that of the marginal distribution.
     fn without(&self, information: &Matrix3<f64>) -> Matrix3<f64> {
-        let along = Vector3::new(self.along.x, self.along.y, 0.0);
-        let known = self.way.dot(&(information * self.way));
-        information - along * along.transpose() * known
+        information - self.mixed * self.mixed.transpose() / self.own
     }
 
-    /// A gradient without its part along the way.
+    /// A gradient of all else.
     fn across(&self, gradient: Vector3<f64>) -> Vector3<f64> {
-        gradient - Vector3::new(self.along.x, self.along.y, 0.0) * self.way.dot(&gradient)
+        gradient - self.mixed * (self.along.dot(&gradient) / self.own)
     }
 }
 
@@ -289,9 +289,9 @@ impl Refined {
         let degenerate = degenerate(&information, degenerate_sigma);
         let (sin, cos) = pose.yaw.sin_cos();
         let turn = Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
-        let free = degenerate.map(|along| Free::along(&information, along));
-        let known = free.map_or(information, |free| free.without(&information));
-        let gradient = free.map_or(sums.gradient, |free| free.across(sums.gradient));
+        let untold = degenerate.map(|along| Untold::along(&information, along));
+        let known = untold.map_or(information, |untold| untold.without(&information));
+        let gradient = untold.map_or(sums.gradient, |untold| untold.across(sums.gradient));
         let by_scan = turn.transpose() * newton_step(&known, gradient, farthest);
         Self {
             pose,
@@ -438,6 +438,6 @@ fn degenerate(information: &Matrix3<f64>, degenerate_sigma: f64) -> Option<Vecto
     let position = plane - mixed * mixed.transpose() / information.m33.max(LEAST_INFORMATION);
     let eigen = position.symmetric_eigen();
     let worst = eigen.eigenvalues.imin();
-    let least = degenerate_sigma.powi(-2);
+    let least = degenerate_sigma.powi(-2).max(TILT * TILT * eigen.eigenvalues.max());
     (eigen.eigenvalues[worst] < least).then(|| eigen.eigenvectors.column(worst).into_owned())
 }

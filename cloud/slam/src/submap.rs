@@ -92,7 +92,7 @@ impl Submap {
         };
         let rough = scan.refine(&self.field, start, prior, &roughly);
         scan.polish(&self.field, &self.surfels, &rough, prior, settings)
-            .unwrap_or_else(|| scan.refine(&self.field, rough.pose, prior, settings))
+            .unwrap_or_else(|| scan.refine(&self.field, start, prior, settings))
     }
 
     pub(crate) fn pyramid(&mut self) -> &Pyramid {
