@@ -5,8 +5,8 @@
 
 use nalgebra::{Matrix3, Point2, Vector2, Vector3};
 
-/// Neighbours on one surface are at most this far apart, m; those that lie this near to one another as seen from the base, rad, farther.
-const NEAR: f64 = 0.06;
+/// Neighbours on one surface are at most this far apart, m and rad as seen from the base. Joined by distance as well, points about the corners
+/// of a door next to the robot seem to lie on a round surface.
 const FARTHEST: f64 = 1.0;
 const NEIGHBOURS: f64 = 0.03;
 /// Neighbours up to this distance to each side, and the first beyond, tell the direction of a surface, m.
@@ -28,9 +28,7 @@ const MEDIAN: f64 = 0.6745 * 1.2247;
 pub(crate) fn normals(laser: Point2<f64>, points: &[Point2<f64>]) -> Vec<Option<Vector2<f64>>> {
     let is_near = |pair: &[Point2<f64>]| {
         let [a, b] = [pair[0].coords, pair[1].coords];
-        let apart = (b - a).norm_squared();
-        let is_beside = || a.perp(&b).abs() <= NEIGHBOURS.tan() * a.dot(&b);
-        apart <= NEAR * NEAR || apart <= FARTHEST * FARTHEST && is_beside()
+        (b - a).norm_squared() <= FARTHEST * FARTHEST && a.perp(&b).abs() <= NEIGHBOURS.tan() * a.dot(&b)
     };
     // Whether a point and the one after it lie on one surface.
     let joined: Vec<bool> = points.windows(2).map(is_near).collect();
