@@ -28,15 +28,6 @@ pub fn floored(information: &Matrix3<f64>, floor: f64, floor_turn: f64) -> Matri
     (information + information.transpose()) * 0.5
 }
 
-/// Information of x, y and yaw each, where the others are not known: less than on the diagonal where they are mixed.
-#[must_use]
-pub fn marginal(information: &Matrix3<f64>) -> Vector3<f64> {
-    let known = information + Matrix3::identity() * LEAST_INFORMATION;
-    known
-        .try_inverse()
-        .map_or_else(Vector3::zeros, |covariance| covariance.diagonal().map(f64::recip))
-}
-
 /// A symmetric matrix over x, y and yaw, its axes turned: from those of a frame to those in which the frame's heading is `yaw`, rad.
 #[must_use]
 pub fn turned(matrix: &Matrix3<f64>, yaw: f64) -> Matrix3<f64> {

@@ -51,7 +51,7 @@ mod verdict;
 
 pub use field::LikelihoodField;
 pub use headings::heading_step;
-pub use information::{floored, marginal, odometry_information, turned};
+pub use information::{floored, odometry_information, turned};
 pub use points::points;
 pub use pyramid::Pyramid;
 pub use refine::{Prior, Refinable, Refined, refine};

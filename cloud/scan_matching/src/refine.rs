@@ -84,8 +84,8 @@ impl Refined {
     }
 }
 
-/// A direction that a scan hardly tells. What it says of it is noise, and so is how that hangs together with the rest: whatever the position
-/// along it, the rest stays as known as it was.
+/// A direction that a scan hardly tells. What it says of the position along it is noise, and so is how that hangs together with the rest: of
+/// the rest counts what holds wherever along it the robot is.
 #[derive(Clone, Copy, Debug)]
 struct Untold {
     /// Unit vector: x, y, and no turn.
@@ -395,7 +395,7 @@ impl Sums {
         );
     }
 
-    /// A point that the field draws across its surface, where its likelihood is at `least` so much.
+    /// A point that the field draws across its surface, if its likelihood is at least `least`.
     fn add_likely(&mut self, field: &LikelihoodField, point: Point2<f64>, surface: &Surface, pose: Pose2, least: f64) {
         let (likelihood, slope) = field.likelihood(point);
         self.score += likelihood;

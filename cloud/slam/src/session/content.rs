@@ -36,9 +36,7 @@ pub(super) struct Content {
     odometry: Odometry,
     is_interrupted: bool,
     is_doubted: bool,
-    #[serde(default)]
     is_apart: bool,
-    #[serde(default)]
     unseen: u32,
     keeps_all: bool,
     start: Row,

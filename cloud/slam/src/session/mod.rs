@@ -95,7 +95,7 @@ impl Slam {
         self.snapshot()?.into_bytes()
     }
 
-    /// The map that [`Self::save`] made these bytes of. Likelihood fields are made anew.
+    /// The map that [`Self::save`] made these bytes of. Likelihood fields and surfels are made anew.
     ///
     /// # Errors
     /// See [`SessionError`]: never a part of a map.
@@ -104,7 +104,7 @@ impl Slam {
     }
 
     /// The map that goes on with other settings than it was begun with: they hold for the scans to come. Points and poses stay as they are;
-    /// likelihood fields are made anew where that takes it.
+    /// likelihood fields and surfels are made anew where that takes it.
     #[must_use]
     pub fn with_settings(mut self, settings: SlamSettings) -> Self {
         let was = std::mem::replace(&mut self.settings, settings);
