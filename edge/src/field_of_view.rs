@@ -137,7 +137,7 @@ impl FieldOfView {
 pub(crate) struct ProjectedScan<'a> {
     /// Which lidar took it.
     pub(crate) lidar: &'a LidarModel,
-    /// When it was taken.
+    /// When its last beam was measured.
     pub(crate) stamp: Stamp,
     /// Where the robot was.
     pub(crate) odom_from_base: Isometry2<f64>,
@@ -161,6 +161,12 @@ impl ProjectedScan<'_> {
         let (first, toward) = (self.rays.first()?, off.try_normalize(1e-6)?);
         let angle = first.perp(&toward).atan2(first.dot(&toward)).rem_euclid(TAU);
         Some(((angle / self.lidar.angle_increment()).round() as usize, off.norm()))
+    }
+
+    /// When a beam was measured; one beyond the last, as the last.
+    pub(crate) fn met(&self, beam: f64) -> Stamp {
+        let beam = beam.min(self.lidar.beams.saturating_sub(1) as f64);
+        self.stamp.plus_secs(-self.lidar.before_end(beam))
     }
 
     /// Whether a range is a real return; NaN is none.

@@ -41,6 +41,7 @@ pub mod config;
 mod control;
 pub mod control_io;
 pub mod course;
+mod deskewing;
 mod encoder_watch;
 pub mod estimator;
 pub mod event_log;

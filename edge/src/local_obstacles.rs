@@ -289,12 +289,20 @@ impl LocalObstacles {
         &self.moving
     }
 
+    /// What moves may have been met this long before the stamp of a sweep, s: the longest sweep of a lidar.
+    #[must_use]
+    pub fn sweep_time(&self) -> f64 {
+        let sweeps = self.lidars.iter().map(|lidar| lidar.projector.lidar().sweep_time.abs());
+        sweeps.fold(0.0, f64::max)
+    }
+
     /// The moving ones that have left the field of view near the robot.
     pub fn hidden(&self, now: Stamp) -> impl Iterator<Item = Hidden> + '_ {
         let base_from_odom = self.odom_from_base.inverse();
+        let sweep_time = self.sweep_time();
         self.moving.occluded(now).map(move |seen| Hidden {
             last_seen: base_from_odom * seen.place,
-            travelled: seen.speed * now.secs_since(seen.stamp).max(0.0),
+            travelled: seen.speed * (now.secs_since(seen.stamp).max(0.0) + sweep_time),
             radius: seen.radius,
             speed: seen.speed,
         })

@@ -77,7 +77,7 @@ impl LostBeams {
     }
 }
 
-fn is_one_surface(before: f32, after: f32) -> bool {
+pub(crate) fn is_one_surface(before: f32, after: f32) -> bool {
     (before - after).abs() <= SURFACE.0 + SURFACE.1 * before.min(after)
 }
 

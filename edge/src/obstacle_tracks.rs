@@ -63,9 +63,9 @@ pub struct Track {
     seen_whole: bool,
     /// When it was seen first.
     pub born: Stamp,
-    /// When it was seen last.
+    /// Stamp of the scan that saw it last.
     pub seen: Stamp,
-    /// The time that position and velocity are for.
+    /// The time that position and velocity are for: when the beams met it.
     pub stamp: Stamp,
     /// Where it was seen first, odometry frame, and whether it has clearly moved since.
     origin: Point2<f64>,
@@ -139,7 +139,8 @@ impl Track {
         self.course.as_ref().map(Course::timed).unwrap_or_default()
     }
 
-    fn new(id: u64, seen: &Segment, laser: Point2<f64>, stamp: Stamp, settings: &TrackingSettings) -> Self {
+    fn new(id: u64, seen: &Segment, scan: &ProjectedScan<'_>, settings: &TrackingSettings) -> Self {
+        let (laser, stamp) = (scan.laser(), scan.stamp);
         let radius = if seen.is_cut() {
             seen.radius.max(HALF_SEEN)
         } else {
@@ -155,7 +156,7 @@ impl Track {
             seen_whole: !seen.is_cut(),
             born: stamp,
             seen: stamp,
-            stamp,
+            stamp: scan.met(0.5 * (seen.beams.0 + seen.beams.1) as f64),
             origin: center,
             moved: false,
             most_speed: 0.0,
@@ -235,15 +236,15 @@ impl Track {
             mixed + dt * velocity + 0.5 * q * dt.powi(3),
             velocity + q * dt * dt,
         ];
-        self.stamp = stamp;
+        self.stamp = self.stamp.max(stamp);
         self.most_speed = (self.most_speed - SLOWS_DOWN * dt).max(0.0);
     }
 
-    /// Takes in how it was seen from a place.
-    fn update(&mut self, seen: &Segment, laser: Point2<f64>, settings: &TrackingSettings) {
+    /// Takes in how a scan shows it.
+    fn update(&mut self, seen: &Segment, scan: &ProjectedScan<'_>, settings: &TrackingSettings) {
         let [position, mixed, velocity] = self.variance;
         let gain = Vector2::new(position, mixed) / (position + settings.position_noise.powi(2));
-        let off = seen.center_of(self.radius, laser) - self.position;
+        let off = seen.center_of(self.radius, scan.laser()) - self.position;
         self.position += off * gain.x;
         self.velocity += off * gain.y;
         self.variance = [
@@ -259,7 +260,7 @@ impl Track {
         };
         self.radius += share * (seen.radius - self.radius);
         self.seen_whole |= !seen.is_cut();
-        self.seen = self.stamp;
+        self.seen = scan.stamp;
         self.hits += 1;
         self.evidence += u32::from(seen.is_moving());
         self.misses = 0;
@@ -392,7 +393,8 @@ impl ObstacleTracks {
     pub(crate) fn insert(&mut self, scan: &ProjectedScan<'_>, moved: &[bool]) {
         self.cut(scan, moved);
         for track in &mut self.tracks {
-            track.predict(scan.stamp, self.settings.acceleration);
+            let beam = scan.beam_to(track.position).map_or(0, |(beam, _)| beam);
+            track.predict(scan.met(beam as f64), self.settings.acceleration);
         }
         self.associate(scan);
         let laser = scan.laser();
@@ -400,7 +402,7 @@ impl ObstacleTracks {
         let left = left.filter(|(_, (segment, taken))| !**taken && !segment.is_moving());
         let round = left.filter_map(|(index, (segment, _))| Some((index, segment.round(laser)?)));
         let slow = self.slow.insert(scan, round);
-        let begin = |segment: &Segment, id: u64| Track::new(id, segment, laser, scan.stamp, &self.settings);
+        let begin = |segment: &Segment, id: u64| Track::new(id, segment, scan, &self.settings);
         for (index, (segment, taken)) in self.segments.iter().zip(&self.taken).enumerate() {
             let slow = slow.iter().find(|slow| slow.index == index);
             let track = match slow {
@@ -481,7 +483,7 @@ impl ObstacleTracks {
                 continue;
             };
             if !*matched && !*taken {
-                track.update(segment, laser, settings);
+                track.update(segment, scan, settings);
                 (*matched, *taken) = (true, true);
             }
         }
@@ -493,7 +495,7 @@ impl ObstacleTracks {
                 track.misses += 1;
             }
             let still = track.still_since.map_or(0.0, |since| track.stamp.secs_since(since));
-            let hidden = track.stamp.secs_since(track.seen);
+            let hidden = scan.stamp.secs_since(track.seen);
             let memory = if track.is_confirmed() { settings.memory } else { 0.3 };
             track.misses < MOST_MISSES && still <= settings.standing && hidden <= memory
         });

@@ -76,6 +76,8 @@ pub struct Mover {
     pub velocity: Vector2<f64>,
     /// As fast as it may move beside that, m/s.
     pub speed: f64,
+    /// How far it may have come since it was met by a beam before the newest sweep's stamp, m.
+    pub travelled: f64,
 }
 
 impl Mover {
@@ -87,6 +89,7 @@ impl Mover {
             radius,
             velocity: Vector2::zeros(),
             speed,
+            travelled: 0.0,
         }
     }
 }
@@ -245,8 +248,13 @@ impl<'a> Motion<'a> {
     /// velocity, or brake, which is what [`Self::limit_static`] looks at.
     #[must_use]
     pub fn limit_dynamic(&self, obstacles: &LocalObstacles, odom_from_base: Pose2) -> f64 {
-        let moving = obstacles.moving().in_base(odom_from_base);
-        let mut points: Vec<_> = moving.map(|(at, speed)| Mover::at_will(at, 0.0, speed)).collect();
+        let (moving, sweep_time) = (obstacles.moving().in_base(odom_from_base), obstacles.sweep_time());
+        let mut points: Vec<_> = moving
+            .map(|(at, speed)| Mover {
+                travelled: speed * sweep_time,
+                ..Mover::at_will(at, 0.0, speed)
+            })
+            .collect();
         let reach = self.footprint.circumscribed_radius() + self.margin + self.stopping_distance(1.0);
         let robots = obstacles.robots_in_base(odom_from_base, reach + FASTEST_ROBOT * self.stopping_time(1.0));
         points.extend(robots.into_iter().map(|(at, velocity)| Mover {
@@ -254,6 +262,7 @@ impl<'a> Motion<'a> {
             radius: 0.0,
             velocity,
             speed: self.settings.robot_deviation,
+            travelled: 0.0,
         }));
         self.limit_among(&points)
     }
@@ -267,7 +276,7 @@ impl<'a> Motion<'a> {
         let radius = self.footprint.circumscribed_radius() + self.margin + self.stopping_distance(1.0);
         let is_near = |mover: &&Mover| {
             let fastest = mover.velocity.norm() + mover.speed;
-            mover.at.coords.norm() <= radius + mover.radius + fastest * stopping_time
+            mover.at.coords.norm() <= radius + mover.radius + mover.travelled + fastest * stopping_time
         };
         let near: Vec<Mover> = movers.iter().filter(is_near).copied().collect();
         if near.is_empty() {
@@ -305,7 +314,7 @@ impl<'a> Motion<'a> {
             let occupied = step.always_occupied(there_from_here, inscribed);
             movers.iter().any(|mover| {
                 let place = there_from_here * (mover.at + mover.velocity * step.until);
-                let way = self.margin + mover.speed * step.until;
+                let way = self.margin + mover.travelled + mover.speed * step.until;
                 let reach = way + mover.radius;
                 samples.iter().any(|(at, normal)| {
                     (place - at).norm_squared() <= reach * reach

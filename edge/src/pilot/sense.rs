@@ -6,6 +6,7 @@ use zenav_protocol::time::Stamp;
 
 use super::Pilot;
 use crate::control_io::Publication;
+use crate::deskewing::deskewed;
 use crate::passive_safety::contact_point;
 use crate::telemetry;
 
@@ -33,6 +34,7 @@ impl Pilot {
                 continue;
             };
             let sweep = &*self.lost_beams.mend(sweep, lidar);
+            let sweep = &*deskewed(sweep, lidar, |stamp| self.estimator.odom_from_base_at(stamp));
             if let Some(odom_from_base) = self.estimator.odom_from_base_at(sweep.stamp)
                 && self.obstacles.insert(sweep, odom_from_base)
                 && self.telemetry.scan_due(&sweep.lidar)
@@ -71,12 +73,13 @@ impl Pilot {
     fn tracked_obstacles(&self) -> Obstacles {
         let map_from_odom = self.estimator.map_from_odom();
         let tracks = self.obstacles.moving().tracks().iter();
+        let stamp = self.obstacles.stamp().unwrap_or_default();
         Obstacles {
-            stamp: self.obstacles.stamp().unwrap_or_default(),
+            stamp,
             obstacles: tracks
                 .filter(|track| !track.is_robot())
                 .map(|track| {
-                    let place = map_from_odom.transform_point(track.position);
+                    let place = map_from_odom.transform_point(track.at(stamp.secs_since(track.stamp)));
                     let (sin, cos) = map_from_odom.yaw.sin_cos();
                     Obstacle {
                         id: track.id,
@@ -86,7 +89,7 @@ impl Pilot {
                         vy: sin * track.velocity.x + cos * track.velocity.y,
                         radius: track.radius,
                         variance: track.variance,
-                        unseen_for: track.stamp.secs_since(track.seen),
+                        unseen_for: stamp.secs_since(track.seen).max(0.0),
                     }
                 })
                 .collect(),

@@ -51,6 +51,10 @@ pub struct LidarModel {
     /// Smallest step of a range, m.
     #[serde(default = "millimetre")]
     pub resolution: f64,
+    /// Time from the first beam to the last, s: negative where the last one comes first, as with lidars that turn clockwise. 0: all beams at
+    /// once, or a driver that has undistorted them.
+    #[serde(default)]
+    pub sweep_time: f64,
     /// Time from a sweep to its delivery, s.
     #[serde(default)]
     pub latency: f64,
@@ -91,6 +95,13 @@ impl LidarModel {
         if gap > LEAST_GAP { gap } else { 0.0 }
     }
 
+    /// How long before the end of its sweep a beam is measured, s.
+    #[must_use]
+    pub fn before_end(&self, beam: f64) -> f64 {
+        let share = beam / self.beams.max(2).saturating_sub(1) as f64;
+        self.sweep_time.abs() * if self.sweep_time < 0.0 { share } else { 1.0 - share }
+    }
+
     fn is_full_circle(&self) -> bool {
         self.field_of_view > TAU - 1e-3
     }
@@ -127,6 +138,13 @@ impl LidarModel {
                 "at most 2 pi rad",
             ));
         }
+        if !(self.sweep_time.abs() * self.rate_hz <= 1.0 + 1e-6) {
+            return Err(OutOfBounds::unlike(
+                "sweep_time",
+                self.sweep_time,
+                format_args!("at most the time between two sweeps, {:.3} s", 1.0 / self.rate_hz),
+            ));
+        }
         if self.range_min >= self.range_max {
             return Err(OutOfBounds::unlike("range_min", self.range_min, "less than range_max"));
         }
@@ -141,7 +159,7 @@ pub struct Sweep {
     /// Name of the lidar; on the wire [`DEFAULT_LIDAR`] where it is left out.
     #[serde(default = "default_name", skip_serializing_if = "is_default_name")]
     pub lidar: String,
-    /// When it was taken: at or before the tick.
+    /// When its last beam was measured: at or before the tick.
     pub stamp: Stamp,
     /// Distance per beam, m; no return is infinity in memory and `null` on the wire.
     #[cfg_attr(feature = "schema", schemars(with = "Vec<Option<f32>>"))]
@@ -170,6 +188,7 @@ fn is_default_name(name: &str) -> bool {
 }
 
 /// Message: one sweep of a planar lidar, with the robot's pose at the sweep's own stamp: nobody pairs a latest pose with a latest scan.
+/// The robot has taken its own motion during the sweep out of it: the ranges are those of a lidar that takes all beams at the stamp.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Scan {

@@ -18,6 +18,7 @@ mod hidden;
 mod tests;
 
 use std::f64::consts::{PI, TAU};
+use std::ops::Range;
 
 use nalgebra::{Point2, Vector2};
 use zenav_protocol::geometry::{Pose2, wrap_angle};
@@ -56,20 +57,26 @@ impl AngularBuffer {
     /// A buffer for a lidar.
     #[must_use]
     pub fn new(model: &LidarModel) -> Self {
-        let (laser_sin, laser_cos): (Vec<f64>, Vec<f64>) = (0..model.beams)
-            .map(|beam| (model.angle_min() + beam as f64 * model.angle_increment()).sin_cos())
-            .unzip();
+        Self::of_beams(model, 0..model.beams)
+    }
+
+    /// A buffer for some of a lidar's beams.
+    #[must_use]
+    pub fn of_beams(model: &LidarModel, beams: Range<usize>) -> Self {
+        let angle = |beam: usize| model.angle_min() + beam as f64 * model.angle_increment();
+        let angle_min = angle(beams.start);
+        let (laser_sin, laser_cos): (Vec<f64>, Vec<f64>) = beams.map(|beam| angle(beam).sin_cos()).unzip();
         Self {
-            angle_min: model.angle_min(),
+            angle_min,
             per_radian: 1.0 / model.angle_increment(),
             range_max: model.range_max,
             cos: laser_cos.clone(),
             sin: laser_sin.clone(),
-            inverse: vec![0.0; model.beams],
+            inverse: vec![0.0; laser_cos.len()],
             laser_cos,
             laser_sin,
             origin: Point2::origin(),
-            first: model.angle_min(),
+            first: angle_min,
             facing: Facing::NONE,
         }
     }

@@ -21,6 +21,7 @@ fn model(beams: usize, field_of_view: f64) -> LidarModel {
         bias: 0.0,
         dropout: 0.0,
         resolution: 0.001,
+        sweep_time: 0.0,
         latency: 0.0,
     }
 }

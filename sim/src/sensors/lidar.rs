@@ -3,31 +3,69 @@
 use rand::RngExt as _;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64Mcg;
+use zenav_protocol::geometry::Pose2;
 use zenav_protocol::readings::{Readings, Sweep};
 use zenav_protocol::sensors::LidarModel;
+use zenav_protocol::time::Stamp;
 
 use super::timing::{Delay, Schedule};
 use super::{Moment, Sensor, stepped};
+use crate::faults::Fault;
 use crate::lidar::AngularBuffer;
 
-/// One lidar of a robot.
+/// Beams of a lidar that sweeps are measured together within this time, s.
+const TOGETHER: f64 = 0.001;
+
+/// One lidar of a robot. One that sweeps measures each beam from where it is at that beam's time.
 #[derive(Clone, Debug)]
 pub struct Lidar {
     name: String,
     model: LidarModel,
-    buffer: AngularBuffer,
+    /// The beams, in the order of their times.
+    parts: Vec<Part>,
+    /// How many parts of the present sweep are measured.
+    measured: usize,
+    /// Time and pose of the base at the last step.
+    last: Option<(Stamp, Pose2)>,
     rng: Pcg64Mcg,
     schedule: Schedule,
     delay: Delay<Sweep>,
+}
+
+/// Neighbouring beams that are measured together.
+#[derive(Clone, Debug)]
+struct Part {
+    first: usize,
+    buffer: AngularBuffer,
+    /// Time from here to the end of the sweep, s.
+    before_end: f64,
 }
 
 impl Lidar {
     /// Before its first sweep.
     #[must_use]
     pub fn new(name: &str, model: LidarModel, rng: Pcg64Mcg) -> Self {
+        let (beams, sweep_time) = (model.beams, model.sweep_time.abs());
+        let together = if sweep_time > 0.0 {
+            ((beams as f64 * TOGETHER / sweep_time) as usize).clamp(1, beams)
+        } else {
+            beams
+        };
+        let parts = (0..beams).step_by(together).map(|first| {
+            let end = (first + together).min(beams);
+            Part {
+                first,
+                buffer: AngularBuffer::of_beams(&model, first..end),
+                before_end: model.before_end(0.5 * (first + end - 1) as f64),
+            }
+        });
+        let mut parts: Vec<Part> = parts.collect();
+        parts.sort_by(|a, b| b.before_end.total_cmp(&a.before_end));
         Self {
             name: name.to_owned(),
-            buffer: AngularBuffer::new(&model),
+            parts,
+            measured: 0,
+            last: None,
             rng,
             schedule: Schedule::new(model.rate_hz),
             delay: Delay::new(model.latency),
@@ -35,20 +73,43 @@ impl Lidar {
         }
     }
 
-    fn sweep(&mut self, moment: &Moment<'_>) -> Sweep {
-        self.buffer.begin(moment.map_from_base() * self.model.mount);
-        self.buffer.scene(moment.around.scene);
-        self.buffer.crowd(moment.around.crowd, moment.around.own);
+    /// Measures the beams whose time has come in a sweep that ends at a time.
+    fn measure_until(&mut self, moment: &Moment<'_>, end: Stamp) {
+        let here = moment.map_from_base();
+        let (before, there) = self.last.replace((moment.now, here)).unwrap_or((moment.now, here));
+        let step = moment.now.secs_since(before);
+        while let Some(part) = self.parts.get_mut(self.measured) {
+            let ago = moment.now.secs_since(end) + part.before_end;
+            if ago < 0.0 {
+                break;
+            }
+            let map_from_base = if ago > 0.0 && step > 0.0 {
+                here.interpolate(&there, (ago / step).min(1.0))
+            } else {
+                here
+            };
+            part.buffer.begin(map_from_base * self.model.mount);
+            part.buffer.scene(moment.around.scene);
+            part.buffer.crowd(moment.around.crowd, moment.around.own);
+            self.measured += 1;
+        }
+    }
+
+    /// The sweep that has just been measured.
+    fn sweep(&mut self, stamp: Stamp, fault: &Fault) -> Sweep {
         let model = LidarModel {
-            noise: moment.fault.noise(self.model.noise),
-            dropout: moment.fault.dropout(self.model.dropout),
+            noise: fault.noise(self.model.noise),
+            dropout: fault.dropout(self.model.dropout),
             ..self.model.clone()
         };
+        let mut parts: Vec<&Part> = self.parts.iter().collect();
+        parts.sort_by_key(|part| part.first);
+        let truth = parts.into_iter().flat_map(|part| part.buffer.ranges());
         let mut ranges = Vec::with_capacity(model.beams);
-        measure(&model, self.buffer.ranges(), &mut self.rng, &mut ranges);
+        measure(&model, truth, &mut self.rng, &mut ranges);
         Sweep {
             lidar: self.name.clone(),
-            stamp: moment.now,
+            stamp,
             ranges,
         }
     }
@@ -56,8 +117,19 @@ impl Lidar {
 
 impl Sensor for Lidar {
     fn sense(&mut self, moment: &Moment<'_>, readings: &mut Readings) {
-        let due = self.schedule.due(moment.now) && !moment.fault.is_dead;
-        let swept = due.then(|| self.sweep(moment));
+        let next = self.schedule.next();
+        let is_due = self.schedule.due(moment.now);
+        let end = match is_due {
+            // A lidar that takes all beams at once does so at the step.
+            true if self.model.sweep_time == 0.0 => moment.now,
+            true => self.schedule.next().plus_secs(-1.0 / self.model.rate_hz),
+            false => next,
+        };
+        self.measure_until(moment, end);
+        let swept = (is_due && !moment.fault.is_dead).then(|| self.sweep(end, &moment.fault));
+        if is_due {
+            self.measured = 0;
+        }
         readings
             .sweeps
             .extend(self.delay.pass(moment.now, swept, moment.fault.late));

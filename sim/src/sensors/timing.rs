@@ -66,6 +66,12 @@ impl Schedule {
         }
     }
 
+    /// When the next reading is due.
+    #[must_use]
+    pub fn next(&self) -> Stamp {
+        self.next
+    }
+
     /// Whether a reading is due.
     pub fn due(&mut self, now: Stamp) -> bool {
         if now < self.next {

@@ -227,3 +227,65 @@ fn faults_break_the_sensor_that_they_name_in_their_window() {
         "{error}"
     );
 }
+
+/// A Neato turns on the spot in front of a wall; its lidar, without noise, in the middle. Returns the truth at each step and the sweeps.
+fn turning(sweep_time: f64) -> (Vec<(Stamp, Pose2)>, Vec<Sweep>) {
+    let mut spec = robot("a", "neato", Pose2::IDENTITY);
+    let model = lidar(&mut spec.model);
+    (model.noise, model.resolution, model.mount) = (0.0, 0.0, Pose2::IDENTITY);
+    (model.sweep_time, model.range_max) = (sweep_time, 20.0);
+    let mut simulation = simulate(&world(WALL), vec![spec]);
+    let (mut truth, mut sweeps) = (Vec::new(), Vec::new());
+    simulation.drive(0, [-5.0, 5.0]);
+    for _ in 0..200 {
+        simulation.step();
+        truth.push((simulation.now(), simulation.truth(0).map_from_base));
+        sweeps.extend(simulation.readings(0).sweeps);
+    }
+    (truth, sweeps)
+}
+
+#[test]
+fn each_beam_is_measured_from_where_the_lidar_is_at_its_time() {
+    for sweep_time in [0.0, 0.2, -0.15] {
+        let (truth, sweeps) = turning(sweep_time);
+        let mut spec = robot("a", "neato", Pose2::IDENTITY);
+        let model = lidar(&mut spec.model);
+        model.sweep_time = sweep_time;
+        let yaw = |at: Stamp| {
+            let after = truth.partition_point(|(stamp, _)| *stamp < at);
+            let ((before, from), (next, to)) = (truth[after - 1], truth[after]);
+            from.interpolate(&to, at.secs_since(before) / next.secs_since(before))
+                .yaw
+        };
+        let mut met = 0;
+        for sweep in sweeps.iter().filter(|sweep| sweep.stamp > Stamp::from_secs(1.0)) {
+            for (beam, range) in sweep.ranges.iter().enumerate() {
+                let at = sweep.stamp.plus_secs(-model.before_end(beam as f64));
+                let direction = yaw(at) + model.angle_min() + beam as f64 * model.angle_increment();
+                let expected = 0.95 / direction.cos();
+                if (0.0..4.0).contains(&expected) {
+                    met += 1;
+                    assert!(
+                        (f64::from(*range) - expected).abs() < 0.002 * expected * expected,
+                        "{range} {expected}"
+                    );
+                }
+            }
+        }
+        assert!(met > 1000, "{met} with {sweep_time}");
+    }
+}
+
+#[test]
+fn a_sweep_at_rest_is_the_same_however_long_it_takes() {
+    let sweeps = |sweep_time: f64| {
+        let heard = heard(|model| {
+            lidar(model).noise = 0.01;
+            lidar(model).sweep_time = sweep_time;
+        });
+        let ranges = heard.sweeps.into_iter().map(|(_, sweep)| (sweep.stamp, sweep.ranges));
+        ranges.collect::<Vec<_>>()
+    };
+    assert_eq!(sweeps(0.0), sweeps(0.09));
+}
