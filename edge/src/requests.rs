@@ -12,8 +12,9 @@ use zenav_protocol::topics::{EdgeReply, EdgeRequest};
 
 use crate::authority::Decision;
 use crate::maneuvers::Maneuver;
-use crate::maneuvers::nearest_free::{drives_into_unknown, nearest_free};
+use crate::maneuvers::nearest_free::{Pace, drives_into_unknown, nearest_free};
 use crate::params;
+use crate::passive_safety::GENTLE;
 use crate::pilot::Pilot;
 
 /// Longest id of a maneuver's execution, bytes.
@@ -112,6 +113,20 @@ impl Pilot {
         let odom_from_base = self.estimator.odom_from_base();
         let footprint = &self.config.model.footprint;
         let unseen = self.config.settings.maneuvers.unseen_clearance;
+        let (drive, settings) = (&self.config.model.drive, &self.config.settings.maneuvers);
+        // Who went into the blind spot may stand there.
+        let blind = self.obstacles.blind_spots().leads_into_blind_spot(-1.0)
+            && self
+                .obstacles
+                .moving()
+                .may_be_in_blind_spot(now, odom_from_base.position());
+        let pace = Pace {
+            speeds: [
+                settings.escape_speed,
+                if blind { GENTLE } else { settings.escape_speed },
+            ],
+            turning: settings.speed_share * drive.top_yaw_rate(),
+        };
         let escape = |clearance, within| {
             let points: Vec<_> = self.obstacles.in_base(odom_from_base).collect();
             let is_free = |base_from_there: Pose2, twist, secs| {
@@ -121,15 +136,15 @@ impl Pilot {
                     .is_none()
                     && !drives_into_unknown(footprint, &self.obstacles, unseen, there, twist, secs)
             };
-            nearest_free(footprint, &points, clearance, within, is_free)
+            nearest_free(footprint, &points, clearance, within, pace, is_free)
         };
         let maneuver = Maneuver::begin(
             &request.id,
             &request.action,
             now,
             odom_from_base,
-            &self.config.model.drive,
-            &self.config.settings.maneuvers,
+            drive,
+            settings,
             escape,
         )
         .map_err(Refusal::bad_request)?;

@@ -18,7 +18,7 @@ use super::motion::MotionKeeper;
 use super::records::Restored;
 use super::robot::RobotView;
 use super::route::Route;
-use zenav_space::Zones;
+use zenav_space::{ConfigurationSpace, Zones};
 
 /// Pending requests; beyond that the oldest is dropped.
 const MAX_ASKS: usize = 256;
@@ -299,6 +299,21 @@ impl Context {
             Some(Mode::Behaviour) => Some("the robot runs a manoeuvre".to_owned()),
             _ => None,
         }
+    }
+
+    /// Where the robot may be by what the map says now, or why that is not known.
+    pub(crate) fn space_now(&mut self) -> Result<Arc<ConfigurationSpace>, String> {
+        let Some(model) = self.robot.model().cloned() else {
+            return Err("the robot has not described itself".to_owned());
+        };
+        if let Some(why) = self.map.unusable(self.now, self.config.settings.map_timeout) {
+            return Err(why);
+        }
+        if !self.frames.is_settled() {
+            return Err("the map is about to move".to_owned());
+        }
+        let space = self.map.space(&model.footprint);
+        space.ok_or_else(|| "no map has come yet".to_owned())
     }
 
     /// Round trip to the robot and back, s, as the robot measures it: the longest of late.

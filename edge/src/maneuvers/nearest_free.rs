@@ -1,5 +1,5 @@
-//! Nearest free place. Where is the nearest place with enough clearance to every known obstacle, and how does the robot get there? By one turn
-//! on the spot and one straight drive, forwards or backwards, each checked with the swept footprint.
+//! Nearest free place. Which place with enough clearance to every known obstacle is reached soonest, and how? By one turn on the spot and
+//! one straight drive, forwards or backwards, each checked with the swept footprint.
 
 use std::f64::consts::{PI, TAU};
 
@@ -26,8 +26,17 @@ pub struct Escape {
     pub distance: f64,
 }
 
-/// The path to the nearest place within `within` m at which every point stays `clearance` m away from the footprint; of places equally
-/// near, the one after the lesser turn. `None` when there is none.
+/// How fast the robot gets to a free place.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pace {
+    /// Forwards and backwards, m/s.
+    pub speeds: [f64; 2],
+    /// Turning on the spot, rad/s.
+    pub turning: f64,
+}
+
+/// The path to the place within `within` m at which every point stays `clearance` m away from the footprint, that is reached soonest.
+/// `None` when there is none.
 ///
 /// `points` are in the base frame; `is_free` tells whether the robot, placed at a pose in its present base frame, can move with a twist
 /// for so many seconds.
@@ -37,6 +46,7 @@ pub fn nearest_free(
     points: &[Point2<f64>],
     clearance: f64,
     within: f64,
+    pace: Pace,
     is_free: impl Fn(Pose2, Twist2, f64) -> bool,
 ) -> Option<Escape> {
     // NaN counts as zero.
@@ -54,26 +64,33 @@ pub fn nearest_free(
             distance: 0.0,
         });
     }
-    let mut headings: Vec<(f64, f64)> = (0..DIRECTIONS)
+    let headings = (0..DIRECTIONS)
         .map(|index| TAU * f64::from(index) / f64::from(DIRECTIONS))
-        .flat_map(|direction| [(wrap_angle(direction), 1.0), (wrap_angle(direction + PI), -1.0)])
-        .collect();
-    headings.sort_by(|a, b| a.0.abs().total_cmp(&b.0.abs()));
+        .flat_map(|direction| [(wrap_angle(direction), 1.0), (wrap_angle(direction + PI), -1.0)]);
     let after = |turn: f64| Pose2::new(0.0, 0.0, turn);
     let can_turn = |turn: f64| turn == 0.0 || is_free(Pose2::IDENTITY, Twist2::new(0.0, turn.signum()), turn.abs());
-    let steps = (within / STEP).floor() as u32;
-    (1..=steps).map(|step| STEP * f64::from(step)).find_map(|length| {
-        headings
-            .iter()
-            .find(|(turn, sign)| {
-                let drive = Twist2::new(*sign, 0.0);
-                is_valid(after(*turn).advance(drive, length)) && can_turn(*turn) && is_free(after(*turn), drive, length)
-            })
-            .map(|(turn, sign)| Escape {
-                turn: *turn,
-                distance: sign * length,
-            })
-    })
+    let secs = |turn: f64, distance: f64| {
+        let speed = pace.speeds[usize::from(distance < 0.0)];
+        turn.abs() / pace.turning + distance.abs() / speed
+    };
+    let mut soonest: Option<(f64, Escape)> = None;
+    for (turn, sign) in headings {
+        let drive = Twist2::new(sign, 0.0);
+        let mut lengths = (1..=(within / STEP).floor() as u32).map(|step| STEP * f64::from(step));
+        let is_sooner = |length: &f64| soonest.is_none_or(|(best, _)| secs(turn, sign * length) < best - 1e-9);
+        let found = lengths
+            .by_ref()
+            .take_while(is_sooner)
+            .find(|length| is_valid(after(turn).advance(drive, *length)));
+        if let Some(length) = found
+            && can_turn(turn)
+            && is_free(after(turn), drive, length)
+        {
+            let distance = sign * length;
+            soonest = Some((secs(turn, distance), Escape { turn, distance }));
+        }
+    }
+    soonest.map(|(_, escape)| escape)
 }
 
 /// Whether a straight drive from `odom_from_there` goes into the blind spot over floor that is not known to be free up to `clearance` m around
@@ -110,6 +127,10 @@ mod tests {
     use super::*;
 
     const DISC: Footprint = Footprint::Radius(0.2);
+    const PACE: Pace = Pace {
+        speeds: [0.1, 0.1],
+        turning: 1.0,
+    };
 
     fn everything(_: Pose2, _: Twist2, _: f64) -> bool {
         true
@@ -117,25 +138,36 @@ mod tests {
 
     #[test]
     fn with_enough_clearance_already_nothing_is_done() {
-        let way = nearest_free(&DISC, &[Point2::new(0.5, 0.0)], 0.1, 1.0, everything);
+        let way = nearest_free(&DISC, &[Point2::new(0.5, 0.0)], 0.1, 1.0, PACE, everything);
         assert_eq!(way.map(|way| (way.turn, way.distance)), Some((0.0, 0.0)));
     }
 
     #[test]
     fn from_a_wall_ahead_it_backs_up_just_as_far_as_is_needed() {
         let wall: Vec<_> = (-20..=20).map(|i| Point2::new(0.22, 0.05 * f64::from(i))).collect();
-        let way = nearest_free(&DISC, &wall, 0.095, 1.0, everything).unwrap();
+        let way = nearest_free(&DISC, &wall, 0.095, 1.0, PACE, everything).unwrap();
         assert!(way.turn == 0.0 && (way.distance + 0.1).abs() < 1e-9, "{way:?}");
+    }
+
+    #[test]
+    fn where_it_backs_up_slowly_it_turns_round_and_drives_ahead() {
+        let wall: Vec<_> = (-20..=20).map(|i| Point2::new(0.22, 0.05 * f64::from(i))).collect();
+        let slow = Pace {
+            speeds: [0.1, 0.008],
+            ..PACE
+        };
+        let way = nearest_free(&DISC, &wall, 0.295, 1.0, slow, everything).unwrap();
+        assert!(way.distance > 0.0 && way.turn.abs() > 2.0, "{way:?}");
     }
 
     #[test]
     fn a_blocked_path_is_not_taken_and_without_any_there_is_none() {
         let point = [Point2::new(0.22, 0.0)];
         let not_back = |_: Pose2, twist: Twist2, _: f64| twist.v >= 0.0;
-        let way = nearest_free(&DISC, &point, 0.1, 1.0, not_back).unwrap();
+        let way = nearest_free(&DISC, &point, 0.1, 1.0, PACE, not_back).unwrap();
         assert!(way.distance > 0.0 && way.turn.abs() > 0.5, "{way:?}");
-        assert_eq!(nearest_free(&DISC, &point, 0.1, 1.0, |_, _, _| false), None);
-        assert_eq!(nearest_free(&DISC, &point, 2.0, 0.5, everything), None, "too far");
-        assert_eq!(nearest_free(&DISC, &point, 0.1, f64::NAN, everything), None);
+        assert_eq!(nearest_free(&DISC, &point, 0.1, 1.0, PACE, |_, _, _| false), None);
+        assert_eq!(nearest_free(&DISC, &point, 2.0, 0.5, PACE, everything), None, "too far");
+        assert_eq!(nearest_free(&DISC, &point, 0.1, f64::NAN, PACE, everything), None);
     }
 }

@@ -125,6 +125,10 @@ impl Leaf<Context> for ComputePath {
         match search.step(ctx) {
             Searching::Wait(what) => step(io, ctx, what),
             Searching::Blocked(what) => step(io, ctx, &what),
+            Searching::Nearer(route) => {
+                search.approaches(ctx, *route);
+                step(io, ctx, "drives to where it sees what bars the way")
+            }
             Searching::Found(route) => {
                 let (via, only_a_path) = (std::mem::take(&mut request.via), request.from.is_some());
                 self.search = None;

@@ -20,7 +20,6 @@ use crate::motion::{PlanStatus, Recheck, recheck};
 use crate::route::{Route, RouteData, RouteRequest, Search, Searching};
 use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 use zenav_smoothing::Limits;
-use zenav_space::ConfigurationSpace;
 
 /// Nav2's codes of why a path is not followed.
 mod error_code {
@@ -83,21 +82,6 @@ struct Memory {
     frame: u64,
 }
 
-/// Where the robot may be by what the map says now, or why that is not known.
-fn space_now(ctx: &mut Context) -> Result<Arc<ConfigurationSpace>, String> {
-    let Some(model) = ctx.robot.model().cloned() else {
-        return Err("the robot has not described itself".to_owned());
-    };
-    if let Some(why) = ctx.map.unusable(ctx.now, ctx.config.settings.map_timeout) {
-        return Err(why);
-    }
-    if !ctx.frames.is_settled() {
-        return Err("the map is about to move".to_owned());
-    }
-    let space = ctx.map.space(&model.footprint);
-    space.ok_or_else(|| "no map has come yet".to_owned())
-}
-
 /// Whether the robot stands at a goal that asks for no heading.
 fn is_there(ctx: &Context, goal: &GoalPoint) -> bool {
     let near = |pose: Pose2| (pose.x - goal.x).hypot(pose.y - goal.y) <= THERE * ctx.goal.tolerance;
@@ -131,7 +115,14 @@ impl Leaf<Context> for FollowPath {
             return Status::Success;
         }
         self.offered = ctx.route(data.route);
-        ctx.motion.clear();
+        // A robot that drove nearer to what barred the way goes on from there.
+        let goes_on = |route: &Arc<Route>| {
+            let splice = route.plan.splice.as_ref();
+            splice.is_some_and(|splice| Some(splice.trajectory_id) == ctx.motion.id())
+        };
+        if !self.offered.as_ref().is_some_and(goes_on) {
+            ctx.motion.clear();
+        }
         // A drive is called what its node is called, else after the place that it leads to.
         let named = data.place.as_deref().filter(|_| io.name() == io.id());
         ctx.begin_leg(named.unwrap_or(io.name()), Some(data.goal), data.length);
@@ -326,7 +317,10 @@ impl FollowPath {
 
     /// Puts a route into force, if it is free by the newest map.
     fn drive(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, mut memory: Memory, route: &Route) -> Status {
-        match space_now(ctx).map(|space| recheck(&route.plan.trajectory, &space, 0.0, ctx.config.settings.escape)) {
+        match ctx
+            .space_now()
+            .map(|space| recheck(&route.plan.trajectory, &space, 0.0, ctx.config.settings.escape))
+        {
             Ok(Recheck::Free) => {}
             Ok(Recheck::Blocked(_)) => {
                 // The map has changed since.
@@ -364,7 +358,10 @@ impl FollowPath {
         let rezoned = std::mem::replace(&mut self.zone_changes, zone_changes) != zone_changes;
         if due || rezoned || revision != self.rechecked {
             self.rechecked = revision;
-            match space_now(ctx).map(|space| ctx.motion.recheck(&space, time, ctx.config.settings.escape)) {
+            match ctx
+                .space_now()
+                .map(|space| ctx.motion.recheck(&space, time, ctx.config.settings.escape))
+            {
                 // The speed limits may be others, or the way shorter: this motion goes on until there is a better one.
                 Ok(Recheck::Free) if rezoned => {
                     self.begin_search(ctx, memory.goal, 0.0);
@@ -414,6 +411,11 @@ impl FollowPath {
             Searching::Blocked(what) => {
                 self.progress.reset();
                 step(io, ctx, &what)
+            }
+            Searching::Nearer(route) => {
+                self.blocked_at = None;
+                search.approaches(ctx, *route);
+                step(io, ctx, "drives to where it sees what bars the way")
             }
             Searching::Found(route) => {
                 self.search = None;

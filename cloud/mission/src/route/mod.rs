@@ -6,6 +6,7 @@
 //! Where there is no path, the worker is asked once more, as if what may leave ([`transient`](crate::transient)) had left. If there is one then,
 //! the search waits for it: it asks again once something leaves, and each second.
 
+mod approach;
 mod begin;
 mod request;
 mod waiting;
@@ -27,6 +28,7 @@ use super::io::{Answer, Ask, NoAnswer, Ticket};
 use super::leaves::path;
 use super::motion::PlanDraft;
 use super::transient::TransientCell;
+use approach::Approach;
 use begin::{Begin, predicted};
 use waiting::Waiting;
 
@@ -150,6 +152,8 @@ pub enum Searching {
     Wait(&'static str),
     /// Something bars the way that may leave: what, and for how long it has.
     Blocked(String),
+    /// It is out of sight, and this leads to where it is seen: to be driven with [`Search::approaches`] meanwhile.
+    Nearer(Box<Route>),
     /// Found.
     Found(Box<Route>),
     /// Not found.
@@ -179,6 +183,8 @@ pub struct Search {
     /// What may leave, as it was asked for last.
     cleared: Vec<TransientCell>,
     waiting: Option<Waiting>,
+    /// On the way to where that is in sight.
+    approach: Option<Approach>,
     /// When a path was asked for last.
     asked: Stamp,
     /// The frame of the map in which it was asked for.
@@ -202,6 +208,7 @@ impl Search {
             from_rest: false,
             cleared: Vec::new(),
             waiting: None,
+            approach: None,
             asked: from,
             frame: ctx.frames.at(),
             unanswered: false,
@@ -222,6 +229,9 @@ impl Search {
         if self.waiting.is_some() {
             ctx.goal.feedback.blockage = None;
         }
+        if let Some(Approach::Asked(ticket, ..)) = self.approach {
+            ctx.asks.forget(ticket);
+        }
         match self.stage {
             Stage::Asked(ticket, _) | Stage::Cleared(ticket, _) | Stage::Given(ticket, ..) => ctx.asks.forget(ticket),
             Stage::Idle(_) => {}
@@ -236,11 +246,16 @@ impl Search {
     /// Goes on as far as the answers that are there allow.
     pub fn step(&mut self, ctx: &mut Context) -> Searching {
         let state = self.advance(ctx);
-        match (state, &self.waiting) {
+        match (state, self.waiting.clone()) {
             (Searching::Wait(_), Some(waiting)) => {
                 ctx.goal.feedback.blockage = Some(waiting.blockage);
-                if !waiting.make_room(ctx) {
+                if waiting.make_room(ctx) {
+                    return Searching::Blocked(waiting.said(ctx.now));
+                }
+                if self.approach.is_none() && waiting.is_in_sight(ctx) {
                     look_at(ctx, Point2::new(waiting.blockage.x, waiting.blockage.y));
+                } else if let Some(nearer) = self.come_nearer(ctx, &waiting) {
+                    return Searching::Nearer(nearer);
                 }
                 Searching::Blocked(waiting.said(ctx.now))
             }
@@ -498,26 +513,38 @@ impl Search {
         statistics: PlanStatistics,
     ) -> Searching {
         self.waiting = None;
-        let plan = PlanDraft {
-            map,
-            waypoints: path.iter().skip(1).copied().collect(),
-            trajectory,
-            splice: begin.splice,
-            statistics,
-        };
-        Searching::Found(Box::new(Route {
-            id: 0,
-            goal: self.request.goal,
-            length: path::length(&path),
-            path,
-            begin: begin.pose,
-            plan,
-        }))
+        let found = route(begin, self.request.goal, path, map, trajectory, statistics);
+        Searching::Found(Box::new(found))
     }
 
     fn again(&mut self, ctx: &Context, why: &'static str) -> Searching {
         self.stage = Stage::Idle(ctx.now.plus_secs(ctx.config.settings.retries.worker_wait));
         Searching::Wait(why)
+    }
+}
+
+fn route(
+    begin: Begin,
+    goal: GoalPoint,
+    path: Vec<Point2<f64>>,
+    map: MapRef,
+    trajectory: Trajectory,
+    statistics: PlanStatistics,
+) -> Route {
+    let plan = PlanDraft {
+        map,
+        waypoints: path.iter().skip(1).copied().collect(),
+        trajectory,
+        splice: begin.splice,
+        statistics,
+    };
+    Route {
+        id: 0,
+        goal,
+        length: path::length(&path),
+        path,
+        begin: begin.pose,
+        plan,
     }
 }
 

@@ -41,7 +41,9 @@ const FORGOTTEN: f64 = 10.0;
 pub(super) struct Waiting {
     pub(super) blockage: Blockage,
     /// Its cells, map frame, m.
-    cells: Vec<Point2<f64>>,
+    pub(super) cells: Vec<Point2<f64>>,
+    /// The way that it bars.
+    pub(super) way: Vec<Point2<f64>>,
     /// How many of them were occupied when a path was asked for last.
     occupied: usize,
 }
@@ -71,6 +73,7 @@ impl Waiting {
         Some(Self {
             blockage: Blockage { x, y, since },
             cells: thing.iter().map(|cell| cell.center).collect(),
+            way: path.to_vec(),
             occupied: thing.len(),
         })
     }
