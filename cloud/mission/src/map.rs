@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use nalgebra::Point2;
-use zenav_protocol::grid::{GridSpec, Occupancy};
+use zenav_protocol::grid::{Cell, GridSpec, Occupancy};
 use zenav_protocol::messages::{MapAction, MapInfo, MapPatch, MapRef, MapRequest};
 use zenav_protocol::robot::Footprint;
 use zenav_protocol::time::Stamp;
@@ -186,6 +186,38 @@ impl RobotMap {
             return Vec::new();
         }
         self.transients.cells(self.replica.grid(), grows, near)
+    }
+
+    /// Occupied cells within a distance (m) of a place, where nothing is occupied for as far again around them: a beam or two that met
+    /// something far away, and no wall. None in a stored map.
+    #[must_use]
+    pub fn lone(&self, place: Point2<f64>, within: f64) -> Vec<TransientCell> {
+        let grid = self.replica.grid();
+        let spec = grid.spec();
+        let grows = self.info.as_ref().is_some_and(|info| !info.stored);
+        let Some(center) = spec.cell_at(place).filter(|_| grows) else {
+            return Vec::new();
+        };
+        let reach = (2.0 * within / spec.resolution).ceil() as u32;
+        let rows = center.y.saturating_sub(reach)..=center.y.saturating_add(reach);
+        let cells = rows.flat_map(|y| {
+            let columns = center.x.saturating_sub(reach)..=center.x.saturating_add(reach);
+            columns.map(move |x| Cell { x, y })
+        });
+        let occupied = cells.filter(|cell| {
+            grid.get(*cell)
+                .is_some_and(|value| Occupancy::of(*value) == Occupancy::Occupied)
+        });
+        let centers: Vec<Point2<f64>> = occupied.map(|cell| spec.center(cell)).collect();
+        let is_near = |center: &Point2<f64>| (center - place).norm() <= within;
+        if !centers
+            .iter()
+            .all(|center| is_near(center) || (center - place).norm() > 2.0 * within)
+        {
+            return Vec::new();
+        }
+        let near = centers.into_iter().filter(is_near);
+        near.map(|center| TransientCell { center, since: None }).collect()
     }
 
     /// The configuration space of a (padded) replica of this map, as if what stands at these points had left.

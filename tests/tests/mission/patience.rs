@@ -108,6 +108,40 @@ fn a_door_that_shuts_in_its_face_is_waited_for_by_nav2_s_tree_too() {
 }
 
 #[test]
+fn a_door_that_shut_and_is_out_of_sight_is_driven_to() {
+    // A hall before the door: from its far end no beam reaches there.
+    let hall = ROOMS
+        .replace(
+            "size = [6.8, 5.4]\norigin = [-0.2, -0.2]",
+            "size = [13.8, 5.4]\norigin = [-7.2, -0.2]",
+        )
+        .replace("from = [-0.1, ", "from = [-7.1, ")
+        .replace("to = [-0.1, 5.1]", "to = [-7.1, 5.1]");
+    let door = "[[door]]\nfrom = [4, 2.05]\nto = [4, 2.95]\nthickness = 0.1\nclosed_secs = 30\nopen_secs = 10\nslide_secs = 1\n";
+    let mut rig = Rig::in_world(&format!("{hall}{door}"));
+    // It has seen the door open, and shut again.
+    rig.run(46.0);
+    let away = GoalRequest {
+        id: Some("away".to_owned()),
+        ..to(-6.0, 2.5)
+    };
+    rig.submit(away).unwrap();
+    rig.success_of("away", 30.0);
+    rig.submit(to(5.5, 2.5)).unwrap();
+    assert!(
+        rig.run_until(10.0, |rig| rig.goal("a").feedback.blockage.is_some()),
+        "{:?}",
+        rig.goal("a").feedback
+    );
+    assert!(
+        rig.run_until(20.0, |rig| !rig.is_at_rest()),
+        "{:?}",
+        rig.goal("a").feedback
+    );
+    rig.success_of("a", 90.0);
+}
+
+#[test]
 fn a_room_without_a_door_is_not_waited_for() {
     let mut rig = Rig::in_world(&format!(
         "{ROOMS}[[polygon]]\npoints = [[3.9, 2.05], [4.1, 2.05], [4.1, 2.95], [3.9, 2.95]]\n"

@@ -113,7 +113,7 @@ impl Waiting {
             let off = cell - place;
             let distance = off.norm();
             let steps = ((distance - ITSELF) / SIGHT_STEP).max(0.0) as u32;
-            distance <= SEEN * range
+            distance <= self.told_within.min(SEEN * range)
                 && (1..=steps).all(|step| {
                     let between = place + off * (SIGHT_STEP * f64::from(step) / distance);
                     ctx.map.occupancy(between) != Some(Occupancy::Occupied)

@@ -182,6 +182,8 @@ pub struct Search {
     from_rest: bool,
     /// What may leave, as it was asked for last.
     cleared: Vec<TransientCell>,
+    /// Whether some of it was met by a beam or two, at a goal far away.
+    doubts: bool,
     waiting: Option<Waiting>,
     /// On the way to where that is in sight.
     approach: Option<Approach>,
@@ -207,6 +209,7 @@ impl Search {
             begun: from,
             from_rest: false,
             cleared: Vec::new(),
+            doubts: false,
             waiting: None,
             approach: None,
             asked: from,

@@ -27,6 +27,8 @@ const LEANS: f64 = 6.0;
 const ROOM: (f64, f64) = (0.3, 2.0);
 /// Most goals that things are looked for around.
 const MAX_GOALS: usize = 8;
+/// From so near a lidar tells a person or a robot from a wall, m.
+const TOLD_WITHIN: f64 = 3.0;
 /// What may touch a robot beyond its circumscribed disc, m: some cells.
 const BESIDE: f64 = 0.08;
 /// Cells this near to one another bar the way as one thing, m.
@@ -44,6 +46,8 @@ pub(super) struct Waiting {
     pub(super) cells: Vec<Point2<f64>>,
     /// The way that it bars.
     pub(super) way: Vec<Point2<f64>>,
+    /// From farther away nobody can tell what it is, m.
+    pub(super) told_within: f64,
     /// How many of them were occupied when a path was asked for last.
     occupied: usize,
 }
@@ -74,6 +78,7 @@ impl Waiting {
             blockage: Blockage { x, y, since },
             cells: thing.iter().map(|cell| cell.center).collect(),
             way: path.to_vec(),
+            told_within: f64::INFINITY,
             occupied: thing.len(),
         })
     }
@@ -170,6 +175,13 @@ impl Search {
         let near = goals.map(|goal| Point2::new(goal.x, goal.y)).take(MAX_GOALS);
         let near: Vec<Point2<f64>> = [begin.pose.position()].into_iter().chain(near).collect();
         self.cleared = ctx.map.transient(&near);
+        // What a beam or two met at a goal far away may be anything.
+        let goal = Point2::new(self.request.goal.x, self.request.goal.y);
+        self.doubts = no_route.code == error_code::GOAL_OCCUPIED && (goal - begin.pose.position()).norm() > TOLD_WITHIN;
+        if self.doubts {
+            let reach = model.footprint.circumscribed_radius() + BESIDE;
+            self.cleared.extend(ctx.map.lone(goal, reach));
+        }
         if self.cleared.is_empty() {
             return self.given_up(ctx, no_route);
         }
@@ -236,6 +248,9 @@ impl Search {
         let Some(mut waiting) = Waiting::on(path, cells, radius + BESIDE, ctx.now) else {
             return self.given_up(ctx, no_route);
         };
+        if self.doubts {
+            waiting.told_within = TOLD_WITHIN;
+        }
         waiting.note(ctx);
         if waiting.stood(ctx.now) > ctx.config.settings.patience {
             let reason = format!("{}; {}", no_route.reason, waiting.given_up(ctx.now));
