@@ -6,6 +6,7 @@
 //! met it ([`LidarModel::before_end`] tells how long ago).
 
 use std::borrow::Cow;
+use std::f64::consts::TAU;
 
 use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::readings::Sweep;
@@ -14,8 +15,9 @@ use zenav_protocol::time::Stamp;
 
 use crate::lost_beams::is_one_surface;
 
-/// Between poses this far apart in time the robot drives straight, s.
+/// Between poses this far apart in time the robot drives straight, s; most of them.
 const STRAIGHT: f64 = 0.01;
+const MOST_STEPS: f64 = 100.0;
 /// A robot that drives and turns less than this during a sweep stands, m and rad.
 const STANDS: f64 = 1e-4;
 /// What no beam looked at: it neither hits nor clears.
@@ -26,7 +28,7 @@ const UNSEEN: f32 = 0.0;
 struct Moved {
     /// Its direction, in beams from the first.
     at: f64,
-    /// m; infinite without a return.
+    /// m; infinite without a return, zero where the lidar lost it.
     range: f32,
 }
 
@@ -45,12 +47,13 @@ pub(crate) fn deskewed<'a>(
         return Cow::Borrowed(sweep);
     };
     let laser_from_odom = (end * lidar.mount).inverse();
-    let steps = (lidar.sweep_time.abs() / STRAIGHT).ceil();
+    let steps = (lidar.sweep_time.abs() / STRAIGHT).ceil().min(MOST_STEPS);
     let step = lidar.sweep_time.abs() / steps;
-    // Where the lidar was at each step before the stamp; before the first odometry the robot stood.
+    // Where the lidar was at each step before the stamp; before the first odometry it was where that begins.
+    let mut earliest = end;
     let lasers = (0..=steps as usize).map(|nth| {
-        let at = odom_from_base_at(sweep.stamp.plus_secs(-step * nth as f64)).unwrap_or(end);
-        laser_from_odom * at * lidar.mount
+        earliest = odom_from_base_at(sweep.stamp.plus_secs(-step * nth as f64)).unwrap_or(earliest);
+        laser_from_odom * earliest * lidar.mount
     });
     let lasers: Vec<Pose2> = lasers.collect();
     let has_moved = |laser: &Pose2| laser.position().coords.norm() > STANDS || laser.yaw.abs() > STANDS;
@@ -68,12 +71,17 @@ pub(crate) fn deskewed<'a>(
             lidar.angle_min() + beam as f64 * lidar.angle_increment(),
         );
         let seen = f64::from(*range);
-        let (turn, range) = if (lidar.range_min..=lidar.range_max).contains(&seen) && seen > 0.0 {
+        let (turn, range) = if (lidar.range_min..=lidar.range_max).contains(&seen) {
             let (sin, cos) = (laser.yaw + angle).sin_cos();
             let (x, y) = (laser.x + seen * cos, laser.y + seen * sin);
-            (wrap_angle(y.atan2(x) - angle), x.hypot(y) as f32)
+            // It stays a return.
+            let range = x.hypot(y).clamp(1.001 * lidar.range_min, 0.999 * lidar.range_max);
+            (wrap_angle(y.atan2(x) - angle), range as f32)
+        } else if seen > lidar.range_max {
+            (laser.yaw, f32::INFINITY)
         } else {
-            (laser.yaw, *range)
+            // Nothing, or not a number.
+            (laser.yaw, UNSEEN)
         };
         let at = beam as f64 + turn / lidar.angle_increment();
         Moved { at, range }
@@ -89,14 +97,21 @@ pub(crate) fn deskewed<'a>(
 /// One range for each of the lidar's directions. Of what was seen twice the nearer counts, of one surface the later.
 fn laid_out(moved: &[Moved], lidar: &LidarModel) -> Vec<f32> {
     let count = moved.len();
-    let is_closed = lidar.gap() == 0.0;
     let mut laid = vec![None; count];
-    let place = |at: i64| {
-        let wrapped = if is_closed { at.rem_euclid(count as i64) } else { at };
-        usize::try_from(wrapped).ok().filter(|beam| *beam < count)
+    // Directions repeat after a full circle, which need not be a whole number of beams.
+    let circle = TAU / lidar.angle_increment();
+    let place = |at: f64| {
+        let wrapped = if at < -0.5 { at + circle } else { at };
+        let wrapped = if wrapped > circle - 0.5 {
+            wrapped - circle
+        } else {
+            wrapped
+        };
+        let beam = wrapped.round();
+        (0.0..count as f64).contains(&beam).then_some(beam.abs() as usize)
     };
     let surface = |a: &Moved, b: &Moved| is_return(a.range) && is_return(b.range) && is_one_surface(a.range, b.range);
-    let mut lay = |at: i64, range: f32| {
+    let mut lay = |at: f64, range: f32| {
         let Some(known) = place(at).and_then(|beam| laid.get_mut(beam)) else {
             return;
         };
@@ -110,7 +125,7 @@ fn laid_out(moved: &[Moved], lidar: &LidarModel) -> Vec<f32> {
     let in_time = |nth: usize| if lidar.sweep_time < 0.0 { count - 1 - nth } else { nth };
     for beam in (0..count).map(in_time) {
         let Some(this) = moved.get(beam) else { continue };
-        if this.range <= 0.0 || this.range.is_nan() {
+        if this.range == UNSEEN {
             continue;
         }
         let beside = [beam.checked_sub(1), Some(beam + 1)].map(|beam| moved.get(beam?));
@@ -128,7 +143,7 @@ fn laid_out(moved: &[Moved], lidar: &LidarModel) -> Vec<f32> {
         } else {
             this.range
         };
-        lay(nearest as i64, range);
+        lay(nearest, range);
         // Where the robot turns with the sweep, beams lie farther apart than a beam here and there.
         if let Some(next) = beside[1]
             && next.at.round() - nearest == 2.0
@@ -140,12 +155,10 @@ fn laid_out(moved: &[Moved], lidar: &LidarModel) -> Vec<f32> {
             } else {
                 this.range
             };
-            lay(nearest as i64 + 1, between);
+            lay(nearest + 1.0, between);
         }
     }
-    // A range of zero must mean nothing.
-    let unseen = if lidar.range_min > 0.0 { UNSEEN } else { f32::INFINITY };
-    laid.into_iter().map(|range| range.unwrap_or(unseen)).collect()
+    laid.into_iter().map(|range| range.unwrap_or(UNSEEN)).collect()
 }
 
 fn is_return(range: f32) -> bool {

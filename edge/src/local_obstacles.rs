@@ -13,7 +13,7 @@ use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 
 use crate::blind_spot_grid::BlindSpotGrid;
-use crate::field_of_view::{FieldOfView, ScanProjector, rigid};
+use crate::field_of_view::{FieldOfView, ProjectedScan, ScanProjector, rigid};
 use crate::moving_obstacles::MovingObstacles;
 use crate::obstacle_tracks::Track;
 use crate::passive_safety::Hidden;
@@ -118,6 +118,7 @@ impl LocalObstacles {
             seen.retain(|point| robots.robot_at(*point).is_none());
             remember(&mut self.remembered, seen, &self.view, base_from_odom, &self.settings);
         }
+        let unseen = kept_at_the_ends(seen, &scan);
         seen.clear();
         *odom_from_laser = scan.odom_from_laser;
         filter.update(&sweep.ranges, |range| scan.is_return(range));
@@ -128,6 +129,7 @@ impl LocalObstacles {
                 seen.push(laser + ray * range);
             }
         }
+        seen.extend(unseen);
         self.moving.insert(index, &scan);
         self.blind_spots.insert(&scan);
         *stamp = Some(sweep.stamp);
@@ -278,7 +280,7 @@ impl LocalObstacles {
             .unwrap_or(1.0)
     }
 
-    /// The points of each lidar's newest sweep in the order of its beams, odometry frame.
+    /// The points of each lidar's newest sweep in the order of its beams, odometry frame; after them what it did not look at again.
     pub fn seen_by_lidar(&self) -> impl Iterator<Item = &[Point2<f64>]> {
         self.lidars.iter().map(|lidar| &lidar.seen[..])
     }
@@ -323,6 +325,26 @@ impl LocalObstacles {
     pub fn blind_spots(&self) -> &BlindSpotGrid {
         &self.blind_spots
     }
+}
+
+/// Those points of a lidar's sweep before that this one did not look at: a robot that turns against the sweep leaves out as much of the circle as
+/// it turned by.
+fn kept_at_the_ends(before: &[Point2<f64>], scan: &ProjectedScan<'_>) -> Vec<Point2<f64>> {
+    let is_seen = |range: &f32| *range != 0.0;
+    let (Some(first), Some(last)) = (
+        scan.ranges.iter().position(is_seen),
+        scan.ranges.iter().rposition(is_seen),
+    ) else {
+        return Vec::new();
+    };
+    if scan.lidar.sweep_time == 0.0 || first == 0 && last + 1 == scan.ranges.len() {
+        return Vec::new();
+    }
+    let at_ends = |point: &&Point2<f64>| {
+        let beam = scan.beam_to(**point).map_or(first, |(beam, _)| beam);
+        beam < first || beam > last && beam < scan.ranges.len()
+    };
+    before.iter().filter(at_ends).copied().collect()
 }
 
 /// Keeps those known points that are in the blind spot from here.
@@ -443,5 +465,24 @@ mod tests {
             1,
             "the rear lidar sees that it has gone"
         );
+    }
+
+    #[test]
+    fn what_a_sweep_left_out_because_the_robot_turned_against_it_is_kept_for_that_long() {
+        let mut model = zenav_fixtures::robot("neato");
+        for sweep_time in [0.199, 0.0] {
+            model.lidar.as_mut().unwrap().sweep_time = sweep_time;
+            let mut obstacles = LocalObstacles::new(&model);
+            let mut ranges = vec![1.0; 360];
+            assert!(obstacles.insert(&Sweep::new(Stamp::from_secs(1.0), ranges.clone()), Pose2::IDENTITY));
+            ranges[..30].fill(0.0);
+            assert!(obstacles.insert(&Sweep::new(Stamp::from_secs(1.2), ranges.clone()), Pose2::IDENTITY));
+            let kept = if sweep_time > 0.0 { 360 } else { 330 };
+            assert_eq!(obstacles.in_base(Pose2::IDENTITY).count(), kept);
+            // Seen again, and nothing is there any more.
+            ranges[..30].fill(f32::INFINITY);
+            assert!(obstacles.insert(&Sweep::new(Stamp::from_secs(1.4), ranges), Pose2::IDENTITY));
+            assert_eq!(obstacles.in_base(Pose2::IDENTITY).count(), 330);
+        }
     }
 }

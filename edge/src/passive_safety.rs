@@ -262,7 +262,7 @@ impl<'a> Motion<'a> {
             radius: 0.0,
             velocity,
             speed: self.settings.robot_deviation,
-            travelled: 0.0,
+            travelled: velocity.norm() * sweep_time,
         }));
         self.limit_among(&points)
     }

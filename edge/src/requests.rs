@@ -12,7 +12,7 @@ use zenav_protocol::topics::{EdgeReply, EdgeRequest};
 
 use crate::authority::Decision;
 use crate::maneuvers::Maneuver;
-use crate::maneuvers::nearest_free::{Pace, drives_into_unknown, nearest_free};
+use crate::maneuvers::free_place::{Pace, drives_into_unknown, free_place};
 use crate::params;
 use crate::passive_safety::GENTLE;
 use crate::pilot::Pilot;
@@ -136,7 +136,7 @@ impl Pilot {
                     .is_none()
                     && !drives_into_unknown(footprint, &self.obstacles, unseen, there, twist, secs)
             };
-            nearest_free(footprint, &points, clearance, within, pace, is_free)
+            free_place(footprint, &points, clearance, within, pace, is_free)
         };
         let maneuver = Maneuver::begin(
             &request.id,

@@ -17,7 +17,7 @@ use super::map::RobotMap;
 use super::motion::MotionKeeper;
 use super::records::Restored;
 use super::robot::RobotView;
-use super::route::Route;
+use super::route::{Route, Tries};
 use zenav_space::{ConfigurationSpace, Zones};
 
 /// Pending requests; beyond that the oldest is dropped.
@@ -117,6 +117,10 @@ pub struct ActiveGoal {
     pub waited: Option<(Blockage, Stamp)>,
     /// When the robot was turned to it last.
     pub looked: Option<Stamp>,
+    /// Until when that was out of sight, and the robot was being brought nearer.
+    pub unseen_until: Option<Stamp>,
+    /// How often it was.
+    pub tries: Tries,
     /// Since when something has leaned on it, or it was driven aside for that.
     pub leaned_on: Option<Stamp>,
 }
@@ -390,6 +394,12 @@ impl Context {
                 self.plans.push(plan);
             }
         }
+    }
+
+    /// Whether a drive is under way.
+    #[must_use]
+    pub fn is_driving(&self) -> bool {
+        self.goal.legs.last().is_some_and(|leg| leg.state == GoalPhase::Active)
     }
 
     /// A drive begins, or the one that failed last begins again.

@@ -274,6 +274,26 @@ mod tests {
     }
 
     #[test]
+    fn what_a_beam_or_two_met_is_alone_and_a_piece_of_a_wall_is_not() {
+        for (beams, alone) in [(60..62, true), (40..80, false)] {
+            let mut mapper = Mapper::new(MappingSettings::default(), "m");
+            let mut map = RobotMap::default();
+            let mut ranges = vec![f32::INFINITY; 120];
+            ranges[beams].fill(4.0);
+            let mut met = Point2::origin();
+            for step in 1..6 {
+                let scan = zenav_fixtures::scan(step, Pose2::IDENTITY, ranges.clone());
+                let angle = scan.angle(60);
+                met = scan.map_from_laser().transform_point(Point2::new(4.0 * angle.cos(), 4.0 * angle.sin()));
+                mapper.insert(&scan);
+                let patches: Vec<MapPatch> = std::iter::from_fn(|| mapper.take_patch()).collect();
+                map.observe(Stamp(step), Some(mapper.info()), &patches);
+            }
+            assert_eq!(!map.lone(met, 0.3).is_empty(), alone);
+        }
+    }
+
+    #[test]
     fn a_replica_without_a_mapper_goes_stale() {
         let mut mapper = Mapper::new(MappingSettings::default(), "m");
         let mut map = RobotMap::default();

@@ -269,12 +269,8 @@ impl Mission {
             profile: request.profile.unwrap_or(self.ctx.config.settings.profile),
             feedback: goal.state.feedback.clone(),
             legs,
-            leg_changes: 0,
-            failure: None,
             started: goal.state.started.unwrap_or(self.ctx.now),
-            waited: None,
-            looked: None,
-            leaned_on: None,
+            ..ActiveGoal::default()
         };
         self.published.legs = 0;
         // What the goal before it did last is no news of this one.

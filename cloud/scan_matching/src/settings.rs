@@ -10,7 +10,8 @@ zenav_protocol::settings! {
         pub max_range: f64 = 25.0, "m", 1.0..=200.0;
         /// Points nearer than this to the one before are left out: a wall beside the robot has a hundred.
         pub spacing: f64 = 0.03, "m", 0.0..=1.0;
-        /// Duration of a sweep: points are moved to where they were at its stamp, the end of the sweep. 0: all at once.
+        /// Duration of a log's sweeps: points are moved to where they were at the stamp, the end of the sweep. 0: all at once, as a robot's
+        /// scans are.
         pub sweep: f64 = 0.0, "s", 0.0..=1.0;
     }
 }

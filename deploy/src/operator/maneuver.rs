@@ -69,7 +69,7 @@ enum Maneuver {
         #[arg(long, value_name = "M/S", default_value_t = 0.1, value_parser = positive)]
         speed: f64,
     },
-    /// Drive to the nearest free place: one turn and one straight drive
+    /// Drive to the free place that is reached soonest: one turn and one straight drive
     Free {
         /// Clearance of the footprint there, m
         #[arg(long, value_name = "M", default_value_t = 0.05, value_parser = positive)]

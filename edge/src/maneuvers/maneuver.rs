@@ -1,4 +1,4 @@
-//! Maneuver. How does one maneuver begin, go on and end? Spin, drive straight (back up), wait, drive to the nearest free place. The collision
+//! Maneuver. How does one maneuver begin, go on and end? Spin, drive straight (back up), wait, drive to a free place. The collision
 //! monitor supervises each; one that is blocked fails instead of waiting.
 
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
@@ -6,7 +6,7 @@ use zenav_protocol::messages::{BehaviourAction, BehaviourReport, BehaviourState}
 use zenav_protocol::robot::Drive;
 use zenav_protocol::time::Stamp;
 
-use super::nearest_free::Escape;
+use super::free_place::Escape;
 use crate::settings::ManeuverSettings;
 
 /// A maneuver in progress.

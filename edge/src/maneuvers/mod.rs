@@ -1,13 +1,13 @@
-//! Maneuvers (Nav2's behaviors). What can the robot do on request, without a plan? Spin, drive straight (back up), wait, drive to the nearest
+//! Maneuvers (Nav2's behaviors). What can the robot do on request, without a plan? Spin, drive straight (back up), wait, drive to a
 //! free place. This file keeps the one that runs and the reports of ended ones: a repeated id starts nothing again.
 //!
 //! | file | answers |
 //! |---|---|
 //! | `maneuver` | how does one maneuver begin, go on and end? |
-//! | [`mod@nearest_free`] | where is the nearest free place, and how does the robot get there? |
+//! | [`mod@free_place`] | which free place is reached soonest, and how? |
 
+pub mod free_place;
 mod maneuver;
-pub mod nearest_free;
 
 pub use maneuver::{Maneuver, Step};
 

@@ -357,4 +357,42 @@ mod tests {
         assert!(moving.tracks().iter().next().is_some(), "it has not become a track");
         assert_eq!(moving.occluded(Stamp::from_secs(2.9)).count(), 1);
     }
+
+    #[test]
+    fn a_track_of_a_lidar_that_sweeps_is_where_its_beams_met_it() {
+        let robot = zenav_fixtures::robot("neato");
+        let lidar = LidarModel {
+            sweep_time: 0.199,
+            ..robot.lidar.clone().unwrap()
+        };
+        let place = |secs: f64| Point2::new(2.0, -1.5 + secs);
+        let range = |at: Stamp, beam: usize| {
+            // Distance to a disc, seen from the lidar, and to a wall all around.
+            let center = place(at.as_secs() - lidar.before_end(beam as f64)) - lidar.mount.position();
+            let angle = lidar.angle_min() + beam as f64 * lidar.angle_increment();
+            let (sin, cos) = angle.sin_cos();
+            let (along, aside) = (center.x * cos + center.y * sin, center.y * cos - center.x * sin);
+            let half = 0.0625 - aside * aside;
+            (if along > 0.0 && half > 0.0 {
+                along - half.sqrt()
+            } else {
+                4.0
+            }) as f32
+        };
+        let mut robot = robot;
+        robot.lidar = Some(lidar.clone());
+        let mut moving = none_yet(&robot, 1.5);
+        let mut projector = ScanProjector::new(&lidar);
+        for step in 1..=15 {
+            let stamp = Stamp::from_secs(0.2 * f64::from(step));
+            let ranges = (0..lidar.beams).map(|beam| range(stamp, beam)).collect();
+            let sweep = Sweep::new(stamp, ranges);
+            moving.insert(0, &projector.project(&sweep, Pose2::IDENTITY).unwrap());
+        }
+        let tracks: Vec<&Track> = moving.tracks().iter().collect();
+        assert_eq!(tracks.len(), 1);
+        // Straight ahead is in the middle of the sweep: a tenth of a second, and of a metre.
+        let off = tracks[0].at(Stamp::from_secs(3.0).secs_since(tracks[0].stamp)) - place(3.0);
+        assert!(off.norm() < 0.06, "{off:?}");
+    }
 }

@@ -33,7 +33,7 @@ pub enum BehaviourAction {
         /// Speed, m/s, positive.
         speed: f64,
     },
-    /// Drive to the nearest free place: one turn and one straight drive.
+    /// Drive to the free place that is reached soonest: one turn and one straight drive.
     ToFree {
         /// Clearance of the footprint at that place, m.
         clearance: f64,

@@ -98,7 +98,10 @@ impl LidarModel {
     /// How long before the end of its sweep a beam is measured, s.
     #[must_use]
     pub fn before_end(&self, beam: f64) -> f64 {
-        let share = beam / self.beams.max(2).saturating_sub(1) as f64;
+        if self.beams < 2 {
+            return 0.0;
+        }
+        let share = beam / (self.beams - 1) as f64;
         self.sweep_time.abs() * if self.sweep_time < 0.0 { share } else { 1.0 - share }
     }
 
@@ -144,6 +147,10 @@ impl LidarModel {
                 self.sweep_time,
                 format_args!("at most the time between two sweeps, {:.3} s", 1.0 / self.rate_hz),
             ));
+        }
+        if self.sweep_time != 0.0 && self.range_min <= 0.0 {
+            let expected = "more than 0 where `sweep_time` is set: a range of zero means that nobody looked there";
+            return Err(OutOfBounds::unlike("range_min", self.range_min, expected));
         }
         if self.range_min >= self.range_max {
             return Err(OutOfBounds::unlike("range_min", self.range_min, "less than range_max"));

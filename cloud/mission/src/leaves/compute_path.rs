@@ -106,7 +106,11 @@ impl Leaf<Context> for ComputePath {
         if self.tried.is_none_or(|(to, _)| to != request.goal) {
             self.tried = Some((request.goal, 0));
         }
-        self.search = Some((Search::new(ctx, request.clone(), planner, ctx.now), request));
+        let mut search = Search::new(ctx, request.clone(), planner, ctx.now);
+        if ctx.is_driving() {
+            search = search.standing();
+        }
+        self.search = Some((search, request));
         self.tick(io, ctx)
     }
 
@@ -165,7 +169,9 @@ impl Leaf<Context> for ComputePath {
                 step(io, ctx, &format!("looks again: {}", no_route.reason))
             }
             Searching::Failed(no_route) => {
-                self.search = None;
+                if let Some((search, _)) = self.search.take() {
+                    search.cancel(ctx);
+                }
                 let times = self.tried.as_mut().map_or(1, |(_, times)| {
                     *times = times.saturating_add(1);
                     *times

@@ -182,10 +182,15 @@ impl Leaf<Context> for FollowPath {
             let why = format!("no progress within {:.0} s", ctx.config.settings.progress.timeout);
             return self.end(io, ctx, error_code::FAILED_TO_MAKE_PROGRESS, why);
         }
-        if let Some(route) = self.offered.take()
-            && self.fits(ctx, &route)
-        {
-            return self.drive(io, ctx, memory, &route);
+        if let Some(route) = self.offered.take() {
+            if self.fits(ctx, &route) {
+                return self.drive(io, ctx, memory, &route);
+            }
+            if memory.motion != ctx.motion.id() {
+                // What it was to go on from.
+                ctx.hold();
+                ctx.motion.clear();
+            }
         }
         if let Some(PlanStatus::Refused(why)) = ctx.motion.status().cloned() {
             self.refusals += 1;

@@ -1,11 +1,15 @@
 //! Approach. What bars the way is out of sight from here, and nobody would see it leave: where along the way is it seen, and how does the robot
 //! get there?
+//!
+//! The robot drives there by a plan of its own, checked and renewed like any other, while the search goes on. A goal has so many tries, each later
+//! after the one before; as long as one is under way, the time that what bars the way has stood there does not count.
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::Occupancy;
 use zenav_protocol::messages::{GoalPoint, MotionReply, MotionRequest, PlanOutcome, PlanRequest, TrajectoryRequest};
 use zenav_protocol::robot::RobotModel;
+use zenav_protocol::time::Stamp;
 
 use super::begin::{Begin, predicted};
 use super::waiting::Waiting;
@@ -13,69 +17,132 @@ use super::{Route, Search, route};
 use crate::context::Context;
 use crate::io::{Answer, Ask, NoAnswer, Ticket};
 use crate::leaves::path;
-use crate::motion::{PlanStatus, Recheck};
+use crate::motion::{PlanStatus, Recheck, recheck};
 
-/// A lidar sees what is as near as this, as a share of its range: fewer beams than one a cell meet what is farther away.
-const SEEN: f64 = 0.7;
+/// A lidar sees what is as near as this, as a share of its range, and no farther than this, m: fewer beams than one a cell meet what is.
+const SEEN: (f64, f64) = (0.7, 12.0);
 /// So near to what is waited for nothing that belongs to it hides it, m.
 const ITSELF: f64 = 0.4;
-/// Line of sight is looked at so often, m.
+/// Line of sight is looked at so often, m, to so many of its cells.
 const SIGHT_STEP: f64 = 0.05;
+const SIGHTS: usize = 8;
 /// Places along the way are this far apart, m; nearer than this the robot need not go.
 const STEP: f64 = 0.25;
 const MOST_PLACES: usize = 2000;
 /// The robot keeps this far away from what is waited for, beyond its circumscribed radius, m: it must be able to leave.
 const KEPT: f64 = 0.5;
+/// It sets out where its plan begins, m.
+const BEGINS: f64 = 0.15;
+/// Tries of a goal; each waits so much longer than the one before, s.
+const MOST_TRIES: u32 = 12;
+const LATER: f64 = 1.0;
+
+/// How often a goal's robot has been brought nearer, and when it may be the next time.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Tries {
+    count: u32,
+    after: Stamp,
+}
+
+impl Tries {
+    /// Whether there are any left.
+    pub(super) fn are_left(&self) -> bool {
+        self.count < MOST_TRIES
+    }
+}
 
 /// How far an approach is.
 #[derive(Clone, Debug)]
 pub(super) enum Approach {
     Asked(Ticket, Begin, GoalPoint),
-    /// This trajectory leads there.
-    Driving(u64),
+    /// This trajectory leads there; checked on a map's revision, by zones changed so often.
+    Driving {
+        id: u64,
+        revision: u64,
+        zones: u64,
+    },
 }
 
 impl Search {
-    /// Brings the robot to where what it waits for is in sight; a route to be driven, once there is one.
+    /// Brings the robot to where what it waits for is in sight; a route to be driven, once there is one. `None` too where there is nothing to do.
     pub(super) fn come_nearer(&mut self, ctx: &mut Context, waiting: &Waiting) -> Option<Box<Route>> {
-        match self.approach.take() {
-            None => self.ask_for_approach(ctx, waiting),
-            Some(Approach::Asked(ticket, begin, goal)) => match ctx.asks.take(ticket) {
+        match self.approach.take()? {
+            Approach::Asked(ticket, begin, goal) => match ctx.asks.take(ticket) {
                 None => {
                     self.approach = Some(Approach::Asked(ticket, begin, goal));
                     None
                 }
-                Some(answer) => approach(begin, goal, answer),
+                Some(answer) => approach(ctx, begin, goal, answer),
             },
-            Some(Approach::Driving(id)) => {
-                let is_driven = ctx.motion.id() == Some(id)
-                    && matches!(ctx.motion.status(), Some(PlanStatus::Sent | PlanStatus::Taken));
-                if is_driven {
-                    keep_up(ctx);
-                    self.approach = Some(Approach::Driving(id));
+            Approach::Driving { id, revision, zones } => {
+                if self.is_driving(ctx, id) && !waiting.is_in_sight(ctx) {
+                    self.approach = keep_up(ctx, id, (revision, zones));
+                } else if self.is_driving(ctx, id) {
+                    // Near enough.
+                    ctx.hold();
                 }
                 None
             }
         }
     }
 
-    /// Drives the approach that was found.
-    pub fn approaches(&mut self, ctx: &mut Context, route: Route) {
-        tracing::info!(goal = ctx.goal.id, "drives to where it sees what bars the way");
-        ctx.drive(route.plan);
-        self.from_rest = false;
-        self.approach = ctx.motion.id().map(Approach::Driving);
+    fn is_driving(&self, ctx: &Context, id: u64) -> bool {
+        ctx.motion.id() == Some(id)
+            && !ctx.motion.is_held()
+            && matches!(ctx.motion.status(), Some(PlanStatus::Sent | PlanStatus::Taken))
     }
 
-    fn ask_for_approach(&mut self, ctx: &mut Context, waiting: &Waiting) -> Option<Box<Route>> {
-        let (Some(model), Some(map)) = (ctx.robot.model().cloned(), ctx.map.newest()) else {
-            return None;
+    /// Whether the robot is being brought nearer.
+    pub(super) fn is_approaching(&self) -> bool {
+        self.approach.is_some()
+    }
+
+    /// Drives the approach that was found.
+    pub fn approaches(&mut self, ctx: &mut Context, route: Route) {
+        let before = ctx.motion.id();
+        ctx.drive(route.plan);
+        let Some(id) = ctx.motion.id().filter(|id| Some(*id) != before) else {
+            return;
         };
-        if !ctx.robot.is_at_rest() || ctx.obstacle_to_driving().is_some() {
-            return None;
+        tracing::info!(goal = ctx.goal.id, "drives to where it sees what bars the way");
+        self.from_rest = false;
+        self.approach = Some(Approach::Driving {
+            id,
+            revision: ctx.map.newest().map_or(0, |map| map.revision),
+            zones: ctx.map.zone_changes(),
+        });
+    }
+
+    /// Ends the approach: the robot comes to rest on the plan that leads there.
+    pub(super) fn end_approach(&mut self, ctx: &mut Context) {
+        match self.approach.take() {
+            Some(Approach::Asked(ticket, ..)) => ctx.asks.forget(ticket),
+            Some(Approach::Driving { id, .. }) if ctx.motion.id() == Some(id) => {
+                ctx.hold();
+                ctx.motion.clear();
+            }
+            _ => {}
         }
-        let place = waiting.seen_from(ctx, &model)?;
-        let begin = predicted(ctx, true).ok()?;
+    }
+
+    /// Asks for a way to where what is waited for is in sight. Whether it did.
+    pub(super) fn ask_for_approach(&mut self, ctx: &mut Context, waiting: &Waiting) -> bool {
+        let (Some(model), Some(map)) = (ctx.robot.model().cloned(), ctx.map.newest()) else {
+            return false;
+        };
+        let tries = ctx.goal.tries;
+        let may = tries.are_left() && ctx.now >= tries.after && self.may_approach;
+        if !may || !may_set_out(ctx) {
+            return false;
+        }
+        ctx.goal.tries = Tries {
+            count: tries.count + 1,
+            after: ctx.now.plus_secs(LATER * f64::from(tries.count + 1)),
+        };
+        let Some(place) = waiting.seen_from(ctx, &model) else {
+            return false;
+        };
+        let Ok(begin) = predicted(ctx, true) else { return false };
         let goal = GoalPoint {
             x: place.x,
             y: place.y,
@@ -94,7 +161,7 @@ impl Search {
         };
         let ask = Ask::Motion(Box::new(MotionRequest::Trajectory(request)));
         self.approach = Some(Approach::Asked(ctx.asks.ask(ask), begin, goal));
-        None
+        true
     }
 }
 
@@ -109,11 +176,13 @@ impl Waiting {
 
     fn is_seen_from(&self, ctx: &Context, model: &RobotModel, place: Point2<f64>) -> bool {
         let range = model.all_lidars().map(|(_, lidar)| lidar.range_max).fold(0.0, f64::max);
-        self.cells.iter().any(|cell| {
+        let within = (SEEN.0 * range).min(SEEN.1).min(self.told_within);
+        let every = self.cells.len().div_ceil(SIGHTS).max(1);
+        self.cells.iter().step_by(every).any(|cell| {
             let off = cell - place;
             let distance = off.norm();
             let steps = ((distance - ITSELF) / SIGHT_STEP).max(0.0) as u32;
-            distance <= self.told_within.min(SEEN * range)
+            distance <= within
                 && (1..=steps).all(|step| {
                     let between = place + off * (SIGHT_STEP * f64::from(step) / distance);
                     ctx.map.occupancy(between) != Some(Occupancy::Occupied)
@@ -135,8 +204,16 @@ impl Waiting {
     }
 }
 
-/// The route of an answer.
-fn approach(begin: Begin, goal: GoalPoint, answer: Result<Answer, NoAnswer>) -> Option<Box<Route>> {
+/// Whether the robot stands, and nothing keeps it from driving.
+fn may_set_out(ctx: &Context) -> bool {
+    ctx.robot.is_at_rest()
+        && ctx.obstacle_to_driving().is_none()
+        && ctx.frames.is_settled()
+        && ctx.robot.frame() == ctx.frames.at()
+}
+
+/// The route of an answer, if it can be driven by now.
+fn approach(ctx: &mut Context, begin: Begin, goal: GoalPoint, answer: Result<Answer, NoAnswer>) -> Option<Box<Route>> {
     let Ok(Answer::Motion(reply)) = answer else { return None };
     let MotionReply::Trajectory(reply) = *reply else {
         return None;
@@ -144,8 +221,16 @@ fn approach(begin: Begin, goal: GoalPoint, answer: Result<Answer, NoAnswer>) -> 
     let (PlanOutcome::Found { path, .. }, Some(smooth)) = (reply.plan.outcome, reply.smooth) else {
         return None;
     };
-    let is_driven = path.len() >= 2 && !smooth.trajectory.is_empty();
-    is_driven.then(|| {
+    let is_there = |pose: Pose2| pose.distance(&begin.pose) < BEGINS;
+    let is_driven = path.len() >= 2
+        && !smooth.trajectory.is_empty()
+        && smooth.map.frame == ctx.frames.at()
+        && may_set_out(ctx)
+        && ctx.robot.pose().is_some_and(is_there);
+    let escape = ctx.config.settings.escape;
+    let space = ctx.space_now().ok().filter(|_| is_driven)?;
+    let is_free = recheck(&smooth.trajectory, &space, 0.0, escape) == Recheck::Free;
+    is_free.then(|| {
         Box::new(route(
             begin,
             goal,
@@ -157,17 +242,29 @@ fn approach(begin: Begin, goal: GoalPoint, answer: Result<Answer, NoAnswer>) -> 
     })
 }
 
-/// Renews the plan in force while it is free.
-fn keep_up(ctx: &mut Context) {
-    if ctx.motion.age(ctx.now) < ctx.config.settings.renew_period {
-        return;
+/// Renews the plan in force, when it is due and while it is free; where something has come into its way, the robot brakes, and the approach has ended.
+fn keep_up(ctx: &mut Context, id: u64, (revision, zones): (u64, u64)) -> Option<Approach> {
+    let newest = ctx.map.newest().map_or(0, |map| map.revision);
+    let checked = Approach::Driving {
+        id,
+        revision: newest,
+        zones: ctx.map.zone_changes(),
+    };
+    let is_due = ctx.motion.age(ctx.now) >= ctx.config.settings.renew_period;
+    if !is_due && newest == revision && ctx.map.zone_changes() == zones {
+        return Some(checked);
     }
     let time = ctx.robot.state().and_then(|state| ctx.motion.time(state, 0.0, 0.0));
     let escape = ctx.config.settings.escape;
-    let free = ctx
-        .space_now()
-        .is_ok_and(|space| ctx.motion.recheck(&space, time.unwrap_or(0.0), escape) == Recheck::Free);
-    if free {
-        ctx.renew();
+    let space = ctx.space_now();
+    match space.map(|space| ctx.motion.recheck(&space, time.unwrap_or(0.0), escape)) {
+        Ok(Recheck::Free) if is_due => ctx.renew(),
+        Ok(Recheck::Blocked(ahead)) => {
+            ctx.hold_within(ahead);
+            return None;
+        }
+        // What cannot be checked runs out.
+        Ok(Recheck::Free) | Err(_) => {}
     }
+    Some(checked)
 }

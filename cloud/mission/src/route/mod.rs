@@ -32,6 +32,7 @@ use approach::Approach;
 use begin::{Begin, predicted};
 use waiting::Waiting;
 
+pub use approach::Tries;
 pub use request::RouteRequest;
 pub(crate) use waiting::look_at;
 
@@ -185,8 +186,9 @@ pub struct Search {
     /// Whether some of it was met by a beam or two, at a goal far away.
     doubts: bool,
     waiting: Option<Waiting>,
-    /// On the way to where that is in sight.
+    /// On the way to where that is in sight; whether the robot may be brought there.
     approach: Option<Approach>,
+    may_approach: bool,
     /// When a path was asked for last.
     asked: Stamp,
     /// The frame of the map in which it was asked for.
@@ -212,9 +214,19 @@ impl Search {
             doubts: false,
             waiting: None,
             approach: None,
+            may_approach: true,
             asked: from,
             frame: ctx.frames.at(),
             unanswered: false,
+        }
+    }
+
+    /// Does not bring the robot anywhere while it waits: somebody else drives it.
+    #[must_use]
+    pub fn standing(self) -> Self {
+        Self {
+            may_approach: false,
+            ..self
         }
     }
 
@@ -228,12 +240,10 @@ impl Search {
     }
 
     /// Gives the search up.
-    pub fn cancel(self, ctx: &mut Context) {
+    pub fn cancel(mut self, ctx: &mut Context) {
+        self.end_approach(ctx);
         if self.waiting.is_some() {
             ctx.goal.feedback.blockage = None;
-        }
-        if let Some(Approach::Asked(ticket, ..)) = self.approach {
-            ctx.asks.forget(ticket);
         }
         match self.stage {
             Stage::Asked(ticket, _) | Stage::Cleared(ticket, _) | Stage::Given(ticket, ..) => ctx.asks.forget(ticket),
@@ -249,24 +259,32 @@ impl Search {
     /// Goes on as far as the answers that are there allow.
     pub fn step(&mut self, ctx: &mut Context) -> Searching {
         let state = self.advance(ctx);
-        match (state, self.waiting.clone()) {
+        match (state, self.waiting.take()) {
             (Searching::Wait(_), Some(waiting)) => {
                 ctx.goal.feedback.blockage = Some(waiting.blockage);
-                if waiting.make_room(ctx) {
-                    return Searching::Blocked(waiting.said(ctx.now));
-                }
-                if self.approach.is_none() && waiting.is_in_sight(ctx) {
-                    look_at(ctx, Point2::new(waiting.blockage.x, waiting.blockage.y));
-                } else if let Some(nearer) = self.come_nearer(ctx, &waiting) {
-                    return Searching::Nearer(nearer);
-                }
-                Searching::Blocked(waiting.said(ctx.now))
+                let nearer = self.waits(ctx, &waiting);
+                let said = waiting.said(ctx.now);
+                self.waiting = Some(waiting);
+                nearer.map_or(Searching::Blocked(said), Searching::Nearer)
             }
-            (state, _) => {
+            (state, waiting) => {
                 ctx.goal.feedback.blockage = None;
+                self.waiting = waiting;
                 state
             }
         }
+    }
+
+    /// What the robot does meanwhile: it makes room, comes nearer, or looks there. A route that leads nearer, once there is one.
+    fn waits(&mut self, ctx: &mut Context, waiting: &Waiting) -> Option<Box<Route>> {
+        if self.is_approaching() {
+            return self.come_nearer(ctx, waiting);
+        }
+        let done = waiting.make_room(ctx) || !waiting.is_in_sight(ctx) && self.ask_for_approach(ctx, waiting);
+        if !done {
+            look_at(ctx, Point2::new(waiting.blockage.x, waiting.blockage.y));
+        }
+        None
     }
 
     fn advance(&mut self, ctx: &mut Context) -> Searching {

@@ -177,9 +177,10 @@ impl Search {
         self.cleared = ctx.map.transient(&near);
         // What a beam or two met at a goal far away may be anything.
         let goal = Point2::new(self.request.goal.x, self.request.goal.y);
-        self.doubts = no_route.code == error_code::GOAL_OCCUPIED && (goal - begin.pose.position()).norm() > TOLD_WITHIN;
+        let reach = model.footprint.circumscribed_radius() + BESIDE;
+        let is_far = (goal - begin.pose.position()).norm() > TOLD_WITHIN + reach;
+        self.doubts = no_route.code == error_code::GOAL_OCCUPIED && is_far && ctx.goal.tries.are_left();
         if self.doubts {
-            let reach = model.footprint.circumscribed_radius() + BESIDE;
             self.cleared.extend(ctx.map.lone(goal, reach));
         }
         if self.cleared.is_empty() {
@@ -232,6 +233,7 @@ impl Search {
             Point2::new(self.request.goal.x, self.request.goal.y),
         ];
         let cells = ctx.map.transient(&ends);
+        self.doubts = false;
         self.wait(ctx, path, &cells, no_route)
     }
 
@@ -250,9 +252,18 @@ impl Search {
         };
         if self.doubts {
             waiting.told_within = TOLD_WITHIN;
+        } else {
+            waiting.note(ctx);
         }
-        waiting.note(ctx);
-        if waiting.stood(ctx.now) > ctx.config.settings.patience {
+        let approaches = self.is_approaching() || self.may_approach && ctx.goal.tries.are_left();
+        if approaches && !waiting.is_in_sight(ctx) {
+            ctx.goal.unseen_until = Some(ctx.now);
+        }
+        let seen = ctx
+            .goal
+            .unseen_until
+            .map_or(f64::INFINITY, |until| ctx.now.secs_since(until));
+        if waiting.stood(ctx.now).min(seen) > ctx.config.settings.patience {
             let reason = format!("{}; {}", no_route.reason, waiting.given_up(ctx.now));
             self.waiting = None;
             return Searching::Failed(NoRoute { reason, ..no_route });

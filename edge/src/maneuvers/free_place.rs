@@ -1,4 +1,4 @@
-//! Nearest free place. Which place with enough clearance to every known obstacle is reached soonest, and how? By one turn on the spot and
+//! Free place. Which place with enough clearance to every known obstacle is reached soonest, and how? By one turn on the spot and
 //! one straight drive, forwards or backwards, each checked with the swept footprint.
 
 use std::f64::consts::{PI, TAU};
@@ -14,6 +14,8 @@ use crate::local_obstacles::LocalObstacles;
 const DIRECTIONS: u32 = 16;
 /// Spacing of the poses checked along a drive, m.
 const PLACES: f64 = 0.1;
+/// No slower than this, rad/s and m/s.
+const SLOWEST: f64 = 1e-3;
 /// Spacing of the candidate places along a direction, m.
 const STEP: f64 = 0.05;
 
@@ -41,7 +43,7 @@ pub struct Pace {
 /// `points` are in the base frame; `is_free` tells whether the robot, placed at a pose in its present base frame, can move with a twist
 /// for so many seconds.
 #[must_use]
-pub fn nearest_free(
+pub fn free_place(
     footprint: &Footprint,
     points: &[Point2<f64>],
     clearance: f64,
@@ -71,15 +73,14 @@ pub fn nearest_free(
     let can_turn = |turn: f64| turn == 0.0 || is_free(Pose2::IDENTITY, Twist2::new(0.0, turn.signum()), turn.abs());
     let secs = |turn: f64, distance: f64| {
         let speed = pace.speeds[usize::from(distance < 0.0)];
-        turn.abs() / pace.turning + distance.abs() / speed
+        turn.abs() / pace.turning.max(SLOWEST) + distance.abs() / speed.max(SLOWEST)
     };
     let mut soonest: Option<(f64, Escape)> = None;
     for (turn, sign) in headings {
         let drive = Twist2::new(sign, 0.0);
-        let mut lengths = (1..=(within / STEP).floor() as u32).map(|step| STEP * f64::from(step));
+        let lengths = (1..=(within / STEP).floor() as u32).map(|step| STEP * f64::from(step));
         let is_sooner = |length: &f64| soonest.is_none_or(|(best, _)| secs(turn, sign * length) < best - 1e-9);
         let found = lengths
-            .by_ref()
             .take_while(is_sooner)
             .find(|length| is_valid(after(turn).advance(drive, *length)));
         if let Some(length) = found
@@ -138,14 +139,14 @@ mod tests {
 
     #[test]
     fn with_enough_clearance_already_nothing_is_done() {
-        let way = nearest_free(&DISC, &[Point2::new(0.5, 0.0)], 0.1, 1.0, PACE, everything);
+        let way = free_place(&DISC, &[Point2::new(0.5, 0.0)], 0.1, 1.0, PACE, everything);
         assert_eq!(way.map(|way| (way.turn, way.distance)), Some((0.0, 0.0)));
     }
 
     #[test]
     fn from_a_wall_ahead_it_backs_up_just_as_far_as_is_needed() {
         let wall: Vec<_> = (-20..=20).map(|i| Point2::new(0.22, 0.05 * f64::from(i))).collect();
-        let way = nearest_free(&DISC, &wall, 0.095, 1.0, PACE, everything).unwrap();
+        let way = free_place(&DISC, &wall, 0.095, 1.0, PACE, everything).unwrap();
         assert!(way.turn == 0.0 && (way.distance + 0.1).abs() < 1e-9, "{way:?}");
     }
 
@@ -156,7 +157,7 @@ mod tests {
             speeds: [0.1, 0.008],
             ..PACE
         };
-        let way = nearest_free(&DISC, &wall, 0.295, 1.0, slow, everything).unwrap();
+        let way = free_place(&DISC, &wall, 0.295, 1.0, slow, everything).unwrap();
         assert!(way.distance > 0.0 && way.turn.abs() > 2.0, "{way:?}");
     }
 
@@ -164,10 +165,10 @@ mod tests {
     fn a_blocked_path_is_not_taken_and_without_any_there_is_none() {
         let point = [Point2::new(0.22, 0.0)];
         let not_back = |_: Pose2, twist: Twist2, _: f64| twist.v >= 0.0;
-        let way = nearest_free(&DISC, &point, 0.1, 1.0, PACE, not_back).unwrap();
+        let way = free_place(&DISC, &point, 0.1, 1.0, PACE, not_back).unwrap();
         assert!(way.distance > 0.0 && way.turn.abs() > 0.5, "{way:?}");
-        assert_eq!(nearest_free(&DISC, &point, 0.1, 1.0, PACE, |_, _, _| false), None);
-        assert_eq!(nearest_free(&DISC, &point, 2.0, 0.5, PACE, everything), None, "too far");
-        assert_eq!(nearest_free(&DISC, &point, 0.1, f64::NAN, PACE, everything), None);
+        assert_eq!(free_place(&DISC, &point, 0.1, 1.0, PACE, |_, _, _| false), None);
+        assert_eq!(free_place(&DISC, &point, 2.0, 0.5, PACE, everything), None, "too far");
+        assert_eq!(free_place(&DISC, &point, 0.1, f64::NAN, PACE, everything), None);
     }
 }
