@@ -284,7 +284,9 @@ mod tests {
             for step in 1..6 {
                 let scan = zenav_fixtures::scan(step, Pose2::IDENTITY, ranges.clone());
                 let angle = scan.angle(60);
-                met = scan.map_from_laser().transform_point(Point2::new(4.0 * angle.cos(), 4.0 * angle.sin()));
+                met = scan
+                    .map_from_laser()
+                    .transform_point(Point2::new(4.0 * angle.cos(), 4.0 * angle.sin()));
                 mapper.insert(&scan);
                 let patches: Vec<MapPatch> = std::iter::from_fn(|| mapper.take_patch()).collect();
                 map.observe(Stamp(step), Some(mapper.info()), &patches);
