@@ -18,7 +18,7 @@ robot, router = sys.argv[1:]
 config = zenoh.Config()
 config.insert_json5("mode", '"client"')
 config.insert_json5("connect/endpoints", json.dumps([router]))
-wanted, heard, angles, x, y, yaw = [0.0, 0.0], 0.0, [0.0, 0.0], 0.0, 0.0, 0.0
+wanted, heard, angles, swept, x, y, yaw = [0.0, 0.0], 0.0, [0.0, 0.0], [], 0.0, 0.0, 0.0
 
 
 def hear(sample):
@@ -45,7 +45,9 @@ with zenoh.open(config) as session:
         yaw += (right - left) / SEPARATION
         tick, due = tick + 1, due + TICK
         stamp = round(tick * TICK * 1e9)
-        ranges = [wall(yaw - math.pi + math.tau * beam / 360) for beam in range(360)] if tick % 10 == 0 else None
+        # The lidar turns once in ten ticks (`sweep_time` of the model).
+        swept += [wall(yaw - math.pi + math.tau * beam / 360) for beam in range(len(swept), len(swept) + 36)]
+        ranges, swept = (swept, []) if len(swept) == 360 else (None, swept)
         readings.put(json.dumps({
             "stamp": stamp, "wheels": angles, "imu": {"stamp": stamp, "yaw_rate": (right - left) / SEPARATION / TICK, "yaw": None},
             "sweep": ranges and {"stamp": stamp, "ranges": ranges},
