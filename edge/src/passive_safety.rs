@@ -248,13 +248,8 @@ impl<'a> Motion<'a> {
     /// velocity, or brake, which is what [`Self::limit_static`] looks at.
     #[must_use]
     pub fn limit_dynamic(&self, obstacles: &LocalObstacles, odom_from_base: Pose2) -> f64 {
-        let (moving, sweep_time) = (obstacles.moving().in_base(odom_from_base), obstacles.sweep_time());
-        let mut points: Vec<_> = moving
-            .map(|(at, speed)| Mover {
-                travelled: speed * sweep_time,
-                ..Mover::at_will(at, 0.0, speed)
-            })
-            .collect();
+        let sweep_time = obstacles.sweep_time();
+        let mut points: Vec<_> = obstacles.moving().in_base(odom_from_base).collect();
         let reach = self.footprint.circumscribed_radius() + self.margin + self.stopping_distance(1.0);
         let robots = obstacles.robots_in_base(odom_from_base, reach + FASTEST_ROBOT * self.stopping_time(1.0));
         points.extend(robots.into_iter().map(|(at, velocity)| Mover {

@@ -1,6 +1,7 @@
 //! Motion detector. Which returns of one lidar's scans evidently belong to something that moves?
 
 use std::collections::VecDeque;
+use std::f64::consts::TAU;
 
 use nalgebra::{Isometry2, Point2, Vector2};
 use zenav_protocol::robot::LidarModel;
@@ -29,6 +30,8 @@ pub(super) struct Detector {
     /// Up to which range each beam of the newest scan saw free space, m.
     free: Vec<f32>,
     references: VecDeque<ReferenceScan>,
+    /// Where the lidar was at the newest scan.
+    odom_from_laser: Isometry2<f64>,
     /// Points of moving obstacles in the newest scan, odometry frame.
     pub(super) points: Vec<Point2<f64>>,
     /// The beams that evidently met something that moves.
@@ -76,6 +79,7 @@ impl Detector {
             fastest,
             free: Vec::new(),
             references: VecDeque::new(),
+            odom_from_laser: Isometry2::identity(),
             points: Vec::new(),
             moved_beams: Vec::new(),
             range: settings.moving_obstacles.range.max(settings.tracking.range),
@@ -95,6 +99,7 @@ impl Detector {
     /// Takes a scan; returns how many of the points found in it moved by themselves, not only near to something that moves.
     pub(super) fn insert(&mut self, scan: &ProjectedScan<'_>) -> usize {
         self.points.clear();
+        self.odom_from_laser = scan.odom_from_laser;
         let near = self.lidar.range_min..=self.settings.range.min(self.lidar.range_max);
         let noise = self.noise.update(scan.ranges, |range| near.contains(&range));
         self.reprojection.set_noise(noise);
@@ -134,6 +139,17 @@ impl Detector {
         self.points.append(&mut still);
         self.keep_reference(scan);
         evident
+    }
+
+    /// How long before the stamp of the newest scan a beam met a point (odometry frame), s.
+    pub(super) fn met_before(&self, point: Point2<f64>) -> f64 {
+        if self.lidar.sweep_time == 0.0 {
+            return 0.0;
+        }
+        let off = self.odom_from_laser.inverse() * point;
+        let angle = (off.y.atan2(off.x) - self.lidar.angle_min()).rem_euclid(TAU);
+        let last = self.lidar.beams.saturating_sub(1) as f64;
+        self.lidar.before_end((angle / self.lidar.angle_increment()).min(last))
     }
 
     /// Leaves out the points that something else is known about; of `evident` ones, how many are left.

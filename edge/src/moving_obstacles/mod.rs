@@ -19,6 +19,7 @@ use zenav_protocol::time::Stamp;
 
 use crate::field_of_view::{FieldOfView, ProjectedScan, rigid};
 use crate::obstacle_tracks::{ObstacleTracks, Track};
+use crate::passive_safety::Mover;
 use crate::recent_places::{RecentPlace, RecentPlaces};
 use crate::settings::{EdgeSettings, MovingObstacleSettings};
 use detector::Detector;
@@ -241,16 +242,18 @@ impl MovingObstacles {
             .filter(move |occluded| now.secs_since(occluded.stamp) <= secs)
     }
 
-    /// Points of moving obstacles, in the base frame of a robot at `odom_from_base`, and how fast each moves at most, m/s: a tracked one
-    /// as fast as its track, any other one as fast as is assumed. Without robots that tell their course.
-    pub fn in_base(&self, odom_from_base: Pose2) -> impl Iterator<Item = (Point2<f64>, f64)> + '_ {
+    /// Points of moving obstacles, in the base frame of a robot at `odom_from_base`, each as fast as its track or, without one, as is assumed, and on
+    /// its way since its beam met it. Without robots that tell their course.
+    pub fn in_base(&self, odom_from_base: Pose2) -> impl Iterator<Item = Mover> + '_ {
         let base_from_odom = rigid(odom_from_base.inverse());
-        let points = self.detectors.iter().flat_map(|detector| &detector.points);
-        points.map(move |point| {
-            (
-                base_from_odom * point,
-                self.tracks.most_speed_at(*point).unwrap_or(self.fastest),
-            )
+        self.detectors.iter().flat_map(move |detector| {
+            detector.points.iter().map(move |point| {
+                let speed = self.tracks.most_speed_at(*point).unwrap_or(self.fastest);
+                Mover {
+                    travelled: speed * detector.met_before(*point),
+                    ..Mover::at_will(base_from_odom * point, 0.0, speed)
+                }
+            })
         })
     }
 
@@ -311,7 +314,7 @@ mod tests {
             let sweep = Sweep::new(Stamp::from_secs(secs), (0..lidar.beams).map(range).collect());
             tracked.insert(0, &ScanProjector::new(lidar).project(&sweep, Pose2::IDENTITY).unwrap());
         }
-        let points: Vec<_> = tracked.in_base(Pose2::IDENTITY).map(|(point, _)| point).collect();
+        let points: Vec<_> = tracked.in_base(Pose2::IDENTITY).map(|mover| mover.at).collect();
         assert!(
             !points.is_empty() && points.iter().all(|point| point.x < -1.0),
             "{points:?}"
