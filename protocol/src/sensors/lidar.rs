@@ -123,6 +123,7 @@ impl LidarModel {
             ("dropout", self.dropout, Expected::Share),
             ("latency", self.latency, LATENCY),
             ("bias", self.bias, Expected::Finite),
+            ("sweep_time", self.sweep_time, Expected::Finite),
             ("mount.x", self.mount.x, MOUNT),
             ("mount.y", self.mount.y, MOUNT),
             ("mount.yaw", self.mount.yaw, Expected::Angle),
@@ -141,7 +142,7 @@ impl LidarModel {
                 "at most 2 pi rad",
             ));
         }
-        if !(self.sweep_time.abs() * self.rate_hz <= 1.0 + 1e-6) {
+        if self.sweep_time.abs() * self.rate_hz > 1.0 + 1e-6 {
             return Err(OutOfBounds::unlike(
                 "sweep_time",
                 self.sweep_time,
