@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
+use nalgebra::Point2;
 use zenav_protocol::lease::LONGEST_ROUND_TRIP;
 use zenav_protocol::messages::{
     Annotations, Blockage, DrivingProfile, GoalFeedback, GoalPhase, GoalPoint, Leg, Mode, Plan,
@@ -121,6 +122,8 @@ pub struct ActiveGoal {
     pub unseen_until: Option<Stamp>,
     /// How often it was.
     pub tries: Tries,
+    /// What covered it, and since when that is waited for.
+    pub covered: Option<(Point2<f64>, Stamp)>,
     /// Since when something has leaned on it, or it was driven aside for that.
     pub leaned_on: Option<Stamp>,
 }

@@ -188,27 +188,21 @@ impl RobotMap {
         self.transients.cells(self.replica.grid(), grows, near)
     }
 
+    /// Whether a cell within a distance (m) of a place is occupied.
+    #[must_use]
+    pub fn is_occupied_within(&self, place: Point2<f64>, within: f64) -> bool {
+        self.occupied_near(place, within)
+            .any(|center| (center - place).norm() <= within)
+    }
+
     /// Occupied cells within a distance (m) of a place, where nothing is occupied for as far again around them: a beam or two that met
     /// something far away, and no wall. None in a stored map.
     #[must_use]
     pub fn lone(&self, place: Point2<f64>, within: f64) -> Vec<TransientCell> {
-        let grid = self.replica.grid();
-        let spec = grid.spec();
-        let grows = self.info.as_ref().is_some_and(|info| !info.stored);
-        let Some(center) = spec.cell_at(place).filter(|_| grows) else {
+        if self.info.as_ref().is_none_or(|info| info.stored) {
             return Vec::new();
-        };
-        let reach = (2.0 * within / spec.resolution).ceil() as u32;
-        let rows = center.y.saturating_sub(reach)..=center.y.saturating_add(reach);
-        let cells = rows.flat_map(|y| {
-            let columns = center.x.saturating_sub(reach)..=center.x.saturating_add(reach);
-            columns.map(move |x| Cell { x, y })
-        });
-        let occupied = cells.filter(|cell| {
-            grid.get(*cell)
-                .is_some_and(|value| Occupancy::of(*value) == Occupancy::Occupied)
-        });
-        let centers: Vec<Point2<f64>> = occupied.map(|cell| spec.center(cell)).collect();
+        }
+        let centers: Vec<Point2<f64>> = self.occupied_near(place, 2.0 * within).collect();
         let is_near = |center: &Point2<f64>| (center - place).norm() <= within;
         if !centers
             .iter()
@@ -218,6 +212,25 @@ impl RobotMap {
         }
         let near = centers.into_iter().filter(is_near);
         near.map(|center| TransientCell { center, since: None }).collect()
+    }
+
+    /// Centres of the occupied cells of a square around a place, `reach` (m) to each side.
+    fn occupied_near(&self, place: Point2<f64>, reach: f64) -> impl Iterator<Item = Point2<f64>> {
+        let grid = self.replica.grid();
+        let spec = grid.spec();
+        let reach = (reach / spec.resolution).ceil() as u32;
+        let cells = spec.cell_at(place).into_iter().flat_map(move |center| {
+            let rows = center.y.saturating_sub(reach)..=center.y.saturating_add(reach);
+            rows.flat_map(move |y| {
+                let columns = center.x.saturating_sub(reach)..=center.x.saturating_add(reach);
+                columns.map(move |x| Cell { x, y })
+            })
+        });
+        let occupied = cells.filter(|cell| {
+            grid.get(*cell)
+                .is_some_and(|value| Occupancy::of(*value) == Occupancy::Occupied)
+        });
+        occupied.map(|cell| spec.center(cell))
     }
 
     /// The configuration space of a (padded) replica of this map, as if what stands at these points had left.

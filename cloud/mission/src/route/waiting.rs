@@ -9,7 +9,7 @@ use zenav_protocol::messages::{
 use zenav_protocol::time::Stamp;
 
 use super::begin::Begin;
-use super::{NoRoute, Search, Searching, Stage, error_code};
+use super::{NoRoute, Search, Searching, Stage, error_code, named};
 use crate::context::Context;
 use crate::io::{Answer, Ask, NoAnswer};
 use crate::leaves::path;
@@ -32,9 +32,9 @@ const TOLD_WITHIN: f64 = 3.0;
 /// What may touch a robot beyond its circumscribed disc, m: some cells.
 const BESIDE: f64 = 0.08;
 /// Cells this near to one another bar the way as one thing, m.
-const ONE_THING: f64 = 0.8;
+pub(super) const ONE_THING: f64 = 0.8;
 /// A blockage this near to the one before is the same, m …
-const SAME_PLACE: f64 = 1.0;
+pub(super) const SAME_PLACE: f64 = 1.0;
 /// … unless it was not waited for in so long, s.
 const FORGOTTEN: f64 = 10.0;
 
@@ -235,6 +235,25 @@ impl Search {
         let cells = ctx.map.transient(&ends);
         self.doubts = false;
         self.wait(ctx, path, &cells, no_route)
+    }
+
+    /// There is a path to a goal that these cells cover.
+    pub(super) fn until_it_is_uncovered(
+        &mut self,
+        ctx: &mut Context,
+        path: &[Point2<f64>],
+        cells: &[TransientCell],
+    ) -> Searching {
+        let goal = named(&self.request.goal);
+        let no_route = NoRoute {
+            code: error_code::GOAL_OCCUPIED,
+            reason: format!("the goal {goal} is taken by what stands before it"),
+        };
+        // Where the way would touch it.
+        let ends_there = cells.first().map(|cell| cell.center);
+        let path: Vec<Point2<f64>> = path.iter().copied().chain(ends_there).collect();
+        self.doubts = false;
+        self.wait(ctx, &path, cells, no_route)
     }
 
     /// Waits for the first thing on a path that may leave; gives up if there is none, or if it has stood there for too long.

@@ -1,0 +1,111 @@
+//! Covered goal. Does what stands before the goal reach over it?
+//!
+//! A lidar sees the near side of somebody only, so the floor where she stands looks free, and a goal there can be reached from behind. The
+//! robot takes her to be as deep as she is wide and waits; after [`linger`](crate::settings::MissionSettings::linger) it goes and looks.
+
+use nalgebra::{Point2, Vector2};
+
+use super::waiting::{ONE_THING, SAME_PLACE};
+use super::{NEARBY, Search};
+use crate::context::Context;
+use crate::transient::TransientCell;
+
+/// What may leave is looked for this near to the goal, m: the width of the largest such thing.
+const NEAR: f64 = 0.8;
+
+impl Search {
+    /// The cells of what may leave and, seen from `from`, covers the goal; none once it has been waited for long enough.
+    pub(super) fn covers_goal(&self, ctx: &mut Context, from: Point2<f64>) -> Vec<TransientCell> {
+        let goal = Point2::new(self.request.goal.x, self.request.goal.y);
+        let Some(model) = ctx.robot.model() else {
+            return Vec::new();
+        };
+        if self.request.from.is_some() || ctx.config.settings.patience <= 0.0 || !ctx.map.is_occupied_within(goal, NEAR)
+        {
+            return Vec::new();
+        }
+        let gap = model.footprint.inscribed_radius() - NEARBY * ctx.goal.tolerance;
+        let cells = covering(&ctx.map.transient(&[goal]), from, goal, gap);
+        let Some(first) = cells.first() else { return cells };
+        let known = ctx
+            .goal
+            .covered
+            .filter(|(place, _)| (place - first.center).norm() <= SAME_PLACE);
+        let (_, since) = *ctx.goal.covered.insert(known.unwrap_or((first.center, ctx.now)));
+        if ctx.now.secs_since(since) > ctx.config.settings.linger {
+            return Vec::new();
+        }
+        cells
+    }
+}
+
+/// The cells of the thing nearest to a goal, if a disc as deep as it is wide, seen from `from`, comes nearer to the goal than `gap`, m (negative:
+/// reaches farther over it than that).
+fn covering(cells: &[TransientCell], from: Point2<f64>, goal: Point2<f64>, gap: f64) -> Vec<TransientCell> {
+    let distance = |cell: &TransientCell| (cell.center - goal).norm();
+    let nearest = cells.iter().min_by(|a, b| distance(a).total_cmp(&distance(b)));
+    let Some(nearest) = nearest.filter(|cell| distance(cell) <= NEAR) else {
+        return Vec::new();
+    };
+    let Some(ahead) = (nearest.center - from).try_normalize(1e-6) else {
+        return Vec::new();
+    };
+    let thing = cells
+        .iter()
+        .filter(|cell| (cell.center - nearest.center).norm() <= ONE_THING);
+    let thing: Vec<TransientCell> = thing.copied().collect();
+    let across = Vector2::new(-ahead.y, ahead.x);
+    let span = |axis: Vector2<f64>| {
+        let along = thing.iter().map(|cell| axis.dot(&(cell.center - from)));
+        along.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), at| {
+            (low.min(at), high.max(at))
+        })
+    };
+    let ((front, _), (right, left)) = (span(ahead), span(across));
+    let radius = 0.5 * (left - right).min(NEAR);
+    let center = from + ahead * (front + radius) + across * (0.5 * (left + right));
+    if (center - goal).norm() < radius + gap {
+        thing
+    } else {
+        Vec::new()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The near half of a disc, seen from the origin.
+    fn seen(center: Point2<f64>, radius: f64) -> Vec<TransientCell> {
+        let toward = (-center.coords).normalize();
+        let side = Vector2::new(-toward.y, toward.x);
+        let angles = (-9..=9).map(|step| f64::from(step) * 10.0_f64.to_radians());
+        let cells = angles.map(|angle| TransientCell {
+            center: center + radius * (angle.cos() * toward + angle.sin() * side),
+            since: None,
+        });
+        cells.collect()
+    }
+
+    #[test]
+    fn somebody_covers_the_floor_where_she_stands_and_none_beside_or_behind_her() {
+        let person = seen(Point2::new(3.0, 1.0), 0.25);
+        let covers = |x: f64, y: f64| !covering(&person, Point2::origin(), Point2::new(x, y), 0.0).is_empty();
+        assert!(covers(3.0, 1.0));
+        assert!(covers(3.2, 1.07));
+        assert!(!covers(3.3, 1.1));
+        assert!(!covers(2.9, 1.3));
+        assert!(!covers(2.7, 0.9));
+        assert!(covering(&[], Point2::origin(), Point2::new(3.0, 1.0), 0.0).is_empty());
+        // Nothing is seen from where it stands itself.
+        assert!(covering(&person[9..10], person[9].center, Point2::new(2.8, 0.9), 0.0).is_empty());
+    }
+
+    #[test]
+    fn a_robot_reaches_a_goal_that_is_covered_by_less_than_its_tolerance() {
+        let person = seen(Point2::new(3.0, 0.0), 0.25);
+        let covers = |x: f64, gap: f64| !covering(&person, Point2::origin(), Point2::new(x, 0.0), gap).is_empty();
+        assert!(covers(3.2, 0.0) && !covers(3.2, -0.1));
+        assert!(!covers(3.3, 0.0) && covers(3.3, 0.1));
+    }
+}
