@@ -32,10 +32,15 @@ fn room(half: f64, people: &[[f64; 5]]) -> String {
 
 /// Outcome, contacts and time (s) of a drive to (11.5, 0).
 fn drive(robot: &str, world: &str) -> (String, u64, f64) {
+    drive_with("--goal 11.5 0 --tolerance 0.3 --timeout 60", robot, world)
+}
+
+/// The same with these options.
+fn drive_with(options: &str, robot: &str, world: &str) -> (String, u64, f64) {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("room.toml"), world).unwrap();
-    let arguments = "run --world room.toml --goal 11.5 0 --tolerance 0.3 --timeout 60 -o json --robot";
-    let arguments: Vec<&str> = arguments.split(' ').chain([robot]).collect();
+    let arguments = format!("run --world room.toml {options} -o json --robot {robot}");
+    let arguments: Vec<&str> = arguments.split(' ').collect();
     let output = run(ZENAV, &arguments, folder.path(), Duration::from_secs(120));
     let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     let (contacts, secs) = (
@@ -63,6 +68,21 @@ fn it_steps_aside_for_somebody_who_comes_along_the_middle_of_a_corridor() {
         let (outcome, contacts, secs) = drive(robot, &room(1.5, &[[9.0, -0.1, -0.4, -0.2, 0.9]]));
         assert!(
             outcome == "reached" && contacts == 0,
+            "{robot}: {outcome}, {contacts} contacts, {secs} s"
+        );
+    }
+}
+
+#[test]
+fn it_waits_for_somebody_who_stands_at_its_goal_and_does_not_go_round_them() {
+    // Their near side hides the goal, and the floor behind them looks free.
+    let mut world = room(2.5, &[[5.5, 0.0, 5.5, -1.9, 0.8]]);
+    world += "rest_secs = [22.0, 10000.0]\n";
+    let options = "--goal 5.5 0 --timeout 90 --poses slam --seed 1";
+    for robot in ["tiago", "neato", "turtlebot3_waffle", "jackal"] {
+        let (outcome, contacts, secs) = drive_with(options, robot, &world);
+        assert!(
+            outcome == "reached" && contacts == 0 && secs > 22.0,
             "{robot}: {outcome}, {contacts} contacts, {secs} s"
         );
     }

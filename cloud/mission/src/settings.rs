@@ -32,7 +32,7 @@ zenav_protocol::settings! {
         /// waits for nothing (120: longer than people talk in a door, shorter than somebody needs to see to it).
         pub patience: f64 = 120.0, "s", 0.0..=86_400.0;
         /// A goal is not given up as closed off or taken sooner than this after it began: a shut door looks like a wall until it opens, and
-        /// somebody far off is a beam or two.
+        /// somebody far off is a beam or two. Behind what stands before the goal, and hides it, the robot looks after as long.
         pub linger: f64 = 30.0, "s", 0.0..=3600.0;
         /// A bump counts as recent for this long (`IsStuck`).
         pub bump_memory: f64 = 1.0, "s", 0.0..=60.0;

@@ -62,7 +62,11 @@ fn covering(cells: &[TransientCell], from: Point2<f64>, goal: Point2<f64>, gap: 
         })
     };
     let ((front, _), (right, left)) = (span(ahead), span(across));
-    let radius = 0.5 * (left - right).min(NEAR);
+    if left - right > NEAR {
+        // A door, which has a side to go round.
+        return Vec::new();
+    }
+    let radius = 0.5 * (left - right);
     let center = from + ahead * (front + radius) + across * (0.5 * (left + right));
     if (center - goal).norm() < radius + gap {
         thing
@@ -97,6 +101,16 @@ mod tests {
         assert!(!covers(2.9, 1.3));
         assert!(!covers(2.7, 0.9));
         assert!(covering(&[], Point2::origin(), Point2::new(3.0, 1.0), 0.0).is_empty());
+        // So wide is nobody.
+        assert!(
+            covering(
+                &seen(Point2::new(3.0, 1.0), 0.45),
+                Point2::origin(),
+                Point2::new(3.0, 1.0),
+                0.0
+            )
+            .is_empty()
+        );
         // Nothing is seen from where it stands itself.
         assert!(covering(&person[9..10], person[9].center, Point2::new(2.8, 0.9), 0.0).is_empty());
     }

@@ -430,9 +430,8 @@ impl Search {
         if path.len() < 2 || !path.iter().all(|p| p.x.is_finite() && p.y.is_finite()) {
             return failed(error_code::UNKNOWN, "the planner returned an invalid path".to_owned());
         }
-        let covering = self.covers_goal(ctx, begin.pose.position());
-        if !covering.is_empty() {
-            return self.until_it_is_uncovered(ctx, &path, &covering);
+        if let Some(waits) = self.until_the_goal_is_uncovered(ctx, &begin, &path) {
+            return waits;
         }
         if plan.escapes {
             tracing::info!(goal = ctx.goal.id, x = path[1].x, y = path[1].y, "leaves an obstacle");

@@ -237,23 +237,25 @@ impl Search {
         self.wait(ctx, path, &cells, no_route)
     }
 
-    /// There is a path to a goal that these cells cover.
-    pub(super) fn until_it_is_uncovered(
+    /// There is a path, and what may leave covers the goal: waits for it, unless it has stood there for too long.
+    pub(super) fn until_the_goal_is_uncovered(
         &mut self,
         ctx: &mut Context,
+        begin: &Begin,
         path: &[Point2<f64>],
-        cells: &[TransientCell],
-    ) -> Searching {
+    ) -> Option<Searching> {
+        let cells = self.covers_goal(ctx, begin.pose.position());
+        // Where the way would touch it.
+        let touches = cells.first()?.center;
+        let path: Vec<Point2<f64>> = path.iter().copied().chain([touches]).collect();
         let goal = named(&self.request.goal);
         let no_route = NoRoute {
             code: error_code::GOAL_OCCUPIED,
             reason: format!("the goal {goal} is taken by what stands before it"),
         };
-        // Where the way would touch it.
-        let ends_there = cells.first().map(|cell| cell.center);
-        let path: Vec<Point2<f64>> = path.iter().copied().chain(ends_there).collect();
         self.doubts = false;
-        self.wait(ctx, &path, cells, no_route)
+        let waits = self.wait(ctx, &path, &cells, no_route);
+        (!matches!(waits, Searching::Failed(_))).then_some(waits)
     }
 
     /// Waits for the first thing on a path that may leave; gives up if there is none, or if it has stood there for too long.
