@@ -99,6 +99,7 @@ macro_rules! table {
         },)*]
     };
 }
+#[cfg(feature = "nav2")]
 pub(crate) use table;
 
 /// A control node of one child or more.
