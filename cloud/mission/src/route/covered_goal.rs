@@ -8,10 +8,7 @@ use nalgebra::{Point2, Vector2};
 use super::waiting::{ONE_THING, SAME_PLACE};
 use super::{NEARBY, Search};
 use crate::context::Context;
-use crate::transient::TransientCell;
-
-/// What may leave is looked for this near to the goal, m: the width of the largest such thing.
-const NEAR: f64 = 0.8;
+use crate::transient::{LARGEST, TransientCell};
 
 impl Search {
     /// The cells of what may leave and, seen from `from`, covers the goal; none once it has been waited for long enough.
@@ -20,7 +17,9 @@ impl Search {
         let Some(model) = ctx.robot.model() else {
             return Vec::new();
         };
-        if self.request.from.is_some() || ctx.config.settings.patience <= 0.0 || !ctx.map.is_occupied_within(goal, NEAR)
+        if self.request.from.is_some()
+            || ctx.config.settings.patience <= 0.0
+            || !ctx.map.is_occupied_within(goal, LARGEST)
         {
             return Vec::new();
         }
@@ -44,7 +43,7 @@ impl Search {
 fn covering(cells: &[TransientCell], from: Point2<f64>, goal: Point2<f64>, gap: f64) -> Vec<TransientCell> {
     let distance = |cell: &TransientCell| (cell.center - goal).norm();
     let nearest = cells.iter().min_by(|a, b| distance(a).total_cmp(&distance(b)));
-    let Some(nearest) = nearest.filter(|cell| distance(cell) <= NEAR) else {
+    let Some(nearest) = nearest.filter(|cell| distance(cell) <= LARGEST) else {
         return Vec::new();
     };
     let Some(ahead) = (nearest.center - from).try_normalize(1e-6) else {
@@ -62,8 +61,8 @@ fn covering(cells: &[TransientCell], from: Point2<f64>, goal: Point2<f64>, gap: 
         })
     };
     let ((front, _), (right, left)) = (span(ahead), span(across));
-    if left - right > NEAR {
-        // A door, which has a side to go round.
+    if left - right > LARGEST {
+        // No person is so wide; a door that shut is.
         return Vec::new();
     }
     let radius = 0.5 * (left - right);

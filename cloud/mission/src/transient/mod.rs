@@ -17,6 +17,7 @@ use zenav_protocol::grid::{GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::messages::{MapPatch, TILE};
 use zenav_protocol::time::Stamp;
 
+pub(crate) use self::window::LARGEST;
 use self::window::Window;
 
 /// Side of a tile, cells: one word a row.

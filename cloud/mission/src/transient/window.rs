@@ -9,8 +9,10 @@ use super::Place;
 
 /// Cells whose centres are this near belong to one thing: beams are farther apart than cells where it is far away, m.
 const LINK: f64 = 0.1;
-/// Longer side of the box around a thing, m: less is noise at the edge of a wall, more than a person is not taken for one.
-const SIZES: std::ops::RangeInclusive<f64> = 0.2..=0.8;
+/// What is larger than this is not taken for a person, m.
+pub(crate) const LARGEST: f64 = 0.8;
+/// Longer side of the box around a thing, m: less is noise at the edge of a wall.
+const SIZES: std::ops::RangeInclusive<f64> = 0.2..=LARGEST;
 /// Cells that a thing must have at least, unless all around it was free.
 const MIN_CELLS: usize = 4;
 /// Share of the cells around a cell that were free once, for what stands there to have come: all around a person, eight in nine along a wall of
