@@ -3,8 +3,10 @@
 use std::ffi::OsStr;
 use std::io::{BufRead as _, BufReader, Read};
 use std::net::TcpListener;
+use std::ops::Range;
 use std::path::Path;
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{self, Child, Command, Output, Stdio};
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
@@ -17,17 +19,27 @@ pub struct Process {
     seen: Vec<String>,
 }
 
-/// A free loopback endpoint.
+/// Ports below those that the system hands out by itself: neither a link's own port nor a part that listens on port 0 takes one of them.
+const PORTS: Range<u32> = 10_000..32_000;
+
+/// A free loopback endpoint, for as long as this process runs another one at each call.
+///
+/// Two tests that run as processes of their own begin at different ports.
 ///
 /// # Panics
 /// When the machine has no free port.
 #[must_use]
 pub fn free_endpoint() -> String {
+    static GIVEN: AtomicU32 = AtomicU32::new(0);
+    let count = PORTS.end - PORTS.start;
+    // A golden ratio's share of all ports from one process to the next.
+    let first = process::id().wrapping_mul(13_597) % count;
     #[expect(clippy::expect_used, reason = "a test cannot go on without a port")]
-    let port = TcpListener::bind("127.0.0.1:0")
-        .and_then(|listener| listener.local_addr())
-        .expect("a free port")
-        .port();
+    let port = (0..count)
+        .map(|_| PORTS.start + (first + GIVEN.fetch_add(1, Ordering::Relaxed)) % count)
+        .filter_map(|port| u16::try_from(port).ok())
+        .find(|&port| TcpListener::bind(("127.0.0.1", port)).is_ok())
+        .expect("a free port");
     format!("tcp/127.0.0.1:{port}")
 }
 
