@@ -23,7 +23,7 @@ pub struct DriveArgs {
     /// Suite; without it, all
     #[arg(long, value_enum, value_name = "S", ignore_case = true)]
     suite: Option<Suite>,
-    /// Seeds of each scenario and robot [default: 20 worlds a level in S2, else 3]
+    /// Seeds of each scenario and robot [default: 20 worlds a level in S2, 4 in S4, 2 in S9, 1 in S1, S11 and S12, else 3]
     #[arg(long, value_name = "N", value_parser = connect::whole_in(1..=10_000_u64))]
     seeds: Option<u64>,
     /// First of them: worlds that nothing was tuned on

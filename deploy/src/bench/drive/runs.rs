@@ -22,6 +22,8 @@ const DELAY_MS: f64 = 100.0;
 const PERSONAL_SPACE: f64 = 0.45;
 /// Slower than this a robot is at rest, m/s and rad/s.
 const AT_REST: f64 = 0.01;
+/// Faster than this a robot has set out, m/s and rad/s.
+const SETS_OUT: f64 = 0.05;
 
 /// Who drives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -76,6 +78,8 @@ pub(super) struct Run {
     pub(super) over_faultless: Option<f64>,
     /// Where a lidar dies: time from then until the robot is at rest, s.
     pub(super) rest_after_s: Option<f64>,
+    /// Where something leaves and the robot waits for it at rest: time from when it begins to leave until the robot sets out, s.
+    pub(super) sets_out_after_s: Option<f64>,
     /// Of zenav where it is what counts: processor time for each second driven, s/s.
     pub(super) cpu_share: Option<f64>,
     /// As BARN scores, 0 to 0.5.
@@ -115,16 +119,28 @@ struct Watch {
     ticks: u32,
     close: u32,
     rest: Option<f64>,
+    /// Whether it was at rest when what it waits for began to leave.
+    waited: Option<bool>,
+    set_out: Option<f64>,
 }
 
 impl Watch {
-    /// After every tick; `blind_from` is when the lidar dies, s.
-    fn see(&mut self, now: Stamp, truth: &Truth, blind_from: Option<f64>) {
+    /// After every tick of zenav.
+    fn see(&mut self, now: Stamp, truth: &Truth, case: &Case) {
+        self.see_people(truth);
+        let since = |from: Option<f64>| from.map(|from| now.as_secs() - from).filter(|secs| *secs >= 0.0);
+        let speed = truth.twist.v.abs() + truth.twist.w.abs();
+        self.rest = self.rest.or(since(case.blind_from).filter(|_| speed < AT_REST));
+        if let Some(secs) = since(case.leaves_at) {
+            let waited = *self.waited.get_or_insert(speed < AT_REST);
+            self.set_out = self.set_out.or((waited && speed > SETS_OUT).then_some(secs));
+        }
+    }
+
+    /// After every tick, whoever drives.
+    fn see_people(&mut self, truth: &Truth) {
         self.ticks += 1;
         self.close += u32::from(truth.to_person < PERSONAL_SPACE);
-        let at_rest = truth.twist.v.abs() + truth.twist.w.abs() < AT_REST;
-        let blind_for = blind_from.map(|from| now.as_secs() - from).filter(|secs| *secs >= 0.0);
-        self.rest = self.rest.or(blind_for.filter(|_| at_rest));
     }
 
     fn close_share(&self, case: &Case) -> Option<f64> {
@@ -184,7 +200,7 @@ fn zenav(
     let mut watch = Watch::default();
     let reports = scenario.run(layers, |robot, now, truth| {
         if robot == 0 {
-            watch.see(now, truth, case.blind_from);
+            watch.see(now, truth, case);
         }
     })?;
     let outcome = worst(&reports);
@@ -224,6 +240,7 @@ fn zenav(
         faultless: case.faultless.clone(),
         over_faultless: None,
         rest_after_s: watch.rest,
+        sets_out_after_s: watch.set_out,
         cpu_share: cpu_s.filter(|_| case.is_costed).map(|cpu| cpu / time_s),
         score: case
             .is_scored
@@ -257,7 +274,7 @@ fn one(layers: &Layers, case: &Case) -> Result<Vec<Run>, Failure> {
     }
     for anchor in case.anchors {
         let mut watch = Watch::default();
-        let driven = anchors::drive(*anchor, case, &field, |now, truth| watch.see(now, truth, None))?;
+        let driven = anchors::drive(*anchor, case, &field, |_, truth| watch.see_people(truth))?;
         let outcome = match () {
             () if driven.referee.own_contact().is_some() => RunOutcome::Collision,
             () if driven.referee.is_reached() => RunOutcome::Reached,
@@ -282,6 +299,7 @@ fn one(layers: &Layers, case: &Case) -> Result<Vec<Run>, Failure> {
             faultless: None,
             over_faultless: None,
             rest_after_s: None,
+            sets_out_after_s: None,
             cpu_share: None,
             score: None,
         });

@@ -29,6 +29,8 @@ pub(super) struct Row {
     over_faultless: Option<f64>,
     /// The longest.
     rest_after_s: Option<f64>,
+    /// The longest.
+    sets_out_after_s: Option<f64>,
     /// Median.
     cpu_share: Option<f64>,
     /// Mean.
@@ -40,11 +42,12 @@ pub(super) struct Row {
 /// A column that only some suites have.
 pub(super) type Extra = (&'static str, fn(&Row) -> Option<f64>);
 
-pub(super) const EXTRAS: [Extra; 6] = [
+pub(super) const EXTRAS: [Extra; 7] = [
     ("OFF M", |row| row.final_error_m),
     ("< 0.45 M", |row| row.close_share),
     ("/ NO FAULT", |row| row.over_faultless),
     ("REST S", |row| row.rest_after_s),
+    ("SETS OUT S", |row| row.sets_out_after_s),
     ("CPU S/S", |row| row.cpu_share),
     ("SCORE", |row| row.score),
 ];
@@ -78,7 +81,8 @@ impl Row {
             final_error_m: some(|run| run.final_error_m).map(median),
             close_share: some(|run| run.close_share).map(mean),
             over_faultless: some(|run| run.over_faultless).map(median),
-            rest_after_s: some(|run| run.rest_after_s).map(|all| all.into_iter().fold(0.0, f64::max)),
+            rest_after_s: some(|run| run.rest_after_s).map(longest),
+            sets_out_after_s: some(|run| run.sets_out_after_s).map(longest),
             cpu_share: some(|run| run.cpu_share).map(median),
             score: some(|run| run.score).map(mean),
             worst: worst.name.clone(),
@@ -102,6 +106,10 @@ impl Row {
         cells.push(self.worst.clone());
         cells
     }
+}
+
+fn longest(values: Vec<f64>) -> f64 {
+    values.into_iter().fold(0.0, f64::max)
 }
 
 fn mean(values: Vec<f64>) -> f64 {

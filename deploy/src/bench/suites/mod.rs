@@ -140,6 +140,8 @@ pub(super) struct Case {
     pub faultless: Option<String>,
     /// When its lidar dies, s.
     pub blind_from: Option<f64>,
+    /// When what stands in its way begins to leave, s.
+    pub leaves_at: Option<f64>,
     /// Whether its processor time is what counts.
     pub is_costed: bool,
     /// Whether it is scored as BARN scores.
@@ -193,6 +195,7 @@ impl Case {
             },
             faultless: None,
             blind_from: None,
+            leaves_at: None,
             is_costed: false,
             is_scored: false,
             optimal: None,

@@ -3,6 +3,7 @@
 use std::ops::Range;
 
 use rand::RngExt as _;
+use zenav_sim::movers::Route;
 
 use super::floor::{FOR_GOOD, Floor, PERSON};
 use super::{Case, Make, each};
@@ -42,5 +43,12 @@ pub(super) fn patience(seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
             (floor.mover(PERSON, speed, &path), [14.5, 0.6])
         }),
     ];
-    each(&scenarios, &seeds)
+    let mut cases = each(&scenarios, &seeds)?;
+    for case in &mut cases {
+        case.leaves_at = case.world.movers().first().and_then(|mover| match &mover.route {
+            Route::Path(path) => path.first().map(|(_, rest)| *rest).filter(|rest| *rest > 0.0),
+            Route::Walk { .. } => None,
+        });
+    }
+    Ok(cases)
 }
