@@ -10,7 +10,9 @@ use std::time::Duration;
 use clap::ValueEnum;
 use tokio::sync::watch;
 use tokio::task::JoinSet;
+use tokio::time::Instant;
 use zenav_cloud::mapping::{self, KnownMap, MappingConfig};
+use zenav_cloud::mission::MissionError;
 use zenav_cloud::{dispatch, motion};
 use zenav_edge::{Attached, Body, EdgeConfig, Referee, RemoteBody, ServiceConfig, SimBody};
 use zenav_mission::MissionConfig;
@@ -28,6 +30,9 @@ use crate::files;
 
 /// Time for the parts to end by themselves.
 const DRAIN: Duration = Duration::from_secs(8);
+
+/// Before a mission that broke off begins again: at first, and at most.
+const MISSION_PAUSE: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(60));
 
 /// Off-board services.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -378,14 +383,10 @@ impl Parts {
             let clock = time.clock(&bus)?;
             bus.serve_log()?;
             let mut missions = JoinSet::new();
+            let has_others = configs.len() > 1;
             for config in configs {
-                let robot = config.robot.clone();
-                let mission = zenav_cloud::mission::run(bus.clone(), clock.clone(), config, shutdown.clone());
-                missions.spawn(async move {
-                    mission
-                        .await
-                        .map_err(|error| Failure::failed(format!("mission {robot}: {error}")))
-                });
+                let (bus, clock, shutdown) = (bus.clone(), clock.clone(), shutdown.clone());
+                missions.spawn(async move { keep_mission(bus, clock, config, shutdown, has_others).await });
             }
             while let Some(ended) = missions.join_next().await {
                 ended.map_err(|error| Failure::failed(format!("a mission broke off: {error}")))??;
@@ -485,6 +486,36 @@ async fn run_edge(bus: Bus, service: ServiceConfig, body: Box<dyn Body>, shutdow
     zenav_edge::run(bus, service, body, shutdown)
         .await
         .map_err(Failure::failed)
+}
+
+/// Runs a robot's mission. One that breaks off ends the part, and begins again with it; where the part has other robots, it begins again by
+/// itself.
+async fn keep_mission(
+    bus: Bus,
+    clock: Clock,
+    config: MissionConfig,
+    shutdown: Shutdown,
+    has_others: bool,
+) -> Result<(), Failure> {
+    let mut pause = MISSION_PAUSE.0;
+    loop {
+        let began = Instant::now();
+        let (bus, clock) = (bus.clone(), clock.clone());
+        let ended = zenav_cloud::mission::run(bus, clock, config.clone(), shutdown.clone()).await;
+        let error = match ended {
+            Err(error) if has_others && !matches!(error, MissionError::Bus(_)) => error,
+            ended => return ended.map_err(|error| Failure::failed(format!("mission {}: {error}", config.robot))),
+        };
+        if began.elapsed() > MISSION_PAUSE.1 {
+            pause = MISSION_PAUSE.0;
+        }
+        tracing::error!(robot = %config.robot, %error, "its mission broke off, and begins again in {} s", pause.as_secs());
+        tokio::select! {
+            () = tokio::time::sleep(pause) => {}
+            () = shutdown.wait() => return Ok(()),
+        }
+        pause = (2 * pause).min(MISSION_PAUSE.1);
+    }
 }
 
 /// A world's places as named goals.

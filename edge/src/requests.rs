@@ -96,6 +96,14 @@ impl Pilot {
                 self.authority.admit(now, request.epoch)?;
                 if self.maneuvers.running() == Some(request.id.as_str()) {
                     self.maneuvers.cancel(now, "canceled", &mut self.events);
+                } else if known.is_none() {
+                    // Its start may come yet, and is too late then.
+                    let report = BehaviourReport {
+                        id: request.id.clone(),
+                        state: BehaviourState::Canceled,
+                        reason: Some("canceled before it began".to_owned()),
+                    };
+                    self.maneuvers.refuse(now, report, &mut self.events);
                 }
                 return Ok(self.maneuvers.report(&request.id).cloned());
             }

@@ -94,12 +94,21 @@ impl Readiness {
 
     fn condition(&self, what: &str, silent: bool) -> Condition {
         let mut state = lock(&self.0.state);
-        state.conditions.push((what.to_owned(), false));
-        Condition {
+        let conditions = &mut state.conditions;
+        // Who begins again waits for the same.
+        let index = conditions.iter().position(|(known, _)| known == what);
+        let index = index.unwrap_or_else(|| {
+            conditions.push((what.to_owned(), false));
+            conditions.len() - 1
+        });
+        let condition = Condition {
             part: Arc::clone(&self.0),
-            index: state.conditions.len() - 1,
+            index,
             silent,
-        }
+        };
+        drop(state);
+        condition.unmet();
+        condition
     }
 
     /// The part has declared what it serves and hears, and named its conditions.

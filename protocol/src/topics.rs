@@ -370,7 +370,7 @@ crate::sensor_kinds!(key_table [
         TREE: SearchTree = "zenav/{robot}/cloud/tree", Motion, Qos::Latest, 4 * MIB;
         MOTION: MotionRecord = "zenav/{robot}/cloud/motion", Motion, Qos::Events { cache: 16 }, 8 * MIB;
         MISSION: MissionStatus = "zenav/{robot}/cloud/mission", Mission, Qos::State, 4 * MIB;
-        GOAL_STATE: GoalState = "zenav/{robot}/cloud/goal/{id}", Mission, Qos::State, 64 * KIB;
+        GOAL_STATE: GoalState = "zenav/{robot}/cloud/goal/{id}", Mission, Qos::State, 2 * MIB;
         TELEOP: Teleop = "zenav/{robot}/operator/teleop", Operator, Qos::RealTime, 4 * KIB;
         SIM_CLOCK: SimClock = "zenav/sim/clock", Sim, Qos::Latest, KIB;
     }

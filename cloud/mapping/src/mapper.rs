@@ -229,13 +229,15 @@ impl Mapper {
     /// Takes the changes since the last patch, as the next revision; `None` without any.
     pub fn take_patch(&mut self) -> Option<MapPatch> {
         // Nobody holds one half of a map in one frame and the other half in another.
-        let most = if std::mem::take(&mut self.is_moved) {
+        let is_moved = std::mem::take(&mut self.is_moved);
+        let most = if is_moved {
             MOST_TILES
         } else {
             self.settings.patch_tiles.max(1)
         };
         let tiles = self.grid.take_dirty(most);
-        if tiles.is_empty() {
+        // A frame of its own is news where the map itself has not changed, too.
+        if tiles.is_empty() && !(is_moved && self.map.revision > 0) {
             return None;
         }
         let base_revision = self.map.revision;
@@ -258,7 +260,7 @@ impl Mapper {
     /// Whether there are changes for another patch.
     #[must_use]
     pub fn has_changes(&self) -> bool {
-        self.grid.is_dirty()
+        self.is_moved || self.grid.is_dirty()
     }
 
     /// Sets the robot's footprint: from now on the cells under it are cleared.

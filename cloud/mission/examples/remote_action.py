@@ -2,7 +2,7 @@
 """Does the action of a behaviour tree's RemoteAction node, from outside zenav.
 
     pip install eclipse-zenoh
-    python3 cloud/examples/remote_action.py kitchen/gripper tcp/127.0.0.1:7447
+    python3 cloud/mission/examples/remote_action.py kitchen/gripper tcp/127.0.0.1:7447
 
 A tree then says what is to be done, here with the input `item` and the output `weight`:
 

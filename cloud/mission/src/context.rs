@@ -6,7 +6,8 @@ use std::sync::Arc;
 use nalgebra::Point2;
 use zenav_protocol::lease::LONGEST_ROUND_TRIP;
 use zenav_protocol::messages::{
-    Annotations, Blockage, DrivingProfile, GoalFeedback, GoalPhase, GoalPoint, Leg, Mode, Plan,
+    Annotations, BehaviourAction, BehaviourRequest, Blockage, DrivingProfile, GoalFeedback, GoalPhase, GoalPoint, Leg,
+    Mode, Plan,
 };
 use zenav_protocol::time::Stamp;
 
@@ -122,8 +123,8 @@ pub struct ActiveGoal {
     pub unseen_until: Option<Stamp>,
     /// How often it was.
     pub tries: Tries,
-    /// What covered it, and since when that is waited for.
-    pub covered: Option<(Point2<f64>, Stamp)>,
+    /// What covered it, since when that has been waited for, and when it was seen there last.
+    pub covered: Option<(Point2<f64>, Stamp, Stamp)>,
     /// Since when something has leaned on it, or it was driven aside for that.
     pub leaned_on: Option<Stamp>,
 }
@@ -153,6 +154,8 @@ pub struct Context {
     pub plans: Vec<Plan>,
     /// Depth of nested trees of the leaf being ticked; 0 in the goal's own.
     pub nested: u32,
+    /// The maneuver that the robot was asked for last, unless it was called off.
+    maneuver: Option<String>,
     /// When the first step was.
     begun: Option<Stamp>,
     /// Whether the annotations of the map have come.
@@ -172,6 +175,32 @@ impl Context {
     /// Asks every running leaf of a registration id to end.
     pub fn cancel(&mut self, id: &'static str) {
         *self.cancels.entry(id).or_default() += 1;
+    }
+
+    /// Asks the robot for a maneuver.
+    pub(crate) fn ask_maneuver(&mut self, request: BehaviourRequest) -> Ticket {
+        self.maneuver = Some(request.id.clone());
+        self.asks.ask(Ask::Behaviour(request))
+    }
+
+    /// Calls off the maneuver that the robot was asked for last, if it was not called off before.
+    pub(crate) fn call_off_last(&mut self) {
+        if let Some(id) = self.maneuver.clone() {
+            self.call_off(id);
+        }
+    }
+
+    /// Calls off a maneuver, wherever it is by now: what has ended stays as it ended.
+    pub(crate) fn call_off(&mut self, id: String) {
+        self.maneuver.take_if(|last| *last == id);
+        if let Some(epoch) = self.lease.epoch() {
+            let ticket = self.asks.ask(Ask::Behaviour(BehaviourRequest {
+                id,
+                action: BehaviourAction::Cancel,
+                epoch: Some(epoch),
+            }));
+            self.asks.forget(ticket);
+        }
     }
 
     /// How often leaves of a registration id have been asked to end: a change since its start asks a leaf.
@@ -198,6 +227,7 @@ impl Context {
             goal: ActiveGoal::default(),
             plans: Vec::new(),
             nested: 0,
+            maneuver: None,
             begun: None,
             annotated: false,
             cancels: BTreeMap::new(),
@@ -252,6 +282,11 @@ impl Context {
         }
         self.robot.settle(&self.frames);
         before
+    }
+
+    /// Whether the places that were added at run time have come.
+    pub(super) fn knows_places(&self) -> bool {
+        self.annotated
     }
 
     /// Whether places may be known soon that are not known yet.
@@ -327,6 +362,7 @@ impl Context {
     #[must_use]
     pub fn round_trip(&self) -> f64 {
         let told = self.robot.state().and_then(|state| state.round_trip_secs);
+        let told = told.filter(|secs| secs.is_finite());
         told.unwrap_or_else(|| self.lease.round_trip())
             .clamp(0.0, LONGEST_ROUND_TRIP.as_secs_f64())
     }

@@ -99,6 +99,12 @@ impl Frames {
         }
     }
 
+    /// Whether the parts of the map are known in a frame.
+    #[must_use]
+    pub fn is_known(&self, frame: u64) -> bool {
+        self.version(frame).is_some()
+    }
+
     /// What places of a frame are tied to; `None` where nothing is known of that frame.
     #[must_use]
     pub fn anchors(&self, from: u64, places: &[GoalPoint]) -> Option<Anchors> {

@@ -253,7 +253,7 @@ impl LeaseClient {
                 self.grant = Some(Grant {
                     epoch,
                     boot_id,
-                    round_trip: round_trip_secs.unwrap_or_default(),
+                    round_trip: round_trip_secs.filter(|secs| secs.is_finite()).unwrap_or_default(),
                 });
                 (self.term, self.confirmed, self.deposed) = (epoch, true, false);
                 self.next_beat = Stamp::ZERO;

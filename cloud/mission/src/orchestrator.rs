@@ -213,9 +213,12 @@ impl Mission {
             let Some(goal) = self.goals.active().or_else(|| self.goals.next()).cloned() else {
                 return;
             };
-            // A goal of an earlier run may lead to a place that was added at run time.
+            // A goal of an earlier run may lead to a place that was added at run time: it was known once, so its name will come.
             let place = goal.state.request.place.as_ref();
-            if place.is_some_and(|place| !self.ctx.config.places.contains_key(place)) && self.ctx.may_learn_places() {
+            if place.is_some_and(|place| !self.ctx.config.places.contains_key(place))
+                && goal.state.resolved.is_empty()
+                && !self.ctx.knows_places()
+            {
                 return;
             }
             match self.attach(&goal) {
@@ -367,8 +370,9 @@ impl Mission {
             if let Err(error) = running.tree.halt(Duration::from_nanos(self.ctx.now.0), &mut self.ctx) {
                 tracing::warn!(goal = id, %error, "its tree was halted with an error");
             }
-            // A leaf may have left a plan in force.
+            // A leaf may have left a plan in force, or a maneuver under way.
             self.ctx.hold();
+            self.ctx.call_off_last();
             self.ctx.motion.clear();
             let (feedback, legs) = (self.ctx.goal.feedback.clone(), std::mem::take(&mut self.ctx.goal.legs));
             let final_error = self.final_error(id);

@@ -102,7 +102,10 @@ impl Mission {
             .get_or_insert_with(|| {
                 // Distinct from the ids that other missions of the robot make.
                 let store = self.store.as_ref().map_or(String::new(), |store| format!("{store}-"));
-                format!("goal-{store}{}-{}", self.incarnation, self.goals.next_sequence())
+                let made = (self.goals.next_sequence()..)
+                    .map(|sequence| format!("goal-{store}{}-{sequence}", self.incarnation))
+                    .find(|id| self.goals.get(id).is_none());
+                made.unwrap_or_default()
             })
             .clone();
         let urgent = request.on_busy == OnBusy::Preempt;
@@ -131,8 +134,8 @@ impl Mission {
             proper(id)?;
         }
         for goal in request.goals {
-            let new = goal.id.clone().filter(|id| self.goals.get(id).is_none());
-            if let Some(id) = new.filter(|_| !self.goals.is_full()) {
+            // They were acknowledged: a full queue loses none of them.
+            if let Some(id) = goal.id.clone().filter(|id| self.goals.get(id).is_none()) {
                 self.goals.accept(&robot, id, goal, false, self.ctx.now);
             }
         }
@@ -158,6 +161,7 @@ impl Mission {
             }
             (GoalPhase::Active, false) => {
                 self.ctx.hold();
+                self.ctx.call_off_last();
                 self.goals.change(&id, |goal| {
                     goal.state.state = GoalPhase::Paused;
                     goal.paused_since = Some(now);

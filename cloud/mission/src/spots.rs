@@ -22,7 +22,16 @@ impl Target {
 impl Mission {
     /// What a goal asks for, where that lies now.
     pub(super) fn target(&self, goal: &StoredGoal) -> Result<Target, Refusal> {
-        let target = goal_validation::target(&goal.state.request, &self.ctx)?;
+        let target = match (
+            goal_validation::target(&goal.state.request, &self.ctx),
+            &*goal.state.resolved,
+        ) {
+            // It was found once, and keeps its spot, whoever forgets the name.
+            (Err(Refusal::NotFound { .. } | Refusal::Busy { .. }), [place]) if goal.state.request.place.is_some() => {
+                Target::Pose(*place)
+            }
+            (target, _) => target?,
+        };
         Ok(match (target, goal.state.resolved.as_slice()) {
             (Target::Pose(_), [place]) => Target::Pose(*place),
             (Target::Waypoints(given), places) if given.len() == places.len() => Target::Waypoints(places.to_vec()),
@@ -36,10 +45,13 @@ impl Mission {
         let at = self.ctx.frames.at();
         let is_running = |id: &str| self.running.as_ref().is_some_and(|running| running.goal_id == id);
         let mut changes = Vec::new();
+        // Where mapping says nothing of the map's parts there is nothing to tie a goal to.
+        let ties = self.ctx.frames.is_known(moved_from.unwrap_or(at));
         for goal in self.goals.open() {
             // A named place is looked up when its goal begins; until then its name stands for it.
             let is_tied = goal.anchors.is_some();
             if is_tied && moved_from.is_none()
+                || !is_tied && !ties
                 || goal.state.request.place.is_some() && !is_tied && !is_running(&goal.state.id)
             {
                 continue;

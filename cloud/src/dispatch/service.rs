@@ -73,6 +73,7 @@ pub async fn run(
     bus.serve_info("dispatch", group.as_str(), BTreeMap::new())?;
     bus.started();
     tracing::info!(%group, robots = robots.len(), "accepts goals for a group");
+    let mut was_first = true;
     loop {
         let request = tokio::select! {
             () = shutdown.wait() => return Ok(()),
@@ -83,8 +84,13 @@ pub async fn run(
         };
         let first = bus.list_alive(place("*"), ROLL_CALL).await?.into_iter().next();
         if first.is_some_and(|first| first != own) {
+            was_first = false;
             request.refuse(&Refusal::NotLeader);
             continue;
+        }
+        if !std::mem::replace(&mut was_first, true) {
+            // What the one before it assigned is known to the robots alone: those that are silent may have it.
+            known.since = Instant::now();
         }
         let added = known
             .annotations

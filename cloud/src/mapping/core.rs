@@ -240,17 +240,16 @@ impl MappingCore {
         }
     }
 
-    /// Takes in which frame of the map the robot is, as its newest state says. Where that is a later one than any that began here, the map
-    /// goes on in it: it was made by an earlier run.
+    /// Takes in which frame of the map the robot is, as its newest state says. Of SLAM that is a later one than any that began here where an
+    /// earlier run made it, and the map goes on in it. Where no map moves it is the map's, whichever it is.
     pub fn hear_frame(&mut self, robot_frame: u64) {
         self.robot_frame = robot_frame;
-        if robot_frame > self.mapper.map().frame {
-            let frame = match &mut self.poses {
-                Poses::Slam(slam) => slam.number_from(robot_frame),
-                Poses::Edge | Poses::Localised(_) => robot_frame,
-            };
-            self.mapper.set_frame(frame);
-        }
+        let frame = match &mut self.poses {
+            Poses::Slam(_) if robot_frame <= self.mapper.map().frame => return,
+            Poses::Slam(slam) => slam.number_from(robot_frame),
+            Poses::Edge | Poses::Localised(_) => robot_frame,
+        };
+        self.mapper.set_frame(frame);
     }
 
     /// Bends the map that SLAM makes, as a loop closure does: a node at each pose goes where `bend` says. For trials of what hears of it.

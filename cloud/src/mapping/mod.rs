@@ -372,6 +372,7 @@ impl Service {
     fn hear(&mut self, now: Stamp, state: EdgeState) {
         self.boot_id = state.boot_id;
         self.core.hear_frame(state.frame);
+        self.pending |= self.core.mapper.has_changes();
         self.authority.hear(now, state.lease);
     }
 

@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use nalgebra::Point2;
+use zenav_mapping::Mapper;
 use zenav_protocol::bus::BusConfig;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::GridSpec;
@@ -55,6 +56,29 @@ fn state(epoch: u64, live: bool) -> EdgeState {
         "guard": "clear", "battery": 1.0
     }))
     .unwrap()
+}
+
+#[test]
+fn a_map_that_does_not_move_is_in_the_frame_of_its_robot_whatever_that_was_before() {
+    let mut core = MappingCore::new(Mapper::new(MappingSettings::default(), "map"), &PoseSettings::default());
+    let mut replica = MapReplica::default();
+    core.hear_frame(0);
+    core.insert(&scan(1), "boot");
+    let mut take = |core: &mut MappingCore| {
+        while let Some(patch) = core.mapper.take_patch() {
+            assert_eq!(replica.apply(&patch), PatchResult::Applied);
+        }
+        replica.map().frame
+    };
+    assert_eq!(take(&mut core), 0);
+    // An earlier run's SLAM left the robot in frame 2; then the robot begins again.
+    for frame in [2, 0] {
+        core.hear_frame(frame);
+        assert!(core.mapper.has_changes(), "not one cell is another, and yet it is news");
+        assert_eq!(take(&mut core), frame);
+        core.hear_frame(frame);
+        assert!(!core.mapper.has_changes());
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]

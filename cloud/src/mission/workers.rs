@@ -182,6 +182,8 @@ impl Workers {
                     });
                     running.len() < AT_ONCE
                 }
+                // Each that is there broke down over it.
+                None if running.is_empty() && matches!(last, NoAnswer::Refused(_)) => return Err(last),
                 None if running.is_empty() => {
                     // All have failed, or there is none: after a pause they all get another chance.
                     tried.clear();
@@ -211,11 +213,13 @@ impl Workers {
                         .for_each(|worker| pool.failed(worker, self.began.elapsed()));
                     return Ok(reply);
                 }
-                Err(refused @ NoAnswer::Refused(_)) => return Err(refused),
-                Err(silent) => {
-                    tracing::info!(worker = answered.worker, why = %silent, "trying another worker");
+                Err(NoAnswer::Refused(refusal)) if !matches!(refusal, Refusal::Internal { .. }) => {
+                    return Err(NoAnswer::Refused(refusal));
+                }
+                Err(none) => {
+                    tracing::info!(worker = answered.worker, why = %none, "trying another worker");
                     self.pool().failed(&answered.worker, self.began.elapsed());
-                    last = silent;
+                    last = none;
                 }
             }
         }

@@ -9,6 +9,9 @@ use zenav_protocol::time::Stamp;
 use super::free_place::Escape;
 use crate::settings::ManeuverSettings;
 
+/// A slower drive is none, m/s: it would hold the robot for hours.
+const LEAST_SPEED: f64 = 0.01;
+
 /// A maneuver in progress.
 #[derive(Clone, Debug)]
 pub struct Maneuver {
@@ -80,8 +83,10 @@ impl Maneuver {
                 )
             }
             BehaviourAction::Drive { distance, speed } => {
-                if !(distance.abs() <= 10.0 && speed > 0.0 && speed.is_finite()) {
-                    return Err("expected a distance of at most 10 m and a positive speed".into());
+                if !(distance.abs() <= 10.0 && speed >= LEAST_SPEED && speed.is_finite()) {
+                    return Err(format!(
+                        "expected a distance of at most 10 m and a speed of at least {LEAST_SPEED} m/s"
+                    ));
                 }
                 let speed = speed.min(settings.speed_share * drive.top_speed());
                 (Motion::Drive { distance, speed }, 5.0 + 4.0 * distance.abs() / speed)

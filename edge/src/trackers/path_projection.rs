@@ -12,6 +12,8 @@ const WINDOW: f64 = 0.6;
 
 /// Points on a straight leg are this far apart, m.
 const LEG_STEP: f64 = 0.05;
+/// All legs together have so many steps at most, however long they are.
+const MOST_STEPS: f64 = 100_000.0;
 
 /// A trajectory followed by place.
 #[derive(Clone, Debug)]
@@ -40,6 +42,7 @@ impl PathProjection {
     #[must_use]
     pub fn through(drive: &Drive, map_from_base: Pose2, waypoints: &[Point2<f64>]) -> Self {
         let mut points: Vec<TrajectoryPoint> = Vec::with_capacity(waypoints.len() * 8);
+        let most = MOST_STEPS / waypoints.len().max(1) as f64;
         let (mut from, mut t) = (map_from_base.position(), 0.0);
         for to in waypoints {
             let leg = to - from;
@@ -47,7 +50,7 @@ impl PathProjection {
             if length < 1e-6 {
                 continue;
             }
-            let steps = (length / LEG_STEP).ceil().clamp(1.0, 100_000.0) as u32;
+            let steps = (length / LEG_STEP).ceil().clamp(1.0, most.max(1.0)) as u32;
             let first = u32::from(!points.is_empty());
             for step in first..=steps {
                 let share = f64::from(step) / f64::from(steps);

@@ -203,6 +203,42 @@ fn a_place_that_is_added_is_a_goal_and_a_zone_that_is_added_closes_one() {
 }
 
 #[test]
+fn a_goal_to_a_place_that_was_added_is_kept_while_nobody_tells_where_that_is() {
+    let mut rig = Rig::new();
+    rig.run(1.0);
+    let shelf = GoalPoint {
+        x: 1.5,
+        y: 0.5,
+        yaw: None,
+    };
+    let annotations = Annotations {
+        places: [("shelf".to_owned(), shelf)].into(),
+        ..Annotations::default()
+    };
+    rig.annotate(annotations.clone());
+    rig.submit(to(1.0, 0.0, "first")).unwrap();
+    rig.submit(GoalRequest {
+        id: Some("second".to_owned()),
+        place: Some("shelf".into()),
+        ..GoalRequest::default()
+    })
+    .unwrap();
+    // The mission begins again, and who keeps the places does not.
+    rig.kill();
+    rig.start();
+    rig.success_of("first", 30.0);
+    rig.run(20.0);
+    assert_eq!(
+        rig.phase("second"),
+        GoalPhase::Accepted,
+        "{:?}",
+        rig.goal("second").reason
+    );
+    rig.annotate(annotations);
+    rig.success_of("second", 30.0);
+}
+
+#[test]
 fn a_repeated_goal_is_the_same_goal_and_another_content_is_refused() {
     let mut rig = Rig::new();
     rig.submit(to(1.0, 0.0, "a")).unwrap();

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use zenav_mission::Ask;
 use zenav_protocol::messages::{BehaviourAction, GoalPhase};
 
-use super::rig::{Rig, tree};
+use super::rig::{Rig, cancel, tree};
 
 const TREE: &str = r#"<root BTCPP_format="4"><BehaviorTree ID="Main"><Sequence>
     <Spin spin_dist="1.0"/><BackUp backup_dist="0.3" backup_speed="0.05"/><DriveOnHeading dist_to_travel="0.4" speed="0.2"/>
@@ -48,6 +48,29 @@ fn each_is_asked_of_the_robot_by_an_id_of_its_own_with_what_its_ports_say() {
         ]
     );
     assert!((rig.pose().yaw - 1.0).abs() < 0.1 && (rig.driven() - 0.7).abs() < 0.1);
+}
+
+#[test]
+fn a_pause_and_a_cancel_of_the_goal_end_the_one_that_is_under_way() {
+    for pauses in [true, false] {
+        let mut rig = Rig::new();
+        rig.submit(tree(TREE, "g")).unwrap();
+        assert!(rig.run_until(10.0, |rig| begun(rig).len() == 2));
+        rig.run(1.5);
+        assert!(rig.driven() > 0.03, "it backs up");
+        if pauses {
+            rig.pause(false);
+        } else {
+            rig.answer(cancel(Some("g"), "c")).unwrap();
+        }
+        rig.run(0.5);
+        let driven = rig.driven();
+        rig.run(3.0);
+        assert!(
+            rig.is_at_rest() && rig.driven() - driven < 0.005,
+            "{pauses}: it goes on"
+        );
+    }
 }
 
 #[test]

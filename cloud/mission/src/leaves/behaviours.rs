@@ -7,7 +7,7 @@ use zenav_protocol::time::Stamp;
 use super::ports::number;
 use super::{fail, no_error, step};
 use crate::context::Context;
-use crate::io::{Answer, Ask, NoAnswer, Ticket};
+use crate::io::{Answer, NoAnswer, Ticket};
 use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 
 /// For so long a robot that does not answer is asked again, s.
@@ -132,11 +132,11 @@ impl Leaf<Context> for Behaviour {
             } else {
                 execution.action
             };
-            self.ticket = Some(ctx.asks.ask(Ask::Behaviour(BehaviourRequest {
+            self.ticket = Some(ctx.ask_maneuver(BehaviourRequest {
                 id: execution.id,
                 action,
                 epoch: Some(epoch),
-            })));
+            }));
         }
         step(io, ctx, "running")
     }
@@ -154,13 +154,8 @@ impl Leaf<Context> for Behaviour {
         if let Some(ticket) = self.ticket.take() {
             ctx.asks.forget(ticket);
         }
-        if let (Some(execution), Some(epoch)) = (io.recall::<Execution>(), ctx.lease.epoch()) {
-            let ticket = ctx.asks.ask(Ask::Behaviour(BehaviourRequest {
-                id: execution.id,
-                action: BehaviourAction::Cancel,
-                epoch: Some(epoch),
-            }));
-            ctx.asks.forget(ticket);
+        if let Some(execution) = io.recall::<Execution>() {
+            ctx.call_off(execution.id);
         }
     }
 }

@@ -10,6 +10,9 @@ use super::{NEARBY, Search};
 use crate::context::Context;
 use crate::transient::{LARGEST, TransientCell};
 
+/// What was not seen to cover the goal in so long has left, and what covers it then is another one, s: longer than to drive round it and look.
+const FORGOTTEN: f64 = 60.0;
+
 impl Search {
     /// The cells of what may leave and, seen from `from`, covers the goal; none once it has been waited for long enough.
     pub(super) fn covers_goal(&self, ctx: &mut Context, from: Point2<f64>) -> Vec<TransientCell> {
@@ -26,11 +29,12 @@ impl Search {
         let gap = model.footprint.inscribed_radius() - NEARBY * ctx.goal.tolerance;
         let cells = covering(&ctx.map.transient(&[goal]), from, goal, gap);
         let Some(first) = cells.first() else { return cells };
-        let known = ctx
-            .goal
-            .covered
-            .filter(|(place, _)| (place - first.center).norm() <= SAME_PLACE);
-        let (_, since) = *ctx.goal.covered.insert(known.unwrap_or((first.center, ctx.now)));
+        let known = ctx.goal.covered.filter(|(place, _, last)| {
+            (place - first.center).norm() <= SAME_PLACE && ctx.now.secs_since(*last) <= FORGOTTEN
+        });
+        let since = known.map_or(ctx.now, |(_, since, _)| since);
+        let place = known.map_or(first.center, |(place, ..)| place);
+        ctx.goal.covered = Some((place, since, ctx.now));
         if ctx.now.secs_since(since) > ctx.config.settings.linger {
             return Vec::new();
         }

@@ -336,7 +336,7 @@ fn ask_behaviour(ctx: &mut Context, action: BehaviourAction) -> bool {
         action,
         epoch: Some(epoch),
     };
-    let ticket = ctx.asks.ask(Ask::Behaviour(request));
+    let ticket = ctx.ask_maneuver(request);
     ctx.asks.forget(ticket);
     true
 }

@@ -456,6 +456,40 @@ fn a_maneuver_runs_once_for_its_id() {
 }
 
 #[test]
+fn a_maneuver_that_is_canceled_before_its_start_comes_does_not_begin_and_none_is_so_slow_that_it_lasts_for_hours() {
+    let mut rig = fresh();
+    let epoch = rig.mission();
+    let ask = |rig: &mut Rig, id: &str, action| {
+        rig.ask(EdgeRequest::Behaviour(BehaviourRequest {
+            id: id.into(),
+            action,
+            epoch: Some(epoch),
+        }))
+    };
+    ask(&mut rig, "late", BehaviourAction::Cancel).unwrap();
+    let reply = ask(&mut rig, "late", BehaviourAction::Spin { angle: 1.0 });
+    let Ok(EdgeReply::Behaviour(BehaviourReply { report: Some(report) })) = reply else {
+        panic!("{reply:?}")
+    };
+    assert_eq!(report.state, BehaviourState::Canceled);
+    rig.run(2.0);
+    assert!(rig.pose.yaw.abs() < 0.01, "{:?}", rig.pose);
+    let crawl = BehaviourAction::Drive {
+        distance: 10.0,
+        speed: 1e-9,
+    };
+    let reply = ask(&mut rig, "crawl", crawl);
+    let report = match &reply {
+        Ok(EdgeReply::Behaviour(BehaviourReply { report })) => report.clone(),
+        _ => None,
+    };
+    assert!(
+        reply.is_err() || report.is_some_and(|report| report.state == BehaviourState::Failed),
+        "{reply:?}"
+    );
+}
+
+#[test]
 fn from_close_to_a_wall_it_drives_to_the_nearest_free_place() {
     let mut rig = fresh();
     rig.pose = Pose2::new(ROOM - 0.265 - 0.03, 0.0, 0.0);
