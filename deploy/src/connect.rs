@@ -21,10 +21,7 @@ use crate::config::IdentityArgs;
 use crate::exit_code;
 use crate::failure::{Failure, in_words};
 
-/// Where the router is unless told otherwise: Zenoh's own port.
-pub const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
-/// Where the robot of the default deployment listens itself.
-pub const ROBOT_ENDPOINT: &str = "tcp/127.0.0.1:7450";
+pub use zenav_protocol::bus::{DEFAULT_ENDPOINT, ROBOT_ENDPOINT};
 
 /// How long to look for a robot that does not show at once: it may just be starting.
 const LOOK_FOR: Duration = Duration::from_millis(2000);

@@ -37,7 +37,7 @@ with zenoh.open(config) as session:
     readings = session.declare_publisher(f"zenav/{robot}/body/readings", encoding="application/json")
     tick, due = 0, time.monotonic()
     while True:
-        if time.monotonic() - heard > 0.2:
+        if time.monotonic() - heard > 0.1:
             wanted = [0.0, 0.0]  # Nobody drives: the wheels stop.
         angles = [angle + speed * TICK for angle, speed in zip(angles, wanted)]
         left, right = (speed * RADIUS * TICK for speed in wanted)

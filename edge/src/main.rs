@@ -1,33 +1,51 @@
 //! The robot's own binary: one edge, no cloud.
 
+mod deployment;
+
 use std::io::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Parser;
-use zenav_edge::{AttachError, Attached, Body, EdgeConfig, EdgeSettings, RemoteBody, ServiceConfig, exit_code};
+use zenav_edge::settings::BodySettings;
+use zenav_edge::{AttachError, Attached, Body, EdgeConfig, RemoteBody, ServiceConfig, exit_code};
 use zenav_observability::{logging, server, trace};
-use zenav_protocol::bus::{Bus, BusConfig, BusError, IdentityError, Security, Shutdown, service_manager, threads};
+use zenav_protocol::bus::{
+    Bus, BusConfig, BusError, DEFAULT_ENDPOINT, IdentityError, ROBOT_ENDPOINT, Security, Shutdown, service_manager,
+    threads,
+};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::LostPolicy;
 use zenav_protocol::robot::{OPTIONS, RobotError, RobotModel, SHIPPED};
 
+use crate::deployment::RobotSection;
+
 /// The robot's side of zenav.
 #[derive(Debug, Parser)]
 #[command(name = "zenav-edge", version)]
 struct Arguments {
-    /// The robot: the name of a shipped one, or a TOML file.
-    #[arg(long, default_value = "tiago")]
-    robot: String,
+    /// The robot's model: the name of a shipped one, or a TOML file [default: that of the deployment file, or tiago].
+    #[arg(long, alias = "robot")]
+    model: Option<String>,
     /// The robot's name in every key.
     #[arg(long, default_value = "tiago")]
     id: String,
-    /// Routers to connect to; the edge also works without one.
-    #[arg(long, default_value = "tcp/127.0.0.1:7447")]
+    /// Deployment file, of which `[robots.ID]` counts: model, listen, on_lost and edge. Flags win.
+    #[arg(long, value_name = "FILE")]
+    deployment: Option<PathBuf>,
+    /// Routers to connect to, separated by commas; the edge also works without one.
+    #[arg(
+        long,
+        value_delimiter = ',',
+        default_value = DEFAULT_ENDPOINT,
+        env = "ZENAV_BUS__CONNECT",
+        hide_env_values = true
+    )]
     connect: Vec<String>,
-    /// The edge's own endpoint: it can be stopped there without a router; port 0 takes a free one.
-    #[arg(long, default_value = "tcp/127.0.0.1:7448")]
+    /// The edge's own endpoints: it can be stopped there without a router; port 0 takes a free one [default: that of the deployment file,
+    /// or tcp/127.0.0.1:7450].
+    #[arg(long, value_delimiter = ',')]
     listen: Vec<String>,
     /// Folder of the robot's identity in its fleet: `ca.pem`, `cert.pem`, `key.pem`, `members.txt`; links are encrypted then.
     #[arg(long, env = "ZENAV_IDENTITY")]
@@ -36,7 +54,7 @@ struct Arguments {
     #[arg(long)]
     insecure: bool,
     /// Namespace of the deployment on its routers; none without.
-    #[arg(long, default_value = "")]
+    #[arg(long, default_value = "", env = "ZENAV_BUS__NAMESPACE", hide_env_values = true)]
     namespace: String,
     /// Folder of the stored epoch and stop latch.
     #[arg(long, default_value = "zenav-state")]
@@ -44,9 +62,10 @@ struct Arguments {
     /// Start pose X,Y,YAW in metres and radians (default: the world's start).
     #[arg(long, value_parser = pose, allow_hyphen_values = true)]
     start: Option<Pose2>,
-    /// Policy when the lease has expired: finish_horizon, stop, wall_follow or return_home.
-    #[arg(long, default_value = "finish_horizon", value_parser = lost_policy)]
-    on_lost: LostPolicy,
+    /// Policy when the lease has expired: finish_horizon, stop, wall_follow or return_home [default: that of the deployment file, or
+    /// finish_horizon].
+    #[arg(long, value_parser = lost_policy)]
+    on_lost: Option<LostPolicy>,
     /// Drive the robot of this name in the world of `zenav sim serve`.
     #[arg(long)]
     attach: bool,
@@ -167,7 +186,20 @@ fn read_file(what: &str, path: &str, known: &[(&str, &str)]) -> Result<String, F
 }
 
 fn start(arguments: Arguments) -> Result<(), Failure> {
-    let model = RobotModel::with_options(&arguments.robot, |name| {
+    let section = match &arguments.deployment {
+        Some(path) => {
+            let text = std::fs::read_to_string(path)
+                .map_err(|error| Failure::new(exit_code::NOT_FOUND, format!("{}: {error}", path.display())))?;
+            RobotSection::of(path, &text, &arguments.id).map_err(Failure::usage)?
+        }
+        None => RobotSection::default(),
+    };
+    let model = arguments
+        .model
+        .clone()
+        .or(section.model)
+        .unwrap_or_else(|| "tiago".to_owned());
+    let model = RobotModel::with_options(&model, |name| {
         std::fs::read_to_string(name).map_err(|error| error.to_string())
     });
     let model = model.map_err(|error| match error {
@@ -187,9 +219,13 @@ fn start(arguments: Arguments) -> Result<(), Failure> {
     } else {
         Some(simulated(&arguments, &model, &id)?)
     };
+    let mut listen = arguments.listen;
+    if listen.is_empty() {
+        listen.push(section.listen.unwrap_or_else(|| ROBOT_ENDPOINT.to_owned()));
+    }
     let bus = BusConfig {
         connect: arguments.connect,
-        listen: arguments.listen,
+        listen,
         name: format!("edge-{}", arguments.id),
         retry: true,
         security,
@@ -221,8 +257,10 @@ fn start(arguments: Arguments) -> Result<(), Failure> {
                     here,
                 )
             }
-            None if arguments.body == Some(BodyKind::Bus) => on_the_bus(bus, &id, arguments.start).await?,
-            None => attached(&bus, &id, &model, arguments.start).await?,
+            None if arguments.body == Some(BodyKind::Bus) => {
+                on_the_bus(bus, &id, arguments.start, &section.edge.body).await?
+            }
+            None => attached(&bus, &id, &model, arguments.start, &section.edge.body).await?,
         };
         tracing::info!(endpoints = ?bus.endpoints().await, "listening");
         service_manager::ready();
@@ -234,7 +272,8 @@ fn start(arguments: Arguments) -> Result<(), Failure> {
         } = started;
         let mut edge = EdgeConfig::new(id, model, start);
         edge.tick = tick.unwrap_or(edge.tick);
-        edge.on_lost = arguments.on_lost;
+        edge.on_lost = arguments.on_lost.or(section.on_lost).unwrap_or_default();
+        edge.settings = section.edge;
         let config = ServiceConfig {
             edge,
             state_dir: arguments.state_dir,
@@ -257,10 +296,14 @@ struct Started {
 }
 
 /// A body of somebody's own. It has nothing to say before its first readings.
-async fn on_the_bus(bus: BusConfig, robot: &Id, start: Option<Pose2>) -> Result<(Bus, Started), Failure> {
+async fn on_the_bus(
+    bus: BusConfig,
+    robot: &Id,
+    start: Option<Pose2>,
+    settings: &BodySettings,
+) -> Result<(Bus, Started), Failure> {
     let bus = Bus::open(bus).await?;
-    let settings = EdgeSettings::default().body;
-    let body = RemoteBody::new(&bus, robot.as_str(), u64::from(std::process::id()), &settings)?;
+    let body = RemoteBody::new(&bus, robot.as_str(), u64::from(std::process::id()), settings)?;
     let started = Started {
         body: Box::new(body),
         start: start.unwrap_or_default(),
@@ -275,9 +318,9 @@ async fn attached(
     robot: &Id,
     model: &RobotModel,
     start: Option<Pose2>,
+    settings: &BodySettings,
 ) -> Result<(Bus, Started), Failure> {
-    let settings = EdgeSettings::default().body;
-    let Attached { bus, body, reply } = RemoteBody::attach(bus, robot, model, start, &settings).await?;
+    let Attached { bus, body, reply } = RemoteBody::attach(bus, robot, model, start, settings).await?;
     tracing::info!(world = reply.world, "attached");
     let started = Started {
         body: Box::new(body),

@@ -95,7 +95,7 @@ pub use router::{Router, RouterConfig};
 pub use security::{Security, link_protocol};
 pub use serve::{Request, Server};
 pub use serve_part::{Call, PartServer, Responder};
-pub use session::{Bus, BusConfig, BusError};
+pub use session::{Bus, BusConfig, BusError, DEFAULT_ENDPOINT, ROBOT_ENDPOINT};
 pub use shutdown::{Shutdown, interrupted};
 pub use subscribe::{Latest, Received, Subscription};
 pub use tap::{RawPublisher, Tap, Tapped};

@@ -8,7 +8,7 @@ use zenoh::config::WhatAmI;
 
 use super::link;
 use super::security::Security;
-use super::session::{Bus, BusError, ROUTER_HANDSHAKE_MS, endpoints, in_words, link_settings};
+use super::session::{Bus, BusError, DEFAULT_ENDPOINT, ROUTER_HANDSHAKE_MS, endpoints, in_words, link_settings};
 
 /// Configuration of a router.
 #[derive(Clone, Debug)]
@@ -26,7 +26,7 @@ pub struct RouterConfig {
 impl Default for RouterConfig {
     fn default() -> Self {
         Self {
-            listen: vec!["tcp/127.0.0.1:7447".to_owned()],
+            listen: vec![DEFAULT_ENDPOINT.to_owned()],
             connect: Vec::new(),
             name: "zenav-router".to_owned(),
             security: Security::default(),

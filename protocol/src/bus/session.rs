@@ -19,8 +19,10 @@ use zenoh::{Config, Session};
 use super::link;
 use super::security::Security;
 
-/// The router's endpoint by default: Zenoh's own port.
-const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
+/// The router's endpoint unless told otherwise: Zenoh's own port.
+pub const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
+/// Where a robot listens itself unless told otherwise: it can be stopped there without a router.
+pub const ROBOT_ENDPOINT: &str = "tcp/127.0.0.1:7450";
 
 /// A silent link counts as dead after this time, ms.
 const LEASE_MS: u64 = 2000;
