@@ -203,7 +203,8 @@ zenav_protocol::settings! {
         /// In contact, a motion leads away from what is touched if it does so at this share of its speed at least.
         pub departure_share: f64 = 0.2, "", 0.0..=1.0;
         /// Largest speed of a plan or a maneuver into the lidar's blind spot, over floor that was never seen too, while nothing has been seen
-        /// to move since the start or for `moving_obstacles.memory_backing`: the robot feels its way until its bumper stops it. 0 without a bumper.
+        /// to move since the start or for `moving_obstacles.memory_backing`: the robot feels its way until its bumper stops it. Set it to 0 on a robot
+        /// without a bumper: nothing else tells whether there is one.
         pub feeling_speed: f64 = 0.05, "m/s", 0.0..=0.3;
         /// Largest speed along what is touched.
         pub sliding_speed: f64 = 0.1, "m/s", 0.0..=1.0;
@@ -217,7 +218,7 @@ zenav_protocol::settings! {
 zenav_protocol::settings! {
     /// Passive safety: the limits that the collision monitor applies.
     pub struct PassiveSafetySettings {
-        /// Assumed speed of moving obstacles in view; without it, the robot's own top speed.
+        /// Assumed speed of moving obstacles in view that are on no track yet; without it, the robot's own top speed.
         pub speed_in_view: Option<f64> = None, "m/s";
         /// Assumed speed of moving obstacles that have left the field of view; without it, the robot's own top speed (1.4 m/s is a walking
         /// person).

@@ -14,7 +14,7 @@ pub(super) fn page(mut root: Command) -> String {
         Names, options and defaults stay: scripts may rely on them. `--log-format text|json` goes with each.\n"
         .to_owned();
     for command in visible(&root) {
-        describe(command, "zenav", 2, &mut text);
+        describe(command, "zenav", 2, &[], &mut text);
     }
     text
 }
@@ -24,26 +24,26 @@ fn visible(command: &Command) -> impl Iterator<Item = &Command> {
     subcommands.filter(|command| !command.is_hide_set() && command.get_name() != "help")
 }
 
-fn describe(command: &Command, above: &str, level: usize, text: &mut String) {
+fn describe(command: &Command, above: &str, level: usize, told_above: &[&str], text: &mut String) {
     let name = format!("{above} {}", command.get_name());
     let marks = "#".repeat(level);
     let about = command.get_about().map(ToString::to_string).unwrap_or_default();
     text.push_str(&format!("\n{marks} {name}\n\n{about}\n"));
-    let told = |arg: &&Arg| !arg.is_hide_set() && !EVERYWHERE.contains(&arg.get_id().as_str());
-    // What is inherited stands with the command above.
-    let inherited = |arg: &Arg| level > 2 && arg.is_global_set();
-    let rows: Vec<String> = command
-        .get_arguments()
-        .filter(told)
-        .filter(|arg| !inherited(arg))
-        .map(row)
-        .collect();
+    let own = |arg: &&Arg| {
+        let id = arg.get_id().as_str();
+        // What is inherited stands with the command above.
+        !arg.is_hide_set() && !EVERYWHERE.contains(&id) && !(arg.is_global_set() && told_above.contains(&id))
+    };
+    let rows: Vec<String> = command.get_arguments().filter(own).map(row).collect();
+    let globals = command.get_arguments().filter(|arg| arg.is_global_set());
+    let mut told: Vec<&str> = globals.map(|arg| arg.get_id().as_str()).collect();
+    told.extend(told_above);
     if !rows.is_empty() {
         text.push_str("\n| | | default |\n|---|---|---|\n");
         text.push_str(&rows.concat());
     }
     for subcommand in visible(command) {
-        describe(subcommand, &name, level + 1, text);
+        describe(subcommand, &name, level + 1, &told, text);
     }
 }
 

@@ -128,7 +128,8 @@ settings! {
         pub model: String = "tiago".to_owned();
         /// The edge's own endpoint: works with router and cloud gone. Port 0 takes a free one.
         pub listen: String = "tcp/127.0.0.1:0".to_owned();
-        /// What to do with an accepted plan when the lease has expired.
+        /// What to do when the lease has expired: `finish_horizon` (drive the accepted plan to its expiry), `stop`, and once the link is lost
+        /// `wall_follow` (follow walls) or `return_home` (drive back the way it came).
         pub on_lost: LostPolicy = LostPolicy::default();
         /// Whether it is a robot of the world that `zenav sim serve` serves, instead of one simulated in the edge's process.
         pub attach: bool = false;

@@ -37,8 +37,8 @@ const UNDER_WAY: usize = 4096;
 #[command(
     after_help = "Example: a robot whose link to the router has a round trip of 160 ms, and is cut for 10 s after half a minute:\n  \
                   zenav router &\n  \
-                  zenav netem --listen 127.0.0.1:7450 --to 127.0.0.1:7447 --delay 80ms --jitter 20ms --cut-at 30s --cut-for 10s &\n  \
-                  zenav edge --connect tcp/127.0.0.1:7450"
+                  zenav netem --listen 127.0.0.1:7460 --to 127.0.0.1:7447 --delay 80ms --jitter 20ms --cut-at 30s --cut-for 10s &\n  \
+                  zenav edge --connect tcp/127.0.0.1:7460"
 )]
 pub struct NetemArgs {
     /// Address to listen on, `HOST:PORT` or `tcp/HOST:PORT`; port 0 takes a free one, which is printed
