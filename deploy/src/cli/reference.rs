@@ -32,7 +32,8 @@ fn describe(command: &Command, above: &str, level: usize, told_above: &[&str], t
     let own = |arg: &&Arg| {
         let id = arg.get_id().as_str();
         // What is inherited stands with the command above.
-        !arg.is_hide_set() && !EVERYWHERE.contains(&id) && !(arg.is_global_set() && told_above.contains(&id))
+        let is_inherited = arg.is_global_set() && told_above.contains(&id);
+        !(arg.is_hide_set() || is_inherited || EVERYWHERE.contains(&id))
     };
     let rows: Vec<String> = command.get_arguments().filter(own).map(row).collect();
     let globals = command.get_arguments().filter(|arg| arg.is_global_set());
