@@ -68,12 +68,14 @@ pub struct PersistThenReply {
 }
 
 impl PersistThenReply {
-    /// Sends the replies; after a failure (`unless`) whoever would be granted the lease gets that refusal instead: an epoch must not come
-    /// twice. A stop was obeyed all the same, and says so.
+    /// Sends the replies; after a failure (`unless`) whoever would be granted the lease, or be told that it leads, gets that refusal instead: an
+    /// epoch must not come twice, nor a leader be forgotten. A stop was obeyed all the same, and says so.
     pub fn send(self, unless: Option<&Refusal>) {
         for (reply, answer) in self.replies {
             let answer = match (answer, unless) {
-                (Ok(EdgeReply::Lease(_)), Some(refusal)) => Err(refusal.clone()),
+                (Ok(EdgeReply::Lease(_)) | Err(Refusal::Held { leader: Some(_), .. }), Some(refusal)) => {
+                    Err(refusal.clone())
+                }
                 (answer, _) => answer,
             };
             // The asker may have given up meanwhile.
@@ -235,7 +237,7 @@ impl Handoff {
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use zenav_protocol::messages::{Battery, Event, EventKind, Heartbeat, InfoRequest};
+    use zenav_protocol::messages::{Battery, Event, EventKind, Heartbeat, InfoRequest, Leader, LeaseRole};
 
     #[tokio::test]
     async fn the_newest_message_of_each_kind_and_every_event_waits() {
@@ -285,6 +287,32 @@ mod tests {
             (heartbeats.len(), heartbeats.last().map(|last| last.counter)),
             (MOST_WAITING, Some(999))
         );
+    }
+
+    #[tokio::test]
+    async fn who_would_lead_is_not_told_so_where_it_cannot_be_stored() {
+        let held = |leader: Option<&str>| Refusal::Held {
+            holder: "anna".into(),
+            role: LeaseRole::Operator,
+            epoch: 3,
+            leader: leader.map(|store| Leader {
+                store: store.to_owned(),
+                epoch: 3,
+                caught_up: Vec::new(),
+                revision: 0,
+            }),
+        };
+        for (refusal, is_told) in [(held(None), true), (held(Some("b")), false)] {
+            let (reply, answer) = oneshot::channel();
+            let waiting = PersistThenReply {
+                persist: None,
+                replies: vec![(reply, Err(refusal.clone()))],
+            };
+            let unstored = Refusal::internal("not stored");
+            waiting.send(Some(&unstored));
+            let expected = if is_told { refusal } else { unstored };
+            assert_eq!(answer.await.unwrap().unwrap_err(), expected);
+        }
     }
 
     #[tokio::test]

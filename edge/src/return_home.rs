@@ -49,6 +49,12 @@ impl ReturnHome {
         self.trail.push(place);
     }
 
+    /// Forgets the way: what was taken for it was somewhere else.
+    pub fn forget(&mut self) {
+        self.trail.clear();
+        self.tracker = None;
+    }
+
     /// Carries the trail over to another frame of the map.
     pub fn moved(&mut self, new_from_old: Pose2) {
         for place in &mut self.trail {

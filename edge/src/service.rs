@@ -361,10 +361,16 @@ async fn publish(publishers: Publishers, handoff: Arc<Handoff>, metrics: Arc<Rob
                 continue;
             }
         };
-        readings.met();
         for publication in &bundle.publications {
             match publication {
-                Publication::State(state) => metrics.state(state),
+                Publication::State(state) => {
+                    metrics.state(state);
+                    // Without a body it says so, and goes on saying so.
+                    match &state.faults.body {
+                        Some(_) => readings.unmet(),
+                        None => readings.met(),
+                    }
+                }
                 Publication::Event(event) => metrics.event(&event.kind),
                 _ => {}
             }

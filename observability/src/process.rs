@@ -34,13 +34,18 @@ pub fn facts() -> Facts {
     let fields = stat.as_deref().map(after_name);
     let field = |number: usize| fields.as_ref()?.get(number)?.parse::<f64>().ok();
     let status = read("/proc/self/status");
-    let boot_uptime = read("/proc/uptime").and_then(|text| text.split_whitespace().next()?.parse::<f64>().ok());
+    // Asked of the kernel, not of /proc/uptime: a hardened unit does not see that.
+    let boot = rustix::time::clock_gettime(rustix::time::ClockId::Boottime);
+    let boot_uptime = Some(boot.tv_sec as f64 + 1e-9 * boot.tv_nsec as f64);
     let uptime_secs = boot_uptime
         .zip(field(START))
         .map(|(up, start)| (up - start / TICKS_PER_SECOND).max(0.0));
     Facts {
         pid: std::process::id(),
-        host: read("/proc/sys/kernel/hostname").map(|name| name.trim().to_owned()),
+        // A hardened unit sees no more of /proc than its own processes.
+        host: read("/proc/sys/kernel/hostname")
+            .or_else(|| read("/etc/hostname"))
+            .map(|name| name.trim().to_owned()),
         memory_bytes: status.as_deref().and_then(resident),
         cpu_secs: field(USER)
             .zip(field(SYSTEM))

@@ -34,9 +34,15 @@ impl Id {
     /// Checks a name from outside.
     ///
     /// # Errors
-    /// [`InvalidId`] unless it matches `[A-Za-z0-9_-]{1,64}`.
+    /// [`InvalidId`] unless it matches `[A-Za-z0-9_-]{1,64}`; `zenav` begins every key, and stands in none a second time.
     pub fn new(name: impl Into<String>) -> Result<Self, InvalidId> {
         let name: String = name.into();
+        if name == "zenav" {
+            return Err(InvalidId {
+                name,
+                note: ", and not zenav",
+            });
+        }
         let valid = (1..=64).contains(&name.len())
             && name
                 .bytes()
@@ -125,7 +131,7 @@ mod tests {
 
     #[test]
     fn a_name_cannot_widen_a_key() {
-        for bad in ["", "*", "a/b", "a b", "ü", "$x", &"a".repeat(65)] {
+        for bad in ["", "*", "a/b", "zenav", "a b", "ü", "$x", &"a".repeat(65)] {
             assert!(Id::new(bad).is_err(), "{bad}");
         }
         assert!(Id::robot("svc").is_err() && Id::robot("sim").is_err());

@@ -11,14 +11,16 @@ const limitOf = (zone) => zone.rule?.speed_limit?.max_speed ?? null;
 let drawn = "";
 
 async function remove(kind, name, call) {
-  const yes = await ask({ title: `Remove ${kind} “${name}”?`, text: `Everybody loses it, also the missions of ${store.watched}.`, yes: "Remove" });
-  if (yes && await attempt(`The ${kind} is not removed`, () => call(store.watched, name))) toast(`${kind} “${name}” is removed`, "good");
+  const robot = store.watched;
+  const yes = await ask({ title: `Remove ${kind} “${name}”?`, text: `Everybody loses it, also the missions of ${robot}.`, yes: "Remove" });
+  if (yes && await attempt(`The ${kind} is not removed`, () => call(robot, name))) toast(`${kind} “${name}” is removed`, "good");
 }
 
 /** Asks for another name; the thing itself stays. */
 async function rename(kind, name, save) {
+  const robot = store.watched;
   const given = await ask({ title: `Rename ${kind}`, text: `“${name}” gets another name.`, yes: "Rename", field: "Name", value: name });
-  if (given && given !== name) save(given);
+  if (given && given !== name && robot === store.watched) save(given);
 }
 
 function row(kind, name, words, { edit, save, call }) {
@@ -74,8 +76,9 @@ export function startAnnotations() {
     const at = numbers();
     if (!at) return;
     const pose = { ...at, yaw: at.yaw ?? store.data("pose")?.yaw ?? 0 };
-    const yes = await ask({ title: `Set the pose of ${store.watched}?`, text: "It stops, drops its plan, and goes on from there.", yes: "Set pose" });
-    if (yes) sendPose(pose);
+    const robot = store.watched;
+    const yes = await ask({ title: `Set the pose of ${robot}?`, text: "It stops, drops its plan, and goes on from there.", yes: "Set pose" });
+    if (yes && robot === store.watched) sendPose(pose);
   };
   $("add-zone").onclick = () => {
     const points = cornersOf($("zone-corners").value);

@@ -64,6 +64,8 @@ export function ask({ title, text, yes, field, wanted, value = "" }) {
 /** Whether a key that was pressed belongs to a field. */
 export function isTyping(event) {
   const at = event.target;
+  if (at instanceof HTMLInputElement && at.type === "checkbox") return false;
+  if (at instanceof HTMLInputElement && at.type === "range") return event.key.startsWith("Arrow");
   return at instanceof HTMLInputElement || at instanceof HTMLSelectElement || at instanceof HTMLTextAreaElement || at.closest?.("dialog");
 }
 

@@ -6,7 +6,7 @@ import { $, ask, el, isTyping, setText, toast } from "./dom.js";
 import { send } from "./live.js";
 import { store } from "./store.js";
 
-/** Commands a second while a key is held. */
+/** While a key is held, a command goes out this often, ms. */
 const PERIOD_MS = 50;
 const KEYS = {
   w: [1, 0], s: [-1, 0], a: [0, 1], d: [0, -1], q: [1, 0.6], e: [1, -0.6],
@@ -37,7 +37,7 @@ function beat() {
   if (!isArmed()) return;
   if (held.size === 0 && rested) return;
   rested = held.size === 0;
-  send({ type: "drive", ...command() });
+  send({ type: "drive", ...command(), sent: store.gatewayTime() });
 }
 
 function letGo() {
@@ -122,6 +122,8 @@ export function startDrive() {
     const { state, reason, robot } = store.teleop;
     if (state === "refused") toast(`No control of ${robot}: ${reason}`, "bad");
     if (state === "released") letGo(), toast(reason ? `Control released: ${reason}` : "Control released");
+    // Another robot was chosen while this one was asked.
+    if (state === "armed" && robot !== store.watched) disarm();
     draw();
   });
   store.on("watch", () => {
@@ -135,8 +137,10 @@ export function startDrive() {
     draw();
   });
   window.addEventListener("keydown", (event) => {
+    // With these held, some systems do not tell when another key is let go.
+    if (event.metaKey || event.ctrlKey || event.altKey) letGo();
     const move = KEYS[event.key.toLowerCase()];
-    if (!move || !isArmed() || isTyping(event) || event.ctrlKey || event.metaKey) return;
+    if (!move || !isArmed() || isTyping(event) || event.ctrlKey || event.metaKey || event.altKey) return;
     event.preventDefault();
     held.set(event.code, move);
     if (!event.repeat) beat();
@@ -144,6 +148,9 @@ export function startDrive() {
   window.addEventListener("keyup", (event) => {
     if (held.delete(event.code)) beat();
   });
+  // A menu or a list that opens takes the keys.
+  window.addEventListener("contextmenu", letGo);
+  window.addEventListener("focusin", (event) => { if (isTyping({ target: event.target, key: "" })) letGo(); });
   window.addEventListener("blur", letGo);
   document.addEventListener("visibilitychange", () => { if (document.hidden) letGo(); });
   setInterval(beat, PERIOD_MS);

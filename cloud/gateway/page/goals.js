@@ -176,7 +176,8 @@ export function startGoals() {
   };
   store.on("hello", fillPlaces);
   store.on("frame", fillPlaces);
-  store.on("watch", fetchGoals);
+  // The first frame of a robot's details begins the list anew.
+  store.on("fresh", fetchGoals);
   store.on("frame", drawGoals);
 }
 

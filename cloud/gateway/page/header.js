@@ -9,7 +9,8 @@ const MODES = {
   idle: ["at rest", "good"], follow: ["follows a plan", "good"], teleop: ["driven by hand", "warn"], behaviour: ["manoeuvre", "good"],
   wall_follow: ["follows walls alone", "warn"], return_home: ["drives home alone", "warn"], stopped: ["STOPPED", "bad"],
 };
-let stopping = false;
+/** The robots whose stop is not confirmed yet. */
+const stopping = new Set();
 let told = "";
 
 function age(seconds) {
@@ -105,14 +106,15 @@ function drawStop() {
   const stopped = state?.mode === "stopped" && !store.isStale();
   $("resume").hidden = !stopped;
   $("stop-all").hidden = store.fleet.length < 2;
-  $("stop").classList.toggle("done", stopped && !stopping);
-  setText($("stop").lastChild, stopped && !stopping ? "STOPPED" : stopping ? "STOPPING" : "STOP");
+  const asked = stopping.has(store.watched);
+  $("stop").classList.toggle("done", stopped && !asked);
+  setText($("stop").lastChild, asked ? "STOPPING" : stopped ? "STOPPED" : "STOP");
 }
 
 export async function stop() {
   const robot = store.watched;
-  if (!robot || stopping) return;
-  stopping = true;
+  if (!robot || stopping.has(robot)) return;
+  stopping.add(robot);
   drawStop();
   for (let attempt = 1; ; attempt += 1) {
     try {
@@ -128,7 +130,7 @@ export async function stop() {
       if (attempt === 3) break;
     }
   }
-  stopping = false;
+  stopping.delete(robot);
   drawStop();
 }
 
@@ -159,8 +161,10 @@ async function everybody() {
 
 function drawFleet() {
   const select = $("robot");
-  if (select.options.length !== store.fleet.length || [...select.options].some((option, at) => option.value !== store.fleet[at])) {
-    select.replaceChildren(...store.fleet.map((robot) => el("option", { value: robot }, robot)));
+  // The one that is watched stays in the list, heard or not.
+  const names = !store.watched || store.fleet.includes(store.watched) ? store.fleet : [...store.fleet, store.watched];
+  if (select.options.length !== names.length || [...select.options].some((option, at) => option.value !== names[at])) {
+    select.replaceChildren(...names.map((robot) => el("option", { value: robot }, robot)));
   }
   if (store.watched) select.value = store.watched;
   const panel = $("fleet");
@@ -168,7 +172,7 @@ function drawFleet() {
   if (panel.hidden) return;
   const list = panel.querySelector("ul");
   const known = new Map([...list.children].map((row) => [row.dataset.robot, row]));
-  list.replaceChildren(...store.fleet.map((robot) => {
+  const rows = store.fleet.map((robot) => {
     const row = known.get(robot) ?? el("li", { "data-robot": robot },
       el("button", { type: "button", onclick: () => watch(robot) }, el("i"), el("span", {}, robot), el("small"), el("small")));
     const [sign, , mode, charge] = row.firstChild.children;
@@ -180,7 +184,9 @@ function drawFleet() {
     row.firstChild.setAttribute("aria-current", String(robot === store.watched));
     row.classList.toggle("stale", stale);
     return row;
-  }));
+  });
+  // A row that is taken out while it is pressed loses the click, and its focus.
+  if (rows.length !== list.children.length || rows.some((row, at) => row !== list.children[at])) list.replaceChildren(...rows);
 }
 
 /** Goals and tree are the mission's word: without it they are as it was heard last. */
@@ -206,7 +212,12 @@ export function drawHeader() {
 
 export function startHeader() {
   $("stop").onclick = stop;
+  $("dialog-stop").onclick = stop;
   $("resume").onclick = resume;
   $("stop-all").onclick = everybody;
-  $("robot").onchange = (event) => watch(event.target.value);
+  $("robot").onchange = (event) => {
+    watch(event.target.value);
+    // Keys are for the robot again, not for the list.
+    event.target.blur();
+  };
 }

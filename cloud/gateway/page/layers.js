@@ -228,6 +228,8 @@ function drawPlaces(context, camera, colours, edited) {
 /** Where a goal leads: its own place, a named one, or that of the drive under way. */
 export function placeOf(goal) {
   const { request } = goal;
+  // Where it lies now: the map may have moved since it was sent.
+  if (goal.resolved?.length === 1 && !request.waypoints?.length) return goal.resolved[0];
   if (Number.isFinite(request.x) && Number.isFinite(request.y)) return request;
   if (request.place && store.places[request.place]) return store.places[request.place];
   const leg = [...(goal.legs ?? [])].reverse().find((one) => one.state === "Active" && one.goal);
@@ -241,7 +243,9 @@ function drawGoals(context, camera, colours) {
     if (!place) continue;
     const waits = goal.state === "Accepted";
     drawGoal(context, camera, colours.goal, place, { dashed: waits, text: waits && goal.queue ? `${goal.queue}.` : "" }, colours);
-    for (const way of goal.request.waypoints ?? []) drawGoal(context, camera, colours.goal, way, { dashed: true }, colours);
+    const given = goal.request.waypoints ?? [];
+    const ways = goal.resolved?.length === given.length ? goal.resolved : given;
+    for (const way of ways) drawGoal(context, camera, colours.goal, way, { dashed: true }, colours);
   }
 }
 

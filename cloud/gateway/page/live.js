@@ -31,7 +31,7 @@ function setState(state) {
 async function reasonOfClose() {
   // A WebSocket does not tell why it was refused; a plain request does.
   const headers = token() ? { Authorization: `Bearer ${token()}` } : {};
-  const reply = await fetch("/api/v1/health", { headers }).catch(() => null);
+  const reply = await fetch("/api/v1/health", { headers, signal: AbortSignal.timeout(3000) }).catch(() => null);
   return reply?.status;
 }
 
@@ -52,7 +52,15 @@ export function connect() {
   const address = `${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/api/v1/live`;
   const protocols = ["zenav.v1"];
   if (token()) protocols.push(`bearer.${token()}`);
-  const mine = new WebSocket(address, protocols);
+  let mine;
+  try {
+    mine = new WebSocket(address, protocols);
+  } catch {
+    // A token that no WebSocket can carry was never the gateway's.
+    setToken("");
+    protocols.length = 1;
+    mine = new WebSocket(address, protocols);
+  }
   socket = mine;
   heard = performance.now();
   mine.binaryType = "arraybuffer";
@@ -80,6 +88,8 @@ function take(message) {
     case "frame":
       store.frame(message);
       chooseRobot();
+      // The gateway did not know it when it was asked to watch it.
+      if (message.fleet?.includes(store.watched) && message.watched !== store.watched) send({ type: "watch", robot: store.watched });
       break;
     case "pong":
       store.pings.push(performance.now() - message.t);
@@ -94,9 +104,9 @@ function take(message) {
   }
 }
 
-/** Watches the robot that was watched last, or the first. */
+/** Watches the robot that was watched last, or the first. One that is watched stays so, heard or not: STOP must not go to another. */
 function chooseRobot() {
-  if (store.watched && store.fleet.includes(store.watched)) return;
+  if (store.watched) return;
   const last = localStorage.getItem("zenav-robot");
   const robot = store.fleet.includes(last) ? last : store.fleet[0];
   if (robot) watch(robot);
@@ -104,5 +114,5 @@ function chooseRobot() {
 
 setInterval(() => {
   send({ type: "ping", t: performance.now() });
-  if (socket && socket.readyState === WebSocket.OPEN && performance.now() - heard > SILENCE) socket.close();
+  if (socket && socket.readyState <= WebSocket.OPEN && performance.now() - heard > SILENCE) socket.close();
 }, 1000);

@@ -105,7 +105,7 @@ function startKeys() {
   const keys = {
     g: () => tools.choose("goal"), h: () => tools.choose("pan"), m: () => tools.choose("measure"), p: () => tools.choose("pose"), n: () => tools.choose("place"),
     z: () => tools.choose("zone"), delete: () => tools.removeCorner(), backspace: () => tools.removeCorner(), f: () => press("follow"), l: () => press("layers-button"),
-    0: fit, "+": () => zoom(1.4), "=": () => zoom(1.4), "-": () => zoom(1 / 1.4), s: () => { if (!drives()) stop(); },
+    0: fit, "+": () => zoom(1.4), "=": () => zoom(1.4), "-": () => zoom(1 / 1.4), s: () => { if (!drives()) stop(); }, x: stop,
   };
   window.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || $("dialog").open) return;

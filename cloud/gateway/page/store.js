@@ -4,6 +4,12 @@ import { Raster } from "./grid.js";
 
 const MAX_EVENTS = 300;
 const MAX_TRAIL = 4000;
+/** Goals that ended are kept up to this many. */
+const MAX_ENDED = 200;
+/** A marker that was not told of for this long is gone, s. */
+const MARKER = 30;
+/** How far the clocks of page and gateway may drift apart, s each s. */
+const DRIFT = 1e-4;
 /** A robot that is silent for longer is shown as stale, s. */
 export const STALE = 2;
 
@@ -27,7 +33,25 @@ class Store extends EventTarget {
     this.pings = [];
     /** A goal was just sent, and may not be told of yet until then, ms. */
     this.sentUntil = 0;
+    /** The page's clock less the gateway's, s, as the quickest frame showed it: the later ones were longer on their way. */
+    this.ahead = Infinity;
+    this.framed = 0;
     this.clearDetail();
+  }
+
+  /** The gateway's clock now, s, as far as frames and pings tell. */
+  gatewayTime() {
+    if (!Number.isFinite(this.ahead)) return null;
+    const oneWay = this.pings.length ? Math.min(...this.pings) / 2000 : 0;
+    return now() - this.ahead + oneWay;
+  }
+
+  /** How much longer than the quickest one a frame was on its way, s. */
+  lateness(message, at) {
+    const ahead = at - message.now;
+    this.ahead = Math.min(this.ahead + DRIFT * (at - this.framed), ahead);
+    this.framed = at;
+    return ahead - this.ahead;
   }
 
   clearDetail() {
@@ -80,6 +104,7 @@ class Store extends EventTarget {
   /** Begins anew: the gateway may have been another one before. */
   hello(message) {
     this.worldPlaces = message.places ?? {};
+    this.ahead = Infinity;
     this.robots.clear();
     this.clearDetail();
     this.tell("hello");
@@ -87,7 +112,8 @@ class Store extends EventTarget {
 
   frame(message) {
     const at = now();
-    const heard = (entry) => ({ data: entry.data, heard: at - entry.age });
+    const late = this.lateness(message, at);
+    const heard = (entry) => ({ data: entry.data, heard: at - late - entry.age });
     this.connected = message.connected;
     if (message.fleet) {
       this.fleet = message.fleet;
@@ -110,6 +136,7 @@ class Store extends EventTarget {
       }
       for (const [name, entry] of Object.entries(message.detail)) this.detail.set(name, heard(entry));
       for (const goal of message.goals) this.goals.set(goal.id, goal);
+      this.prune(at);
       if (message.events.length) {
         this.events.push(...message.events);
         this.events.splice(0, this.events.length - MAX_EVENTS);
@@ -119,7 +146,16 @@ class Store extends EventTarget {
       this.trail.splice(0, this.trail.length - MAX_TRAIL);
     }
     if (message.fleet) this.tell("fleet");
+    if (message.fresh) this.tell("fresh");
     this.tell("frame");
+  }
+
+  /** Forgets markers that nobody tells of any more, and goals that ended long ago. */
+  prune(at) {
+    for (const [name, entry] of this.detail) if (name.startsWith("marker/") && at - entry.heard > MARKER) this.detail.delete(name);
+    if (this.goals.size <= 2 * MAX_ENDED) return;
+    const ended = [...this.goals.values()].filter((goal) => Number.isFinite(goal.ended)).sort((a, b) => a.ended - b.ended);
+    for (const goal of ended.slice(0, Math.max(0, ended.length - MAX_ENDED))) this.goals.delete(goal.id);
   }
 
   /** The running goal, if there is one. */

@@ -16,7 +16,8 @@ class Tools {
     this.current = "goal";
     /**
      * What waits to be confirmed. `kind` is `goal`, `pose` or `place`, with `x`, `y` and `yaw` (null for any); or `zone`, with `points`,
-     * whether they are `closed`, and its `limit` (null for keep-out). `original` is the name of a place or zone that is edited.
+     * whether they are `closed`, and its `limit` (null for keep-out). `original` is the name of a place or zone that is edited, `robot` whose
+     * map it was drawn on.
      */
     this.draft = null;
     this.measure = null;
@@ -39,7 +40,7 @@ class Tools {
   edit(draft) {
     this.choose(draft.kind);
     dropDraft();
-    this.draft = draft;
+    this.draft = { ...draft, robot: store.watched };
     this.corner = -1;
     this.propose();
   }
@@ -50,14 +51,14 @@ class Tools {
     else if (this.current === "measure") this.measure = [at, at];
     else if (this.current !== "pan") {
       const named = this.draft?.kind === this.current ? readDraft(this.draft) : {};
-      this.draft = { ...named, kind: this.current, x: at[0], y: at[1], yaw: null };
+      this.draft = { ...named, robot: store.watched, kind: this.current, x: at[0], y: at[1], yaw: null };
       hideDraft();
     }
   }
 
   /** Takes hold of a corner of the zone that is drawn, of a new one on a side of it, or adds one at its end. */
   hold(at, reach) {
-    this.draft ??= { kind: "zone", points: [], closed: false, limit: null };
+    this.draft ??= { robot: store.watched, kind: "zone", points: [], closed: false, limit: null };
     const { points, closed } = this.draft;
     this.corner = cornerNear(points, at, reach);
     if (!closed && this.corner === 0 && points.length > 2) {
@@ -153,3 +154,7 @@ class Tools {
 }
 
 export const tools = new Tools();
+// What was drawn for one robot is not sent to another.
+store.on("watch", () => {
+  if (tools.draft && tools.draft.robot !== store.watched) tools.abort();
+});

@@ -38,9 +38,10 @@ impl Access {
             None if !listen.ip().is_loopback() => Err(format!(
                 "{listen} can be reached by other machines, which could then drive the robots: expected a token (`--token-file FILE`, `[gateway] token_file`)"
             )),
-            Some(token) if token.len() < SHORTEST_TOKEN || !token.bytes().all(|byte| byte.is_ascii_graphic()) => Err(
-                format!("the token: expected at least {SHORTEST_TOKEN} letters, digits or signs without spaces"),
-            ),
+            Some(token) if token.len() < SHORTEST_TOKEN || !token.bytes().all(is_token) => Err(format!(
+                "the token: expected at least {SHORTEST_TOKEN} letters, digits or signs of !#$%&'*+-.^_`|~ (a browser offers no others for a \
+                 WebSocket)"
+            )),
             _ => Ok(Self { token, origins }),
         }
     }
@@ -80,6 +81,11 @@ impl Access {
     }
 }
 
+/// Whether a browser takes this sign in the name of a WebSocket's subprotocol, which carries the token (RFC 9110, section 5.6.2).
+fn is_token(byte: u8) -> bool {
+    byte.is_ascii_alphanumeric() || b"!#$%&'*+-.^_`|~".contains(&byte)
+}
+
 /// Whether a `Host` header names loopback: an address of it, or `localhost`.
 fn is_loopback_host(host: &str) -> bool {
     let name = match host.strip_prefix('[') {
@@ -116,6 +122,10 @@ mod tests {
         assert!(access(LOOPBACK, None).is_ok() && access("[::1]:1", None).is_ok());
         assert!(access(OPEN, None).unwrap_err().contains("token"));
         assert!(access(OPEN, Some("short")).is_err() && access(OPEN, Some(TOKEN)).is_ok());
+        assert!(
+            access(OPEN, Some("abcdefghij/lmnopqrst")).is_err(),
+            "no browser could offer it"
+        );
     }
 
     #[test]

@@ -60,8 +60,8 @@ impl Client {
         let text = (changed || due).then(|| self.text(view, now, connected));
         if text.is_some() {
             self.last_frame = Some(now);
-            self.seen = view.version.max(1);
-            self.detail_seen = view.version.max(1);
+            self.seen = view.version;
+            self.detail_seen = view.version;
         }
         let map = self.watched.as_ref().and_then(|robot| {
             let known = view.robots.get(robot)?;
@@ -266,6 +266,16 @@ mod tests {
         assert!(frame.get("fleet").is_none());
         assert_eq!(frame["events"].as_array().unwrap().len(), 300, "the newest events");
         assert!(frame.to_string().len() < 60_000);
+    }
+
+    #[test]
+    fn who_came_before_the_first_robot_is_told_of_it() {
+        let (mut view, mut early) = (FleetView::new(), Client::new());
+        assert_eq!(told(&mut early, &view, 0.0)["fleet"], json!([]));
+        view.take("a", state("idle"), 1.0);
+        let frame = told(&mut early, &view, 1.0);
+        assert_eq!(frame["fleet"], json!(["a"]));
+        assert_eq!(frame["robots"]["a"]["state"]["data"]["mode"], "idle");
     }
 
     #[test]

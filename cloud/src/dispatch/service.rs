@@ -178,7 +178,8 @@ async fn assign(
             robot: Some(robot),
             ..reply
         }),
-        Err(AskError::Refused(refusal)) => {
+        // A standby answers where its leader does not, which may have stored the goal; who is busy may have it from before.
+        Err(AskError::Refused(refusal)) if !matches!(refusal, Refusal::NotLeader | Refusal::Busy { .. }) => {
             // It was not accepted: another robot may get it.
             group.assigned.pop_back();
             Err(refusal)

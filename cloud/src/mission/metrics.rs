@@ -35,11 +35,18 @@ fn name(phase: GoalPhase) -> &'static str {
     }
 }
 
-/// Says whether a mission leads or stands by.
+/// Says whether a mission leads or stands by. Who stands by counts neither goals nor workers.
 pub(super) fn leads(robot: &str, leads: bool) {
     MISSION_LEADS
         .with_label_values(&[robot])
         .set(f64::from(u8::from(leads)));
+    if !leads {
+        // What was never counted cannot be taken back, and need not.
+        let _ = WORKERS.remove_label_values(&[robot]);
+        for (_, state) in OPEN {
+            let _ = GOALS.remove_label_values(&[robot, state]);
+        }
+    }
 }
 
 /// Counts of a mission that leads.

@@ -15,7 +15,7 @@ use zenav_protocol::messages::Refusal;
 use zenav_protocol::topics::MissionRequest;
 
 use super::requests::Pending;
-use super::{MissionError, Service, Turn, blocking};
+use super::{MissionError, Service, Turn, blocking, metrics};
 
 /// Time between two attempts to store something.
 const AGAIN: Duration = Duration::from_secs(1);
@@ -43,6 +43,8 @@ pub(super) async fn open(config: &MissionConfig, shutdown: &Shutdown) -> Result<
 /// Refuses everything until something can be stored again.
 pub(super) async fn wait(service: &mut Service, error: &StoreError) -> Result<Turn, MissionError> {
     let robot = service.config.robot.clone();
+    service.role.unmet();
+    metrics::leads(robot.as_str(), false);
     tracing::error!(%robot, %error, "nothing can be stored: the mission waits for room");
     let busy = || Refusal::Busy {
         reason: format!("nothing can be stored, so nothing is acknowledged: {error}"),

@@ -44,6 +44,11 @@ impl Layers {
         Self::read(file, std::env::vars())
     }
 
+    /// As [`load`], of a file alone, whatever the environment says.
+    pub(crate) fn load_file(file: &Path) -> Result<Self, Failure> {
+        Self::read(Some(file), std::iter::empty())
+    }
+
     /// Whether the file or the environment sets a key.
     pub(crate) fn sets(&self, key: &str) -> bool {
         self.origin(key) != DEFAULT
@@ -111,7 +116,8 @@ impl Layers {
         self.deployment.robot_ids().map_err(self.at(&robot))?;
         for (name, robots) in &self.deployment.groups {
             let group = self.deployment.group(name, robots);
-            group.map_err(self.at(&format!("groups.{name}")))?;
+            let known = group.and_then(|_| self.deployment.has_robots(name, robots));
+            known.map_err(self.at(&format!("groups.{name}")))?;
         }
         let holder = Id::new(self.deployment.mission.run.holder.as_str()).map_err(Failure::usage);
         holder.map_err(self.at("mission.holder"))?;

@@ -304,7 +304,8 @@ impl Deployment {
             .collect()
     }
 
-    /// The groups' names and robots, checked.
+    /// The groups' names and robots, checked. A part that looks after one robot has the others' sections no more: whether the deployment has
+    /// all of a group is looked at when its file is read.
     ///
     /// # Errors
     /// A usage failure that names the bad group.
@@ -322,14 +323,21 @@ impl Deployment {
         if robots.is_empty() {
             return Err(bad("expected names of robots".to_owned()));
         }
-        if let Some(robot) = robots.iter().find(|robot| !self.robots.contains_key(*robot)) {
-            let known: Vec<&str> = self.robots.keys().map(String::as_str).collect();
-            return Err(bad(format!(
-                "no robot `{robot}` under [robots]: there are {}",
-                known.join(", ")
-            )));
-        }
         let members: Result<Vec<Id>, _> = robots.iter().map(|robot| Id::robot(robot.clone())).collect();
         Ok((group, members.map_err(|error| bad(error.to_string()))?))
+    }
+
+    /// Whether all robots of a group have a section.
+    fn has_robots(&self, name: &str, robots: &[String]) -> Result<(), Failure> {
+        match robots.iter().find(|robot| !self.robots.contains_key(*robot)) {
+            None => Ok(()),
+            Some(robot) => {
+                let known: Vec<&str> = self.robots.keys().map(String::as_str).collect();
+                Err(Failure::usage(format!(
+                    "[groups] {name}: no robot `{robot}` under [robots]: there are {}",
+                    known.join(", ")
+                )))
+            }
+        }
     }
 }

@@ -19,6 +19,8 @@ use crate::output::{self, Format};
 const ASK_EVERY: Duration = Duration::from_secs(2);
 /// How long it may take to answer.
 const ANSWER_WITHIN: Duration = Duration::from_millis(1500);
+/// A mission that answers so often in a row that it knows no such goal will never know it: it began with another store.
+const MOST_UNKNOWN: u32 = 5;
 
 /// Watches one goal.
 pub(super) struct Watch {
@@ -44,7 +46,7 @@ impl Watch {
         ask.reset();
         let interrupted = tokio::signal::ctrl_c();
         tokio::pin!(interrupted);
-        let mut silent = false;
+        let (mut silent, mut unknown) = (false, 0);
         loop {
             let state = tokio::select! {
                 _ = &mut interrupted => {
@@ -55,11 +57,13 @@ impl Watch {
                 received = self.states.next() => received.ok_or_else(|| Failure::new(exit_code::CANNOT_CONNECT, "the bus was closed"))?.message,
                 _ = ask.tick() => match query(&self.bus, &self.robot, &self.id, ANSWER_WITHIN).await {
                     Ok(Some(state)) => {
-                        silent = false;
+                        (silent, unknown) = (false, 0);
                         state
                     }
+                    Ok(None) if unknown >= MOST_UNKNOWN => return Err(no_goal(&self.robot, &self.id)),
                     // Not an end: the mission may be away, its store may still be coming up.
-                    Ok(None) | Err(_) => {
+                    answer => {
+                        unknown = if answer.is_ok() { unknown + 1 } else { 0 };
                         if !silent {
                             tracing::warn!(goal = self.id, "the mission does not answer; waiting for it");
                             silent = true;

@@ -20,10 +20,13 @@ use crate::config::{Layers, Profile};
 use crate::connect::{self, DEFAULT_ENDPOINT, LinkArgs};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
+use crate::keys;
 use crate::output::{self, Format};
 
 /// Which files were rendered, so that the next time those go that are no longer part of it.
 const LIST: &str = "rendered.txt";
+/// Largest ConfigMap, bytes, less what its description takes.
+const MOST_IN_CONFIG_MAP: u64 = 1_000_000;
 /// How long one look at what is announced may take.
 const GLANCE: Duration = Duration::from_millis(1500);
 
@@ -103,7 +106,7 @@ pub fn deploy(args: &DeployArgs) -> Outcome {
             if *against_bus {
                 return compare(&layout, link, *output);
             }
-            report_keys(&without_keys(&layout, keys), &layout, keys, *output)
+            report_keys(&key_problems(&layout, keys), &layout, *output)
         }
         DeployCommand::Health { address } => {
             output::line(&health::ready(*address)?);
@@ -183,10 +186,14 @@ fn folder_of(file: &Path) -> PathBuf {
 }
 
 fn render(file: &Path, out: &Path, target: Target) -> Outcome {
-    let layers = Layers::load(Some(file))?;
+    // What is written depends on the file alone: its parts read it again, without this shell's variables.
+    let layers = Layers::load_file(file)?;
     let (layout, named) = laid_out(&layers, file, Format::Table)?;
     let config = [vec!["deployment.toml".to_owned()], named.clone()].concat();
     let texts = files::render(&layout, &config, target).map_err(Failure::failed)?;
+    if texts.keys().any(|path| path.starts_with("kubernetes")) {
+        fit_a_config_map(&folder_of(file), file, &named)?;
+    }
     let before = rendered_before(out)?;
     let mut paths = BTreeSet::new();
     for (path, text) in &texts {
@@ -219,6 +226,39 @@ fn render(file: &Path, out: &Path, target: Target) -> Outcome {
     Ok(exit_code::OK)
 }
 
+/// Whether the files fit into a ConfigMap of Kubernetes, which holds 1 MiB, under keys of letters, digits, `-`, `_` and `.`.
+///
+/// # Errors
+/// The name that will not do, or the sum of their sizes.
+fn fit_a_config_map(folder: &Path, deployment: &Path, names: &[String]) -> Result<(), Failure> {
+    let instead =
+        "for a larger map, render with `--target systemd` or `compose`, or serve it from a host outside the cluster";
+    let allowed = |name: &str| {
+        name.bytes()
+            .all(|byte| byte.is_ascii_alphanumeric() || b"-_.".contains(&byte))
+    };
+    if let Some(name) = names.iter().find(|name| !allowed(name)) {
+        return Err(Failure::usage(format!(
+            "`{name}`: Kubernetes takes letters, digits, `-`, `_` and `.` in the name of a file: expected another name"
+        )));
+    }
+    let mut bytes = 0;
+    for path in names
+        .iter()
+        .map(|name| folder.join(name))
+        .chain([deployment.to_owned()])
+    {
+        bytes += std::fs::metadata(&path).map_err(Failure::failed_at(&path))?.len();
+    }
+    if bytes > MOST_IN_CONFIG_MAP {
+        return Err(Failure::usage(format!(
+            "{}: it and the files that it names have {bytes} bytes, and Kubernetes takes {MOST_IN_CONFIG_MAP} in a ConfigMap: {instead}",
+            deployment.display()
+        )));
+    }
+    Ok(())
+}
+
 /// The files that were rendered into a folder before; none for a new one.
 fn rendered_before(out: &Path) -> Result<BTreeSet<String>, Failure> {
     let is_new = match std::fs::read_dir(out) {
@@ -244,35 +284,35 @@ fn rendered_before(out: &Path) -> Result<BTreeSet<String>, Failure> {
     Ok(paths.filter(|path| out.join(path).is_file()).collect())
 }
 
-/// Identities that nobody has issued: their common names.
-fn without_keys(layout: &Layout<'_>, keys: &Path) -> Vec<String> {
+/// Identities that nobody has issued, or that will not do.
+fn key_problems(layout: &Layout<'_>, folder: &Path) -> Vec<Problem> {
     if layout.profile == Profile::Open {
         return Vec::new();
     }
     let has_all = |identity: &String| {
-        let folder = keys.join("issued").join(identity);
+        let issued = folder.join("issued").join(identity);
         ["ca.pem", "cert.pem", "key.pem"]
             .iter()
-            .all(|file| folder.join(file).is_file())
+            .all(|file| issued.join(file).is_file())
     };
-    readme::identities(layout)
-        .into_keys()
-        .filter(|identity| !has_all(identity))
-        .collect()
+    let problem = |(identity, names): (String, Vec<String>)| {
+        if has_all(&identity) {
+            let why = keys::unusable(folder, &identity, &names)?;
+            return Some(Problem::said(format_args!("identity {identity}: {why}")));
+        }
+        Some(Problem::said(format_args!(
+            "no identity {identity}: `zenav keys issue {identity} --dir {}` makes it",
+            folder.display()
+        )))
+    };
+    readme::identities(layout).into_iter().filter_map(problem).collect()
 }
 
-fn report_keys(missing: &[String], layout: &Layout<'_>, keys: &Path, format: Format) -> Outcome {
-    let without = |identity: &String| {
-        Problem::said(format_args!(
-            "no identity {identity}: `zenav keys issue {identity} --dir {}` makes it",
-            keys.display()
-        ))
-    };
-    let problems: Vec<Problem> = missing.iter().map(without).collect();
+fn report_keys(problems: &[Problem], layout: &Layout<'_>, format: Format) -> Outcome {
     if !problems.is_empty() {
-        return Err(refused(&problems, format, exit_code::FAILED));
+        return Err(refused(problems, format, exit_code::FAILED));
     }
-    output::values(format, &problems, |_| {
+    output::values(format, problems, |_| {
         format!(
             "{}, {}: nothing is wrong",
             output::counted(layout.hosts.len(), "host"),
@@ -326,6 +366,10 @@ async fn look(layout: &Layout<'_>, link: &LinkArgs) -> Result<Seen, Failure> {
     for (host, endpoint) in endpoints {
         let link = LinkArgs {
             connect: endpoint,
+            namespace: match link.namespace.is_empty() {
+                true => layout.deployment.bus.namespace.clone(),
+                false => link.namespace.clone(),
+            },
             ..link.clone()
         };
         match connect::open(&link).await {

@@ -2,7 +2,9 @@
 //!
 //! Settings come from the deployment file, which is the same everywhere; what differs from host to host is said by flags.
 
-use super::layout::{Host, Layout, METRICS_PORT};
+use std::net::IpAddr;
+
+use super::layout::{Host, Layout, METRICS_PORT, host_of};
 use super::part::Part;
 use crate::config::Profile;
 
@@ -10,7 +12,7 @@ use crate::config::Profile;
 pub(super) const CONFIG: &str = "/etc/zenav";
 /// Folder of what a part keeps, in a container.
 pub(super) const DATA: &str = "/var/lib/zenav";
-/// Folder of a part's identity, in a container.
+/// Folder of a part's identity, in a container; of all identities, on a host. Not in that of the deployment file, which every container sees.
 pub(super) const IDENTITY: &str = "/etc/zenav-identity";
 
 /// The token of the page, in a container.
@@ -64,9 +66,23 @@ pub(super) fn name(host: &Host, part: &Part) -> String {
 /// The arguments of `zenav` for a part.
 pub(super) fn arguments(layout: &Layout<'_>, host: &Host, part: &Part, place: &Place) -> Vec<String> {
     let mut line = Line(Vec::new());
+    let own_host = match (part, place.addresses) {
+        // A robot may listen at one of its host's addresses alone.
+        (Part::Edge(robot), Addresses::Hosts) => layout
+            .deployment
+            .robots
+            .get(robot.as_str())
+            .map(|robot| host_of(&robot.listen))
+            .filter(|named| named.parse::<IpAddr>().is_ok_and(|address| !address.is_loopback())),
+        _ => None,
+    };
+    let own_host = match own_host.unwrap_or("0.0.0.0") {
+        address if address.contains(':') => format!("[{address}]"),
+        address => address.to_owned(),
+    };
     let listen = host
         .port(layout.deployment, part)
-        .map(|port| format!("{}/0.0.0.0:{port}", layout.protocol()));
+        .map(|port| format!("{}/{own_host}:{port}", layout.protocol()));
     let dial = |host: &Host, part: &Part| {
         let address = match place.addresses {
             Addresses::Hosts => host.address.clone(),
@@ -99,6 +115,9 @@ pub(super) fn arguments(layout: &Layout<'_>, host: &Host, part: &Part, place: &P
             line.flag("--world", simulation.world.clone());
             line.flag("--speed", simulation.speed.to_string());
             line.flag("--seed", simulation.seed.to_string());
+            if !layout.deployment.bus.namespace.is_empty() {
+                line.flag("--namespace", layout.deployment.bus.namespace.clone());
+            }
             for router in &routers {
                 line.flag("--connect", router.clone());
             }

@@ -79,7 +79,7 @@ fn service(layout: &Layout<'_>, host: &Host, part: &Part, place: &Place, config:
         let keys = match place.addresses {
             // The certificate authority's own folder, on the machine that rehearses a deployment.
             Addresses::Names => "${ZENAV_KEYS:-./fleet-keys}/issued",
-            Addresses::Hosts => "/etc/zenav/identity",
+            Addresses::Hosts => IDENTITY,
         };
         mounts.push(format!("{keys}/{}:{IDENTITY}:ro", layout.identity(host, part)));
     }

@@ -112,7 +112,8 @@ fn of_part(layout: &Layout<'_>, host: &Host, part: &Part) -> Vec<Value> {
         "spec": spec,
     })];
     if let Some(ports) = service_ports(layout, part) {
-        let kind = if *part == Part::Router {
+        let from_outside = *part == Part::World && has_robots_outside(layout);
+        let kind = if *part == Part::Router || from_outside {
             "LoadBalancer"
         } else {
             "ClusterIP"
@@ -250,6 +251,15 @@ fn autoscaler(name: &str, part: &Part) -> Value {
     })
 }
 
+/// Whether a robot of the served world runs on a machine of its own, outside the cluster.
+fn has_robots_outside(layout: &Layout<'_>) -> bool {
+    let robots = &layout.deployment.robots;
+    layout.parts().any(|(host, part)| match part {
+        Part::Edge(robot) => host.role == Role::Robot && robots.get(robot.as_str()).is_some_and(|robot| robot.attach),
+        _ => false,
+    })
+}
+
 /// At most one of a kind is away by intent: the other router, worker or orchestrator goes on meanwhile.
 fn disruption_budgets(kinds: &BTreeSet<&str>) -> Value {
     let budget = |kind: &&str| {
@@ -267,7 +277,7 @@ fn disruption_budgets(kinds: &BTreeSet<&str>) -> Value {
 }
 
 /// Nobody reaches a pod but: routers from anywhere, the world from its robots, the page from anywhere (it asks for a token), health and
-/// metrics from the cluster.
+/// metrics from the cluster. Where robots of the world run outside it, the world from anywhere, too.
 fn network_policies(layout: &Layout<'_>, kinds: &BTreeSet<&str>) -> Value {
     let policy = |name: &str, selected: Value, ingress: Value| {
         json!({
@@ -295,11 +305,11 @@ fn network_policies(layout: &Layout<'_>, kinds: &BTreeSet<&str>) -> Value {
     }
     if kinds.contains("world") {
         let robots = json!([{ "podSelector": { "matchLabels": of_kind("edge") } }]);
-        all.push(policy(
-            "zenav-world",
-            of_kind("world"),
-            json!([{ "from": robots, "ports": zenoh(WORLD_PORT) }]),
-        ));
+        let mut from = json!({ "ports": zenoh(WORLD_PORT) });
+        if !has_robots_outside(layout) {
+            from["from"] = robots;
+        }
+        all.push(policy("zenav-world", of_kind("world"), json!([from])));
     }
     if let Some(port) = layout.page_port().filter(|_| kinds.contains("gateway")) {
         all.push(policy(

@@ -3,6 +3,7 @@
 //! Robots dial out, to the routers of the cloud (or of their site); nobody dials a robot but to stop it. A part beside a router dials that
 //! one first, and the others when it is gone. Of two routers of one role the second by name dials the first.
 
+use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 
 use zenav_protocol::config_text::OutOfBounds;
@@ -82,9 +83,15 @@ impl Host {
 
 /// Whether an endpoint is of loopback alone.
 pub(super) fn is_loopback(endpoint: &str) -> bool {
-    ["127.", "localhost", "[::1]"]
-        .iter()
-        .any(|loopback| endpoint.contains(loopback))
+    let host = host_of(endpoint);
+    host == "localhost" || host.parse::<IpAddr>().is_ok_and(|address| address.is_loopback())
+}
+
+/// The name or address in `PROTOCOL/HOST:PORT` or `HOST:PORT`, an IPv6 one without its brackets.
+pub(super) fn host_of(endpoint: &str) -> &str {
+    let address = endpoint.rsplit_once('/').map_or(endpoint, |(_, address)| address);
+    let host = address.rsplit_once(':').map_or(address, |(host, _)| host);
+    host.trim_start_matches('[').trim_end_matches(']')
 }
 
 /// The port of an endpoint, but for 0.

@@ -1,8 +1,8 @@
 //! Named files. Which files does a deployment name, which its hosts need too? They stand beside the deployment file, and go with it to
 //! `/etc/zenav`, where parts look for them by the same names.
 
-use std::collections::BTreeSet;
-use std::path::Path;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Component, Path};
 
 use zenav_protocol::config_text::OutOfBounds;
 use zenav_protocol::robot;
@@ -21,10 +21,13 @@ const MOST: u64 = 64 * 1024 * 1024;
 pub(super) fn of(deployment: &Deployment, folder: &Path) -> Result<Vec<String>, Vec<OutOfBounds>> {
     let mut found = BTreeSet::new();
     let mut problems = Vec::new();
+    // Which key names a file.
+    let mut keys = BTreeMap::new();
     let mut name = |key: String, name: &str, is_shipped: bool| {
-        let is_plain = Path::new(name).components().count() == 1 && !name.starts_with('.');
+        let is_plain = is_plain(name);
         let problem = if folder.join(name).is_file() && is_plain {
             found.insert(name.to_owned());
+            keys.insert(name.to_owned(), key);
             return;
         } else if is_shipped {
             return;
@@ -63,9 +66,32 @@ pub(super) fn of(deployment: &Deployment, folder: &Path) -> Result<Vec<String>, 
         return Err(problems);
     }
     // A map, or a world that is one, is a description and an image.
-    let images: Vec<String> = found.iter().flat_map(|name| images(&folder.join(name))).collect();
-    found.extend(images.into_iter().filter(|image| folder.join(image).is_file()));
-    Ok(found.into_iter().collect())
+    for name in found.clone() {
+        let images = images(&folder.join(&name));
+        for image in images.into_iter().filter(|image| folder.join(image).is_file()) {
+            if is_plain(&image) {
+                found.insert(image);
+            } else {
+                problems.push(OutOfBounds {
+                    key: keys.get(&name).cloned().unwrap_or_default(),
+                    problem: format!(
+                        "is `{name}`, which names `{image}`: expected a file beside it, by its name alone"
+                    ),
+                });
+            }
+        }
+    }
+    if problems.is_empty() {
+        Ok(found.into_iter().collect())
+    } else {
+        Err(problems)
+    }
+}
+
+/// Whether a name is that of a file in the folder itself.
+fn is_plain(name: &str) -> bool {
+    let mut parts = Path::new(name).components();
+    matches!((parts.next(), parts.next()), (Some(Component::Normal(_)), None)) && !name.starts_with('.')
 }
 
 /// Files that a file names itself: the image of a map's description, the description of a world's map.
@@ -104,7 +130,9 @@ pub(super) fn copy(deployment: &Path, names: &[String], into: &Path) -> Result<(
                 from.display()
             )));
         }
-        std::fs::copy(&from, &to).map_err(Failure::failed_at(&to))?;
+        // Read before it is written: it may be the same file.
+        let bytes = std::fs::read(&from).map_err(Failure::failed_at(&from))?;
+        crate::files::write(&to, bytes)?;
     }
     Ok(())
 }

@@ -52,8 +52,13 @@ pub(super) fn text(layout: &Layout<'_>, wanted: &dyn Fn(Target) -> bool) -> Stri
         let _ = write!(
             text,
             "\n## Containers\n\nThe image is `{IMAGE}`, or what `ZENAV_IMAGE` names. On each host, with `etc` copied to `/etc/zenav`: \
-             `docker compose -f hosts/NAME/compose.yaml up -d`. All of it on this machine, each part with an address of its own: \
-             `docker compose up -d`."
+             `docker compose -f hosts/NAME/compose.yaml up -d`{}. All of it on this machine, each part with an address of its own: \
+             `docker compose up -d`.",
+            match layout.profile {
+                Profile::Mtls =>
+                    ", after `chown -R 65532:65532 /etc/zenav-identity`: the containers' user reads the keys",
+                Profile::Open => "",
+            }
         );
         let secrets = [
             (layout.profile == Profile::Mtls)
@@ -94,7 +99,8 @@ pub(super) fn text(layout: &Layout<'_>, wanted: &dyn Fn(Target) -> bool) -> Stri
                 "kubectl -n zenav create secret generic {PAGE_SECRET} --from-file token=page-token"
             );
         }
-        text += "kubectl apply -k kubernetes\n```\n";
+        // A map beside the file is larger than what a client may note of it.
+        text += "kubectl apply --server-side -k kubernetes\n```\n";
     }
     text
 }
@@ -121,7 +127,7 @@ pub(super) fn identities(layout: &Layout<'_>) -> BTreeMap<String, Vec<String>> {
 fn keys(layout: &Layout<'_>, text: &mut String) {
     text.push_str(
         "\n## Keys\n\nOn the machine of the certificate authority, once; then each folder goes to its host, as \
-         `/etc/zenav/identity/ROLE.NAME`, readable for root alone. A unit holds a copy: after a change of `members.txt` (a new member, \
+         `/etc/zenav-identity/ROLE.NAME`, readable for root alone. A unit holds a copy: after a change of `members.txt` (a new member, \
          or one that is revoked) those of routers and robots are restarted.\n\n```sh\nzenav keys init --dir fleet-keys\n",
     );
     for (identity, names) in identities(layout) {

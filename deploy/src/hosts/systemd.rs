@@ -3,7 +3,7 @@
 //! `Type=notify`: a part says when it is ready, and beats its watchdog from then on (`zenav_protocol::bus::service_manager`). Its keys come as
 //! credentials, which only it can read. Follows systemd.exec(5).
 
-use super::command_line::{Addresses, CONFIG, Place, arguments};
+use super::command_line::{Addresses, CONFIG, IDENTITY, Place, arguments};
 use super::layout::{Host, Layout};
 use super::part::Part;
 use crate::config::Profile;
@@ -69,7 +69,7 @@ pub(super) fn unit(layout: &Layout<'_>, host: &Host, part: &Part) -> String {
     let mut credentials = match layout.profile {
         Profile::Open => String::new(),
         Profile::Mtls => {
-            let folder = format!("{CONFIG}/identity/{}", layout.identity(host, part));
+            let folder = format!("{IDENTITY}/{}", layout.identity(host, part));
             let files = layout.identity_files(host, part).into_iter();
             files
                 .map(|file| format!("LoadCredential={file}:{folder}/{file}\n"))

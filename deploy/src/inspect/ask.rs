@@ -12,7 +12,7 @@ use zenav_protocol::messages::Refusal;
 use zenav_protocol::topics::{self, Ask, Producer, Row, TABLE, TableVisitor, Topic};
 
 use super::payload;
-use crate::connect::{self, RobotArgs, positive};
+use crate::connect::{self, RobotArgs};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
@@ -56,7 +56,7 @@ pub(super) struct PubArgs {
     /// The message; `-` reads it from stdin
     json: String,
     /// Publish again this many times a second, until Ctrl-C or --count
-    #[arg(long, value_name = "HZ", value_parser = positive)]
+    #[arg(long, value_name = "HZ", value_parser = frequency)]
     hz: Option<f64>,
     /// End after this many messages
     #[arg(long, value_name = "N", requires = "hz", value_parser = connect::whole::<u64>)]
@@ -163,10 +163,9 @@ pub(super) fn publish(args: &PubArgs, robot: &RobotArgs, format: Format) -> Outc
         }
         let mut pace = args
             .hz
-            .and_then(|hz| Duration::try_from_secs_f64(1.0 / hz).ok())
-            .map(tokio::time::interval);
+            .map(|hz| tokio::time::interval(Duration::from_secs_f64(1.0 / hz)));
         let mut sent = 0;
-        loop {
+        while args.count.is_none_or(|count| sent < count) {
             if let Some(pace) = &mut pace {
                 tokio::select! {
                     _ = pace.tick() => {}
@@ -175,7 +174,7 @@ pub(super) fn publish(args: &PubArgs, robot: &RobotArgs, format: Format) -> Outc
             }
             bus.raw_put(&key, text.clone().into_bytes(), "application/json")?;
             sent += 1;
-            if pace.is_none() || args.count.is_some_and(|count| sent >= count) {
+            if pace.is_none() {
                 break;
             }
         }
@@ -195,6 +194,12 @@ fn is_reserved(key: &str) -> bool {
         ["zenav", _, side, ..] => matches!(*side, "edge" | "cloud" | "body" | "ask" | "alive"),
         _ => false,
     }
+}
+
+/// How often a second something is published.
+fn frequency(text: &str) -> Result<f64, String> {
+    let hz = text.parse().ok().filter(|hz| (0.001..=10_000.0).contains(hz));
+    hz.ok_or_else(|| "expected a number from 0.001 to 10000".to_owned())
 }
 
 /// The text of the command line, or of stdin.
@@ -236,10 +241,10 @@ async fn concrete(
 
 /// The key that is meant, perhaps with a `{robot}` to be filled in.
 fn meant(text: &str, asks: bool) -> Result<String, Failure> {
+    if text.contains(['*', '$', '{']) {
+        return Err(Failure::usage(format!("{text}: expected one key, without wildcards")));
+    }
     if text.starts_with("zenav/") {
-        if text.contains(['*', '$', '{']) {
-            return Err(Failure::usage(format!("{text}: expected one key, without wildcards")));
-        }
         return Ok(text.to_owned());
     }
     let rows = || TABLE.iter().filter(|row| row.qos.is_none() == asks);

@@ -110,8 +110,14 @@ pub(crate) fn pattern(text: &str, robot: Option<&str>) -> Result<String, Failure
     if text.starts_with("zenav/") || text.starts_with('*') || text.starts_with('@') {
         return Ok(text.to_owned());
     }
-    if text.contains('/') {
-        return Ok(format!("zenav/{robot}/{text}"));
+    // What begins with a side of a robot is a robot's; any other key is what it says.
+    match text.split_once('/') {
+        Some(("edge" | "cloud" | "body" | "operator" | "ask" | "alive", _)) => {
+            return Ok(format!("zenav/{robot}/{text}"));
+        }
+        Some(("sim" | "svc", _)) => return Ok(format!("zenav/{text}")),
+        Some(_) => return Ok(text.to_owned()),
+        None => {}
     }
     let row = TABLE.iter().find(|row| row.qos.is_some() && row_name(row) == text);
     let row = row.ok_or_else(|| {

@@ -7,6 +7,7 @@
 //! | `members.txt` | everybody who was issued and not revoked |
 //! | `revoked.txt` | a line for each who was revoked: name, serial number, time |
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -115,19 +116,20 @@ impl Fleet {
             )));
         }
         let mut hosts = hosts.to_vec();
-        let mut key = None;
-        if renew {
-            if hosts.is_empty() {
-                hosts = read_facts(&old)?.hosts;
-            }
-            key =
-                Some(fs::read_to_string(folder.join("key.pem")).map_err(Failure::failed_at(&folder.join("key.pem")))?);
+        if renew && hosts.is_empty() {
+            hosts = read_facts(&old)?.hosts;
         }
+        // One that failed before its certificate was written left a key.
+        let private = folder.join("key.pem");
+        let key = match renew || private.exists() {
+            true => Some(fs::read_to_string(&private).map_err(Failure::failed_at(&private))?),
+            false => None,
+        };
         let pair = certificate::member(member, &hosts, days, &self.authority, key.as_deref())
             .map_err(|error| Failure::usage(format!("{member}: {error} (--host {})", hosts.join(", "))))?;
         private_folder(&folder)?;
         if key.is_none() {
-            write_private(&folder.join("key.pem"), &pair.key)?;
+            write_private(&private, &pair.key)?;
         }
         write(&folder.join("ca.pem"), &self.authority.certificate)?;
         write(&old, &pair.certificate)?;
@@ -148,6 +150,8 @@ impl Fleet {
             )));
         }
         if self.revoked()?.contains(member) {
+            // It may have failed before everybody was told.
+            self.tell_members()?;
             return Ok(None);
         }
         let facts = read_facts(&certificate)?;
@@ -173,6 +177,10 @@ impl Fleet {
             let Ok(member) = entry.file_name().to_string_lossy().parse::<Member>() else {
                 continue;
             };
+            // Its files were moved to its machine, or it was never finished.
+            if !entry.path().join("cert.pem").is_file() {
+                continue;
+            }
             issued.push(Issued {
                 facts: read_facts(&entry.path().join("cert.pem"))?,
                 is_revoked: revoked.contains(&member),
@@ -195,13 +203,17 @@ impl Fleet {
             .collect()
     }
 
-    /// Writes who belongs to the fleet, for everybody who listens.
+    /// Writes who belongs to the fleet, for everybody who listens: everybody who was issued, also where the files were moved away since, and
+    /// not revoked.
     fn tell_members(&self) -> Result<(), Failure> {
-        let issued = self.issued()?;
-        let current = issued.iter().filter(|issued| !issued.is_revoked);
+        let (issued, revoked) = (self.issued()?, self.revoked()?);
+        let before = fs::read_to_string(self.folder.join(MEMBERS)).unwrap_or_default();
+        let mut members: BTreeSet<Member> = before.lines().filter_map(|line| line.parse().ok()).collect();
+        members.extend(issued.iter().map(|issued| issued.member.clone()));
+        members.retain(|member| !revoked.contains(member));
         let mut text =
             "# Who belongs to the fleet, written by `zenav keys`: who does not stand here may do nothing.\n".to_owned();
-        text.extend(current.map(|issued| format!("{}\n", issued.member)));
+        text.extend(members.iter().map(|member| format!("{member}\n")));
         write(&self.folder.join(MEMBERS), &text)?;
         for issued in issued.iter().filter(|issued| issued.member.role.listens()) {
             write(&self.identity(&issued.member).join(MEMBERS), &text)?;
@@ -240,4 +252,40 @@ fn write_private(path: &Path, text: &str) -> Result<(), Failure> {
         file.sync_all()
     });
     written.map_err(Failure::failed_at(path))
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_failed_half_way_is_done_the_next_time_and_who_was_moved_away_stays_a_member() {
+        let folder = tempfile::tempdir().unwrap();
+        Fleet::create(folder.path(), 30.0).unwrap();
+        let fleet = Fleet::open(folder.path()).unwrap();
+        let member = |name: &str| name.parse::<Member>().unwrap();
+        let (router, guest) = (member("router.site1"), member("operator.guest"));
+        for one in [&router, &guest, &member("robot.moved")] {
+            fleet.issue(one, &[], 7.0, false).unwrap();
+        }
+        fs::remove_file(fleet.identity(&member("robot.moved")).join("cert.pem")).unwrap();
+        assert!(fleet.revoke(&guest).unwrap().is_some());
+        // The routers' copy is the old one still, as after a full disk.
+        let members = fleet.identity(&router).join(MEMBERS);
+        fs::write(&members, "operator.guest\n").unwrap();
+        assert!(fleet.revoke(&guest).unwrap().is_none());
+        let told = fs::read_to_string(&members).unwrap();
+        assert!(
+            told.contains("robot.moved") && !told.contains("operator.guest"),
+            "{told}"
+        );
+        // A key that is there without its certificate is taken.
+        let anna = member("operator.anna");
+        fleet.issue(&anna, &[], 7.0, false).unwrap();
+        let key = fs::read(fleet.identity(&anna).join("key.pem")).unwrap();
+        fs::remove_file(fleet.identity(&anna).join("cert.pem")).unwrap();
+        fleet.issue(&anna, &[], 7.0, false).unwrap();
+        assert_eq!(fs::read(fleet.identity(&anna).join("key.pem")).unwrap(), key);
+    }
 }

@@ -23,6 +23,36 @@ use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
 use fleet::{Fleet, Issued};
 
+/// Why the identity of a member, which is dialled at these names, will not do; `None` for one that will.
+pub(crate) fn unusable(dir: &Path, identity: &str, names: &[String]) -> Option<String> {
+    let found = || {
+        let member: Member = identity.parse().map_err(Failure::usage)?;
+        let issued = Fleet::open(dir)?.issued()?;
+        Ok::<_, Failure>(issued.into_iter().find(|issued| issued.member == member))
+    };
+    let issued = match found() {
+        Err(failure) => return Some(failure.message),
+        Ok(None) => return Some(format!("was never issued in {}", dir.display())),
+        Ok(Some(issued)) => issued,
+    };
+    let renewed = format!("`zenav keys issue {identity} --renew --dir {}", dir.display());
+    let lacking: Vec<&String> = names.iter().filter(|name| !issued.facts.hosts.contains(name)).collect();
+    if issued.is_revoked {
+        Some("was revoked: expected another name in the deployment file".to_owned())
+    } else if issued.facts.expires <= OffsetDateTime::now_utc() {
+        Some(format!("has expired: {renewed}` renews it"))
+    } else if !lacking.is_empty() {
+        let hosts: String = names.iter().map(|name| format!(" --host {name}")).collect();
+        let lacking: Vec<&str> = lacking.into_iter().map(String::as_str).collect();
+        Some(format!(
+            "does not serve {}, where it is dialled: {renewed}{hosts}` adds it",
+            lacking.join(", ")
+        ))
+    } else {
+        None
+    }
+}
+
 /// Arguments of `zenav keys`.
 #[derive(Debug, Args)]
 #[command(

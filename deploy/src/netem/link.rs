@@ -68,6 +68,10 @@ impl Link {
 
     /// When so many bytes arrive that are sent now.
     pub(super) fn arrival(&mut self, now: Duration, bytes: usize) -> Duration {
+        if self.arrived == Duration::MAX {
+            // Behind what waits for a cut without an end nothing arrives.
+            return Duration::MAX;
+        }
         let impairment = self.impairment(now);
         let takes = impairment.rate.map_or(0.0, |rate| bytes as f64 / rate.max(1.0));
         self.entered = self.entered.max(now) + Duration::from_secs_f64(takes);
@@ -162,6 +166,22 @@ mod tests {
             assert_eq!(arrival, twin.arrival(now, 100), "the same from the same seed");
             last = arrival;
         }
+    }
+
+    #[test]
+    fn behind_a_cut_without_an_end_nothing_arrives_whatever_else_the_link_does() {
+        let stalls = Impairment {
+            stall: ms(500),
+            every: Some(ms(10)),
+            ..Impairment::default()
+        };
+        let cut = Cut {
+            at: ms(100),
+            lasts: Duration::MAX,
+        };
+        let mut link = link(stalls, &[cut]);
+        let arrivals: Vec<Duration> = (0..20).map(|nth| link.arrival(ms(100 + nth), 100)).collect();
+        assert_eq!(arrivals, [Duration::MAX; 20]);
     }
 
     #[test]

@@ -8,7 +8,7 @@ use zenav_protocol::bus::Bus;
 use zenav_protocol::messages::{EdgeState, LeaseAction, LeaseState, Link};
 use zenav_protocol::topics;
 
-use super::holder;
+use super::{holder, status};
 use crate::connect::{self, RobotArgs, positive};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
@@ -97,16 +97,23 @@ pub fn lease(args: &LeaseArgs) -> Outcome {
             output::value(args.output, &grant, |grant| {
                 format!("{} may command {} (epoch {})", grant.holder, grant.robot, grant.epoch)
             })?;
-            let code = match secs.and_then(|secs| Duration::try_from_secs_f64(secs).ok()) {
-                Some(time) => tokio::select! {
-                    () = tokio::time::sleep(time) => exit_code::OK,
-                    _ = tokio::signal::ctrl_c() => exit_code::INTERRUPTED,
-                },
-                None => {
-                    crate::output::note(format_args!("kept until Ctrl-C"));
-                    let _ = tokio::signal::ctrl_c().await;
-                    exit_code::OK
+            let mut states = bus.latest(&topics::STATE, &[&grant.robot])?;
+            let lost = async {
+                while let Some(state) = states.next().await {
+                    if let Some(why) = status::lost(&held.grant, &grant.holder, &state.message) {
+                        return why;
+                    }
                 }
+                "the bus was closed".to_owned()
+            };
+            let time = secs.and_then(|secs| Duration::try_from_secs_f64(secs).ok());
+            if time.is_none() {
+                crate::output::note(format_args!("kept until Ctrl-C"));
+            }
+            let code = tokio::select! {
+                () = tokio::time::sleep(time.unwrap_or(Duration::MAX)) => exit_code::OK,
+                _ = tokio::signal::ctrl_c() => if time.is_some() { exit_code::INTERRUPTED } else { exit_code::OK },
+                why = lost => return Err(Failure::new(exit_code::REJECTED, why)),
             };
             held.release().await?;
             Ok(code)

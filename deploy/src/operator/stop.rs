@@ -61,20 +61,18 @@ pub fn resume(args: &StopArgs) -> Outcome {
 
 fn act(args: &StopArgs, stop: bool) -> Outcome {
     let patience = args.robot.link.patience();
-    let ask = async |bus: &Bus, robot: &str| -> Result<StopReply, AskError> {
-        let by = Some(holder());
-        if stop {
-            bus.ask(&topics::STOP, &[robot], &StopRequest { by }, patience).await
-        } else {
-            bus.ask(&topics::RESUME, &[robot], &ResumeRequest { by }, patience)
-                .await
-        }
-    };
+    let ask = |bus: &Bus, robot: &str| ask(bus.clone(), robot.to_owned(), stop, patience);
     let answers = connect::on_bus(&args.robot.link.with_robot(), async |bus| {
         if args.all {
-            let mut answers = BTreeMap::new();
+            // All at once: one that does not answer holds up nobody.
+            let mut asked = JoinSet::new();
             for robot in connect::robots(&bus).await?.into_keys() {
-                let answer = ask(&bus, &robot).await;
+                let answer = ask(&bus, &robot);
+                asked.spawn(async move { (robot, answer.await) });
+            }
+            let mut answers = BTreeMap::new();
+            while let Some(answer) = asked.join_next().await {
+                let (robot, answer) = answer.map_err(Failure::failed)?;
                 answers.insert(robot, answer);
             }
             if answers.is_empty() {
@@ -131,6 +129,16 @@ fn act(args: &StopArgs, stop: bool) -> Outcome {
         // Asked to stop and not stopped, or the other way round, is no success.
         None if rows.iter().any(|row| row.stopped != stop) => Ok(exit_code::FAILED),
         None => Ok(exit_code::OK),
+    }
+}
+
+/// Asks a robot to stop, or to go on.
+async fn ask(bus: Bus, robot: String, stop: bool, patience: Duration) -> Result<StopReply, AskError> {
+    let (by, robot) = (Some(holder()), &[robot.as_str()][..]);
+    if stop {
+        bus.ask(&topics::STOP, robot, &StopRequest { by }, patience).await
+    } else {
+        bus.ask(&topics::RESUME, robot, &ResumeRequest { by }, patience).await
     }
 }
 

@@ -14,6 +14,7 @@ use zenav_protocol::messages::{InfoReply, InfoRequest, MapRequest};
 use zenav_protocol::topics;
 
 use super::format::{Kind, Sample};
+use super::replay::fits;
 use crate::failure::Failure;
 
 /// Most bytes that wait to be taken: some seconds of a robot at full rate, or one large map.
@@ -64,6 +65,8 @@ pub struct Listener {
     /// Robots of whose map a part was missing a second ago.
     lacking: Vec<String>,
     asked_for_maps: Option<Instant>,
+    /// Which keys it listens on.
+    patterns: Vec<String>,
 }
 
 impl Listener {
@@ -81,6 +84,7 @@ impl Listener {
             known: BTreeSet::new(),
             lacking: Vec::new(),
             asked_for_maps: None,
+            patterns: patterns.to_vec(),
         })
     }
 
@@ -183,7 +187,12 @@ impl Listener {
 
     /// To be called each second with the robots of whose map a part is missing: asks for what was missing a second ago too. A patch that is
     /// only late comes within the second.
-    pub fn ask_for_maps(&mut self, lacking: Vec<String>) {
+    /// Without its patches a map would be lacking for good.
+    pub fn ask_for_maps(&mut self, mut lacking: Vec<String>) {
+        lacking.retain(|robot| {
+            let patches = topics::MAP_PATCH.key(&[robot]);
+            self.patterns.iter().any(|pattern| fits(pattern, &patches))
+        });
         let before = std::mem::replace(&mut self.lacking, lacking);
         if self.asked_for_maps.is_some_and(|asked| asked.elapsed() < PATIENCE) {
             return;

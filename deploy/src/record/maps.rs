@@ -51,6 +51,13 @@ impl Maps {
         map.replica.has_map().then(|| map.replica.grid())
     }
 
+    /// What mapping would answer who asks for a robot's map now.
+    #[must_use]
+    pub fn reply(&self, robot: &str) -> Option<MapReply> {
+        let map = self.robots.get(robot)?;
+        map.replica.has_map().then(|| reply(&map.replica))
+    }
+
     /// Robots of whose map a part is missing here.
     pub fn incomplete(&self) -> impl Iterator<Item = &str> {
         let lacks = |map: &RobotMap| map.told.revision > 0 && !map.replica.holds(&map.told);
@@ -63,12 +70,12 @@ impl Maps {
     pub fn replies(&self, now: u64) -> Vec<Sample> {
         let known = self.robots.iter().filter(|(_, map)| map.replica.has_map());
         known
-            .filter_map(|(robot, map)| {
+            .filter_map(|(robot, _)| {
                 Some(Sample {
                     key: topics::MAP.key(&[robot]),
                     encoding: Encoding::Cbor.mime().to_owned(),
                     kind: Kind::Reply,
-                    bytes: codec::encode(&reply(&map.replica), Encoding::Cbor).ok()?,
+                    bytes: codec::encode(&self.reply(robot)?, Encoding::Cbor).ok()?,
                     attachment: None,
                     logged: now,
                     published: None,

@@ -79,7 +79,12 @@ async fn record(mut listener: Listener, mut writer: RecordWriter, shutdown: &Shu
             () = shutdown.wait() => break,
         }
     }
+    // What comes from now on is not of this recording, however fast it comes.
+    let end = listener.now();
     while let Some(sample) = listener.try_next() {
+        if sample.logged > end {
+            break;
+        }
         writer.write(&sample)?;
     }
     Ok(writer.finish(listener.dropped())?)

@@ -1,6 +1,7 @@
 //! `zenav replay`. How does a run come onto a bus again? Every sample byte for byte, at its own time.
 //!
-//! Each sample has its deadline on a monotonic clock, counted from the first: late ones are caught up, and nothing drifts.
+//! Each sample has its deadline on a monotonic clock, counted from the first: late ones are caught up, and nothing drifts. A replay that
+//! begins in the middle begins with the last states before, and maps are answered for as mapping would: what came before counts.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -8,10 +9,12 @@ use std::time::Duration;
 
 use serde::Serialize;
 use tokio::time::Instant;
-use zenav_protocol::bus::{AliveWatch, Bus, RawPublisher, interrupted};
-use zenav_protocol::topics;
+use zenav_protocol::bus::{AliveWatch, Bus, RawPublisher, Request, Server, interrupted};
+use zenav_protocol::messages::{MapReply, MapRequest, Refusal};
+use zenav_protocol::topics::{self, Qos};
 
 use super::format::{Kind, RecordError, Sample};
+use super::maps::Maps;
 use super::reader::RecordReader;
 use crate::connect::{self, LinkArgs, finite, positive};
 use crate::exit_code;
@@ -54,7 +57,13 @@ pub struct ReplayArgs {
     #[arg(long)]
     to_live_robot: bool,
     /// Publish nothing: compute again from the recorded inputs, and compare with what was recorded
-    #[arg(long, value_name = "PARTS", value_enum, value_delimiter = ',')]
+    #[arg(
+        long,
+        value_name = "PARTS",
+        value_enum,
+        value_delimiter = ',',
+        conflicts_with_all = ["from", "to", "keys", "speed", "to_live_robot"]
+    )]
     recompute: Vec<super::recompute::Part>,
     /// Deployment whose settings the run had, for --recompute [default: what the record says, or the shipped one]
     #[arg(long, value_name = "DEPLOYMENT", requires = "recompute")]
@@ -129,6 +138,7 @@ struct Selection {
     patterns: Vec<String>,
     from: f64,
     to: f64,
+    to_live_robot: bool,
 }
 
 impl Selection {
@@ -138,16 +148,28 @@ impl Selection {
             patterns: patterns.collect::<Result<_, _>>()?,
             from: args.from,
             to: args.to.unwrap_or(f64::INFINITY),
+            to_live_robot: args.to_live_robot,
         })
     }
 
     fn has_key(&self, key: &str) -> bool {
+        // A body obeys these, and tells nobody that it is alive; whoever looks on needs them not.
+        let drives = || topics::row_of(key).is_some_and(|row| row.pattern == topics::WHEELS.pattern);
+        if !self.to_live_robot && drives() {
+            return false;
+        }
         self.patterns.is_empty() || self.patterns.iter().any(|pattern| fits(pattern, key))
     }
 
     /// Whether a sample is meant that came so long after the first, s.
     fn has(&self, sample: &Sample, secs: f64) -> bool {
         sample.kind != Kind::Reply && secs >= self.from && secs <= self.to && self.has_key(&sample.key)
+    }
+
+    /// Whether a sample before the begin is a state that holds until the next one.
+    fn has_state(&self, sample: &Sample) -> bool {
+        let is_state = || topics::row_of(&sample.key).is_some_and(|row| row.qos == Some(Qos::State));
+        sample.kind == Kind::Put && self.has_key(&sample.key) && is_state()
     }
 }
 
@@ -219,7 +241,8 @@ struct Guard {
     keys: BTreeSet<String>,
     allowed: bool,
     watch: AliveWatch,
-    alive: BTreeSet<String>,
+    /// Robots, and which of their components are alive.
+    alive: BTreeSet<(String, String)>,
 }
 
 impl Guard {
@@ -227,7 +250,7 @@ impl Guard {
         Ok(Self {
             keys: keys.clone(),
             allowed,
-            watch: bus.watch_alive(topics::alive_key(topics::ALIVE_COMPONENT, &["*", "edge"]))?,
+            watch: bus.watch_alive(topics::alive_key(topics::ALIVE_COMPONENT, &["*", "*"]))?,
             alive: BTreeSet::new(),
         })
     }
@@ -241,7 +264,8 @@ impl Guard {
             self.note(&key, up);
         }
         while let Some(state) = states.take_received() {
-            self.alive.extend(state.chunks.into_iter().next());
+            let robot = state.chunks.into_iter().next();
+            self.alive.extend(robot.map(|robot| (robot, "state".to_owned())));
         }
         self.check()?;
         if clock.take().is_some() && self.keys.contains(&topics::SIM_CLOCK.key(&[])) && !self.allowed {
@@ -257,17 +281,19 @@ impl Guard {
     }
 
     fn note(&mut self, key: &str, up: bool) {
-        if let Some([robot, _]) = topics::alive_chunks(topics::ALIVE_COMPONENT, key).as_deref() {
+        if let Some([robot, component]) = topics::alive_chunks(topics::ALIVE_COMPONENT, key).as_deref() {
+            let of = ((*robot).to_owned(), (*component).to_owned());
             if up {
-                self.alive.insert((*robot).to_owned());
+                self.alive.insert(of);
             } else {
-                self.alive.remove(*robot);
+                self.alive.remove(&of);
             }
         }
     }
 
     fn check(&self) -> Result<(), Failure> {
-        let refused = of_live_robots(&self.keys, &self.alive);
+        let alive = self.alive.iter().map(|(robot, _)| robot.clone()).collect();
+        let refused = of_live_robots(&self.keys, &alive);
         if self.allowed || refused.is_empty() {
             return Ok(());
         }
@@ -277,7 +303,7 @@ impl Guard {
         Err(Failure::new(
             exit_code::REJECTED,
             format!(
-                "{} is alive on this bus: it would obey the record, and others would take the record for it ({count} keys, such as {example}). \
+                "{} is alive on this bus, itself or its cloud: it would obey the record, and others would take the record for it ({count} keys, such as {example}). \
                  Use another router, choose other --keys, or say --to-live-robot",
                 robots.join(", ")
             ),
@@ -301,23 +327,15 @@ async fn publish(bus: &Bus, args: &ReplayArgs, selection: &Selection, first: u64
     let mut publishers: BTreeMap<(String, String), RawPublisher> = BTreeMap::new();
     let mut keys = BTreeSet::new();
     let mut replayed = Replayed::default();
-    let begin = Instant::now();
-    let mut latest = Duration::ZERO;
-    while let Some(sample) = reader.next_sample()? {
-        let secs = since(first, sample.logged);
-        if secs > selection.to {
-            break;
-        }
-        if !selection.has(&sample, secs) {
-            continue;
-        }
-        let due = begin + due(secs - selection.from, args.speed);
-        tokio::time::sleep_until(due).await;
-        latest = latest.max(due.elapsed());
-        replayed.messages += 1;
-        replayed.payload_bytes += sample.bytes.len() as u64;
-        replayed.secs = secs - selection.from;
-        keys.insert(sample.key.clone());
+    // What holds at the begin: the maps, and the last of each state, in the order in which they came.
+    let mut maps = Maps::default();
+    let mut states: BTreeMap<String, (usize, Sample)> = BTreeMap::new();
+    // A live mapper answers for its own map.
+    let mut asked = match selection.to_live_robot {
+        true => None,
+        false => Some(bus.serve(&topics::MAP, &["*"])?),
+    };
+    let mut publish = |sample: Sample| -> Result<(), Failure> {
         let place = (sample.key, sample.encoding);
         let publisher = match publishers.entry(place) {
             std::collections::btree_map::Entry::Occupied(known) => known.into_mut(),
@@ -331,12 +349,77 @@ async fn publish(bus: &Bus, args: &ReplayArgs, selection: &Selection, first: u64
             Kind::Delete => publisher.delete()?,
             _ => publisher.put(sample.bytes, sample.attachment)?,
         }
+        Ok(())
+    };
+    let mut begin: Option<Instant> = None;
+    let mut latest = Duration::ZERO;
+    let mut count = 0;
+    while let Some(sample) = reader.next_sample()? {
+        count += 1;
+        let secs = since(first, sample.logged);
+        if secs > selection.to {
+            break;
+        }
+        maps.see(&sample);
+        if secs < selection.from {
+            if selection.has_state(&sample) {
+                states.insert(sample.key.clone(), (count, sample));
+            } else if sample.kind == Kind::Delete {
+                states.remove(&sample.key);
+            }
+            continue;
+        }
+        if !selection.has(&sample, secs) {
+            continue;
+        }
+        let begin = *begin.get_or_insert_with(Instant::now);
+        let mut held: Vec<(usize, Sample)> = std::mem::take(&mut states).into_values().collect();
+        held.sort_by_key(|(place, _)| *place);
+        for (_, state) in held {
+            publish(state)?;
+        }
+        let due = begin + due(secs - selection.from, args.speed);
+        loop {
+            tokio::select! {
+                biased;
+                () = tokio::time::sleep_until(due) => break,
+                request = next(&mut asked) => answer(request, &maps),
+            }
+        }
+        latest = latest.max(due.elapsed());
+        replayed.messages += 1;
+        replayed.payload_bytes += sample.bytes.len() as u64;
+        replayed.secs = secs - selection.from;
+        keys.insert(sample.key.clone());
+        publish(sample)?;
     }
     tokio::time::sleep(DRAIN).await;
     replayed.keys = keys.len();
     replayed.latest_ms = 1e3 * latest.as_secs_f64();
     replayed.cut_off = reader.is_cut_off();
     Ok(replayed)
+}
+
+/// The next request for a map; never, where somebody else answers.
+async fn next(asked: &mut Option<Server<MapRequest, MapReply>>) -> Request<MapRequest, MapReply> {
+    if let Some(asked) = asked
+        && let Some(request) = asked.next().await
+    {
+        return request;
+    }
+    std::future::pending().await
+}
+
+/// Answers as mapping would have, at this time of the record.
+fn answer(request: Request<MapRequest, MapReply>, maps: &Maps) {
+    let robot = request.chunks.first().map_or("", String::as_str);
+    match maps.reply(robot) {
+        Some(map) => request.reply(&map),
+        None => {
+            let what = format!("no map of {robot} at this time of the record");
+            request.refuse(&Refusal::NotFound { what });
+        }
+    }
 }
 
 /// When a sample is due after the begin.

@@ -31,6 +31,10 @@ const MOVING: f64 = 0.02;
 const REMEMBERED: usize = 512;
 /// Most events and spans of nodes that are kept.
 const MOST: usize = 20_000;
+/// A pose does not come for longer than this, s.
+const LONGEST_STEP: f64 = 1.0;
+/// What happened longer before the first pose than this is of another run, s: the recorder is told of the newest events.
+const HISTORY: f64 = 2.0;
 
 /// What happened in a run.
 #[derive(Debug, Default)]
@@ -138,6 +142,8 @@ pub struct Trace {
     scans: Vec<(Stamp, u64)>,
     /// The newest scan of each revision of the map, and the arrival of the revision.
     revisions: Vec<(u64, Stamp)>,
+    /// Events that came before the first pose: history, and what happened just then.
+    early: Vec<Event>,
     trajectory: Option<u64>,
     moving: bool,
     plan_since: Option<u64>,
@@ -270,10 +276,18 @@ impl RobotRun {
         if !pose.map_from_base.is_finite() {
             return;
         }
+        let is_first = self.trace.first.is_none();
         let first = *self.trace.first.get_or_insert(pose.stamp);
+        if is_first {
+            for event in std::mem::take(&mut self.trace.early) {
+                self.event(&event);
+            }
+        }
+        let before = self.trace.now;
         self.trace.now = pose.stamp.secs_since(first).max(0.0);
-        if let Some(before) = self.trace.at {
-            self.length += (pose.map_from_base.position() - before.position()).norm();
+        // What it drove: the estimate jumps where it is corrected.
+        if self.trace.at.is_some() {
+            self.length += pose.velocity.v.abs() * (self.trace.now - before).clamp(0.0, LONGEST_STEP);
         }
         self.trace.at = Some(pose.map_from_base);
         self.secs = self.trace.now;
@@ -311,6 +325,16 @@ impl RobotRun {
     }
 
     fn event(&mut self, event: &Event) {
+        let Some(first) = self.trace.first else {
+            if self.trace.early.len() < MOST {
+                self.trace.early.push(event.clone());
+            }
+            return;
+        };
+        let time = event.stamp.secs_since(first);
+        if time < -HISTORY {
+            return;
+        }
         let is_warning = matches!(
             event.kind,
             EventKind::Bumped
@@ -332,10 +356,11 @@ impl RobotRun {
             EventKind::PlanRejected { .. } => self.rejected += 1,
             _ => {}
         }
-        let time = self.trace.first.map_or(0.0, |first| event.stamp.secs_since(first));
-        if self.events.len() < MOST {
-            self.events.push((time, is_warning, words::event(&event.kind)));
+        // The newest count: one looks at how a run ended.
+        if self.events.len() >= 2 * MOST {
+            self.events.drain(..MOST);
         }
+        self.events.push((time, is_warning, words::event(&event.kind)));
     }
 
     fn patch(&mut self, patch: &MapPatch, logged: u64) {
@@ -387,6 +412,8 @@ impl RobotRun {
                 }
                 known.state = goal;
             }
+            // It ended before the record began: a late joiner is told of it.
+            None if goal.state.is_end() => {}
             None => {
                 let new = GoalRun {
                     from: now,

@@ -77,6 +77,8 @@ pub struct RecordWriter {
     /// Replies, which every file begins with.
     replies: BTreeMap<String, Sample>,
     written: Written,
+    /// Of the present file, where there are several.
+    number: usize,
     first: Option<u64>,
     last: u64,
 }
@@ -112,6 +114,7 @@ impl RecordWriter {
                 files: vec![first],
                 ..Written::default()
             },
+            number: 1,
             first: None,
             last: now,
         })
@@ -202,8 +205,18 @@ impl RecordWriter {
     fn next_file(&mut self, now: u64) -> Result<(), RecordError> {
         self.draw_maps()?;
         self.written.file_bytes += self.file.finish()?;
-        let next = numbered(&self.path, self.written.files.len() + 1);
-        self.file = RecordFile::create(&next, &self.options, now)?;
+        let next = loop {
+            self.number += 1;
+            let next = numbered(&self.path, self.number);
+            match RecordFile::create(&next, &self.options, now) {
+                // Left over from another recording: the run goes on under the number after it.
+                Err(error) if matches!(error.problem, Problem::Exists) => {}
+                created => {
+                    self.file = created?;
+                    break next;
+                }
+            }
+        };
         self.written.files.push(next);
         self.artist.begin_file();
         // So that each file is of use without the ones before it.

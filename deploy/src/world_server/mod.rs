@@ -23,7 +23,7 @@ use zenav_sim::Simulation;
 
 use crate::completion;
 use crate::config::SecurityArgs;
-use crate::connect::{self, DEFAULT_ENDPOINT, namespace};
+use crate::connect::{self, DEFAULT_ENDPOINT};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
@@ -59,6 +59,16 @@ pub struct ServeArgs {
     /// Routers to join: alone, as a client of one; with --listen, as one more router
     #[arg(long, value_name = "ENDPOINT")]
     connect: Vec<String>,
+    /// Namespace of the deployment, where its file has one
+    #[arg(
+        long,
+        value_name = "NAME",
+        default_value = "",
+        env = "ZENAV_BUS__NAMESPACE",
+        hide_env_values = true,
+        hide_default_value = true
+    )]
+    namespace: String,
     #[command(flatten)]
     security: SecurityArgs,
     #[command(flatten)]
@@ -94,7 +104,7 @@ pub fn serve(args: &ServeArgs) -> Outcome {
             retry: listen.is_empty(),
             listen,
             name: "sim".to_owned(),
-            namespace: namespace(),
+            namespace: args.namespace.clone(),
             security,
         };
         let bus = Bus::open(config).await?;

@@ -25,7 +25,7 @@ impl Pilot {
             self.gyro_settling.interrupt();
             self.right_of_way.reset();
         }
-        if source != MotionSource::ReturnHome {
+        if source != MotionSource::ReturnHome && self.health.is_trusted() {
             self.return_home.record(self.estimator.map_from_base().position());
         }
         if self.maneuvers.running().is_some() {
@@ -74,7 +74,7 @@ impl Pilot {
             }
             MotionSource::ReturnHome => {
                 let map_from_base = self.estimator.map_from_base();
-                if self.return_home.is_home(&map_from_base) {
+                if !self.health.is_trusted() || self.return_home.is_home(&map_from_base) {
                     self.mode = Mode::Idle;
                     return (Twist2::ZERO, Braking::Normal);
                 }

@@ -1,8 +1,8 @@
 //! Localised. Does the robot know where it is in the map, and what does it do when it does not?
 //!
 //! Off board the scans are compared with the map. While they contradict it, or agree with several places, no plan made in the map may move
-//! the robot: it brakes, drops its plan and takes no other. Teleop and maneuvers, which need no map, go on. A robot that was found anew
-//! somewhere else drops its plan, too: it was made for another place.
+//! the robot: it brakes, drops its plan and takes no other, and does not return home. Teleop and maneuvers, which need no map, go on. A robot
+//! that was found anew somewhere else drops its plan, too, and its way home: they were made for another place.
 
 use std::mem::discriminant;
 
@@ -29,6 +29,9 @@ impl Pilot {
             self.discard_plan(now, "it is not known where the robot is");
         } else if is_found_anew {
             self.discard_plan(now, "the robot was found somewhere else");
+        }
+        if is_found_anew {
+            self.return_home.forget();
         }
     }
 }

@@ -142,7 +142,7 @@ impl Namespaces {
         let config = rendered.join("etc").display().to_string();
         // A service manager gives the part a copy of its identity.
         let member = unit.lines().find_map(|line| {
-            line.strip_prefix("LoadCredential=cert.pem:/etc/zenav/identity/")?
+            line.strip_prefix("LoadCredential=cert.pem:/etc/zenav-identity/")?
                 .strip_suffix("/cert.pem")
         });
         let identity = self

@@ -13,6 +13,7 @@ use zenav_protocol::id::Id;
 
 use super::Shared;
 use super::error::ApiError;
+use crate::access::Denied;
 
 /// A header as text.
 fn text<'h>(headers: &'h HeaderMap, name: &header::HeaderName) -> Option<&'h str> {
@@ -43,6 +44,14 @@ pub(super) async fn guard(
     let origin = headers
         .get(header::ORIGIN)
         .map(|origin| origin.to_str().unwrap_or("null"));
+    // A picture or a script of another site carries no origin; browsers say so all the same (Fetch Metadata).
+    let is_of_another = origin.is_none()
+        && headers
+            .get("sec-fetch-site")
+            .is_some_and(|site| site == "cross-site" || site == "same-site");
+    if is_of_another {
+        return ApiError::from(Denied::Origin).into_response();
+    }
     if let Err(denied) = shared.access.admit(host, origin, token(headers)) {
         return ApiError::from(denied).into_response();
     }

@@ -37,15 +37,29 @@ const MESSAGES_HZ: f64 = 100.0;
 const SEND_WITHIN: Duration = Duration::from_secs(20);
 /// Hand control is given back when no key was held for this long, s.
 const IDLE_DRIVE: f64 = 30.0;
+/// A browser that drives and says nothing for this long is lost, s: it pings each second.
+const SILENT_DRIVE: f64 = 3.0;
 
 /// A message from a browser.
 #[derive(Debug, Deserialize)]
 #[serde(tag = "type", rename_all = "snake_case", deny_unknown_fields)]
 enum Incoming {
-    Watch { robot: Option<String> },
-    Ping { t: f64 },
-    Arm { robot: String },
-    Drive { v: f64, w: f64 },
+    Watch {
+        robot: Option<String>,
+    },
+    Ping {
+        t: f64,
+    },
+    Arm {
+        robot: String,
+    },
+    /// m/s and rad/s, and when it was sent by the clock that frames tell, s.
+    Drive {
+        v: f64,
+        w: f64,
+        #[serde(default)]
+        sent: Option<f64>,
+    },
     Disarm {},
 }
 
@@ -71,6 +85,7 @@ pub(super) async fn upgrade(
                 client: Client::new(),
                 joined,
                 drive: None,
+                heard: shared.hub.now(),
                 rate: TokenBucket::new(MESSAGES_HZ),
                 shared,
             };
@@ -92,6 +107,8 @@ struct Session {
     client: Client,
     joined: Joined,
     drive: Option<Driving>,
+    /// When it said anything last, s.
+    heard: f64,
     rate: TokenBucket,
 }
 
@@ -141,6 +158,7 @@ impl Session {
 
     async fn hear(&mut self, socket: &mut WebSocket, text: &str) -> Result<(), Gone> {
         let now = self.shared.hub.now();
+        self.heard = now;
         if !self.rate.take(now) {
             return Err(Gone);
         }
@@ -161,13 +179,13 @@ impl Session {
             }
             Incoming::Ping { t } => send_json(socket, &json!({ "type": "pong", "t": t })).await,
             Incoming::Arm { robot } => self.arm(socket, robot).await,
-            Incoming::Drive { v, w } => {
+            Incoming::Drive { v, w, sent } => {
                 if let Some(driving) = &mut self.drive {
                     driving.held = now;
-                    driving
-                        .drive
-                        .commands
-                        .send_replace(Some(Hold::new(Twist2::new(v, w), now)));
+                    // What was long on its way is as old as it is.
+                    let sent = sent.filter(|sent| sent.is_finite()).map_or(now, |sent| sent.min(now));
+                    let hold = Hold::new(Twist2::new(v, w), sent);
+                    driving.drive.commands.send_replace(Some(hold));
                 }
                 Ok(())
             }
@@ -200,6 +218,9 @@ impl Session {
     /// Ends a drive that the robot ended, or that nobody uses.
     async fn look_after_drive(&mut self, socket: &mut WebSocket) -> Result<(), Gone> {
         let Some(driving) = &self.drive else { return Ok(()) };
+        if self.shared.hub.now() - self.heard > SILENT_DRIVE {
+            return Err(Gone);
+        }
         let ended = driving.drive.ended.borrow().clone();
         let idle = self.shared.hub.now() - driving.held > IDLE_DRIVE;
         let why = match ended {

@@ -132,6 +132,10 @@ pub(super) fn openapi() -> Value {
         &[("200", "Stops", "All stopped.")],
         &[],
     );
+    stop_all["responses"]["503"] = reply(
+        "Stops",
+        "No robot is known, or the router is out of reach: all that are known are stopped.",
+    );
     stop_all["responses"]["504"] = reply("Stops", "Not every robot confirmed its stop.");
     let mut live = operation(
         "live",

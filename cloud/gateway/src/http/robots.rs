@@ -117,15 +117,26 @@ pub(super) async fn stop_all(State(shared): App) -> Response {
         });
     }
     rows.sort_by(|a, b| a["robot"].as_str().cmp(&b["robot"].as_str()));
-    let status = if rows.iter().all(|row| row["stopped"] == true) {
-        StatusCode::OK
+    let failure = if !rows.iter().all(|row| row["stopped"] == true) {
+        Some((
+            StatusCode::GATEWAY_TIMEOUT,
+            "Timeout",
+            "not every robot confirmed its stop",
+        ))
+    } else if rows.is_empty() {
+        let reason = "no robot is known to this gateway: nothing was stopped";
+        Some((StatusCode::SERVICE_UNAVAILABLE, "Unavailable", reason))
+    } else if !shared.hub.is_connected() {
+        let reason = "the gateway does not reach the router: there may be robots that it does not know";
+        Some((StatusCode::SERVICE_UNAVAILABLE, "Unavailable", reason))
     } else {
-        StatusCode::GATEWAY_TIMEOUT
+        None
     };
     let mut body = json!({ "robots": rows });
-    if status != StatusCode::OK {
-        body["error"] = "Timeout".into();
-        body["reason"] = "not every robot confirmed its stop".into();
-    }
+    let Some((status, error, reason)) = failure else {
+        return super::json(StatusCode::OK, &body);
+    };
+    body["error"] = error.into();
+    body["reason"] = reason.into();
     super::json(status, &body)
 }

@@ -225,6 +225,18 @@ async fn goals_stop_and_resume_reach_the_robot() {
     let (status, reply) = site.ask(Method::POST, "/api/v1/stop", None).await;
     assert_eq!(status, StatusCode::GATEWAY_TIMEOUT, "one robot does not answer");
     assert_eq!(reply["robots"][1], json!({ "robot": "tiago", "stopped": true }));
+    // Where none is known, nothing was stopped.
+    let hub = Hub::new(GatewaySettings::default(), BTreeMap::new());
+    let access = Access::new(HOST.parse().unwrap(), None, Vec::new()).unwrap();
+    let empty = Site {
+        router: router(hub, Arc::clone(&site.scribe) as Arc<dyn Operator>, access),
+        scribe: Arc::clone(&site.scribe),
+    };
+    let (status, reply) = empty.ask(Method::POST, "/api/v1/stop", None).await;
+    assert_eq!(
+        (status, &reply["robots"]),
+        (StatusCode::SERVICE_UNAVAILABLE, &json!([]))
+    );
 }
 
 #[tokio::test]

@@ -85,7 +85,11 @@ impl FleetView {
     /// A view of no robot.
     #[must_use]
     pub fn new() -> Self {
-        Self::default()
+        // A client that has been told of nothing has seen change 1.
+        Self {
+            version: 1,
+            ..Self::default()
+        }
     }
 
     /// Takes in a message about a robot that was heard at `now`, in seconds of the gateway's own clock.

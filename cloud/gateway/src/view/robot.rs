@@ -68,7 +68,9 @@ pub(crate) struct RobotView {
 impl RobotView {
     pub(super) fn set_detail(&mut self, name: &str, entry: Entry) {
         if self.detail.len() >= MAX_CHANNELS && !self.detail.contains_key(name) {
-            let oldest = self.detail.iter().min_by_key(|(_, entry)| entry.version);
+            // The fixed ones are few, and some are told only once.
+            let named = self.detail.iter().filter(|(name, _)| name.contains('/'));
+            let oldest = named.min_by_key(|(_, entry)| entry.version);
             if let Some(oldest) = oldest.map(|(name, _)| name.clone()) {
                 self.detail.remove(&oldest);
             }

@@ -164,6 +164,21 @@ fn what_cannot_be_is_told_by_key_and_with_what_was_expected() {
 }
 
 #[test]
+fn loopback_is_what_an_address_is_and_not_what_it_contains() {
+    for (endpoint, expected) in [
+        ("tcp/127.0.0.1:7450", true),
+        ("127.0.0.5:7480", true),
+        ("tcp/localhost:7450", true),
+        ("quic/[::1]:7450", true),
+        ("tcp/192.168.127.10:7450", false),
+        ("10.127.0.5:7480", false),
+        ("tcp/0.0.0.0:7447", false),
+    ] {
+        assert_eq!(super::layout::is_loopback(endpoint), expected, "{endpoint}");
+    }
+}
+
+#[test]
 fn what_runs_nowhere_is_told_once_each() {
     let text = FLEET
         .replace("\"router\", ", "")
@@ -259,6 +274,19 @@ fn files_that_a_deployment_names_stand_beside_it_and_go_along() {
     ] {
         assert_eq!(named(text).unwrap_err()[0].key, key);
     }
+    // An image may be named by its path, as `map_saver` of ROS does: what is copied must not be the file itself.
+    let elsewhere = folder.path().join("hall.pgm").display().to_string();
+    for image in [elsewhere.as_str(), "../hall.pgm", "./hall.pgm"] {
+        write("far.yaml", &format!("image: {image}\nresolution: 0.05\n"));
+        match named("[mapping]\nmap = \"far.yaml\"") {
+            Err(errors) => assert!(
+                errors[0].key == "mapping.map" && errors[0].problem.contains(image),
+                "{image}"
+            ),
+            Ok(names) => assert_eq!(names, ["far.yaml"], "no such file: {image}"),
+        }
+    }
+    assert_eq!(std::fs::read_to_string(folder.path().join("hall.pgm")).unwrap(), "P5");
     let into = folder.path().join("etc");
     super::named_files::copy(&folder.path().join("hall.toml"), &["hall.pgm".to_owned()], &into).unwrap();
     assert_eq!(std::fs::read_to_string(into.join("hall.pgm")).unwrap(), "P5");

@@ -255,10 +255,12 @@ fn events(robot: &RobotRun, page: &mut String) {
     if robot.events.is_empty() {
         return;
     }
-    page.push_str("<h3>Events</h3>\n");
+    page.push_str("<h3>Events, newest first</h3>\n");
+    // The newest, from the end: how a run ended is what one looks for first.
     let rows: Vec<String> = robot
         .events
         .iter()
+        .rev()
         .take(MOST_EVENTS)
         .map(|(time, is_warning, text)| {
             let class = if *is_warning { " class=\"warn\"" } else { "" };
@@ -271,10 +273,15 @@ fn events(robot: &RobotRun, page: &mut String) {
     let (shown, hidden) = rows.split_at(rows.len().min(SHOWN_EVENTS));
     let _ = writeln!(page, "<div class=\"wide\"><table>{}</table></div>", shown.concat());
     if !hidden.is_empty() {
-        let more = robot.events.len() - shown.len();
+        let older = robot.events.len() - rows.len();
+        let left_out = match older {
+            0 => String::new(),
+            older => format!(", and {older} older ones that are left out"),
+        };
         let _ = writeln!(
             page,
-            "<details><summary>{more} more</summary><div class=\"wide\"><table>{}</table></div></details>",
+            "<details><summary>{} more{left_out}</summary><div class=\"wide\"><table>{}</table></div></details>",
+            hidden.len(),
             hidden.concat()
         );
     }

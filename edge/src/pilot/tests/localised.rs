@@ -2,7 +2,10 @@
 
 use nalgebra::Matrix3;
 use zenav_protocol::geometry::Pose2;
-use zenav_protocol::messages::{BasedOn, Correction, EventKind, Health, Localisation, Plan, Revision};
+use zenav_protocol::messages::{
+    BasedOn, Correction, EventKind, Health, Localisation, LostPolicy, ModeRequest, Plan, Revision,
+};
+use zenav_protocol::topics::EdgeRequest;
 
 use super::driving;
 use super::rig::Rig;
@@ -97,4 +100,39 @@ fn a_robot_that_is_found_somewhere_else_believes_it_at_once_and_drops_its_plan()
     assert!(rig.events.iter().any(discarded), "{:?}", rig.events);
     rig.run(1.5);
     assert!(rig.at_rest());
+}
+
+#[test]
+fn the_way_home_is_none_that_was_taken_for_it_somewhere_else() {
+    let found_anew = |rig: &Rig| Correction {
+        stamp: rig.now,
+        boot_id: "boot-1".into(),
+        map_from_base: Pose2::new(-3.0, 2.0, 1.5),
+        covariance: std::array::from_fn(|index| Matrix3::from_diagonal(&[0.01, 0.01, 0.001].into())[index]),
+        is_found_anew: true,
+        frame: 0,
+        moves: Vec::new(),
+    };
+    for is_found in [false, true] {
+        let (mut rig, epoch, _) = driving();
+        rig.ask(EdgeRequest::Mode(ModeRequest {
+            on_lost: Some(LostPolicy::ReturnHome),
+            epoch: Some(epoch),
+        }))
+        .unwrap();
+        rig.run(2.0);
+        if is_found {
+            let correction = found_anew(&rig);
+            rig.inbox.corrections.push(correction);
+        }
+        // The cloud is gone: at most the plan's validity later the robot is on its own.
+        rig.run(25.0);
+        let ends = if is_found {
+            Pose2::new(-3.0, 2.0, 1.5)
+        } else {
+            Pose2::IDENTITY
+        };
+        let off = (rig.pilot.map_from_base().position() - ends.position()).norm();
+        assert!(off < 0.5 && rig.at_rest(), "found anew: {is_found}: {off:.2} m off");
+    }
 }
