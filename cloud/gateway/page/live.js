@@ -87,9 +87,9 @@ function take(message) {
       break;
     case "frame":
       store.frame(message);
-      chooseRobot();
       // The gateway did not know it when it was asked to watch it.
       if (message.fleet?.includes(store.watched) && message.watched !== store.watched) send({ type: "watch", robot: store.watched });
+      chooseRobot();
       break;
     case "pong":
       store.pings.push(performance.now() - message.t);
