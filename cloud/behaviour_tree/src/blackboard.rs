@@ -5,7 +5,7 @@
 //! not private under `_autoremap`), and those of the root with a leading `@`
 //! (BehaviorTree.CPP v4).
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use serde::{Deserialize, Serialize};
 
@@ -50,11 +50,20 @@ pub struct TypeError {
 }
 
 /// The entries of a whole tree.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Blackboard {
     entries: Vec<Entry>,
     scopes: Vec<Scope>,
     writes: u64,
+    /// Entries that ports name: the tree's, not of what is stored.
+    #[serde(skip)]
+    declared: BTreeSet<u32>,
+}
+
+impl PartialEq for Blackboard {
+    fn eq(&self, other: &Self) -> bool {
+        (&self.entries, &self.scopes, self.writes) == (&other.entries, &other.scopes, other.writes)
+    }
 }
 
 impl Default for Blackboard {
@@ -63,6 +72,7 @@ impl Default for Blackboard {
             entries: Vec::new(),
             scopes: vec![Scope::default()],
             writes: 0,
+            declared: BTreeSet::new(),
         }
     }
 }
@@ -211,9 +221,43 @@ impl Blackboard {
         Ok(())
     }
 
-    /// Writes text whose type the first proper assignment decides: a literal in a remapping.
+    /// A port names this entry: scripts may assign to it before it holds anything.
+    pub(crate) fn declare(&mut self, slot: Slot) {
+        self.declared.insert(slot.0);
+    }
+
+    pub(crate) fn is_declared(&self, slot: Slot) -> bool {
+        self.declared.contains(&slot.0)
+    }
+
+    /// Takes over what was stored of the same tree.
+    pub(crate) fn restore(&mut self, stored: Self) {
+        let declared = std::mem::take(&mut self.declared);
+        *self = Self { declared, ..stored };
+    }
+
+    /// Writes a literal in a remapping: a number where all of it is one, so that scripts count with it, else text. The first proper assignment
+    /// decides its type.
+    pub(crate) fn write_constant(&mut self, slot: Slot, text: &str) {
+        let is_number = !text.is_empty()
+            && text
+                .bytes()
+                .all(|byte| byte.is_ascii_digit() || b"+-.eE".contains(&byte));
+        let number = || match text.parse::<i64>() {
+            Ok(number) => Some(Value::Int(number)),
+            Err(_) => text.parse().ok().map(Value::Double),
+        };
+        let value = is_number.then(number).flatten();
+        self.write_untyped(slot, value.unwrap_or_else(|| Value::text(text)));
+    }
+
+    /// Writes text whose type the first proper assignment decides.
     pub(crate) fn write_literal(&mut self, slot: Slot, text: &str) {
-        if self.write(slot, Value::text(text)).is_ok()
+        self.write_untyped(slot, Value::text(text));
+    }
+
+    fn write_untyped(&mut self, slot: Slot, value: Value) {
+        if self.write(slot, value).is_ok()
             && let Some(entry) = self.entries.get_mut(slot.0 as usize)
         {
             entry.kind = None;

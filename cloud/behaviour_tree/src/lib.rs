@@ -72,5 +72,5 @@ pub use report::NodeReport;
 pub use snapshot::{RestoreError, TreeSnapshot};
 pub use status::Status;
 pub use tree::{TickError, Tree};
-pub use value::{FromValue, Value, ValueType};
+pub use value::{FromValue, MOST_NESTED, Value, ValueType, is_nested_within};
 pub use xml::{Include, Limits, Summary, TreeError, TreeErrors, build, build_within, check, inline};

@@ -2,7 +2,7 @@
 //! a node in a tree has put on them.
 
 use super::blackboard::Slot;
-use super::value::{Value, ValueType, parse_bool};
+use super::value::{MOST_NESTED, Value, ValueType, is_nested_within, parse_bool};
 
 /// Which way a port's value goes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -152,7 +152,10 @@ pub struct LiteralRules {
 /// A literal as data if it is JSON, else as text.
 fn json_or_text(text: &str) -> Option<Value> {
     match text.strip_prefix("json:") {
-        Some(json) => serde_json::from_str::<serde_json::Value>(json).ok().map(Value::from),
+        Some(json) => serde_json::from_str(json)
+            .ok()
+            .filter(|data| is_nested_within(data, MOST_NESTED))
+            .map(|data: serde_json::Value| Value::from(data)),
         None => Some(Value::text(text)),
     }
 }

@@ -106,7 +106,7 @@ impl<C> Tree<C> {
             memory.resuming = state.status == Status::Running;
         }
         self.states = snapshot.states;
-        self.board = snapshot.blackboard;
+        self.board.restore(snapshot.blackboard);
         self.memories = memories;
         self.changes += 1;
         Ok(())

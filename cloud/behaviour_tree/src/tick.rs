@@ -210,10 +210,14 @@ impl<'a, C> Run<'a, C> {
         }
     }
 
-    /// After a fault: halts every leaf that runs, whatever its ancestors' statuses say.
+    /// After a fault: halts every leaf that runs, whatever its ancestors' statuses say; controls begin anew, those too that had not answered
+    /// yet.
     pub(crate) fn halt_everything(&mut self) {
         for id in (0..self.nodes.len() as NodeId).rev() {
             self.reset(id);
+            if let Role::Builtin(builtin) = &self.nodes[id as usize].role {
+                builtin.after_halt(&mut self.states[id as usize]);
+            }
         }
     }
 

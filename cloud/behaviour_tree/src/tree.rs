@@ -92,15 +92,15 @@ impl<C> Tree<C> {
         self.pause_entries().next().is_some()
     }
 
-    /// Asks every `PauseResumeController` to pause, or to resume.
-    pub fn ask_to_pause(&mut self, resume: bool) {
+    /// Asks every `PauseResumeController` to pause, or to resume; `false` where an entry for it has another type.
+    pub fn ask_to_pause(&mut self, resume: bool) -> bool {
         let entries: Vec<PauseEntries> = self.pause_entries().collect();
-        for entries in entries {
+        entries.into_iter().all(|entries| {
             let slot = if resume { entries.resume } else { entries.pause };
             let times = self.board.sequence(slot).saturating_add(1).to_string();
-            // Another text each time, so that the request is stored; an entry of another type is the tree's affair.
-            let _ = self.board.write(slot, Value::text(times));
-        }
+            // Another text each time, so that the request is stored.
+            self.board.write(slot, Value::text(times)).is_ok()
+        })
     }
 
     fn pause_entries(&self) -> impl Iterator<Item = PauseEntries> {

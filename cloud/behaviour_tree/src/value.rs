@@ -66,8 +66,12 @@ impl Value {
         }
     }
 
-    /// A JSON scalar as a scalar, anything longer as data; `None` for null.
+    /// A JSON scalar as a scalar, anything longer as data; `None` for null, and for what is nested more than [`MOST_NESTED`] deep: a stored
+    /// tree that holds it must be read again.
     pub fn from_json(json: &serde_json::Value) -> Option<Value> {
+        if !is_nested_within(json, MOST_NESTED) {
+            return None;
+        }
         Some(match json {
             serde_json::Value::Null => return None,
             serde_json::Value::Bool(value) => Value::Bool(*value),
@@ -207,6 +211,21 @@ value_from! {
     &str: |text| Value::text(text);
     String: |text| Value::Text(Arc::from(text));
     serde_json::Value: |data| Value::Data(Arc::new(data));
+}
+
+/// Arrays and objects inside one another, at most.
+pub const MOST_NESTED: usize = 64;
+
+/// Whether JSON is nested no deeper than this. As deep as any reader of JSON goes, so that it may call itself.
+pub fn is_nested_within(json: &serde_json::Value, most: usize) -> bool {
+    let Some(left) = most.checked_sub(1) else {
+        return !(json.is_array() || json.is_object());
+    };
+    match json {
+        serde_json::Value::Array(items) => items.iter().all(|item| is_nested_within(item, left)),
+        serde_json::Value::Object(fields) => fields.values().all(|field| is_nested_within(field, left)),
+        _ => true,
+    }
 }
 
 /// What a leaf may read a port as.

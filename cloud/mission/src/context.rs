@@ -154,8 +154,12 @@ pub struct Context {
     pub plans: Vec<Plan>,
     /// Depth of nested trees of the leaf being ticked; 0 in the goal's own.
     pub nested: u32,
+    /// Nodes of the inner trees that run, of the goal.
+    pub nested_nodes: usize,
     /// The maneuver that the robot was asked for last, unless it was called off.
     maneuver: Option<String>,
+    /// The maneuver that a pause called off last.
+    held_up: Option<String>,
     /// When the first step was.
     begun: Option<Stamp>,
     /// Whether the annotations of the map have come.
@@ -188,6 +192,19 @@ impl Context {
         if let Some(id) = self.maneuver.clone() {
             self.call_off(id);
         }
+    }
+
+    /// The same for a pause: the leaf whose maneuver it is begins it again when it goes on.
+    pub(crate) fn hold_up_last(&mut self) {
+        if self.maneuver.is_some() {
+            self.held_up.clone_from(&self.maneuver);
+        }
+        self.call_off_last();
+    }
+
+    /// Whether a pause called this maneuver off.
+    pub(crate) fn is_held_up(&self, id: &str) -> bool {
+        self.held_up.as_deref() == Some(id)
     }
 
     /// Calls off a maneuver, wherever it is by now: what has ended stays as it ended.
@@ -227,7 +244,9 @@ impl Context {
             goal: ActiveGoal::default(),
             plans: Vec::new(),
             nested: 0,
+            nested_nodes: 0,
             maneuver: None,
+            held_up: None,
             begun: None,
             annotated: false,
             cancels: BTreeMap::new(),

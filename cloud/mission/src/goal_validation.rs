@@ -8,6 +8,7 @@ use zenav_protocol::messages::{GoalPoint, GoalRequest, Refusal};
 use super::context::Context;
 use super::route::NEARBY;
 use super::trees;
+use zenav_behaviour_tree::{MOST_NESTED, is_nested_within};
 use zenav_protocol::padding::Extent;
 use zenav_space::{BitGrid, ConfigurationSpace, reach};
 
@@ -82,6 +83,12 @@ pub fn target(request: &GoalRequest, ctx: &Context) -> Result<Target, Refusal> {
     {
         return bad(format!(
             "`blackboard`: expected at most {MAX_ENTRIES} entries with names of 1 to {MAX_NAME} bytes"
+        ));
+    }
+    let is_flat = |value: &serde_json::Value| is_nested_within(value, MOST_NESTED);
+    if let Some((name, _)) = request.blackboard.iter().find(|(_, value)| !is_flat(value)) {
+        return bad(format!(
+            "`blackboard.{name}`: expected arrays and objects at most {MOST_NESTED} deep inside one another"
         ));
     }
     if let Some(tree) = &request.tree {

@@ -230,6 +230,7 @@ impl Mission {
                         }
                         goal.state.started.get_or_insert(now);
                     });
+                    self.ctx.nested_nodes = 0;
                     self.running = Some(running);
                 }
                 Err(why) => {
@@ -319,13 +320,11 @@ impl Mission {
             return;
         };
         // A tree with a node for pausing decides itself what goes on meanwhile.
-        let held = goal.state.state == GoalPhase::Paused && !running.tree.can_pause();
+        let held = goal.state.state == GoalPhase::Paused && (goal.paused_since.is_some() || !running.tree.can_pause());
         if held || !matches!(goal.state.state, GoalPhase::Active | GoalPhase::Paused) {
             return;
         }
-        // A tree's time stands still while its goal is paused.
-        let time =
-            Duration::from_nanos(self.ctx.now.0).saturating_sub(Duration::from_secs_f64(goal.paused_secs.max(0.0)));
+        let time = time_of_tree(self.ctx.now, goal);
         let (phase, reason) = match running.tree.tick(time, &mut self.ctx) {
             Ok(Status::Success) => (GoalPhase::Succeeded, None),
             Ok(Status::Failure) => {
@@ -345,14 +344,13 @@ impl Mission {
         self.finish(&id, phase, reason);
     }
 
-    /// Asks the active goal's tree to pause or resume; `false` if it has no node for that.
+    /// Asks the active goal's tree to pause or resume; `false` if it has no node for that, or one that does not hear it.
     pub(super) fn ask_tree_to_pause(&mut self, id: &str, resume: bool) -> bool {
         let running = self.running.as_mut().filter(|running| running.goal_id == id);
         let Some(running) = running.filter(|running| running.tree.can_pause()) else {
             return false;
         };
-        running.tree.ask_to_pause(resume);
-        true
+        running.tree.ask_to_pause(resume)
     }
 
     /// Distance from the robot to the place of a goal, m; `None` for a goal without one place.
@@ -367,7 +365,11 @@ impl Mission {
     /// Ends a goal: its tree is halted, the robot comes to rest, the end is persisted and published.
     pub(super) fn finish(&mut self, id: &str, phase: GoalPhase, reason: Option<String>) {
         if let Some(mut running) = self.running.take_if(|running| running.goal_id == id) {
-            if let Err(error) = running.tree.halt(Duration::from_nanos(self.ctx.now.0), &mut self.ctx) {
+            let time = self
+                .goals
+                .get(id)
+                .map_or(Duration::ZERO, |goal| time_of_tree(self.ctx.now, goal));
+            if let Err(error) = running.tree.halt(time, &mut self.ctx) {
                 tracing::warn!(goal = id, %error, "its tree was halted with an error");
             }
             // A leaf may have left a plan in force, or a maneuver under way.
@@ -423,4 +425,9 @@ fn fill_blackboard(tree: &mut Tree<Context>, target: &Target, request: &GoalRequ
         }
     }
     Ok(())
+}
+
+/// A tree's time stands still while its goal is paused.
+fn time_of_tree(now: Stamp, goal: &StoredGoal) -> Duration {
+    Duration::from_nanos(now.0).saturating_sub(Duration::from_secs_f64(goal.paused_secs.max(0.0)))
 }

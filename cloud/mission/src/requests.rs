@@ -156,16 +156,21 @@ impl Mission {
             (GoalPhase::Active, false) if self.ask_tree_to_pause(&id, false) => {
                 self.goals.change(&id, |goal| goal.state.state = GoalPhase::Paused);
             }
-            (GoalPhase::Paused, true) if self.ask_tree_to_pause(&id, true) => {
-                self.goals.change(&id, |goal| goal.state.state = GoalPhase::Active);
-            }
             (GoalPhase::Active, false) => {
                 self.ctx.hold();
-                self.ctx.call_off_last();
+                self.ctx.hold_up_last();
                 self.goals.change(&id, |goal| {
                     goal.state.state = GoalPhase::Paused;
                     goal.paused_since = Some(now);
                 });
+            }
+            (GoalPhase::Paused, true) if !self.is_held(&id) => {
+                if !self.ask_tree_to_pause(&id, true) {
+                    return Err(Refusal::rejected(format!(
+                        "goal {id}: its tree does not take the request to go on; `goal cancel` ends it"
+                    )));
+                }
+                self.goals.change(&id, |goal| goal.state.state = GoalPhase::Active);
             }
             (GoalPhase::Paused, true) => self.goals.change(&id, |goal| {
                 goal.state.state = GoalPhase::Active;
@@ -184,6 +189,11 @@ impl Mission {
             }
         }
         self.state_of(&id)
+    }
+
+    /// Whether a paused goal's tree is not ticked; else a node of the tree pauses it.
+    fn is_held(&self, id: &str) -> bool {
+        self.goals.get(id).is_some_and(|goal| goal.paused_since.is_some())
     }
 
     fn move_goal(&mut self, request: MoveGoalRequest) -> Result<GoalReply, Refusal> {

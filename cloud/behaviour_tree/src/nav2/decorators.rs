@@ -200,8 +200,8 @@ impl<C> Decorator<C> for GoalUpdater {
     }
 }
 
-/// Ticks the child while the path to the same goal is newly `length_factor` times as long as the
-/// one before, and the robot was within `prox_len` (m of path) of the goal; otherwise `Success`.
+/// Ticks the child while the path to the same goal is newly more than `length_factor` times as long
+/// as the one before, and the robot was within `prox_len` (m of path) of the goal; otherwise `Success`.
 #[derive(Default)]
 struct PathLongerOnApproach {
     old: Option<Value>,
@@ -216,7 +216,7 @@ impl PathLongerOnApproach {
             return Ok(false);
         };
         let near = was.left < number(io, "prox_len", 3.0)?;
-        let longer = is.length >= number(io, "length_factor", 2.0)? * was.left;
+        let longer = is.length > number(io, "length_factor", 2.0)? * was.length;
         Ok(was.end == is.end && near && longer)
     }
 }

@@ -3,7 +3,10 @@
 //!
 //! Nav2 offers two services; here a request is a write to the entry of that name on the root
 //! blackboard, whatever is written. `cursor` is the child whose turn it is: 0 resumed, 1 paused,
-//! 2 on pausing, 3 on going on. `mark` and `count` are the requests seen, to pause and to go on.
+//! 2 on pausing, 3 on going on. `mark` and `count` are the requests served, to pause and to go on:
+//! those made while the node is not active wait for it, as Nav2's services queue them.
+
+use std::cmp::Ordering;
 
 use crate::node::NodeId;
 use crate::nodes::{Builtin, PauseEntries};
@@ -25,15 +28,18 @@ impl<C> Builtin<C> for PauseResume {
     fn tick(&self, run: &mut Run<'_, C>, id: NodeId, before: Status) -> Answer {
         let requests = [run.board.sequence(self.0.pause), run.board.sequence(self.0.resume)];
         let state = &mut run.states[id as usize];
-        let seen = [state.mark, u64::from(state.count)];
-        (state.mark, state.count) = (requests[0], requests[1] as u32);
         if before != Status::Running {
-            // What was asked before the activation is no request to it.
             state.cursor = RESUMED;
-        } else if requests[0] != seen[0] && state.cursor != PAUSED && state.cursor != ON_PAUSE {
-            switch_to(run, id, ON_PAUSE);
-        } else if requests[1] as u32 != seen[1] as u32 && matches!(state.cursor, PAUSED | ON_PAUSE) {
-            switch_to(run, id, ON_RESUME);
+        }
+        // A pause and a resume since the last tick leave everything as it is.
+        let pauses = requests[0].wrapping_sub(state.mark) as i64;
+        let resumes = (requests[1] as u32).wrapping_sub(state.count) as i32;
+        (state.mark, state.count) = (requests[0], requests[1] as u32);
+        let is_paused = matches!(state.cursor, PAUSED | ON_PAUSE);
+        match pauses.cmp(&i64::from(resumes)) {
+            Ordering::Greater if !is_paused => switch_to(run, id, ON_PAUSE),
+            Ordering::Less if is_paused => switch_to(run, id, ON_RESUME),
+            _ => {}
         }
         let at = run.states[id as usize].cursor;
         let status = match run.kids(id).get(at as usize) {

@@ -62,6 +62,9 @@ impl<C> Builtin<C> for Repeat {
     }
 }
 
+/// Of attempts and cycles; other negative numbers are none, as in BehaviorTree.CPP.
+const UNLIMITED: i64 = -1;
+
 /// Ticks the child again while it answers `again`. After a child that completed in its first
 /// tick it yields `Running` and asks to be woken, so that it stays interruptible.
 fn again<C>(run: &mut Run<'_, C>, id: NodeId, port: &str, limit: &Source, again: Status) -> Answer {
@@ -69,7 +72,7 @@ fn again<C>(run: &mut Run<'_, C>, id: NodeId, port: &str, limit: &Source, again:
     loop {
         let most: i64 = run.read(id, port, limit)?;
         let spent = i64::from(run.states[id as usize].count);
-        if most >= 0 && spent >= most {
+        if most != UNLIMITED && spent >= most {
             run.states[id as usize].count = 0;
             return Ok(again);
         }
@@ -85,7 +88,7 @@ fn again<C>(run: &mut Run<'_, C>, id: NodeId, port: &str, limit: &Source, again:
         }
         bump(&mut state.count);
         run.changes += 1;
-        if fresh && (most < 0 || spent + 1 < most) {
+        if fresh && (most == UNLIMITED || spent + 1 < most) {
             run.wake = true;
             return Ok(Status::Running);
         }

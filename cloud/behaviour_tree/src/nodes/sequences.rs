@@ -85,7 +85,9 @@ impl<C> Builtin<C> for SequenceWithMemory {
         loop {
             let at = run.states[id as usize].cursor as usize;
             let Some(child) = kids.get(at) else { break };
-            match run.exec(*child)? {
+            let fresh = run.states[*child as usize].status == Status::Idle;
+            let status = run.exec(*child)?;
+            match status {
                 Status::Running => return Ok(Status::Running),
                 Status::Failure => {
                     run.reset_children(id);
@@ -95,6 +97,12 @@ impl<C> Builtin<C> for SequenceWithMemory {
                 _ => {}
             }
             bump(&mut run.states[id as usize].cursor);
+            // As BehaviorTree.CPP since 4.7, so that it stays interruptible.
+            if status == Status::Success && fresh && at + 1 < kids.len() {
+                run.wake = true;
+                run.changes += 1;
+                return Ok(Status::Running);
+            }
         }
         let skipped = run.states[id as usize].skipped as usize == kids.len();
         Ok(run.finish(id, Status::Success.unless_skipped(skipped)))

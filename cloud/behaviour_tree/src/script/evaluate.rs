@@ -28,11 +28,13 @@ pub(super) fn evaluate(expression: &Expression<Variable>, board: &mut Blackboard
         Expression::Literal(value) => Ok(value.clone()),
         Expression::Variable(variable) => read(variable, board).cloned(),
         Expression::Unary(operator, inner) => unary(*operator, evaluate(inner, board, enums)?),
-        Expression::Binary(Binary::And, left, right) => {
-            Ok(said(condition(left, board, enums)? && condition(right, board, enums)?))
-        }
-        Expression::Binary(Binary::Or, left, right) => {
-            Ok(said(condition(left, board, enums)? || condition(right, board, enums)?))
+        // Both sides are worked out, whatever the left one says, as in BehaviorTree.CPP.
+        Expression::Binary(operator @ (Binary::And | Binary::Or), left, right) => {
+            let (left, right) = (condition(left, board, enums)?, condition(right, board, enums)?);
+            Ok(said(match operator {
+                Binary::And => left && right,
+                _ => left || right,
+            }))
         }
         Expression::Binary(operator, left, right) => {
             let left = evaluate(left, board, enums)?;
@@ -59,7 +61,10 @@ pub(super) fn evaluate(expression: &Expression<Variable>, board: &mut Blackboard
             let value = match operator {
                 Assignment::Create => value,
                 Assignment::Existing => {
-                    read(to, board)?;
+                    // A port that names an entry makes it.
+                    if !board.is_declared(to.slot) {
+                        read(to, board)?;
+                    }
                     value
                 }
                 Assignment::Update(operator) => binary(*operator, read(to, board)?.clone(), value)?,
@@ -224,7 +229,8 @@ mod tests {
         assert_eq!(value("1 + 1 == 2 && !false"), Value::Double(1.0));
         assert_eq!(value("1 < 2 <= 2 < 3"), Value::Double(1.0));
         assert_eq!(value("1 < 2 < 2"), Value::Double(0.0));
-        assert_eq!(value("'a' .. 1 + 2 .. 'b'"), Value::text("a3b"));
+        assert_eq!(value("'a' .. (1 + 2) .. 'b'"), Value::text("a3b"));
+        assert_eq!(value("'1' .. 2 + '3'"), Value::text("123"));
         assert_eq!(value("RED == 1 ? 'yes' : 'no'"), Value::text("yes"));
         assert_eq!(value("0.1 + 0.2 == 0.3"), Value::Double(1.0));
         assert_eq!(value("1..2"), Value::text("12"));
@@ -297,9 +303,13 @@ mod tests {
     }
 
     #[test]
-    fn the_other_side_of_a_decided_condition_is_not_computed() {
-        assert_eq!(value("false && missing"), Value::Double(0.0));
-        assert_eq!(value("true || missing"), Value::Double(1.0));
+    fn both_sides_of_a_condition_are_computed_and_one_of_a_choice() {
+        let mut board = Blackboard::default();
+        run(&mut board, "n := 0").unwrap();
+        assert_eq!(run(&mut board, "false && (n += 1) > 0"), Ok(Value::Double(0.0)));
+        assert_eq!(run(&mut board, "true || (n += 1) > 0"), Ok(Value::Double(1.0)));
+        assert_eq!(board.get("n"), Some(&Value::Int(2)));
+        assert!(run(&mut board, "false && missing").is_err());
         assert_eq!(value("true ? 1 : missing"), Value::Int(1));
     }
 

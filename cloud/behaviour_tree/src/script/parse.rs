@@ -164,15 +164,12 @@ impl Parser {
     }
 
     fn bit_and(&mut self) -> Parsed {
-        self.chain(&[("&", Binary::BitAnd)], Self::concatenation)
-    }
-
-    fn concatenation(&mut self) -> Parsed {
-        self.chain(&[("..", Binary::Concatenate)], Self::sum)
+        self.chain(&[("&", Binary::BitAnd)], Self::sum)
     }
 
     fn sum(&mut self) -> Parsed {
-        self.chain(&[("+", Binary::Add), ("-", Binary::Subtract)], Self::product)
+        let operators = [("..", Binary::Concatenate), ("+", Binary::Add), ("-", Binary::Subtract)];
+        self.chain(&operators, Self::product)
     }
 
     fn product(&mut self) -> Parsed {

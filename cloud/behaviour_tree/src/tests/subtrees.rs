@@ -46,6 +46,18 @@ fn a_literal_true_is_true_in_scripts_and_false_skips() {
 }
 
 #[test]
+fn numbers_in_a_remapping_are_numbers_and_an_entry_that_a_port_names_may_be_assigned_to() {
+    let mut numbers = rig(
+        r#"<SubTree ID="Sub" low="9" high="10" half="0.5" code="1;2"/>"#,
+        r#"<ScriptCondition code="low &lt; high &amp;&amp; low + high == 19 &amp;&amp; half * 2 == 1 &amp;&amp; code == '1;2'"/>"#,
+    );
+    assert_eq!(numbers.ticks(1), "S");
+    let mut named = Rig::new(r#"<Sequence><Script code="n = 3"/><Peek value="{n}"/></Sequence>"#);
+    assert_eq!(named.ticks(1), "S");
+    assert_eq!(named.log(), "3");
+}
+
+#[test]
 fn autoremap_shares_all_but_private_names() {
     let mut rig = rig(
         r#"<Sequence><Script code="x := 1; _p := 2"/><SubTree ID="Sub" _autoremap="true"/></Sequence>"#,

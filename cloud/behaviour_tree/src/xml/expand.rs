@@ -180,7 +180,7 @@ impl<C> Builder<'_, C> {
                 }
                 None => {
                     let slot = self.board.add_entry(inner, key);
-                    self.board.write_literal(slot, value);
+                    self.board.write_constant(slot, value);
                 }
             }
         }
@@ -312,6 +312,7 @@ impl<C> Site<'_, '_, C> {
         match pointer(value, port) {
             Some(key) => {
                 let slot = self.builder.board.resolve(self.scope, key);
+                self.builder.board.declare(slot);
                 self.builder.entry_of(slot, kind, port, at);
                 Source::Slot(slot)
             }

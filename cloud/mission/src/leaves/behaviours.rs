@@ -104,7 +104,7 @@ impl Leaf<Context> for Behaviour {
             .state()
             .and_then(|state| state.behaviour.clone())
             .filter(|report| report.id == execution.id);
-        if let Some(status) = reported.and_then(|report| judge(io, ctx, &report)) {
+        if let Some(status) = reported.and_then(|report| self.ended(io, ctx, &report)) {
             return status;
         }
         if let Some(answer) = self.ticket.and_then(|ticket| ctx.asks.take(ticket)) {
@@ -113,7 +113,7 @@ impl Leaf<Context> for Behaviour {
                 Ok(Answer::Behaviour(reply)) => {
                     self.asked = true;
                     self.since = ctx.now;
-                    if let Some(status) = reply.report.and_then(|report| judge(io, ctx, &report)) {
+                    if let Some(status) = reply.report.and_then(|report| self.ended(io, ctx, &report)) {
                         return status;
                     }
                 }
@@ -156,6 +156,16 @@ impl Leaf<Context> for Behaviour {
         }
         if let Some(execution) = io.recall::<Execution>() {
             ctx.call_off(execution.id);
+        }
+    }
+}
+
+impl Behaviour {
+    /// The status that a report of the robot means; `None` while it goes on. One that a pause of the goal called off begins again.
+    fn ended(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, report: &BehaviourReport) -> Option<Status> {
+        match report.state {
+            BehaviourState::Canceled if ctx.is_held_up(&report.id) => Some(self.start(io, ctx)),
+            _ => judge(io, ctx, report),
         }
     }
 }

@@ -14,6 +14,9 @@ use zenav_behaviour_tree::{Leaf, LeafIo, Status, Tree, TreeSnapshot, Value};
 /// Trees inside one another, at most: one that contains itself has no end.
 const MAX_NESTED: u32 = 4;
 
+/// Nodes of all inner trees of a goal that run at the same time, at most.
+const MAX_NODES: usize = 20_000;
+
 /// Nav2's codes, for one pose; through poses they are so much higher.
 mod error_code {
     pub const UNKNOWN: i64 = 9000;
@@ -45,8 +48,9 @@ fn code(io: &LeafIo<'_>, code: i64) -> Option<i64> {
 }
 
 impl Navigate {
-    fn begin(&mut self, io: &mut LeafIo<'_>, ctx: &Context) -> Result<String, (i64, String)> {
+    fn begin(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Result<String, (i64, String)> {
         let unknown = |why: String| (error_code::UNKNOWN, why);
+        self.forget(ctx);
         if ctx.nested >= MAX_NESTED {
             let why = format!("{MAX_NESTED} nested trees: expected fewer");
             return Err((error_code::FAILED_TO_LOAD_BEHAVIOR_TREE, why));
@@ -60,12 +64,34 @@ impl Navigate {
         };
         let name: Option<String> = io.get_optional("behavior_tree").ok().flatten();
         let name = name.filter(|name| !name.is_empty()).unwrap_or_else(|| usual.to_owned());
-        let mut tree =
-            trees::build(&name).map_err(|error| (error_code::FAILED_TO_LOAD_BEHAVIOR_TREE, error.to_string()))?;
+        let refused = |why: String| (error_code::FAILED_TO_LOAD_BEHAVIOR_TREE, why);
+        let many = || {
+            refused(format!(
+                "the goal's inner trees have more than {MAX_NODES} nodes: expected fewer"
+            ))
+        };
+        if ctx.nested_nodes >= MAX_NODES {
+            return Err(many());
+        }
+        let mut tree = trees::build(&name).map_err(|error| refused(error.to_string()))?;
+        if ctx.nested_nodes + tree.len() > MAX_NODES {
+            return Err(many());
+        }
         let set = tree.blackboard_mut().set(key, goal);
         set.map_err(|error| unknown(error.to_string()))?;
-        self.tree = Some(tree);
+        self.take(tree, ctx);
         Ok(name)
+    }
+
+    fn take(&mut self, tree: Tree<Context>, ctx: &mut Context) {
+        ctx.nested_nodes += tree.len();
+        self.tree = Some(tree);
+    }
+
+    fn forget(&mut self, ctx: &mut Context) {
+        if let Some(tree) = self.tree.take() {
+            ctx.nested_nodes = ctx.nested_nodes.saturating_sub(tree.len());
+        }
     }
 
     /// Keeps the inner tree with the outer one, if it has changed.
@@ -86,7 +112,7 @@ impl Leaf<Context> for Navigate {
             .begin(io, ctx)
             .and_then(|name| self.keep(io, name).map_err(|why| (error_code::UNKNOWN, why)));
         if let Err((number, why)) = begun {
-            self.tree = None;
+            self.forget(ctx);
             let code = code(io, number);
             return fail(io, ctx, code, why);
         }
@@ -105,6 +131,9 @@ impl Leaf<Context> for Navigate {
             && let Err(why) = self.keep(io, memory.tree)
         {
             tracing::warn!(why, "an inner tree cannot be serialised");
+        }
+        if !matches!(ticked, Ok(Status::Running | Status::Idle)) {
+            self.forget(ctx);
         }
         match ticked {
             Ok(Status::Success) => {
@@ -138,7 +167,7 @@ impl Leaf<Context> for Navigate {
         match restored {
             Some(tree) => {
                 self.stored = tree.revision();
-                self.tree = Some(tree);
+                self.take(tree, ctx);
                 self.tick(io, ctx)
             }
             None => self.start(io, ctx),
@@ -146,10 +175,11 @@ impl Leaf<Context> for Navigate {
     }
 
     fn halt(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) {
-        if let Some(mut tree) = self.tree.take()
+        if let Some(tree) = &mut self.tree
             && let Err(error) = tree.halt(io.now(), ctx)
         {
             tracing::warn!(%error, "an inner tree was halted with an error");
         }
+        self.forget(ctx);
     }
 }

@@ -24,6 +24,9 @@ struct Anchor {
     stuck: f64,
 }
 
+/// Nobody looks for longer than this between two ticks, s: the goal was paused, and the robot told to stand.
+pub(super) const LONGEST_LOOK: f64 = 1.0;
+
 impl Progress {
     /// Begins to count anew: what holds the robot now is no fault of the drive's.
     pub fn reset(&mut self) {
@@ -48,7 +51,8 @@ impl Progress {
         if gets_on(anchor) {
             *anchor = fresh;
         }
-        anchor.stuck += now.secs_since(anchor.looked) * if makes_way { MAKING_WAY } else { 1.0 };
+        let since = now.secs_since(anchor.looked).min(LONGEST_LOOK);
+        anchor.stuck += since * if makes_way { MAKING_WAY } else { 1.0 };
         anchor.looked = now;
         anchor.stuck > settings.timeout
     }

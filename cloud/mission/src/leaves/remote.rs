@@ -18,6 +18,7 @@ use zenav_protocol::messages::{RemoteAction, RemoteReply, RemoteRequest, RemoteS
 use zenav_protocol::time::Stamp;
 
 use super::ports::number;
+use super::progress::LONGEST_LOOK;
 use super::{fail, step};
 use crate::context::Context;
 use crate::io::{Answer, Ask, NoAnswer, Ticket};
@@ -49,7 +50,9 @@ pub fn spec() -> NodeSpec {
 pub struct Remote {
     ticket: Option<Ticket>,
     next_ask: Stamp,
-    heard: Stamp,
+    /// When it was looked at last, and for how long nothing was heard, s: a pause does not count.
+    looked: Stamp,
+    silent: f64,
 }
 
 /// The execution, stored before its effect.
@@ -117,7 +120,7 @@ impl Leaf<Context> for Remote {
             return fail(io, ctx, None, why);
         }
         *self = Self {
-            heard: ctx.now,
+            looked: ctx.now,
             ..Self::default()
         };
         // The first request follows in the next tick, when the execution's id is stored.
@@ -129,15 +132,17 @@ impl Leaf<Context> for Remote {
             return fail(io, ctx, None, "the execution id is lost");
         };
         let Some(epoch) = ctx.lease.epoch() else {
-            self.heard = ctx.now;
+            (self.looked, self.silent) = (ctx.now, 0.0);
             return step(io, ctx, "waiting for the lease");
         };
+        self.silent += ctx.now.secs_since(self.looked).min(LONGEST_LOOK);
+        self.looked = ctx.now;
         let mut feedback = String::new();
         if let Some(answer) = self.ticket.and_then(|ticket| ctx.asks.take(ticket)) {
             self.ticket = None;
             match answer {
                 Ok(Answer::Remote(reply)) if reply.execution == execution.id => {
-                    self.heard = ctx.now;
+                    self.silent = 0.0;
                     if let Some(status) = ended(io, ctx, &reply) {
                         return status;
                     }
@@ -150,7 +155,7 @@ impl Leaf<Context> for Remote {
         }
         let seconds = |port: &str, otherwise: f64| number(io, port, otherwise).unwrap_or(otherwise).max(0.0) * 1e-3;
         let (period, patience) = (seconds(PERIOD, 100.0), seconds(TIMEOUT, 10_000.0));
-        let silent = ctx.now.secs_since(self.heard);
+        let silent = self.silent;
         if silent > patience {
             self.halt(io, ctx);
             let why = format!("no answer on `{}` for {silent:.0} s", execution.server);
@@ -170,7 +175,7 @@ impl Leaf<Context> for Remote {
 
     fn resume(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
         *self = Self {
-            heard: ctx.now,
+            looked: ctx.now,
             ..Self::default()
         };
         self.tick(io, ctx)

@@ -156,6 +156,7 @@ fn state(now: Stamp) -> EdgeState {
         missed_ticks: 0,
         uplink: 1.0,
         round_trip_secs: None,
+        stops: 0,
         makes_way: false,
         faults: Default::default(),
         wall_follower: None,

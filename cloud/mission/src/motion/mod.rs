@@ -420,6 +420,7 @@ mod tests {
             wall_follower: None,
             missed_ticks: 0,
             uplink: 1.0,
+            stops: 0,
             makes_way: false,
             frame: 0,
             faults: Faults::default(),
