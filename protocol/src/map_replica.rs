@@ -34,6 +34,9 @@ use crate::messages::{MapPatch, MapRef, MapReply, TILE, Tile};
 use crate::padding::{Extent, Padding, tiles_before};
 use crate::time::Stamp;
 
+/// A patch that begins a map has at most so many cells for each tile that it brings, and one more: few bytes do not ask for much memory.
+const MOST_CELLS_A_TILE: usize = 4096 * (TILE * TILE) as usize;
+
 /// What a replica did with a patch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[must_use]
@@ -101,6 +104,9 @@ impl MapReplica {
             // The places asked for belong to the map before.
             self.padding = Padding::default();
         }
+        if from_unknown && patch.spec.len() > MOST_CELLS_A_TILE * (patch.tiles.len() + 1) {
+            return PatchResult::Gap;
+        }
         let padded = self.padding.around(patch.spec);
         let begun = if from_unknown {
             Some(OccupancyGrid::filled(padded, Occupancy::UNKNOWN))
@@ -142,7 +148,7 @@ impl MapReplica {
 
     /// Pads the replica so that it covers an extent, also as the map grows: a planner may route through cells that nobody has seen.
     pub fn reach(&mut self, extent: &Extent) {
-        self.padding.include(extent);
+        self.padding = self.padding.widened(extent, self.spec);
         self.pad();
     }
 

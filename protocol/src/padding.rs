@@ -32,7 +32,10 @@ impl Extent {
 /// Width of the ring beyond the robot's own width, m.
 const RING_MARGIN: f64 = 0.5;
 
-/// Padding of a map replica: the sum of all extents asked for.
+/// A replica keeps earlier extents as long as it has no more than so many times the cells of the newest one alone.
+const MOST_TIMES: u64 = 4;
+
+/// Padding of a map replica: the sum of the extents asked for.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Padding {
     /// Lower-left and upper-right corner of all places asked for, m.
@@ -54,12 +57,32 @@ impl Padding {
         }
     }
 
+    /// The padding that serves a new extent of a map too: this one and the new one, or the new one alone where the sum would be far larger than
+    /// needed or exceed the largest map. Where the new one alone would, nobody can be served, and this one stays.
+    #[must_use]
+    pub fn widened(&self, extent: &Extent, spec: GridSpec) -> Self {
+        let (mut both, mut alone) = (*self, Self::default());
+        both.include(extent);
+        alone.include(extent);
+        let cells = |padding: &Self| Some(padding.padded(spec)?.len() as u64);
+        match (cells(&both), cells(&alone)) {
+            (Some(sum), Some(least)) if sum <= MOST_TIMES.saturating_mul(least) => both,
+            (_, Some(_)) => alone,
+            (_, None) => *self,
+        }
+    }
+
     /// Geometry of the padded replica of a map. It grows by whole tiles, so that the map's tiles stay aligned. Where it would exceed the
     /// largest map, the map's own geometry.
     #[must_use]
     pub fn around(&self, spec: GridSpec) -> GridSpec {
+        self.padded(spec).unwrap_or(spec)
+    }
+
+    /// The same; `None` where it would exceed the largest map.
+    fn padded(&self, spec: GridSpec) -> Option<GridSpec> {
         if spec.is_empty() || *self == Self::default() {
-            return spec;
+            return Some(spec);
         }
         let [low, high] = self.bounds.unwrap_or([spec.origin; 2]);
         let size = Vector2::new(f64::from(spec.width), f64::from(spec.height)) * spec.resolution;
@@ -78,7 +101,7 @@ impl Padding {
             height: u32::try_from(height).unwrap_or(u32::MAX),
             ..spec
         };
-        larger.checked().ok().filter(|_| fits).unwrap_or(spec)
+        larger.checked().ok().filter(|_| fits)
     }
 }
 
@@ -134,6 +157,12 @@ mod tests {
         assert_eq!(padding.around(spec(10, 10)), spec(10, 10));
         padding.include(&to(f64::NAN));
         assert_eq!(padding.around(spec(10, 10)).width, 10 + 2 * TILE, "the ring alone");
+        // Too far for anybody: what serves the others stays. Far: for this one alone.
+        let map = spec(10, 10);
+        let wide = padding.widened(&to(9.0), map);
+        assert_eq!(wide.widened(&to(1e9), map), wide);
+        assert!(wide.widened(&to(400.0), map).around(map).width > 8000);
+        assert_eq!(wide.widened(&to(400.0), map).widened(&to(9.0), map), wide);
         padding.include(&to(1e9));
         assert_eq!(padding.around(spec(10, 10)), spec(10, 10));
         assert_eq!(padding.around(spec(0, 0)), spec(0, 0));

@@ -34,15 +34,16 @@ impl End {
     }
 }
 
-/// The free cell nearest to a point from whose centre a disc of `radius` (m) goes straight to the point; none further than a few cells away.
+/// The free cell nearest to a point from whose centre a disc of `radius` (m) goes straight to the point, over cells that it may enter; none
+/// further than a few cells away.
 pub(super) fn cell_beside(space: &ConfigurationSpace, point: Point2<f64>, radius: f64) -> Option<Cell> {
-    nearest_reachable(space, point, radius, NEARBY)
+    reachable(space, point, radius, NEARBY).find(|cell| space.is_permitted_between(space.spec().center(*cell), point))
 }
 
 /// The free cell that a robot leaves by, which may stand closer to obstacles than it would be led.
 pub(super) fn leaving(space: &ConfigurationSpace, start: Point2<f64>, settings: &LeavingSettings) -> Option<Cell> {
     let radius = space.radius();
-    if let Some(cell) = cell_beside(space, start, radius) {
+    if let Some(cell) = reachable(space, start, radius, NEARBY).next() {
         return Some(cell);
     }
     let clearance = space.clearance(start);
@@ -51,25 +52,28 @@ pub(super) fn leaving(space: &ConfigurationSpace, start: Point2<f64>, settings: 
         return None;
     }
     let cells = (settings.distance / space.spec().resolution).ceil().clamp(1.0, 64.0) as i64;
-    nearest_reachable(space, start, radius.min(clearance * (1.0 - 1e-9) - 1e-9), cells)
+    reachable(space, start, radius.min(clearance * (1.0 - 1e-9) - 1e-9), cells).next()
 }
 
-fn nearest_reachable(space: &ConfigurationSpace, point: Point2<f64>, radius: f64, cells: i64) -> Option<Cell> {
+/// The free cells around a point, the nearest first, from whose centres a disc of `radius` (m) goes straight to it.
+fn reachable(space: &ConfigurationSpace, point: Point2<f64>, radius: f64, cells: i64) -> impl Iterator<Item = Cell> {
     let spec = space.spec();
-    let home = spec.cell_at(point)?;
-    let mut around: Vec<(f64, Cell)> = Vec::new();
-    for dy in -cells..=cells {
-        for dx in -cells..=cells {
-            let (x, y) = (i64::from(home.x) + dx, i64::from(home.y) + dy);
-            if spec.contains(x, y) && space.is_free(Cell::new(x as u32, y as u32)) {
-                let cell = Cell::new(x as u32, y as u32);
-                around.push(((spec.center(cell) - point).norm_squared(), cell));
-            }
-        }
-    }
-    around.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-    around
+    let around = (-cells..=cells).flat_map(|dy| (-cells..=cells).map(move |dx| (dx, dy)));
+    let home = spec.cell_at(point);
+    let mut free: Vec<(f64, Cell)> = home
         .into_iter()
+        .flat_map(|home| {
+            around
+                .clone()
+                .map(move |(dx, dy)| (i64::from(home.x) + dx, i64::from(home.y) + dy))
+        })
+        .filter(|(x, y)| spec.contains(*x, *y))
+        .map(|(x, y)| Cell::new(x as u32, y as u32))
+        .filter(|cell| space.is_free(*cell))
+        .map(|cell| ((spec.center(cell) - point).norm_squared(), cell))
+        .collect();
+    free.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    free.into_iter()
         .map(|(_, cell)| cell)
-        .find(|cell| space.segment_is_free(point, spec.center(*cell), radius))
+        .filter(move |cell| space.segment_is_free(point, spec.center(*cell), radius))
 }

@@ -3,6 +3,7 @@
 //! Smoothing never fails a plan: the unsmoothed path goes out with a safe time law, and says why ([`Fallback`]). It knows no time: a clock
 //! for the statistics and a flag that ends it early are the caller's.
 
+use std::f64::consts::PI;
 use std::sync::atomic::AtomicBool;
 
 use nalgebra::Point2;
@@ -242,10 +243,28 @@ fn exempt(space: &ConfigurationSpace, start: Pose2, path: &[Point2<f64>]) -> Opt
             continue;
         }
         let leaves = i == 0 && (space.clearance(leg[0]) <= radius || !space.is_permitted(leg[0]));
-        if !leaves || space.segment_clearance(leg[0], leg[1]) < space.clearance(leg[0]).min(radius) - ROUNDING {
-            return None;
-        }
-        exempt = (leg[1] - leg[0]).norm();
+        let left = leaves.then(|| left_after(space, [leg[0], leg[1]], radius)).flatten()?;
+        exempt = exempt.max(left - ROUNDING);
     }
     Some(exempt)
+}
+
+/// How far along a leg a robot gets clear of what it stands too near to, or in, m; `None` where it comes nearer first, and where the rest of
+/// the leg is not clear.
+fn left_after(space: &ConfigurationSpace, [from, to]: [Point2<f64>; 2], radius: f64) -> Option<f64> {
+    let (leg, step) = (to - from, 0.5 * space.spec().resolution);
+    let (length, yaw) = (leg.norm(), leg.y.atan2(leg.x));
+    let place = |off: f64| from + leg * (off / length.max(ROUNDING));
+    // It may drive backwards.
+    let stands_free = |at: Point2<f64>| {
+        let looks = |yaw: f64| space.footprint_clearance(Pose2::new(at.x, at.y, yaw)) > 0.0;
+        space.clearance(at) > radius && space.is_permitted(at) && (looks(yaw) || looks(yaw + PI))
+    };
+    let mut along = (1..=(length / step) as u32)
+        .map(|nth| f64::from(nth) * step)
+        .chain([length]);
+    let left = along.find(|off| stands_free(place(*off)))?;
+    let kept = space.clearance(from).min(radius) - ROUNDING;
+    let leaves = space.segment_clearance(from, place(left)) >= kept && is_clear(space, place(left), to, radius);
+    leaves.then_some(left)
 }

@@ -20,22 +20,50 @@ pub struct CellMask {
     words: Vec<u64>,
 }
 
+/// Columns and rows that a polygon reaches, the first and the last.
+#[derive(Clone, Copy)]
+struct Span {
+    columns: (usize, usize),
+    rows: (usize, usize),
+}
+
+impl Span {
+    /// Of a polygon in cells; `None` beside the grid.
+    fn of(corners: &[Point2<f64>], spec: &GridSpec) -> Option<Self> {
+        let along = |pick: fn(&Point2<f64>) -> f64, cells: u32| {
+            let (low, high) = corners
+                .iter()
+                .map(pick)
+                .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), at| {
+                    (low.min(at), high.max(at))
+                });
+            touched(low, high, cells)
+        };
+        Some(Self {
+            columns: along(|p| p.x, spec.width)?,
+            rows: along(|p| p.y, spec.height)?,
+        })
+    }
+}
+
 impl CellMask {
     /// The cells of a grid that any of some simple polygons (m, map frame) touches; `None` for none.
     #[must_use]
     pub fn of<'a>(polygons: impl IntoIterator<Item = &'a [Point2<f64>]>, spec: &GridSpec) -> Option<Self> {
-        let masks: Vec<Self> = polygons
+        let polygons: Vec<Vec<Point2<f64>>> = polygons
             .into_iter()
-            .filter_map(|corners| Self::of_one(corners, spec))
+            .map(|corners| corners.iter().map(|corner| spec.to_cells(*corner)).collect())
             .collect();
-        let first_row = masks.iter().map(|mask| mask.first_row).min()?;
-        let first_word = masks.iter().map(|mask| mask.first_word).min()?;
-        let end_row = masks.iter().map(|mask| mask.first_row + mask.rows()).max()?;
-        let end_word = masks.iter().map(|mask| mask.first_word + mask.stride).max()?;
-        let mut all = Self::empty(first_row..end_row, first_word..end_word);
-        for mask in masks {
+        let spans = polygons.iter().filter_map(|corners| Span::of(corners, spec));
+        let span = spans.reduce(|a, b| Span {
+            columns: (a.columns.0.min(b.columns.0), a.columns.1.max(b.columns.1)),
+            rows: (a.rows.0.min(b.rows.0), a.rows.1.max(b.rows.1)),
+        })?;
+        let mut all = Self::empty(span);
+        // One after the other: many large ones are not held at the same time.
+        for mask in polygons.iter().filter_map(|corners| Self::of_one(corners, spec)) {
             for (row, words) in mask.words.chunks_exact(mask.stride).enumerate() {
-                let start = (mask.first_row + row - first_row) * all.stride + mask.first_word - first_word;
+                let start = (mask.first_row + row - all.first_row) * all.stride + mask.first_word - all.first_word;
                 for (to, from) in all.words[start..].iter_mut().zip(words) {
                     *to |= from;
                 }
@@ -63,12 +91,13 @@ impl CellMask {
         self.word(cell.y, cell.x as usize / 64) >> (cell.x % 64) & 1 == 1
     }
 
-    fn empty(rows: std::ops::Range<usize>, words: std::ops::Range<usize>) -> Self {
+    fn empty(Span { columns, rows }: Span) -> Self {
+        let (first_word, stride) = (columns.0 / 64, columns.1 / 64 - columns.0 / 64 + 1);
         Self {
-            first_row: rows.start,
-            first_word: words.start,
-            stride: words.len(),
-            words: vec![0; rows.len() * words.len()],
+            first_row: rows.0,
+            first_word,
+            stride,
+            words: vec![0; (rows.1 - rows.0 + 1) * stride],
         }
     }
 
@@ -76,22 +105,13 @@ impl CellMask {
         self.words.len() / self.stride.max(1)
     }
 
+    /// The cells that a polygon (in cells) touches.
     fn of_one(corners: &[Point2<f64>], spec: &GridSpec) -> Option<Self> {
-        let corners: Vec<Point2<f64>> = corners.iter().map(|corner| spec.to_cells(*corner)).collect();
-        let along = |pick: fn(&Point2<f64>) -> f64, cells: u32| {
-            let (low, high) = corners
-                .iter()
-                .map(pick)
-                .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), at| {
-                    (low.min(at), high.max(at))
-                });
-            touched(low, high, cells)
-        };
-        let (columns, rows) = (along(|p| p.x, spec.width)?, along(|p| p.y, spec.height)?);
-        let mut mask = Self::empty(rows.0..rows.1 + 1, columns.0 / 64..columns.1 / 64 + 1);
+        let span = Span::of(corners, spec)?;
+        let mut mask = Self::empty(span);
         // Bits where what is inside begins or ends along a row.
         let mut turns = mask.clone();
-        for edge in edges(&corners) {
+        for edge in edges(corners) {
             let (a, b) = if edge.a.y <= edge.b.y {
                 (edge.a, edge.b)
             } else {
@@ -120,7 +140,7 @@ impl CellMask {
                 }
             }
         }
-        mask.fill(&turns, columns);
+        mask.fill(&turns, span.columns);
         Some(mask)
     }
 

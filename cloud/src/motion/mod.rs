@@ -42,8 +42,8 @@ const MAP_DEADLINE: Duration = Duration::from_millis(1500);
 const STALE: Duration = Duration::from_secs(2);
 /// Most requests that wait; further ones are refused.
 const MAX_WAITING: usize = 256;
-/// Most robots whose zones are kept; beyond it the first by name is dropped.
-const MAX_ROBOTS: usize = 1024;
+/// Most robots whose zones are kept; those of further ones are refused.
+const MAX_ROBOTS: usize = 16_384;
 
 /// How far beyond the map its copy must reach for a request; `None` where no unknown cell may be driven through.
 #[must_use]
@@ -174,6 +174,10 @@ impl MotionMetrics {
         }
         let outcome = match (answer, plan.map(|plan| &plan.outcome)) {
             (None, _) => "refused",
+            // A path that nobody can drive.
+            (Some(_), None | Some(PlanOutcome::Found { .. })) if smooth.is_some_and(|it| it.trajectory.is_empty()) => {
+                "no_path"
+            }
             (Some(_), None | Some(PlanOutcome::Found { .. })) => "found",
             (Some(_), Some(PlanOutcome::TimedOut)) => "timed_out",
             (Some(_), Some(_)) => "no_path",
@@ -244,13 +248,16 @@ impl RobotZones {
             match Zones::new(&received.message.zones) {
                 // As long as they are the same the spaces that were made with them are.
                 Ok(zones) if self.robots.get(&robot).is_some_and(|known| **known == zones) => {}
+                Ok(_) if self.robots.len() >= MAX_ROBOTS && !self.robots.contains_key(&robot) => {
+                    tracing::error!(
+                        robot,
+                        "zones of more than {MAX_ROBOTS} robots: those of its map are not in force"
+                    );
+                }
                 Ok(zones) => {
                     self.robots.insert(robot, Arc::new(zones));
                 }
                 Err(error) => tracing::error!(robot, %error, "zones are refused; those that were known stay in force"),
-            }
-            if self.robots.len() > MAX_ROBOTS {
-                self.robots.pop_first();
             }
         }
         Arc::clone(self.robots.get(robot).unwrap_or(&self.others))

@@ -1,7 +1,7 @@
 //! Poses to stop at. How is a path with stops on its way, and with pieces driven backwards, smoothed piece by piece?
 
 use nalgebra::Point2;
-use zenav_protocol::messages::PlanStatistics;
+use zenav_protocol::messages::{Certificate, CorridorFigures, LimitUse, PlanStatistics, SolverFigures};
 use zenav_smoothing::Outcome;
 
 /// A path passes a point that is so near to it, m.
@@ -83,7 +83,8 @@ fn cut(path: &[Point2<f64>], via: &[Point2<f64>]) -> Vec<Vec<Point2<f64>>> {
     pieces
 }
 
-/// Of one piece and the next: times, lengths and energies add up, the least clearance counts, and the status of the first that is not smooth.
+/// Of one piece and the next: times, lengths and energies add up, the least clearance counts, the status of the first that is not smooth, and what
+/// the certificate says of both.
 pub(super) fn sum(before: PlanStatistics, piece: PlanStatistics) -> PlanStatistics {
     if before.status.is_empty() {
         return piece;
@@ -107,13 +108,118 @@ pub(super) fn sum(before: PlanStatistics, piece: PlanStatistics) -> PlanStatisti
         energy_j: before.energy_j + piece.energy_j,
         min_clearance: least,
         status,
+        solver: worse(before.solver, piece.solver),
+        certificate: both(before.certificate, piece.certificate),
         ..piece
+    }
+}
+
+/// What holds for both: the largest use of each limit, the narrowest corridor, the law and the solver that fell short.
+fn both(before: Certificate, piece: Certificate) -> Certificate {
+    let corridor = |a: CorridorFigures, b: CorridorFigures| CorridorFigures {
+        polygons: a.polygons + b.polygons,
+        least_width: a.least_width.min(b.least_width),
+    };
+    let solver = |a: SolverFigures, b: SolverFigures| SolverFigures {
+        status: worse(a.status, b.status),
+        iterations: a.iterations + b.iterations,
+        gap: a.gap.max(b.gap),
+    };
+    let (a, b) = (before.largest_use, piece.largest_use);
+    let duration = before.lower_bound * before.over_lower_bound + piece.lower_bound * piece.over_lower_bound;
+    let lower_bound = before.lower_bound + piece.lower_bound;
+    Certificate {
+        corridor: of_both(before.corridor, piece.corridor, corridor),
+        geometry: of_both(before.geometry, piece.geometry, solver),
+        time_law: if before.time_law.starts_with("sweep:") {
+            before.time_law
+        } else {
+            piece.time_law
+        },
+        timing: of_both(before.timing, piece.timing, solver),
+        largest_use: LimitUse {
+            speed: a.speed.max(b.speed),
+            wheel_speed: a.wheel_speed.max(b.wheel_speed),
+            wheel_acceleration: a.wheel_acceleration.max(b.wheel_acceleration),
+            lateral_acceleration: a.lateral_acceleration.max(b.lateral_acceleration),
+            yaw_rate: a.yaw_rate.max(b.yaw_rate),
+            jerk: of_both(a.jerk, b.jerk, f64::max),
+        },
+        lower_bound,
+        over_lower_bound: if lower_bound > 0.0 {
+            duration / lower_bound
+        } else {
+            piece.over_lower_bound
+        },
+    }
+}
+
+/// The status that is told of two: that of the problem that was not solved.
+fn worse(a: String, b: String) -> String {
+    if b.is_empty() || !(a.is_empty() || a == "Solved") {
+        a
+    } else {
+        b
+    }
+}
+
+fn of_both<T>(a: Option<T>, b: Option<T>, join: impl FnOnce(T, T) -> T) -> Option<T> {
+    match (a, b) {
+        (Some(a), Some(b)) => Some(join(a, b)),
+        (a, b) => a.or(b),
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_certificate_of_two_pieces_holds_for_both() {
+        let piece = |status: &str, time_law: &str, speed: f64, least_width: f64| PlanStatistics {
+            status: "smoothed".to_owned(),
+            solver: status.to_owned(),
+            certificate: Certificate {
+                corridor: Some(CorridorFigures {
+                    polygons: 2,
+                    least_width,
+                }),
+                time_law: time_law.to_owned(),
+                largest_use: LimitUse {
+                    speed,
+                    ..LimitUse::default()
+                },
+                lower_bound: 1.0,
+                over_lower_bound: speed,
+                ..Certificate::default()
+            },
+            ..PlanStatistics::default()
+        };
+        let narrow = piece("MaxIterations", "sweep:Failed", 0.5, 0.1);
+        let fast = piece("Solved", "jerk_limited", 0.9, 0.4);
+        let unsmoothed = PlanStatistics {
+            status: "smoothed".to_owned(),
+            ..PlanStatistics::default()
+        };
+        let all = sum(sum(unsmoothed, narrow), fast);
+        let Certificate {
+            corridor,
+            time_law,
+            largest_use,
+            lower_bound,
+            over_lower_bound,
+            ..
+        } = all.certificate;
+        assert_eq!(
+            (all.solver.as_str(), time_law.as_str()),
+            ("MaxIterations", "sweep:Failed")
+        );
+        assert_eq!(
+            corridor.map(|corridor| (corridor.polygons, corridor.least_width)),
+            Some((4, 0.1))
+        );
+        assert_eq!((largest_use.speed, lower_bound, over_lower_bound), (0.9, 2.0, 0.7));
+    }
 
     #[test]
     fn a_path_is_cut_where_it_turns_back_and_where_it_is_to_stop() {

@@ -28,6 +28,12 @@ const MAX_REPLANNERS: usize = 4;
 /// Most corner points of a given path, and most poses to pass.
 const MAX_POINTS: usize = 100_000;
 const MAX_VIA: usize = 1000;
+/// Farthest that a robot may be told to leave an obstacle by, or to end beside its goal, m.
+const FARTHEST: f64 = 10.0;
+/// Longest path that is smoothed, m.
+const LONGEST: f64 = 20_000.0;
+/// Wheels that run faster than so many times their top speed, and a bit (m/s), are mistaken.
+const TOO_FAST: (f64, f64) = (2.0, 0.5);
 
 /// Settings of a motion worker's libraries.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -145,7 +151,8 @@ impl MotionWorker {
         // The planner looks at straight legs and turns on the spot; in the end the goal's heading, or what the robot's speed asks of the
         // start, may need more room than that: a path with room for a larger disc gives it.
         for radius in larger_discs(&request.plan.model.footprint) {
-            if !smooth.as_ref().is_some_and(|reply| reply.trajectory.is_empty()) {
+            let is_late = given.cancel.smoothing.load(Ordering::Relaxed);
+            if is_late || !smooth.as_ref().is_some_and(|reply| reply.trajectory.is_empty()) {
                 break;
             }
             let mut roomier = request.plan.clone();
@@ -184,7 +191,13 @@ impl MotionWorker {
             .chain(request.via.iter().copied())
             .chain([request.goal])
             .collect();
-        if request.via.len() > MAX_VIA || !request.escape.is_finite() || !poses.iter().all(Pose2::is_finite) {
+        let is_near = |metres: f64| (0.0..=FARTHEST).contains(&metres);
+        if !is_near(request.escape) || !is_near(request.goal_tolerance) {
+            return Err(Refusal::bad_request(format!(
+                "`escape` and `goal_tolerance`: expected 0 to {FARTHEST} m"
+            )));
+        }
+        if request.via.len() > MAX_VIA || !poses.iter().all(Pose2::is_finite) {
             return Err(Refusal::bad_request(format!(
                 "start, goal and at most {MAX_VIA} poses between: expected finite numbers"
             )));
@@ -343,6 +356,14 @@ impl MotionWorker {
             )));
         }
         let model = checked(&request.model)?;
+        let length: f64 = request.path.windows(2).map(|leg| (leg[1] - leg[0]).norm()).sum();
+        let (times, bit) = TOO_FAST;
+        let speed = model.drive.surface_speed(request.start_velocity);
+        if length > LONGEST || speed > times * model.drive.max_wheel_speed * model.drive.wheel_radius + bit {
+            return Err(Refusal::bad_request(format!(
+                "a path of {length:.0} m from {speed:.2} m/s: expected at most {LONGEST} m, and no more than the robot drives"
+            )));
+        }
         let Some(map) = given.map else {
             return Err(Refusal::NotFound {
                 what: format!("a map of {}", request.robot),

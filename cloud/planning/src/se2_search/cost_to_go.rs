@@ -35,6 +35,8 @@ impl CostToGo {
         expansions: &mut u64,
     ) -> Result<Option<Self>, NotFound> {
         let spec = masks.space.spec();
+        // The robot stands there, though from the middle of the cell it may be too near to something.
+        let is_beside_start = |cell: Cell| cell.x.abs_diff(start.x) <= 1 && cell.y.abs_diff(start.y) <= 1;
         let mut cost = vec![NEVER; spec.len()];
         let mut refused = BitGrid::new(spec.width, spec.height);
         let mut open = BinaryHeap::from([Reverse((0_u32, spec.index(goal) as u32))]);
@@ -70,7 +72,7 @@ impl CostToGo {
                 if better >= known || refused.get(next) {
                     continue;
                 }
-                if known == NEVER && !masks.admits_cell(next) {
+                if known == NEVER && !is_beside_start(next) && !masks.admits_cell(next) {
                     refused.set(next, true);
                     continue;
                 }

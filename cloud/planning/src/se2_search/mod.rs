@@ -327,7 +327,7 @@ fn starts_with(
     for i in 0..=(settings.straight_on / spacing) as u32 {
         let way = spacing * f64::from(i);
         let from = start + ahead * way;
-        if i > 0 && space.leg_clearance(start, from, MARGIN) < MARGIN {
+        if i > 0 && (space.leg_clearance(start, from, MARGIN) < MARGIN || !space.is_permitted_between(start, from)) {
             break;
         }
         // Places beside the line ahead take a small turn only.

@@ -11,7 +11,7 @@ use zenav_smoothing::{GeometricPath, Limits, ceilings};
 pub fn fastest(path: &GeometricPath, limits: &Limits) -> Option<Vec<f64>> {
     let points = path.points();
     let last = points.len() - 1;
-    let ceilings = ceilings(path, limits, 0.0);
+    let ceilings = ceilings(path, limits, &[0.0]);
     // Each row: up to two unknowns and a bound.
     let mut rows: Vec<([(usize, f64); 2], f64)> = vec![([(0, 1.0), (0, 0.0)], 0.0), ([(last, 1.0), (last, 0.0)], 0.0)];
     for i in 1..last {

@@ -64,7 +64,7 @@ pub enum JerkError {
 pub fn limited(path: &GeometricPath, limits: &Limits, jerk: f64, squared: &[f64]) -> Result<JerkLimited, JerkError> {
     let spline = Spline::new(path, squared[0], jerk).ok_or(JerkError::TooShort)?;
     let bounds = Bounds {
-        ceilings: ceilings(path, limits, squared[0].sqrt()),
+        ceilings: ceilings(path, limits, squared),
         sweep: squared,
         jerk: jerk * (1.0 - MARGIN),
     };

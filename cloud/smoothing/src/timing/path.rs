@@ -151,6 +151,12 @@ impl GeometricPath {
         self
     }
 
+    /// Whether a zone limits its speed anywhere.
+    #[must_use]
+    pub fn has_speed_limits(&self) -> bool {
+        !self.speed_limits.is_empty()
+    }
+
     /// Speed limit from sample `index` to the next, m/s; infinite without.
     #[must_use]
     pub fn speed_limit(&self, index: usize) -> f64 {

@@ -22,8 +22,11 @@ pub enum SweepError {
     },
 }
 
-/// Squared speed that a robot loses for each metre in a zone that it entered too fast, as a share of the wheels' acceleration (of 2).
+/// Squared speed that a robot loses for each metre in a zone that it is too fast in, as a share of the wheels' acceleration (of 2).
 const SLOWING: f64 = 1.0;
+/// The same on the way to a zone ahead that it cannot slow down for: as much as it can, then somewhat less, where the path bends, or as
+/// gently as inside.
+const SLOWING_AHEAD: [f64; 3] = [f64::MAX, 1.8, SLOWING];
 
 /// Squared speed (m²/s²) at every sample: the fastest law that starts at `start_speed` (m/s, not negative) and ends at rest.
 ///
@@ -32,7 +35,29 @@ const SLOWING: f64 = 1.0;
 /// # Errors
 /// [`SweepError::StartTooFast`].
 pub fn fastest(path: &GeometricPath, limits: &Limits, start_speed: f64) -> Result<Vec<f64>, SweepError> {
-    let mut squared = ceilings(path, limits, start_speed);
+    let [firm, firmly, gently] = SLOWING_AHEAD;
+    let below = |ahead| {
+        fastest_below(
+            ceilings_for(path, limits, start_speed, ahead),
+            path,
+            limits,
+            start_speed,
+        )
+    };
+    let strict = below(firm);
+    if strict.is_ok() || !path.has_speed_limits() {
+        return strict;
+    }
+    below(firmly).or_else(|_| below(gently))
+}
+
+/// Below these squared speeds, m²/s², on the intervals.
+fn fastest_below(
+    mut squared: Vec<f64>,
+    path: &GeometricPath,
+    limits: &Limits,
+    start_speed: f64,
+) -> Result<Vec<f64>, SweepError> {
     // A sample has the lower one of the intervals beside it.
     squared.push(squared[squared.len() - 1]);
     for i in (1..squared.len() - 1).rev() {
@@ -62,16 +87,36 @@ pub fn fastest(path: &GeometricPath, limits: &Limits, start_speed: f64) -> Resul
     Ok(squared)
 }
 
-/// Largest squared speed (m²/s²) on every interval, by curvature and by the map's zones.
+/// Largest squared speed (m²/s²) on every interval, by curvature and by the map's zones, of a law that [`fastest`] gave.
 ///
 /// A robot that is faster than a zone allows slows down in it, it does not stop.
 #[must_use]
-pub fn ceilings(path: &GeometricPath, limits: &Limits, start_speed: f64) -> Vec<f64> {
+pub fn ceilings(path: &GeometricPath, limits: &Limits, squared: &[f64]) -> Vec<f64> {
+    let start_speed = squared[0].sqrt();
+    let holds = |ceilings: &Vec<f64>| {
+        let reached = squared.windows(2).map(|pair| pair[0].max(pair[1]));
+        reached
+            .zip(ceilings)
+            .all(|(reached, ceiling)| reached <= ceiling + 1e-9)
+    };
+    let mut tried = SLOWING_AHEAD
+        .map(|ahead| ceilings_for(path, limits, start_speed, ahead))
+        .into_iter();
+    let gentle = tried.next_back().unwrap_or_default();
+    tried.find(holds).unwrap_or(gentle)
+}
+
+/// The same for a robot that slows down so much ahead of a zone (of 2).
+fn ceilings_for(path: &GeometricPath, limits: &Limits, start_speed: f64, ahead: f64) -> Vec<f64> {
     let begin = path.points()[0].s;
+    let mut is_inside = true;
     let ceiling = |(i, pair): (usize, &[PathPoint])| {
         let own = limits.speed_squared(pair[0].k.abs().max(pair[1].k.abs()));
-        let slowing = start_speed * start_speed - SLOWING * limits.wheel_acceleration * (pair[0].s - begin);
-        own.min(path.speed_limit(i).powi(2).max(slowing))
+        let zone = path.speed_limit(i);
+        is_inside &= zone < start_speed;
+        let slowing = if is_inside { SLOWING } else { ahead };
+        let slowing = start_speed * start_speed - slowing * limits.wheel_acceleration * (pair[0].s - begin);
+        own.min(zone.powi(2).max(slowing))
     };
     path.points().windows(2).enumerate().map(ceiling).collect()
 }
@@ -287,6 +332,24 @@ mod tests {
         let squared = fastest(&straight().limited(&everywhere), &LIMITS, 0.5).unwrap();
         assert_eq!(squared[0], 0.25);
         assert!(squared[50] <= 0.04 + 1e-9, "slow after a metre");
+        // Whoever can slow down for a zone does: 0.5² - 2 A s is below 0.2² after 0.14 m.
+        let ahead = |p: Point2<f64>| (p.x > 0.4).then_some(0.2);
+        let path = straight().limited(&ahead);
+        let squared = fastest(&path, &LIMITS, 0.5).unwrap();
+        assert!(
+            path.points()
+                .iter()
+                .zip(&squared)
+                .all(|(p, b)| p.x < 0.4 || b.sqrt() <= 0.2 + 1e-9)
+        );
+        // One that is too near is entered as slowly as can be.
+        let near = |p: Point2<f64>| (p.x > 0.1).then_some(0.2);
+        let path = straight().limited(&near);
+        let squared = fastest(&path, &LIMITS, 0.5).unwrap();
+        let (p, b) = path.points().iter().zip(&squared).find(|(p, _)| p.x > 0.11).unwrap();
+        let braked = 0.25 - 2.0 * LIMITS.wheel_acceleration * p.x;
+        assert!((braked - 1e-9..braked + 0.04).contains(b), "{b} {braked}");
+        assert_eq!(ceilings(&path, &LIMITS, &squared).len(), path.points().len() - 1);
     }
 
     proptest! {
