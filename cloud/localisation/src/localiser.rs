@@ -42,6 +42,8 @@ pub struct Localiser {
     settings: LocalisationSettings,
     map: KnownMap,
     last: Option<Last>,
+    /// Where the robot was told to be, before a scan.
+    told: Option<Pose2>,
     health: Health,
     /// Scans in a row that contradict the map.
     contradictions: u32,
@@ -71,6 +73,7 @@ impl Localiser {
             map: KnownMap::new(map, settings.tracking.sigma),
             settings,
             last: None,
+            told: None,
             health: Health::Tracking,
             contradictions: 0,
             searched_at: None,
@@ -92,7 +95,7 @@ impl Localiser {
             None => Last {
                 stamp: scan.stamp,
                 odom_from_base: odometry,
-                pose: scan.map_from_odom * odometry,
+                pose: self.told.take().unwrap_or(scan.map_from_odom * odometry),
                 matched: Pose2::new(f64::INFINITY, 0.0, 0.0),
                 covariance: Matrix3::from_diagonal(&GUESSED.into()),
             },
@@ -287,7 +290,7 @@ impl Localiser {
 
     /// The robot is somewhere else, or its odometry begins anew: it is looked for in the whole map with the next scan.
     pub fn lose(&mut self) {
-        self.last = None;
+        (self.last, self.told) = (None, None);
         self.health = Health::Lost;
         self.searched_at = None;
     }
@@ -297,6 +300,9 @@ impl Localiser {
         self.health = Health::Tracking;
         self.contradictions = 0;
         self.doubt = DOUBT.0;
+        if self.last.is_none() {
+            self.told = Some(map_from_base);
+        }
         if let Some(last) = &mut self.last {
             last.pose = map_from_base;
             last.matched = Pose2::new(f64::INFINITY, 0.0, 0.0);

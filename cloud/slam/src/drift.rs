@@ -140,16 +140,17 @@ impl Drift {
         submap: Option<usize>,
         front: &FrontSettings,
     ) -> Vec<(usize, &'e Edge)> {
-        let mut rest = edges.iter();
         let mut elsewhere = Vec::new();
-        match edges.first().filter(|(_, edge)| edge.from + 1 == node) {
-            Some((_, step)) => {
-                rest.next();
-                self.growing.iter_mut().for_each(|growing| growing.step(step, front));
-            }
+        let step = edges.iter().position(|(_, edge)| edge.from + 1 == node);
+        match step {
+            Some(step) => self
+                .growing
+                .iter_mut()
+                .for_each(|growing| growing.step(edges[step].1, front)),
             None => self.growing.clear(),
         }
-        for (index, edge) in rest {
+        let rest = edges.iter().enumerate().filter(|(place, _)| Some(*place) != step);
+        for (index, edge) in rest.map(|(_, edge)| edge) {
             match self
                 .growing
                 .iter_mut()

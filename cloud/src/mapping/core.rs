@@ -232,10 +232,10 @@ impl MappingCore {
         }
     }
 
-    /// The frame of the map and where its parts lie, where a session went on.
-    pub(super) fn frame_at_start(&mut self) -> Option<MapFrame> {
+    /// The frame of the map and where its parts lie, where a session went on, or the robot was in a later one.
+    pub(super) fn untold_frame(&mut self, stamp: Stamp) -> Option<MapFrame> {
         match &mut self.poses {
-            Poses::Slam(slam) => slam.untold(&self.mapper, Stamp::ZERO),
+            Poses::Slam(slam) => slam.untold(&self.mapper, stamp),
             Poses::Edge | Poses::Localised(_) => None,
         }
     }
@@ -285,7 +285,9 @@ impl MappingCore {
         match &self.poses {
             Poses::Edge => self.mapper.insert(scan),
             Poses::Slam(slam) if slam.draws_further(boot_id) => self.mapper.insert(&slam.placed(scan)),
-            Poses::Localised(localised) if localised.is_trusted() => self.mapper.insert(&localised.placed(scan)),
+            Poses::Localised(localised) if localised.draws_further(boot_id) => {
+                self.mapper.insert(&localised.placed(scan))
+            }
             Poses::Slam(_) | Poses::Localised(_) => Insertion::Held,
         }
     }

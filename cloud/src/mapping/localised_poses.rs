@@ -16,7 +16,8 @@ use super::core::{Measured, Pace, Posed, Statements};
 pub(super) struct LocalisedPoses {
     localiser: Localiser,
     boot_id: String,
-    map_from_odom: Pose2,
+    /// The correction of that boot's odometry, by the last scan of the main lidar since the place was told.
+    map_from_odom: Option<Pose2>,
     pace: Pace,
     statements: Statements,
 }
@@ -26,7 +27,7 @@ impl LocalisedPoses {
         Self {
             localiser: Localiser::new(settings, map),
             boot_id: String::new(),
-            map_from_odom: Pose2::IDENTITY,
+            map_from_odom: None,
             pace: Pace::default(),
             statements: Statements::default(),
         }
@@ -40,11 +41,12 @@ impl LocalisedPoses {
                 self.localiser.lose();
             }
             boot_id.clone_into(&mut self.boot_id);
+            self.map_from_odom = None;
         }
         let Some(located) = self.localiser.step(scan) else {
             return Posed::only(Insertion::NotSane);
         };
-        self.map_from_odom = located.pose * scan.odom_from_base.inverse();
+        self.map_from_odom = Some(located.pose * scan.odom_from_base.inverse());
         let insertion = if located.health.is_trusted() {
             mapper.insert(&self.placed(scan))
         } else {
@@ -60,14 +62,15 @@ impl LocalisedPoses {
     /// The scan from where the robot was found.
     pub(super) fn placed(&self, scan: &Scan) -> Scan {
         Scan {
-            map_from_odom: self.map_from_odom,
+            map_from_odom: self.map_from_odom.unwrap_or(scan.map_from_odom),
             ..scan.clone()
         }
     }
 
-    /// Whether the last pose can be trusted.
-    pub(super) fn is_trusted(&self) -> bool {
-        self.localiser.health().is_trusted()
+    /// Whether a scan of a further lidar, made in a boot of the robot, is drawn: not before one of the main lidar has said where that boot's
+    /// odometry lies, and not while the robot is lost.
+    pub(super) fn draws_further(&self, boot_id: &str) -> bool {
+        self.map_from_odom.is_some() && self.boot_id == boot_id && self.localiser.health().is_trusted()
     }
 
     pub(super) fn health(&self) -> &Health {
@@ -76,6 +79,7 @@ impl LocalisedPoses {
 
     pub(super) fn place(&mut self, map_from_base: Pose2) {
         self.localiser.place(map_from_base);
+        self.map_from_odom = None;
         self.pace = Pace::default();
     }
 

@@ -115,6 +115,14 @@ pub enum MappingError {
     /// There is no stored map to localise in.
     #[error("mapping: `poses = \"localise\"` needs a stored map, and {0} has none: store one, or take `slam`")]
     NoMap(String),
+    /// The stored map to localise in cannot be read.
+    #[error("mapping: the map stored in {}: {problem}; mend it, move it away, or store another one", folder.display())]
+    StoredMap {
+        /// Where it lies.
+        folder: PathBuf,
+        /// What is wrong.
+        problem: String,
+    },
     /// The session of SLAM is there, but cannot be had.
     #[error("mapping: the session of SLAM in {}: {problem}; mend it or move it away: it is not dropped silently", folder.display())]
     Session {
@@ -167,7 +175,7 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
     let owns_session = stored.is_some();
     let mapper = match &stored {
         Some(_) => storage::empty(&config),
-        None => storage::begin(&config).await,
+        None => storage::begin(&config).await?,
     };
     if config.poses.source == PoseSource::Localise && !mapper.is_stored() {
         let folder = config.folder.as_ref();
@@ -224,7 +232,7 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
         config,
     };
     let _alive = bus.declare_alive(alive_key(ALIVE_COMPONENT, &[&robot, "mapping"]))?;
-    let frame = service.core.frame_at_start();
+    let frame = service.core.untold_frame(Stamp::ZERO);
     if let Some(frame) = &frame {
         service.carry_over(frame);
     }
@@ -247,7 +255,7 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
             biased;
             () = shutdown.wait() => break,
             state = states.next() => match state {
-                Some(state) => service.hear(clock.now(), state.message),
+                Some(state) => service.hear(clock.now(), state.message).await,
                 None => break,
             },
             request = requests.next() => match request {
@@ -369,9 +377,14 @@ struct Service {
 }
 
 impl Service {
-    fn hear(&mut self, now: Stamp, state: EdgeState) {
+    async fn hear(&mut self, now: Stamp, state: EdgeState) {
         self.boot_id = state.boot_id;
         self.core.hear_frame(state.frame);
+        if let Some(frame) = self.core.untold_frame(now) {
+            self.carry_over(&frame);
+            let _ = self.keep(now, false).await;
+            self.tell_frame(frame, now);
+        }
         self.pending |= self.core.mapper.has_changes();
         self.authority.hear(now, state.lease);
     }

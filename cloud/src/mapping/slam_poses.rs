@@ -35,6 +35,8 @@ struct Redraw {
     mapper: Mapper,
     /// How many scans are in it.
     drawn: usize,
+    /// Where the parts of the map lay when it was begun.
+    parts: Vec<Pose2>,
 }
 
 /// SLAM beside a robot.
@@ -53,6 +55,8 @@ pub(super) struct SlamPoses {
     map_from_odom: Pose2,
     /// The robot's boot that odometry belongs to.
     boot_id: String,
+    /// Whether the robot was restarted, and was not found since.
+    is_restarted: bool,
     /// For how many nodes the robot may have gone on before the process that had the session before ended.
     unseen: u32,
     pace: Pace,
@@ -92,6 +96,7 @@ impl SlamPoses {
             new_from_drawn: Pose2::IDENTITY,
             map_from_odom: Pose2::IDENTITY,
             boot_id: String::new(),
+            is_restarted: false,
             unseen: 0,
             pace: Pace::default(),
             on_disk: OnDisk::default(),
@@ -146,6 +151,7 @@ impl SlamPoses {
         poses.redraw = Some(Redraw {
             mapper: mapper.redrawing(),
             drawn: 0,
+            parts: poses.parts.clone(),
         });
         let is_moved = poses.new_from_drawn != Pose2::IDENTITY;
         while poses.draw_some() {}
@@ -205,6 +211,7 @@ impl SlamPoses {
             // The first boot that is heard of is the one that odometry began with.
             if !self.boot_id.is_empty() {
                 slam.interrupt(self.unseen);
+                self.is_restarted = true;
             }
             boot_id.clone_into(&mut self.boot_id);
         }
@@ -349,25 +356,19 @@ impl SlamPoses {
         }
     }
 
-    /// The largest move of a part since the map was drawn, m and rad.
-    fn largest_move(&self) -> (f64, f64) {
-        let parts = self.slam.as_ref().map(Slam::parts).unwrap_or_default();
-        let moves = self.parts.iter().zip(&parts);
-        moves.fold((0.0, 0.0), |(way, turn): (f64, f64), (drawn, new)| {
-            (
-                way.max(drawn.distance(new)),
-                turn.max(wrap_angle(new.yaw - drawn.yaw).abs()),
-            )
-        })
-    }
-
     fn surroundings_moved(&mut self, moved: Pose2, mapper: &Mapper) {
         self.new_from_drawn = moved * self.new_from_drawn;
-        let (way, turn) = self.largest_move();
-        if self.redraw.is_some() || way > SMALLEST_MOVE.0 || turn > SMALLEST_MOVE.1 {
+        let parts = self.slam.as_ref().map(Slam::parts).unwrap_or_default();
+        // A map that is being drawn anew is begun anew only where it would not be right: else a robot that drives on never gets it.
+        let drawn = self.redraw.as_ref().map_or(&self.parts, |redraw| &redraw.parts);
+        let has_moved = drawn.iter().zip(&parts).any(|(drawn, new)| {
+            drawn.distance(new) > SMALLEST_MOVE.0 || wrap_angle(new.yaw - drawn.yaw).abs() > SMALLEST_MOVE.1
+        });
+        if has_moved {
             self.redraw = Some(Redraw {
                 mapper: mapper.redrawing(),
                 drawn: 0,
+                parts,
             });
         }
     }
@@ -427,17 +428,22 @@ impl SlamPoses {
     fn measured(&mut self, scan: &Scan, effects: &Effects, was_redrawn: bool, robot_frame: u64) -> Option<Measured> {
         let covariance = effects.covariance.filter(|_| self.health.is_trusted())?;
         let map_from_base = self.map_from_odom * scan.odom_from_base;
-        if was_redrawn {
+        // The edge begins where its file says, and would take the place for an outlier.
+        let is_found_anew = self.is_restarted && effects.fits;
+        if was_redrawn || is_found_anew {
             self.pace = Pace::default();
         }
         // A robot that has not heard of the frame is told of it again.
         let is_behind = robot_frame < self.frame && self.pace.is_older(scan.stamp, TOLD_AGAIN);
         let is_due = self.pace.is_due(scan.stamp, map_from_base) || is_behind;
+        if is_due {
+            self.is_restarted &= !is_found_anew;
+        }
         is_due.then_some(Measured {
             // The robot has its odometry itself.
             map_from_base: map_from_base * effects.by_scan,
             covariance,
-            is_found_anew: false,
+            is_found_anew,
         })
     }
 }

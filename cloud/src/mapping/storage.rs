@@ -96,17 +96,21 @@ pub(super) fn empty(config: &MappingConfig) -> Mapper {
 }
 
 /// The map that was given, or the stored map, or a new one.
-pub(super) async fn begin(config: &MappingConfig) -> Mapper {
+///
+/// # Errors
+/// [`MappingError::StoredMap`] where the robot is to be found in a map that cannot be read; elsewhere a new one is begun.
+pub(super) async fn begin(config: &MappingConfig) -> Result<Mapper, MappingError> {
     let robot = &config.robot;
     if let Some(KnownMap { grid, live }) = &config.known {
         let mut mapper = Mapper::with_stored(config.settings.clone(), new_map(robot), grid, Vec::new(), 0);
         if *live {
             mapper.resume();
         }
-        return mapper;
+        return Ok(mapper);
     }
     if let Some(folder) = config.folder.clone() {
-        match tokio::task::spawn_blocking(move || store::load(&folder)).await {
+        let reading = folder.clone();
+        match tokio::task::spawn_blocking(move || store::load(&reading)).await {
             Ok(Ok(Some(StoredMap { grid, record }))) => {
                 tracing::info!(
                     robot,
@@ -115,20 +119,24 @@ pub(super) async fn begin(config: &MappingConfig) -> Mapper {
                     "stored map loaded"
                 );
                 // A new id: revisions of the last run that were never stored must not be mistaken for these.
-                return Mapper::with_stored(
+                return Ok(Mapper::with_stored(
                     config.settings.clone(),
                     new_map(robot),
                     &grid,
                     record.trajectory,
                     record.scans,
-                );
+                ));
             }
             Ok(Ok(None)) => {}
+            Ok(Err(error)) if config.poses.source == PoseSource::Localise => {
+                let problem = error.to_string();
+                return Err(MappingError::StoredMap { folder, problem });
+            }
             Ok(Err(error)) => tracing::error!(robot, %error, "the stored map cannot be read: mapping begins a new one"),
             Err(error) => tracing::error!(robot, %error, "loading the stored map failed: mapping begins a new one"),
         }
     }
-    empty(config)
+    Ok(empty(config))
 }
 
 /// A map that none was before.

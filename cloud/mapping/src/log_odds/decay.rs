@@ -23,6 +23,8 @@ use crate::sensor_model::QuantizedModel;
 
 /// Cells this near to a permanent obstacle on each axis are never transient, m.
 const BESIDE: f64 = 0.1;
+/// A stamp so long before the newest one is of a clock that began anew.
+const CLOCK_RESTART: Duration = Duration::from_secs(10);
 
 /// Transient obstacles of a map.
 #[derive(Clone, Debug)]
@@ -75,9 +77,14 @@ impl Decay {
         Self::new(self.after)
     }
 
-    /// Advances to a scan's stamp, and frees what is due. A stamp before the newest one (the robot's clock restarted) does not advance time.
+    /// Advances to a scan's stamp, and frees what is due. A stamp before the newest one does not advance time: scans of several lidars come out of
+    /// their order; where it is before that by far, the robot's clock began anew.
     pub(super) fn advance(&mut self, stamp: Stamp, map: &mut Tiles, model: &QuantizedModel) {
-        let before = self.newest.replace(stamp).unwrap_or(stamp);
+        let before = self.newest.unwrap_or(stamp);
+        let is_late = stamp <= before && before.since(stamp) <= CLOCK_RESTART;
+        if self.newest.is_none() || !is_late {
+            self.newest = Some(stamp);
+        }
         self.now = self.now.saturating_add(stamp.since(before));
         if self.now >= self.due {
             self.decay(map, model);

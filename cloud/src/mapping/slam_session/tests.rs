@@ -98,7 +98,7 @@ fn a_frame_is_kept_before_it_is_told_and_goes_on() {
     scans.write_all(b"{\"stamp\"").unwrap();
 
     let mut after = core().going_on(read(folder.path()).unwrap().unwrap());
-    assert_eq!(after.frame_at_start().unwrap().map.frame, 1);
+    assert_eq!(after.untold_frame(Stamp::ZERO).unwrap().map.frame, 1);
     let drawn = after.mapper.info();
     // Of the scans only nodes are drawn again.
     assert!(
@@ -162,6 +162,9 @@ fn a_robot_that_was_restarted_and_stands_is_tracked() {
         let mapped = mapping.insert(&scan, "another boot");
         assert_eq!(mapped.localisation.as_ref().unwrap().health, Health::Tracking);
         assert!(off(&mapped, 3.0) < 0.05, "{mapped:?}");
+        // Its edge, which begins where its file says, takes the first one at its word.
+        let correction = mapped.correction.map(|correction| correction.is_found_anew);
+        assert_eq!(correction.unwrap_or_default(), step == 0, "{step}");
     }
 }
 
