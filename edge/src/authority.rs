@@ -31,6 +31,8 @@ const MEMORY: usize = 64;
 pub struct Authority {
     arbiter: LeaseArbiter,
     stopped: bool,
+    /// Stops since the start.
+    stops: u64,
     resumed: Option<Stamp>,
     policy: LostPolicy,
     link: Link,
@@ -74,6 +76,7 @@ impl Authority {
                 stored.leader.clone(),
             ),
             stopped: stored.stopped,
+            stops: 0,
             resumed: None,
             policy: config.on_lost,
             link: Link::Lost,
@@ -172,6 +175,7 @@ impl Authority {
     pub fn stop(&mut self, now: Stamp, request: &StopRequest, events: &mut EventLog) -> Decision<StopReply> {
         let first = !self.stopped;
         self.stopped = true;
+        self.stops += 1;
         if first {
             events.record(
                 now,
@@ -187,8 +191,13 @@ impl Authority {
         }
     }
 
-    /// Releases the stop: allows a new plan, and nothing else.
+    /// Releases the stop: allows a new plan, and nothing else. One that was asked for before the newest stop came late, and does nothing.
     pub fn resume(&mut self, now: Stamp, request: &ResumeRequest, events: &mut EventLog) -> Decision<StopReply> {
+        if self.stopped && request.stop.is_some_and(|stop| stop < self.stops) {
+            return Decision::without_effect(Err(Refusal::rejected(
+                "the robot was stopped again since: look at it, and resume it again",
+            )));
+        }
         if self.stopped {
             self.stopped = false;
             self.resumed = Some(now);
@@ -293,6 +302,12 @@ impl Authority {
     #[must_use]
     pub fn is_stopped(&self) -> bool {
         self.stopped
+    }
+
+    /// How often it was told to stop since the start.
+    #[must_use]
+    pub fn stops(&self) -> u64 {
+        self.stops
     }
 
     /// When the stop was last released.

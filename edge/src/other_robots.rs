@@ -3,7 +3,7 @@
 //! Each becomes a track with a known future ([`crate::obstacle_tracks`]) for as long as it is heard. Who is no longer heard, or parks, is
 //! what a lidar makes of it. Clocks of two robots are never compared: a message holds from its arrival.
 
-use nalgebra::Vector2;
+use nalgebra::{Point2, Vector2};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::Intent;
 use zenav_protocol::time::Stamp;
@@ -11,7 +11,7 @@ use zenav_protocol::time::Stamp;
 use crate::course::Course;
 use crate::obstacle_tracks::Track;
 
-/// Most robots that are listened to.
+/// Most robots that are listened to: the nearest.
 const MOST: usize = 64;
 /// Who has been silent for longer is forgotten, s.
 const SILENT: f64 = 1.0;
@@ -36,19 +36,39 @@ impl OtherRobots {
         }
     }
 
-    /// Takes in what arrived, and forgets who is silent.
-    pub fn receive(&mut self, now: Stamp, intents: Vec<Intent>) {
+    /// Takes in what arrived while this robot is `here` (map frame), and forgets who is silent.
+    pub fn receive(&mut self, now: Stamp, here: Point2<f64>, intents: Vec<Intent>) {
         for intent in intents {
             if intent.robot == self.own || !intent.is_sound() {
                 continue;
             }
-            match self.heard.binary_search_by(|(_, known)| known.robot.cmp(&intent.robot)) {
+            match self.place_of(&intent.robot) {
                 Ok(place) => self.heard[place] = (now, intent),
-                Err(_) if self.heard.len() >= MOST => {}
-                Err(place) => self.heard.insert(place, (now, intent)),
+                Err(_) if self.heard.len() >= MOST && !self.forget_farther(here, &intent) => {}
+                Err(_) => {
+                    let (Ok(place) | Err(place)) = self.place_of(&intent.robot);
+                    self.heard.insert(place, (now, intent));
+                }
             }
         }
         self.heard.retain(|(arrived, _)| now.secs_since(*arrived) <= SILENT);
+    }
+
+    fn place_of(&self, robot: &str) -> Result<usize, usize> {
+        self.heard
+            .binary_search_by(|(_, known)| known.robot.as_str().cmp(robot))
+    }
+
+    /// Forgets the farthest one, unless the new one is farther still.
+    fn forget_farther(&mut self, here: Point2<f64>, new: &Intent) -> bool {
+        let away = |intent: &Intent| (intent.map_from_base.position() - here).norm();
+        let heard = self.heard.iter().enumerate();
+        let farthest = heard.max_by(|(_, a), (_, b)| away(&a.1).total_cmp(&away(&b.1)));
+        let Some(place) = farthest.filter(|(_, (_, known))| away(known) > away(new)) else {
+            return false;
+        };
+        self.heard.remove(place.0);
+        true
     }
 
     /// Their tracks at a time, in the odometry frame; `own` is what this robot has told of itself.
@@ -75,7 +95,6 @@ impl OtherRobots {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::Point2;
     use zenav_protocol::geometry::Twist2;
 
     #[test]
@@ -92,7 +111,11 @@ mod tests {
         };
         let mut broken = intent("carl");
         broken.radius = f64::NAN;
-        others.receive(Stamp::from_secs(10.0), vec![intent("anna"), intent("bert"), broken]);
+        others.receive(
+            Stamp::from_secs(10.0),
+            Point2::origin(),
+            vec![intent("anna"), intent("bert"), broken],
+        );
         let own = intent("anna");
         let tracks = |others: &OtherRobots, secs| -> Vec<Track> {
             others.tracks(Stamp::from_secs(secs), &own, Pose2::IDENTITY).collect()
@@ -104,7 +127,28 @@ mod tests {
         assert!((bert.at(0.5) - Point2::new(1.5, 0.25)).norm() < 1e-9);
         assert!((bert.at(9.0) - Point2::new(1.5, 0.5)).norm() < 1e-9);
         assert!(bert.makes_way(), "by name");
-        others.receive(Stamp::from_secs(11.5), Vec::new());
+        others.receive(Stamp::from_secs(11.5), Point2::origin(), Vec::new());
         assert!(tracks(&others, 11.5).is_empty());
+    }
+
+    #[test]
+    fn of_too_many_robots_the_nearest_are_heard() {
+        let mut others = OtherRobots::new("anna");
+        let at = |x: f64| Intent {
+            robot: format!("robot-{x}"),
+            radius: 0.3,
+            step: 0.5,
+            map_from_base: Pose2::new(x, 0.0, 0.0),
+            places: vec![Point2::new(x, 0.0)],
+            ..Intent::default()
+        };
+        let far = (0..MOST).map(|nth| at(100.0 + nth as f64)).collect();
+        others.receive(Stamp::ZERO, Point2::origin(), far);
+        others.receive(Stamp::ZERO, Point2::origin(), vec![at(1.0), at(500.0)]);
+        let own = at(0.0);
+        let places = others.tracks(Stamp::ZERO, &own, Pose2::IDENTITY);
+        let places: Vec<f64> = places.map(|track| track.position.x).collect();
+        assert_eq!(places.len(), MOST);
+        assert!(places.contains(&1.0) && !places.contains(&500.0) && !places.contains(&163.0));
     }
 }

@@ -121,9 +121,7 @@ pub async fn run(bus: Bus, config: ServiceConfig, body: Box<dyn Body>, shutdown:
     hear(&mut intake, &bus, &handoff, &topics::LOCALISATION, &robot, |inbox| {
         &mut inbox.localisations
     })?;
-    hear(&mut intake, &bus, &handoff, &topics::INTENT, "*", |inbox| {
-        &mut inbox.intents
-    })?;
+    hear_intents(&mut intake, &bus, &handoff)?;
     for server in bus.serve_part(&[&robot])? {
         intake.spawn(serve(bus.clone(), server, Arc::clone(&handoff)));
     }
@@ -207,6 +205,20 @@ fn hear<T: DeserializeOwned + Send + 'static>(
     tasks.spawn(async move {
         while let Some(received) = subscription.next().await {
             handoff.put(received.message, place);
+        }
+    });
+    Ok(())
+}
+
+/// As [`hear`], for what other robots are about to do: each speaks for itself, on its own key.
+fn hear_intents(tasks: &mut JoinSet<()>, bus: &Bus, handoff: &Arc<Handoff>) -> Result<(), BusError> {
+    let mut subscription = bus.subscribe(&topics::INTENT, &["*"], QUEUE)?;
+    let handoff = Arc::clone(handoff);
+    tasks.spawn(async move {
+        while let Some(received) = subscription.next().await {
+            if received.chunks.first() == Some(&received.message.robot) {
+                handoff.put(received.message, |inbox| &mut inbox.intents);
+            }
         }
     });
     Ok(())

@@ -4,6 +4,8 @@
 //! `robot` (its id), `part` (the kind of a session: `edge`, `mapping`, …, or the session's whole name where the help says so), `topic` (a
 //! pattern of the key table), and outcomes of a fixed list.
 
+use std::sync::{Mutex, PoisonError};
+
 use prometheus::{CounterVec, Encoder as _, GaugeVec, HistogramVec, IntCounterVec, IntGaugeVec, TextEncoder};
 
 use crate::declare::{REGISTRY, metrics};
@@ -76,9 +78,13 @@ metrics! {
     }
 }
 
+static READER: Mutex<()> = Mutex::new(());
+
 /// Everything that was counted so far, in Prometheus' text format 0.0.4; a metric shows once its stage has begun.
 #[must_use]
 pub fn text() -> String {
+    // One reader at a time: gauges are brought up to date first.
+    let _alone = READER.lock().unwrap_or_else(PoisonError::into_inner);
     observe_process();
     readiness::observe();
     let mut bytes = Vec::new();

@@ -1,6 +1,11 @@
 //! Process. How old and how large is this process, and what did it take of the processor? From `/proc` of Linux; nothing elsewhere.
 
+use std::hash::{BuildHasher as _, RandomState};
+use std::sync::LazyLock;
 use std::time::{SystemTime, UNIX_EPOCH};
+
+/// The standard library seeds each process's hashing anew.
+static INSTANCE: LazyLock<u32> = LazyLock::new(|| RandomState::new().hash_one(()) as u32);
 
 /// What the kernel counts in: `USER_HZ`, 100 on every Linux.
 const TICKS_PER_SECOND: f64 = 100.0;
@@ -10,6 +15,8 @@ const TICKS_PER_SECOND: f64 = 100.0;
 pub struct Facts {
     /// Id of this process.
     pub pid: u32,
+    /// Drawn at the start: tells apart what runs under one id on one machine, as containers do.
+    pub instance: u32,
     /// Name of the machine.
     pub host: Option<String>,
     /// Resident memory, bytes.
@@ -42,6 +49,7 @@ pub fn facts() -> Facts {
         .map(|(up, start)| (up - start / TICKS_PER_SECOND).max(0.0));
     Facts {
         pid: std::process::id(),
+        instance: *INSTANCE,
         // A hardened unit sees no more of /proc than its own processes.
         host: read("/proc/sys/kernel/hostname")
             .or_else(|| read("/etc/hostname"))

@@ -20,9 +20,9 @@ use tokio::time::timeout;
 use crate::{metrics, readiness};
 
 /// Most connections at once; further ones wait in the system's queue.
-const MOST_CONNECTIONS: usize = 16;
+const MOST_CONNECTIONS: usize = 64;
 /// Time for a request to come and its answer to go.
-const WITHIN: Duration = Duration::from_secs(5);
+const WITHIN: Duration = Duration::from_secs(2);
 /// Longest head of a request, bytes.
 const LONGEST_HEAD: usize = 8 * 1024;
 /// Most header lines.

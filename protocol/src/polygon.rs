@@ -2,6 +2,8 @@
 //!
 //! For obstacles, zones and footprints, as users draw them in files.
 
+use std::f64::consts::PI;
+
 use nalgebra::{Point2, Vector2};
 use thiserror::Error;
 
@@ -34,13 +36,18 @@ pub fn doubled_area(corners: &[Point2<f64>]) -> f64 {
     edges(corners).map(|edge| cross(edge.a.coords, edge.b.coords)).sum()
 }
 
-/// Whether a polygon turns left at every corner, with corners in counter-clockwise order.
+/// Whether a polygon turns left at every corner, and once in all, with corners in counter-clockwise order.
 #[must_use]
 pub fn is_convex(corners: &[Point2<f64>]) -> bool {
     let following = corners.iter().cycle().skip(2);
-    edges(corners)
-        .zip(following)
-        .all(|(edge, next)| cross(edge.b - edge.a, next - edge.b) > 0.0)
+    let mut turned = 0.0;
+    let turns_left = edges(corners).zip(following).all(|(edge, next)| {
+        let (along, on) = (edge.b - edge.a, next - edge.b);
+        turned += cross(along, on).atan2(along.dot(&on));
+        cross(along, on) > 0.0
+    });
+    // A pentagram turns twice.
+    turns_left && turned < 3.0 * PI
 }
 
 /// A convex outline with every edge moved outwards by a distance, m; inwards for a negative one. Corners stay sharp, so that a grown outline

@@ -15,6 +15,9 @@ const MAX_REACH: f64 = 10.0;
 /// Most lidars of one robot.
 const MAX_LIDARS: usize = 16;
 
+/// Sensors that faults of a world call by these names.
+const OTHER_SENSORS: [&str; 5] = ["encoders", "imu", "bump", "battery", "gps"];
+
 /// Why a robot file was refused.
 #[derive(Debug, Error)]
 pub enum RobotError {
@@ -140,10 +143,11 @@ impl RobotModel {
         }
         for (name, lidar) in &self.lidars {
             let table = format!("lidars.{name}");
-            if Id::new(name.clone()).is_err() || (name == DEFAULT_LIDAR && self.lidar.is_some()) {
+            let is_taken = OTHER_SENSORS.contains(&name.as_str()) || (name == DEFAULT_LIDAR && self.lidar.is_some());
+            if Id::new(name.clone()).is_err() || is_taken {
                 return refused(
                     &table,
-                    "is no name of a further lidar: expected letters, digits, `_` or `-`, and not that of `[lidar]`",
+                    "is no name of a further lidar: expected letters, digits, `_` or `-`, and not that of `[lidar]` or of another sensor",
                 );
             }
             lidar.check().map_err(|error| error.within(&table))?;

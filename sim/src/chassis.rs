@@ -360,6 +360,11 @@ impl Chassis {
         self.truth.to_person = if nearest <= SPACE { nearest } else { f64::INFINITY };
     }
 
+    /// Somebody has come without driving there: how far away others are is not known any more.
+    pub fn look_again(&mut self) {
+        self.clearance = 0.0;
+    }
+
     /// Ends a tick, when everybody has moved: true clearance, and contacts that others made.
     pub fn settle(&mut self, around: Surroundings<'_>, now: Stamp) {
         let clearance = around.clearance(&self.outline());

@@ -106,6 +106,8 @@ const PATIENCE: f64 = 2.0;
 const ARRIVED: f64 = 0.15;
 const WALLS: f64 = 1.5;
 const HELD: f64 = 0.1;
+/// Of more places of walls the nearest count.
+const MOST_WALLS: usize = 24;
 /// A walker sets out only where its way stays this far from what stands, m.
 const MARGIN: f64 = 0.05;
 /// Samples on a walker's way: a longer one is not looked at so finely.
@@ -204,10 +206,24 @@ impl Mover {
         others: &[Neighbour],
         blocked: impl Fn(&Solid) -> bool,
     ) {
-        let (at, radius) = (solid.center(), solid.reach());
-        if self.speed <= 0.0 {
-            return;
+        // No step is longer than its radius: it does not step over anything.
+        let steps = (self.speed * secs / solid.reach().max(STRIDE))
+            .ceil()
+            .clamp(0.0, MAX_STRIDES);
+        for _ in 0..steps as u32 {
+            self.step_aside(secs / steps, scene, solid, others, &blocked);
         }
+    }
+
+    fn step_aside(
+        &mut self,
+        secs: f64,
+        scene: &Scene,
+        solid: &mut Solid,
+        others: &[Neighbour],
+        blocked: &impl Fn(&Solid) -> bool,
+    ) {
+        let (at, radius) = (solid.center(), solid.reach());
         self.rest = (self.rest - secs).max(0.0);
         if self.rest <= 0.0 && (self.to - at).norm() <= ARRIVED {
             if let Route::Walk { .. } = self.route {
@@ -224,6 +240,10 @@ impl Mover {
         };
         let mut walls = Vec::new();
         scene.near(at, WALLS, |nearest| walls.push(nearest - at));
+        if walls.len() > MOST_WALLS {
+            walls.sort_by(|a: &Vector2<f64>, b| a.norm_squared().total_cmp(&b.norm_squared()));
+            walls.truncate(MOST_WALLS);
+        }
         let wanted = self.manners.velocity(&walker, others, &walls, secs);
         let next = slid(scene, radius, at, wanted * secs);
         solid.place(Pose2::new(next.x, next.y, 0.0));

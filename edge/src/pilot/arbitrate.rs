@@ -25,7 +25,8 @@ impl Pilot {
             self.gyro_settling.interrupt();
             self.right_of_way.reset();
         }
-        if source != MotionSource::ReturnHome && self.health.is_trusted() {
+        // Also while it is lost: where it is found is elsewhere, or about where it took itself to be.
+        if source != MotionSource::ReturnHome {
             self.return_home.record(self.estimator.map_from_base().position());
         }
         if self.maneuvers.running().is_some() {

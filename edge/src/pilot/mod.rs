@@ -220,7 +220,8 @@ impl Pilot {
             self.loop_timing.record(late);
         }
         let corrections = self.in_present_frame(inbox.corrections);
-        self.other_robots.receive(now, inbox.intents);
+        let here = self.estimator.map_from_base().position();
+        self.other_robots.receive(now, here, inbox.intents);
         let odom_from_map = self.estimator.map_from_odom().inverse();
         self.obstacles
             .set_robots(self.other_robots.tracks(now, &self.intent, odom_from_map));

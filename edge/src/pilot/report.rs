@@ -52,6 +52,7 @@ impl Pilot {
             wall_follower: (self.authority.policy() == LostPolicy::WallFollow).then(|| self.wall_follower.state()),
             missed_ticks: self.missed_ticks,
             uplink: self.telemetry.share(),
+            stops: self.authority.stops(),
             makes_way: self.avoidance.is_for_robot() || self.waits_for_robot(now),
             frame: self.frame.number(),
             faults: self.faults.clone(),

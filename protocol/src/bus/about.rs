@@ -15,6 +15,7 @@ fn process_info(part: &str) -> ProcessInfo {
         part: part.to_owned(),
         host: facts.host.unwrap_or_default(),
         pid: facts.pid,
+        instance: facts.instance,
         uptime_secs: facts.uptime_secs.unwrap_or_default(),
         cpu_secs: facts.cpu_secs.unwrap_or_default(),
         memory_bytes: facts.memory_bytes.unwrap_or_default(),
@@ -39,6 +40,7 @@ fn log(part: &str, since: u64) -> LogReply {
     LogReply {
         host: facts.host.unwrap_or_default(),
         pid: facts.pid,
+        instance: facts.instance,
         part: part.to_owned(),
         lines: recent::since(since).into_iter().map(line).collect(),
     }

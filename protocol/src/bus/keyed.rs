@@ -22,13 +22,17 @@ use zenoh::sample::SourceInfo;
 use zenoh::session::{EntityGlobalId, EntityId, ZenohId};
 use zenoh::{Session, Wait};
 
+use super::flow::Departures;
 use super::inbox::Complaints;
 use super::{Bus, BusError};
 use crate::codec::{self, Encoding};
 use crate::topics::Topic;
 
-/// Period at which the number of a key's last value is repeated once, so that a subscriber that lost it asks for it.
+/// The number of a key's last value is repeated after this time, and after twice, four times as long, …, so that a subscriber that lost it
+/// asks for it.
 const HEARTBEAT: Duration = Duration::from_millis(500);
+/// The last of these repetitions, in such periods: after two minutes.
+const LAST_PERIOD: u32 = 256;
 /// Numbers of the keys as sources: above those that a session gives to its own entities.
 const FIRST_SOURCE: EntityId = 1 << 31;
 
@@ -38,6 +42,7 @@ pub struct KeyedPublisher<T> {
     topic: Topic<T>,
     kept: Arc<Mutex<Kept>>,
     failures: Complaints,
+    flow: Departures,
     heartbeat: JoinHandle<()>,
     _cache: Queryable<()>,
     _token: LivelinessToken,
@@ -60,8 +65,8 @@ struct Value {
     source: EntityId,
     number: u32,
     bytes: ZBytes,
-    /// Whether its number was repeated.
-    is_told: bool,
+    /// Periods since it was put.
+    periods: u32,
 }
 
 impl<T> fmt::Debug for KeyedPublisher<T> {
@@ -118,7 +123,7 @@ impl Bus {
             async move {
                 loop {
                     tokio::time::sleep(HEARTBEAT).await;
-                    let news: Vec<Value> = lock(&kept).untold().collect();
+                    let news: Vec<Value> = lock(&kept).repeated().collect();
                     for value in news {
                         let number = zenoh_ext::z_serialize(&value.number);
                         // The next one tells as well.
@@ -132,6 +137,7 @@ impl Bus {
             topic: *topic,
             kept,
             failures: Complaints::default(),
+            flow: Departures::new(self, topic.pattern),
             heartbeat,
             _cache: cache,
             _token: token,
@@ -143,9 +149,11 @@ impl Bus {
 impl<T: Serialize> KeyedPublisher<T> {
     /// Publishes a value on the key with these chunks, from any thread; the order is kept. A failure is counted and logged now and then.
     pub fn put(&self, chunks: &[&str], message: &T) {
-        if let Err(reason) = self.try_put(self.topic.key(chunks), message)
-            && let Some(count) = self.failures.add()
-        {
+        let Err(reason) = self.try_put(self.topic.key(chunks), message) else {
+            return;
+        };
+        self.flow.failed();
+        if let Some(count) = self.failures.add() {
             tracing::warn!(pattern = self.topic.pattern, reason, count, "not published");
         }
     }
@@ -153,7 +161,7 @@ impl<T: Serialize> KeyedPublisher<T> {
     fn try_put(&self, key: String, message: &T) -> Result<(), String> {
         let bytes = codec::encode(message, self.topic.encoding).map_err(|error| error.to_string())?;
         let key = Bus::key(key).map_err(|error| error.to_string())?;
-        let zid = self.session.zid();
+        let (zid, size) = (self.session.zid(), bytes.len());
         // Held while it is sent: numbers leave in their order.
         let mut kept = lock(&self.kept);
         let value = kept.set(key, zid, bytes.into())?;
@@ -164,7 +172,9 @@ impl<T: Serialize> KeyedPublisher<T> {
             .priority(Priority::DataHigh)
             .source_info(SourceInfo::new(EntityGlobalId::new(zid, value.source), value.number))
             .wait()
-            .map_err(|error| error.to_string())
+            .map_err(|error| error.to_string())?;
+        self.flow.published(size);
+        Ok(())
     }
 }
 
@@ -191,18 +201,18 @@ impl Kept {
             source,
             number,
             bytes,
-            is_told: false,
+            periods: 0,
         };
         self.values.push_back(value.clone());
         Ok(value)
     }
 
-    /// The values whose number was not repeated yet.
-    fn untold(&mut self) -> impl Iterator<Item = Value> {
-        let untold = self.values.iter_mut().filter(|value| !value.is_told);
-        untold.map(|value| {
-            value.is_told = true;
-            value.clone()
+    /// A period later: the values whose number is repeated now.
+    fn repeated(&mut self) -> impl Iterator<Item = Value> {
+        self.values.iter_mut().filter_map(|value| {
+            value.periods = value.periods.saturating_add(1);
+            let is_due = value.periods.is_power_of_two() && value.periods <= LAST_PERIOD;
+            is_due.then(|| value.clone())
         })
     }
 

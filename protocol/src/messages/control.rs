@@ -22,6 +22,9 @@ pub struct StopRequest {
 pub struct ResumeRequest {
     /// Who lifts the stop, for the event log.
     pub by: Option<String>,
+    /// The newest stop that is lifted, as the robot's state numbers them: a later one stays. Without it, whatever stop there is.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stop: Option<u64>,
 }
 
 /// Answer to a stop or a resume.

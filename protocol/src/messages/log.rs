@@ -21,6 +21,9 @@ pub struct LogReply {
     pub host: String,
     /// Id of the process on it.
     pub pid: u32,
+    /// Drawn at its start: tells apart what has one id on one machine, as containers have.
+    #[serde(default)]
+    pub instance: u32,
     /// Name of the session that answers.
     pub part: String,
     /// Lines at `INFO` and above, oldest first; a few hundred are kept.

@@ -113,6 +113,9 @@ pub struct ProcessInfo {
     pub host: String,
     /// Id of the process on it.
     pub pid: u32,
+    /// Drawn at its start: tells apart what has one id on one machine, as containers have.
+    #[serde(default)]
+    pub instance: u32,
     /// Time since the start of the process, s.
     pub uptime_secs: f64,
     /// Processor time since the start, s.

@@ -149,6 +149,9 @@ pub struct EdgeState {
     /// Share of its scans, poses and readings that the robot sends, 0 to 1: less than 1 while its link carries no more.
     #[serde(default = "all", skip_serializing_if = "is_all")]
     pub uplink: f64,
+    /// How often it was told to stop since its start.
+    #[serde(default)]
+    pub stops: u64,
     /// Whether the robot waits or leaves its plan to make way for another robot.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub makes_way: bool,

@@ -107,6 +107,9 @@ impl Simulation {
     pub fn add(&mut self, world: &World, robot: RobotSpec) -> Result<usize, SimError> {
         let index = self.place(world, robot)?;
         self.crowd.refresh();
+        for body in &mut self.bodies {
+            body.chassis.look_again();
+        }
         Ok(index)
     }
 
@@ -257,6 +260,10 @@ impl Simulation {
         body.chassis.carry(to);
         crowd.place(own, to);
         crowd.refresh();
+        for other in bodies.iter_mut() {
+            other.chassis.look_again();
+        }
+        let body = &mut bodies[robot];
         body.chassis.settle(Surroundings { scene, crowd, own }, self.now);
         Ok(())
     }

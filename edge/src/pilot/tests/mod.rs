@@ -186,7 +186,19 @@ fn stop_needs_no_lease_and_a_replayed_plan_after_resume_moves_nothing() {
     assert!(rig.at_rest());
     assert_eq!(rig.state.as_ref().unwrap().mode, Mode::Stopped);
     let stopped = rig.pose;
-    rig.ask(EdgeRequest::Resume(ResumeRequest::default())).unwrap();
+    // A resume that was long on its way, and that somebody asked for before another one stopped the robot again.
+    let seen = rig.state.as_ref().unwrap().stops;
+    rig.ask(EdgeRequest::Stop(StopRequest::default())).unwrap();
+    let late = ResumeRequest {
+        by: None,
+        stop: Some(seen),
+    };
+    rig.ask(EdgeRequest::Resume(late)).unwrap_err();
+    let newest = ResumeRequest {
+        by: None,
+        stop: Some(seen + 1),
+    };
+    rig.ask(EdgeRequest::Resume(newest)).unwrap();
     rig.send(plan.clone());
     // Also a renewal by a mission that has not noticed: the motion is gone for good.
     plan.revision.counter = 5;
