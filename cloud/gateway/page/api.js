@@ -28,7 +28,12 @@ export class ApiError extends Error {
 /** What is under way, but for stops: a browser opens six connections to a gateway, and a stop waits for none. */
 const others = new Set();
 
+const CONNECTIONS = 6;
+
+/** Of the six one is the WebSocket's, and one is the stop's own. */
 function makeWay() {
+  const most = CONNECTIONS - 2;
+  if (others.size < most) return;
   for (const other of others) other.abort();
   others.clear();
 }
@@ -41,15 +46,22 @@ export async function request(method, path, body, within = 12000) {
   if (token()) headers.Authorization = `Bearer ${token()}`;
   if (body !== undefined) headers["Content-Type"] = "application/json";
   let reply;
+  let isLate = false;
+  const limit = setTimeout(() => {
+    isLate = true;
+    mine.abort();
+  }, within);
   try {
     reply = await fetch(`/api/v1${path}`, {
-      method, headers, body: body === undefined ? undefined : JSON.stringify(body), 
-      signal: AbortSignal.any([mine.signal, AbortSignal.timeout(within)]),
+      method, headers, body: body === undefined ? undefined : JSON.stringify(body), signal: mine.signal,
     });
   } catch (error) {
-    const reasons = { TimeoutError: "the gateway does not answer", AbortError: "a stop came before: whether it was done is not known" };
-    throw new ApiError(0, { reason: reasons[error.name] ?? "the gateway cannot be reached" });
+    let reason = "the gateway cannot be reached";
+    if (isLate) reason = "the gateway does not answer";
+    else if (error.name === "AbortError") reason = "a stop came before: whether it was done is not known";
+    throw new ApiError(0, { reason });
   } finally {
+    clearTimeout(limit);
     others.delete(mine);
   }
   const answer = await reply.json().catch(() => null);

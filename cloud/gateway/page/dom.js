@@ -21,8 +21,15 @@ export function setText(node, text) {
   if (node.textContent !== text) node.textContent = text;
 }
 
+/** What is outside of an open dialog is behind it, and read to nobody. */
+function bringForward(note) {
+  const home = $("dialog").open ? $("dialog") : document.body;
+  if (note.parentNode !== home) home.append(note);
+}
+
 /** Shows a note for a while. */
 export function toast(text, kind = "") {
+  bringForward($("toasts"));
   const node = el("div", { class: `toast ${kind}` }, text);
   const all = $("toasts");
   all.append(node);
@@ -32,6 +39,7 @@ export function toast(text, kind = "") {
 
 /** Says at once, to those who listen. */
 export function alarm(text) {
+  bringForward($("alarm"));
   setText($("alarm"), text);
 }
 
@@ -52,7 +60,10 @@ export function ask({ title, text, yes, field, wanted, value = "" }) {
   dialog.showModal();
   (field ? input : dialog.querySelector("button[value=no]")).focus();
   return new Promise((resolve) => {
-    dialog.onclose = () => resolve(dialog.returnValue === "yes" ? (field ? input.value.trim() : true) : null);
+    dialog.onclose = () => {
+      for (const note of ["toasts", "alarm"]) bringForward($(note));
+      resolve(dialog.returnValue === "yes" ? (field ? input.value.trim() : true) : null);
+    };
     input.onkeydown = (event) => {
       if (event.key !== "Enter") return;
       event.preventDefault();

@@ -148,8 +148,11 @@ export function startDrive() {
   window.addEventListener("keyup", (event) => {
     if (held.delete(event.code)) beat();
   });
-  // A menu or a list that opens takes the keys.
-  window.addEventListener("contextmenu", letGo);
+  // A menu or a list that opens takes the keys; a finger that stays on a key of the page asks for none.
+  window.addEventListener("contextmenu", (event) => {
+    if (event.target.closest?.(".pad")) event.preventDefault();
+    else letGo();
+  });
   window.addEventListener("focusin", (event) => { if (isTyping({ target: event.target, key: "" })) letGo(); });
   window.addEventListener("blur", letGo);
   document.addEventListener("visibilitychange", () => { if (document.hidden) letGo(); });

@@ -11,6 +11,7 @@ const SIGNS = {
   Accepted: ["…", "goal-text"], Succeeded: ["✓", "good-text"], Aborted: ["✗", "bad-text"], Canceled: ["–", "soft-text"], Rejected: ["✗", "bad-text"],
 };
 let drawn = "";
+let again;
 
 function titleOf(goal) {
   const { request } = goal;
@@ -149,11 +150,20 @@ function fillPlaces() {
   else if (names.includes(chosen)) $("place").value = chosen;
 }
 
+/** After a list of goals that did not come, ms. */
+const AGAIN = 3000;
+
 /** Goals that ended before this gateway started are asked for once. */
 async function fetchGoals() {
   const robot = store.watched;
-  const reply = robot ? await listGoals(robot).catch(() => null) : null;
-  if (!reply || robot !== store.watched) return;
+  if (!robot) return;
+  const reply = await listGoals(robot).catch(() => null);
+  if (robot !== store.watched) return;
+  if (!reply) {
+    clearTimeout(again);
+    again = setTimeout(fetchGoals, AGAIN);
+    return;
+  }
   for (const goal of reply.goals) if (!store.goals.has(goal.id)) store.goals.set(goal.id, goal);
   drawGoals();
 }

@@ -108,7 +108,9 @@ function drawStop() {
   $("stop-all").hidden = store.fleet.length < 2;
   const asked = stopping.has(store.watched);
   $("stop").classList.toggle("done", stopped && !asked);
-  setText($("stop").lastChild, asked ? "STOPPING" : stopped ? "STOPPED" : "STOP");
+  const text = asked ? "STOPPING" : stopped ? "STOPPED" : "STOP";
+  setText($("stop").lastChild, text);
+  setText($("dialog-stop"), text);
 }
 
 export async function stop() {

@@ -9,16 +9,24 @@ const SILENCE = 4000;
 let socket = null;
 let heard = 0;
 let wait = 250;
+/** When the gateway was last asked to watch a robot, ms, and how soon it is asked again. */
+let asked = 0;
+const ASK_AGAIN = 1000;
 
 export function send(message) {
   if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message));
+}
+
+function askToWatch() {
+  asked = performance.now();
+  send({ type: "watch", robot: store.watched });
 }
 
 export function watch(robot) {
   if (store.watched !== robot) store.clearDetail();
   store.watched = robot;
   if (robot) localStorage.setItem("zenav-robot", robot);
-  send({ type: "watch", robot });
+  askToWatch();
   store.tell("watch");
 }
 
@@ -88,7 +96,8 @@ function take(message) {
     case "frame":
       store.frame(message);
       // The gateway did not know it when it was asked to watch it.
-      if (message.fleet?.includes(store.watched) && message.watched !== store.watched) send({ type: "watch", robot: store.watched });
+      if (store.fleet.includes(store.watched) && "watched" in message && message.watched !== store.watched
+        && performance.now() - asked > ASK_AGAIN) askToWatch();
       chooseRobot();
       break;
     case "pong":

@@ -8,8 +8,8 @@ const MAX_TRAIL = 4000;
 const MAX_ENDED = 200;
 /** A marker that was not told of for this long is gone, s. */
 const MARKER = 30;
-/** How far the clocks of page and gateway may drift apart, s each s. */
-const DRIFT = 1e-4;
+/** The quickest frame is one of the last one to two such times, s. */
+const QUICKEST_OF = 120;
 /** A robot that is silent for longer is shown as stale, s. */
 export const STALE = 2;
 
@@ -34,8 +34,7 @@ class Store extends EventTarget {
     /** A goal was just sent, and may not be told of yet until then, ms. */
     this.sentUntil = 0;
     /** The page's clock less the gateway's, s, as the quickest frame showed it: the later ones were longer on their way. */
-    this.ahead = Infinity;
-    this.framed = 0;
+    this.forgetLateness();
     this.clearDetail();
   }
 
@@ -46,11 +45,22 @@ class Store extends EventTarget {
     return now() - this.ahead + oneWay;
   }
 
+  forgetLateness() {
+    this.ahead = this.before = this.quickest = Infinity;
+    this.since = now();
+  }
+
   /** How much longer than the quickest one a frame was on its way, s. */
   lateness(message, at) {
     const ahead = at - message.now;
-    this.ahead = Math.min(this.ahead + DRIFT * (at - this.framed), ahead);
-    this.framed = at;
+    // Clocks drift, and machines pause: the quickest one is of late.
+    if (at - this.since > QUICKEST_OF) {
+      this.before = this.quickest;
+      this.quickest = Infinity;
+      this.since = at;
+    }
+    this.quickest = Math.min(this.quickest, ahead);
+    this.ahead = Math.min(this.before, this.quickest);
     return ahead - this.ahead;
   }
 
@@ -104,7 +114,7 @@ class Store extends EventTarget {
   /** Begins anew: the gateway may have been another one before. */
   hello(message) {
     this.worldPlaces = message.places ?? {};
-    this.ahead = Infinity;
+    this.forgetLateness();
     this.robots.clear();
     this.clearDetail();
     this.tell("hello");

@@ -1,14 +1,12 @@
 //! Asks. How does what people want reach the robots? Each ask in a task of its own, with a deadline, so that it goes on when the browser that
 //! made it is gone.
 
-use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::Duration;
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use tokio::sync::Semaphore;
-use tokio::task::{AbortHandle, JoinHandle};
 use zenav_gateway::{Answer, AskFailure, Drive, Hub, Operator};
 use zenav_protocol::bus::{AskError, Bus};
 use zenav_protocol::geometry::Pose2;
@@ -36,8 +34,6 @@ pub(super) struct BusOperator {
     bus: Bus,
     hub: Arc<Hub>,
     room: Arc<Semaphore>,
-    /// The newest ask of each robot to resume: one that is still under way when it is stopped must not come after the stop.
-    resuming: Mutex<BTreeMap<String, AbortHandle>>,
 }
 
 impl BusOperator {
@@ -46,19 +42,6 @@ impl BusOperator {
             bus,
             hub,
             room: Arc::new(Semaphore::new(MAX_ASKS)),
-            resuming: Mutex::default(),
-        }
-    }
-
-    /// Ends an ask to resume this robot, if one is under way, and keeps the one that is begun now.
-    fn set_resuming(&self, robot: &str, begun: Option<AbortHandle>) {
-        let mut resuming = self.resuming.lock().unwrap_or_else(PoisonError::into_inner);
-        resuming.retain(|_, asking| !asking.is_finished());
-        if let Some(before) = resuming.remove(robot) {
-            before.abort();
-        }
-        if let Some(begun) = begun {
-            resuming.insert(robot.to_owned(), begun);
         }
     }
 
@@ -99,17 +82,10 @@ impl BusOperator {
 
 /// Carried out in a task of its own.
 fn spawned<R: Send + 'static>(asking: impl Future<Output = Result<R, AskError>> + Send + 'static) -> Answer<R> {
-    answered(tokio::spawn(asking))
-}
-
-/// The answer of a task.
-fn answered<R: Send + 'static>(task: JoinHandle<Result<R, AskError>>) -> Answer<R> {
+    let task = tokio::spawn(asking);
     Box::pin(async move {
         match task.await {
             Ok(answer) => answer.map_err(failure),
-            Err(error) if error.is_cancelled() => Err(AskFailure::Unavailable {
-                reason: "a later request for this robot took its place".to_owned(),
-            }),
             Err(error) => Err(AskFailure::Unavailable {
                 reason: error.to_string(),
             }),
@@ -197,20 +173,12 @@ impl Operator for BusOperator {
 
     fn stop(&self, robot: &str, by: &str) -> Answer<StopReply> {
         let by = Some(by.to_owned());
-        self.set_resuming(robot, None);
         self.ask_at_once(&STOP, robot, StopRequest { by }, STOP_WITHIN)
     }
 
-    fn resume(&self, robot: &str, by: &str) -> Answer<StopReply> {
-        let (bus, asked) = (self.bus.clone(), robot.to_owned());
-        let request = ResumeRequest {
-            by: Some(by.to_owned()),
-        };
-        self.admit(|| {
-            let task = tokio::spawn(async move { bus.ask(&RESUME, &[&asked], &request, ASK_WITHIN).await });
-            self.set_resuming(robot, Some(task.abort_handle()));
-            answered(task)
-        })
+    fn resume(&self, robot: &str, stop: Option<u64>, by: &str) -> Answer<StopReply> {
+        let by = Some(by.to_owned());
+        self.ask(&RESUME, robot, ResumeRequest { by, stop })
     }
 
     fn map(&self, robot: &str) -> Answer<MapReply> {

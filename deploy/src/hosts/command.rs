@@ -297,7 +297,10 @@ fn key_problems(layout: &Layout<'_>, folder: &Path) -> Vec<Problem> {
     };
     let problem = |(identity, names): (String, Vec<String>)| {
         if has_all(&identity) {
-            let why = keys::unusable(folder, &identity, &names)?;
+            // By its name only containers of one network dial it.
+            let is_address = |name: &String| layout.hosts.iter().any(|host| host.address == *name);
+            let addresses: Vec<String> = names.into_iter().filter(is_address).collect();
+            let why = keys::unusable(folder, &identity, &addresses)?;
             return Some(Problem::said(format_args!("identity {identity}: {why}")));
         }
         Some(Problem::said(format_args!(

@@ -181,11 +181,14 @@ fn alive(robot: &Robot, component: &'static str, start: &str) -> Check {
 fn namesakes(robot: &Robot) -> Option<Check> {
     let edges = robot.infos.iter().filter(|info| info.component == "edge");
     let processes = edges.filter_map(|edge| edge.process.as_ref());
-    let told: BTreeSet<String> = processes
-        .map(|process| format!("{} (pid {})", process.host, process.pid))
+    let told: BTreeSet<_> = processes
+        .map(|process| (&process.host, process.pid, process.instance))
         .collect();
     (told.len() > 1).then(|| {
-        let names: Vec<&str> = told.iter().map(String::as_str).collect();
+        let names: Vec<String> = told
+            .iter()
+            .map(|(host, pid, _)| format!("{host} (pid {pid})"))
+            .collect();
         Check::fail(
             &robot.name,
             "edge",
@@ -410,6 +413,7 @@ pub(super) mod tests {
             missed_ticks: 0,
             uplink: 1.0,
             round_trip_secs: None,
+            stops: 0,
             makes_way: false,
             faults: Default::default(),
         }

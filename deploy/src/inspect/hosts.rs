@@ -29,7 +29,7 @@ pub(super) fn judge(parts: &[Part]) -> Vec<Check> {
                 "install the same zenav everywhere",
             ));
         }
-        let processes: BTreeSet<u32> = parts.iter().map(|part| part.pid).collect();
+        let processes: BTreeSet<(u32, u32)> = parts.iter().map(|part| (part.pid, part.instance)).collect();
         let count = |count: usize, one: &str, more: &str| match count {
             1 => format!("1 {one}"),
             _ => format!("{count} {more}"),
@@ -54,15 +54,18 @@ pub(super) fn judge(parts: &[Part]) -> Vec<Check> {
 
 /// Several mapping services of one robot: both publish its one map.
 fn rival_mappers(parts: &[Part]) -> Vec<Check> {
-    let mut mappers: BTreeMap<&str, BTreeSet<(&str, u32)>> = BTreeMap::new();
+    let mut mappers: BTreeMap<&str, BTreeSet<(&str, u32, u32)>> = BTreeMap::new();
     for part in parts.iter().filter(|part| part.component == "mapping") {
-        mappers.entry(&part.robot).or_default().insert((&part.host, part.pid));
+        mappers
+            .entry(&part.robot)
+            .or_default()
+            .insert((&part.host, part.pid, part.instance));
     }
     mappers.retain(|_, processes| processes.len() > 1);
     mappers
         .into_iter()
         .map(|(robot, processes)| {
-            let named = processes.iter().map(|(host, pid)| format!("{host} (pid {pid})"));
+            let named = processes.iter().map(|(host, pid, _)| format!("{host} (pid {pid})"));
             let named = named.collect::<Vec<_>>().join(", ");
             Check::fail(
                 robot,
@@ -87,6 +90,7 @@ mod tests {
             leads: None,
             host: host.to_owned(),
             pid,
+            instance: 0,
             version: "0.1.0".to_owned(),
             schema,
             uptime_secs: 1.0,

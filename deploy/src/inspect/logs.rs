@@ -119,17 +119,21 @@ async fn ask(bus: &Bus) -> Result<Vec<LogReply>, Failure> {
 }
 
 /// The lines that were not seen before, each once, by their times; remembers the last of each process.
-fn newest(replies: Vec<LogReply>, seen: &mut BTreeMap<(String, u32), u64>) -> Vec<Said> {
+fn newest(replies: Vec<LogReply>, seen: &mut BTreeMap<(String, u32, u32), u64>) -> Vec<Said> {
     let mut processes = BTreeSet::new();
     let mut lines = Vec::new();
     for LogReply {
-        host, pid, lines: said, ..
+        host,
+        pid,
+        instance,
+        lines: said,
+        ..
     } in replies
     {
-        if !processes.insert((host.clone(), pid)) {
+        if !processes.insert((host.clone(), pid, instance)) {
             continue;
         }
-        let last = seen.entry((host.clone(), pid)).or_default();
+        let last = seen.entry((host.clone(), pid, instance)).or_default();
         for line in said
             .into_iter()
             .filter(|line| line.sequence > *last)
@@ -208,6 +212,7 @@ mod tests {
         LogReply {
             host: "site-1".to_owned(),
             pid: 7,
+            instance: 0,
             part: part.to_owned(),
             lines: sequences.iter().map(line).collect(),
         }
@@ -220,6 +225,9 @@ mod tests {
         let first = newest(vec![reply("edge-a", &[1, 2]), reply("mapping-a", &[1, 2])], &mut seen);
         assert_eq!(numbers(first), [1, 2]);
         assert_eq!(numbers(newest(vec![reply("mapping-a", &[1, 2, 3])], &mut seen)), [3]);
+        let mut of_another_container = reply("edge-b", &[1]);
+        of_another_container.instance = 1;
+        assert_eq!(numbers(newest(vec![of_another_container], &mut seen)), [1]);
     }
 
     #[test]

@@ -29,6 +29,8 @@ pub(super) struct Part {
     pub(super) leads: Option<bool>,
     pub(super) host: String,
     pub(super) pid: u32,
+    #[serde(skip)]
+    pub(super) instance: u32,
     pub(super) version: String,
     pub(super) schema: u32,
     pub(super) uptime_secs: f64,
@@ -84,17 +86,17 @@ fn now() -> f64 {
 
 /// One row a part, sorted by host; `before` is what they said a while ago. A part of an older version does not tell of its process.
 fn joined(before: &[Told], after: Vec<Told>) -> Vec<Part> {
-    let earlier: BTreeMap<(&str, u32), &ProcessInfo> = before
+    let earlier: BTreeMap<(&str, u32, u32), &ProcessInfo> = before
         .iter()
         .filter_map(|told| told.info.process.as_ref())
-        .map(|process| ((process.host.as_str(), process.pid), process))
+        .map(|process| (identity(process), process))
         .collect();
     let mut parts: Vec<Part> = after
         .into_iter()
         .map(|Told { info, between }| {
             let leads = (info.component == "mission").then_some(info.leads);
             let process = info.process.unwrap_or_default();
-            let then = earlier.get(&(process.host.as_str(), process.pid));
+            let then = earlier.get(&identity(&process));
             let load = then.and_then(|then| {
                 let seconds = process.uptime_secs - then.uptime_secs;
                 (seconds > 0.0).then(|| ((process.cpu_secs - then.cpu_secs) / seconds).max(0.0))
@@ -109,6 +111,7 @@ fn joined(before: &[Told], after: Vec<Told>) -> Vec<Part> {
                 clock_uncertainty_secs: (between[1] - between[0]) / 2.0,
                 host: process.host,
                 pid: process.pid,
+                instance: process.instance,
                 version: info.version,
                 schema: info.schema,
                 uptime_secs: process.uptime_secs,
@@ -119,6 +122,11 @@ fn joined(before: &[Told], after: Vec<Told>) -> Vec<Part> {
         .collect();
     parts.sort_by(|a, b| (&a.host, a.pid, &a.part, &a.robot).cmp(&(&b.host, b.pid, &b.part, &b.robot)));
     parts
+}
+
+/// What no two processes share.
+fn identity(process: &ProcessInfo) -> (&str, u32, u32) {
+    (process.host.as_str(), process.pid, process.instance)
 }
 
 impl Part {
@@ -137,6 +145,7 @@ pub(super) mod tests {
             part: part.to_owned(),
             host: "site-1".to_owned(),
             pid: 7,
+            instance: 0,
             uptime_secs,
             cpu_secs,
             memory_bytes: 1,

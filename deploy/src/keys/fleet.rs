@@ -119,7 +119,7 @@ impl Fleet {
         if renew && hosts.is_empty() {
             hosts = read_facts(&old)?.hosts;
         }
-        // One that failed before its certificate was written left a key.
+        // Where the certificate could not be written the key is there.
         let private = folder.join("key.pem");
         let key = match renew || private.exists() {
             true => Some(fs::read_to_string(&private).map_err(Failure::failed_at(&private))?),
@@ -137,31 +137,37 @@ impl Fleet {
         read_facts(&old)
     }
 
-    /// Revokes a member, and tells the folders of those who listen; `None` when it was revoked before.
+    /// Revokes a member, and tells the folders of those who listen; `false` when it was revoked before. Its files may have been moved away.
     ///
     /// # Errors
     /// A member that was never issued.
-    pub(super) fn revoke(&self, member: &Member) -> Result<Option<Facts>, Failure> {
-        let certificate = self.identity(member).join("cert.pem");
-        if !certificate.exists() {
-            return Err(Failure::not_found(format!(
-                "{member} was never issued in {}",
-                self.folder.display()
-            )));
-        }
+    pub(super) fn revoke(&self, member: &Member) -> Result<bool, Failure> {
         if self.revoked()?.contains(member) {
             // It may have failed before everybody was told.
             self.tell_members()?;
-            return Ok(None);
+            return Ok(false);
         }
-        let facts = read_facts(&certificate)?;
+        let certificate = self.identity(member).join("cert.pem");
+        let serial = match certificate.exists() {
+            true => read_facts(&certificate)?.serial,
+            false if self.members()?.contains(member) => "-".to_owned(),
+            false => {
+                return Err(Failure::not_found(format!(
+                    "{member} was never issued in {}",
+                    self.folder.display()
+                )));
+            }
+        };
         let path = self.folder.join(REVOKED);
-        let mut text = fs::read_to_string(&path).unwrap_or_default();
+        let mut text = match path.exists() {
+            true => fs::read_to_string(&path).map_err(Failure::failed_at(&path))?,
+            false => String::new(),
+        };
         let now = OffsetDateTime::now_utc().format(&Rfc3339).map_err(Failure::failed)?;
-        text.push_str(&format!("{member} {} {now}\n", facts.serial));
+        text.push_str(&format!("{member} {serial} {now}\n"));
         write(&path, &text)?;
         self.tell_members()?;
-        Ok(Some(facts))
+        Ok(true)
     }
 
     /// Everybody who was issued, by name.
@@ -203,12 +209,25 @@ impl Fleet {
             .collect()
     }
 
+    /// Who stands in the fleet's `members.txt`.
+    fn members(&self) -> Result<BTreeSet<Member>, Failure> {
+        let path = self.folder.join(MEMBERS);
+        if !path.exists() {
+            return Ok(BTreeSet::new());
+        }
+        let text = fs::read_to_string(&path).map_err(Failure::failed_at(&path))?;
+        let lines = text.lines().map(str::trim);
+        let names = lines.filter(|line| !line.is_empty() && !line.starts_with('#'));
+        names
+            .map(|name| name.parse().map_err(Failure::failed_at(&path)))
+            .collect()
+    }
+
     /// Writes who belongs to the fleet, for everybody who listens: everybody who was issued, also where the files were moved away since, and
     /// not revoked.
     fn tell_members(&self) -> Result<(), Failure> {
         let (issued, revoked) = (self.issued()?, self.revoked()?);
-        let before = fs::read_to_string(self.folder.join(MEMBERS)).unwrap_or_default();
-        let mut members: BTreeSet<Member> = before.lines().filter_map(|line| line.parse().ok()).collect();
+        let mut members = self.members()?;
         members.extend(issued.iter().map(|issued| issued.member.clone()));
         members.retain(|member| !revoked.contains(member));
         let mut text =
@@ -241,16 +260,21 @@ fn write(path: &Path, text: &str) -> Result<(), Failure> {
     zenav_mapping::atomic::write_atomically(path, text.as_bytes()).map_err(Failure::failed)
 }
 
-/// Writes a file that was not there, and that only its owner may read.
+/// Writes a file whole or not at all that was not there, and that only its owner may read.
 fn write_private(path: &Path, text: &str) -> Result<(), Failure> {
+    let unfinished = path.with_extension("unfinished");
     let mut options = fs::OpenOptions::new();
-    options.write(true).create_new(true);
+    options.write(true).create(true).truncate(true);
     #[cfg(unix)]
     std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
-    let written = options.open(path).and_then(|mut file| {
+    let written = options.open(&unfinished).and_then(|mut file| {
         file.write_all(text.as_bytes())?;
-        file.sync_all()
+        file.sync_all()?;
+        // A rename would replace a file that is there.
+        fs::hard_link(&unfinished, path)
     });
+    // Left behind, it is in nobody's way.
+    let _ = fs::remove_file(&unfinished);
     written.map_err(Failure::failed_at(path))
 }
 
@@ -270,16 +294,20 @@ mod tests {
             fleet.issue(one, &[], 7.0, false).unwrap();
         }
         fs::remove_file(fleet.identity(&member("robot.moved")).join("cert.pem")).unwrap();
-        assert!(fleet.revoke(&guest).unwrap().is_some());
+        assert!(fleet.revoke(&guest).unwrap());
         // The routers' copy is the old one still, as after a full disk.
         let members = fleet.identity(&router).join(MEMBERS);
         fs::write(&members, "operator.guest\n").unwrap();
-        assert!(fleet.revoke(&guest).unwrap().is_none());
+        assert!(!fleet.revoke(&guest).unwrap());
         let told = fs::read_to_string(&members).unwrap();
         assert!(
             told.contains("robot.moved") && !told.contains("operator.guest"),
             "{told}"
         );
+        // A robot that was stolen with its files.
+        assert!(fleet.revoke(&member("robot.moved")).unwrap());
+        assert!(!fs::read_to_string(&members).unwrap().contains("robot.moved"));
+        assert!(fleet.revoke(&member("robot.nobody")).is_err());
         // A key that is there without its certificate is taken.
         let anna = member("operator.anna");
         fleet.issue(&anna, &[], 7.0, false).unwrap();

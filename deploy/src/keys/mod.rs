@@ -36,7 +36,13 @@ pub(crate) fn unusable(dir: &Path, identity: &str, names: &[String]) -> Option<S
         Ok(Some(issued)) => issued,
     };
     let renewed = format!("`zenav keys issue {identity} --renew --dir {}", dir.display());
-    let lacking: Vec<&String> = names.iter().filter(|name| !issued.facts.hosts.contains(name)).collect();
+    // `::1` and `0:0:0:0:0:0:0:1` are one address.
+    let parsed = |name: &String| name.parse::<IpAddr>().ok();
+    let serves = |name: &&String| {
+        let same = |host: &String| host == *name || parsed(host).is_some_and(|host| parsed(name) == Some(host));
+        issued.facts.hosts.iter().any(same)
+    };
+    let lacking: Vec<&String> = names.iter().filter(|name| !serves(name)).collect();
     if issued.is_revoked {
         Some("was revoked: expected another name in the deployment file".to_owned())
     } else if issued.facts.expires <= OffsetDateTime::now_utc() {
@@ -191,7 +197,7 @@ pub fn run(args: &KeysArgs) -> Outcome {
         }
         KeysCommand::Revoke { member } => {
             let fleet = Fleet::open(dir)?;
-            if fleet.revoke(member)?.is_none() {
+            if !fleet.revoke(member)? {
                 crate::output::note(format_args!("{member} was revoked before"));
                 return Ok(exit_code::OK);
             }

@@ -1,9 +1,12 @@
 //! `zenav pose`. Where is the robot, where does a person say that it is, and is it to be looked for?
 
+use std::time::Duration;
+
 use clap::{Args, Subcommand};
 use serde::Serialize;
+use zenav_protocol::bus::Bus;
 use zenav_protocol::config_text::Expected;
-use zenav_protocol::geometry::Pose2;
+use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::messages::{Health, LocaliseAction, LocaliseRequest, PoseEstimate};
 use zenav_protocol::topics;
 
@@ -12,6 +15,9 @@ use crate::connect::{self, RobotArgs};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
+
+/// A robot this near to where it was told to be has taken it, m and rad: localisation finds it anew within some decimetres.
+const TAKEN: (f64, f64) = (1.0, 0.6);
 
 /// Show or set a robot's pose.
 #[derive(Debug, Args)]
@@ -98,23 +104,51 @@ fn act(args: &ShowArgs, action: LocaliseAction, pose: Option<Pose2>) -> Outcome 
             // A robot that is told to be somewhere else must not drive meanwhile.
             LocaliseAction::At | LocaliseAction::Global => change::at_rest(bus, robot, patience, ask).await?,
         };
-        let mut poses = bus.latest(&topics::POSE, &[robot])?;
-        let newest = tokio::time::timeout(patience, poses.next()).await.ok().flatten();
+        let newest = told(bus, robot, pose, patience).await?;
+        if let (Some(pose), Some(newest)) = (pose, newest)
+            && !is_about(pose, newest)
+        {
+            return Err(Failure::failed(format!(
+                "{robot} was told, and did not take it: it takes itself to be at {} after {:.0} s; `zenav doctor` tells why",
+                place(newest),
+                patience.as_secs_f64()
+            )));
+        }
         Ok(Shown {
             robot: robot.to_owned(),
-            pose: newest.map(|sample| {
-                let estimate: PoseEstimate = sample.message;
-                estimate.map_from_base
-            }),
+            pose: newest,
             health: reply.health,
         })
     })?;
     output::value(args.output, &shown, |shown| {
-        let place = shown.pose.map_or_else(
-            || "no pose yet".to_owned(),
-            |pose| format!("x {:.3} m, y {:.3} m, yaw {:.3} rad", pose.x, pose.y, pose.yaw),
-        );
+        let place = shown.pose.map_or_else(|| "no pose yet".to_owned(), place);
         format!("{}: {place}; {}", shown.robot, shown.health)
     })?;
     Ok(exit_code::OK)
+}
+
+/// Where the robot takes itself to be: as soon as that is about where it was told to be, at the latest after `within`.
+async fn told(bus: &Bus, robot: &str, pose: Option<Pose2>, within: Duration) -> Result<Option<Pose2>, Failure> {
+    let mut poses = bus.latest(&topics::POSE, &[robot])?;
+    let mut newest = None;
+    let until_there = async {
+        while let Some(sample) = poses.next().await {
+            let estimate: PoseEstimate = sample.message;
+            newest = Some(estimate.map_from_base);
+            if pose.is_none_or(|pose| is_about(pose, estimate.map_from_base)) {
+                break;
+            }
+        }
+    };
+    // Late, it says where it is instead.
+    let _ = tokio::time::timeout(within, until_there).await;
+    Ok(newest)
+}
+
+fn is_about(told: Pose2, pose: Pose2) -> bool {
+    told.distance(&pose) < TAKEN.0 && wrap_angle(told.yaw - pose.yaw).abs() < TAKEN.1
+}
+
+fn place(pose: Pose2) -> String {
+    format!("x {:.3} m, y {:.3} m, yaw {:.3} rad", pose.x, pose.y, pose.yaw)
 }

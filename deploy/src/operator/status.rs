@@ -155,6 +155,7 @@ mod tests {
             missed_ticks: 0,
             uplink: 1.0,
             round_trip_secs: None,
+            stops: 0,
             makes_way: false,
             faults: Default::default(),
         }

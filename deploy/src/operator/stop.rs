@@ -138,7 +138,8 @@ async fn ask(bus: Bus, robot: String, stop: bool, patience: Duration) -> Result<
     if stop {
         bus.ask(&topics::STOP, robot, &StopRequest { by }, patience).await
     } else {
-        bus.ask(&topics::RESUME, robot, &ResumeRequest { by }, patience).await
+        bus.ask(&topics::RESUME, robot, &ResumeRequest { by, stop: None }, patience)
+            .await
     }
 }
 

@@ -254,7 +254,7 @@ impl Session {
             Command::Slower => self.keyboard.scale(false),
             Command::Resume => {
                 let by = Some(self.holder.clone());
-                let (robot, request) = ([self.robot.as_str()], ResumeRequest { by });
+                let (robot, request) = ([self.robot.as_str()], ResumeRequest { by, stop: None });
                 let asked = self.bus.ask(&topics::RESUME, &robot, &request, ASK_WITHIN).await;
                 if let Err(error) = asked {
                     self.tell(format!("not resumed: {error}"));

@@ -9,13 +9,12 @@ use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::{Occupancy, OccupancyGrid};
 use zenav_protocol::messages::{EventKind, GoalPhase};
 use zenav_protocol::robot::Footprint;
-use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
 
 use super::format::Sample;
 use super::maps::Maps;
 use super::reader::RecordReader;
-use super::run::Run;
+use super::run::{Run, RunClock};
 use crate::drawing::canvas::Canvas;
 use crate::drawing::film::encode;
 use crate::drawing::plane::PANEL;
@@ -160,15 +159,15 @@ impl Film {
             trail: Vec::new(),
             moments: Vec::new(),
         };
-        film.shoot(path, name, robot.secs / pictures.max(1) as f64)?;
+        film.shoot(path, name, robot.secs / pictures.max(1) as f64, pictures)?;
         Ok(film)
     }
 
-    /// Goes through the record and keeps what there is to see, once in so many seconds and at the end.
-    fn shoot(&mut self, path: &Path, name: &str, every: f64) -> Result<(), Failure> {
+    /// Goes through the record and keeps what there is to see, once in so many seconds, `most` times, and at the end.
+    fn shoot(&mut self, path: &Path, name: &str, every: f64, most: usize) -> Result<(), Failure> {
         let mut reader = RecordReader::open(path)?;
         let mut maps = Maps::default();
-        let (mut now, mut first, mut due) = (Moment::default(), None, every);
+        let (mut now, mut clock, mut due) = (Moment::default(), RunClock::default(), every);
         let prefix = format!("zenav/{name}/");
         while let Some(sample) = reader.next_sample()? {
             if !sample.key.starts_with(&prefix) {
@@ -177,8 +176,8 @@ impl Film {
             if maps.see(&sample).is_some() {
                 now.map = None;
             }
-            self.see(&sample, &mut now, &mut first);
-            if now.secs >= due {
+            self.see(&sample, &mut now, &mut clock);
+            if now.secs >= due && self.moments.len() < most {
                 due = now.secs + every;
                 self.keep(&mut now, &maps, name);
             }
@@ -198,9 +197,9 @@ impl Film {
         }
     }
 
-    fn see(&mut self, sample: &Sample, now: &mut Moment, first: &mut Option<Stamp>) {
+    fn see(&mut self, sample: &Sample, now: &mut Moment, clock: &mut RunClock) {
         if let Ok(Some((_, pose))) = sample.message(&topics::POSE) {
-            now.secs = pose.stamp.secs_since(*first.get_or_insert(pose.stamp));
+            now.secs = clock.advance(pose.stamp);
             now.pose = pose.map_from_base;
             let at = now.pose.position();
             if self.trail.last().is_none_or(|last| (at - last).norm() > 0.02) {

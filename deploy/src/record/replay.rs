@@ -8,8 +8,9 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use serde::Serialize;
+use tokio::sync::mpsc;
 use tokio::time::Instant;
-use zenav_protocol::bus::{AliveWatch, Bus, RawPublisher, Request, Server, interrupted};
+use zenav_protocol::bus::{AliveWatch, Bus, RawPublisher, Request, interrupted};
 use zenav_protocol::messages::{MapReply, MapRequest, Refusal};
 use zenav_protocol::topics::{self, Qos};
 
@@ -21,6 +22,8 @@ use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::inspect::pattern;
 use crate::output::{self, Format};
+
+type MapRequested = Request<MapRequest, MapReply>;
 
 /// How long to look for robots that are alive before the first sample.
 const LOOK: Duration = Duration::from_millis(700);
@@ -113,7 +116,7 @@ pub fn replay(args: &ReplayArgs) -> Outcome {
         let mut guard = Guard::new(&bus, &contents.keys, args.to_live_robot)?;
         guard.look(&bus).await?;
         tokio::select! {
-            replayed = publish(&bus, args, &selection, contents.first) => replayed,
+            replayed = publish(&bus, args, &selection, &contents) => replayed,
             refusal = guard.until_one_comes() => Err(refusal),
             () = interrupted() => Err(Failure::new(exit_code::INTERRUPTED, "interrupted")),
         }
@@ -208,17 +211,32 @@ struct Contents {
 impl Contents {
     fn of(path: &Path, selection: &Selection) -> Result<Self, RecordError> {
         let mut reader = RecordReader::open(path)?;
-        let (mut first, mut keys) = (None, BTreeSet::new());
+        let (mut first, mut keys, mut held) = (None, BTreeSet::new(), BTreeSet::new());
         while let Some(sample) = reader.next_sample()? {
-            let first = *first.get_or_insert(sample.logged);
-            if selection.has(&sample, since(first, sample.logged)) && !keys.contains(&sample.key) {
+            let secs = since(*first.get_or_insert(sample.logged), sample.logged);
+            if selection.has(&sample, secs) {
                 keys.insert(sample.key);
+            } else if secs < selection.from && selection.has_state(&sample) {
+                held.insert(sample.key);
             }
+        }
+        // States that hold at the begin are published with the first sample.
+        if !keys.is_empty() {
+            keys.append(&mut held);
         }
         Ok(Self {
             first: first.unwrap_or_default(),
             keys,
         })
+    }
+}
+
+impl Contents {
+    /// Whose keys are published.
+    fn robots(&self) -> BTreeSet<&str> {
+        let known = self.keys.iter().filter(|key| topics::row_of(key).is_some());
+        let second = known.filter_map(|key| key.split('/').nth(1));
+        second.filter(|name| !["sim", "svc"].contains(name)).collect()
     }
 }
 
@@ -322,7 +340,12 @@ impl Guard {
     }
 }
 
-async fn publish(bus: &Bus, args: &ReplayArgs, selection: &Selection, first: u64) -> Result<Replayed, Failure> {
+async fn publish(
+    bus: &Bus,
+    args: &ReplayArgs,
+    selection: &Selection,
+    contents: &Contents,
+) -> Result<Replayed, Failure> {
     let mut reader = RecordReader::open(&args.file)?;
     let mut publishers: BTreeMap<(String, String), RawPublisher> = BTreeMap::new();
     let mut keys = BTreeSet::new();
@@ -333,7 +356,7 @@ async fn publish(bus: &Bus, args: &ReplayArgs, selection: &Selection, first: u64
     // A live mapper answers for its own map.
     let mut asked = match selection.to_live_robot {
         true => None,
-        false => Some(bus.serve(&topics::MAP, &["*"])?),
+        false => Some(map_requests(bus, &contents.robots())?),
     };
     let mut publish = |sample: Sample| -> Result<(), Failure> {
         let place = (sample.key, sample.encoding);
@@ -356,7 +379,7 @@ async fn publish(bus: &Bus, args: &ReplayArgs, selection: &Selection, first: u64
     let mut count = 0;
     while let Some(sample) = reader.next_sample()? {
         count += 1;
-        let secs = since(first, sample.logged);
+        let secs = since(contents.first, sample.logged);
         if secs > selection.to {
             break;
         }
@@ -400,10 +423,27 @@ async fn publish(bus: &Bus, args: &ReplayArgs, selection: &Selection, first: u64
     Ok(replayed)
 }
 
+/// The requests for the maps of these robots.
+fn map_requests(bus: &Bus, robots: &BTreeSet<&str>) -> Result<mpsc::Receiver<MapRequested>, Failure> {
+    let (sender, requests) = mpsc::channel(1);
+    for robot in robots {
+        let mut server = bus.serve(&topics::MAP, &[robot])?;
+        let sender = sender.clone();
+        tokio::spawn(async move {
+            while let Some(request) = server.next().await {
+                if sender.send(request).await.is_err() {
+                    return;
+                }
+            }
+        });
+    }
+    Ok(requests)
+}
+
 /// The next request for a map; never, where somebody else answers.
-async fn next(asked: &mut Option<Server<MapRequest, MapReply>>) -> Request<MapRequest, MapReply> {
+async fn next(asked: &mut Option<mpsc::Receiver<MapRequested>>) -> MapRequested {
     if let Some(asked) = asked
-        && let Some(request) = asked.next().await
+        && let Some(request) = asked.recv().await
     {
         return request;
     }
@@ -411,7 +451,7 @@ async fn next(asked: &mut Option<Server<MapRequest, MapReply>>) -> Request<MapRe
 }
 
 /// Answers as mapping would have, at this time of the record.
-fn answer(request: Request<MapRequest, MapReply>, maps: &Maps) {
+fn answer(request: MapRequested, maps: &Maps) {
     let robot = request.chunks.first().map_or("", String::as_str);
     match maps.reply(robot) {
         Some(map) => request.reply(&map),

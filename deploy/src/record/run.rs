@@ -1,6 +1,6 @@
 //! Run. What happened, in numbers? Each robot's path, speed, clearance, goals, plans, stages and tree, out of a record.
 //!
-//! Time is the robot's own, from its first pose on: in a simulation that is simulated time. What came from the cloud has the time of the
+//! Time is the robot's own, from its first pose on: in a simulation that is simulated time. Where its clock begins anew, time goes on. What came from the cloud has the time of the
 //! newest pose that had arrived before it. Latencies are wall time at the recorder.
 
 use std::collections::BTreeMap;
@@ -33,6 +33,8 @@ const REMEMBERED: usize = 512;
 const MOST: usize = 20_000;
 /// A pose does not come for longer than this, s.
 const LONGEST_STEP: f64 = 1.0;
+/// A clock that goes back by more than this begins anew, s: the simulation was started again.
+const NEW_BEGINNING: f64 = 5.0;
 /// What happened longer before the first pose than this is of another run, s: the recorder is told of the newest events.
 const HISTORY: f64 = 2.0;
 
@@ -133,21 +135,43 @@ pub struct NodeSpan {
 /// What is needed on the way.
 #[derive(Debug, Default)]
 pub struct Trace {
-    /// The first pose's stamp.
-    first: Option<Stamp>,
-    /// The time of the newest pose, s.
-    now: f64,
+    clock: RunClock,
     at: Option<Pose2>,
     /// Arrivals of scans, ns.
     scans: Vec<(Stamp, u64)>,
     /// The newest scan of each revision of the map, and the arrival of the revision.
     revisions: Vec<(u64, Stamp)>,
-    /// Events that came before the first pose: history, and what happened just then.
-    early: Vec<Event>,
+    /// Events that came before the first pose, and so long after the record's begin, s: history, and what happened just then.
+    early: Vec<(Event, f64)>,
     trajectory: Option<u64>,
     moving: bool,
     plan_since: Option<u64>,
     open: BTreeMap<(String, u32), usize>,
+}
+
+/// Time since the first pose of a robot, s.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct RunClock {
+    /// The first pose's stamp since the robot's clock began last, and when that was.
+    began: Option<(Stamp, f64)>,
+    /// The time of the newest pose.
+    pub(super) now: f64,
+}
+
+impl RunClock {
+    /// When something happened; `None` before the first pose.
+    fn at(&self, stamp: Stamp) -> Option<f64> {
+        self.began.map(|(first, then)| then + stamp.secs_since(first))
+    }
+
+    /// A pose has come: the time of it, which never goes back.
+    pub(super) fn advance(&mut self, stamp: Stamp) -> f64 {
+        match self.at(stamp) {
+            Some(time) if time > self.now - NEW_BEGINNING => self.now = self.now.max(time),
+            _ => self.began = Some((stamp, self.now)),
+        }
+        self.now
+    }
 }
 
 impl Run {
@@ -168,12 +192,11 @@ impl Run {
         // The model comes when the recorder has asked for it; clearance is from the first scan on.
         let mut scans = Vec::new();
         while let Some(sample) = reader.next_sample()? {
-            first.get_or_insert(sample.logged);
+            run.began = *first.get_or_insert(sample.logged);
             last = last.max(sample.logged);
             maps.see(&sample);
             run.see(&sample, &mut scans);
         }
-        run.began = first.unwrap_or_default();
         run.wall_secs = last.saturating_sub(run.began) as f64 * 1e-9;
         run.cut_off = reader.is_cut_off();
         for (name, robot) in &mut run.robots {
@@ -211,6 +234,7 @@ impl Run {
         let Some(name) = chunks.nth(1).filter(|name| *name != "sim" && *name != "svc") else {
             return;
         };
+        let since = sample.logged.saturating_sub(self.began) as f64 * 1e-9;
         let robot = self.robots.entry(name.to_owned()).or_default();
         let pattern = row.pattern;
         if pattern == topics::POSE.pattern {
@@ -221,7 +245,7 @@ impl Run {
             if let Ok(Some((_, scan))) = sample.message(&topics::SCAN) {
                 robot.scan(&scan, sample.logged);
                 if robot.model.is_none() && early.len() < REMEMBERED {
-                    early.push((name.to_owned(), robot.trace.now, scan));
+                    early.push((name.to_owned(), robot.trace.clock.now, scan));
                 }
             }
         } else if pattern == topics::STATE.pattern {
@@ -230,7 +254,7 @@ impl Run {
             }
         } else if pattern == topics::EVENT.pattern {
             if let Ok(Some((_, event))) = sample.message(&topics::EVENT) {
-                robot.event(&event);
+                robot.hear(event, since);
             }
         } else if pattern == topics::MAP_PATCH.pattern {
             if let Ok(Some((_, patch))) = sample.message(&topics::MAP_PATCH) {
@@ -242,7 +266,7 @@ impl Run {
             }
         } else if pattern == topics::GOAL_STATE.pattern {
             if let Ok(Some((_, goal))) = sample.message(&topics::GOAL_STATE) {
-                robot.goal(goal);
+                robot.goal(goal, since);
             }
         } else if pattern == topics::MISSION.pattern
             && let Ok(Some((_, status))) = sample.message(&topics::MISSION)
@@ -276,24 +300,25 @@ impl RobotRun {
         if !pose.map_from_base.is_finite() {
             return;
         }
-        let is_first = self.trace.first.is_none();
-        let first = *self.trace.first.get_or_insert(pose.stamp);
+        let (before, is_first) = (self.trace.clock.now, self.trace.clock.began.is_none());
+        let now = self.trace.clock.advance(pose.stamp);
         if is_first {
-            for event in std::mem::take(&mut self.trace.early) {
-                self.event(&event);
+            for (event, _) in std::mem::take(&mut self.trace.early) {
+                let time = self.trace.clock.at(event.stamp).unwrap_or_default();
+                if time >= -HISTORY {
+                    self.event(time, &event);
+                }
             }
         }
-        let before = self.trace.now;
-        self.trace.now = pose.stamp.secs_since(first).max(0.0);
         // What it drove: the estimate jumps where it is corrected.
         if self.trace.at.is_some() {
-            self.length += pose.velocity.v.abs() * (self.trace.now - before).clamp(0.0, LONGEST_STEP);
+            self.length += pose.velocity.v.abs() * (now - before).clamp(0.0, LONGEST_STEP);
         }
         self.trace.at = Some(pose.map_from_base);
-        self.secs = self.trace.now;
-        if self.poses.last().is_none_or(|(time, _)| self.trace.now >= time + STEP) {
-            self.poses.push((self.trace.now, pose.map_from_base));
-            self.speed.push((self.trace.now, pose.velocity.v));
+        self.secs = now;
+        if self.poses.last().is_none_or(|(time, _)| now >= time + STEP) {
+            self.poses.push((now, pose.map_from_base));
+            self.speed.push((now, pose.velocity.v));
         }
     }
 
@@ -303,7 +328,7 @@ impl RobotRun {
         self.trace.scans.drain(..excess);
         if let Some(model) = &self.model {
             let least = clearance(scan, &model.footprint);
-            self.clearance.extend(least.map(|least| (self.trace.now, least)));
+            self.clearance.extend(least.map(|least| (self.trace.clock.now, least)));
         }
     }
 
@@ -324,17 +349,18 @@ impl RobotRun {
         }
     }
 
-    fn event(&mut self, event: &Event) {
-        let Some(first) = self.trace.first else {
-            if self.trace.early.len() < MOST {
-                self.trace.early.push(event.clone());
-            }
-            return;
-        };
-        let time = event.stamp.secs_since(first);
-        if time < -HISTORY {
-            return;
+    /// An event has come so long after the record's begin, s.
+    fn hear(&mut self, event: Event, since: f64) {
+        match self.trace.clock.at(event.stamp) {
+            // Older than the record by far: its clock has begun anew, and the pose that says so has not come yet.
+            Some(time) if time < -HISTORY => self.event(self.trace.clock.now, &event),
+            Some(time) => self.event(time, &event),
+            None if self.trace.early.len() < MOST => self.trace.early.push((event, since)),
+            None => {}
         }
+    }
+
+    fn event(&mut self, time: f64, event: &Event) {
         let is_warning = matches!(
             event.kind,
             EventKind::Bumped
@@ -402,8 +428,8 @@ impl RobotRun {
         }
     }
 
-    fn goal(&mut self, goal: GoalState) {
-        let (now, length) = (self.trace.now, self.length);
+    fn goal(&mut self, goal: GoalState, since: f64) {
+        let (now, length) = (self.trace.clock.now, self.length);
         match self.goals.get_mut(&goal.id) {
             Some(known) => {
                 if !known.state.state.is_end() {
@@ -413,7 +439,7 @@ impl RobotRun {
                 known.state = goal;
             }
             // It ended before the record began: a late joiner is told of it.
-            None if goal.state.is_end() => {}
+            None if goal.state.is_end() && since < HISTORY => {}
             None => {
                 let new = GoalRun {
                     from: now,
@@ -428,7 +454,7 @@ impl RobotRun {
     }
 
     fn mission(&mut self, status: &MissionStatus) {
-        let now = self.trace.now;
+        let now = self.trace.clock.now;
         let goal = status.goal_id.clone().unwrap_or_default();
         let mut depths: BTreeMap<u32, usize> = BTreeMap::new();
         for node in &status.nodes {
@@ -475,6 +501,13 @@ impl RobotRun {
     }
 
     fn end(&mut self) {
+        // Without a pose there is no time but that of the first event.
+        for (event, since) in std::mem::take(&mut self.trace.early) {
+            if since >= HISTORY {
+                self.trace.clock.advance(event.stamp);
+                self.event(self.trace.clock.now, &event);
+            }
+        }
         self.clearance.sort_by(|a, b| a.0.total_cmp(&b.0));
         self.events.sort_by(|a, b| a.0.total_cmp(&b.0));
         for goal in self.goals.values_mut().filter(|goal| !goal.state.state.is_end()) {
@@ -530,6 +563,26 @@ pub fn phase(phase: GoalPhase) -> &'static str {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn time_goes_on_where_the_clock_begins_anew() {
+        let mut clock = RunClock::default();
+        assert_eq!(clock.at(Stamp::from_secs(1.0)), None);
+        let times = [100.0, 101.0, 100.9, 130.0, 0.5, 2.5].map(|secs| clock.advance(Stamp::from_secs(secs)));
+        let expected = [0.0, 1.0, 1.0, 30.0, 30.0, 32.0];
+        assert!(
+            times
+                .iter()
+                .zip(expected)
+                .all(|(time, expected)| (time - expected).abs() < 1e-9),
+            "{times:?}"
+        );
+        assert!(
+            clock
+                .at(Stamp::from_secs(1.5))
+                .is_some_and(|time| (time - 31.0).abs() < 1e-9)
+        );
+    }
 
     #[test]
     fn clearance_is_from_the_outline() {

@@ -225,6 +225,7 @@ impl FakeRobot {
                 missed_ticks: 0,
                 uplink: 1.0,
                 round_trip_secs: None,
+                stops: 0,
                 makes_way: false,
                 frame: 0,
                 faults: Default::default(),

@@ -45,7 +45,12 @@ pub(super) async fn guard(
         .get(header::ORIGIN)
         .map(|origin| origin.to_str().unwrap_or("null"));
     // A picture or a script of another site carries no origin; browsers say so all the same (Fetch Metadata).
+    // Who follows a link there sees what it says; the other site does not.
+    let is_followed = request.method() == Method::GET
+        && ["sec-fetch-mode", "sec-fetch-dest"].map(|name| headers.get(name).map(|value| value.as_bytes()))
+            == [Some(b"navigate".as_slice()), Some(b"document".as_slice())];
     let is_of_another = origin.is_none()
+        && !is_followed
         && headers
             .get("sec-fetch-site")
             .is_some_and(|site| site == "cross-site" || site == "same-site");

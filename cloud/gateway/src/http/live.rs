@@ -129,6 +129,8 @@ impl Session {
         let mut ended = hub.ended();
         loop {
             let done = tokio::select! {
+                // What was said while a frame went out comes before the question whether anything was said.
+                biased;
                 message = socket.recv() => match message {
                     Some(Ok(Message::Text(text))) => self.hear(&mut socket, &text).await,
                     Some(Ok(Message::Binary(_) | Message::Close(_)) | Err(_)) | None => return,

@@ -6,11 +6,13 @@
 //! | `goals` | goals: submit, list, cancel, pause, move in the queue |
 //! | `annotations` | places and zones of a robot's map, and where the robot is said to be |
 //! | `live` | the WebSocket: frames out; which robot is watched, and hand control, in |
+//! | `connections` | how many connections are open, and how long may a request take to arrive? |
 //! | `extract` | how does a request become typed values, and may it pass? |
 //! | `error` | which status and which words? |
 //! | `openapi` | what does the API look like? |
 
 mod annotations;
+mod connections;
 mod error;
 mod extract;
 mod goals;
@@ -23,6 +25,7 @@ mod tests;
 use std::future::Future;
 use std::net::SocketAddr;
 use std::sync::Arc;
+use std::time::Duration;
 
 use axum::Router;
 use axum::extract::{DefaultBodyLimit, State};
@@ -34,6 +37,7 @@ use serde::Serialize;
 use tokio::net::TcpListener;
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::set_header::SetResponseHeaderLayer;
+use tower_http::timeout::RequestBodyDeadlineLayer;
 
 use crate::access::Access;
 use crate::hub::Hub;
@@ -43,6 +47,13 @@ use error::ApiError;
 
 /// Largest body of a request, bytes: a goal may hold a behaviour tree.
 const MAX_BODY: usize = 512 * 1024;
+/// Of a thousand connections each may hold a body in memory; a browser opens six.
+const LIMITS: connections::Limits = connections::Limits {
+    most: 1024,
+    head_within: Duration::from_secs(20),
+};
+/// Time that a request's body may take.
+const BODY_WITHIN: Duration = Duration::from_secs(30);
 /// The page runs its own scripts and styles, talks to where it came from, and is framed by nobody.
 const CONTENT_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; \
                               base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
@@ -109,6 +120,7 @@ pub fn router(hub: Arc<Hub>, operator: Arc<dyn Operator>, access: Access) -> Rou
         .nest("/api/v1", api)
         .merge(site)
         .layer(DefaultBodyLimit::max(MAX_BODY))
+        .layer(RequestBodyDeadlineLayer::new(BODY_WITHIN))
         .layer(set(header::CONTENT_SECURITY_POLICY, CONTENT_POLICY))
         .layer(set(header::X_CONTENT_TYPE_OPTIONS, "nosniff"))
         .layer(set(header::REFERRER_POLICY, "no-referrer"))
@@ -127,7 +139,7 @@ pub async fn serve(
     router: Router,
     ended: impl Future<Output = ()> + Send + 'static,
 ) -> std::io::Result<()> {
-    axum::serve(listener, router).with_graceful_shutdown(ended).await
+    connections::serve(listener, router, LIMITS, ended).await
 }
 
 /// Listens at an address; port 0 takes a free one.

@@ -97,7 +97,8 @@ pub(super) async fn stop(State(shared): App, Named([robot]): Named<1>) -> Result
 
 pub(super) async fn resume(State(shared): App, Named([robot]): Named<1>) -> Result<Response, ApiError> {
     known(&shared, &robot)?;
-    let reply = shared.operator.resume(&robot, BY).await?;
+    let stop = shared.hub.view().stops(&robot);
+    let reply = shared.operator.resume(&robot, stop, BY).await?;
     Ok(super::json(StatusCode::OK, &reply))
 }
 

@@ -112,7 +112,7 @@ impl Operator for Scribe {
         self.note(format!("stop {robot} {by}"), answer)
     }
 
-    fn resume(&self, robot: &str, _: &str) -> Answer<StopReply> {
+    fn resume(&self, robot: &str, _: Option<u64>, _: &str) -> Answer<StopReply> {
         self.note(format!("resume {robot}"), Ok(StopReply { stopped: false }))
     }
 

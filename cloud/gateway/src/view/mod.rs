@@ -107,7 +107,10 @@ impl FleetView {
             view.heard = now;
         }
         match update {
-            Update::State(state) => put(&mut view.summary, "state", Entry::new(version, now, &state)),
+            Update::State(state) => {
+                view.stops = Some(state.stops);
+                put(&mut view.summary, "state", Entry::new(version, now, &state));
+            }
             Update::Pose(pose) => {
                 let at = pose.map_from_base;
                 if at.is_finite() {
@@ -214,6 +217,11 @@ impl FleetView {
     #[must_use]
     pub fn knows(&self, robot: &str) -> bool {
         self.robots.contains_key(robot)
+    }
+
+    /// How often this robot was told to stop, as far as it has told.
+    pub(crate) fn stops(&self, robot: &str) -> Option<u64> {
+        self.robots.get(robot)?.stops
     }
 
     /// Whether the whole map of this robot has to be asked for.

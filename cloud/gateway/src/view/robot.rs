@@ -47,6 +47,8 @@ pub(crate) struct RobotView {
     pub(crate) summary: BTreeMap<String, Entry>,
     /// What the clients get that watch this robot: `plan`, `mission`, `scan`, …
     pub(crate) detail: BTreeMap<String, Entry>,
+    /// How often it was told to stop, by its newest state.
+    pub(super) stops: Option<u64>,
     /// Goals by id.
     pub(crate) goals: BTreeMap<String, Entry>,
     /// Events, oldest first.
