@@ -193,7 +193,7 @@ impl Authority {
 
     /// Releases the stop: allows a new plan, and nothing else. One that was asked for before the newest stop came late, and does nothing.
     pub fn resume(&mut self, now: Stamp, request: &ResumeRequest, events: &mut EventLog) -> Decision<StopReply> {
-        if self.stopped && request.stop.is_some_and(|stop| stop < self.stops) {
+        if self.stopped && request.stop.is_some_and(|stop| stop != self.stops) {
             return Decision::without_effect(Err(Refusal::rejected(
                 "the robot was stopped again since: look at it, and resume it again",
             )));

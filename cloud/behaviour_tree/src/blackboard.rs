@@ -245,7 +245,11 @@ impl Blackboard {
                 .all(|byte| byte.is_ascii_digit() || b"+-.eE".contains(&byte));
         let number = || match text.parse::<i64>() {
             Ok(number) => Some(Value::Int(number)),
-            Err(_) => text.parse().ok().map(Value::Double),
+            Err(_) => text
+                .parse()
+                .ok()
+                .filter(|number: &f64| number.is_finite())
+                .map(Value::Double),
         };
         let value = is_number.then(number).flatten();
         self.write_untyped(slot, value.unwrap_or_else(|| Value::text(text)));

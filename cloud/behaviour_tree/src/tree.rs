@@ -3,7 +3,7 @@
 
 use std::time::Duration;
 
-use super::blackboard::Blackboard;
+use super::blackboard::{Blackboard, Slot};
 use super::node::{Info, Memory, Node, NodeId, NodeState, Role, nanos};
 use super::nodes::PauseEntries;
 use super::status::Status;
@@ -92,15 +92,40 @@ impl<C> Tree<C> {
         self.pause_entries().next().is_some()
     }
 
-    /// Asks every `PauseResumeController` to pause, or to resume; `false` where an entry for it has another type.
+    /// Asks every `PauseResumeController` to pause, or to resume; `false`, and nobody is asked, where an entry for it has another type.
     pub fn ask_to_pause(&mut self, resume: bool) -> bool {
-        let entries: Vec<PauseEntries> = self.pause_entries().collect();
-        entries.into_iter().all(|entries| {
-            let slot = if resume { entries.resume } else { entries.pause };
-            let times = self.board.sequence(slot).saturating_add(1).to_string();
-            // Another text each time, so that the request is stored.
-            self.board.write(slot, Value::text(times)).is_ok()
-        })
+        let entries = self
+            .pause_entries()
+            .map(|entries| if resume { entries.resume } else { entries.pause });
+        // Another text each time, so that the request is stored.
+        let requests: Vec<(Slot, Value)> = entries
+            .map(|slot| {
+                (
+                    slot,
+                    Value::text(self.board.sequence(slot).saturating_add(1).to_string()),
+                )
+            })
+            .collect();
+        let fits = |(slot, value): &(Slot, Value)| {
+            let kind = self.board.kind(*slot);
+            kind.is_none_or(|kind| kind == value.kind() || value.convert(kind).is_some())
+        };
+        requests.iter().all(fits)
+            && requests
+                .into_iter()
+                .all(|(slot, value)| self.board.write(slot, value).is_ok())
+    }
+
+    /// What stands in the entries of the `PauseResumeController`s by now is no request to them.
+    pub fn forget_pauses(&mut self) {
+        for (node, state) in self.nodes.iter().zip(&mut self.states) {
+            if let Role::Builtin(builtin) = &node.role
+                && let Some(entries) = builtin.pause_entries()
+            {
+                state.mark = self.board.sequence(entries.pause);
+                state.count = self.board.sequence(entries.resume) as u32;
+            }
+        }
     }
 
     fn pause_entries(&self) -> impl Iterator<Item = PauseEntries> {

@@ -38,6 +38,14 @@ function makeWay() {
   others.clear();
 }
 
+function parsed(text) {
+  try {
+    return JSON.parse(text);
+  } catch {
+    return null;
+  }
+}
+
 export async function request(method, path, body, within = 12000) {
   const headers = {};
   const mine = new AbortController();
@@ -46,6 +54,7 @@ export async function request(method, path, body, within = 12000) {
   if (token()) headers.Authorization = `Bearer ${token()}`;
   if (body !== undefined) headers["Content-Type"] = "application/json";
   let reply;
+  let answer;
   let isLate = false;
   const limit = setTimeout(() => {
     isLate = true;
@@ -55,6 +64,8 @@ export async function request(method, path, body, within = 12000) {
     reply = await fetch(`/api/v1${path}`, {
       method, headers, body: body === undefined ? undefined : JSON.stringify(body), signal: mine.signal,
     });
+    const text = await reply.text();
+    answer = parsed(text);
   } catch (error) {
     let reason = "the gateway cannot be reached";
     if (isLate) reason = "the gateway does not answer";
@@ -64,7 +75,6 @@ export async function request(method, path, body, within = 12000) {
     clearTimeout(limit);
     others.delete(mine);
   }
-  const answer = await reply.json().catch(() => null);
   if (!reply.ok) throw new ApiError(reply.status, answer);
   return answer;
 }

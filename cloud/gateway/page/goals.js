@@ -150,8 +150,9 @@ function fillPlaces() {
   else if (names.includes(chosen)) $("place").value = chosen;
 }
 
-/** After a list of goals that did not come, ms. */
-const AGAIN = 3000;
+/** After a list of goals that did not come, at first and at most, ms. */
+const AGAIN = [3000, 60000];
+let wait = AGAIN[0];
 
 /** Goals that ended before this gateway started are asked for once. */
 async function fetchGoals() {
@@ -159,11 +160,13 @@ async function fetchGoals() {
   if (!robot) return;
   const reply = await listGoals(robot).catch(() => null);
   if (robot !== store.watched) return;
+  clearTimeout(again);
   if (!reply) {
-    clearTimeout(again);
-    again = setTimeout(fetchGoals, AGAIN);
+    again = setTimeout(fetchGoals, wait);
+    wait = Math.min(2 * wait, AGAIN[1]);
     return;
   }
+  wait = AGAIN[0];
   for (const goal of reply.goals) if (!store.goals.has(goal.id)) store.goals.set(goal.id, goal);
   drawGoals();
 }

@@ -96,8 +96,7 @@ function take(message) {
     case "frame":
       store.frame(message);
       // The gateway did not know it when it was asked to watch it.
-      if (store.fleet.includes(store.watched) && "watched" in message && message.watched !== store.watched
-        && performance.now() - asked > ASK_AGAIN) askToWatch();
+      if (store.fleet.includes(store.watched) && message.watched !== store.watched && performance.now() - asked > ASK_AGAIN) askToWatch();
       chooseRobot();
       break;
     case "pong":

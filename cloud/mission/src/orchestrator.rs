@@ -263,6 +263,7 @@ impl Mission {
         if !resumed {
             self.ctx.motion.clear();
             fill_blackboard(&mut tree, &target, request)?;
+            tree.forget_pauses();
             for leg in legs.iter_mut().filter(|leg| leg.ended.is_none()) {
                 (leg.state, leg.ended) = (GoalPhase::Aborted, Some(self.ctx.now));
             }

@@ -165,6 +165,11 @@ impl Mission {
                 });
             }
             (GoalPhase::Paused, true) if !self.is_held(&id) => {
+                if self.running.is_none() {
+                    return Err(Refusal::Busy {
+                        reason: format!("the tree of goal {id} is not there yet"),
+                    });
+                }
                 if !self.ask_tree_to_pause(&id, true) {
                     return Err(Refusal::rejected(format!(
                         "goal {id}: its tree does not take the request to go on; `goal cancel` ends it"

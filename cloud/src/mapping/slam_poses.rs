@@ -226,6 +226,13 @@ impl SlamPoses {
         if effects.is_inserted {
             self.scans.push(scan.clone());
         }
+        // Where a part that is new to a map being drawn anew lies in it.
+        if let Some(redraw) = &mut self.redraw
+            && redraw.parts.len() < slam.submaps()
+        {
+            let new = slam.parts().into_iter().skip(redraw.parts.len());
+            redraw.parts.extend(new);
+        }
         if let Some(moved) = effects.moved {
             self.surroundings_moved(moved, mapper);
         }
@@ -403,11 +410,9 @@ impl SlamPoses {
 
     /// The new map takes the place of the old one.
     fn swap(&mut self, mapper: &mut Mapper) {
-        if let Some(Redraw { mapper: new, .. }) = self.redraw.take() {
+        if let Some(Redraw { mapper: new, parts, .. }) = self.redraw.take() {
             *mapper = new.succeed(mapper);
-        }
-        if let Some(slam) = &self.slam {
-            self.parts = slam.parts();
+            self.parts = parts;
         }
         self.is_untold = true;
     }

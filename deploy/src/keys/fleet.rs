@@ -9,7 +9,7 @@
 
 use std::collections::BTreeSet;
 use std::fs;
-use std::io::Write as _;
+use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 
 use time::OffsetDateTime;
@@ -270,8 +270,13 @@ fn write_private(path: &Path, text: &str) -> Result<(), Failure> {
     let written = options.open(&unfinished).and_then(|mut file| {
         file.write_all(text.as_bytes())?;
         file.sync_all()?;
-        // A rename would replace a file that is there.
-        fs::hard_link(&unfinished, path)
+        // A rename would replace a file that is there; not every file system has links.
+        match fs::hard_link(&unfinished, path) {
+            Err(error) if error.kind() != io::ErrorKind::AlreadyExists && !path.exists() => {
+                fs::rename(&unfinished, path)
+            }
+            linked => linked,
+        }
     });
     // Left behind, it is in nobody's way.
     let _ = fs::remove_file(&unfinished);

@@ -136,6 +136,8 @@ pub struct NodeSpan {
 #[derive(Debug, Default)]
 pub struct Trace {
     clock: RunClock,
+    /// The boot of the newest state.
+    boot_id: String,
     at: Option<Pose2>,
     /// Arrivals of scans, ns.
     scans: Vec<(Stamp, u64)>,
@@ -204,7 +206,7 @@ impl Run {
             robot.end();
         }
         run.robots
-            .retain(|_, robot| !robot.poses.is_empty() || !robot.goals.is_empty());
+            .retain(|_, robot| !(robot.poses.is_empty() && robot.goals.is_empty() && robot.events.is_empty()));
         Ok(run)
     }
 
@@ -339,6 +341,7 @@ impl RobotRun {
     }
 
     fn state(&mut self, state: &EdgeState, logged: u64) {
+        self.trace.boot_id.clone_from(&state.boot_id);
         if let Some(round_trip) = state.round_trip_secs {
             self.stage("heartbeat round trip", 1e3 * round_trip);
         }
@@ -352,7 +355,8 @@ impl RobotRun {
     /// An event has come so long after the record's begin, s.
     fn hear(&mut self, event: Event, since: f64) {
         match self.trace.clock.at(event.stamp) {
-            // Older than the record by far: its clock has begun anew, and the pose that says so has not come yet.
+            // Older than the record by far: of a boot whose clock began anew, and the pose that says so has not come yet; or history.
+            Some(time) if time < -HISTORY && event.boot_id == self.trace.boot_id => {}
             Some(time) if time < -HISTORY => self.event(self.trace.clock.now, &event),
             Some(time) => self.event(time, &event),
             None if self.trace.early.len() < MOST => self.trace.early.push((event, since)),
@@ -430,6 +434,7 @@ impl RobotRun {
 
     fn goal(&mut self, goal: GoalState, since: f64) {
         let (now, length) = (self.trace.clock.now, self.length);
+        let is_history = goal.state.is_end() && !self.has_ended_here(&goal, since);
         match self.goals.get_mut(&goal.id) {
             Some(known) => {
                 if !known.state.state.is_end() {
@@ -439,7 +444,7 @@ impl RobotRun {
                 known.state = goal;
             }
             // It ended before the record began: a late joiner is told of it.
-            None if goal.state.is_end() && since < HISTORY => {}
+            None if is_history => {}
             None => {
                 let new = GoalRun {
                     from: now,
@@ -451,6 +456,15 @@ impl RobotRun {
                 self.goals.insert(new.state.id.clone(), new);
             }
         }
+    }
+
+    /// Whether a goal that was not heard of before ended during the record, which began `since` s ago: a mission that begins tells the last
+    /// ones of its store again.
+    fn has_ended_here(&self, goal: &GoalState, since: f64) -> bool {
+        let ended = goal.ended.and_then(|ended| self.trace.clock.at(ended));
+        ended.map_or(since >= HISTORY, |ended| {
+            (-HISTORY..=self.trace.clock.now + HISTORY).contains(&ended)
+        })
     }
 
     fn mission(&mut self, status: &MissionStatus) {

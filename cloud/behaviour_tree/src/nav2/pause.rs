@@ -8,7 +8,7 @@
 
 use std::cmp::Ordering;
 
-use crate::node::NodeId;
+use crate::node::{NodeId, NodeState};
 use crate::nodes::{Builtin, PauseEntries};
 use crate::status::Status;
 use crate::tick::{Answer, Run};
@@ -62,6 +62,13 @@ impl<C> Builtin<C> for PauseResume {
                 Ok(Status::Running)
             }
         }
+    }
+
+    fn after_halt(&self, state: &mut NodeState) {
+        // What was served stays served.
+        let served = (state.mark, state.count);
+        state.clear();
+        (state.mark, state.count) = served;
     }
 
     fn pause_entries(&self) -> Option<PauseEntries> {

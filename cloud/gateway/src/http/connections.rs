@@ -45,6 +45,7 @@ pub(super) async fn serve(
             };
             let stream = match listener.accept().await {
                 Ok((stream, _)) => stream,
+                Err(error) if is_of_one(&error) => continue,
                 Err(error) => {
                     tracing::warn!(%error, "a connection cannot be accepted");
                     tokio::time::sleep(PAUSE).await;
@@ -75,6 +76,12 @@ pub(super) async fn serve(
     ending.send_replace(true);
     let _ = tokio::time::timeout(ENDING, room.acquire_many(limits.most)).await;
     Ok(())
+}
+
+/// Whether an error is that of one connection: its client was gone before it was accepted.
+fn is_of_one(error: &std::io::Error) -> bool {
+    use std::io::ErrorKind::{ConnectionAborted, ConnectionRefused, ConnectionReset};
+    matches!(error.kind(), ConnectionAborted | ConnectionRefused | ConnectionReset)
 }
 
 #[cfg(test)]

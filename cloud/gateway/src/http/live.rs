@@ -33,6 +33,8 @@ const PROTOCOL: &str = "zenav.v1";
 const MAX_MESSAGE: usize = 4096;
 /// Most messages a second from a browser; a held key sends 20.
 const MESSAGES_HZ: f64 = 100.0;
+/// Messages in a row that are left out: so many gather on a link that is held up for a while.
+const MOST_LEFT_OUT: u32 = 500;
 /// A browser that has not taken a frame after this time is gone.
 const SEND_WITHIN: Duration = Duration::from_secs(20);
 /// Hand control is given back when no key was held for this long, s.
@@ -87,6 +89,7 @@ pub(super) async fn upgrade(
                 drive: None,
                 heard: shared.hub.now(),
                 rate: TokenBucket::new(MESSAGES_HZ),
+                left_out: 0,
                 shared,
             };
             session.run(socket).await;
@@ -110,6 +113,8 @@ struct Session {
     /// When it said anything last, s.
     heard: f64,
     rate: TokenBucket,
+    /// Messages in a row that did not pass.
+    left_out: u32,
 }
 
 /// The other side is gone.
@@ -131,13 +136,13 @@ impl Session {
             let done = tokio::select! {
                 // What was said while a frame went out comes before the question whether anything was said.
                 biased;
+                () = over(&mut ended) => return,
                 message = socket.recv() => match message {
                     Some(Ok(Message::Text(text))) => self.hear(&mut socket, &text).await,
                     Some(Ok(Message::Binary(_) | Message::Close(_)) | Err(_)) | None => return,
-                    Some(Ok(Message::Ping(_) | Message::Pong(_))) => Ok(()),
+                    Some(Ok(Message::Ping(_) | Message::Pong(_))) => self.admit(self.shared.hub.now()).map(drop),
                 },
                 _ = pace.tick() => self.tell(&mut socket).await,
-                () = over(&mut ended) => return,
             };
             if done.is_err() {
                 return;
@@ -161,8 +166,8 @@ impl Session {
     async fn hear(&mut self, socket: &mut WebSocket, text: &str) -> Result<(), Gone> {
         let now = self.shared.hub.now();
         self.heard = now;
-        if !self.rate.take(now) {
-            return Err(Gone);
+        if !self.admit(now)? {
+            return Ok(());
         }
         let message: Incoming = match serde_json::from_str(text) {
             Ok(message) => message,
@@ -195,6 +200,18 @@ impl Session {
                 self.drive = None;
                 send_json(socket, &teleop("released", None, "")).await
             }
+        }
+    }
+
+    /// Whether a message may pass. A slow link delivers many at once: those are left out, and only a client that goes on like that is turned
+    /// away.
+    fn admit(&mut self, now: f64) -> Result<bool, Gone> {
+        let passes = self.rate.take(now);
+        self.left_out = if passes { 0 } else { self.left_out + 1 };
+        if self.left_out > MOST_LEFT_OUT {
+            Err(Gone)
+        } else {
+            Ok(passes)
         }
     }
 

@@ -50,7 +50,8 @@ const MAX_BODY: usize = 512 * 1024;
 /// Of a thousand connections each may hold a body in memory; a browser opens six.
 const LIMITS: connections::Limits = connections::Limits {
     most: 1024,
-    head_within: Duration::from_secs(20),
+    // Longer than proxies keep connections that nobody uses.
+    head_within: Duration::from_secs(75),
 };
 /// Time that a request's body may take.
 const BODY_WITHIN: Duration = Duration::from_secs(30);

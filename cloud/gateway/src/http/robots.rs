@@ -87,7 +87,10 @@ pub(super) async fn map(State(shared): App, Named([robot]): Named<1>) -> Result<
 pub(super) async fn stop(State(shared): App, Named([robot]): Named<1>) -> Result<Response, ApiError> {
     // Not looked for first: a robot may hear a stop that nobody has heard of lately.
     match shared.operator.stop(&robot, BY).await {
-        Ok(reply) => Ok(super::json(StatusCode::OK, &reply)),
+        Ok(reply) => {
+            shared.hub.view().forget_stops(&robot);
+            Ok(super::json(StatusCode::OK, &reply))
+        }
         Err(failure) => {
             known(&shared, &robot)?;
             Err(failure.into())
@@ -112,7 +115,10 @@ pub(super) async fn stop_all(State(shared): App) -> Response {
     let mut rows = Vec::new();
     while let Some(answered) = asking.join_next().await {
         rows.push(match answered {
-            Ok((robot, Ok(reply))) => json!({ "robot": robot, "stopped": reply.stopped }),
+            Ok((robot, Ok(reply))) => {
+                shared.hub.view().forget_stops(&robot);
+                json!({ "robot": robot, "stopped": reply.stopped })
+            }
             Ok((robot, Err(error))) => json!({ "robot": robot, "stopped": false, "reason": error.to_string() }),
             Err(error) => json!({ "stopped": false, "reason": error.to_string() }),
         });

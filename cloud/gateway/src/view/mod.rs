@@ -224,6 +224,13 @@ impl FleetView {
         self.robots.get(robot)?.stops
     }
 
+    /// The robot was told to stop just now: how often, its next state says.
+    pub(crate) fn forget_stops(&mut self, robot: &str) {
+        if let Some(robot) = self.robots.get_mut(robot) {
+            robot.stops = None;
+        }
+    }
+
     /// Whether the whole map of this robot has to be asked for.
     #[must_use]
     pub fn wants_map(&self, robot: &str) -> bool {

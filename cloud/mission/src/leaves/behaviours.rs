@@ -1,6 +1,9 @@
 //! Spin, BackUp, DriveOnHeading, DriveToFree: motions that the robot carries out by itself, by an execution id that it knows again.
 
+use std::f64::consts::PI;
+
 use serde::{Deserialize, Serialize};
+use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::messages::{BehaviourAction, BehaviourReport, BehaviourRequest, BehaviourState};
 use zenav_protocol::time::Stamp;
 
@@ -14,6 +17,9 @@ use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 const PATIENCE: f64 = 10.0;
 /// How often the robot is asked how it goes, s.
 const PERIOD: f64 = 0.2;
+
+/// Of a motion that a pause ended so little may be left that it is done, m and rad.
+const ALL_BUT: (f64, f64) = (0.02, 0.03);
 
 /// Nav2's codes of why a motion was not carried out, by registration id.
 #[derive(Clone, Copy)]
@@ -54,6 +60,36 @@ struct Execution {
     /// It is given up then, s of the tree's time.
     #[serde(default)]
     until: Option<f64>,
+    /// Where the robot was at its begin, map frame.
+    #[serde(default)]
+    from: Option<Pose2>,
+}
+
+impl Execution {
+    /// What is left of it for a robot that has come to `here`; `None` where nothing is.
+    fn rest(&self, here: Option<Pose2>) -> Option<BehaviourAction> {
+        let (Some(from), Some(here)) = (self.from, here) else {
+            return Some(self.action.clone());
+        };
+        match self.action.clone() {
+            BehaviourAction::Drive { distance, speed } => {
+                let driven = (here.position() - from.position()).dot(&from.heading()) * distance.signum();
+                let left = distance.abs() - driven.max(0.0);
+                (left > ALL_BUT.0).then_some(BehaviourAction::Drive {
+                    distance: left * distance.signum(),
+                    speed,
+                })
+            }
+            BehaviourAction::Spin { angle } if angle.abs() < PI => {
+                let turned = wrap_angle(here.yaw - from.yaw) * angle.signum();
+                let left = angle.abs() - turned.max(0.0);
+                (left > ALL_BUT.1).then_some(BehaviourAction::Spin {
+                    angle: left * angle.signum(),
+                })
+            }
+            action => Some(action),
+        }
+    }
 }
 
 impl Leaf<Context> for Behaviour {
@@ -73,6 +109,7 @@ impl Leaf<Context> for Behaviour {
             id: ctx.execution_id(),
             action,
             until: Some(io.now().as_secs_f64() + allowance).filter(|until| until.is_finite()),
+            from: ctx.robot.pose(),
         };
         if let Err(error) = io.remember(&execution) {
             return fail(io, ctx, Some(codes.unknown), error.to_string());
@@ -161,12 +198,31 @@ impl Leaf<Context> for Behaviour {
 }
 
 impl Behaviour {
-    /// The status that a report of the robot means; `None` while it goes on. One that a pause of the goal called off begins again.
+    /// The status that a report of the robot means; `None` while it goes on. What a pause of the goal left of one is begun anew.
     fn ended(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, report: &BehaviourReport) -> Option<Status> {
-        match report.state {
-            BehaviourState::Canceled if ctx.is_held_up(&report.id) => Some(self.start(io, ctx)),
-            _ => judge(io, ctx, report),
+        if report.state != BehaviourState::Canceled || !ctx.is_held_up(&report.id) {
+            return judge(io, ctx, report);
         }
+        let execution = io.recall::<Execution>()?;
+        let Some(action) = execution.rest(ctx.robot.pose()) else {
+            no_error(io);
+            return Some(Status::Success);
+        };
+        let rest = Execution {
+            id: ctx.execution_id(),
+            action,
+            from: ctx.robot.pose(),
+            ..execution
+        };
+        if let Err(error) = io.remember(&rest) {
+            return Some(fail(io, ctx, Some(Codes::of(io.id()).unknown), error.to_string()));
+        }
+        *self = Self {
+            since: ctx.now,
+            cancels: self.cancels,
+            ..Self::default()
+        };
+        Some(step(io, ctx, "goes on"))
     }
 }
 
