@@ -17,6 +17,7 @@
 //! | `replay` | how does the run come onto a bus again? |
 //! | `recompute` | do the cores make the same of the same inputs? |
 //! | `run` | what happened, in numbers: path, speed, clearance, goals, plans, stages, tree |
+//! | `run_clock` | when in the run? |
 //! | `diff` | how do two runs differ? |
 //! | `report`, `film` | the run as one page, and as a moving picture |
 //! | `words` | events in a line |
@@ -35,6 +36,7 @@ mod recorder;
 mod replay;
 mod report;
 mod run;
+mod run_clock;
 mod schema;
 mod words;
 mod writer;

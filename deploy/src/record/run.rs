@@ -1,7 +1,7 @@
 //! Run. What happened, in numbers? Each robot's path, speed, clearance, goals, plans, stages and tree, out of a record.
 //!
-//! Time is the robot's own, from its first pose on: in a simulation that is simulated time. Where its clock begins anew, time goes on. What came from the cloud has the time of the
-//! newest pose that had arrived before it. Latencies are wall time at the recorder.
+//! Time is the robot's own, from its first pose on: in a simulation that is simulated time. Where its clock begins anew, time goes on. What
+//! came from the cloud has the time of the newest pose that had arrived before it. Latencies are wall time at the recorder.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -20,6 +20,7 @@ use zenav_protocol::topics;
 use super::format::{Kind, Sample, TITLE_ENTRY};
 use super::maps::Maps;
 use super::reader::RecordReader;
+use super::run_clock::RunClock;
 use super::words;
 use crate::failure::Failure;
 
@@ -33,8 +34,6 @@ const REMEMBERED: usize = 512;
 const MOST: usize = 20_000;
 /// A pose does not come for longer than this, s.
 const LONGEST_STEP: f64 = 1.0;
-/// A clock that goes back by more than this begins anew, s: the simulation was started again.
-const NEW_BEGINNING: f64 = 5.0;
 /// What happened longer before the first pose than this is of another run, s: the recorder is told of the newest events.
 const HISTORY: f64 = 2.0;
 
@@ -149,31 +148,6 @@ pub struct Trace {
     moving: bool,
     plan_since: Option<u64>,
     open: BTreeMap<(String, u32), usize>,
-}
-
-/// Time since the first pose of a robot, s.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct RunClock {
-    /// The first pose's stamp since the robot's clock began last, and when that was.
-    began: Option<(Stamp, f64)>,
-    /// The time of the newest pose.
-    pub(super) now: f64,
-}
-
-impl RunClock {
-    /// When something happened; `None` before the first pose.
-    fn at(&self, stamp: Stamp) -> Option<f64> {
-        self.began.map(|(first, then)| then + stamp.secs_since(first))
-    }
-
-    /// A pose has come: the time of it, which never goes back.
-    pub(super) fn advance(&mut self, stamp: Stamp) -> f64 {
-        match self.at(stamp) {
-            Some(time) if time > self.now - NEW_BEGINNING => self.now = self.now.max(time),
-            _ => self.began = Some((stamp, self.now)),
-        }
-        self.now
-    }
 }
 
 impl Run {
@@ -302,7 +276,7 @@ impl RobotRun {
         if !pose.map_from_base.is_finite() {
             return;
         }
-        let (before, is_first) = (self.trace.clock.now, self.trace.clock.began.is_none());
+        let (before, is_first) = (self.trace.clock.now, self.trace.clock.at(pose.stamp).is_none());
         let now = self.trace.clock.advance(pose.stamp);
         if is_first {
             for (event, _) in std::mem::take(&mut self.trace.early) {
@@ -577,26 +551,6 @@ pub fn phase(phase: GoalPhase) -> &'static str {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn time_goes_on_where_the_clock_begins_anew() {
-        let mut clock = RunClock::default();
-        assert_eq!(clock.at(Stamp::from_secs(1.0)), None);
-        let times = [100.0, 101.0, 100.9, 130.0, 0.5, 2.5].map(|secs| clock.advance(Stamp::from_secs(secs)));
-        let expected = [0.0, 1.0, 1.0, 30.0, 30.0, 32.0];
-        assert!(
-            times
-                .iter()
-                .zip(expected)
-                .all(|(time, expected)| (time - expected).abs() < 1e-9),
-            "{times:?}"
-        );
-        assert!(
-            clock
-                .at(Stamp::from_secs(1.5))
-                .is_some_and(|time| (time - 31.0).abs() < 1e-9)
-        );
-    }
 
     #[test]
     fn clearance_is_from_the_outline() {

@@ -97,7 +97,7 @@ impl<C> Builtin<C> for SequenceWithMemory {
                 _ => {}
             }
             bump(&mut run.states[id as usize].cursor);
-            // As BehaviorTree.CPP since 4.7, so that it stays interruptible.
+            // As in BehaviorTree.CPP 4.10, so that it stays interruptible.
             if status == Status::Success && fresh && at + 1 < kids.len() {
                 run.wake = true;
                 run.changes += 1;
