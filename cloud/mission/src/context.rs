@@ -194,7 +194,7 @@ impl Context {
         }
     }
 
-    /// The same for a pause: the leaf whose maneuver it is begins it again when it goes on.
+    /// The same for a pause: the leaf whose maneuver it is drives the rest of it when it goes on.
     pub(crate) fn hold_up_last(&mut self) {
         if self.maneuver.is_some() {
             self.held_up.clone_from(&self.maneuver);

@@ -58,15 +58,14 @@ pub(super) fn leaving(space: &ConfigurationSpace, start: Point2<f64>, settings: 
 /// The free cells around a point, the nearest first, from whose centres a disc of `radius` (m) goes straight to it.
 fn reachable(space: &ConfigurationSpace, point: Point2<f64>, radius: f64, cells: i64) -> impl Iterator<Item = Cell> {
     let spec = space.spec();
-    let around = (-cells..=cells).flat_map(|dy| (-cells..=cells).map(move |dx| (dx, dy)));
-    let home = spec.cell_at(point);
-    let mut free: Vec<(f64, Cell)> = home
+    let around = |home: Cell| {
+        let rows = (-cells..=cells).map(move |dy| i64::from(home.y) + dy);
+        rows.flat_map(move |y| (-cells..=cells).map(move |dx| (i64::from(home.x) + dx, y)))
+    };
+    let mut free: Vec<(f64, Cell)> = spec
+        .cell_at(point)
         .into_iter()
-        .flat_map(|home| {
-            around
-                .clone()
-                .map(move |(dx, dy)| (i64::from(home.x) + dx, i64::from(home.y) + dy))
-        })
+        .flat_map(around)
         .filter(|(x, y)| spec.contains(*x, *y))
         .map(|(x, y)| Cell::new(x as u32, y as u32))
         .filter(|cell| space.is_free(*cell))

@@ -275,3 +275,34 @@ fn judge(io: &mut LeafIo<'_>, ctx: &mut Context, report: &BehaviourReport) -> Op
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn after_a_pause_the_rest_of_a_motion_is_driven() {
+        let rest = |action: BehaviourAction, here: Pose2| {
+            let execution = Execution {
+                id: "e".to_owned(),
+                action,
+                until: None,
+                from: Some(Pose2::new(1.0, 2.0, PI / 2.0)),
+            };
+            execution.rest(Some(here))
+        };
+        let drive = |distance| BehaviourAction::Drive { distance, speed: 0.2 };
+        let at = |y: f64| Pose2::new(1.0, 2.0 + y, PI / 2.0);
+        let left = |action: Option<BehaviourAction>| match action {
+            Some(BehaviourAction::Drive { distance, .. }) => distance,
+            Some(BehaviourAction::Spin { angle }) => angle,
+            _ => 0.0,
+        };
+        assert!((left(rest(drive(5.0), at(4.5))) - 0.5).abs() < 1e-9);
+        assert!((left(rest(drive(-1.0), at(-0.4))) + 0.6).abs() < 1e-9);
+        assert!((left(rest(drive(1.0), at(-0.1))) - 1.0).abs() < 1e-9, "pushed back");
+        assert_eq!(rest(drive(1.0), at(0.99)), None);
+        let turned = Pose2::new(1.0, 2.0, PI / 2.0 - 1.0);
+        assert!((left(rest(BehaviourAction::Spin { angle: -1.5 }, turned)) + 0.5).abs() < 1e-9);
+    }
+}

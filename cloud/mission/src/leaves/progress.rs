@@ -63,6 +63,15 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_pause_is_no_want_of_progress() {
+        let settings = ProgressSettings::default();
+        let mut progress = Progress::default();
+        let mut is_stuck = |secs| progress.look(Stamp::from_secs(secs), Pose2::IDENTITY, false, &settings);
+        assert!(!is_stuck(0.0) && !is_stuck(1.0));
+        assert!(!is_stuck(1.0 + 10.0 * settings.timeout), "nobody looked meanwhile");
+    }
+
+    #[test]
     fn a_robot_is_stuck_after_a_time_without_progress_and_later_where_it_makes_way() {
         let settings = ProgressSettings::default();
         let stuck_after = |makes_way: fn(f64) -> bool, pose: fn(f64) -> Pose2| {

@@ -35,7 +35,7 @@ const SLOWING_AHEAD: [f64; 3] = [f64::MAX, 1.8, SLOWING];
 /// # Errors
 /// [`SweepError::StartTooFast`].
 pub fn fastest(path: &GeometricPath, limits: &Limits, start_speed: f64) -> Result<Vec<f64>, SweepError> {
-    let [firm, firmly, gently] = SLOWING_AHEAD;
+    let [strictly, firmly, gently] = SLOWING_AHEAD;
     let below = |ahead| {
         fastest_below(
             ceilings_for(path, limits, start_speed, ahead),
@@ -44,7 +44,7 @@ pub fn fastest(path: &GeometricPath, limits: &Limits, start_speed: f64) -> Resul
             start_speed,
         )
     };
-    let strict = below(firm);
+    let strict = below(strictly);
     if strict.is_ok() || !path.has_speed_limits() {
         return strict;
     }
