@@ -1,14 +1,16 @@
 //! Normals. Which way does the surface look that a point lies on, as far as its neighbours in the scan tell?
 //!
 //! A straight surface is a line through the neighbours, a round one a parabola: both to within the noise that the scan itself shows. Where
-//! neither fits, as about a corner, nobody knows.
+//! neither fits, as about a corner, the neighbours on one side may tell: a door's jamb is shorter than the stretch that is looked at, and tells
+//! more of the way along a corridor than all of its walls. Else nobody knows.
 
 use nalgebra::{Matrix3, Point2, Vector2, Vector3};
 
-/// Neighbours on one surface are at most this far apart, m and rad as seen from the base. Joined by distance as well, points about the corners
-/// of a door next to the robot seem to lie on a round surface.
+/// Neighbours on one surface are at most this far apart, m and rad as seen from the base, or this near to one another, m. What only distance
+/// joins is no round surface: points about the corners of a door next to the robot would seem to lie on one.
 const FARTHEST: f64 = 1.0;
 const NEIGHBOURS: f64 = 0.03;
+const NEAR: f64 = 0.1;
 /// Neighbours up to this distance to each side, and the first beyond, tell the direction of a surface, m.
 const STRETCH: f64 = 0.2;
 /// They lie on it to within so many standard deviations of the noise, which is at least and at most this, m.
@@ -16,6 +18,9 @@ const DEVIATIONS: f64 = 1.8;
 const NOISE: [f64; 2] = [0.0035, 0.017];
 /// On a straight surface their variance across it is at most this share of that along it.
 const FLAT: f64 = 0.05;
+/// On one side of a point a surface is at least so long, m, and its variance across it is at most this share of what it may be on both sides.
+const SHORTEST: f64 = 0.05;
+const SURER: f64 = 0.5;
 /// A round surface has at least so many points, and its curvature is at most this, 1/m.
 const ROUND: usize = 5;
 const CURVATURE: f64 = 6.0;
@@ -26,27 +31,36 @@ const MEDIAN: f64 = 0.6745 * 1.2247;
 
 /// The unit normals of the surfaces that points lie on, towards the `laser` that saw them.
 pub(crate) fn normals(laser: Point2<f64>, points: &[Point2<f64>]) -> Vec<Option<Vector2<f64>>> {
-    let is_near = |pair: &[Point2<f64>]| {
+    let joins = |pair: &[Point2<f64>]| {
         let [a, b] = [pair[0].coords, pair[1].coords];
-        (b - a).norm_squared() <= FARTHEST * FARTHEST && a.perp(&b).abs() <= NEIGHBOURS.tan() * a.dot(&b)
+        let apart = (b - a).norm_squared();
+        let by_angle = apart <= FARTHEST * FARTHEST && a.perp(&b).abs() <= NEIGHBOURS.tan() * a.dot(&b);
+        (by_angle || apart <= NEAR * NEAR).then_some(by_angle)
     };
-    // Whether a point and the one after it lie on one surface.
-    let joined: Vec<bool> = points.windows(2).map(is_near).collect();
-    let within = DEVIATIONS * noise(points).clamp(NOISE[0], NOISE[1]);
+    // Whether a point and the one after it lie on one surface, and whether the angle between them says so.
+    let joined: Vec<Option<bool>> = points.windows(2).map(joins).collect();
+    let variance = (DEVIATIONS * noise(points).clamp(NOISE[0], NOISE[1])).powi(2);
     let of = |number: usize| {
         let is_within = |other: usize| (points[number] - points[other]).norm_squared() < STRETCH * STRETCH;
         let (mut first, mut last) = (number, number);
-        while first > 0 && joined[first - 1] && is_within(first) {
+        while first > 0 && joined[first - 1].is_some() && is_within(first) {
             first -= 1;
         }
-        while last + 1 < points.len() && joined[last] && is_within(last) {
+        while last + 1 < points.len() && joined[last].is_some() && is_within(last) {
             last += 1;
         }
         let around = &points[first..=last];
-        let normal = straight(around, within).or_else(|| {
-            let is_between = first < number && number < last;
-            is_between.then(|| round(around, points[number], within)).flatten()
-        })?;
+        let normal = match Line::through(around).filter(|line| line.holds(variance)) {
+            Some(line) => line.normal,
+            None => {
+                let by_angle = joined[first..last].iter().all(|by_angle| *by_angle == Some(true));
+                match by_angle.then(|| round(around, points[number], variance)).flatten() {
+                    // At the end of a round surface nobody knows.
+                    Some(normal) => (first < number && number < last).then_some(normal)?,
+                    None => beside(&points[first..=number], &points[number..=last], variance)?,
+                }
+            }
+        };
         Some(if normal.dot(&(points[number] - laser)) > 0.0 {
             -normal
         } else {
@@ -54,6 +68,32 @@ pub(crate) fn normals(laser: Point2<f64>, points: &[Point2<f64>]) -> Vec<Option<
         })
     };
     (0..points.len()).map(of).collect()
+}
+
+/// The normal that the neighbours on one side of a point tell, where they lie on a straight surface with it: of both sides the longer one.
+fn beside(before: &[Point2<f64>], after: &[Point2<f64>], variance: f64) -> Option<Vector2<f64>> {
+    let holds = |line: &Line| line.holds(SURER * variance) && 12.0 * line.along >= SHORTEST * SHORTEST;
+    // The longest stretch from the point on, as far as all shorter ones hold, too.
+    let longest = |stretches: &mut dyn Iterator<Item = &[Point2<f64>]>| {
+        let lines = stretches.filter_map(Line::through);
+        lines
+            .skip_while(|line| !holds(line))
+            .take_while(|line| holds(line))
+            .last()
+    };
+    let back = longest(&mut (3..=before.len()).map(|count| &before[before.len() - count..]));
+    let on = longest(&mut (3..=after.len()).map(|count| &after[..count]));
+    let line = match (back, on) {
+        (Some(back), Some(on)) => {
+            if back.along > on.along {
+                back
+            } else {
+                on
+            }
+        }
+        (back, on) => back.or(on)?,
+    };
+    Some(line.normal)
 }
 
 /// Standard deviation of the points across their surfaces, m.
@@ -73,28 +113,43 @@ fn noise(points: &[Point2<f64>]) -> f64 {
     *median / MEDIAN
 }
 
-/// The normal of the line on which three points and more lie to within a standard deviation, m, if they do.
-fn straight(points: &[Point2<f64>], within: f64) -> Option<Vector2<f64>> {
-    if points.len() < 3 {
-        return None;
-    }
-    let count = points.len() as f64;
-    let middle = points.iter().map(|point| point.coords).sum::<Vector2<f64>>() / count;
-    let squares = |away: Vector2<f64>| Vector3::new(away.x * away.x, away.x * away.y, away.y * away.y);
-    let spread = points.iter().map(|point| squares(point.coords - middle));
-    let spread = spread.sum::<Vector3<f64>>() / count;
-    // Half the sum of the eigenvalues, half their difference, and the angle of the larger one's axis.
-    let (half, difference) = (0.5 * (spread.x + spread.z), 0.5 * (spread.x - spread.z));
-    let root = (difference * difference + spread.y * spread.y).sqrt();
-    let (small, large) = (half - root, half + root);
-    (small <= within * within && small <= FLAT * large).then(|| {
-        let (sin, cos) = (0.5 * spread.y.atan2(difference)).sin_cos();
-        Vector2::new(-sin, cos)
-    })
+/// A line through points: its normal, and the variance of the points across and along it, m².
+struct Line {
+    normal: Vector2<f64>,
+    across: f64,
+    along: f64,
 }
 
-/// The normal at one of the points of the parabola over their chord on which they lie to within a standard deviation, m, if they do.
-fn round(points: &[Point2<f64>], at: Point2<f64>, within: f64) -> Option<Vector2<f64>> {
+impl Line {
+    /// The best one through three points and more.
+    fn through(points: &[Point2<f64>]) -> Option<Self> {
+        if points.len() < 3 {
+            return None;
+        }
+        let count = points.len() as f64;
+        let middle = points.iter().map(|point| point.coords).sum::<Vector2<f64>>() / count;
+        let squares = |away: Vector2<f64>| Vector3::new(away.x * away.x, away.x * away.y, away.y * away.y);
+        let spread = points.iter().map(|point| squares(point.coords - middle));
+        let spread = spread.sum::<Vector3<f64>>() / count;
+        // Half the sum of the eigenvalues, half their difference, and the angle of the larger one's axis.
+        let (half, difference) = (0.5 * (spread.x + spread.z), 0.5 * (spread.x - spread.z));
+        let root = (difference * difference + spread.y * spread.y).sqrt();
+        let (sin, cos) = (0.5 * spread.y.atan2(difference)).sin_cos();
+        Some(Self {
+            normal: Vector2::new(-sin, cos),
+            across: half - root,
+            along: half + root,
+        })
+    }
+
+    /// Whether the points lie on it, with at most this variance across it, m².
+    fn holds(&self, variance: f64) -> bool {
+        self.across <= variance && self.across <= FLAT * self.along
+    }
+}
+
+/// The normal at one of the points of the parabola over their chord on which they lie with at most this variance, m², if they do.
+fn round(points: &[Point2<f64>], at: Point2<f64>, variance: f64) -> Option<Vector2<f64>> {
     let [first, .., last] = points else { return None };
     let along = (last - first).try_normalize(f64::EPSILON)?;
     let across = Vector2::new(-along.y, along.x);
@@ -108,7 +163,7 @@ fn round(points: &[Point2<f64>], at: Point2<f64>, within: f64) -> Option<Vector2
     }
     let fitted = squares.cholesky()?.solve(&sums);
     let left = (total - fitted.dot(&sums)).max(0.0) / points.len().checked_sub(3)? as f64;
-    let is_round = points.len() >= ROUND && left <= within * within && 2.0 * fitted.z.abs() <= CURVATURE;
+    let is_round = points.len() >= ROUND && left <= variance && 2.0 * fitted.z.abs() <= CURVATURE;
     is_round.then(|| (across - along * fitted.y).normalize())
 }
 
@@ -153,16 +208,36 @@ mod tests {
     }
 
     #[test]
-    fn about_a_corner_nobody_knows() {
+    fn up_to_a_corner_each_wall_looks_its_own_way() {
         // Two walls that meet straight ahead, each at 45 degrees.
         let points = seen(|angle| 2.0 / (angle.cos() + angle.sin().abs()));
         let normals = normals(Point2::origin(), &points);
-        let is_known = |at: f64| {
-            normals
-                .iter()
-                .zip(&points)
-                .any(|(normal, point)| point.y.abs() < at && normal.is_some())
-        };
-        assert!(!is_known(0.06) && is_known(0.4));
+        let known: Vec<_> = points
+            .iter()
+            .zip(&normals)
+            .filter_map(|(at, normal)| Some((at, (*normal)?)))
+            .collect();
+        assert!(known.len() + 3 >= points.len(), "{} of {}", known.len(), points.len());
+        for (at, normal) in known.iter().filter(|(at, _)| at.y.abs() > 0.03) {
+            let wall = Vector2::new(-1.0, -at.y.signum()).normalize();
+            assert!(wall.dot(normal) > 0.97, "{at}: {normal}");
+        }
+    }
+
+    #[test]
+    fn a_jamb_of_a_thin_wall_looks_along_the_corridor() {
+        // A corridor's wall 1 m to the left that ends in a jamb of 0.1 m, 1 m ahead, and the room's far wall behind the door.
+        let jamb = |along: f64| Point2::new(1.0, 1.0 + along);
+        let wall = |along: f64| Point2::new(1.0 - along, 1.0);
+        let mut points: Vec<Point2<f64>> = (0..5).map(|step| jamb(0.1 - 0.025 * f64::from(step))).collect();
+        points.extend((1..12).map(|step| wall(0.04 * f64::from(step))));
+        let laser = Point2::new(1.6, 0.0);
+        let normals = normals(laser, &points);
+        for (at, normal) in points.iter().zip(&normals).take(4) {
+            assert!(normal.is_some_and(|normal| normal.x > 0.97), "{at}: {normal:?}");
+        }
+        for (at, normal) in points.iter().zip(&normals).skip(5) {
+            assert!(normal.is_some_and(|normal| normal.y < -0.97), "{at}: {normal:?}");
+        }
     }
 }
