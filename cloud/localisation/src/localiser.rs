@@ -5,7 +5,9 @@ use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::messages::{Health, Scan};
 use zenav_protocol::time::Stamp;
-use zenav_scan_matching::{Prior, Refined, Window, floored, odometry_information, points, refine, search, turned};
+use zenav_scan_matching::{
+    ExpectedStep, OdometryFilter, Prior, Refined, Window, floored, points, refine, search, turned,
+};
 
 use crate::evidence::{Evidence, evidence};
 use crate::global::{Found, Hypothesis, find};
@@ -16,6 +18,14 @@ use crate::settings::LocalisationSettings;
 const SEARCH_POINTS: usize = 120;
 /// Variance of a pose that somebody told, m² and rad².
 const GUESSED: [f64; 3] = [0.25, 0.25, 0.1];
+/// Odometry is held against matches after so much way, m, and turning, rad: matches that are nearer share their errors.
+const APART: (f64, f64) = (0.1, 0.05);
+/// A place that is less likely by odometry than this (chi squared, three degrees of freedom) is not where it led: a jump.
+const JUMP: f64 = 16.0;
+/// The search about the expected place looks so many standard deviations farther, and no farther than this, m.
+const WIDER: (f64, f64) = (3.0, 3.0);
+/// Places that such a search tells, at most.
+const RIVALS: usize = 8;
 /// Time between two global searches, s.
 const SEARCH_PERIOD: f64 = 0.5;
 /// Time until the whole map is looked at again while the scans contradict the place: it doubles from the first to the second, s.
@@ -45,6 +55,8 @@ pub struct Localiser {
     /// Where the robot was told to be, before a scan.
     told: Option<Pose2>,
     health: Health,
+    /// How good odometry is.
+    odometry: OdometryFilter,
     /// Scans in a row that contradict the map.
     contradictions: u32,
     searched_at: Option<Stamp>,
@@ -59,10 +71,26 @@ struct Last {
     stamp: Stamp,
     odom_from_base: Pose2,
     pose: Pose2,
-    /// Odometry at the last scan that was matched.
-    matched: Pose2,
-    /// Covariance of the pose in its own frame.
-    covariance: Matrix3<f64>,
+    /// Odometry at the last scan that was matched, if there was one since the place was told.
+    matched: Option<Pose2>,
+    /// Odometry and pose at the last match that odometry was held against, or where the place was told.
+    held: (Pose2, Pose2),
+}
+
+/// A scan matched.
+struct Match {
+    refined: Refined,
+    /// Whether that took a search about the expected place.
+    is_wide: bool,
+    /// Whether it is not where odometry led, or not there alone.
+    is_jump: bool,
+}
+
+/// Where odometry leads: from the last pose, and by what was learned of it.
+struct Expected {
+    start: Pose2,
+    pose: Pose2,
+    step: ExpectedStep,
 }
 
 impl Localiser {
@@ -75,6 +103,7 @@ impl Localiser {
             last: None,
             told: None,
             health: Health::Tracking,
+            odometry: OdometryFilter::UNSEEN,
             contradictions: 0,
             searched_at: None,
             doubt: DOUBT.0,
@@ -92,49 +121,72 @@ impl Localiser {
         let last = match self.last {
             Some(last) if scan.stamp <= last.stamp => return None,
             Some(last) => last,
-            None => Last {
-                stamp: scan.stamp,
-                odom_from_base: odometry,
-                pose: self.told.take().unwrap_or(scan.map_from_odom * odometry),
-                matched: Pose2::new(f64::INFINITY, 0.0, 0.0),
-                covariance: Matrix3::from_diagonal(&GUESSED.into()),
-            },
+            None => {
+                let pose = self.told.take().unwrap_or(scan.map_from_odom * odometry);
+                self.begin(scan.stamp, odometry, pose)
+            }
         };
         let step = last.odom_from_base.inverse() * odometry;
         let elapsed = scan.stamp.secs_since(last.stamp);
         let seen = points(scan, step, elapsed, &self.settings.scan);
         let laser = scan.base_from_laser.position();
-        let expected = last.pose * step;
-        let drift = odometry_information(step, &self.settings.odometry)
-            .try_inverse()
-            .unwrap_or_else(Matrix3::identity);
+        let start = last.pose * self.odometry.corrected(step);
         let mut now = Last {
             stamp: scan.stamp,
             odom_from_base: odometry,
-            pose: expected,
-            covariance: last.covariance + drift,
+            pose: start,
             ..last
         };
         if matches!(self.health, Health::Lost | Health::Ambiguous { .. }) {
             return Some(self.search(now, laser, &seen));
         }
-        let since = last.matched.inverse() * odometry;
         let tracking = &self.settings.tracking;
-        let is_near = since.x.hypot(since.y) < tracking.distance && since.yaw.abs() < tracking.turn;
+        let is_within = |from: Pose2, (way, turn): (f64, f64)| {
+            let since = from.inverse() * odometry;
+            since.x.hypot(since.y) < way && since.yaw.abs() < turn
+        };
+        let is_near = now
+            .matched
+            .is_some_and(|matched| is_within(matched, (tracking.distance, tracking.turn)));
         // A robot at rest may be carried away, too: what contradicts the map is looked at however little it has moved.
-        let is_near = is_near && !self.is_doubtful(laser, &seen, expected);
-        let mut covariance = None;
+        let is_near = is_near && !self.is_doubtful(laser, &seen, start);
+        let (mut covariance, mut is_found_anew) = (None, false);
         if !is_near {
-            let (refined, is_jump) = self.matched(&now, laser, &seen);
+            let (held, held_pose) = last.held;
+            let since = held.inverse() * odometry;
+            let expected = Expected {
+                start,
+                pose: held_pose * self.odometry.corrected(since),
+                step: self.odometry.expected(since, &self.settings.odometry),
+            };
+            let Match {
+                refined,
+                is_wide,
+                is_jump,
+            } = self.matched(&expected, laser, &seen);
             let scan_information = floored(&refined.information, tracking.floor, tracking.floor_turn);
-            let prior = now.covariance.try_inverse().unwrap_or_else(Matrix3::zeros);
-            now.covariance = (prior + scan_information).try_inverse().unwrap_or(now.covariance);
             now.pose = refined.pose;
-            now.matched = odometry;
+            now.matched = Some(odometry);
             covariance = scan_information
                 .try_inverse()
                 .map(|covariance| turned(&covariance, refined.pose.yaw));
             self.note(laser, &seen, &refined);
+            let contradicts = self.evidence.points >= self.settings.evidence.least_points as usize
+                && self.evidence.agreeing < self.settings.tracking.doubtful;
+            if is_jump {
+                self.odometry.begin_anew(&scan_information);
+            } else if is_wide || !is_within(held, APART) && !contradicts {
+                let off = expected.pose.inverse() * refined.pose;
+                let tells_all = refined.degenerate.is_none();
+                self.odometry.learn(&expected.step, off, &scan_information, tells_all);
+            } else if !is_within(held, APART) {
+                self.odometry.go_on(&expected.step);
+            }
+            if is_wide || !is_within(held, APART) {
+                now.held = (odometry, refined.pose);
+            }
+            // The robot would take a place so far off for an outlier.
+            is_found_anew = is_wide && refined.pose.distance(&start) > self.settings.tracking.reach;
             if self.is_elsewhere(&now, laser, &seen, is_jump) {
                 // The robot brakes and drops its plan; it is looked for with the next scan.
                 self.health = Health::Lost;
@@ -142,6 +194,7 @@ impl Localiser {
             }
             if self.health == Health::Lost {
                 covariance = None;
+                is_found_anew = false;
             }
         }
         self.last = Some(now);
@@ -150,8 +203,21 @@ impl Localiser {
             covariance,
             health: self.health.clone(),
             evidence: self.evidence,
-            is_found_anew: false,
+            is_found_anew,
         })
+    }
+
+    /// A place that was told, and odometry there.
+    fn begin(&mut self, stamp: Stamp, odom_from_base: Pose2, pose: Pose2) -> Last {
+        self.odometry
+            .begin_anew(&Matrix3::from_diagonal(&GUESSED.map(f64::recip).into()));
+        Last {
+            stamp,
+            odom_from_base,
+            pose,
+            matched: None,
+            held: (odom_from_base, pose),
+        }
     }
 
     /// Whether less of a scan agrees with the map than should.
@@ -161,34 +227,64 @@ impl Localiser {
         here.points >= settings.evidence.least_points as usize && here.agreeing < settings.tracking.doubtful
     }
 
-    /// The scan matched about the expected pose, and whether that took a search beyond what odometry says: a jump.
-    fn matched(&self, now: &Last, laser: Point2<f64>, seen: &[Point2<f64>]) -> (Refined, bool) {
+    /// The scan matched about the expected pose.
+    fn matched(&self, expected: &Expected, laser: Point2<f64>, seen: &[Point2<f64>]) -> Match {
         let settings = &self.settings;
-        let information = now.covariance.try_inverse().unwrap_or_else(Matrix3::zeros);
-        let prior = Prior::of_odometry(now.pose, &information);
+        let prior = Prior::of_odometry(expected.pose, &expected.step.information());
         let field = self.map.field();
-        let near = refine(field, seen, now.pose, Some(&prior), &settings.refine);
-        let weigh = |pose: Pose2| evidence(&self.map, laser, seen, pose, &settings.evidence);
-        let agreeing = weigh(near.pose);
-        if agreeing.agreeing >= settings.tracking.doubtful || agreeing.points < settings.evidence.least_points as usize
-        {
-            return (near, false);
+        let near = refine(field, seen, expected.start, Some(&prior), &settings.refine);
+        let near = Match {
+            refined: near.expected_where_degenerate(expected.pose),
+            is_wide: false,
+            is_jump: false,
+        };
+        let weigh = |refined: &Refined| evidence(&self.map, laser, seen, refined.pose, &settings.evidence);
+        let here = weigh(&near.refined);
+        if here.agreeing >= settings.tracking.doubtful || here.points < settings.evidence.least_points as usize {
+            return near;
         }
         let stride = seen.len().div_ceil(SEARCH_POINTS).max(1);
         let thinned: Vec<Point2<f64>> = seen.iter().copied().step_by(stride).collect();
-        let window = Window {
-            min_score: near.score,
-            budget: settings.tracking.budget as usize,
-            ..Window::around(now.pose, settings.tracking.reach, settings.tracking.search_turn)
+        let look = |reach: f64| {
+            let window = Window {
+                count: RIVALS,
+                within: settings.global.within,
+                apart: settings.global.apart,
+                apart_turn: settings.global.apart_turn,
+                min_score: near.refined.score,
+                budget: settings.tracking.budget as usize,
+                ..Window::around(expected.pose, reach, settings.tracking.search_turn)
+            };
+            search(self.map.pyramid(), &thinned, &window)
         };
-        let found = search(self.map.pyramid(), &thinned, &window);
-        let wide = found
-            .found
-            .first()
-            .map(|best| refine(field, seen, best.pose, None, &settings.refine));
-        match wide.filter(|wide| weigh(wide.pose).agreeing > agreeing.agreeing + settings.global.margin) {
-            Some(wide) => (wide, true),
-            None => (near, false),
+        let (deviations, most) = WIDER;
+        let reach = settings.tracking.reach;
+        let mut searched = look(reach + (deviations * expected.step.deviation()).min(most));
+        if !searched.is_exact {
+            searched = look(reach);
+        }
+        let refined_at = |pose: Pose2| {
+            let refined = refine(field, seen, pose, None, &settings.refine).expected_where_degenerate(expected.pose);
+            (weigh(&refined).agreeing, refined)
+        };
+        let mut places: Vec<(f64, Refined)> = searched.found.iter().map(|found| refined_at(found.pose)).collect();
+        places.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let Some((agreeing, refined)) = places.first().copied() else {
+            return near;
+        };
+        if agreeing <= here.agreeing + settings.global.margin {
+            return near;
+        }
+        // Of several places that odometry allows and the scan likes about as much, none is believed.
+        let is_rival = |(other, place): &(f64, Refined)| {
+            *other > agreeing - settings.global.margin
+                && place.pose.distance(&refined.pose) >= settings.global.apart
+                && prior.chi_squared(place.pose) <= JUMP
+        };
+        Match {
+            refined,
+            is_wide: true,
+            is_jump: prior.chi_squared(refined.pose) > JUMP || places.iter().any(is_rival),
         }
     }
 
@@ -266,10 +362,13 @@ impl Localiser {
                 self.health = Health::Tracking;
                 self.contradictions = 0;
                 self.evidence = place.evidence;
+                let own = turned(&place.covariance, -place.pose.yaw);
+                self.odometry
+                    .begin_anew(&own.try_inverse().unwrap_or_else(Matrix3::zeros));
                 self.last = Some(Last {
                     pose: place.pose,
-                    matched: now.odom_from_base,
-                    covariance: turned(&place.covariance, -place.pose.yaw),
+                    matched: Some(now.odom_from_base),
+                    held: (now.odom_from_base, place.pose),
                     ..now
                 });
                 located.pose = place.pose;
@@ -300,13 +399,11 @@ impl Localiser {
         self.health = Health::Tracking;
         self.contradictions = 0;
         self.doubt = DOUBT.0;
-        if self.last.is_none() {
-            self.told = Some(map_from_base);
-        }
-        if let Some(last) = &mut self.last {
-            last.pose = map_from_base;
-            last.matched = Pose2::new(f64::INFINITY, 0.0, 0.0);
-            last.covariance = Matrix3::from_diagonal(&GUESSED.into());
+        match self.last {
+            None => self.told = Some(map_from_base),
+            Some(Last {
+                stamp, odom_from_base, ..
+            }) => self.last = Some(self.begin(stamp, odom_from_base, map_from_base)),
         }
     }
 

@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use nalgebra::Point2;
-use zenav_fixtures::{map_where, spec};
+use zenav_fixtures::{map_where, spec, walled_room};
 use zenav_localisation::{Found, KnownMap, LocalisationSettings, Localiser, evidence, find};
 use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::grid::Occupancy;
@@ -145,6 +145,53 @@ fn a_robot_that_is_told_a_wrong_room_is_lost_and_found() {
     });
     let found: Vec<_> = all.filter(|located| located.is_found_anew).collect();
     assert!(found.len() == 1 && is_near(found[0].pose, truth), "{found:?}");
+}
+
+#[test]
+fn the_end_of_a_lane_shows_how_far_odometry_is_off_and_not_that_the_robot_was_carried_away() {
+    // Two lanes of 24 m that look alike from either end.
+    let map = walled_room(spec(480, 100, 0.05), |at| (2.45..2.55).contains(&at.y));
+    let mut localiser = Localiser::new(LocalisationSettings::default(), &map);
+    let start = Pose2::new(1.0, 1.25, 0.0);
+    for number in 0..720_u32 {
+        let way = 0.03 * f64::from(number);
+        let truth = start * Pose2::new(way, 0.0, 0.0);
+        let odometry = Pose2::new(1.025 * way, 0.0, 0.0);
+        let scan = look(&map, 100 + 100_000_000 * u64::from(number), truth, odometry, start);
+        let located = localiser.step(&scan).unwrap();
+        assert!(located.health.is_trusted(), "{way} m: {located:?}");
+        if number == 719 {
+            assert!(is_near(located.pose, truth), "{located:?} instead of {truth:?}");
+        }
+    }
+}
+
+#[test]
+fn among_equal_bays_a_robot_that_lost_count_says_so() {
+    // A lane whose walls have a box every 1.5 m, seen after 12 m without any: odometry may be off by more than a bay.
+    let map = walled_room(spec(560, 60, 0.05), |at| {
+        at.x > 14.0 && (at.x - 14.0) % 1.5 < 0.4 && !(0.5..2.5).contains(&at.y)
+    });
+    let mut localiser = Localiser::new(LocalisationSettings::default(), &map);
+    let start = Pose2::new(1.0, 1.5, 0.0);
+    let mut was_sure = true;
+    for number in 0..700_u32 {
+        let way = 0.03 * f64::from(number);
+        let truth = start * Pose2::new(way, 0.0, 0.0);
+        let odometry = Pose2::new(1.05 * way, 0.0, 0.0);
+        // A lidar of 3 m.
+        let mut scan = look(&map, 100 + 100_000_000 * u64::from(number), truth, odometry, start);
+        scan.ranges
+            .iter_mut()
+            .filter(|range| **range > 3.0)
+            .for_each(|range| *range = f32::INFINITY);
+        let located = localiser.step(&scan).unwrap();
+        was_sure &= located.health.is_trusted();
+        assert!(
+            !was_sure || way < 15.0 || located.pose.distance(&truth) < 0.3,
+            "{way} m: {located:?} instead of {truth:?}"
+        );
+    }
 }
 
 #[test]

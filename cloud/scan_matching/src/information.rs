@@ -1,7 +1,7 @@
 //! Information. How well is a step of odometry known, how well a match, and how is either seen from another frame?
 
 use nalgebra::{Matrix3, Vector3};
-use zenav_protocol::geometry::Pose2;
+use zenav_protocol::geometry::{Pose2, wrap_angle};
 
 use crate::refine::Prior;
 use crate::settings::OdometrySettings;
@@ -44,5 +44,17 @@ impl Prior {
             pose: field_from_scan,
             information: turned(information, field_from_scan.yaw),
         }
+    }
+
+    /// How unlikely it takes a pose for: chi squared with three degrees of freedom.
+    #[must_use]
+    pub fn chi_squared(&self, field_from_scan: Pose2) -> f64 {
+        let (expected, pose) = (self.pose, field_from_scan);
+        let off = Vector3::new(
+            pose.x - expected.x,
+            pose.y - expected.y,
+            wrap_angle(pose.yaw - expected.yaw),
+        );
+        off.dot(&(self.information * off))
     }
 }

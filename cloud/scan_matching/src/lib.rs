@@ -35,12 +35,14 @@
 //! | `surfels` | where exactly is the surface that a point was seen on? |
 //! | `verdict` | does it fit? |
 //! | `information` | how well are odometry and matches known? |
+//! | `odometry` | how good is odometry, as far as matches have shown? |
 //! | `settings` | what can be tuned? |
 
 mod field;
 mod headings;
 mod information;
 mod normals;
+mod odometry;
 mod points;
 mod pyramid;
 mod refine;
@@ -52,6 +54,7 @@ mod verdict;
 pub use field::LikelihoodField;
 pub use headings::heading_step;
 pub use information::{floored, odometry_information, turned};
+pub use odometry::{ExpectedStep, OdometryFilter};
 pub use points::points;
 pub use pyramid::Pyramid;
 pub use refine::{Prior, Refinable, Refined, refine};

@@ -43,7 +43,6 @@
 //! | `submap` | what does a short stretch of the way look like? |
 //! | `closure` | was the robot here before? |
 //! | `drift` | how well is a node known as seen from an old submap? |
-//! | `odometry` | how good is odometry, as far as matches have shown? |
 //! | `back_end` | which poses agree best? |
 //! | `finish` | where does each scan lie once all are known? |
 //! | `session` | how does a map go on at another time? |
@@ -57,7 +56,6 @@ mod drift;
 mod finish;
 mod joining;
 mod metric;
-mod odometry;
 mod order;
 mod session;
 mod settings;

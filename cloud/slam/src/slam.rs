@@ -2,19 +2,18 @@
 
 use std::sync::Arc;
 
-use nalgebra::{Matrix3, Point2, Vector3};
+use nalgebra::{Matrix3, Point2};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 use zenav_pose_graph::{DescentSettings, Edge, EdgeKind, GraphError, PoseGraph, RobustSolution, SolveError};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::Scan;
-use zenav_scan_matching::{Prior, Refinable, Refined, Window, floored, judge, points, search, turned};
+use zenav_scan_matching::{OdometryFilter, Prior, Refinable, Refined, Window, floored, judge, points, search, turned};
 
 use crate::back_end::BackEnd;
 use crate::closure::close;
 use crate::finish;
 use crate::joining::{Older, locate};
-use crate::odometry::Odometry;
 use crate::session::{Session, on_grid};
 use crate::settings::SlamSettings;
 use crate::submap::{SEARCH_POINTS, Submap, thinned};
@@ -124,7 +123,7 @@ pub struct Slam {
     /// Time, s, and odometry of the last scan.
     pub(crate) last: Option<(f64, Pose2)>,
     pub(crate) last_node_odometry: Pose2,
-    pub(crate) odometry: Odometry,
+    pub(crate) odometry: OdometryFilter,
     /// Whether odometry begins anew with the next scan.
     pub(crate) is_interrupted: bool,
     /// Whether the next match is searched for widely, however well it scores.
@@ -157,7 +156,7 @@ impl Slam {
             older: None,
             last: None,
             last_node_odometry: Pose2::IDENTITY,
-            odometry: Odometry::UNSEEN,
+            odometry: OdometryFilter::UNSEEN,
             is_interrupted: false,
             is_doubted: false,
             is_apart: false,
@@ -493,7 +492,7 @@ impl Slam {
         let mut best = submap.refine(scan, expected, Some(&prior), &settings.refine);
         let is_doubtful = self.is_doubted
             || best.score < settings.front.doubtful * self.usual
-            || unlikely(odometry, expected, best.pose) > DOUBTFUL_CORRECTION;
+            || unlikely(&prior, best.pose) > DOUBTFUL_CORRECTION;
         if is_doubtful {
             self.counts.wide_searches += 1;
             effects.is_searched = true;
@@ -507,7 +506,7 @@ impl Slam {
                 let wide = submap.refine(scan, candidate.pose, None, &settings.refine);
                 // How much likelier the scan is from there, against how much less likely odometry is: few points overrule nothing.
                 let gain = EVIDENCE * scan.points().len() as f64 * (wide.score - best.score);
-                if gain > (unlikely(odometry, expected, wide.pose) - unlikely(odometry, expected, best.pose)).max(0.0) {
+                if gain > (unlikely(&prior, wide.pose) - unlikely(&prior, best.pose)).max(0.0) {
                     best = wide;
                 }
             }
@@ -605,8 +604,6 @@ impl Slam {
 }
 
 /// Half of chi squared of a pose that odometry did not expect.
-fn unlikely(odometry: &Matrix3<f64>, expected: Pose2, pose: Pose2) -> f64 {
-    let correction = expected.inverse() * pose;
-    let vector = Vector3::new(correction.x, correction.y, correction.yaw);
-    (0.5 * vector.dot(&(odometry * vector))).min(SLIPPED)
+fn unlikely(odometry: &Prior, pose: Pose2) -> f64 {
+    (0.5 * odometry.chi_squared(pose)).min(SLIPPED)
 }

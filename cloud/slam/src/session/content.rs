@@ -7,12 +7,11 @@ use serde::{Deserialize, Serialize};
 use zenav_pose_graph::{Edge, EdgeKind, GraphError};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::settings::Settings as _;
-use zenav_scan_matching::Refinable;
+use zenav_scan_matching::{OdometryFilter, Refinable};
 
 use super::grid::{packed, unpacked};
 use super::{Session, SessionError, laser_of};
 use crate::back_end::BackEnd;
-use crate::odometry::Odometry;
 use crate::settings::SlamSettings;
 use crate::slam::{Counts, Slam, Stand};
 use crate::submap::Submap;
@@ -33,7 +32,7 @@ pub(super) struct Content {
     stands: Vec<Stood>,
     last: Option<(f64, Row)>,
     last_node_odometry: Row,
-    odometry: Odometry,
+    odometry: OdometryFilter,
     is_interrupted: bool,
     is_doubted: bool,
     is_apart: bool,

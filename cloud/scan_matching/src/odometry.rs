@@ -1,4 +1,4 @@
-//! Odometry. How good is it, as far as matches have shown?
+//! Odometry filter. How good is odometry, as far as matches have shown, and how well is the pose known that it leads to?
 //!
 //! The settings say what any robot's odometry may be like. How this one's is shows as it drives: a wheel that is larger than stated makes
 //! every step shorter by the same share, and steps that matches confirm to a millimetre need not be doubted by a centimetre. Both are
@@ -10,7 +10,9 @@
 use nalgebra::{Matrix2, Matrix3, Matrix4, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 use zenav_protocol::geometry::Pose2;
-use zenav_scan_matching::{OdometrySettings, odometry_information};
+
+use crate::information::odometry_information;
+use crate::settings::OdometrySettings;
 
 /// Steps over which is averaged.
 const MEMORY: f64 = 200.0;
@@ -27,9 +29,9 @@ const SCALES: [f64; 2] = [0.8, 1.25];
 /// Added to a covariance before it is inverted, m² and rad².
 const LEAST_VARIANCE: f64 = 1e-12;
 
-/// What was learned.
-#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
-pub(crate) struct Odometry {
+/// Pose in the map and scale of odometry, as far as matches told them.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct OdometryFilter {
     /// How much longer a step is than stated, as a factor.
     scale: f64,
     /// Variance against that of the settings: of the position, of the heading.
@@ -38,18 +40,19 @@ pub(crate) struct Odometry {
     seen: [f64; 2],
     /// Matches in a row whose scans told all directions.
     told: u32,
-    /// Covariance of the last node's pose in the map around it, in its own frame (m, m, rad), and of the scale.
+    /// Covariance of the pose at the last match in the map around it, in its own frame (m, m, rad), and of the scale.
     known: [[f64; 4]; 4],
 }
 
-/// What odometry says of where a step led: the covariance of pose and scale.
+/// What odometry says of where a step from the last match led: the covariance of pose and scale.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Expected {
+pub struct ExpectedStep {
     known: Matrix4<f64>,
 }
 
-impl Odometry {
-    pub(crate) const UNSEEN: Self = Self {
+impl OdometryFilter {
+    /// Before any match: the pose is known, the scale to 5 %.
+    pub const UNSEEN: Self = Self {
         scale: 1.0,
         variance: [1.0; 2],
         // As if the settings had been confirmed some times.
@@ -59,7 +62,8 @@ impl Odometry {
     };
 
     /// This, where all of it can be.
-    pub(crate) fn checked(self) -> Option<Self> {
+    #[must_use]
+    pub fn checked(self) -> Option<Self> {
         let positive = [self.variance, self.seen].concat();
         let is_sane = self.scale.is_finite()
             && positive.iter().all(|value| value.is_finite() && *value > 0.0)
@@ -68,19 +72,22 @@ impl Odometry {
     }
 
     /// A step as it was in truth, as far as is known.
-    pub(crate) fn corrected(&self, step: Pose2) -> Pose2 {
+    #[must_use]
+    pub fn corrected(&self, step: Pose2) -> Pose2 {
         Pose2::new(step.x * self.scale, step.y * self.scale, step.yaw)
     }
 
     /// Information of a step, frame of its end.
-    pub(crate) fn information(&self, step: Pose2, settings: &OdometrySettings) -> Matrix3<f64> {
+    #[must_use]
+    pub fn information(&self, step: Pose2, settings: &OdometrySettings) -> Matrix3<f64> {
         let [position, heading] = self.variance.map(f64::sqrt).map(f64::recip);
         let trust = Matrix3::from_diagonal(&[position, position, heading].into());
         trust * odometry_information(step, settings) * trust
     }
 
-    /// How well the end of a step from the last node is known.
-    pub(crate) fn expected(&self, step: Pose2, settings: &OdometrySettings) -> Expected {
+    /// How well the end of a step from the last match is known.
+    #[must_use]
+    pub fn expected(&self, step: Pose2, settings: &OdometrySettings) -> ExpectedStep {
         let (sin, cos) = step.yaw.sin_cos();
         let back = Matrix2::new(cos, sin, -sin, cos);
         let mut on = Matrix4::identity();
@@ -96,18 +103,19 @@ impl Odometry {
             .unwrap_or_else(Matrix3::zeros);
         let mut pose = known.fixed_view_mut::<3, 3>(0, 0);
         pose += noise;
-        Expected { known }
+        ExpectedStep { known }
     }
 
     /// Goes on without a match.
-    pub(crate) fn go_on(&mut self, expected: &Expected) {
+    pub fn go_on(&mut self, expected: &ExpectedStep) {
         self.told = 0;
         self.known = expected.known.transpose().into();
     }
 
     /// Learns from a match, `off` from where it was expected, in the frame of the scan; `scan`: the information of the scan alone, and
     /// whether it tells all directions.
-    pub(crate) fn learn(&mut self, expected: &Expected, off: Pose2, scan: &Matrix3<f64>, tells_all: bool) {
+    pub fn learn(&mut self, expected: &ExpectedStep, off: Pose2, scan: &Matrix3<f64>, tells_all: bool) {
+        let last = *self;
         let before = expected.pose();
         let Some(gain) = before.try_inverse() else { return };
         let after = (gain + scan).try_inverse().unwrap_or(before);
@@ -142,10 +150,12 @@ impl Odometry {
         known.fixed_view_mut::<3, 1>(0, 3).copy_from(&mixed.transpose());
         known[(3, 3)] = spread.max(SCALE[1] * SCALE[1]);
         self.known = known.transpose().into();
+        // Odometry of 1e200 m, too, is a number.
+        *self = self.checked().unwrap_or(last);
     }
 
     /// The pose is known by a match alone.
-    pub(crate) fn begin_anew(&mut self, scan: &Matrix3<f64>) {
+    pub fn begin_anew(&mut self, scan: &Matrix3<f64>) {
         self.told = 0;
         let pose = (scan + Matrix3::identity())
             .try_inverse()
@@ -157,13 +167,21 @@ impl Odometry {
     }
 }
 
-impl Expected {
+impl ExpectedStep {
     fn pose(&self) -> Matrix3<f64> {
         self.known.fixed_view::<3, 3>(0, 0) + Matrix3::identity() * LEAST_VARIANCE
     }
 
+    /// Standard deviation of the position in the direction in which it is known least, m.
+    #[must_use]
+    pub fn deviation(&self) -> f64 {
+        let [[xx, xy], [_, yy]] = self.known.fixed_view::<2, 2>(0, 0).into_owned().into();
+        (0.5 * (xx + yy) + (0.5 * (xx - yy)).hypot(xy)).sqrt()
+    }
+
     /// Information of the pose, in its frame.
-    pub(crate) fn information(&self) -> Matrix3<f64> {
+    #[must_use]
+    pub fn information(&self) -> Matrix3<f64> {
         self.pose().try_inverse().unwrap_or_else(Matrix3::zeros)
     }
 }
@@ -173,10 +191,10 @@ mod tests {
     use super::*;
 
     /// Drives straight on in steps of 10 cm by wheels that are 5 % larger than stated; some scans tell all to a centimetre, the others nothing.
-    fn driven(steps: u32, tells: impl Fn(u32) -> bool) -> Odometry {
+    fn driven(steps: u32, tells: impl Fn(u32) -> bool) -> OdometryFilter {
         let settings = OdometrySettings::default();
         let scan = Matrix3::from_diagonal(&Vector3::new(1e4, 1e4, 1e6));
-        let (mut odometry, mut off) = (Odometry::UNSEEN, 0.0);
+        let (mut odometry, mut off) = (OdometryFilter::UNSEEN, 0.0);
         for step in 0..steps {
             off += 0.105 - odometry.corrected(Pose2::new(0.1, 0.0, 0.0)).x;
             let expected = odometry.expected(Pose2::new(0.1, 0.0, 0.0), &settings);
