@@ -83,7 +83,6 @@ fn decision(criterion: &mut Criterion<ThreadTime>) {
                     odom_from_base: Pose2::IDENTITY,
                     command: Twist2::ZERO,
                     speed_cap: f64::INFINITY,
-                    blind_speed: 0.1,
                     monitor: &monitor,
                     bump: &bump,
                     ahead: &ahead,

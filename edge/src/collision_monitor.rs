@@ -9,6 +9,9 @@
 //! at rest a set time after the last one. While the wheel encoders are silent it drives slowly. A scan that is too old, a command that is
 //! not finite, and bumper contact stop it at once.
 
+use std::f64::consts::PI;
+
+use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::messages::{Bump, GuardZone};
 use zenav_protocol::robot::RobotModel;
@@ -23,6 +26,8 @@ use crate::time_to_contact::SweptFootprint;
 
 /// No point of the outline moves outwards faster than this once a faster motion has faded, m/s.
 const FADED: f64 = 0.009;
+/// A contact that is felt again so soon is the same, s.
+const CHATTER: f64 = 0.5;
 
 /// Judges every twist before it goes to the wheels.
 #[derive(Clone, Debug)]
@@ -41,6 +46,8 @@ pub struct CollisionMonitor {
     pub encoders_silent: bool,
     /// The twist that the wheels drive by now, as their motors lag behind what they were told.
     driven: Twist2,
+    /// Which way the last contact lay if its bumper told no bearing, rad: where the robot moved when it began; and when it was felt last.
+    felt_toward: Option<(f64, Stamp)>,
     /// The oldest of the lidars' newest scans, and when it arrived.
     scan: Option<(Stamp, Stamp)>,
     zone: GuardZone,
@@ -74,6 +81,7 @@ impl CollisionMonitor {
             unseen_speed: 0.0,
             encoders_silent: false,
             driven: Twist2::ZERO,
+            felt_toward: None,
             scan: None,
             zone: GuardZone::Clear,
             since: Stamp::ZERO,
@@ -104,6 +112,7 @@ impl CollisionMonitor {
         odom_from_base: Pose2,
         bump: &Bump,
     ) -> Verdict {
+        self.feel(now, bump);
         let silence = self.silence(now, obstacles);
         let (share, reason) = self.share(now, wanted, obstacles, odom_from_base, bump, silence);
         let moving = self.model.drive.surface_speed(wanted) > 1e-3 || !wanted.is_finite();
@@ -127,6 +136,11 @@ impl CollisionMonitor {
         }
     }
 
+    /// The body has stopped its wheels by itself.
+    pub(crate) fn rest(&mut self) {
+        self.driven = Twist2::ZERO;
+    }
+
     /// Whether more than a gentle motion is left of what the wheels were told before, while no more than a gentle one may be told now: both
     /// together would be no gentle one.
     fn fades(&self, allowed: Twist2) -> bool {
@@ -134,14 +148,22 @@ impl CollisionMonitor {
         fastest(allowed) <= FADED && fastest(self.driven) > FADED
     }
 
-    /// The wheels follow a twist as their motors do.
+    /// The wheels follow a twist as their motors do, braking as hard as they can.
     fn follow(&mut self, told: Twist2) {
-        let lag = self.model.drive.motor_lag;
-        let left = if lag > 0.0 { (-self.tick / lag).exp() } else { 0.0 };
-        self.driven = Twist2::new(
-            told.v + left * (self.driven.v - told.v),
-            told.w + left * (self.driven.w - told.w),
-        );
+        let drive = &self.model.drive;
+        let answer = if drive.motor_lag > 0.0 {
+            1.0 - (-self.tick / drive.motor_lag).exp()
+        } else {
+            1.0
+        };
+        let (mut wheels, told) = (drive.wheels(self.driven), drive.wheels(told));
+        let change = [told[0] - wheels[0], told[1] - wheels[1]].map(|change| answer * change);
+        let most = drive.wheel_braking().max(drive.max_wheel_acceleration) * self.tick;
+        let share = (most / change[0].abs().max(change[1].abs()).max(f64::MIN_POSITIVE)).min(1.0);
+        for (wheel, change) in wheels.iter_mut().zip(change) {
+            *wheel += share * change;
+        }
+        self.driven = drive.twist(wheels);
     }
 
     /// Time to contact with any known obstacle along a twist's arc, s; `None` without contact within the horizon.
@@ -199,7 +221,7 @@ impl CollisionMonitor {
     }
 
     /// Whoever went into the blind spot and did not come out may stand there still.
-    fn speed_into_blind_spot(&self, now: Stamp, obstacles: &LocalObstacles, odom_from_base: Pose2) -> f64 {
+    pub(crate) fn speed_into_blind_spot(&self, now: Stamp, obstacles: &LocalObstacles, odom_from_base: Pose2) -> f64 {
         match obstacles.moving().may_be_in_blind_spot(now, odom_from_base.position()) {
             true => 0.0,
             false => self.blind_speed,
@@ -296,10 +318,27 @@ impl CollisionMonitor {
             .fold((1.0, ""), |least, limit| if limit.0 < least.0 { limit } else { least })
     }
 
+    /// Where the bumper is touched (base frame); `None` while it is not.
+    pub(crate) fn feel(&mut self, now: Stamp, bump: &Bump) -> Option<Point2<f64>> {
+        if !bump.pressed {
+            return None;
+        }
+        let lately = self.felt_toward.filter(|(_, felt)| now.secs_since(*felt) <= CHATTER);
+        let moves = if self.driven.v < 0.0 { PI } else { 0.0 };
+        self.felt_toward = Some((lately.map_or(moves, |(toward, _)| toward), now));
+        Some(contact_point(&self.model.footprint, self.bearing(bump)))
+    }
+
+    fn bearing(&self, bump: &Bump) -> f64 {
+        bump.bearing
+            .or(self.felt_toward.map(|(toward, _)| toward))
+            .unwrap_or(0.0)
+    }
+
     /// The share of a motion that is allowed in contact: all of it away from the contact, slowly along it, and nothing towards it. Without
-    /// a bearing the contact is taken to be ahead.
+    /// a bearing the contact is taken to be where the robot moved when it began, and no motion along it is allowed.
     fn share_in_contact(&self, wanted: Twist2, bump: &Bump) -> f64 {
-        let touched = contact_point(&self.model.footprint, bump);
+        let touched = contact_point(&self.model.footprint, self.bearing(bump));
         let share = share_beside(&self.model.footprint, wanted, touched);
         let (closing, speed) = (closing_speed(&self.model.footprint, wanted, touched), wanted.v.abs());
         if share >= 1.0 && (speed < 1e-3 || closing < -self.settings.departure_share * speed) {

@@ -9,7 +9,6 @@
 
 use nalgebra::{Isometry2, Point2, Vector2};
 use zenav_protocol::geometry::{Pose2, Twist2};
-use zenav_protocol::messages::Bump;
 use zenav_protocol::robot::{Drive, Footprint};
 use zenav_protocol::time::Stamp;
 
@@ -444,9 +443,8 @@ impl<'a> Motion<'a> {
     }
 }
 
-/// Where the bumper was touched (base frame), just outside the outline. Without a bearing that is ahead.
-pub(crate) fn contact_point(footprint: &Footprint, bump: &Bump) -> Point2<f64> {
-    let bearing = bump.bearing.unwrap_or(0.0);
+/// Where the bumper was touched at a bearing (base frame, rad), just outside the outline.
+pub(crate) fn contact_point(footprint: &Footprint, bearing: f64) -> Point2<f64> {
     let toward = Vector2::new(bearing.cos(), bearing.sin());
     // Bisection along the bearing.
     let (mut inside, mut outside) = (0.0, 2.0 * footprint.circumscribed_radius());

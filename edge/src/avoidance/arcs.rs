@@ -12,8 +12,9 @@ use zenav_protocol::robot::Drive;
 use super::{Avoidance, AvoidanceInput, PlacedDiscs, kept, lead};
 use crate::blind_spot_grid::Floor;
 use crate::field_of_view::rigid;
+use crate::limiter::within_speed;
 use crate::obstacle_tracks::Track;
-use crate::passive_safety::Mover;
+use crate::passive_safety::{GENTLE, Mover};
 use crate::trackers::capped;
 
 /// Arcs last this long, s, and in contact, where the robot only creeps, in so many steps.
@@ -127,7 +128,11 @@ impl Avoidance {
         let input = situation.input;
         let (top, turn) = (self.drive.top_speed(), fastest_turn(&self.drive));
         let backwards = if input.obstacles.blind_spots().leads_into_blind_spot(-1.0) {
-            0.9 * input.blind_speed.min(BACKWARDS * top)
+            let allowed = input
+                .monitor
+                .speed_into_blind_spot(input.now, input.obstacles, input.odom_from_base)
+                .max(GENTLE);
+            0.9 * allowed.min(BACKWARDS * top)
         } else {
             BACKWARDS * top
         };
@@ -144,11 +149,12 @@ impl Avoidance {
             .filter_map(mover)
             .collect();
         let bump = self.touched.is_so().then_some(input.bump);
+        let felt = (self.touched.is_so() || input.bump.pressed).then_some(input.bump);
         let share_of = |wanted: Twist2| {
             let (obstacles, here) = (input.obstacles, input.odom_from_base);
             input
                 .monitor
-                .share_among(input.now, wanted, &movers, obstacles, here, bump)
+                .share_among(input.now, wanted, &movers, obstacles, here, felt)
         };
         // Who is touched creeps away, however slowly.
         let held_cost = if bump.is_some() { 0.0 } else { HELD_COST };
@@ -163,9 +169,7 @@ impl Avoidance {
                 // Denser around straight on.
                 let share = f64::from(side) / f64::from(YAW_RATES);
                 let wanted = Twist2::new(v, turn * share * share.abs());
-                if self.drive.surface_speed(wanted) > input.speed_cap + 1e-9 {
-                    continue;
-                }
+                let wanted = capped(&self.drive, within_speed(&self.drive, wanted), input.speed_cap);
                 let share = share_of(wanted);
                 if bump.is_some() && share <= 0.0 && wanted != Twist2::ZERO {
                     continue;
@@ -182,7 +186,7 @@ impl Avoidance {
             // Away from a contact leads often no single arc, but a turn and then straight on.
             for way_out in (0..WAYS_OUT).map(WayOut) {
                 let twist = way_out.twist(&self.drive, input.odom_from_base.yaw, input.dt);
-                let wanted = capped(&self.drive, twist, input.speed_cap);
+                let wanted = capped(&self.drive, within_speed(&self.drive, twist), input.speed_cap);
                 let share = share_of(wanted);
                 if share <= 0.0 {
                     continue;
@@ -219,9 +223,10 @@ impl Avoidance {
                 let share = if twist.v > 0.0 { 1.0 } else { share };
                 target = self.drive.wheels(Twist2::new(twist.v, share * twist.w));
             }
-            for (wheel, target) in wheels.iter_mut().zip(target) {
-                *wheel += (target - *wheel).clamp(-change, change);
-            }
+            // As the limiter does: both in proportion.
+            let off = [target[0] - wheels[0], target[1] - wheels[1]];
+            let share = (change / off[0].abs().max(off[1].abs()).max(1e-9)).min(1.0);
+            wheels = [wheels[0] + share * off[0], wheels[1] + share * off[1]];
             let twist = self.drive.twist(wheels);
             pose = pose.advance(twist, step);
             let secs = step * f64::from(nth);

@@ -70,8 +70,6 @@ pub struct AvoidanceInput<'a> {
     pub command: Twist2,
     /// Largest wheel surface speed, m/s: the robot must be at rest when its plan expires.
     pub speed_cap: f64,
-    /// Largest speed into the blind spot, m/s.
-    pub blind_speed: f64,
     /// Has the last word: what it would slow down is no way out.
     pub monitor: &'a CollisionMonitor,
     /// What the bumper feels.
@@ -237,12 +235,15 @@ impl Avoidance {
             .ahead
             .iter()
             .take_while(|ahead| ahead.secs <= self.settings.horizon);
-        within.into_iter().any(|ahead| {
-            kept(&self.settings, track, ahead.secs).is_some_and(|kept| {
-                let way = track.way(ahead.secs + age, lead(&self.settings, track));
-                self.placed(ahead.pose).distance_from_way(&way) - track.radius < kept
+        let comes_near = |secs: f64, discs: &PlacedDiscs| {
+            kept(&self.settings, track, secs).is_some_and(|kept| {
+                let way = track.way(secs + age, lead(&self.settings, track));
+                discs.distance_from_way(&way) - track.radius < kept
             })
-        })
+        };
+        within
+            .into_iter()
+            .any(|ahead| comes_near(ahead.secs, &self.placed(ahead.pose)))
     }
 
     /// The covering discs of a robot at a pose.

@@ -76,7 +76,6 @@ impl Hall {
                 odom_from_base: self.pose,
                 command: self.twist,
                 speed_cap: self.speed_cap,
-                blind_speed: 0.1,
                 ahead: &ahead,
                 obstacles: &self.obstacles,
             });

@@ -333,10 +333,40 @@ fn a_bumper_contact_in_the_blind_spot_counts_as_a_moving_obstacle() {
     };
     obstacles.touch(
         Stamp::from_secs(1.0),
-        Some(contact_point(&model.footprint, &bump)),
+        Some(contact_point(&model.footprint, bump.bearing.unwrap())),
         Pose2::IDENTITY,
     );
     assert!(turn(&obstacles) * 0.21 < 0.01);
+}
+
+#[test]
+fn a_bumper_without_a_bearing_stops_the_way_that_the_robot_moved() {
+    let model = jackal();
+    let mut obstacles = LocalObstacles::new(&model);
+    looked(&mut obstacles, &model, 1.0, 0.0);
+    let touched = Bump {
+        pressed: true,
+        ..NO_BUMP
+    };
+    for back in [-1.0, 1.0] {
+        let mut monitor = CollisionMonitor::new(&model, 0.02);
+        let now = Stamp::from_secs(1.0);
+        let mut judge = |v: f64, bump: &Bump| {
+            let wanted = Twist2::new(v, 0.0);
+            let verdict = monitor.judge(now, wanted, &obstacles, Pose2::IDENTITY, bump);
+            verdict.twist.v
+        };
+        for _ in 0..20 {
+            assert_ne!(judge(0.1 * back, &NO_BUMP), 0.0);
+        }
+        // Also after it has driven off a little, and the switch chatters.
+        for _ in 0..20 {
+            assert_eq!(judge(0.1 * back, &touched), 0.0);
+            judge(-0.1 * back, &NO_BUMP);
+        }
+        assert_ne!(judge(-0.1 * back, &touched), 0.0);
+        assert!(monitor.feel(now, &touched).unwrap().x * back > 0.0);
+    }
 }
 
 #[test]
@@ -349,7 +379,7 @@ fn a_robot_touched_at_its_side_slides_along_slowly_and_turns_away_only() {
         bearing: Some(1.5),
         ..NO_BUMP
     };
-    let place = contact_point(&model.footprint, &bump);
+    let place = contact_point(&model.footprint, bump.bearing.unwrap());
     obstacles.touch(Stamp::from_secs(1.0), Some(place), Pose2::IDENTITY);
     let allowed = |twist: Twist2| {
         let mut monitor = CollisionMonitor::new(&model, 0.02);

@@ -156,7 +156,6 @@ impl Pilot {
                 bump,
                 odom_from_base: self.estimator.odom_from_base(),
                 command: self.limiter.twist(),
-                blind_speed: self.gains.blind_speed.max(self.config.settings.maneuvers.blind_speed),
                 speed_cap,
                 ahead: &self.ahead,
                 obstacles: &self.obstacles,

@@ -199,6 +199,11 @@ impl Pilot {
         if is_hit || gap >= SILENT_TICKS * self.config.tick {
             self.wheel_coordination.reset();
         }
+        let drive = &self.config.model.drive;
+        if gap >= SILENT_TICKS * self.config.tick + drive.top_speed() / drive.hard_braking {
+            self.limiter.set([0.0; 2], gap);
+            self.collision_monitor.rest();
+        }
         let wheels = self
             .encoder_watch
             .angles(readings, self.wheel_coordination.speed(), gap.min(LONGEST_TICK));

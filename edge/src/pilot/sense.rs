@@ -7,9 +7,10 @@ use zenav_protocol::time::Stamp;
 use super::Pilot;
 use crate::control_io::Publication;
 use crate::deskewing::deskewed;
-use crate::passive_safety::contact_point;
 use crate::telemetry;
 
+/// A sweep may be stamped this far ahead, s: clocks of one body are read one after the other.
+const AHEAD: f64 = 0.1;
 /// Hysteresis of the low-battery event, as a share of the charge.
 const CHARGED: f64 = 0.05;
 
@@ -30,7 +31,8 @@ impl Pilot {
             .sensors(readings, &self.estimator, self.frame.number(), out);
         for sweep in &readings.sweeps {
             let lidar = self.config.model.all_lidars().find(|(name, _)| *name == sweep.lidar);
-            let Some((_, lidar)) = lidar else {
+            // A sweep of the future would make all that come until then old ones.
+            let Some((_, lidar)) = lidar.filter(|_| sweep.stamp.secs_since(now) <= AHEAD) else {
                 continue;
             };
             let sweep = &*self.lost_beams.mend(sweep, lidar);
@@ -54,7 +56,7 @@ impl Pilot {
             self.tracked = tracked;
         }
         let bump = &readings.bump;
-        let place = bump.pressed.then(|| contact_point(&self.config.model.footprint, bump));
+        let place = self.collision_monitor.feel(now, bump);
         self.obstacles.touch(now, place, self.estimator.odom_from_base());
         if readings.bump.pressed && !self.pressed {
             self.events.record(now, EventKind::Bumped);

@@ -1,6 +1,8 @@
 //! Claims about a robot that one forged message, a silent body or a full disk must not put out of service.
 
 use zenav_protocol::messages::{EventKind, LeaseRole, Mode, Plan, ResumeRequest, Revision, StopReply, StopRequest};
+use zenav_protocol::readings::{Readings, Sweep};
+use zenav_protocol::time::Stamp;
 use zenav_protocol::topics::{EdgeReply, EdgeRequest};
 
 use super::rig::Rig;
@@ -32,6 +34,19 @@ fn assert_drives_on(rig: &mut Rig, mut plan: Plan) {
         rig.pose,
         rig.rejection()
     );
+}
+
+#[test]
+fn a_sweep_of_the_future_blinds_no_lidar() {
+    let (mut rig, _, plan) = driving();
+    let beams = rig.model.first_lidar().unwrap().beams;
+    let ahead = Stamp::from_secs(rig.now.as_secs() + 3600.0);
+    let readings = Readings {
+        sweeps: vec![Sweep::new(ahead, vec![f32::INFINITY; beams])],
+        ..rig.readings()
+    };
+    rig.pilot.step(rig.now, &readings, Inbox::default());
+    assert_drives_on(&mut rig, plan);
 }
 
 #[test]

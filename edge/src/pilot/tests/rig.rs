@@ -118,7 +118,7 @@ impl Rig {
         out
     }
 
-    fn readings(&self) -> Readings {
+    pub fn readings(&self) -> Readings {
         let sweep = (self.scanning && self.ticks.is_multiple_of(5)).then(|| {
             let lidar = self.model.first_lidar().unwrap();
             let laser = self.pose * lidar.mount;
