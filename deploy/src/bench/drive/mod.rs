@@ -3,6 +3,7 @@
 mod runs;
 mod table;
 
+use std::collections::HashSet;
 use std::path::PathBuf;
 
 use clap::ValueEnum as _;
@@ -29,6 +30,9 @@ pub struct DriveArgs {
     /// First of them: worlds that nothing was tuned on
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = connect::whole_in(0..=1_000_000_000_u64))]
     first_seed: u64,
+    /// Drive it with this robot, a shipped one or a file, `+OPTION` for each option; repeat for several [default: those of the suite]
+    #[arg(long = "robot", value_name = "NAME")]
+    robots: Vec<String>,
     /// Folder of BARN's worlds, `world_N.world` or `world_N.toml`, for S1
     #[arg(long, value_name = "DIR")]
     worlds: Option<PathBuf>,
@@ -62,7 +66,7 @@ struct Report {
 /// `zenav bench drive`.
 ///
 /// # Errors
-/// A name that no run has; a folder that cannot be written.
+/// A name that no run has, a robot that there is not, or two of one name; a folder that cannot be written.
 pub(super) fn drive(args: &DriveArgs) -> Outcome {
     let suites = args
         .suite
@@ -78,7 +82,14 @@ pub(super) fn drive(args: &DriveArgs) -> Outcome {
     let barn = args.worlds.as_deref().map(|folder| (folder, 0.01 * args.noise));
     let mut cases = Vec::new();
     for suite in suites {
-        cases.extend(suite.cases(args.first_seed, args.seeds, barn)?);
+        cases.extend(suite.cases(&args.robots, args.first_seed, args.seeds, barn)?);
+    }
+    let mut names = HashSet::new();
+    if let Some(twice) = cases.iter().find(|case| !names.insert(case.name.as_str())) {
+        return Err(Failure::usage(format!(
+            "--robot: two robots make the run {}; expected robots of different names",
+            twice.name
+        )));
     }
     if let Some(only) = &args.only {
         cases.retain(|case| case.name == *only);

@@ -257,7 +257,7 @@ fn one(layers: &Layers, case: &Case) -> Result<Vec<Run>, Failure> {
     let all = [(case.world.start(), case.goal)].into_iter().chain(others);
     let entrants: Vec<Entrant<'_>> = all
         .map(|(start, goal)| Entrant {
-            robot: Some(case.robot),
+            robot: Some(&case.robot),
             start: Some(start),
             goal,
         })
@@ -315,7 +315,7 @@ mod tests {
 
     #[test]
     fn a_case_goes_alike_twice_and_anchors_that_know_more_reach_the_goal() {
-        let cases = Suite::S3.cases(0, Some(1), None).unwrap();
+        let cases = Suite::S3.cases(&[], 0, Some(1), None).unwrap();
         let case = cases.iter().find(|case| case.name == "crossing-1-jackal-0").unwrap();
         let field = Field::new(&case.world, case.model.footprint.inscribed_radius(), case.goal);
         let drive = |anchor| anchors::drive(anchor, case, &field, |_, _| {}).unwrap();

@@ -17,8 +17,7 @@ use super::Case;
 use crate::failure::Failure;
 use crate::files;
 
-/// The robot of the challenge, its start (x, y, yaw), how far ahead its goal is, m, how near counts, m, and the time for it, s.
-const ROBOT: &str = "jackal";
+/// The start of the challenge's robot (x, y, yaw), how far ahead its goal is, m, how near counts, m, and the time for it, s.
 const START: [f64; 3] = [-2.25, 3.0, 1.57];
 const AHEAD: f64 = 10.0;
 const TOLERANCE: f64 = 1.0;
@@ -28,7 +27,7 @@ const BOUNDS: [[f64; 2]; 2] = [[-6.75, -1.0], [9.0, 16.0]];
 
 /// S1: the worlds of a folder, with ranges that are as noisy as told (standard deviation, m). A file `optimal.csv` beside them (world,
 /// metres) tells the lengths of the optimal paths; without it the shortest way of the disc inside the robot counts.
-pub(super) fn barn(folder: &Path, noise: f64, seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
+pub(super) fn barn(folder: &Path, noise: f64, robots: &[String], seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
     let mut worlds = BTreeMap::new();
     for entry in std::fs::read_dir(folder).map_err(Failure::failed_at(folder))? {
         let path = entry.map_err(Failure::failed_at(folder))?.path();
@@ -50,44 +49,45 @@ pub(super) fn barn(folder: &Path, noise: f64, seeds: Range<u64>) -> Result<Vec<C
         )));
     }
     let optimal = optimal(&folder.join("optimal.csv"))?;
-    let own = files::robot(ROBOT)?.first_lidar().map_or(0.0, |lidar| lidar.noise);
-    let added = (noise * noise - own * own).max(0.0).sqrt();
-    let scenario = format!("S1 BARN, noise {} cm", (1000.0 * noise.max(own)).round() / 10.0);
     let mut cases = Vec::new();
-    for (number, path) in worlds {
-        let text = files::text(&path)?;
-        let file = path.display().to_string();
-        let mut text = match path.extension().is_some_and(|ending| ending == "world") {
-            true => from_gazebo(number, &text).map_err(|problem| Failure::usage(format!("{file}: {problem}")))?,
-            false => text,
-        };
-        if added > 0.0 {
-            let _ = write!(
-                text,
-                "\n[[fault]]\nsensor = \"lidar\"\nkind = \"noisy\"\namount = {added}\n"
-            );
-        }
-        let read = World::from_toml(&text, &file, &|_| Err("a world of BARN has no map".to_owned()));
-        let world = read.map_err(|error| Failure::usage(error.to_string()))?;
-        let goal = world.start() * Pose2::new(AHEAD, 0.0, 0.0);
-        for seed in seeds.clone() {
-            let name = format!("barn-{number:03}-{seed}");
-            let mut case = Case::within(
-                &scenario,
-                name,
-                ROBOT,
-                seed,
-                text.clone(),
-                world.clone(),
-                goal.position(),
-            )?;
-            (case.tolerance, case.timeout) = (Some(TOLERANCE), TIMEOUT);
-            case.is_scored = true;
-            case.optimal = optimal.get(&number).copied();
-            cases.push(case);
+    for robot in robots {
+        let own = files::robot(robot)?.first_lidar().map_or(0.0, |lidar| lidar.noise);
+        let added = (noise * noise - own * own).max(0.0).sqrt();
+        let scenario = format!("S1 BARN, noise {} cm", (1000.0 * noise.max(own)).round() / 10.0);
+        for (number, path) in &worlds {
+            let (text, world) = read(*number, path, added)?;
+            let goal = world.start() * Pose2::new(AHEAD, 0.0, 0.0);
+            for seed in seeds.clone() {
+                let name = Case::name(&format!("S1 barn {number:03}"), robot, seed);
+                let (text, world) = (text.clone(), world.clone());
+                let mut case = Case::within(&scenario, name, robot, seed, text, world, goal.position())?;
+                (case.tolerance, case.timeout) = (Some(TOLERANCE), TIMEOUT);
+                case.is_scored = true;
+                case.optimal = optimal.get(number).copied();
+                cases.push(case);
+            }
         }
     }
     Ok(cases)
+}
+
+/// A world's file as text, with ranges noisier by so much (standard deviation, m), and the world.
+fn read(number: u32, path: &Path, added: f64) -> Result<(String, World), Failure> {
+    let file = path.display().to_string();
+    let mut text = files::text(path)?;
+    if path.extension().is_some_and(|ending| ending == "world") {
+        text = from_gazebo(number, &text).map_err(|problem| Failure::usage(format!("{file}: {problem}")))?;
+    }
+    if added > 0.0 {
+        let _ = write!(
+            text,
+            "\n[[fault]]\nsensor = \"lidar\"\nkind = \"noisy\"\namount = {added}\n"
+        );
+    }
+    let world = World::from_toml(&text, &file, &|_| Err("a world of BARN has no map".to_owned()));
+    world
+        .map(|world| (text, world))
+        .map_err(|error| Failure::usage(error.to_string()))
 }
 
 /// The score of a run that touched nothing, by the time of the optimal path and its own, s.
@@ -208,10 +208,11 @@ mod tests {
     fn a_folder_of_barn_is_driven_from_its_start_to_ten_metres_ahead() {
         let folder = tempfile::tempdir().unwrap();
         let write = |name: &str, text: &str| std::fs::write(folder.path().join(name), text).unwrap();
-        assert!(barn(folder.path(), 0.01, 0..1).is_err());
+        let robots = ["jackal".to_owned()];
+        assert!(barn(folder.path(), 0.01, &robots, 0..1).is_err());
         write("world_7.world", GAZEBO);
         write("optimal.csv", "world,optimal_length_m\n7,12.5\n");
-        let cases = barn(folder.path(), 0.03, 0..1).unwrap();
+        let cases = barn(folder.path(), 0.03, &robots, 0..1).unwrap();
         let case = cases.first().unwrap();
         assert_eq!(
             (cases.len(), case.optimal, case.world.faults().len()),
@@ -228,7 +229,7 @@ mod tests {
             "world_8.world",
             "<sdf><world><model name='m'><pose>1 2</pose><link><collision/></link></model></world></sdf>",
         );
-        let error = barn(folder.path(), 0.01, 0..1).err().unwrap().to_string();
+        let error = barn(folder.path(), 0.01, &robots, 0..1).err().unwrap().to_string();
         assert!(
             error.contains("world_8.world") && error.contains("six numbers"),
             "{error}"

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use super::places::{clutter, office};
-use super::{Case, ROBOTS, rng};
+use super::{Case, rng};
 use crate::failure::Failure;
 
 /// A sensor that dies is dead from here, s, for this long, s.
@@ -33,12 +33,12 @@ const FAULTS: [(&str, &str); 11] = [
     ("gyro dead 10 s", "sensor = \"imu\"\nkind = \"dead\""),
 ];
 
-/// S9: pillars and an office by turns, all robots, one fault each.
-pub(super) fn broken(seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
+/// S9: pillars and an office by turns, one fault each.
+pub(super) fn broken(robots: &[String], seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
     let mut cases = Vec::new();
     for (label, fault) in FAULTS {
         let scenario = format!("S9 {label}");
-        for robot in ROBOTS {
+        for robot in robots {
             for seed in seeds.clone() {
                 let mut rng = rng("S9", seed);
                 let (mut floor, goal) = if seed % 2 == 0 {

@@ -2,15 +2,15 @@
 
 use std::ops::Range;
 
+use super::Case;
 use super::floor::Floor;
-use super::{Case, ROBOTS};
 use crate::failure::Failure;
 
 /// S12: a corridor of 45 m, and 200 m through five lanes.
-pub(super) fn cost(seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
+pub(super) fn cost(robots: &[String], seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
     let mut cases = Vec::new();
     for (scenario, metres) in [("S12 corridor 45 m", 45.0), ("S12 lanes 200 m", 200.0)] {
-        for robot in ROBOTS {
+        for robot in robots {
             for seed in seeds.clone() {
                 let (floor, goal) = if metres < 100.0 { corridor() } else { lanes() };
                 let mut case = Case::new(scenario, robot, seed, floor, goal)?.knowing_the_map();

@@ -10,6 +10,7 @@ pub(super) const PERSON: f64 = 0.25;
 pub(super) const FOR_GOOD: f64 = 10_000.0;
 
 /// A rectangle from the origin, walled in.
+#[derive(Clone)]
 pub(super) struct Floor {
     size: [f64; 2],
     start: [f64; 3],

@@ -40,7 +40,7 @@ use crate::files;
 pub(super) use barn::score;
 use floor::Floor;
 
-/// All robots that a suite is driven with, unless it says otherwise.
+/// The robots of a suite that names none of its own.
 const ROBOTS: [&str; 4] = ["tiago", "jackal", "turtlebot3_waffle", "neato"];
 /// Time for any run, s, and for each second of the straight way.
 const TIME: [f64; 2] = [60.0, 6.0];
@@ -73,30 +73,45 @@ pub(super) enum Suite {
 }
 
 impl Suite {
-    /// All scenarios with their runs, in order, from the `first` seed on, `count` of each where it is given. S1 is of the worlds in a folder,
-    /// with noise of ranges (standard deviation, m), and of none without one.
+    /// The robots that it is driven with, unless others are named.
+    fn robots(self) -> &'static [&'static str] {
+        match self {
+            Self::S1 | Self::S2 => &["jackal"],
+            Self::S8 => &whereabouts::ROBOTS,
+            _ => &ROBOTS,
+        }
+    }
+
+    /// All scenarios with their runs, in order, from the `first` seed on, `count` of each where it is given, with the suite's own robots where
+    /// none are named. S1 is of the worlds in a folder, with noise of ranges (standard deviation, m), and of none without one.
     ///
     /// # Errors
-    /// A folder that holds no worlds; never for what is made here.
+    /// A folder that holds no worlds, a robot that there is not; never for what is made here.
     pub(super) fn cases(
         self,
+        robots: &[String],
         first: u64,
         count: Option<u64>,
         barn: Option<(&Path, f64)>,
     ) -> Result<Vec<Case>, Failure> {
         let seeds = |usual: u64| first..first + count.unwrap_or(usual);
+        let own: Vec<String> = self.robots().iter().map(|&name| name.to_owned()).collect();
+        let robots = if robots.is_empty() { &own } else { robots };
         match self {
-            Self::S1 => barn.map_or_else(|| Ok(Vec::new()), |(folder, noise)| barn::barn(folder, noise, seeds(1))),
-            Self::S2 => people::field(seeds(20)),
-            Self::S3 => people::encounters(seeds(3)),
-            Self::S5 => places::tight(seeds(3)),
-            Self::S6 => places::rooms(seeds(3)),
-            Self::S4 => people::manners(seeds(4)),
-            Self::S7 => patience::patience(seeds(3)),
-            Self::S8 => whereabouts::whereabouts(seeds(3)),
-            Self::S9 => broken::broken(seeds(2)),
-            Self::S12 => cost::cost(seeds(1)),
-            Self::S11 => robots::robots(seeds(1)),
+            Self::S1 => barn.map_or_else(
+                || Ok(Vec::new()),
+                |(folder, noise)| barn::barn(folder, noise, robots, seeds(1)),
+            ),
+            Self::S2 => people::field(robots, seeds(20)),
+            Self::S3 => people::encounters(robots, seeds(3)),
+            Self::S5 => places::tight(robots, seeds(3)),
+            Self::S6 => places::rooms(robots, seeds(3)),
+            Self::S4 => people::manners(robots, seeds(4)),
+            Self::S7 => patience::patience(robots, seeds(3)),
+            Self::S8 => whereabouts::whereabouts(robots, seeds(3)),
+            Self::S9 => broken::broken(robots, seeds(2)),
+            Self::S12 => cost::cost(robots, seeds(1)),
+            Self::S11 => robots::robots(robots, seeds(1)),
         }
     }
 }
@@ -118,8 +133,8 @@ pub(super) struct Case {
     pub text: String,
     /// The world.
     pub world: World,
-    /// Shipped name of the robot.
-    pub robot: &'static str,
+    /// The robot by its shipped name or file, with its options.
+    pub robot: String,
     /// The same.
     pub model: RobotModel,
     /// m.
@@ -153,7 +168,7 @@ pub(super) struct Case {
 }
 
 impl Case {
-    fn new(scenario: &str, robot: &'static str, seed: u64, floor: Floor, goal: [f64; 2]) -> Result<Self, Failure> {
+    fn new(scenario: &str, robot: &str, seed: u64, floor: Floor, goal: [f64; 2]) -> Result<Self, Failure> {
         let name = Self::name(scenario, robot, seed);
         let text = floor.text(&name);
         let world =
@@ -165,7 +180,7 @@ impl Case {
     fn within(
         scenario: &str,
         name: String,
-        robot: &'static str,
+        robot: &str,
         seed: u64,
         text: String,
         world: World,
@@ -180,7 +195,7 @@ impl Case {
             name,
             text,
             world,
-            robot,
+            robot: robot.to_owned(),
             model,
             goal,
             others: Vec::new(),
@@ -216,6 +231,11 @@ impl Case {
         let words = label
             .split(|character: char| !character.is_ascii_alphanumeric())
             .filter(|word| !word.is_empty());
+        // Of a file its name alone: the run's is that of a file, too.
+        let parts = robot
+            .split('+')
+            .map(|part| Path::new(part).file_stem().unwrap_or_default().to_string_lossy());
+        let robot = parts.collect::<Vec<_>>().join("+");
         format!("{}-{robot}-{seed}", words.collect::<Vec<_>>().join("-"))
     }
 
@@ -265,11 +285,11 @@ impl Case {
 /// Draws a scenario's world, and the goal in it, m.
 type Make = fn(&mut Pcg64Mcg) -> (Floor, [f64; 2]);
 
-/// All robots in the worlds of some scenarios.
-fn each(scenarios: &[(&str, Make)], seeds: &Range<u64>) -> Result<Vec<Case>, Failure> {
+/// Robots in the worlds of some scenarios.
+fn each(scenarios: &[(&str, Make)], robots: &[String], seeds: &Range<u64>) -> Result<Vec<Case>, Failure> {
     let mut cases = Vec::new();
     for (scenario, make) in scenarios {
-        for robot in ROBOTS {
+        for robot in robots {
             for seed in seeds.clone() {
                 let (floor, goal) = make(&mut rng(scenario, seed));
                 cases.push(Case::new(scenario, robot, seed, floor, goal)?);
@@ -315,8 +335,8 @@ mod tests {
     fn a_seed_makes_the_same_worlds_where_robot_and_goal_have_room() {
         for suite in Suite::value_variants() {
             let (cases, again) = (
-                suite.cases(0, Some(2), None).unwrap(),
-                suite.cases(0, Some(2), None).unwrap(),
+                suite.cases(&[], 0, Some(2), None).unwrap(),
+                suite.cases(&[], 0, Some(2), None).unwrap(),
             );
             let mut names: Vec<&str> = cases.iter().map(|case| case.name.as_str()).collect();
             names.sort_unstable();

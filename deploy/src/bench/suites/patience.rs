@@ -17,7 +17,7 @@ pub(super) fn two_rooms() -> Floor {
 }
 
 /// S7: somebody in a door for 20 s, a door that cycles, a goal that is taken for 22 s, a slow one ahead.
-pub(super) fn patience(seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
+pub(super) fn patience(robots: &[String], seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
     let scenarios: [(&str, Make); 4] = [
         ("S7 stander in a door, 20 s", |rng| {
             let aside = [5.0 + rng.random_range(0.0..1.0), 0.6];
@@ -43,7 +43,7 @@ pub(super) fn patience(seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
             (floor.mover(PERSON, speed, &path), [14.5, 0.6])
         }),
     ];
-    let mut cases = each(&scenarios, &seeds)?;
+    let mut cases = each(&scenarios, robots, &seeds)?;
     for case in &mut cases {
         case.leaves_at = case.world.movers().first().and_then(|mover| match &mover.route {
             Route::Path(path) => path.first().map(|(_, rest)| *rest).filter(|rest| *rest > 0.0),

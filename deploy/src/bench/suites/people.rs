@@ -31,8 +31,8 @@ fn centimetres(metres: f64) -> f64 {
 }
 
 /// S2, after DynaBARN (Nair et al., "DynaBARN: Benchmarking Metric Ground Navigation in Dynamic Environments", 2022): an open field of
-/// 10 m by 20 m, a Jackal, discs on random polylines; harder by number and speed.
-pub(super) fn field(seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
+/// 10 m by 20 m, a Jackal by default, discs on random polylines; harder by number and speed.
+pub(super) fn field(robots: &[String], seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
     let (size, start) = ([10.0, 20.0], [5.0, 1.0]);
     let mut cases = Vec::new();
     for (level, discs, speeds) in [("easy", 6, 0.4..0.8), ("medium", 10, 0.6..1.2), ("hard", 14, 0.8..1.6)] {
@@ -44,14 +44,16 @@ pub(super) fn field(seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
                 let corners: Vec<([f64; 2], f64)> = (0..6).map(|_| (place(&mut rng, size, start), 0.0)).collect();
                 floor = floor.mover(DISC, centimetres(rng.random_range(speeds.clone())), &corners);
             }
-            cases.push(Case::new(&scenario, "jackal", seed, floor, [5.0, 19.0])?);
+            for robot in robots {
+                cases.push(Case::new(&scenario, robot, seed, floor.clone(), [5.0, 19.0])?);
+            }
         }
     }
     Ok(cases)
 }
 
 /// S3: crowds of blind walkers in a hall, people who cross, who come along, who come round a corner.
-pub(super) fn encounters(seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
+pub(super) fn encounters(robots: &[String], seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
     let scenarios: [(&str, Make); 7] = [
         ("S3 crowd 5", |rng| crowd(rng, 5)),
         ("S3 crowd 10", |rng| crowd(rng, 10)),
@@ -61,7 +63,7 @@ pub(super) fn encounters(seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
         ("S3 oncoming 3 m", oncoming),
         ("S3 blind corner", blind_corner),
     ];
-    each(&scenarios, &seeds)
+    each(&scenarios, robots, &seeds)
 }
 
 /// A hall of 14 m by 8 m, walkers of 0.5 to 1.5 m/s.
@@ -116,7 +118,7 @@ fn blind_corner(rng: &mut Pcg64Mcg) -> (Floor, [f64; 2]) {
 }
 
 /// S4: people who make way by ORCA or by social force, as the seed draws, in the situations of SEAN 2.0 (Tsoi et al., 2022).
-pub(super) fn manners(seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
+pub(super) fn manners(robots: &[String], seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
     let scenarios: [(&str, Make); 6] = [
         ("S4 crossing", |rng| {
             let mut floor = Floor::new([12.0, 8.0], [1.0, 4.0, 0.0]);
@@ -168,7 +170,7 @@ pub(super) fn manners(seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
             (floor.person(manners, walk(rng), &joins), [10.5, 4.0])
         }),
     ];
-    each(&scenarios, &seeds)
+    each(&scenarios, robots, &seeds)
 }
 
 /// How somebody makes way.

@@ -6,14 +6,14 @@ use rand::RngExt as _;
 use rand_pcg::Pcg64Mcg;
 
 use super::floor::Floor;
-use super::{Case, Make, ROBOTS, ends, half_width, rng};
+use super::{Case, Make, ends, half_width, rng};
 use crate::failure::Failure;
 use crate::files;
 
 /// S5: doors little wider than the robot, a lane to back out of, a goal beside a wall.
-pub(super) fn tight(seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
+pub(super) fn tight(robots: &[String], seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
     let mut cases = Vec::new();
-    for robot in ROBOTS {
+    for robot in robots {
         let model = files::robot(robot)?;
         let (half, [ahead, behind]) = (half_width(&model), ends(&model));
         for seed in seeds.clone() {
@@ -52,12 +52,12 @@ pub(super) fn tight(seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
 }
 
 /// S6: pillars, a trap, an office; each unknown and known.
-pub(super) fn rooms(seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
+pub(super) fn rooms(robots: &[String], seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
     let mut cases = Vec::new();
     let scenarios: [(&str, Make); 3] = [("S6 clutter", clutter), ("S6 trap", trap), ("S6 office", office)];
     for (scenario, make) in scenarios {
         for (how, known_map) in [("unknown", false), ("known", true)] {
-            for robot in ROBOTS {
+            for robot in robots {
                 for seed in seeds.clone() {
                     let (floor, goal) = make(&mut rng(scenario, seed));
                     let case = Case::new(&format!("{scenario} {how}"), robot, seed, floor, goal)?;

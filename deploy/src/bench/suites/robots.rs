@@ -9,7 +9,7 @@ use rand_pcg::Pcg64Mcg;
 use zenav_protocol::geometry::Pose2;
 
 use super::floor::Floor;
-use super::{Case, Other, ROBOTS, rng};
+use super::{Case, Other, rng};
 use crate::failure::Failure;
 
 /// Robots start and end this far to either side of where a scenario says, m.
@@ -21,7 +21,7 @@ const TIME: f64 = 120.0;
 type Ways = Vec<([f64; 3], [f64; 2])>;
 
 /// S11: robots that swap places in a corridor, meet in a lane with a niche, cross, change sides on a circle, or want each other's places.
-pub(super) fn robots(seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
+pub(super) fn robots(robots: &[String], seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
     type Make = fn() -> (Floor, Ways);
     let scenarios: [(&str, Make); 10] = [
         ("S11 swap, 3.0 m", || swap(3.0)),
@@ -37,7 +37,7 @@ pub(super) fn robots(seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
     ];
     let mut cases = Vec::new();
     for (scenario, make) in scenarios {
-        for robot in ROBOTS {
+        for robot in robots {
             for seed in seeds.clone() {
                 let mut rng = rng(scenario, seed);
                 let mut ways = Vec::new();

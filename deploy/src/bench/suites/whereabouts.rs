@@ -13,7 +13,7 @@ use crate::failure::Failure;
 /// At the goal, m: by truth, in the building.
 const TOLERANCE: f64 = 0.05;
 /// Robots without GPS and compass, those of odometry that is stated wrongly last.
-const ROBOTS: [&str; 4] = [
+pub(super) const ROBOTS: [&str; 4] = [
     "tiago+indoor",
     "turtlebot3_waffle+indoor",
     "tiago+indoor+worn",
@@ -21,7 +21,7 @@ const ROBOTS: [&str; 4] = [
 ];
 
 /// S8: an office of 65 m and a hall of 90 m, known and unknown, and the hall without anything in sight.
-pub(super) fn whereabouts(seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
+pub(super) fn whereabouts(robots: &[String], seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
     let scenarios: [(&str, Make, PoseSource); 5] = [
         ("S8 office known", office, PoseSource::Localise),
         ("S8 hall known", hall, PoseSource::Localise),
@@ -31,7 +31,7 @@ pub(super) fn whereabouts(seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
     ];
     let mut cases = Vec::new();
     for (scenario, make, poses) in scenarios {
-        for robot in ROBOTS {
+        for robot in robots {
             for seed in seeds.clone() {
                 // Alike, known and unknown.
                 let drawn = if scenario.contains("office") {
