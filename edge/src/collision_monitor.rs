@@ -23,6 +23,7 @@ use crate::passive_safety::{
 };
 use crate::settings::{CollisionMonitorSettings, EdgeSettings, PassiveSafetySettings};
 use crate::time_to_contact::SweptFootprint;
+use crate::wheel_coordination::WheelCoordination;
 
 /// No point of the outline moves outwards faster than this once a faster motion has faded, m/s.
 const FADED: f64 = 0.009;
@@ -44,8 +45,8 @@ pub struct CollisionMonitor {
     pub unseen_speed: f64,
     /// Whether the wheel encoders say nothing new although the wheels turn.
     pub encoders_silent: bool,
-    /// The twist that the wheels drive by now, as their motors lag behind what they were told.
-    driven: Twist2,
+    /// What the wheels do by now with what they were told.
+    motors: WheelCoordination,
     /// Which way the last contact lay if its bumper told no bearing, rad: where the robot moved when it began; and when it was felt last.
     felt_toward: Option<(f64, Stamp)>,
     /// The oldest of the lidars' newest scans, and when it arrived.
@@ -80,7 +81,7 @@ impl CollisionMonitor {
             blind_speed: model.controller.blind_speed,
             unseen_speed: 0.0,
             encoders_silent: false,
-            driven: Twist2::ZERO,
+            motors: WheelCoordination::new(&model.drive),
             felt_toward: None,
             scan: None,
             zone: GuardZone::Clear,
@@ -128,7 +129,7 @@ impl CollisionMonitor {
             Twist2::new(share * wanted.v, share * wanted.w)
         };
         let twist = if self.fades(allowed) { Twist2::ZERO } else { allowed };
-        self.follow(twist);
+        self.motors.command(self.model.drive.wheels(twist), self.tick);
         Verdict {
             twist,
             zone,
@@ -138,32 +139,19 @@ impl CollisionMonitor {
 
     /// The body has stopped its wheels by itself.
     pub(crate) fn rest(&mut self) {
-        self.driven = Twist2::ZERO;
+        self.motors.reset();
+    }
+
+    /// The twist that the wheels drive by now, as their motors lag behind what they were told.
+    fn driven(&self) -> Twist2 {
+        self.model.drive.twist(self.motors.speed())
     }
 
     /// Whether more than a gentle motion is left of what the wheels were told before, while no more than a gentle one may be told now: both
     /// together would be no gentle one.
     fn fades(&self, allowed: Twist2) -> bool {
         let fastest = |twist| fastest_outward(&self.model.footprint, twist);
-        fastest(allowed) <= FADED && fastest(self.driven) > FADED
-    }
-
-    /// The wheels follow a twist as their motors do, braking as hard as they can.
-    fn follow(&mut self, told: Twist2) {
-        let drive = &self.model.drive;
-        let answer = if drive.motor_lag > 0.0 {
-            1.0 - (-self.tick / drive.motor_lag).exp()
-        } else {
-            1.0
-        };
-        let (mut wheels, told) = (drive.wheels(self.driven), drive.wheels(told));
-        let change = [told[0] - wheels[0], told[1] - wheels[1]].map(|change| answer * change);
-        let most = drive.wheel_braking().max(drive.max_wheel_acceleration) * self.tick;
-        let share = (most / change[0].abs().max(change[1].abs()).max(f64::MIN_POSITIVE)).min(1.0);
-        for (wheel, change) in wheels.iter_mut().zip(change) {
-            *wheel += share * change;
-        }
-        self.driven = drive.twist(wheels);
+        fastest(allowed) <= FADED && fastest(self.driven()) > FADED
     }
 
     /// Time to contact with any known obstacle along a twist's arc, s; `None` without contact within the horizon.
@@ -324,7 +312,7 @@ impl CollisionMonitor {
             return None;
         }
         let lately = self.felt_toward.filter(|(_, felt)| now.secs_since(*felt) <= CHATTER);
-        let moves = if self.driven.v < 0.0 { PI } else { 0.0 };
+        let moves = if self.driven().v < 0.0 { PI } else { 0.0 };
         self.felt_toward = Some((lately.map_or(moves, |(toward, _)| toward), now));
         Some(contact_point(&self.model.footprint, self.bearing(bump)))
     }

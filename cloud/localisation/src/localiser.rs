@@ -42,7 +42,7 @@ pub struct Located {
     pub health: Health,
     /// What the scan says of the pose.
     pub evidence: Evidence,
-    /// Whether the pose was just found by a search of the whole map: it has nothing to do with the one before.
+    /// Whether the pose was just found by a search, of the whole map or farther off than is usually looked: the robot takes it instead of its own.
     pub is_found_anew: bool,
 }
 

@@ -83,17 +83,8 @@ fn beside(before: &[Point2<f64>], after: &[Point2<f64>], variance: f64) -> Optio
     };
     let back = longest(&mut (3..=before.len()).map(|count| &before[before.len() - count..]));
     let on = longest(&mut (3..=after.len()).map(|count| &after[..count]));
-    let line = match (back, on) {
-        (Some(back), Some(on)) => {
-            if back.along > on.along {
-                back
-            } else {
-                on
-            }
-        }
-        (back, on) => back.or(on)?,
-    };
-    Some(line.normal)
+    let sides = [back, on].into_iter().flatten();
+    sides.max_by(|a, b| a.along.total_cmp(&b.along)).map(|line| line.normal)
 }
 
 /// Standard deviation of the points across their surfaces, m.
