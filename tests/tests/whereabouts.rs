@@ -4,6 +4,7 @@
 
 use std::time::Duration;
 
+use zenav_cloud::mapping::PoseSource;
 use zenav_tests::process::run;
 
 const ZENAV: &str = env!("CARGO_BIN_EXE_zenav-under-test");
@@ -30,6 +31,12 @@ fn a_closure_of_a_metre_leaves_a_driving_robot_on_its_way_at_its_speed_and_its_g
         "{closing:?}"
     );
     assert_eq!((closing.frames, closing.collisions), (1, 0), "{closing:?}");
+}
+
+#[test]
+fn a_robot_that_is_carried_away_while_it_maps_finds_itself_in_its_own_map() {
+    let told = zenav_tests::acceptance::kidnapped::kidnap(1009, PoseSource::Slam).unwrap();
+    assert!(told.is_good() && told.succeeded && told.off < 0.05, "{told:?}");
 }
 
 #[test]

@@ -21,7 +21,7 @@ const FAR_AMBIGUOUS: f64 = 0.1;
 /// Places nearer than this, m and rad, are one.
 const APART: (f64, f64) = (0.5, 0.3);
 /// A closure is known this much less well than a match with a submap that grows: its submap moved since.
-const DOUBT: f64 = 2.0;
+pub(crate) const DOUBT: f64 = 2.0;
 /// Standard deviations that a window reaches to each side.
 const DEVIATIONS: f64 = 3.0;
 /// No window reaches farther than this many times [`ClosureSettings::near`].

@@ -26,6 +26,10 @@ const DOUBTFUL_CORRECTION: f64 = 8.0;
 const EVIDENCE: f64 = 1.5;
 /// No correction of odometry is less likely than this (half of chi squared): wheels slip.
 const SLIPPED: f64 = 25.0;
+/// Scans that contradict the map, and none between them that fits, before the robot is lost.
+const LOST: u32 = 5;
+/// Points from which on a scan can contradict the map.
+const LEAST_POINTS: usize = 40;
 
 /// While scans come in, the graph need not be at the very bottom.
 const BETWEEN: DescentSettings = DescentSettings {
@@ -62,7 +66,8 @@ pub struct Effects {
     /// Whether the scan agrees with the map around it, if only well enough for a node.
     pub fits: bool,
     /// Whether it says that the robot is elsewhere: it does not fit, and its beams go through walls, or nobody knows where it was switched
-    /// on. Who stands around the robot hides the map, and contradicts nothing.
+    /// on. Who stands around the robot hides the map, and contradicts nothing. A scan that contradicts is not inserted: it would confirm
+    /// the next one.
     pub contradicts: bool,
     /// Points that the scan saw.
     pub points: usize,
@@ -137,6 +142,8 @@ pub struct Slam {
     pub(crate) start: Pose2,
     /// Running mean of the scores of matches.
     pub(crate) usual: f64,
+    /// Scans that contradict the map since one fitted.
+    pub(crate) contradictions: u32,
     /// Whether closures came since the graph was settled.
     pub(crate) is_dirty: bool,
     pub(crate) counts: Counts,
@@ -164,6 +171,7 @@ impl Slam {
             keeps_all: true,
             start: Pose2::IDENTITY,
             usual: 0.0,
+            contradictions: 0,
             is_dirty: false,
             counts: Counts::default(),
         }
@@ -240,10 +248,28 @@ impl Slam {
         let front = &self.settings.front;
         let way = node_from_base.x.hypot(node_from_base.y);
         let is_near = way < front.distance && node_from_base.yaw.abs() < front.turn;
-        if is_near && !self.is_doubted {
-            return Ok(self.track(stamp, node_from_base, seen, scan.base_from_laser.position()));
+        let laser = scan.base_from_laser.position();
+        let effects = if is_near && !self.is_doubted {
+            self.track(stamp, node_from_base, seen, laser)
+        } else {
+            self.insert(stamp, node_from_base, seen, laser, is_near)?
+        };
+        if effects.fits {
+            self.contradictions = 0;
+        } else if effects.contradicts {
+            self.contradictions = self.contradictions.saturating_add(1);
+            // From now on the robot is looked for more widely than odometry errs, which knows nothing of how it came there.
+            self.is_doubted |= self.is_lost();
+            self.is_apart |= self.is_lost();
         }
-        self.insert(stamp, node_from_base, seen, scan.base_from_laser.position(), is_near)
+        Ok(effects)
+    }
+
+    /// Whether the robot is elsewhere than the map says: five scans contradict it, and none between them fits. Until one does, or the robot's
+    /// place is [told](Self::go_on_at), nothing is inserted.
+    #[must_use]
+    pub fn is_lost(&self) -> bool {
+        self.contradictions >= LOST
     }
 
     /// A scan near the last node is matched, but makes no node of its own.
@@ -286,7 +312,7 @@ impl Slam {
         effects
     }
 
-    /// Whether the beams of a scan say that it was not made at a pose in a submap.
+    /// Whether the beams of a scan say that it was not made at a pose in a submap. One that sees little says nothing.
     fn goes_through_walls(
         &self,
         submap: &Submap,
@@ -296,7 +322,7 @@ impl Slam {
     ) -> bool {
         let settings = &self.settings;
         let verdict = judge(&submap.field, laser, seen, anchor_from_base, &settings.verdict);
-        verdict.through_walls > settings.closure.through_walls
+        seen.len() >= LEAST_POINTS && verdict.through_walls > settings.closure.through_walls
     }
 
     /// Covariance of a match along the map's axes.
@@ -358,7 +384,8 @@ impl Slam {
         })
     }
 
-    /// A scan becomes a node; one that `is_near` the last node only where it fits.
+    /// A scan becomes a node, unless it contradicts the map; one that `is_near` the last node, or made by a robot that is lost, only where it
+    /// fits.
     fn insert(
         &mut self,
         stamp: f64,
@@ -392,8 +419,9 @@ impl Slam {
         let scan = Refinable::seen_from(laser, &seen);
         let matched = self.matched(active, expected, &prior, &scan, &mut effects);
         effects.contradicts = matched.is_none()
-            && (was_doubted || self.goes_through_walls(&self.submaps[active], expected, laser, &seen));
-        if is_near && matched.is_none() {
+            && (was_doubted && seen.len() >= LEAST_POINTS
+                || self.goes_through_walls(&self.submaps[active], expected, laser, &seen));
+        if matched.is_none() && (is_near || effects.contradicts || self.is_lost()) {
             self.stand(stamp, anchor, expected, Arc::unwrap_or_clone(seen));
             return Ok(Effects {
                 pose: map_from_anchor * expected,
@@ -512,7 +540,7 @@ impl Slam {
             }
         }
         let is_far = self.unseen > 0 && best.pose.distance(&expected) > settings.front.reach;
-        let least = if is_far {
+        let least = if is_far || self.is_lost() {
             // The farther is looked, the more there is that fits by chance.
             settings.front.min_score.max(settings.front.doubtful * self.usual)
         } else {

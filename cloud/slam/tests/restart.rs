@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
+use zenav_pose_graph::Optimality;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::Scan;
 use zenav_protocol::time::Stamp;
@@ -111,4 +112,35 @@ fn who_stands_around_the_robot_contradicts_nothing_and_a_look_through_walls_does
             "{index}: {effects:?}"
         );
     }
+}
+
+#[test]
+fn a_robot_that_was_carried_goes_on_where_it_is_told_to_be_if_its_scan_says_so_too() {
+    let (slam, truth, pose) = driven();
+    let map_from_truth = pose * truth.inverse();
+    let there = lap(0, 2)[40];
+    let scan = &standing(there, 1)[0];
+    let guess = map_from_truth * there * Pose2::new(0.5, -0.3, 0.2);
+    let (mut found, effects) = slam.go_on_at(guess, scan).unwrap().unwrap();
+    let off = effects.pose.distance(&(map_from_truth * there));
+    assert!(
+        effects.is_inserted && effects.fits && effects.moved.is_none() && off < 0.05,
+        "{off} m: {effects:?}"
+    );
+    assert_eq!(found.sessions(), [slam.nodes().len(), 1]);
+    assert!(slam.go_on_at(pose, scan).unwrap().is_none(), "it is not where it was");
+
+    // Both drives are one graph, which can be solved.
+    let mut truth = there;
+    for nth in 1..30 {
+        let step = Pose2::new(0.05, 0.0, 0.0);
+        truth = truth * step;
+        let mut scan = standing(truth, 1).remove(0);
+        scan.stamp = Stamp::from_secs(1001.0 + 0.2 * f64::from(nth));
+        scan.odom_from_base = Pose2::new(0.05 * f64::from(nth), 0.0, 0.0);
+        let off = found.step(&scan).unwrap().pose.distance(&(map_from_truth * truth));
+        assert!(off < 0.06, "{nth}: {off} m off");
+    }
+    let solved = found.finish().unwrap();
+    assert_eq!(solved.solution.certificate.optimality, Optimality::Certified);
 }

@@ -152,7 +152,7 @@ impl Poses {
     fn new(settings: &PoseSettings, map: &OccupancyGrid, frame: u64) -> Self {
         match settings.source {
             PoseSource::Edge => Self::Edge,
-            PoseSource::Slam => Self::Slam(Box::new(SlamPoses::new(settings.slam, frame))),
+            PoseSource::Slam => Self::Slam(Box::new(SlamPoses::new(settings.slam, settings.localisation, frame))),
             PoseSource::Localise => Self::Localised(Box::new(LocalisedPoses::new(settings.localisation, map))),
         }
     }
@@ -201,7 +201,8 @@ impl MappingCore {
     /// Goes on with a session of SLAM that was kept; its map is drawn into the present one, which is empty.
     #[must_use]
     pub(super) fn going_on(mut self, stored: Stored) -> Self {
-        self.poses = Poses::Slam(Box::new(SlamPoses::go_on(self.settings.slam, stored, &mut self.mapper)));
+        let PoseSettings { slam, localisation, .. } = self.settings;
+        self.poses = Poses::Slam(Box::new(SlamPoses::go_on(slam, localisation, stored, &mut self.mapper)));
         self
     }
 
@@ -309,7 +310,7 @@ impl MappingCore {
     /// The robot's place is told, `map_from_base` at its last scan. Returns what the robot is to be told.
     ///
     /// # Errors
-    /// [`Refusal::Rejected`] by SLAM, which made the map from where the robot is, before the first scan, and for a place far outside the map.
+    /// [`Refusal::Rejected`] before the first scan, for a place far outside the map, and by SLAM for one that the scan does not agree with.
     pub fn place(&mut self, map_from_base: Pose2) -> Result<Correction, Refusal> {
         let Some((stamp, boot_id)) = self.last.clone() else {
             return Err(Refusal::rejected("the robot has sent no scan yet"));
@@ -322,15 +323,14 @@ impl MappingCore {
                 map_from_base.x, map_from_base.y
             )));
         }
-        match &mut self.poses {
-            Poses::Edge => {}
-            Poses::Slam(_) => {
-                return Err(Refusal::rejected(
-                    "the map is made by SLAM from where the robot is (`mapping.poses = \"slam\"`): its place cannot be told",
-                ));
+        let map_from_base = match &mut self.poses {
+            Poses::Edge => map_from_base,
+            Poses::Slam(slam) => slam.place(&self.mapper, map_from_base)?,
+            Poses::Localised(localised) => {
+                localised.place(map_from_base);
+                map_from_base
             }
-            Poses::Localised(localised) => localised.place(map_from_base),
-        }
+        };
         let measured = Measured {
             map_from_base,
             covariance: Matrix3::from_diagonal(&TOLD.into()),
@@ -342,17 +342,18 @@ impl MappingCore {
     /// Has the robot looked for in the whole map.
     ///
     /// # Errors
-    /// [`Refusal::Rejected`] where there is no localisation.
+    /// [`Refusal::Rejected`] where the robot's own pose is drawn from.
     pub fn look_everywhere(&mut self) -> Result<(), Refusal> {
         match &mut self.poses {
-            Poses::Localised(localised) => {
-                localised.look_everywhere();
-                Ok(())
+            Poses::Localised(localised) => localised.look_everywhere(),
+            Poses::Slam(slam) => slam.look_everywhere_next(),
+            Poses::Edge => {
+                return Err(Refusal::rejected(
+                    "nothing looks for the robot: expected `mapping.poses = \"localise\"` or `\"slam\"`",
+                ));
             }
-            Poses::Edge | Poses::Slam(_) => Err(Refusal::rejected(
-                "nothing looks for the robot: expected `mapping.poses = \"localise\"`",
-            )),
         }
+        Ok(())
     }
 
     /// Whether the robot's place is trusted.

@@ -22,6 +22,7 @@ mod localised_poses;
 mod metrics;
 mod requests;
 mod slam_poses;
+mod slam_search;
 mod slam_session;
 mod storage;
 #[cfg(test)]

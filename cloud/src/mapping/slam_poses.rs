@@ -7,14 +7,16 @@
 
 use std::collections::VecDeque;
 
+use zenav_localisation::LocalisationSettings;
 use zenav_mapping::{Insertion, Mapper};
 use zenav_protocol::geometry::{Pose2, wrap_angle};
-use zenav_protocol::messages::{Health, Localisation, MOST_MOVES, MapFrame, Scan};
+use zenav_protocol::messages::{Health, Localisation, MOST_MOVES, MapFrame, Refusal, Scan};
 use zenav_protocol::time::Stamp;
 use zenav_slam::{Effects, SessionError, Slam, SlamSettings};
 
 use super::annotations::Carried;
 use super::core::{Measured, Pace, Posed, Statements};
+use super::slam_search::Search;
 use super::slam_session::{Head, Kept, OnDisk, Stored};
 
 /// Scans of the old map that are drawn anew with each new scan.
@@ -26,8 +28,6 @@ const SMALLEST_MOVE: (f64, f64) = (0.01, 0.002);
 const TOLD_AGAIN: f64 = 0.3;
 /// The session is kept after so many new nodes: a robot that was restarted meanwhile is looked for as far as it comes with these.
 const KEPT_AFTER: u32 = 20;
-/// Scans that contradict the map, and none between them that fits, before the robot is lost; and from how many points a scan says something.
-const CONTRADICTIONS: (u32, usize) = (5, 40);
 
 /// The map drawn anew, so far.
 #[derive(Clone, Debug)]
@@ -46,8 +46,6 @@ pub(super) struct SlamPoses {
     slam: Option<Slam>,
     /// The scans of all nodes, in their order.
     scans: Vec<Scan>,
-    /// Nodes whose scans are not drawn, ascending: the robot was lost when it made them.
-    undrawn: Vec<usize>,
     redraw: Option<Redraw>,
     /// From the map as it is drawn to the one that is being drawn.
     new_from_drawn: Pose2,
@@ -55,8 +53,12 @@ pub(super) struct SlamPoses {
     map_from_odom: Pose2,
     /// The robot's boot that odometry belongs to.
     boot_id: String,
-    /// Whether the robot was restarted, and was not found since.
-    is_restarted: bool,
+    /// Whether the robot was restarted or lost, and was not found since.
+    is_astray: bool,
+    /// Looks for the robot in the whole map.
+    search: Search,
+    /// The last scan of the main lidar.
+    last: Option<Scan>,
     /// For how many nodes the robot may have gone on before the process that had the session before ended.
     unseen: u32,
     pace: Pace,
@@ -74,15 +76,13 @@ pub(super) struct SlamPoses {
     handed: usize,
     /// Whether what was handed out last is not on disk, or is of an older frame or another map.
     is_overdue: bool,
-    /// Scans that contradict the map since one fitted.
-    contradictions: u32,
     health: Health,
     statements: Statements,
 }
 
 impl SlamPoses {
     /// Begins a map in a frame.
-    pub(super) fn new(settings: SlamSettings, frame: u64) -> Self {
+    pub(super) fn new(settings: SlamSettings, localisation: LocalisationSettings, frame: u64) -> Self {
         Self {
             frame,
             moves: VecDeque::new(),
@@ -91,18 +91,18 @@ impl SlamPoses {
             settings,
             slam: None,
             scans: Vec::new(),
-            undrawn: Vec::new(),
             redraw: None,
             new_from_drawn: Pose2::IDENTITY,
             map_from_odom: Pose2::IDENTITY,
             boot_id: String::new(),
-            is_restarted: false,
+            is_astray: false,
+            search: Search::new(localisation),
+            last: None,
             unseen: 0,
             pace: Pace::default(),
             on_disk: OnDisk::default(),
             handed: 0,
             is_overdue: true,
-            contradictions: 0,
             health: Health::Tracking,
             statements: Statements::default(),
         }
@@ -110,7 +110,12 @@ impl SlamPoses {
 
     /// Goes on with a session that was kept, and draws its map into an empty one. Where a closure had moved the map, and it was not drawn
     /// anew yet, the next frame begins.
-    pub(super) fn go_on(settings: SlamSettings, stored: Stored, mapper: &mut Mapper) -> Self {
+    pub(super) fn go_on(
+        settings: SlamSettings,
+        localisation: LocalisationSettings,
+        stored: Stored,
+        mapper: &mut Mapper,
+    ) -> Self {
         let Stored {
             head,
             slam,
@@ -130,13 +135,8 @@ impl SlamPoses {
             moves: head.moves.into(),
             // The map is drawn anew before the first scan.
             map_from_odom: head.new_from_drawn * head.map_from_odom,
-            undrawn: head.undrawn,
-            contradictions: head.contradictions,
-            health: if head.contradictions < CONTRADICTIONS.0 {
-                Health::Tracking
-            } else {
-                Health::Lost
-            },
+            is_astray: slam.is_lost(),
+            health: if slam.is_lost() { Health::Lost } else { Health::Tracking },
             new_from_drawn: head.new_from_drawn,
             boot_id: head.boot_id,
             unseen: KEPT_AFTER,
@@ -145,7 +145,7 @@ impl SlamPoses {
             is_overdue: false,
             slam: Some(slam),
             scans,
-            ..Self::new(settings, head.frame)
+            ..Self::new(settings, localisation, head.frame)
         };
         mapper.set_frame(head.frame);
         poses.redraw = Some(Redraw {
@@ -183,8 +183,6 @@ impl SlamPoses {
                 boot_id: self.boot_id.clone(),
                 scans: self.scans.len(),
                 parts: self.parts.clone(),
-                undrawn: self.undrawn.clone(),
-                contradictions: self.contradictions,
                 // They are the service's to add.
                 annotations: Carried::default(),
             },
@@ -196,7 +194,7 @@ impl SlamPoses {
 
     /// Begins anew: the next scan is the first.
     pub(super) fn reset(&mut self) {
-        *self = Self::new(self.settings, self.frame);
+        *self = Self::new(self.settings, *self.search.settings(), self.frame);
     }
 
     /// Takes in a scan of the main lidar. While the robot's boot is not known, nobody knows which odometry the scan comes with: it is left out.
@@ -211,7 +209,7 @@ impl SlamPoses {
             // The first boot that is heard of is the one that odometry began with.
             if !self.boot_id.is_empty() {
                 slam.interrupt(self.unseen);
-                self.is_restarted = true;
+                self.is_astray = true;
             }
             boot_id.clone_into(&mut self.boot_id);
         }
@@ -223,6 +221,35 @@ impl SlamPoses {
                 return Posed::only(Insertion::NotSane);
             }
         };
+        self.last = Some(scan.clone());
+        let is_due = self.search.is_due(
+            slam.is_lost(),
+            effects.score.is_some() || effects.points == 0,
+            scan.stamp,
+        );
+        self.take_in(mapper, scan, &effects);
+        let found = if is_due {
+            self.look_everywhere(mapper, scan)
+        } else {
+            None
+        };
+        let effects = found.unwrap_or(effects);
+        let insertion = if self.health.is_trusted() && !effects.contradicts {
+            mapper.insert(&self.placed(scan))
+        } else {
+            Insertion::Held
+        };
+        let was_redrawn = self.draw_on(mapper);
+        Posed {
+            insertion,
+            measured: self.measured(scan, &effects, was_redrawn, robot_frame),
+            localisation: self.localisation(scan, &effects),
+        }
+    }
+
+    /// Takes in what a scan did.
+    fn take_in(&mut self, mapper: &Mapper, scan: &Scan, effects: &Effects) {
+        let Some(slam) = &self.slam else { return };
         if effects.is_inserted {
             self.scans.push(scan.clone());
         }
@@ -239,21 +266,55 @@ impl SlamPoses {
         self.note_new_parts();
         let pose = self.new_from_drawn.inverse() * effects.pose;
         self.map_from_odom = pose * scan.odom_from_base.inverse();
-        self.judge(&effects);
-        if effects.is_inserted && !self.health.is_trusted() {
-            self.undrawn.push(self.scans.len() - 1);
-        }
-        let insertion = if self.health.is_trusted() {
-            mapper.insert(&self.placed(scan))
-        } else {
-            Insertion::Held
+        self.judge(effects);
+    }
+
+    /// Looks for the robot in the whole map, and goes on where it is found, if that is elsewhere than it is held to be.
+    fn look_everywhere(&mut self, mapper: &Mapper, scan: &Scan) -> Option<Effects> {
+        let here = self
+            .health
+            .is_trusted()
+            .then_some(self.map_from_odom * scan.odom_from_base);
+        let place = self.search.find(mapper, scan, here)?;
+        self.go_on_at(mapper, place, scan)
+    }
+
+    /// Goes on where the robot was carried to, `map_from_base` at a scan in the map as it is drawn, if the scan says so too.
+    fn go_on_at(&mut self, mapper: &Mapper, map_from_base: Pose2, scan: &Scan) -> Option<Effects> {
+        let slam = self.slam.as_ref()?;
+        let (slam, effects) = match slam.go_on_at(self.new_from_drawn * map_from_base, scan) {
+            Ok(gone_on) => gone_on?,
+            Err(error) => {
+                tracing::debug!(%error, "scan left out");
+                return None;
+            }
         };
-        let was_redrawn = self.draw_on(mapper);
-        Posed {
-            insertion,
-            measured: self.measured(scan, &effects, was_redrawn, robot_frame),
-            localisation: self.localisation(scan, &effects),
+        self.slam = Some(slam);
+        self.is_astray = true;
+        self.take_in(mapper, scan, &effects);
+        Some(effects)
+    }
+
+    /// The robot's place is told, `map_from_base` at its last scan. Returns its pose there by that scan.
+    ///
+    /// # Errors
+    /// [`Refusal::Rejected`] where the scan does not agree: a map is not drawn from a place that nothing but a word says.
+    pub(super) fn place(&mut self, mapper: &Mapper, map_from_base: Pose2) -> Result<Pose2, Refusal> {
+        let Some(scan) = self.last.clone() else {
+            return Err(Refusal::rejected("the robot has sent no scan yet"));
+        };
+        if self.go_on_at(mapper, map_from_base, &scan).is_none() {
+            return Err(Refusal::rejected(format!(
+                "({:.2}, {:.2}): expected a place within 1 m and 0.5 rad of which the robot's last scan agrees with the map that SLAM has made",
+                map_from_base.x, map_from_base.y
+            )));
         }
+        Ok(self.map_from_odom * scan.odom_from_base)
+    }
+
+    /// Has the robot looked for in the whole map with the next scan, however well the last one fits.
+    pub(super) fn look_everywhere_next(&mut self) {
+        self.search.ask();
     }
 
     /// Whether the last pose can be trusted.
@@ -263,13 +324,10 @@ impl SlamPoses {
 
     /// What a scan says of the robot's health. One that sees little says nothing: then odometry alone counts, as along a corridor.
     fn judge(&mut self, effects: &Effects) {
-        if effects.fits {
-            self.contradictions = 0;
-        } else if effects.contradicts && effects.points >= CONTRADICTIONS.1 {
-            self.contradictions += 1;
-        }
+        let is_lost = self.slam.as_ref().is_some_and(Slam::is_lost);
+        self.is_astray |= is_lost;
         self.health = match effects.degenerate {
-            _ if self.contradictions >= CONTRADICTIONS.0 => Health::Lost,
+            _ if is_lost => self.search.health(),
             Some(direction) => Health::Degraded {
                 direction: direction - self.new_from_drawn.yaw,
             },
@@ -397,7 +455,7 @@ impl SlamPoses {
             return false;
         };
         let end = (redraw.drawn + REDRAWN_A_STEP).min(self.scans.len());
-        for node in (redraw.drawn..end).filter(|node| self.undrawn.binary_search(node).is_err()) {
+        for node in redraw.drawn..end {
             let (scan, pose) = (&self.scans[node], &slam.nodes()[node]);
             redraw.mapper.insert(&Scan {
                 map_from_odom: *pose * scan.odom_from_base.inverse(),
@@ -434,7 +492,7 @@ impl SlamPoses {
         let covariance = effects.covariance.filter(|_| self.health.is_trusted())?;
         let map_from_base = self.map_from_odom * scan.odom_from_base;
         // The edge begins where its file says, and would take the place for an outlier.
-        let is_found_anew = self.is_restarted && effects.fits;
+        let is_found_anew = self.is_astray && effects.fits;
         if was_redrawn || is_found_anew {
             self.pace = Pace::default();
         }
@@ -442,7 +500,7 @@ impl SlamPoses {
         let is_behind = robot_frame < self.frame && self.pace.is_older(scan.stamp, TOLD_AGAIN);
         let is_due = self.pace.is_due(scan.stamp, map_from_base) || is_behind;
         if is_due {
-            self.is_restarted &= !is_found_anew;
+            self.is_astray &= !is_found_anew;
         }
         is_due.then_some(Measured {
             // The robot has its odometry itself.

@@ -42,12 +42,6 @@ pub(super) struct Head {
     /// Where the parts of the map lie as it was drawn.
     #[serde(default)]
     pub(super) parts: Vec<Pose2>,
-    /// Nodes whose scans are not drawn, ascending.
-    #[serde(default)]
-    pub(super) undrawn: Vec<usize>,
-    /// Scans in a row that fit nowhere.
-    #[serde(default)]
-    pub(super) contradictions: u32,
     /// Where places and zones lie in the frame.
     #[serde(default)]
     pub(super) annotations: Carried,

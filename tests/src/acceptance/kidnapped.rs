@@ -1,6 +1,7 @@
 //! Kidnappings. Does a robot that is carried away while it drives notice, and where is it then found?
 //!
-//! In lockstep, in a known map of rooms that look different: a robot drives from goal to goal; at a random moment it stands somewhere else.
+//! In lockstep, in rooms that look different: a robot drives to a goal; at a random moment it stands somewhere else. It has a map of the
+//! rooms, or makes its own: then it visits some places first, and is carried to where it has been.
 
 use std::fmt::Write as _;
 
@@ -31,6 +32,10 @@ const RIGHT: (f64, f64) = (0.1, 0.035);
 const LONGEST: f64 = 30.0;
 /// It is carried at least so far, m.
 const FAR: f64 = 1.5;
+/// A robot without a map visits so many places first.
+const VISITS: usize = 3;
+/// Where it has been is noted so often, m.
+const BEEN: f64 = 0.5;
 
 /// What became of a kidnapping.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -80,11 +85,12 @@ impl Kidnapping {
     }
 }
 
-/// One kidnapping, by a seed.
+/// One kidnapping, by a seed, of a robot that is localised in a known map, or maps by SLAM.
 ///
 /// # Errors
 /// What cannot be set up.
-pub fn kidnap(seed: u64) -> Result<Kidnapping, String> {
+pub fn kidnap(seed: u64, source: PoseSource) -> Result<Kidnapping, String> {
+    let is_mapping = source == PoseSource::Slam;
     let mut rng = Rng::new(seed, 11);
     let world = World::from_toml(&house(&mut Rng::new(seed % 8, 12)), "house", &|name| {
         Err(name.to_owned())
@@ -108,31 +114,47 @@ pub fn kidnap(seed: u64) -> Result<Kidnapping, String> {
         }
     };
     let goal = free(start.position(), 4.0);
-    let to = free(start.position(), FAR);
+    let mut to = free(start.position(), FAR);
     let kidnapped_at = free(start.position(), 0.0).x / HOUSE.0;
+    let visits: Vec<Pose2> = (0..if is_mapping { VISITS } else { 0 })
+        .map(|_| free(goal.position(), 4.0))
+        .collect();
     let config = ClosedLoopConfig {
         edge: EdgeConfig::new(id.clone(), model.clone(), start),
         mission: MissionConfig::new(id.clone(), "mission", "unused".into()),
         mapping: MappingSettings::default(),
         poses: PoseSettings {
-            source: PoseSource::Localise,
+            source,
             ..PoseSettings::default()
         },
         motion: MotionSettings::default(),
-        known_map: Some(known(&world)),
+        known_map: (!is_mapping).then(|| known(&world)),
         cloud_delay: 0.1,
         seed,
     };
     let spec = RobotSpec { id, model, start };
     let simulation = Simulation::new(&world, vec![spec], seed).map_err(|error| error.to_string())?;
     let mut stage = ClosedLoop::new(simulation, vec![config]);
-    stage.robots[0].ask(MissionRequest::Goal(GoalRequest {
-        id: Some("g".to_owned()),
-        x: Some(goal.x),
-        y: Some(goal.y),
-        ..GoalRequest::default()
-    }));
-    let way = 0.2 + kidnapped_at * (0.8 * (goal.position() - start.position()).norm() - 0.2);
+    let been = visit(&mut stage, &visits)?;
+    let begun = stage.truth(0);
+    if is_mapping {
+        let far: Vec<&Pose2> = been
+            .iter()
+            .filter(|place| {
+                [begun.map_from_base, goal]
+                    .iter()
+                    .all(|other| place.distance(other) >= FAR)
+            })
+            .collect();
+        let nth = (kidnapped_at * far.len() as f64) as usize;
+        let place = far
+            .get(nth)
+            .ok_or_else(|| format!("seed {seed}: it has been nowhere else"))?;
+        to = Pose2::new(place.x, place.y, to.yaw);
+    }
+    let (begun_at, start) = (stage.now().as_secs(), begun.map_from_base);
+    stage.robots[0].ask(asked("g", goal));
+    let way = begun.length + 0.2 + kidnapped_at * (0.8 * (goal.position() - start.position()).norm() - 0.2);
     let mut told = Kidnapping {
         seed,
         ..Kidnapping::default()
@@ -140,10 +162,10 @@ pub fn kidnap(seed: u64) -> Result<Kidnapping, String> {
     // When it was carried away, and the way driven until then.
     let mut carried: Option<(f64, f64)> = None;
     let tick = stage.simulation.tick().as_secs_f64();
-    while stage.now().as_secs() < 120.0 {
+    while stage.now().as_secs() - begun_at < 120.0 {
         stage.tick();
         let (now, truth) = (stage.now().as_secs(), stage.truth(0));
-        let state = stage.robots[0].goal().cloned();
+        let state = stage.robots[0].goal().filter(|state| state.id == "g").cloned();
         let Some((since, length)) = carried else {
             if state.as_ref().is_some_and(|state| state.state.is_end()) {
                 return Err(format!("seed {seed}: the goal ended before: {state:?}"));
@@ -195,6 +217,39 @@ pub fn kidnap(seed: u64) -> Result<Kidnapping, String> {
         }
     }
     Ok(told)
+}
+
+/// Has the robot drive to places, one after the other, and returns where it has been.
+fn visit(stage: &mut ClosedLoop, places: &[Pose2]) -> Result<Vec<Pose2>, String> {
+    let mut been: Vec<Pose2> = Vec::new();
+    for (nth, place) in places.iter().enumerate() {
+        let (id, begun) = (format!("visit-{nth}"), stage.now().as_secs());
+        stage.robots[0].ask(asked(&id, *place));
+        let has_ended = |stage: &ClosedLoop| {
+            let goal = stage.robots[0].goal();
+            goal.is_some_and(|goal| goal.id == id && goal.state.is_end())
+        };
+        while !has_ended(stage) {
+            stage.tick();
+            if stage.now().as_secs() - begun > 180.0 {
+                return Err(format!("{id} did not end: ({:.2}, {:.2})", place.x, place.y));
+            }
+            let here = stage.truth(0).map_from_base;
+            if been.last().is_none_or(|last| last.distance(&here) >= BEEN) {
+                been.push(here);
+            }
+        }
+    }
+    Ok(been)
+}
+
+fn asked(id: &str, place: Pose2) -> MissionRequest {
+    MissionRequest::Goal(GoalRequest {
+        id: Some(id.to_owned()),
+        x: Some(place.x),
+        y: Some(place.y),
+        ..GoalRequest::default()
+    })
 }
 
 /// The world as a map.

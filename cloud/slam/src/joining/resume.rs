@@ -1,14 +1,16 @@
 //! Resume. Where in the older map does the session that goes on lie?
 
-use nalgebra::Point2;
+use nalgebra::{Matrix3, Point2, Vector3};
 use zenav_pose_graph::GraphError;
 use zenav_protocol::geometry::Pose2;
+use zenav_protocol::messages::Scan;
 
 use super::join::{closures, joined};
 use super::overview::Overview;
 use super::vote::{Vote, count};
+use crate::closure::DOUBT;
 use crate::session::laser_of;
-use crate::slam::Slam;
+use crate::slam::{Effects, Slam, SlamError};
 
 /// Searches that agree, at least, where no start is given.
 const VOTES: usize = 2;
@@ -45,14 +47,52 @@ impl Slam {
         }
         Self {
             keeps_all: self.keeps_all,
+            ..Self::new(self.settings)
+        }
+        .in_older(self, start)
+    }
+
+    fn in_older(self, older: Self, start: Option<Pose2>) -> Self {
+        Self {
             older: Some(Box::new(Older {
-                overview: Overview::new(&self),
-                slam: self.clone(),
+                overview: Overview::new(&older),
+                slam: older,
                 start,
                 searches: Vec::new(),
             })),
-            ..Self::new(self.settings)
+            ..self
         }
+    }
+
+    /// The map that goes on where the robot was carried to: `map_from_base` at this scan, to within 1 m and 0.5 rad. The drive from there is a
+    /// session of its own, joined to the others at once. `None` where the scan does not say that this is the place.
+    ///
+    /// # Errors
+    /// As [`Self::step`].
+    pub fn go_on_at(&self, map_from_base: Pose2, scan: &Scan) -> Result<Option<(Self, Effects)>, SlamError> {
+        if self.scans.is_empty() || !self.is_located() {
+            return Ok(None);
+        }
+        // As well as a closure is known.
+        let front = &self.settings.front;
+        let variance = Vector3::new(front.floor, front.floor, front.floor_turn).map(|sigma| (DOUBT * sigma).powi(2));
+        let mut odometry = self.odometry;
+        odometry.begin_anew(&Matrix3::from_diagonal(&variance.map(f64::recip)));
+        let session = Self {
+            keeps_all: self.keeps_all,
+            usual: self.usual,
+            odometry,
+            ..Self::new(self.settings)
+        };
+        let mut slam = session.in_older(self.clone(), Some(map_from_base));
+        let effects = slam.step(scan)?;
+        // Nobody was told of the frame that the session began in.
+        let effects = Effects {
+            moved: None,
+            covariance: Some(Matrix3::from_diagonal(&variance)),
+            ..effects
+        };
+        Ok(slam.is_located().then_some((slam, effects)))
     }
 
     /// Whether the session that goes on was found in the map that it began in; true for the first one.

@@ -40,6 +40,8 @@ pub(super) struct Content {
     keeps_all: bool,
     start: Row,
     usual: f64,
+    #[serde(default)]
+    contradictions: u32,
     is_dirty: bool,
     counts: Counts,
 }
@@ -125,6 +127,7 @@ impl Content {
             keeps_all: slam.keeps_all,
             start: row(slam.start),
             usual: slam.usual,
+            contradictions: slam.contradictions,
             is_dirty: slam.is_dirty,
             counts: slam.counts,
         }
@@ -176,6 +179,7 @@ impl Content {
             keeps_all: self.keeps_all,
             start: pose(self.start)?,
             usual: self.usual,
+            contradictions: self.contradictions,
             is_dirty: self.is_dirty,
             counts: self.counts,
             ..Slam::new(self.settings)

@@ -16,22 +16,32 @@ use super::super::{KnownMap, MappingConfig, run};
 use super::*;
 use crate::testing::router;
 
+mod lost;
+
 const DEADLINE: Duration = Duration::from_secs(20);
 /// Wheels count so much too much.
 const TOO_FAR: f64 = 1.04;
 
-/// The scan of a robot that has driven so far along a hall with a few boxes, m; it sees 6 m.
+/// Left, low, right and high side of boxes, m: the walls of a hall, and what stands in it.
+type Boxes = [(f64, f64, f64, f64)];
+
+const HALL: [(f64, f64, f64, f64); 8] = [
+    (1.0, 0.8, 1.5, 1.5),
+    (3.2, -1.6, 3.6, -0.9),
+    (5.0, 1.0, 5.8, 1.4),
+    (7.0, -1.5, 7.3, -0.7),
+    (-1.0, -2.0, 10.0, -1.9),
+    (-1.0, 1.9, 10.0, 2.0),
+    (-1.0, -2.0, -0.9, 2.0),
+    (9.9, -2.0, 10.0, 2.0),
+];
+
+/// The scan of a robot that has driven so far along the hall, m; it sees 6 m.
 fn scan(way: f64) -> Scan {
-    let boxes = [
-        (1.0, 0.8, 1.5, 1.5),
-        (3.2, -1.6, 3.6, -0.9),
-        (5.0, 1.0, 5.8, 1.4),
-        (7.0, -1.5, 7.3, -0.7),
-        (-1.0, -2.0, 10.0, -1.9),
-        (-1.0, 1.9, 10.0, 2.0),
-        (-1.0, -2.0, -0.9, 2.0),
-        (9.9, -2.0, 10.0, 2.0),
-    ];
+    seen_among(&HALL, way)
+}
+
+fn seen_among(boxes: &Boxes, way: f64) -> Scan {
     let range = |angle: f64| {
         let (sin, cos) = angle.sin_cos();
         let hits = boxes.iter().filter_map(|(left, low, right, high)| {
@@ -205,49 +215,12 @@ fn drive(mapping: &mut MappingCore, from: f64, to: f64) {
     }
 }
 
-/// A scan that fits nowhere and looks through walls.
-fn nowhere(way: f64) -> Scan {
-    let mut scan = scan(way);
-    for (beam, range) in scan.ranges.iter_mut().enumerate() {
-        *range += 0.8 + 0.5 * ((beam * 7 % 11) as f32 / 11.0);
-    }
-    scan
-}
-
 /// The same scan by a lidar that looks back.
 fn rear(scan: Scan) -> Scan {
     Scan {
         base_from_laser: Pose2::new(-0.2, 0.0, 0.0),
         ..scan
     }
-}
-
-#[test]
-fn what_a_lost_robot_sees_is_drawn_neither_at_once_nor_later() {
-    let folder = tempfile::tempdir().unwrap();
-    let mut mapping = driven(3.0, folder.path());
-    let kept_before = kept(&mut mapping, true).unwrap();
-    mapping.was_kept(write(folder.path(), kept_before).unwrap());
-    let clean = core().going_on(read(folder.path()).unwrap().unwrap()).mapper.info();
-    // It stands, is lost, and goes on.
-    for step in 1..=7 {
-        let scan = nowhere(if step < 7 { 3.0 + 1e-3 * f64::from(step) } else { 3.15 });
-        mapping.insert(&scan, "boot");
-        let is_lost = mapping.health() == Health::Lost;
-        assert_eq!(is_lost, step >= 5, "{step}");
-        let further = mapping.insert_further(&rear(scan), "boot");
-        assert_eq!(further == Insertion::Held, is_lost, "{step}: {further:?}");
-    }
-    let kept = kept(&mut mapping, true).unwrap();
-    assert_eq!(kept.head.undrawn, [kept.head.scans - 1]);
-    write(folder.path(), kept).unwrap();
-    let again = core().going_on(read(folder.path()).unwrap().unwrap()).mapper.info();
-    assert_eq!((again.free, again.occupied), (clean.free, clean.occupied));
-    mapping.bend(|pose| Pose2::new(pose.x, pose.y + 0.5, pose.yaw));
-    mapping.insert(&nowhere(3.16), "boot");
-    assert_eq!(mapping.mapper.map().frame, 1);
-    let drawn = mapping.mapper.info();
-    assert!(drawn.occupied.abs_diff(clean.occupied) < 30, "{drawn:?} {clean:?}");
 }
 
 #[test]

@@ -58,6 +58,9 @@ enum Run {
         runs: u64,
         #[arg(default_value_t = 1)]
         first_seed: u64,
+        /// They have no map but the one that they make by SLAM
+        #[arg(long)]
+        slam: bool,
     },
     /// Global localisation from random places: of an office of 100 m by 100 m, and of these maps
     Localise {
@@ -162,7 +165,7 @@ fn main() -> ExitCode {
         Run::Economy { maps } => drives::economy(&maps),
         Run::Pose { runs, first_seed } => pose::pose(runs, first_seed),
         Run::Closure { runs, first_seed } => whereabouts::closure(runs, first_seed),
-        Run::Kidnapped { runs, first_seed } => whereabouts::kidnapped(runs, first_seed),
+        Run::Kidnapped { runs, first_seed, slam } => whereabouts::kidnapped(runs, first_seed, slam),
         Run::Localise { places, maps, seed } => whereabouts::localise(places, &maps, seed),
         Run::Guard { worlds, first_seed } => guard::guard(worlds, first_seed),
         Run::Replay { seed } => guard::replay(seed),

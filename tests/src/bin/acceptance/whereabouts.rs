@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use zenav_cloud::mapping::PoseSource;
 use zenav_fixtures::thread_time;
 use zenav_localisation::LocalisationSettings;
 use zenav_mapping::read_map;
@@ -34,11 +35,12 @@ pub fn closure(runs: u64, first: u64) -> Verdict {
     Ok(good == runs)
 }
 
-/// Kidnappings, and prints each that was not mended as it should be.
-pub fn kidnapped(runs: u64, first: u64) -> Verdict {
+/// Kidnappings of robots in a known map, or with SLAM in their own, and prints each that was not mended as it should be.
+pub fn kidnapped(runs: u64, first: u64, slam: bool) -> Verdict {
+    let source = if slam { PoseSource::Slam } else { PoseSource::Localise };
     let mut all = Vec::new();
     for seed in first..first.saturating_add(runs) {
-        match kidnapped::kidnap(seed) {
+        match kidnapped::kidnap(seed, source) {
             Ok(told) => {
                 if !told.is_good() {
                     println!("{told:?}");

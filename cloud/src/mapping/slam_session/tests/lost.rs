@@ -1,0 +1,145 @@
+//! What becomes of a map while nobody knows where the robot is, and how is it found?
+
+use super::*;
+
+/// A scan that fits nowhere and looks through walls.
+fn nowhere(way: f64) -> Scan {
+    let mut scan = scan(way);
+    for (beam, range) in scan.ranges.iter_mut().enumerate() {
+        *range += 0.8 + 0.5 * ((beam * 7 % 11) as f32 / 11.0);
+    }
+    scan
+}
+
+/// Two rooms with a door between them.
+const ROOMS: [(f64, f64, f64, f64); 12] = [
+    (4.0, -3.1, 10.0, -3.0),
+    (4.0, 2.5, 10.0, 2.6),
+    (-2.0, -1.9, 4.0, -1.8),
+    (-2.0, 3.2, 4.0, 3.3),
+    (-2.1, -1.9, -2.0, 3.3),
+    (10.0, -3.1, 10.1, 2.6),
+    (3.9, -3.1, 4.1, -0.8),
+    (3.9, 0.8, 4.1, 3.3),
+    (-2.0, 1.7, -0.8, 3.2),
+    (0.5, -1.8, 1.1, -1.2),
+    (8.8, -3.0, 10.0, -1.7),
+    (6.2, 1.6, 7.0, 2.2),
+];
+
+/// The scans of a robot that was carried from where it had driven to in the rooms, m, to where it was before, and stands there.
+fn carried(from: f64, to: f64) -> impl Iterator<Item = Scan> {
+    (0..).map(move |nth| Scan {
+        stamp: Stamp::from_secs(100.0 + 0.2 * f64::from(nth)),
+        odom_from_base: scan(from).odom_from_base,
+        ..seen_among(&ROOMS, to)
+    })
+}
+
+/// Mapping of a robot that has driven so far through the rooms, m.
+fn driven_through_rooms(way: f64) -> MappingCore {
+    let mut mapping = core();
+    for step in 0..=(way / 0.05).round() as usize {
+        mapping.insert(&seen_among(&ROOMS, 0.05 * step as f64), "boot");
+    }
+    mapping
+}
+
+#[test]
+fn what_a_lost_robot_sees_is_drawn_neither_at_once_nor_later() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut mapping = driven(3.0, folder.path());
+    let kept_before = kept(&mut mapping, true).unwrap();
+    mapping.was_kept(write(folder.path(), kept_before).unwrap());
+    let stored = read(folder.path()).unwrap().unwrap();
+    let nodes = stored.head.scans;
+    let clean = core().going_on(stored).mapper.info();
+    let before = mapping.mapper.info();
+    // It stands, is lost, and goes on.
+    for step in 1..=7 {
+        let scan = nowhere(if step < 7 { 3.0 + 1e-3 * f64::from(step) } else { 3.15 });
+        let mapped = mapping.insert(&scan, "boot");
+        assert_eq!(mapped.insertion, Insertion::Held, "{step}");
+        let is_lost = mapping.health() == Health::Lost;
+        assert_eq!(is_lost, step >= 5, "{step}");
+    }
+    assert_eq!(mapping.insert_further(&rear(nowhere(3.15)), "boot"), Insertion::Held);
+    let drawn = mapping.mapper.info();
+    assert_eq!((drawn.free, drawn.occupied), (before.free, before.occupied));
+    assert!(kept(&mut mapping, true).is_none(), "nothing is new");
+    mapping.bend(|pose| Pose2::new(pose.x, pose.y + 0.5, pose.yaw));
+    mapping.insert(&nowhere(3.16), "boot");
+    assert_eq!(mapping.mapper.map().frame, 1);
+    let drawn = mapping.mapper.info();
+    assert!(drawn.occupied.abs_diff(clean.occupied) < 30, "{drawn:?} {clean:?}");
+    write(folder.path(), kept(&mut mapping, false).unwrap()).unwrap();
+    let stored = read(folder.path()).unwrap().unwrap();
+    assert_eq!(stored.head.scans, nodes);
+    assert_eq!(core().going_on(stored).health(), Health::Lost, "it still is");
+}
+
+#[test]
+fn a_robot_that_was_carried_away_while_it_maps_is_found_in_its_map_and_maps_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut mapping = driven_through_rooms(6.0);
+    let before = mapping.mapper.info();
+    let mut found = None;
+    for (nth, scan) in carried(6.0, 0.0).enumerate().take(12) {
+        let mapped = mapping.insert(&scan, "boot");
+        if let Some(correction) = mapped.correction {
+            found.get_or_insert((nth, correction));
+        }
+    }
+    let (nth, correction) = found.unwrap();
+    assert!(nth < 6 && correction.is_found_anew, "{nth}: {correction:?}");
+    let off = correction.map_from_base.distance(&Pose2::IDENTITY);
+    assert!(off < 0.05, "{off} m off");
+    assert_eq!(mapping.health(), Health::Tracking);
+
+    // It drives on, and its session outlives it.
+    let on = |way: f64| Scan {
+        stamp: Stamp::from_secs(200.0 + way),
+        odom_from_base: Pose2::new(TOO_FAR * (6.0 + way), 0.0, 0.0),
+        ..seen_among(&ROOMS, way)
+    };
+    for step in 1..=40 {
+        mapping.insert(&on(0.05 * f64::from(step)), "boot");
+    }
+    let after = mapping.mapper.info();
+    assert!(
+        after.occupied.abs_diff(before.occupied) < before.occupied / 10,
+        "{} of {}",
+        after.occupied,
+        before.occupied
+    );
+    write(folder.path(), kept(&mut mapping, true).unwrap()).unwrap();
+    let mut mapping = core().going_on(read(folder.path()).unwrap().unwrap());
+    let mapped = mapping.insert(&on(2.1), "boot");
+    let off = mapped.localisation.unwrap().map_from_base;
+    assert!(off.distance(&Pose2::new(2.1, 0.0, 0.0)) < 0.06, "{off:?}");
+}
+
+#[test]
+fn a_place_is_believed_where_the_scan_agrees_and_the_whole_map_is_looked_at_on_request() {
+    let mut mapping = driven_through_rooms(6.0);
+    let nodes = |mapping: &mut MappingCore| kept(mapping, true).map(|kept| kept.head.scans);
+    let before = nodes(&mut mapping);
+    let refused = mapping.place(Pose2::IDENTITY).unwrap_err().to_string();
+    assert!(
+        refused.contains("(0.00, 0.00)") && refused.contains("agrees"),
+        "{refused}"
+    );
+    assert_eq!(mapping.health(), Health::Tracking);
+
+    // Where it is held to be already, a look at the whole map changes nothing.
+    mapping.look_everywhere().unwrap();
+    mapping.insert(&seen_among(&ROOMS, 6.0), "boot");
+    assert_eq!(nodes(&mut mapping), None, "of {before:?}");
+
+    mapping.insert(&carried(6.0, 0.0).next().unwrap(), "boot");
+    let told = mapping.place(Pose2::new(0.4, 0.3, 0.1)).unwrap();
+    let off = told.map_from_base.distance(&Pose2::IDENTITY);
+    assert!(told.is_found_anew && off < 0.05, "{off} m off");
+    let mapped = mapping.insert(&carried(6.0, 0.0).nth(1).unwrap(), "boot");
+    assert_eq!(mapped.insertion, Insertion::Inserted);
+}
