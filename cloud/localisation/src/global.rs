@@ -90,9 +90,7 @@ pub fn find(map: &KnownMap, laser: Point2<f64>, points: &[Point2<f64>], settings
     for candidate in &searched.found {
         let refined = scan.refine(map.field(), candidate.pose, None, &settings.refine);
         let pose = refined.pose;
-        let is_known = places
-            .iter()
-            .any(|place| place.pose.distance(&pose) < global.apart && turns_less(place.pose, pose, global.apart_turn));
+        let is_known = places.iter().any(|place| is_one_place(place.pose, pose, settings));
         if !is_known && map.knows(pose.position()) {
             let evidence = evidence(map, laser, points, pose, &settings.evidence);
             let known = floored(&refined.information, FOUND.0, FOUND.1);
@@ -144,8 +142,7 @@ fn at_near_faces(
         for shift in THICKNESSES {
             let shifted = Pose2::new(found.x + shift * cos, found.y + shift * sin, found.yaw);
             let pose = scan.refine(map.field(), shifted, None, &settings.refine).pose;
-            let is_near =
-                pose.distance(&found) < settings.global.apart && turns_less(pose, found, settings.global.apart_turn);
+            let is_near = is_one_place(pose, found, settings);
             let is_asked = |known: &Pose2| known.distance(&pose) < SAME.0 && turns_less(pose, *known, SAME.1);
             if !is_near || asked.iter().any(is_asked) {
                 continue;
@@ -174,6 +171,13 @@ fn first_hits(map: &KnownMap, laser: Point2<f64>, points: &[Point2<f64>], map_fr
         first.is_some_and(|count| (step * count as f64 - length).abs() <= 3.0 * step)
     };
     points.iter().filter(is_first).count() as f64 / points.len().max(1) as f64
+}
+
+/// Whether two poses are one place to a search.
+#[must_use]
+pub fn is_one_place(a: Pose2, b: Pose2, settings: &LocalisationSettings) -> bool {
+    let global = &settings.global;
+    a.distance(&b) < global.apart && turns_less(a, b, global.apart_turn)
 }
 
 fn turns_less(a: Pose2, b: Pose2, turn: f64) -> bool {

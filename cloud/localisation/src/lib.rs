@@ -34,7 +34,7 @@ mod localiser;
 mod settings;
 
 pub use evidence::{Evidence, evidence};
-pub use global::{Found, Hypothesis, find};
+pub use global::{Found, Hypothesis, find, is_one_place};
 pub use known_map::KnownMap;
 pub use localiser::{Localiser, Located};
 pub use settings::{EvidenceSettings, GlobalSettings, LocalisationSettings, TrackingSettings};

@@ -1,7 +1,7 @@
 //! Localiser. Where is the robot now, and is that right?
 
 use nalgebra::{Matrix3, Point2};
-use zenav_protocol::geometry::{Pose2, wrap_angle};
+use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::messages::{Health, Scan};
 use zenav_protocol::time::Stamp;
@@ -10,7 +10,7 @@ use zenav_scan_matching::{
 };
 
 use crate::evidence::{Evidence, evidence};
-use crate::global::{Found, Hypothesis, find};
+use crate::global::{Found, Hypothesis, find, is_one_place};
 use crate::known_map::KnownMap;
 use crate::settings::LocalisationSettings;
 
@@ -306,9 +306,8 @@ impl Localiser {
         self.searched_at = Some(now.stamp);
         self.doubt = (2.0 * self.doubt).min(DOUBT.1);
         let is_better = |place: &Hypothesis| {
-            let apart = place.pose.distance(&now.pose) >= settings.global.apart
-                || wrap_angle(place.pose.yaw - now.pose.yaw).abs() >= settings.global.apart_turn;
-            apart && place.evidence.agreeing >= here.agreeing + settings.tracking.elsewhere
+            !is_one_place(place.pose, now.pose, settings)
+                && place.evidence.agreeing >= here.agreeing + settings.tracking.elsewhere
         };
         match find(&self.map, laser, seen, settings) {
             Found::Unique(place) => is_better(&place),
@@ -350,10 +349,8 @@ impl Localiser {
             is_found_anew: false,
         };
         self.last = Some(now);
-        if self
-            .searched_at
-            .is_some_and(|then| now.stamp.secs_since(then) < SEARCH_PERIOD)
-        {
+        let is_due = |then: Stamp| now.stamp.secs_since(then) >= SEARCH_PERIOD;
+        if !self.searched_at.is_none_or(is_due) {
             return located;
         }
         self.searched_at = Some(now.stamp);

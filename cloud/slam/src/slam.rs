@@ -28,6 +28,8 @@ const EVIDENCE: f64 = 1.5;
 const SLIPPED: f64 = 25.0;
 /// Scans that contradict the map, and none between them that fits, before the robot is lost.
 const LOST: u32 = 5;
+/// A match that scores poorly is the pose of a node after so many in a row.
+const POOR: u32 = 5;
 /// Points from which on a scan can contradict the map.
 const LEAST_POINTS: usize = 40;
 
@@ -65,8 +67,7 @@ pub struct Effects {
     pub score: Option<f64>,
     /// Whether the scan agrees with the map around it, if only well enough for a node.
     pub fits: bool,
-    /// Whether it says that the robot is elsewhere: it does not fit, and its beams go through walls, or nobody knows where it was switched
-    /// on. Who stands around the robot hides the map, and contradicts nothing. A scan that contradicts is not inserted: it would confirm
+    /// Whether it says that the robot is elsewhere: it fits badly, and its beams go through walls, or nobody knows where it was switched on. Who stands around the robot hides the map, and contradicts nothing. A scan that contradicts is not inserted: it would confirm
     /// the next one.
     pub contradicts: bool,
     /// Points that the scan saw.
@@ -144,6 +145,8 @@ pub struct Slam {
     pub(crate) usual: f64,
     /// Scans that contradict the map since one fitted.
     pub(crate) contradictions: u32,
+    /// Matches in a row that score poorly.
+    pub(crate) poor: u32,
     /// Whether closures came since the graph was settled.
     pub(crate) is_dirty: bool,
     pub(crate) counts: Counts,
@@ -172,6 +175,7 @@ impl Slam {
             start: Pose2::IDENTITY,
             usual: 0.0,
             contradictions: 0,
+            poor: 0,
             is_dirty: false,
             counts: Counts::default(),
         }
@@ -292,12 +296,12 @@ impl Slam {
         let is_match = refined.score >= least;
         let anchor_from_base = if is_match { refined.pose } else { expected };
         let pose = poses[submap.anchor] * anchor_from_base;
-        let fits = refined.score >= settings.front.min_score;
+        let contradicts = !is_match && self.goes_through_walls(submap, expected, laser, &seen);
         let effects = Effects {
             pose,
             score: is_match.then_some(refined.score),
-            fits,
-            contradicts: !fits && self.goes_through_walls(submap, expected, laser, &seen),
+            fits: refined.score >= settings.front.min_score && !contradicts,
+            contradicts,
             points: seen.len(),
             degenerate: refined
                 .degenerate
@@ -417,11 +421,12 @@ impl Slam {
         let expected = map_from_anchor.inverse() * self.back_end.poses()[last] * corrected;
         let seen = Arc::new(seen);
         let scan = Refinable::seen_from(laser, &seen);
-        let matched = self.matched(active, expected, &prior, &scan, &mut effects);
-        effects.contradicts = matched.is_none()
+        let matched = self.matched(active, expected, &prior, &scan, laser, &mut effects);
+        effects.contradicts |= matched.is_none()
             && (was_doubted && seen.len() >= LEAST_POINTS
                 || self.goes_through_walls(&self.submaps[active], expected, laser, &seen));
-        if matched.is_none() && (is_near || effects.contradicts || self.is_lost()) {
+        let waits = (1..POOR).contains(&self.poor);
+        if matched.is_none() && (is_near || effects.contradicts || waits || self.is_lost()) {
             self.stand(stamp, anchor, expected, Arc::unwrap_or_clone(seen));
             return Ok(Effects {
                 pose: map_from_anchor * expected,
@@ -511,6 +516,7 @@ impl Slam {
         expected: Pose2,
         odometry: &Matrix3<f64>,
         scan: &Refinable<'_>,
+        laser: Point2<f64>,
         effects: &mut Effects,
     ) -> Option<Refined> {
         let settings = self.settings;
@@ -548,6 +554,17 @@ impl Slam {
         };
         if best.score < least {
             return None;
+        }
+        if best.score < settings.front.doubtful * self.usual {
+            // Much of a map explains much of any scan. What it does not goes through walls where the robot is elsewhere; and where it sees
+            // something new, the next scans do so too.
+            self.poor = self.poor.saturating_add(1);
+            effects.contradicts = self.goes_through_walls(&self.submaps[active], best.pose, laser, scan.points());
+            if effects.contradicts || self.poor < POOR {
+                return None;
+            }
+        } else {
+            self.poor = 0;
         }
         if !std::mem::take(&mut self.is_doubted) {
             best = best.expected_where_degenerate(expected);

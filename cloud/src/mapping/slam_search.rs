@@ -4,9 +4,9 @@
 //! whose scans fit badly now and then, for it may have been carried to where the same walls stand: there another place must explain the scan
 //! clearly better than the one where it is held to be.
 
-use zenav_localisation::{Evidence, Found, KnownMap, LocalisationSettings, evidence, find};
+use zenav_localisation::{Evidence, Found, KnownMap, LocalisationSettings, evidence, find, is_one_place};
 use zenav_mapping::Mapper;
-use zenav_protocol::geometry::{Pose2, wrap_angle};
+use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::{Health, Scan};
 use zenav_protocol::time::Stamp;
 use zenav_scan_matching::points;
@@ -126,10 +126,4 @@ impl Search {
             hypotheses: self.hypotheses.clone(),
         }
     }
-}
-
-/// Whether two poses are one place to a search.
-fn is_one_place(a: Pose2, b: Pose2, settings: &LocalisationSettings) -> bool {
-    let global = &settings.global;
-    a.distance(&b) < global.apart && wrap_angle(a.yaw - b.yaw).abs() < global.apart_turn
 }

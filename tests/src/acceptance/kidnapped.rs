@@ -141,9 +141,8 @@ pub fn kidnap(seed: u64, source: PoseSource) -> Result<Kidnapping, String> {
         let far: Vec<&Pose2> = been
             .iter()
             .filter(|place| {
-                [begun.map_from_base, goal]
-                    .iter()
-                    .all(|other| place.distance(other) >= FAR)
+                let is_far = |other: &Pose2| place.distance(other) >= FAR;
+                is_far(&begun.map_from_base) && is_far(&goal) && world.clearance(&room, **place) > 0.0
             })
             .collect();
         let nth = (kidnapped_at * far.len() as f64) as usize;
