@@ -40,6 +40,7 @@
 //! |---|---|
 //! | `order` | which scans of a log come one after the other? |
 //! | `slam` | where is the robot? |
+//! | `doubt` | is it, and if not, is it elsewhere, or has the world changed? |
 //! | `submap` | what does a short stretch of the way look like? |
 //! | `closure` | was the robot here before? |
 //! | `drift` | how well is a node known as seen from an old submap? |
@@ -52,6 +53,7 @@
 
 mod back_end;
 mod closure;
+mod doubt;
 mod drift;
 mod finish;
 mod joining;

@@ -12,6 +12,7 @@ use zenav_scan_matching::{OdometryFilter, Prior, Refinable, Refined, Window, flo
 
 use crate::back_end::BackEnd;
 use crate::closure::close;
+use crate::doubt::Doubt;
 use crate::finish;
 use crate::joining::{Older, locate};
 use crate::session::{Session, on_grid};
@@ -26,12 +27,6 @@ const DOUBTFUL_CORRECTION: f64 = 8.0;
 const EVIDENCE: f64 = 1.5;
 /// No correction of odometry is less likely than this (half of chi squared): wheels slip.
 const SLIPPED: f64 = 25.0;
-/// Scans that contradict the map, and none between them that fits, before the robot is lost.
-const LOST: u32 = 5;
-/// A match that scores poorly is the pose of a node after so many in a row.
-const POOR: u32 = 5;
-/// Points from which on a scan can contradict the map.
-const LEAST_POINTS: usize = 40;
 
 /// While scans come in, the graph need not be at the very bottom.
 const BETWEEN: DescentSettings = DescentSettings {
@@ -143,10 +138,8 @@ pub struct Slam {
     pub(crate) start: Pose2,
     /// Running mean of the scores of matches.
     pub(crate) usual: f64,
-    /// Scans that contradict the map since one fitted.
-    pub(crate) contradictions: u32,
-    /// Matches in a row that score poorly.
-    pub(crate) poor: u32,
+    /// Whether the robot is where the map says.
+    pub(crate) doubt: Doubt,
     /// Whether closures came since the graph was settled.
     pub(crate) is_dirty: bool,
     pub(crate) counts: Counts,
@@ -174,8 +167,7 @@ impl Slam {
             keeps_all: true,
             start: Pose2::IDENTITY,
             usual: 0.0,
-            contradictions: 0,
-            poor: 0,
+            doubt: Doubt::default(),
             is_dirty: false,
             counts: Counts::default(),
         }
@@ -258,22 +250,42 @@ impl Slam {
         } else {
             self.insert(stamp, node_from_base, seen, laser, is_near)?
         };
-        if effects.fits {
-            self.contradictions = 0;
-        } else if effects.contradicts {
-            self.contradictions = self.contradictions.saturating_add(1);
-            // From now on the robot is looked for more widely than odometry errs, which knows nothing of how it came there.
-            self.is_doubted |= self.is_lost();
-            self.is_apart |= self.is_lost();
+        self.doubt.take(effects.fits, effects.contradicts);
+        if self.is_lost() {
+            self.doubt_place();
+            if self.keeps_all {
+                // A log has nobody who looks for the robot: what comes after is a part of its own, as far as closures do not join it.
+                self.doubt.accept();
+            }
         }
         Ok(effects)
     }
 
-    /// Whether the robot is elsewhere than the map says: five scans contradict it, and none between them fits. Until one does, or the robot's
-    /// place is [told](Self::go_on_at), nothing is inserted.
+    /// From now on the robot is looked for more widely than odometry errs, which knows nothing of how it came there.
+    fn doubt_place(&mut self) {
+        (self.is_doubted, self.is_apart) = (true, true);
+    }
+
+    /// Whether the robot is elsewhere than the map says: five scans contradict it, and none between them fits. Beside a robot nothing is inserted
+    /// until one does, the robot [goes on elsewhere](Self::go_on_at), or the [world has changed](Self::accept_change).
     #[must_use]
     pub fn is_lost(&self) -> bool {
-        self.contradictions >= LOST
+        self.doubt.is_lost()
+    }
+
+    /// The robot is lost, somebody says: the next scan is searched for widely.
+    pub fn lose(&mut self) {
+        if !self.scans.is_empty() {
+            self.doubt.lose();
+            self.doubt_place();
+        }
+    }
+
+    /// The robot is where it is held to be, and its surroundings have changed: until a scan fits well again, those that contradict the map are
+    /// inserted.
+    pub fn accept_change(&mut self) {
+        self.doubt.accept();
+        (self.is_doubted, self.is_apart) = (false, false);
     }
 
     /// A scan near the last node is matched, but makes no node of its own.
@@ -312,11 +324,14 @@ impl Slam {
             ..Effects::default()
         };
         let anchor = submap.anchor;
+        if is_match {
+            self.doubt.match_well(true, seen.len());
+        }
         self.stand(stamp, anchor, anchor_from_base, seen);
         effects
     }
 
-    /// Whether the beams of a scan say that it was not made at a pose in a submap. One that sees little says nothing.
+    /// Whether the beams of a scan say that it was not made at a pose in a submap.
     fn goes_through_walls(
         &self,
         submap: &Submap,
@@ -326,7 +341,7 @@ impl Slam {
     ) -> bool {
         let settings = &self.settings;
         let verdict = judge(&submap.field, laser, seen, anchor_from_base, &settings.verdict);
-        seen.len() >= LEAST_POINTS && verdict.through_walls > settings.closure.through_walls
+        self.doubt.heeds(seen.len()) && verdict.through_walls > settings.closure.through_walls
     }
 
     /// Covariance of a match along the map's axes.
@@ -423,9 +438,9 @@ impl Slam {
         let scan = Refinable::seen_from(laser, &seen);
         let matched = self.matched(active, expected, &prior, &scan, laser, &mut effects);
         effects.contradicts |= matched.is_none()
-            && (was_doubted && seen.len() >= LEAST_POINTS
+            && (was_doubted && self.doubt.heeds(seen.len())
                 || self.goes_through_walls(&self.submaps[active], expected, laser, &seen));
-        let waits = (1..POOR).contains(&self.poor);
+        let waits = self.doubt.waits(seen.len());
         if matched.is_none() && (is_near || effects.contradicts || waits || self.is_lost()) {
             self.stand(stamp, anchor, expected, Arc::unwrap_or_clone(seen));
             return Ok(Effects {
@@ -552,19 +567,18 @@ impl Slam {
         } else {
             settings.front.min_score
         };
+        let is_well = best.score >= settings.front.min_score.max(settings.front.doubtful * self.usual);
+        let points = scan.points().len();
+        self.doubt.match_well(is_well, points);
         if best.score < least {
             return None;
         }
-        if best.score < settings.front.doubtful * self.usual {
-            // Much of a map explains much of any scan. What it does not goes through walls where the robot is elsewhere; and where it sees
-            // something new, the next scans do so too.
-            self.poor = self.poor.saturating_add(1);
+        if !is_well {
+            // Much of a map explains much of any scan: what it does not goes through walls where the robot is elsewhere.
             effects.contradicts = self.goes_through_walls(&self.submaps[active], best.pose, laser, scan.points());
-            if effects.contradicts || self.poor < POOR {
+            if effects.contradicts || self.doubt.waits(points) {
                 return None;
             }
-        } else {
-            self.poor = 0;
         }
         if !std::mem::take(&mut self.is_doubted) {
             best = best.expected_where_degenerate(expected);

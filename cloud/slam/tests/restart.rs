@@ -144,3 +144,22 @@ fn a_robot_that_was_carried_goes_on_where_it_is_told_to_be_if_its_scan_says_so_t
     let solved = found.finish().unwrap();
     assert_eq!(solved.solution.certificate.optimality, Optimality::Certified);
 }
+
+#[test]
+fn a_log_goes_on_after_scans_that_contradict_its_map() {
+    let truth = lap(0, 2);
+    let mut slam = Slam::new(SlamSettings::default());
+    let mut other = House::another().log(&truth, 1);
+    let scans = House::usual().log(&truth, 1);
+    let half = scans.len() / 2;
+    for scan in &scans[..half] {
+        slam.step(scan).unwrap();
+    }
+    let before = slam.nodes().len();
+    for scan in &mut other[half..] {
+        slam.step(scan).unwrap();
+    }
+    assert!(!slam.is_lost());
+    let (went_on, all) = (slam.nodes().len() - before, scans.len() - half);
+    assert!(went_on + 12 > all, "{went_on} of {all} scans");
+}

@@ -6,6 +6,7 @@
 //! |---|---|
 //! | `annotations` | which places and zones does the map have? |
 //! | `core` | from which poses are scans drawn, and what is the robot told? |
+//! | `slam_search` | where in the whole of SLAM's map does the robot stand? |
 //! | `slam_poses`, `localised_poses` | the same by SLAM, by localisation in a known map |
 //! | `slam_session` | what of SLAM outlives its process? |
 //! | `authority` | may this request change the map? |

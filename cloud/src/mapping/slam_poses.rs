@@ -16,7 +16,8 @@ use zenav_slam::{Effects, SessionError, Slam, SlamSettings};
 
 use super::annotations::Carried;
 use super::core::{Measured, Pace, Posed, Statements};
-use super::slam_search::Search;
+use super::localised_poses::LocalisedPoses;
+use super::slam_search::{Search, Whereabouts};
 use super::slam_session::{Head, Kept, OnDisk, Stored};
 
 /// Scans of the old map that are drawn anew with each new scan.
@@ -57,8 +58,12 @@ pub(super) struct SlamPoses {
     is_astray: bool,
     /// Looks for the robot in the whole map.
     search: Search,
-    /// The last scan of the main lidar.
+    /// Follows the robot in the map while that is held.
+    held: Option<Box<LocalisedPoses>>,
+    /// The last scan of the main lidar, where it made sense.
     last: Option<Scan>,
+    /// Whether it contradicts the map.
+    contradicts: bool,
     /// For how many nodes the robot may have gone on before the process that had the session before ended.
     unseen: u32,
     pace: Pace,
@@ -97,7 +102,9 @@ impl SlamPoses {
             boot_id: String::new(),
             is_astray: false,
             search: Search::new(localisation),
+            held: None,
             last: None,
+            contradicts: false,
             unseen: 0,
             pace: Pace::default(),
             on_disk: OnDisk::default(),
@@ -198,10 +205,53 @@ impl SlamPoses {
     }
 
     /// Takes in a scan of the main lidar. While the robot's boot is not known, nobody knows which odometry the scan comes with: it is left out.
+    /// In a map that is held the robot is localised; SLAM goes on from there.
     pub(super) fn insert(&mut self, mapper: &mut Mapper, scan: &Scan, boot_id: &str, robot_frame: u64) -> Posed {
-        if mapper.is_held() || boot_id.is_empty() {
+        if boot_id.is_empty() || mapper.is_held() && mapper.info().spec.is_empty() {
             return Posed::only(Insertion::Held);
         }
+        self.last = scan.is_sane().then(|| scan.clone());
+        if mapper.is_held() {
+            let localised = || Box::new(LocalisedPoses::new(*self.search.settings(), &mapper.grid()));
+            return self.held.get_or_insert_with(localised).insert(mapper, scan, boot_id);
+        }
+        let gone_on = self.go_on_after_hold(mapper, scan, boot_id);
+        let Some(effects) = gone_on.or_else(|| self.step(mapper, scan, boot_id)) else {
+            return Posed::only(Insertion::NotSane);
+        };
+        self.contradicts = effects.contradicts;
+        let insertion = if self.health.is_trusted() && !self.contradicts {
+            mapper.insert(&self.placed(scan))
+        } else {
+            Insertion::Held
+        };
+        let was_redrawn = self.draw_on(mapper);
+        Posed {
+            insertion,
+            measured: self.measured(scan, &effects, was_redrawn, robot_frame),
+            localisation: self.localisation(scan, &effects),
+        }
+    }
+
+    /// Goes on where the robot was localised while the map was held, or begins there in a map that SLAM has not made.
+    fn go_on_after_hold(&mut self, mapper: &Mapper, scan: &Scan, boot_id: &str) -> Option<Effects> {
+        let held = self.held.take()?;
+        let place = held.placed(scan).map_from_odom * scan.odom_from_base;
+        let Some(slam) = &mut self.slam else {
+            self.slam = Some(Slam::beside_a_robot(self.settings, place));
+            return None;
+        };
+        // Where it is not believed to be there, it is looked for.
+        slam.interrupt(self.unseen);
+        self.is_astray = true;
+        let is_trusted = held.health().is_trusted();
+        let effects = is_trusted.then(|| self.go_on_at(mapper, place, scan)).flatten()?;
+        boot_id.clone_into(&mut self.boot_id);
+        Some(effects)
+    }
+
+    /// A step of SLAM, and a look at the whole map where that is due; `None` for a scan that SLAM leaves out.
+    fn step(&mut self, mapper: &Mapper, scan: &Scan, boot_id: &str) -> Option<Effects> {
         let slam = self
             .slam
             .get_or_insert_with(|| Slam::beside_a_robot(self.settings, scan.map_from_odom * scan.odom_from_base));
@@ -218,33 +268,18 @@ impl SlamPoses {
             Ok(effects) => effects,
             Err(error) => {
                 tracing::debug!(%error, "scan left out");
-                return Posed::only(Insertion::NotSane);
+                return None;
             }
         };
-        self.last = Some(scan.clone());
-        let is_due = self.search.is_due(
-            slam.is_lost(),
-            effects.score.is_some() || effects.points == 0,
-            scan.stamp,
-        );
+        let fits = effects.score.is_some() || effects.points == 0;
+        let is_due = self.search.is_due(slam.is_lost(), fits, scan.stamp);
         self.take_in(mapper, scan, &effects);
         let found = if is_due {
-            self.look_everywhere(mapper, scan)
+            self.look_everywhere(mapper, scan, effects.contradicts)
         } else {
             None
         };
-        let effects = found.unwrap_or(effects);
-        let insertion = if self.health.is_trusted() && !effects.contradicts {
-            mapper.insert(&self.placed(scan))
-        } else {
-            Insertion::Held
-        };
-        let was_redrawn = self.draw_on(mapper);
-        Posed {
-            insertion,
-            measured: self.measured(scan, &effects, was_redrawn, robot_frame),
-            localisation: self.localisation(scan, &effects),
-        }
+        Some(found.unwrap_or(effects))
     }
 
     /// Takes in what a scan did.
@@ -270,19 +305,29 @@ impl SlamPoses {
     }
 
     /// Looks for the robot in the whole map, and goes on where it is found, if that is elsewhere than it is held to be.
-    fn look_everywhere(&mut self, mapper: &Mapper, scan: &Scan) -> Option<Effects> {
-        let here = self
-            .health
-            .is_trusted()
-            .then_some(self.map_from_odom * scan.odom_from_base);
-        let place = self.search.find(mapper, scan, here)?;
-        self.go_on_at(mapper, place, scan)
+    fn look_everywhere(&mut self, mapper: &Mapper, scan: &Scan, contradicts: bool) -> Option<Effects> {
+        let here = self.map_from_odom * scan.odom_from_base;
+        let is_lost = !self.health.is_trusted();
+        match self.search.find(mapper, scan, here, is_lost) {
+            Whereabouts::Elsewhere(place) => self.go_on_at(mapper, place, scan),
+            Whereabouts::Here => {
+                if let Some(slam) = self.slam.as_mut().filter(|_| is_lost || contradicts) {
+                    slam.accept_change();
+                }
+                None
+            }
+            Whereabouts::Unknown => None,
+        }
     }
 
     /// Goes on where the robot was carried to, `map_from_base` at a scan in the map as it is drawn, if the scan says so too.
     fn go_on_at(&mut self, mapper: &Mapper, map_from_base: Pose2, scan: &Scan) -> Option<Effects> {
         let slam = self.slam.as_ref()?;
-        let (slam, effects) = match slam.go_on_at(self.new_from_drawn * map_from_base, scan) {
+        // Each part of the map moves by itself until it is drawn anew.
+        let parts = self.parts.iter().zip(slam.parts());
+        let nearest = parts.min_by(|(a, _), (b, _)| a.distance(&map_from_base).total_cmp(&b.distance(&map_from_base)));
+        let new_from_drawn = nearest.map_or(self.new_from_drawn, |(drawn, new)| new * drawn.inverse());
+        let (slam, effects) = match slam.go_on_at(new_from_drawn * map_from_base, scan) {
             Ok(gone_on) => gone_on?,
             Err(error) => {
                 tracing::debug!(%error, "scan left out");
@@ -290,6 +335,7 @@ impl SlamPoses {
             }
         };
         self.slam = Some(slam);
+        self.new_from_drawn = new_from_drawn;
         self.is_astray = true;
         self.take_in(mapper, scan, &effects);
         Some(effects)
@@ -300,32 +346,56 @@ impl SlamPoses {
     /// # Errors
     /// [`Refusal::Rejected`] where the scan does not agree: a map is not drawn from a place that nothing but a word says.
     pub(super) fn place(&mut self, mapper: &Mapper, map_from_base: Pose2) -> Result<Pose2, Refusal> {
+        if let Some(held) = &mut self.held {
+            held.place(map_from_base);
+            return Ok(map_from_base);
+        }
         let Some(scan) = self.last.clone() else {
             return Err(Refusal::rejected("the robot has sent no scan yet"));
         };
         if self.go_on_at(mapper, map_from_base, &scan).is_none() {
-            return Err(Refusal::rejected(format!(
-                "({:.2}, {:.2}): expected a place within 1 m and 0.5 rad of which the robot's last scan agrees with the map that SLAM has made",
-                map_from_base.x, map_from_base.y
-            )));
+            let here = self.map_from_odom * scan.odom_from_base;
+            let Some(slam) = self
+                .slam
+                .as_mut()
+                .filter(|_| self.search.is_one_place(here, map_from_base))
+            else {
+                return Err(Refusal::rejected(format!(
+                    "({:.2}, {:.2}): expected where SLAM holds the robot to be, ({:.2}, {:.2}), or a place within 1 m and 0.5 rad of which its last scan agrees \
+                     with the map",
+                    map_from_base.x, map_from_base.y, here.x, here.y
+                )));
+            };
+            slam.accept_change();
         }
         Ok(self.map_from_odom * scan.odom_from_base)
     }
 
-    /// Has the robot looked for in the whole map with the next scan, however well the last one fits.
+    /// Has the robot looked for in the whole map with the next scan, however well the last one fits: until then it is lost.
     pub(super) fn look_everywhere_next(&mut self) {
-        self.search.ask();
+        match &mut self.held {
+            Some(held) => held.look_everywhere(),
+            None => {
+                self.search.ask();
+                if let Some(slam) = &mut self.slam {
+                    slam.lose();
+                    (self.health, self.is_astray) = (Health::Lost, true);
+                }
+            }
+        }
     }
 
     /// Whether the last pose can be trusted.
     pub(super) fn health(&self) -> &Health {
-        &self.health
+        self.held.as_ref().map_or(&self.health, |held| held.health())
     }
 
     /// What a scan says of the robot's health. One that sees little says nothing: then odometry alone counts, as along a corridor.
     fn judge(&mut self, effects: &Effects) {
         let is_lost = self.slam.as_ref().is_some_and(Slam::is_lost);
         self.is_astray |= is_lost;
+        // Whoever comes after this process must know that, too.
+        self.is_overdue |= is_lost == self.health.is_trusted();
         self.health = match effects.degenerate {
             _ if is_lost => self.search.health(),
             Some(direction) => Health::Degraded {
@@ -348,9 +418,9 @@ impl SlamPoses {
     }
 
     /// Whether a scan of a further lidar, made in a boot of the robot, is drawn: not before one of the main lidar has said where that boot's
-    /// odometry lies, and not while the robot is lost.
+    /// odometry lies, and not while the robot is lost, or may be elsewhere.
     pub(super) fn draws_further(&self, boot_id: &str) -> bool {
-        self.slam.is_some() && self.boot_id == boot_id && self.health.is_trusted()
+        self.slam.is_some() && self.boot_id == boot_id && self.health.is_trusted() && !self.contradicts
     }
 
     /// The scan from the pose that SLAM gives the robot: those of further lidars, too.

@@ -4,10 +4,10 @@
 //! whose scans fit badly now and then, for it may have been carried to where the same walls stand: there another place must explain the scan
 //! clearly better than the one where it is held to be.
 
-use zenav_localisation::{Evidence, Found, KnownMap, LocalisationSettings, evidence, find, is_one_place};
+use zenav_localisation::{Found, Hypothesis, KnownMap, LocalisationSettings, evidence, find, is_one_place};
 use zenav_mapping::Mapper;
 use zenav_protocol::geometry::Pose2;
-use zenav_protocol::messages::{Health, Scan};
+use zenav_protocol::messages::{Health, MapRef, Scan};
 use zenav_protocol::time::Stamp;
 use zenav_scan_matching::points;
 
@@ -18,12 +18,23 @@ const DOUBTS: u32 = 3;
 /// Time until it is looked at again while they do: it doubles from the first to the second, s.
 const PAUSE: (f64, f64) = (0.5, 30.0);
 
+/// What a search says of the robot's place, `map_from_base` in the map as it is drawn.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Whereabouts {
+    /// Another place than where it is held to be explains the scan.
+    Elsewhere(Pose2),
+    /// It is where it is held to be, and its surroundings have changed.
+    Here,
+    /// Nothing.
+    Unknown,
+}
+
 /// Looks for the robot where it is lost, or may be elsewhere, or when somebody asks.
 #[derive(Clone, Debug)]
 pub(super) struct Search {
     settings: LocalisationSettings,
-    /// The map in which the robot is looked for, with its frame; nothing while its place is not in doubt.
-    map: Option<(u64, KnownMap)>,
+    /// The map in which the robot is looked for; nothing while its place is not in doubt.
+    map: Option<(MapRef, KnownMap)>,
     searched_at: Option<Stamp>,
     /// Scans in a row that fit badly.
     doubts: u32,
@@ -77,44 +88,53 @@ impl Search {
         is_due
     }
 
-    /// The one place, `map_from_base` in the map as it is drawn, from which a scan may be, and that is not where the robot is held to be: `here`,
-    /// where it is not lost. `None` where there is none, or another is about as good.
-    pub(super) fn find(&mut self, mapper: &Mapper, scan: &Scan, here: Option<Pose2>) -> Option<Pose2> {
+    /// Looks for the place of a scan in the whole map as it is drawn. `here`: where the robot is held to be, `is_lost`: though its scans say
+    /// that it is not.
+    pub(super) fn find(&mut self, mapper: &Mapper, scan: &Scan, here: Pose2, is_lost: bool) -> Whereabouts {
         let settings = &self.settings;
-        let frame = mapper.map().frame;
-        if self.map.as_ref().is_none_or(|(known, _)| *known != frame) {
-            self.map = Some((frame, KnownMap::new(&mapper.grid(), settings.tracking.sigma)));
+        if self.map.as_ref().is_none_or(|(known, _)| known != mapper.map()) {
+            let map = KnownMap::new(&mapper.grid(), settings.tracking.sigma);
+            self.map = Some((mapper.map().clone(), map));
         }
-        let (_, map) = self.map.as_ref()?;
+        let Some((_, map)) = &self.map else {
+            return Whereabouts::Unknown;
+        };
         // How the robot moved since the last scan is not known: its sweeps are straightened where they are made.
         let seen = points(scan, Pose2::IDENTITY, 0.0, &settings.scan);
         let laser = scan.base_from_laser.position();
-        let weighed = here.map(|here| (here, evidence(map, laser, &seen, here, &settings.evidence)));
+        let weighed = evidence(map, laser, &seen, here, &settings.evidence);
+        let says_much = weighed.points >= settings.evidence.least_points as usize;
+        let agrees =
+            weighed.agreeing >= settings.global.agrees && weighed.through_walls <= settings.tracking.through_walls;
         let is_asked = std::mem::take(&mut self.is_asked);
-        let is_here = |evidence: &Evidence| {
-            let says_much = evidence.points >= settings.evidence.least_points as usize;
-            let agrees = evidence.agreeing >= settings.global.agrees
-                && evidence.through_walls <= settings.tracking.through_walls;
-            agrees || !says_much
-        };
-        if !is_asked && weighed.as_ref().is_some_and(|(_, evidence)| is_here(evidence)) {
-            return None;
+        if !is_asked && !is_lost && (agrees || !says_much) {
+            return Whereabouts::Unknown;
         }
         self.hypotheses.clear();
+        // As in localisation: where no other place explains the scan clearly better, the building has changed.
+        let is_changed = says_much && weighed.agreeing >= settings.evidence.lost_below;
+        let is_elsewhere = |place: &Hypothesis| !is_one_place(here, place.pose, settings);
+        let is_better = |place: &Hypothesis| {
+            is_elsewhere(place) && place.evidence.agreeing >= weighed.agreeing + settings.tracking.elsewhere
+        };
         match find(map, laser, &seen, settings) {
-            Found::Unique(place) => {
-                let is_elsewhere = weighed.is_none_or(|(here, evidence)| {
-                    !is_one_place(here, place.pose, settings)
-                        && place.evidence.agreeing >= evidence.agreeing + settings.tracking.elsewhere
-                });
-                is_elsewhere.then_some(place.pose)
+            Found::Unique(place) if is_better(&place) || is_lost && is_elsewhere(&place) => {
+                Whereabouts::Elsewhere(place.pose)
             }
-            Found::Ambiguous(places) => {
+            Found::Ambiguous(places) if places.iter().any(is_better) => {
                 self.hypotheses.extend(places.iter().map(|place| place.pose));
-                None
+                Whereabouts::Unknown
             }
-            Found::Nowhere | Found::OutOfBudget => None,
+            Found::Unique(_) | Found::Ambiguous(_) | Found::Nowhere | Found::OutOfBudget if is_changed => {
+                Whereabouts::Here
+            }
+            Found::Unique(_) | Found::Ambiguous(_) | Found::Nowhere | Found::OutOfBudget => Whereabouts::Unknown,
         }
+    }
+
+    /// Whether a pose is one place with another, to a search.
+    pub(super) fn is_one_place(&self, a: Pose2, b: Pose2) -> bool {
+        is_one_place(a, b, &self.settings)
     }
 
     /// The health of a robot that is looked for.

@@ -22,7 +22,7 @@ const TAKEN: (f64, f64) = (1.0, 0.6);
 /// Show or set a robot's pose.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Examples:\n  zenav pose show\n  zenav pose set -1.0 -0.5 0     m, m, rad\n  zenav pose search              without a guess, in a known map"
+    after_help = "Examples:\n  zenav pose show\n  zenav pose set -1.0 -0.5 0     m, m, rad\n  zenav pose search              without a guess"
 )]
 pub struct PoseArgs {
     #[command(subcommand)]
@@ -35,7 +35,7 @@ enum PoseCommand {
     Show(ShowArgs),
     /// Tell the robot where it is, to within some decimetres: it goes on from there, and drops its plan
     Set(SetArgs),
-    /// Have the robot looked for in the whole map (with `mapping.poses = "localise"`)
+    /// Have the robot looked for in the whole map (with `mapping.poses = "localise"` or `"slam"`)
     Search(ShowArgs),
 }
 

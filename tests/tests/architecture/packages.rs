@@ -64,6 +64,7 @@ const ARROWS: &[Arrows] = &[
             "zenav-mapping",
             "zenav-mission",
             "zenav-planning",
+            "zenav-scan-matching",
             "zenav-slam",
             "zenav-smoothing",
             "zenav-space",

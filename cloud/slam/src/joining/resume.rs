@@ -4,18 +4,21 @@ use nalgebra::{Matrix3, Point2, Vector3};
 use zenav_pose_graph::GraphError;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::Scan;
+use zenav_scan_matching::points;
 
 use super::join::{closures, joined};
 use super::overview::Overview;
 use super::vote::{Vote, count};
-use crate::closure::DOUBT;
-use crate::session::laser_of;
+use crate::closure::{Around, DOUBT, Seen, seen_again};
+use crate::session::{laser_of, on_grid};
 use crate::slam::{Effects, Slam, SlamError};
 
 /// Searches that agree, at least, where no start is given.
 const VOTES: usize = 2;
 /// How far a given start may be off, m and rad.
 const AROUND: (f64, f64) = (1.0, 0.5);
+/// The search about a start may score so many times as many blocks as that of a closure: its window is as much larger.
+const BUDGET: usize = 4;
 
 /// The map of earlier sessions, in which this one was not found yet.
 #[derive(Clone, Debug)]
@@ -70,7 +73,7 @@ impl Slam {
     /// # Errors
     /// As [`Self::step`].
     pub fn go_on_at(&self, map_from_base: Pose2, scan: &Scan) -> Result<Option<(Self, Effects)>, SlamError> {
-        if self.scans.is_empty() || !self.is_located() {
+        if self.scans.is_empty() || !self.is_located() || !self.is_seen_from(map_from_base, scan) {
             return Ok(None);
         }
         // As well as a closure is known.
@@ -115,6 +118,24 @@ impl Slam {
 }
 
 impl Slam {
+    /// Whether the submap about a pose has seen what a scan sees, to within as much as a start may be off.
+    fn is_seen_from(&self, map_from_base: Pose2, scan: &Scan) -> bool {
+        let Some(index) = self.nearest_submap(map_from_base).filter(|_| scan.is_sane()) else {
+            return false;
+        };
+        let mut submap = self.submaps[index].clone();
+        let expected = self.nodes()[submap.anchor].inverse() * map_from_base;
+        let around = Around {
+            reach: AROUND.0,
+            turn: AROUND.1,
+            budget: BUDGET * self.settings.closure.budget as usize,
+        };
+        let seen = on_grid(points(scan, Pose2::IDENTITY, 0.0, &self.settings.scan));
+        let laser = scan.base_from_laser.position();
+        let seen = seen_again(&mut submap, expected, around, laser, &seen, &self.settings);
+        matches!(seen, Seen::At(..))
+    }
+
     /// The submap whose middle lies nearest to a pose in the map, if one is near.
     pub(crate) fn nearest_submap(&self, pose: Pose2) -> Option<usize> {
         let distances = self

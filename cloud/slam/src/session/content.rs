@@ -12,6 +12,7 @@ use zenav_scan_matching::{OdometryFilter, Refinable};
 use super::grid::{packed, unpacked};
 use super::{Session, SessionError, laser_of};
 use crate::back_end::BackEnd;
+use crate::doubt::Doubt;
 use crate::settings::SlamSettings;
 use crate::slam::{Counts, Slam, Stand};
 use crate::submap::Submap;
@@ -41,7 +42,7 @@ pub(super) struct Content {
     start: Row,
     usual: f64,
     #[serde(default)]
-    contradictions: u32,
+    doubt: Doubt,
     is_dirty: bool,
     counts: Counts,
 }
@@ -127,7 +128,7 @@ impl Content {
             keeps_all: slam.keeps_all,
             start: row(slam.start),
             usual: slam.usual,
-            contradictions: slam.contradictions,
+            doubt: slam.doubt,
             is_dirty: slam.is_dirty,
             counts: slam.counts,
         }
@@ -179,7 +180,7 @@ impl Content {
             keeps_all: self.keeps_all,
             start: pose(self.start)?,
             usual: self.usual,
-            contradictions: self.contradictions,
+            doubt: self.doubt,
             is_dirty: self.is_dirty,
             counts: self.counts,
             ..Slam::new(self.settings)

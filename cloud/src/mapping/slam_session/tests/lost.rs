@@ -60,22 +60,54 @@ fn what_a_lost_robot_sees_is_drawn_neither_at_once_nor_later() {
         let scan = nowhere(if step < 7 { 3.0 + 1e-3 * f64::from(step) } else { 3.15 });
         let mapped = mapping.insert(&scan, "boot");
         assert_eq!(mapped.insertion, Insertion::Held, "{step}");
+        assert_eq!(mapping.insert_further(&rear(scan), "boot"), Insertion::Held, "{step}");
         let is_lost = mapping.health() == Health::Lost;
         assert_eq!(is_lost, step >= 5, "{step}");
     }
-    assert_eq!(mapping.insert_further(&rear(nowhere(3.15)), "boot"), Insertion::Held);
     let drawn = mapping.mapper.info();
     assert_eq!((drawn.free, drawn.occupied), (before.free, before.occupied));
-    assert!(kept(&mut mapping, true).is_none(), "nothing is new");
+    write(folder.path(), kept(&mut mapping, false).unwrap()).unwrap();
+    let stored = read(folder.path()).unwrap().unwrap();
+    assert_eq!(stored.head.scans, nodes);
+    assert_eq!(core().going_on(stored).health(), Health::Lost, "it still is");
     mapping.bend(|pose| Pose2::new(pose.x, pose.y + 0.5, pose.yaw));
     mapping.insert(&nowhere(3.16), "boot");
     assert_eq!(mapping.mapper.map().frame, 1);
     let drawn = mapping.mapper.info();
     assert!(drawn.occupied.abs_diff(clean.occupied) < 30, "{drawn:?} {clean:?}");
-    write(folder.path(), kept(&mut mapping, false).unwrap()).unwrap();
-    let stored = read(folder.path()).unwrap().unwrap();
-    assert_eq!(stored.head.scans, nodes);
-    assert_eq!(core().going_on(stored).health(), Health::Lost, "it still is");
+}
+
+#[test]
+fn where_the_building_has_changed_the_robot_stays_where_it_is_and_draws_it_anew() {
+    let mut mapping = driven_through_rooms(3.2);
+    let occupied = mapping.mapper.info().occupied;
+    // The wall beside the door that it stands before is gone.
+    let opened: Vec<_> = ROOMS
+        .iter()
+        .filter(|wall| wall.3 > 0.0 || wall.0 != 3.9)
+        .copied()
+        .collect();
+    for nth in 0..40 {
+        let scan = Scan {
+            stamp: Stamp::from_secs(100.0 + 0.2 * f64::from(nth)),
+            odom_from_base: scan(3.2).odom_from_base,
+            ..seen_among(&opened, 3.2)
+        };
+        mapping.insert(&scan, "boot");
+    }
+    assert_eq!(mapping.health(), Health::Tracking);
+    assert!(mapping.mapper.info().occupied < occupied, "the wall is still drawn");
+    let on = Scan {
+        stamp: Stamp::from_secs(200.0),
+        ..seen_among(&opened, 3.5)
+    };
+    let mapped = mapping.insert(&on, "boot");
+    let off = mapped
+        .localisation
+        .unwrap()
+        .map_from_base
+        .distance(&Pose2::new(3.5, 0.0, 0.0));
+    assert!(off < 0.05, "{off} m off");
 }
 
 #[test]
@@ -122,8 +154,6 @@ fn a_robot_that_was_carried_away_while_it_maps_is_found_in_its_map_and_maps_on()
 #[test]
 fn a_place_is_believed_where_the_scan_agrees_and_the_whole_map_is_looked_at_on_request() {
     let mut mapping = driven_through_rooms(6.0);
-    let nodes = |mapping: &mut MappingCore| kept(mapping, true).map(|kept| kept.head.scans);
-    let before = nodes(&mut mapping);
     let refused = mapping.place(Pose2::IDENTITY).unwrap_err().to_string();
     assert!(
         refused.contains("(0.00, 0.00)") && refused.contains("agrees"),
@@ -131,10 +161,29 @@ fn a_place_is_believed_where_the_scan_agrees_and_the_whole_map_is_looked_at_on_r
     );
     assert_eq!(mapping.health(), Health::Tracking);
 
-    // Where it is held to be already, a look at the whole map changes nothing.
+    // Where it is held to be already, a look at the whole map finds it at once.
     mapping.look_everywhere().unwrap();
-    mapping.insert(&seen_among(&ROOMS, 6.0), "boot");
-    assert_eq!(nodes(&mut mapping), None, "of {before:?}");
+    assert_eq!(mapping.health(), Health::Lost, "until then nobody knows");
+    let mapped = mapping.insert(&seen_among(&ROOMS, 6.0), "boot");
+    assert_eq!(mapping.health(), Health::Tracking);
+    let off = mapped
+        .correction
+        .unwrap()
+        .map_from_base
+        .distance(&Pose2::new(6.0, 0.0, 0.0));
+    assert!(off < 0.05, "{off} m off");
+
+    // Elsewhere, too, long before the scans contradict the map often enough.
+    let mut asked = mapping.clone();
+    asked.look_everywhere().unwrap();
+    let correction = asked
+        .insert(&carried(6.0, 0.0).next().unwrap(), "boot")
+        .correction
+        .unwrap();
+    assert!(
+        correction.is_found_anew && correction.map_from_base.position().coords.norm() < 0.05,
+        "{correction:?}"
+    );
 
     mapping.insert(&carried(6.0, 0.0).next().unwrap(), "boot");
     let told = mapping.place(Pose2::new(0.4, 0.3, 0.1)).unwrap();
@@ -142,4 +191,42 @@ fn a_place_is_believed_where_the_scan_agrees_and_the_whole_map_is_looked_at_on_r
     assert!(told.is_found_anew && off < 0.05, "{off} m off");
     let mapped = mapping.insert(&carried(6.0, 0.0).nth(1).unwrap(), "boot");
     assert_eq!(mapped.insertion, Insertion::Inserted);
+}
+
+#[test]
+fn in_a_map_that_is_held_the_robot_is_localised_and_slam_goes_on_from_there() {
+    let mut mapping = driven_through_rooms(6.0);
+    mapping.mapper.hold();
+    let before = mapping.mapper.info();
+    // It is carried while nobody maps, and drives back.
+    let mut last = None;
+    for scan in carried(6.0, 0.0).take(8) {
+        let mapped = mapping.insert(&scan, "boot");
+        assert_eq!(mapped.insertion, Insertion::Held);
+        last = mapped.correction.or(last);
+    }
+    let off = |correction: Option<Correction>, way: f64| {
+        correction.unwrap().map_from_base.distance(&Pose2::new(way, 0.0, 0.0))
+    };
+    assert!(off(last, 0.0) < 0.05 && mapping.health() == Health::Tracking);
+    let on = |way: f64| Scan {
+        stamp: Stamp::from_secs(200.0 + way),
+        odom_from_base: Pose2::new(TOO_FAR * (6.0 + way), 0.0, 0.0),
+        ..seen_among(&ROOMS, way)
+    };
+    for step in 1..=40 {
+        mapping.insert(&on(0.05 * f64::from(step)), "boot");
+    }
+    let after = mapping.mapper.info();
+    assert_eq!((after.free, after.occupied), (before.free, before.occupied));
+    mapping.mapper.resume();
+    let mut last = None;
+    for step in 41..=60 {
+        let mapped = mapping.insert(&on(0.05 * f64::from(step)), "boot");
+        assert_eq!(mapped.insertion, Insertion::Inserted, "{step}");
+        last = mapped.correction.or(last);
+    }
+    assert!(off(last, 3.0) < 0.1);
+    let after = mapping.mapper.info();
+    assert!(after.occupied.abs_diff(before.occupied) < before.occupied / 10);
 }
