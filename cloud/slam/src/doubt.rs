@@ -29,6 +29,11 @@ impl Doubt {
         self.contradictions >= LOST
     }
 
+    /// Whether nothing contradicts the map, for the world has changed.
+    pub(crate) fn accepts(&self) -> bool {
+        self.accepts
+    }
+
     /// Whether a scan of so many points is evidence against the map where its beams go through walls.
     pub(crate) fn heeds(&self, points: usize) -> bool {
         points >= LEAST_POINTS && !self.accepts

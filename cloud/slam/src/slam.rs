@@ -245,7 +245,7 @@ impl Slam {
         let way = node_from_base.x.hypot(node_from_base.y);
         let is_near = way < front.distance && node_from_base.yaw.abs() < front.turn;
         let laser = scan.base_from_laser.position();
-        let effects = if is_near && !self.is_doubted {
+        let effects = if is_near && !self.is_doubted && !self.doubt.accepts() {
             self.track(stamp, node_from_base, seen, laser)
         } else {
             self.insert(stamp, node_from_base, seen, laser, is_near)?
@@ -281,8 +281,7 @@ impl Slam {
         }
     }
 
-    /// The robot is where it is held to be, and its surroundings have changed: until a scan fits well again, those that contradict the map are
-    /// inserted.
+    /// The robot is where it is held to be, and its surroundings have changed: until a scan fits well again, each is inserted.
     pub fn accept_change(&mut self) {
         self.doubt.accept();
         (self.is_doubted, self.is_apart) = (false, false);
@@ -441,6 +440,7 @@ impl Slam {
             && (was_doubted && self.doubt.heeds(seen.len())
                 || self.goes_through_walls(&self.submaps[active], expected, laser, &seen));
         let waits = self.doubt.waits(seen.len());
+        let is_near = is_near && !self.doubt.accepts();
         if matched.is_none() && (is_near || effects.contradicts || waits || self.is_lost()) {
             self.stand(stamp, anchor, expected, Arc::unwrap_or_clone(seen));
             return Ok(Effects {

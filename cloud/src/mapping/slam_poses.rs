@@ -56,6 +56,8 @@ pub(super) struct SlamPoses {
     boot_id: String,
     /// Whether the robot was restarted or lost, and was not found since.
     is_astray: bool,
+    /// Whether nothing says that it is where it was: it was restarted, or somebody has it looked for, and it was not found since.
+    is_uprooted: bool,
     /// Looks for the robot in the whole map.
     search: Search,
     /// Follows the robot in the map while that is held.
@@ -101,6 +103,7 @@ impl SlamPoses {
             map_from_odom: Pose2::IDENTITY,
             boot_id: String::new(),
             is_astray: false,
+            is_uprooted: false,
             search: Search::new(localisation),
             held: None,
             last: None,
@@ -207,13 +210,15 @@ impl SlamPoses {
     /// Takes in a scan of the main lidar. While the robot's boot is not known, nobody knows which odometry the scan comes with: it is left out.
     /// In a map that is held the robot is localised; SLAM goes on from there.
     pub(super) fn insert(&mut self, mapper: &mut Mapper, scan: &Scan, boot_id: &str, robot_frame: u64) -> Posed {
+        self.last = scan.is_sane().then(|| scan.clone());
+        if self.last.is_none() {
+            return Posed::only(Insertion::NotSane);
+        }
         if boot_id.is_empty() || mapper.is_held() && mapper.info().spec.is_empty() {
             return Posed::only(Insertion::Held);
         }
-        self.last = scan.is_sane().then(|| scan.clone());
-        if mapper.is_held() {
-            let localised = || Box::new(LocalisedPoses::new(*self.search.settings(), &mapper.grid()));
-            return self.held.get_or_insert_with(localised).insert(mapper, scan, boot_id);
+        if mapper.is_held() || self.slam.is_none() && self.is_followed_in_vain(boot_id) {
+            return self.follow(mapper, scan, boot_id);
         }
         let gone_on = self.go_on_after_hold(mapper, scan, boot_id);
         let Some(effects) = gone_on.or_else(|| self.step(mapper, scan, boot_id)) else {
@@ -233,19 +238,47 @@ impl SlamPoses {
         }
     }
 
+    /// Whether nobody knows where the robot is in a map that was held, and that SLAM has not made: it cannot go on there.
+    fn is_followed_in_vain(&self, boot_id: &str) -> bool {
+        let held = self.held.as_ref();
+        held.is_some_and(|held| !held.draws_further(boot_id))
+    }
+
+    /// Follows the robot in a map that is held, from where SLAM had it.
+    fn follow(&mut self, mapper: &mut Mapper, scan: &Scan, boot_id: &str) -> Posed {
+        let is_ours = self.slam.is_some() && self.boot_id == boot_id;
+        let scan = if is_ours { &self.placed(scan) } else { scan };
+        let held = self.held.get_or_insert_with(|| {
+            let mut held = LocalisedPoses::new(*self.search.settings(), &mapper.grid());
+            if !self.health.is_trusted() {
+                held.look_everywhere();
+            }
+            Box::new(held)
+        });
+        held.insert(mapper, scan, boot_id)
+    }
+
     /// Goes on where the robot was localised while the map was held, or begins there in a map that SLAM has not made.
     fn go_on_after_hold(&mut self, mapper: &Mapper, scan: &Scan, boot_id: &str) -> Option<Effects> {
         let held = self.held.take()?;
         let place = held.placed(scan).map_from_odom * scan.odom_from_base;
+        let is_known = held.draws_further(boot_id);
         let Some(slam) = &mut self.slam else {
             self.slam = Some(Slam::beside_a_robot(self.settings, place));
             return None;
         };
-        // Where it is not believed to be there, it is looked for.
-        slam.interrupt(self.unseen);
-        self.is_astray = true;
-        let is_trusted = held.health().is_trusted();
-        let effects = is_trusted.then(|| self.go_on_at(mapper, place, scan)).flatten()?;
+        let is_same_boot = self.boot_id == boot_id;
+        if !is_known && is_same_boot {
+            slam.lose();
+            self.search.ask();
+            (self.health, self.is_astray) = (Health::Lost, true);
+        }
+        // Where odometry leads there too, SLAM goes on by itself.
+        let by_odometry = self.map_from_odom * scan.odom_from_base;
+        if !is_known || is_same_boot && self.search.is_one_place(by_odometry, place) {
+            return None;
+        }
+        let effects = self.go_on_at(mapper, place, scan)?;
         boot_id.clone_into(&mut self.boot_id);
         Some(effects)
     }
@@ -259,7 +292,7 @@ impl SlamPoses {
             // The first boot that is heard of is the one that odometry began with.
             if !self.boot_id.is_empty() {
                 slam.interrupt(self.unseen);
-                self.is_astray = true;
+                (self.is_astray, self.is_uprooted) = (true, true);
             }
             boot_id.clone_into(&mut self.boot_id);
         }
@@ -311,7 +344,8 @@ impl SlamPoses {
         match self.search.find(mapper, scan, here, is_lost) {
             Whereabouts::Elsewhere(place) => self.go_on_at(mapper, place, scan),
             Whereabouts::Here => {
-                if let Some(slam) = self.slam.as_mut().filter(|_| is_lost || contradicts) {
+                let may_be_changed = (is_lost || contradicts) && !self.is_uprooted;
+                if let Some(slam) = self.slam.as_mut().filter(|_| may_be_changed) {
                     slam.accept_change();
                 }
                 None
@@ -380,6 +414,7 @@ impl SlamPoses {
                 if let Some(slam) = &mut self.slam {
                     slam.lose();
                     (self.health, self.is_astray) = (Health::Lost, true);
+                    self.is_uprooted = true;
                 }
             }
         }
@@ -394,6 +429,7 @@ impl SlamPoses {
     fn judge(&mut self, effects: &Effects) {
         let is_lost = self.slam.as_ref().is_some_and(Slam::is_lost);
         self.is_astray |= is_lost;
+        self.is_uprooted &= !effects.fits;
         // Whoever comes after this process must know that, too.
         self.is_overdue |= is_lost == self.health.is_trusted();
         self.health = match effects.degenerate {

@@ -15,6 +15,8 @@ use zenav_scan_matching::points;
 const PERIOD: f64 = 0.5;
 /// Scans in a row that fit badly before the whole map is looked at.
 const DOUBTS: u32 = 3;
+/// Searches in a row that find the robot where it is held to be, before its surroundings count as changed.
+const SURE: u32 = 3;
 /// Time until it is looked at again while they do: it doubles from the first to the second, s.
 const PAUSE: (f64, f64) = (0.5, 30.0);
 
@@ -41,6 +43,8 @@ pub(super) struct Search {
     /// How long the last search keeps the next one away, s.
     pause: f64,
     is_asked: bool,
+    /// Searches in a row that found the robot where it is held to be.
+    here: u32,
     /// Places that explain the last scan of a robot that is lost about as well, in the map as it is drawn.
     hypotheses: Vec<Pose2>,
 }
@@ -54,6 +58,7 @@ impl Search {
             doubts: 0,
             pause: PAUSE.0,
             is_asked: false,
+            here: 0,
             hypotheses: Vec::new(),
         }
     }
@@ -79,6 +84,7 @@ impl Search {
             .is_none_or(|then| now.secs_since(then) >= pause || now < then);
         if is_over && self.doubts == 0 {
             (self.map, self.searched_at, self.pause) = (None, None, PAUSE.0);
+            self.here = 0;
         }
         let is_due = is_over && (is_lost || self.doubts >= DOUBTS) || self.is_asked;
         if is_due {
@@ -111,25 +117,29 @@ impl Search {
             return Whereabouts::Unknown;
         }
         self.hypotheses.clear();
-        // As in localisation: where no other place explains the scan clearly better, the building has changed.
-        let is_changed = says_much && weighed.agreeing >= settings.evidence.lost_below;
-        let is_elsewhere = |place: &Hypothesis| !is_one_place(here, place.pose, settings);
-        let is_better = |place: &Hypothesis| {
-            is_elsewhere(place) && place.evidence.agreeing >= weighed.agreeing + settings.tracking.elsewhere
-        };
-        match find(map, laser, &seen, settings) {
-            Found::Unique(place) if is_better(&place) || is_lost && is_elsewhere(&place) => {
-                Whereabouts::Elsewhere(place.pose)
+        let is_here = |place: &Hypothesis| is_one_place(here, place.pose, settings);
+        let is_better = |place: &Hypothesis| place.evidence.agreeing >= weighed.agreeing + settings.tracking.elsewhere;
+        // Where much agrees, and no other place explains the scan as well, the building has changed.
+        let may_be_here = says_much && weighed.agreeing >= settings.tracking.doubtful;
+        let found = find(map, laser, &seen, settings);
+        let is_here = match &found {
+            Found::Unique(place) if is_better(place) => return Whereabouts::Elsewhere(place.pose),
+            Found::Unique(place) if is_lost && !(may_be_here && is_here(place)) => {
+                return Whereabouts::Elsewhere(place.pose);
             }
-            Found::Ambiguous(places) if places.iter().any(is_better) => {
+            Found::Ambiguous(places) if places.iter().any(is_better) || !places.iter().any(is_here) => {
                 self.hypotheses.extend(places.iter().map(|place| place.pose));
-                Whereabouts::Unknown
+                false
             }
-            Found::Unique(_) | Found::Ambiguous(_) | Found::Nowhere | Found::OutOfBudget if is_changed => {
-                Whereabouts::Here
-            }
-            Found::Unique(_) | Found::Ambiguous(_) | Found::Nowhere | Found::OutOfBudget => Whereabouts::Unknown,
+            Found::Unique(_) | Found::Ambiguous(_) | Found::Nowhere => may_be_here,
+            Found::OutOfBudget => false,
+        };
+        self.here = if is_here { self.here + 1 } else { 0 };
+        if self.here < SURE {
+            return Whereabouts::Unknown;
         }
+        self.here = 0;
+        Whereabouts::Here
     }
 
     /// Whether a pose is one place with another, to a search.

@@ -39,7 +39,7 @@ fn a_robot_that_is_lost_is_looked_for_turns_and_ends_its_goal_as_lost() {
     let searches = asked(
         |ask| matches!(ask, Ask::Localise(request) if request.action == LocaliseAction::Global && request.epoch.is_some()),
     );
-    assert_eq!(searches, 3);
+    assert_eq!(searches, 2);
     assert!(
         asked(|ask| matches!(ask, Ask::Behaviour(request) if matches!(request.action, BehaviourAction::Spin { .. })))
             >= 2

@@ -230,3 +230,65 @@ fn in_a_map_that_is_held_the_robot_is_localised_and_slam_goes_on_from_there() {
     let after = mapping.mapper.info();
     assert!(after.occupied.abs_diff(before.occupied) < before.occupied / 10);
 }
+
+#[test]
+fn after_a_hold_in_which_odometry_was_right_slam_goes_on_as_if_there_had_been_none() {
+    let mut mapping = driven_through_rooms(3.0);
+    mapping.mapper.hold();
+    for step in 61..=90 {
+        mapping.insert(&seen_among(&ROOMS, 0.05 * f64::from(step)), "boot");
+    }
+    mapping.mapper.resume();
+    for step in 91..=110 {
+        let mapped = mapping.insert(&seen_among(&ROOMS, 0.05 * f64::from(step)), "boot");
+        assert!(
+            mapped.correction.is_none_or(|correction| !correction.is_found_anew),
+            "{step}"
+        );
+    }
+    let sessions = kept(&mut mapping, true).unwrap();
+    let slam = zenav_slam::Slam::load(&sessions.session.into_bytes().unwrap()).unwrap();
+    assert_eq!(slam.sessions().len(), 1);
+}
+
+#[test]
+fn a_lost_robot_stays_lost_while_its_map_is_held_and_after_that() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut mapping = driven(3.0, folder.path());
+    let mut at = 3.0;
+    let mut lost = |mapping: &mut MappingCore, scans: usize| {
+        for _ in 0..scans {
+            at += 1e-3;
+            mapping.insert(&nowhere(at), "boot");
+        }
+        mapping.health()
+    };
+    assert_eq!(lost(&mut mapping, 6), Health::Lost);
+    mapping.mapper.hold();
+    assert_eq!(lost(&mut mapping, 1), Health::Lost);
+    mapping.mapper.resume();
+    assert_eq!(lost(&mut mapping, 1), Health::Lost);
+}
+
+#[test]
+fn a_gate_that_opened_before_a_robot_hides_no_kidnapping_after_it() {
+    let mut mapping = driven_through_rooms(3.2);
+    let opened: Vec<_> = ROOMS
+        .iter()
+        .filter(|wall| wall.3 > 0.0 || wall.0 != 3.9)
+        .copied()
+        .collect();
+    let stands = |nth: u32, way: f64| Scan {
+        stamp: Stamp::from_secs(100.0 + 0.2 * f64::from(nth)),
+        odom_from_base: scan(3.2).odom_from_base,
+        ..seen_among(&opened, way)
+    };
+    for nth in 0..40 {
+        mapping.insert(&stands(nth, 3.2), "boot");
+    }
+    assert_eq!(mapping.health(), Health::Tracking);
+    let found = (40..60).find_map(|nth| mapping.insert(&stands(nth, 0.0), "boot").correction);
+    let found = found.unwrap();
+    let off = found.map_from_base.distance(&Pose2::IDENTITY);
+    assert!(found.is_found_anew && off < 0.06, "{found:?}");
+}
