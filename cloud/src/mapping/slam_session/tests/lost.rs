@@ -36,6 +36,21 @@ fn carried(from: f64, to: f64) -> impl Iterator<Item = Scan> {
     })
 }
 
+/// The scan of one that was carried back to its start after 6 m, and has driven so far from there, m.
+fn on_from_start(way: f64) -> Scan {
+    Scan {
+        stamp: Stamp::from_secs(200.0 + way),
+        odom_from_base: Pose2::new(TOO_FAR * (6.0 + way), 0.0, 0.0),
+        ..seen_among(&ROOMS, way)
+    }
+}
+
+/// The rooms without the wall on one side of the door.
+fn opened() -> Vec<(f64, f64, f64, f64)> {
+    let stays = |wall: &&(f64, f64, f64, f64)| wall.3 > 0.0 || wall.0 != 3.9;
+    ROOMS.iter().filter(stays).copied().collect()
+}
+
 /// Mapping of a robot that has driven so far through the rooms, m.
 fn driven_through_rooms(way: f64) -> MappingCore {
     let mut mapping = core();
@@ -82,11 +97,7 @@ fn where_the_building_has_changed_the_robot_stays_where_it_is_and_draws_it_anew(
     let mut mapping = driven_through_rooms(3.2);
     let occupied = mapping.mapper.info().occupied;
     // The wall beside the door that it stands before is gone.
-    let opened: Vec<_> = ROOMS
-        .iter()
-        .filter(|wall| wall.3 > 0.0 || wall.0 != 3.9)
-        .copied()
-        .collect();
+    let opened = opened();
     for nth in 0..40 {
         let scan = Scan {
             stamp: Stamp::from_secs(100.0 + 0.2 * f64::from(nth)),
@@ -129,13 +140,8 @@ fn a_robot_that_was_carried_away_while_it_maps_is_found_in_its_map_and_maps_on()
     assert_eq!(mapping.health(), Health::Tracking);
 
     // It drives on, and its session outlives it.
-    let on = |way: f64| Scan {
-        stamp: Stamp::from_secs(200.0 + way),
-        odom_from_base: Pose2::new(TOO_FAR * (6.0 + way), 0.0, 0.0),
-        ..seen_among(&ROOMS, way)
-    };
     for step in 1..=40 {
-        mapping.insert(&on(0.05 * f64::from(step)), "boot");
+        mapping.insert(&on_from_start(0.05 * f64::from(step)), "boot");
     }
     let after = mapping.mapper.info();
     assert!(
@@ -146,7 +152,7 @@ fn a_robot_that_was_carried_away_while_it_maps_is_found_in_its_map_and_maps_on()
     );
     write(folder.path(), kept(&mut mapping, true).unwrap()).unwrap();
     let mut mapping = core().going_on(read(folder.path()).unwrap().unwrap());
-    let mapped = mapping.insert(&on(2.1), "boot");
+    let mapped = mapping.insert(&on_from_start(2.1), "boot");
     let off = mapped.localisation.unwrap().map_from_base;
     assert!(off.distance(&Pose2::new(2.1, 0.0, 0.0)) < 0.06, "{off:?}");
 }
@@ -209,20 +215,15 @@ fn in_a_map_that_is_held_the_robot_is_localised_and_slam_goes_on_from_there() {
         correction.unwrap().map_from_base.distance(&Pose2::new(way, 0.0, 0.0))
     };
     assert!(off(last, 0.0) < 0.05 && mapping.health() == Health::Tracking);
-    let on = |way: f64| Scan {
-        stamp: Stamp::from_secs(200.0 + way),
-        odom_from_base: Pose2::new(TOO_FAR * (6.0 + way), 0.0, 0.0),
-        ..seen_among(&ROOMS, way)
-    };
     for step in 1..=40 {
-        mapping.insert(&on(0.05 * f64::from(step)), "boot");
+        mapping.insert(&on_from_start(0.05 * f64::from(step)), "boot");
     }
     let after = mapping.mapper.info();
     assert_eq!((after.free, after.occupied), (before.free, before.occupied));
     mapping.mapper.resume();
     let mut last = None;
     for step in 41..=60 {
-        let mapped = mapping.insert(&on(0.05 * f64::from(step)), "boot");
+        let mapped = mapping.insert(&on_from_start(0.05 * f64::from(step)), "boot");
         assert_eq!(mapped.insertion, Insertion::Inserted, "{step}");
         last = mapped.correction.or(last);
     }
@@ -273,11 +274,7 @@ fn a_lost_robot_stays_lost_while_its_map_is_held_and_after_that() {
 #[test]
 fn a_gate_that_opened_before_a_robot_hides_no_kidnapping_after_it() {
     let mut mapping = driven_through_rooms(3.2);
-    let opened: Vec<_> = ROOMS
-        .iter()
-        .filter(|wall| wall.3 > 0.0 || wall.0 != 3.9)
-        .copied()
-        .collect();
+    let opened = opened();
     let stands = |nth: u32, way: f64| Scan {
         stamp: Stamp::from_secs(100.0 + 0.2 * f64::from(nth)),
         odom_from_base: scan(3.2).odom_from_base,
