@@ -23,7 +23,7 @@ const OUTLIER: f64 = 9.0;
 /// Standard deviation of the scale before anything was seen, and what it never falls below: tyres and floors change.
 const SCALE: [f64; 2] = [0.05, 0.001];
 /// The scale shows after so many matches in a row that told all directions: the first scans of a corridor seem to.
-const TOLD: u32 = 8;
+const TOLD: u32 = 2;
 /// No wheel is smaller or larger than stated by more.
 const SCALES: [f64; 2] = [0.8, 1.25];
 /// Added to a covariance before it is inverted, m² and rad².
