@@ -10,7 +10,7 @@ use zenav_protocol::geometry::Pose2;
 
 use crate::drift::Drift;
 use crate::settings::FrontSettings;
-use crate::slam::SlamError;
+use crate::step::SlamError;
 
 /// Rounds in which closures change sides, at most, each time the graph is settled.
 const ROUNDS: usize = 4;

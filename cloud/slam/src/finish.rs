@@ -6,7 +6,8 @@ use zenav_protocol::geometry::Pose2;
 use zenav_scan_matching::{Prior, Refinable, RefineSettings, Refined, floored};
 
 use crate::session::laser_of;
-use crate::slam::{Slam, SlamError};
+use crate::slam::Slam;
+use crate::step::SlamError;
 use crate::submap::Submap;
 
 /// Information with which a scan is held along a direction, 1/m².

@@ -40,6 +40,7 @@
 //! |---|---|
 //! | `order` | which scans of a log come one after the other? |
 //! | `slam` | where is the robot? |
+//! | `step` | what did a scan do to the map? |
 //! | `doubt` | is it, and if not, is it elsewhere, or has the world changed? |
 //! | `submap` | what does a short stretch of the way look like? |
 //! | `closure` | was the robot here before? |
@@ -62,6 +63,7 @@ mod order;
 mod session;
 mod settings;
 mod slam;
+mod step;
 mod submap;
 
 pub use joining::{MergeError, merge};
@@ -69,4 +71,5 @@ pub use metric::{Relation, RelationError, RelationErrors, Spread, read_relations
 pub use order::{Disorder, Ordered, in_order};
 pub use session::{MOST_BYTES, SessionError, Snapshot};
 pub use settings::{ClosureSettings, FinishSettings, FrontSettings, SlamSettings};
-pub use slam::{Counts, Effects, Slam, SlamError};
+pub use slam::Slam;
+pub use step::{Counts, Effects, SlamError};

@@ -7,7 +7,8 @@ use zenav_protocol::geometry::Pose2;
 use super::join::{closures, joined};
 use super::overview::{Overview, verdict};
 use super::vote::{Count, count};
-use crate::slam::{Slam, SlamError};
+use crate::slam::Slam;
+use crate::step::SlamError;
 
 /// Searches, at most; submaps evenly out of all.
 const SEARCHES: usize = 20;

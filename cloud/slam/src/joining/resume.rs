@@ -11,7 +11,8 @@ use super::overview::Overview;
 use super::vote::{Vote, count};
 use crate::closure::{Around, DOUBT, Seen, seen_again};
 use crate::session::{laser_of, on_grid};
-use crate::slam::{Effects, Slam, SlamError};
+use crate::slam::Slam;
+use crate::step::{Effects, SlamError};
 
 /// Searches that agree, at least, where no start is given.
 const VOTES: usize = 2;

@@ -14,7 +14,8 @@ use super::{Session, SessionError, laser_of};
 use crate::back_end::BackEnd;
 use crate::doubt::Doubt;
 use crate::settings::SlamSettings;
-use crate::slam::{Counts, Slam, Stand};
+use crate::slam::{Slam, Stand};
+use crate::step::Counts;
 use crate::submap::Submap;
 
 /// x, y (m), yaw (rad).
