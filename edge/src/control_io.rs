@@ -4,7 +4,7 @@ use std::mem::discriminant;
 
 use zenav_protocol::messages::{
     Battery, Bump, Correction, EdgeState, Event, Heartbeat, Imu, Intent, Leader, Localisation, Marker, Obstacles,
-    Odometry, Plan, PoseEstimate, Refusal, Scan, Teleop,
+    Odometry, Plan, PoseEstimate, Refusal, Scan, Teleop, Yield,
 };
 use zenav_protocol::readings::KindReading;
 use zenav_protocol::topics::{EdgeReply, EdgeRequest};
@@ -76,6 +76,8 @@ pub enum Publication {
     Obstacles(Obstacles),
     /// What it is about to do.
     Intent(Intent),
+    /// The robots that it gives way to.
+    Yield(Yield),
     /// Shapes to draw.
     Marker(Marker),
 }

@@ -17,6 +17,7 @@ use zenav_protocol::bus::{Bus, BusError, Call, PartServer, Publisher, Shutdown};
 use zenav_protocol::config_text::OutOfBounds;
 use zenav_protocol::messages::{
     Battery, Bump, EdgeState, Event, Imu, Intent, Marker, Obstacles, Odometry, PoseEstimate, Refusal, Scan, SimClock,
+    Yield,
 };
 use zenav_protocol::readings::KindReading;
 use zenav_protocol::robot::RobotModel;
@@ -268,6 +269,7 @@ struct Publishers {
     event: Publisher<Event>,
     obstacles: Publisher<Obstacles>,
     intent: Publisher<Intent>,
+    yields: Publisher<Yield>,
     marker: Publisher<Marker>,
     clock: Option<Publisher<SimClock>>,
     trace: Arc<EdgeTrace>,
@@ -326,6 +328,7 @@ impl Publishers {
             event: bus.publisher(&topics::EVENT, robot)?,
             obstacles: bus.publisher(&topics::OBSTACLES, robot)?,
             intent: bus.publisher(&topics::INTENT, robot)?,
+            yields: bus.publisher(&topics::YIELD, robot)?,
             marker: bus.publisher(&topics::MARKER, robot)?,
             clock: gives_the_time
                 .then(|| bus.publisher(&topics::SIM_CLOCK, &[]))
@@ -357,6 +360,7 @@ impl Publishers {
                 }
                 Publication::Obstacles(message) => self.obstacles.put(message),
                 Publication::Intent(message) => self.intent.put(message),
+                Publication::Yield(message) => self.yields.put(message),
                 Publication::Marker(message) => self.marker.put(message),
             }
         }

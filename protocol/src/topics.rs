@@ -20,7 +20,7 @@ use crate::messages::{
     LeaseRequest, Localisation, LocaliseReply, LocaliseRequest, LogReply, LogRequest, MapFrame, MapInfo, MapPatch,
     MapReply, MapRequest, Marker, MissionStatus, ModeReply, ModeRequest, MotionRecord, MotionReply, MotionRequest,
     MoveGoalRequest, Obstacles, Odometry, ParamReply, ParamRequest, PauseRequest, Plan, PoseEstimate, RemoteReply,
-    RemoteRequest, ResumeRequest, Scan, SearchTree, SimClock, StopReply, StopRequest, Teleop, WheelSpeeds,
+    RemoteRequest, ResumeRequest, Scan, SearchTree, SimClock, StopReply, StopRequest, Teleop, WheelSpeeds, Yield,
 };
 use crate::readings::Readings;
 
@@ -358,6 +358,7 @@ crate::sensor_kinds!(key_table [
         EVENT: Event = "zenav/{robot}/edge/event", Edge, Qos::Events { cache: 256 }, 16 * KIB;
         OBSTACLES: Obstacles = "zenav/{robot}/edge/obstacles", Edge, Qos::Latest, 64 * KIB;
         INTENT: Intent = "zenav/{robot}/edge/intent", Edge, Qos::Latest, 16 * KIB;
+        YIELD: Yield = "zenav/{robot}/edge/yield", Edge, Qos::Latest, 256 * KIB;
         MARKER: Marker = "zenav/{robot}/edge/marker", Edge, Qos::Latest, 64 * KIB;
         MAP_INFO: MapInfo = "zenav/{robot}/cloud/map", Mapping, Qos::State, 16 * KIB;
         MAP_PATCH: MapPatch = "zenav/{robot}/cloud/map_patch", Mapping, Qos::Events { cache: 4 }, 64 * MIB, Cbor;

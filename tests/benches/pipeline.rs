@@ -264,6 +264,7 @@ fn scan_to_plan(criterion: &mut Criterion) {
                     goal: GOAL,
                     planner: "astar".into(),
                     cleared: Vec::new(),
+                    yield_to: Vec::new(),
                     unknown_is_free: true,
                     escape: 0.0,
                     goal_tolerance: 0.0,

@@ -6,6 +6,7 @@ use zenav_protocol::messages::{
     Annotations, BehaviourReply, BehaviourRequest, EdgeState, Event, GoalState, Heartbeat, InfoReply, InfoRequest,
     LeaseReply, LeaseRequest, Localisation, LocaliseReply, LocaliseRequest, MapFrame, MapInfo, MapPatch, MapReply,
     MapRequest, MissionStatus, MotionReply, MotionRequest, Plan, PoseEstimate, Refusal, RemoteReply, RemoteRequest,
+    Yield,
 };
 use zenav_protocol::topics::{MissionReply, MissionRequest};
 
@@ -26,6 +27,8 @@ pub struct Inputs {
     pub state: Option<EdgeState>,
     /// The robot's newest pose estimate, if new.
     pub pose: Option<PoseEstimate>,
+    /// The robots that the robot gives way to, if new.
+    pub yields: Option<Yield>,
     /// The robot's events, in order.
     pub events: Vec<Event>,
     /// The newest map description, if new.

@@ -92,6 +92,9 @@ impl Mission {
         ctx.motion.observe(now, inputs.state.as_ref(), &inputs.events);
         ctx.robot.hear(now, &inputs.events);
         ctx.robot.observe(now, inputs.state, inputs.pose);
+        if let Some(yields) = inputs.yields {
+            ctx.robot.observe_yield(now, yields);
+        }
         if let Some(said) = inputs.localisation {
             ctx.robot.observe_localisation(now, said);
         }

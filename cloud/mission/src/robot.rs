@@ -3,7 +3,7 @@
 use zenav_protocol::SCHEMA_VERSION;
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::messages::{
-    BasedOn, EdgeState, Event, EventKind, InfoReply, InfoRequest, Localisation, PoseEstimate,
+    BasedOn, EdgeState, Event, EventKind, InfoReply, InfoRequest, KnownCourse, Localisation, PoseEstimate, Yield,
 };
 use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
@@ -14,6 +14,8 @@ use super::io::{Answer, Ask, Ticket};
 
 /// A robot whose newest state is older is silent, s.
 const SILENCE: f64 = 1.0;
+/// Courses of other robots that were told longer ago are no longer believed, s.
+const TOLD_LATELY: f64 = 1.5;
 /// Time between two requests for its model, s.
 const RETRY: f64 = 1.0;
 /// Slower than this is at rest: m/s and rad/s.
@@ -33,6 +35,8 @@ pub struct RobotView {
     bumped: Option<Stamp>,
     /// Whether its place can be trusted, and when that was said.
     localisation: Option<(Stamp, Localisation)>,
+    /// The robots that it gives way to, and when they were told.
+    yields: Option<(Stamp, Yield)>,
     /// What the last reply of another schema version was.
     mismatch: Option<String>,
 }
@@ -48,6 +52,30 @@ impl RobotView {
     /// Takes what was said of its place.
     pub fn observe_localisation(&mut self, now: Stamp, said: Localisation) {
         self.localisation = Some((now, said));
+    }
+
+    /// Takes the robots that it gives way to. A course that cannot be meant is dropped.
+    pub fn observe_yield(&mut self, now: Stamp, mut told: Yield) {
+        told.courses.retain(KnownCourse::is_sound);
+        told.courses.truncate(KnownCourse::MOST);
+        if told.wait_secs.is_finite() && !told.courses.is_empty() {
+            self.yields = Some((now, told));
+        }
+    }
+
+    /// The robots that it gives way to on a trajectory, as told within the last second and a half, with times from now on.
+    #[must_use]
+    pub fn yields(&self, now: Stamp, trajectory_id: u64, frame: u64) -> Option<Yield> {
+        let (came, told) = self.yields.as_ref()?;
+        let age = now.secs_since(*came);
+        if told.trajectory_id != trajectory_id || told.frame != frame || age > TOLD_LATELY {
+            return None;
+        }
+        let mut told = told.clone();
+        for place in told.courses.iter_mut().flat_map(|course| &mut course.places) {
+            place.secs -= age;
+        }
+        Some(told)
     }
 
     /// Why its place cannot be trusted, if it cannot.

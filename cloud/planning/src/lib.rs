@@ -20,6 +20,7 @@
 //! | Is there a path that this robot can drive? | [`plan()`] |
 //! | The same, again and again while the map changes and the robot drives? | [`Replanner`] |
 //! | The path of one search between two points of a bitmap, in cells? | [`Searcher`] |
+//! | A path past robots whose courses are known? | [`search_space_time`] |
 //! | Which planners are there, which settings? | [`Planner`], [`PlanningSettings`] |
 //!
 //! ```
@@ -59,6 +60,7 @@
 //! | `ends` | from which free cell does a search begin, at which does it end? |
 //! | `circumscribed_search` | is there a path on which the robot may turn anywhere? |
 //! | `se2_search` | is there a path for the footprint itself, over positions and headings? |
+//! | `space_time` | which path leads past robots whose courses are known, and when is the robot where? |
 //! | `replan` | does an answer still stand when the map has changed or the robot has moved on? |
 //! | `planners` | which planners are there, and how is one added? |
 //! | `searcher` | which search runs, and on what memory? |
@@ -89,6 +91,7 @@ mod sampling;
 mod se2_search;
 mod searcher;
 mod settings;
+mod space_time;
 mod string_pulling;
 
 pub use budget::Budget;
@@ -101,4 +104,6 @@ pub use replan::Replanner;
 pub use searcher::{NotFound, Query, Searched, Searcher};
 pub use settings::{
     ClearanceSettings, LeavingSettings, PlanningSettings, ReplanningSettings, SamplingSettings, Se2Settings,
+    SpaceTimeSettings,
 };
+pub use space_time::{SpaceTimePath, SpaceTimeQuery, pulled, search as search_space_time};

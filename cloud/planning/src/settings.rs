@@ -25,6 +25,8 @@ zenav_protocol::settings! {
         pub se2: Se2Settings;
         /// Planners that draw samples.
         pub sampling: SamplingSettings;
+        /// Paths past robots that go first.
+        pub space_time: SpaceTimeSettings;
         /// What of an earlier answer is kept.
         pub replanning: ReplanningSettings;
     }
@@ -87,6 +89,28 @@ zenav_protocol::settings! {
         /// Samples with which a path is improved at most: some tenths of a second's worth, what more would gain is less than the wait
         /// costs.
         pub improving: u64 = 20_000;
+    }
+}
+
+zenav_protocol::settings! {
+    /// Paths past robots that go first, in space and time.
+    pub struct SpaceTimeSettings {
+        /// Spacing of the places that are searched.
+        pub cell: f64 = 0.2, "m", 0.05..=1.0;
+        /// Speed that is planned with, as a share of the robot's top speed: it also turns and speeds up.
+        pub speed: f64 = 0.8, "", 0.1..=1.0;
+        /// Distance kept from another robot's disc; at least what the right of way on the robot asks for (0.3 m), or it waits all the same.
+        pub clearance: f64 = 0.35, "m", 0.0..=2.0;
+        /// A place is left so long before another robot comes.
+        pub before: f64 = 2.0, "s", 0.0..=20.0;
+        /// And entered so long after it has left.
+        pub after: f64 = 1.0, "s", 0.0..=20.0;
+        /// What a second in another robot's way costs beyond itself, in seconds.
+        pub taken_cost: f64 = 8.0, "s", 0.0..=100.0;
+        /// Detours of up to this long are looked at.
+        pub slack: f64 = 15.0, "s", 0.0..=120.0;
+        /// Nodes that are expanded at most: some tenths of a second.
+        pub max_nodes: u64 = 200_000, "", 1..;
     }
 }
 

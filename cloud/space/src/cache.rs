@@ -3,8 +3,8 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use nalgebra::Point2;
-use zenav_protocol::grid::Occupancy;
+use nalgebra::{Point2, Vector2};
+use zenav_protocol::grid::{Cell, Occupancy};
 use zenav_protocol::messages::MapRef;
 use zenav_protocol::robot::Footprint;
 
@@ -62,10 +62,7 @@ impl SpaceCache {
         unknown: UnknownPolicy,
         fit: Fit,
     ) -> Arc<ConfigurationSpace> {
-        let footprint = &match fit {
-            Fit::Roomy => footprint.clone(),
-            Fit::Tight => footprint.offset(-(THICKENING * map.grid().spec().resolution).min(MOST_THICKENING)),
-        };
+        let footprint = &fitted(map, footprint, fit);
         let fits = |(of, space): &(MapRef, Arc<ConfigurationSpace>)| {
             let same_zones = Arc::ptr_eq(space.zones(), &self.zones);
             of.id == map.map().id && same_zones && space.unknown_policy() == unknown && space.footprint() == footprint
@@ -100,6 +97,36 @@ impl SpaceCache {
         ConfigurationSpace::with_zones(&grid, footprint, unknown, 0.0, &self.zones)
     }
 
+    /// The space of a map as if these discs (center and radius, map frame, m) were occupied; it is not kept. Cost: every cell.
+    #[must_use]
+    pub fn with_discs(
+        &self,
+        map: &MapReplica,
+        footprint: &Footprint,
+        unknown: UnknownPolicy,
+        fit: Fit,
+        discs: &[(Point2<f64>, f64)],
+    ) -> ConfigurationSpace {
+        let mut grid = map.grid().clone();
+        let spec = *grid.spec();
+        for (center, radius) in discs {
+            let [low, high] = [-*radius, *radius].map(|off| spec.to_cells(center + Vector2::repeat(off)));
+            let cells = |low: f64, high: f64, size: u32| {
+                let bound = |value: f64| value.floor().clamp(0.0, f64::from(size)) as u32;
+                bound(low)..bound(high + 1.0)
+            };
+            for y in cells(low.y, high.y, spec.height) {
+                for x in cells(low.x, high.x, spec.width) {
+                    let cell = Cell::new(x, y);
+                    if (spec.center(cell) - center).norm() <= *radius {
+                        grid[cell] = Occupancy::OCCUPIED;
+                    }
+                }
+            }
+        }
+        ConfigurationSpace::with_zones(&grid, &fitted(map, footprint, fit), unknown, 0.0, &self.zones)
+    }
+
     /// The space of a revision brought to the map's present one; `None` where it has to be built anew.
     fn brought_up(
         mut space: Arc<ConfigurationSpace>,
@@ -111,6 +138,14 @@ impl SpaceCache {
             Arc::make_mut(&mut space).apply(map.grid(), &differences);
         }
         Some(space)
+    }
+}
+
+/// The footprint that a space of a map is made for.
+fn fitted(map: &MapReplica, footprint: &Footprint, fit: Fit) -> Footprint {
+    match fit {
+        Fit::Roomy => footprint.clone(),
+        Fit::Tight => footprint.offset(-(THICKENING * map.grid().spec().resolution).min(MOST_THICKENING)),
     }
 }
 

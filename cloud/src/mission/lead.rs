@@ -9,7 +9,7 @@ use tokio::time::{Instant, MissedTickBehavior};
 use zenav_protocol::bus::{AliveWatch, Bus, BusError, Clock, KeyedPublisher, Latest, Publisher, Subscription};
 use zenav_protocol::messages::{
     Annotations, EdgeState, Event, GoalState, Heartbeat, InfoRequest, Localisation, MapFrame, MapInfo, MapPatch,
-    MissionStatus, Plan, PoseEstimate, Refusal,
+    MissionStatus, Plan, PoseEstimate, Refusal, Yield,
 };
 use zenav_protocol::topics::{self, MissionReply, MissionRequest};
 
@@ -174,6 +174,7 @@ struct Shell {
     next_client: u64,
     state: Latest<EdgeState>,
     pose: Latest<PoseEstimate>,
+    yields: Latest<Yield>,
     events: Subscription<Event>,
     map_info: Latest<MapInfo>,
     map_patches: Subscription<MapPatch>,
@@ -201,6 +202,7 @@ impl Shell {
             standbys: Standbys::new(bus, &service.config, service.store.clone(), leadership, incarnation),
             state: bus.latest(&topics::STATE, &name)?,
             pose: bus.latest(&topics::POSE, &name)?,
+            yields: bus.latest(&topics::YIELD, &name)?,
             events: bus.subscribe(&topics::EVENT, &name, MAX_WAITING)?,
             map_info: bus.latest(&topics::MAP_INFO, &name)?,
             map_patches: bus.subscribe(&topics::MAP_PATCH, &name, MAX_WAITING)?,
@@ -283,6 +285,7 @@ impl Shell {
             self.standbys.hear(state.lease.leader.as_ref());
         }
         inputs.pose = self.pose.take();
+        inputs.yields = self.yields.take();
         inputs.map_info = self.map_info.take();
         inputs.localisation = self.localisation.take();
         inputs.map_frame = self.map_frame.take();

@@ -9,12 +9,15 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
-use zenav_planning::{Budget, PlanOptions, Planned, Planner, PlanningSettings, Replanner, Searcher};
+use zenav_planning::{
+    Budget, PlanOptions, Planned, Planner, PlanningSettings, Replanner, Searcher, SpaceTimeQuery, pulled,
+    search_space_time,
+};
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::map_replica::MapReplica;
 use zenav_protocol::messages::{
-    MotionReply, MotionRequest, PlanOrigin, PlanOutcome, PlanReply, PlanRequest, PlanStatistics, Refusal, SmoothReply,
-    SmoothRequest, TrajectoryReply, TrajectoryRequest,
+    KnownCourse, MotionReply, MotionRequest, PlanOrigin, PlanOutcome, PlanReply, PlanRequest, PlanStatistics, Refusal,
+    SmoothReply, SmoothRequest, TrajectoryReply, TrajectoryRequest,
 };
 use zenav_protocol::robot::{Footprint, RobotModel};
 use zenav_protocol::trajectory::Trajectory;
@@ -30,6 +33,8 @@ const MAX_POINTS: usize = 100_000;
 const MAX_VIA: usize = 1000;
 /// Farthest that a robot may be told to leave an obstacle by, or to end beside its goal, m.
 const FARTHEST: f64 = 10.0;
+/// Room beside a path past other robots, m.
+const BESIDE: f64 = 0.15;
 /// Longest path that is smoothed, m.
 const LONGEST: f64 = 20_000.0;
 /// Wheels that run faster than so many times their top speed, and a bit (m/s), are mistaken.
@@ -93,6 +98,8 @@ struct Kept {
 /// What an answer is worked out with.
 struct Given<'a> {
     map: Option<&'a MapReplica>,
+    /// Where other robots are when this one passes them: center and radius of discs, map frame, m.
+    taken: Vec<(Point2<f64>, f64)>,
     clock: &'a mut dyn FnMut() -> f64,
     cancel: &'a Cancel,
 }
@@ -134,6 +141,7 @@ impl MotionWorker {
     ) -> Result<MotionReply, Refusal> {
         let mut given = Given {
             map: map.filter(|map| !map.grid().spec().is_empty()),
+            taken: Vec::new(),
             clock,
             cancel,
         };
@@ -146,6 +154,9 @@ impl MotionWorker {
 
     /// A path, and its trajectory.
     fn trajectory(&mut self, given: &mut Given<'_>, request: &TrajectoryRequest) -> Result<TrajectoryReply, Refusal> {
+        if let Some(reply) = self.past_others(given, request)? {
+            return Ok(reply);
+        }
         let mut plan = self.plan(given, &request.plan)?;
         let mut smooth = self.smooth_found(given, request, &plan)?;
         // The planner looks at straight legs and turns on the spot; in the end the goal's heading, or what the robot's speed asks of the
@@ -163,7 +174,80 @@ impl MotionWorker {
                 plan = other;
             }
         }
-        Ok(TrajectoryReply { plan, smooth })
+        Ok(TrajectoryReply {
+            plan,
+            smooth,
+            arrival_secs: None,
+        })
+    }
+
+    /// A path past the robots that go first, and its trajectory. `None` where there is nobody to give way to, where poses are to be passed, and
+    /// where the robot would have to pass a place without room to turn.
+    fn past_others(
+        &mut self,
+        given: &mut Given<'_>,
+        request: &TrajectoryRequest,
+    ) -> Result<Option<TrajectoryReply>, Refusal> {
+        let plan = &request.plan;
+        let Some(map) = given.map.filter(|_| !plan.yield_to.is_empty() && plan.via.is_empty()) else {
+            return Ok(None);
+        };
+        if plan.yield_to.len() > KnownCourse::MOST || !plan.yield_to.iter().all(KnownCourse::is_sound) {
+            return Err(Refusal::bad_request(format!(
+                "`yield_to`: expected at most {} courses of 1 to {} places in order of time",
+                KnownCourse::MOST,
+                KnownCourse::MOST_PLACES
+            )));
+        }
+        let model = checked(&plan.model)?;
+        let began = (given.clock)();
+        let policy = UnknownPolicy::of(plan.unknown_is_free);
+        let radius = model.footprint.circumscribed_radius();
+        let settings = &self.settings.planning.space_time;
+        let query = SpaceTimeQuery {
+            start: plan.start.position(),
+            goal: plan.goal.position(),
+            speed: settings.speed * model.drive.top_speed(),
+            radius,
+            courses: &plan.yield_to,
+        };
+        let space = self.spaces.get(map, &model.footprint, policy, Fit::Roomy);
+        let budget = Budget {
+            max_expansions: self.settings.planning.max_expansions,
+            max_samples: 0,
+            cancel: Some(&given.cancel.search),
+        };
+        let Some(found) = search_space_time(&space.for_disc(radius), &query, settings, budget) else {
+            return Ok(None);
+        };
+        given.taken = found.meets(&query, settings, BESIDE);
+        let around = self
+            .spaces
+            .with_discs(map, &model.footprint, policy, Fit::Roomy, &given.taken);
+        let path = pulled(&around.for_disc(radius), &found);
+        let length = path.windows(2).map(|leg| (leg[1] - leg[0]).norm()).sum();
+        let reply = PlanReply {
+            map: map.map().clone(),
+            outcome: PlanOutcome::Found { path, length },
+            backwards: Vec::new(),
+            leg: 0,
+            escapes: false,
+            search_ms: ((given.clock)() - began) * 1e3,
+            expansions: found.expansions,
+            origin: PlanOrigin::Searched,
+        };
+        let smooth = self.smooth_found(given, request, &reply)?;
+        given.taken.clear();
+        let driven = smooth
+            .as_ref()
+            .and_then(|smooth| smooth.trajectory.last())
+            .map(|last| last.t);
+        let Some(driven) = driven else { return Ok(None) };
+        Ok(Some(TrajectoryReply {
+            plan: reply,
+            smooth,
+            arrival_secs: Some(found.arrival().max(driven + found.waits) + found.in_the_way),
+        }))
     }
 
     /// The trajectory along the path of an answer; `None` where there is no path.
@@ -385,7 +469,11 @@ impl MotionWorker {
         request: &SmoothRequest,
     ) -> SmoothReply {
         let policy = UnknownPolicy::of(request.unknown_is_free);
-        let space = self.spaces.get(map, &model.footprint, policy, fit);
+        let space = if given.taken.is_empty() {
+            self.spaces.get(map, &model.footprint, policy, fit)
+        } else {
+            Arc::new(self.spaces.with_discs(map, &model.footprint, policy, fit, &given.taken))
+        };
         let mut reply = SmoothReply {
             map: map.map().clone(),
             trajectory: Trajectory::default(),

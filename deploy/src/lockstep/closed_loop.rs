@@ -277,6 +277,7 @@ impl RobotLoop {
                     self.inputs.state = Some(*state);
                 }
                 Up::Publication(Publication::Pose(pose)) => self.inputs.pose = Some(pose),
+                Up::Publication(Publication::Yield(yields)) => self.inputs.yields = Some(yields),
                 Up::Publication(Publication::Event(event)) => self.inputs.events.push(event),
                 Up::Publication(Publication::Scan(lidar, scan)) => self.map(now, &lidar, &scan),
                 Up::Publication(_) => {}

@@ -182,7 +182,7 @@ impl Avoidance {
             }
         }
         let mut chosen = None;
-        if bump.is_some() {
+        if bump.is_some() || self.is_stuck() {
             // Away from a contact leads often no single arc, but a turn and then straight on.
             for way_out in (0..WAYS_OUT).map(WayOut) {
                 let twist = way_out.twist(&self.drive, input.odom_from_base.yaw, input.dt);
@@ -208,11 +208,16 @@ impl Avoidance {
         let (input, from_here) = (situation.input, situation.value);
         let touched = self.touched.is_so();
         let backs_slowly = input.obstacles.blind_spots().leads_into_blind_spot(-1.0);
-        let lasts = if touched { TOUCHED_ARC_SECS } else { ARC_SECS };
+        let lasts = if touched || way_out.is_some() {
+            TOUCHED_ARC_SECS
+        } else {
+            ARC_SECS
+        };
         let step = lasts / f64::from(ARC_STEPS);
         let base_from_odom = rigid(input.odom_from_base).inverse();
         let mut wheels = self.drive.wheels(input.command);
-        let (mut pose, mut cost) = (input.odom_from_base, 0.0);
+        // The values are those of the end: what lasts longer has cost more by then.
+        let (mut pose, mut cost) = (input.odom_from_base, if touched { 0.0 } else { lasts - ARC_SECS });
         cost += 0.1 * (wanted.v - input.command.v).abs() / self.drive.top_speed()
             + 0.1 * (wanted.w - input.command.w).abs() / self.drive.top_yaw_rate();
         let mut target = self.drive.wheels(wanted);

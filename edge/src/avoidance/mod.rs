@@ -43,6 +43,9 @@ const REJOINED: (f64, f64) = (0.15, 0.5);
 const CALM: f64 = 0.3;
 /// And after which the tracker takes over wherever the robot is: too far off its plan it asks for a new one.
 const LONG_CALM: f64 = 1.5;
+/// A robot that gets on by less than this while it makes way, m and rad, for so long, s, is stuck between motions that are as good.
+const GETS_ON: (f64, f64) = (0.1, 0.5);
+const STUCK: f64 = 1.5;
 /// A footprint is covered by so many discs at most.
 const MOST_DISCS: usize = 8;
 /// Whose best course leads into a robot's for more layers than this, and this long, s, is trapped, and stays so for a while, s.
@@ -106,8 +109,11 @@ pub struct Avoidance {
     evading: bool,
     calm_for: f64,
     touched: Touched,
-    /// Which way it goes in contact.
+    /// Which way it goes in contact, or where it is stuck.
     way_out: Option<WayOut>,
+    /// Where the robot was when it last got on while making way, and for how long it has not, s.
+    got_to: Option<Pose2>,
+    stuck_for: f64,
     /// Whether what it makes way for is a robot.
     for_robot: bool,
     /// Where it makes way to.
@@ -135,6 +141,8 @@ impl Avoidance {
             calm_for: 0.0,
             touched: Touched::default(),
             way_out: None,
+            got_to: None,
+            stuck_for: 0.0,
             for_robot: false,
             course: Vec::new(),
             hit_for: 0.0,
@@ -164,6 +172,11 @@ impl Avoidance {
         (self.evading && !self.course.is_empty()).then(|| (&self.course[..], self.values.layer()))
     }
 
+    /// Whether the robot has not got on for a while although it makes way.
+    fn is_stuck(&self) -> bool {
+        self.stuck_for > STUCK
+    }
+
     /// Whether lately no way led clear of robots that have right of way.
     #[must_use]
     pub fn is_trapped(&self) -> bool {
@@ -174,6 +187,8 @@ impl Avoidance {
     pub fn reset(&mut self) {
         self.evading = false;
         self.way_out = None;
+        self.got_to = None;
+        self.stuck_for = 0.0;
         self.calm_for = 0.0;
         self.hit_for = 0.0;
     }
@@ -210,6 +225,14 @@ impl Avoidance {
             return Control::Rejoin;
         }
         self.evading = true;
+        let got_on = |from: Pose2| {
+            let turned = wrap_angle(from.yaw - input.odom_from_base.yaw).abs();
+            from.distance(&input.odom_from_base) > GETS_ON.0 || turned > GETS_ON.1
+        };
+        if self.got_to.is_none_or(got_on) {
+            (self.got_to, self.stuck_for) = (Some(input.odom_from_base), 0.0);
+        }
+        self.stuck_for += input.dt;
         self.standing.clear();
         self.standing.extend(input.obstacles.standing());
         let base_from_odom = input.odom_from_base.inverse();

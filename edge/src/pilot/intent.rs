@@ -1,10 +1,11 @@
 //! Intent. What do other robots learn of this one's course? Where it will be by its plan, or where it makes way to, and who goes first.
 
-use zenav_protocol::messages::{Intent, Mode};
+use zenav_protocol::messages::{CoursePlace, Intent, KnownCourse, Mode, Yield};
 use zenav_protocol::time::Stamp;
 
 use super::Pilot;
 use crate::control_io::Publication;
+use crate::obstacle_tracks::Track;
 use crate::right_of_way::Wait;
 
 /// Time from one place that is told to the next, s, and how many there are.
@@ -17,6 +18,9 @@ const LATER: u32 = 12;
 const HELD: f64 = 3.0;
 /// What moves without a plan goes on as it does for this long, s.
 const UNPLANNED: f64 = 1.0;
+/// A wait shorter than this is not worth another path, s; and how often waits are told, s.
+const LEAST_WAIT: f64 = 2.0;
+const YIELD_PERIOD: f64 = 1.0;
 /// Slower than this it stands, m/s and rad/s.
 const STANDS: f64 = 0.02;
 
@@ -86,6 +90,47 @@ impl Pilot {
         };
         out.push(Publication::Intent(self.intent.clone()));
     }
+
+    /// Tells the mission which robots it gives way to on its plan, so that it can look for a way past them.
+    pub(super) fn tell_yield(&mut self, now: Stamp, out: &mut Vec<Publication>) {
+        let Some(active) = self.active_plan.as_ref().filter(|_| self.mode == Mode::Follow) else {
+            return;
+        };
+        let Some(wait) = self.right_of_way.wait(now, active) else {
+            return;
+        };
+        let wait_secs = wait.until - wait.at;
+        if wait_secs < LEAST_WAIT || self.yield_told.is_some_and(|told| now.secs_since(told) < YIELD_PERIOD) {
+            return;
+        }
+        let map_from_odom = self.estimator.map_from_odom();
+        let course = |track: &Track| KnownCourse {
+            radius: track.radius,
+            places: track
+                .told_course()
+                .into_iter()
+                .map(|(secs, place)| {
+                    let place = map_from_odom.transform_point(place);
+                    CoursePlace {
+                        secs,
+                        x: place.x,
+                        y: place.y,
+                    }
+                })
+                .collect(),
+        };
+        let first = self.obstacles.moving().tracks().robots().iter();
+        let courses = first.filter(|track| track.goes_first()).take(KnownCourse::MOST);
+        out.push(Publication::Yield(Yield {
+            stamp: now,
+            trajectory_id: active.plan().trajectory_id,
+            frame: self.frame.number(),
+            wait_secs,
+            courses: courses.map(course).collect(),
+        }));
+        self.yield_told = Some(now);
+    }
+
     /// Whether it waits on its plan for a robot that goes first.
     pub(super) fn waits_for_robot(&self, now: Stamp) -> bool {
         let plan = self.active_plan.as_ref().filter(|_| self.mode == Mode::Follow);

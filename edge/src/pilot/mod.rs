@@ -83,6 +83,8 @@ pub struct Pilot {
     right_of_way: RightOfWay,
     /// What other robots were told last.
     intent: Intent,
+    /// When the mission was told last which robots this one gives way to.
+    yield_told: Option<Stamp>,
     /// The goal that the told length of the way is for.
     way_goal: Option<String>,
     /// Since when it has stood with nothing to drive to.
@@ -143,6 +145,7 @@ impl Pilot {
                 radius: model.footprint.circumscribed_radius(),
                 ..Intent::default()
             },
+            yield_told: None,
             way_goal: None,
             parked_since: None,
             held_since: None,

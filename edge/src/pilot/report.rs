@@ -29,6 +29,7 @@ impl Pilot {
             out.extend(markers.into_iter().map(Publication::Marker));
         }
         self.tell_intent(now, out);
+        self.tell_yield(now, out);
         if self.telemetry.state_due(now) {
             out.push(Publication::State(Box::new(self.state(now))));
         }

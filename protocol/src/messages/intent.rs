@@ -74,6 +74,70 @@ impl Intent {
     }
 }
 
+/// What a robot gives way to, published once a second while it waits for others on its plan, or will have to.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct Yield {
+    /// The time that the courses begin at, on the robot's clock.
+    pub stamp: Stamp,
+    /// The trajectory on which it waits.
+    pub trajectory_id: u64,
+    /// The frame of the map that the courses are in.
+    #[serde(default)]
+    pub frame: u64,
+    /// Time that the wait adds to its way, s.
+    pub wait_secs: f64,
+    /// Courses of the robots that go first.
+    pub courses: Vec<KnownCourse>,
+}
+
+/// The known course of another robot.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct KnownCourse {
+    /// Radius of the disc around its outline, m.
+    pub radius: f64,
+    /// Where it will be, in order of time; after the last place it is gone.
+    pub places: Vec<CoursePlace>,
+}
+
+/// A place on a course.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct CoursePlace {
+    /// Time from now, s.
+    pub secs: f64,
+    /// Map frame, m.
+    pub x: f64,
+    /// Map frame, m.
+    pub y: f64,
+}
+
+impl CoursePlace {
+    /// The place, map frame.
+    #[must_use]
+    pub fn at(&self) -> Point2<f64> {
+        Point2::new(self.x, self.y)
+    }
+}
+
+impl KnownCourse {
+    /// Most places of a course.
+    pub const MOST_PLACES: usize = MOST_PLACES + MOST_LATER;
+    /// Most courses that a path gives way to.
+    pub const MOST: usize = 32;
+
+    /// Whether its numbers can be meant.
+    #[must_use]
+    pub fn is_sound(&self) -> bool {
+        let finite = |place: &CoursePlace| [place.secs, place.x, place.y].iter().all(|value| value.is_finite());
+        (0.01..=5.0).contains(&self.radius)
+            && (1..=Self::MOST_PLACES).contains(&self.places.len())
+            && self.places.iter().all(finite)
+            && self.places.is_sorted_by(|a, b| a.secs <= b.secs)
+    }
+}
+
 /// Most places that a robot tells, and most of those after them.
 const MOST_PLACES: usize = 64;
 const MOST_LATER: usize = 32;

@@ -5,7 +5,7 @@ use std::time::Duration;
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 
-use super::{MapRef, PlanStatistics, Refusal, Zone};
+use super::{KnownCourse, MapRef, PlanStatistics, Refusal, Zone};
 use crate::geometry::{Pose2, Twist2};
 use crate::robot::RobotModel;
 use crate::time::Stamp;
@@ -117,6 +117,9 @@ pub struct TrajectoryReply {
     pub plan: PlanReply,
     /// Its trajectory; `None` without a path. Empty where the robot cannot drive the path, as the status says.
     pub smooth: Option<SmoothReply>,
+    /// When the robot is at the goal, its waits for `yield_to` included, s from the start; `None` of a path that gives way to nobody.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub arrival_secs: Option<f64>,
 }
 
 /// A request for a path through the robot's current map.
@@ -146,6 +149,9 @@ pub struct PlanRequest {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[cfg_attr(feature = "schema", schemars(with = "Vec<[f64; 2]>"))]
     pub cleared: Vec<Point2<f64>>,
+    /// Robots to give way to, from the time of the request on: the path leads past them where it can.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub yield_to: Vec<KnownCourse>,
     /// A robot that does not fit where it stands, by the map, may leave by the nearest free position, if that is this near, m.
     #[serde(default)]
     pub escape: f64,
@@ -367,6 +373,7 @@ mod tests {
             planner: "astar".into(),
             unknown_is_free: false,
             cleared: Vec::new(),
+            yield_to: Vec::new(),
             escape: 0.0,
             goal_tolerance: 0.0,
             budget_ms: 500,

@@ -479,6 +479,7 @@ async fn motion(mut requests: Server<MotionRequest, MotionReply>) {
         request.reply(&MotionReply::Trajectory(TrajectoryReply {
             plan,
             smooth: Some(smooth),
+            arrival_secs: None,
         }));
     }
 }

@@ -153,6 +153,7 @@ impl Client {
                 goal,
                 planner: "astar".to_owned(),
                 cleared: Vec::new(),
+                yield_to: Vec::new(),
                 unknown_is_free: false,
                 escape: 0.0,
                 goal_tolerance: 0.5,

@@ -30,6 +30,9 @@ mod error_code {
     pub const NO_VALID_CONTROL: i64 = 106;
 }
 
+/// A way past other robots is taken if it saves this much of the wait for them, s; and looked for this often, s.
+const WORTH_IT: f64 = 1.0;
+const LOOK_PERIOD: f64 = 1.0;
 /// Wait before a route is looked for again that could not be checked, s.
 const AFTER_UNCHECKED: f64 = 1.0;
 /// A route from rest is good only where the robot still stands, m.
@@ -54,6 +57,9 @@ const THERE: f64 = 0.5;
 pub struct FollowPath {
     progress: Progress,
     search: Option<Search>,
+    /// A way past the robots that this one gives way to, and when one may be looked for again.
+    detour: Option<Search>,
+    next_detour: Stamp,
     refusals: u32,
     misses: u32,
     path_sequence: u64,
@@ -357,6 +363,9 @@ impl FollowPath {
             ctx.goal.feedback.distance_left = Some(progress.0);
             ctx.goal.feedback.time_left = Some(progress.1);
         }
+        if let Some(status) = self.give_way(io, ctx, memory) {
+            return status;
+        }
         let due = ctx.motion.age(ctx.now) >= ctx.config.settings.renew_period || ctx.motion.is_held();
         let revision = ctx.map.newest().map_or(0, |map| map.revision);
         let zone_changes = ctx.map.zone_changes();
@@ -392,6 +401,41 @@ impl FollowPath {
             "waiting for the robot to accept the plan"
         };
         step(io, ctx, what)
+    }
+
+    /// Looks for a way past the robots that this one gives way to, and takes it if it is there sooner than by waiting.
+    fn give_way(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, memory: Memory) -> Option<Status> {
+        let yields = ctx
+            .motion
+            .id()
+            .and_then(|id| ctx.robot.yields(ctx.now, id, ctx.frames.at()))
+            .filter(|_| self.tracking.goals_ahead().is_empty());
+        let Some(mut search) = self.detour.take() else {
+            let yields = yields.filter(|_| ctx.now >= self.next_detour)?;
+            let request = RouteRequest {
+                yield_to: yields.courses,
+                ..RouteRequest::to(memory.goal)
+            };
+            self.next_detour = ctx.now.plus_secs(LOOK_PERIOD);
+            self.detour = Some(Search::new(ctx, request, None, ctx.now).standing());
+            return None;
+        };
+        match search.step(ctx) {
+            Searching::Wait(_) => self.detour = Some(search),
+            Searching::Found(route) => {
+                let left = self.where_it_is(ctx).1.map(|(_, secs)| secs);
+                let waits = yields.map(|yields| yields.wait_secs);
+                let by_waiting = left.zip(waits).map(|(left, waits)| left + waits);
+                let sooner = route.arrival_secs.zip(by_waiting);
+                if sooner.is_some_and(|(past, waiting)| past + ctx.latency_budget() + WORTH_IT < waiting)
+                    && self.fits(ctx, &route)
+                {
+                    return Some(self.drive(io, ctx, memory, &route));
+                }
+            }
+            Searching::Blocked(_) | Searching::Nearer(_) | Searching::Failed(_) => search.cancel(ctx),
+        }
+        None
     }
 
     fn where_it_is(&self, ctx: &Context) -> (f64, Option<(f64, f64)>) {
@@ -474,6 +518,9 @@ impl FollowPath {
     }
 
     fn stop_search(&mut self, ctx: &mut Context) {
+        if let Some(detour) = self.detour.take() {
+            detour.cancel(ctx);
+        }
         if let Some(search) = self.search.take() {
             search.cancel(ctx);
         }

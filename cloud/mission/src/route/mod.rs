@@ -16,8 +16,8 @@ use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::{
-    GoalPoint, MapRef, MotionReply, MotionRequest, PlanOutcome, PlanReply, PlanRequest, PlanStatistics, SmoothReply,
-    SmoothRequest, TrajectoryRequest,
+    GoalPoint, KnownCourse, MapRef, MotionReply, MotionRequest, PlanOutcome, PlanReply, PlanRequest, PlanStatistics,
+    SmoothReply, SmoothRequest, TrajectoryRequest,
 };
 use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
@@ -81,6 +81,8 @@ pub struct Route {
     pub begin: Pose2,
     /// What is to be published.
     pub plan: PlanDraft,
+    /// When the robot is at the goal if it leads past others, their waits included, s.
+    pub arrival_secs: Option<f64>,
 }
 
 /// A route as it stands on the blackboard.
@@ -196,6 +198,8 @@ pub struct Search {
     frame: u64,
     /// Whether no motion worker answered last time.
     unanswered: bool,
+    /// When the robot is at the goal by the last answer, past others, s.
+    arrival_secs: Option<f64>,
 }
 
 impl Search {
@@ -219,6 +223,7 @@ impl Search {
             asked: from,
             frame: ctx.frames.at(),
             unanswered: false,
+            arrival_secs: None,
         }
     }
 
@@ -392,11 +397,21 @@ impl Search {
             planner: self.planner.clone(),
             unknown_is_free: ctx.config.settings.unknown_is_free,
             cleared: Vec::new(),
+            yield_to: self.yield_to(ctx.latency_budget()),
             escape: ctx.config.settings.escape,
             goal_tolerance: NEARBY * ctx.goal.tolerance,
             budget_ms: (1e3 * ctx.config.settings.search_budget) as u64,
             seed: 1,
         }
+    }
+
+    /// The courses of the robots to lead past, with times from so many s later on.
+    fn yield_to(&self, later: f64) -> Vec<KnownCourse> {
+        let mut courses = self.request.yield_to.clone();
+        for place in courses.iter_mut().flat_map(|course| &mut course.places) {
+            place.secs -= later;
+        }
+        courses
     }
 
     fn answered(&mut self, ctx: &mut Context, begin: Begin, answer: Result<Answer, NoAnswer>) -> Searching {
@@ -414,7 +429,10 @@ impl Search {
         };
         let (plan, smooth) = match reply {
             MotionReply::Plan(plan) if self.request.from.is_some() => (plan, None),
-            MotionReply::Trajectory(reply) if self.request.from.is_none() => (reply.plan, reply.smooth),
+            MotionReply::Trajectory(reply) if self.request.from.is_none() => {
+                self.arrival_secs = reply.arrival_secs;
+                (reply.plan, reply.smooth)
+            }
             _ => return off_topic(),
         };
         if plan.map.frame != ctx.frames.at() || self.frame != ctx.frames.at() {
@@ -538,7 +556,10 @@ impl Search {
         statistics: PlanStatistics,
     ) -> Searching {
         self.waiting = None;
-        let found = route(begin, self.request.goal, path, map, trajectory, statistics);
+        let found = Route {
+            arrival_secs: self.arrival_secs,
+            ..route(begin, self.request.goal, path, map, trajectory, statistics)
+        };
         Searching::Found(Box::new(found))
     }
 
@@ -570,6 +591,7 @@ fn route(
         path,
         begin: begin.pose,
         plan,
+        arrival_secs: None,
     }
 }
 

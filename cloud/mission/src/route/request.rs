@@ -2,7 +2,7 @@
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;
-use zenav_protocol::messages::GoalPoint;
+use zenav_protocol::messages::{GoalPoint, KnownCourse};
 
 use crate::leaves::path;
 
@@ -22,6 +22,8 @@ pub struct RouteRequest {
     pub from: Option<Pose2>,
     /// A path that is there already: it is driven, if it leads past the robot and can be.
     pub given: Vec<Point2<f64>>,
+    /// Robots to lead past, with times from now on.
+    pub yield_to: Vec<KnownCourse>,
 }
 
 impl RouteRequest {
@@ -33,6 +35,7 @@ impl RouteRequest {
             goal,
             from: None,
             given: Vec::new(),
+            yield_to: Vec::new(),
         }
     }
 

@@ -75,6 +75,7 @@ fn request(robot: &str, planner: &str) -> TrajectoryRequest {
             planner: planner.to_owned(),
             unknown_is_free: false,
             cleared: Vec::new(),
+            yield_to: Vec::new(),
             escape: 0.6,
             goal_tolerance: 0.0,
             budget_ms: 5000,

@@ -403,6 +403,7 @@ mod tests {
                 planner: "astar".to_owned(),
                 unknown_is_free: false,
                 cleared: Vec::new(),
+                yield_to: Vec::new(),
                 escape: 0.0,
                 goal_tolerance: 0.0,
                 budget_ms: 5000,

@@ -1,0 +1,318 @@
+//! Space-time search. A path past robots whose courses are known, with the time of arrival.
+//!
+//! A* over positions and times on a coarse grid, on which waiting is a move (Silver, "Cooperative pathfinding", AIIDE 2005). The robot is the
+//! disc around its footprint and moves at one speed. A place counts as taken from some time before another robot's disc comes near until some
+//! time after it has left; it may be crossed at a cost, so a robot that already stands in somebody's way gets out of it. A course that has
+//! ended takes no place any more. The cost to go is the time among static obstacles alone, exact on the same grid.
+//!
+//! The path is then pulled taut between discs that stand for the other robots where the robot meets them ([`SpaceTimePath::meets`]), so it
+//! stays on the side of each that the search chose.
+
+mod cost_to_go;
+
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+
+use nalgebra::Point2;
+use rustc_hash::FxHashMap;
+use zenav_protocol::messages::KnownCourse;
+use zenav_space::{ConfigurationSpace, LineOfSight as _};
+
+use super::budget::Budget;
+use super::settings::SpaceTimeSettings;
+use super::string_pulling::pull_string;
+use cost_to_go::CostToGo;
+
+/// Ticks of a straight step, and of a diagonal one: their ratio is the square root of two within 1 %.
+const STRAIGHT: u32 = 5;
+const DIAGONAL: u32 = 7;
+/// The neighbours of a node, and the ticks that the step takes.
+const STEPS: [(i32, i32, u32); 8] = [
+    (1, 0, STRAIGHT),
+    (-1, 0, STRAIGHT),
+    (0, 1, STRAIGHT),
+    (0, -1, STRAIGHT),
+    (1, 1, DIAGONAL),
+    (1, -1, DIAGONAL),
+    (-1, 1, DIAGONAL),
+    (-1, -1, DIAGONAL),
+];
+/// A meeting is looked for this far around the path, beyond what is kept, m.
+const BESIDE: f64 = 1.0;
+/// Spacing of the discs that stand for a robot on its course, m.
+const SPACING: f64 = 0.1;
+/// Corners of the path are moved by this much at the least, cells.
+const FINEST: f64 = 0.5;
+
+/// From where to where, how fast, and whom to give way to.
+#[derive(Clone, Copy, Debug)]
+pub struct SpaceTimeQuery<'a> {
+    /// Map frame.
+    pub start: Point2<f64>,
+    /// Map frame.
+    pub goal: Point2<f64>,
+    /// m/s.
+    pub speed: f64,
+    /// Radius of the disc around the footprint, m.
+    pub radius: f64,
+    /// Robots with right of way.
+    pub courses: &'a [KnownCourse],
+}
+
+/// A path in space and time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SpaceTimePath {
+    /// When the robot is where, s from the start, map frame.
+    pub places: Vec<(f64, Point2<f64>)>,
+    /// Time that the robot waits on the way, s.
+    pub waits: f64,
+    /// Time in which it is in another robot's way, s.
+    pub in_the_way: f64,
+    /// Nodes expanded.
+    pub expansions: u64,
+}
+
+impl SpaceTimePath {
+    /// When the robot is at the goal, s.
+    #[must_use]
+    pub fn arrival(&self) -> f64 {
+        self.places.last().map_or(0.0, |(secs, _)| *secs)
+    }
+
+    /// Discs, center and radius (m), that the other robots take while this one passes them. None of them reaches the path itself, less
+    /// than `kept` m beside it.
+    #[must_use]
+    pub fn meets(
+        &self,
+        query: &SpaceTimeQuery<'_>,
+        settings: &SpaceTimeSettings,
+        kept: f64,
+    ) -> Vec<(Point2<f64>, f64)> {
+        let line: Vec<Point2<f64>> = self.places.iter().map(|(_, place)| *place).collect();
+        let mut discs: Vec<(Point2<f64>, f64)> = Vec::new();
+        for course in query.courses {
+            let near = query.radius + course.radius + settings.clearance + BESIDE;
+            for (secs, place) in &self.places {
+                for other in positions(course, secs - settings.after, secs + settings.before, SPACING) {
+                    let off = (other - place).norm();
+                    let is_known = |(known, _): &(Point2<f64>, f64)| (known - other).norm() < 0.5 * SPACING;
+                    if off > near || discs.iter().any(is_known) {
+                        continue;
+                    }
+                    let beside = distance_to_line(other, &line) - query.radius - kept;
+                    let radius = beside.min(course.radius + settings.clearance);
+                    if radius > 0.0 {
+                        discs.push((other, radius));
+                    }
+                }
+            }
+        }
+        discs
+    }
+}
+
+/// The corners of a path, pulled taut in a space of the same disc in which what it meets stands as an obstacle.
+#[must_use]
+pub fn pulled(space: &ConfigurationSpace, path: &SpaceTimePath) -> Vec<Point2<f64>> {
+    let spec = space.spec();
+    let mut corners: Vec<Point2<f64>> = path.places.iter().map(|(_, place)| spec.to_cells(*place)).collect();
+    corners.dedup();
+    pull_string(space, &mut corners, FINEST);
+    corners.into_iter().map(|corner| spec.from_cells(corner)).collect()
+}
+
+/// Distance of a point from a line of straight pieces, m.
+fn distance_to_line(point: Point2<f64>, line: &[Point2<f64>]) -> f64 {
+    let first = line.first().map_or(f64::INFINITY, |at| (at - point).norm());
+    let pieces = line.windows(2).map(|leg| distance_to_leg(point, leg[0], leg[1]));
+    pieces.fold(first, f64::min)
+}
+
+fn distance_to_leg(point: Point2<f64>, from: Point2<f64>, to: Point2<f64>) -> f64 {
+    let along = to - from;
+    let share = (point - from).dot(&along) / along.norm_squared().max(1e-12);
+    (from + along * share.clamp(0.0, 1.0) - point).norm()
+}
+
+/// The pieces of a course within some time, s: straight, from place to place.
+fn pieces(course: &KnownCourse, from: f64, to: f64) -> impl Iterator<Item = (Point2<f64>, Point2<f64>)> + '_ {
+    let at = |leg: &[zenav_protocol::messages::CoursePlace], secs: f64| {
+        let (first, last) = (leg[0], leg[1]);
+        let share = ((secs - first.secs) / (last.secs - first.secs).max(1e-9)).clamp(0.0, 1.0);
+        first.at() + (last.at() - first.at()) * share
+    };
+    let begins = course.places.partition_point(|place| place.secs <= from).max(1) - 1;
+    let legs = course.places.get(begins..).unwrap_or_default().windows(2);
+    legs.take_while(move |leg| leg[0].secs < to)
+        .filter(move |leg| leg[1].secs > from)
+        .map(move |leg| (at(leg, from), at(leg, to)))
+}
+
+/// Places of a course within some time, s, no farther apart than `spacing`, m.
+fn positions(course: &KnownCourse, from: f64, to: f64, spacing: f64) -> impl Iterator<Item = Point2<f64>> + '_ {
+    pieces(course, from, to).flat_map(move |(first, last)| {
+        let count = ((last - first).norm() / spacing).ceil().max(1.0);
+        (0..=count as u32).map(move |nth| first + (last - first) * (f64::from(nth) / count))
+    })
+}
+
+/// Whether a place is taken by one of the robots at a time, s.
+fn is_taken(query: &SpaceTimeQuery<'_>, settings: &SpaceTimeSettings, place: Point2<f64>, secs: f64) -> bool {
+    query.courses.iter().any(|course| {
+        let near = query.radius + course.radius + settings.clearance;
+        let mut pieces = pieces(course, secs - settings.after, secs + settings.before);
+        pieces.any(|(from, to)| distance_to_leg(place, from, to) < near)
+    })
+}
+
+/// A node of the search: where, and in which slice of time.
+type Node = (i32, i32, u32);
+
+/// How a node was reached.
+#[derive(Clone, Copy, Debug)]
+struct Reached {
+    from: Option<Node>,
+    /// Ticks from the start, and of those the ones in somebody's way.
+    ticks: u32,
+    taken: u32,
+    cost: u32,
+}
+
+/// The path that arrives first, with the time on other robots' ways counted several times. `None` where no path is free of static obstacles on
+/// the coarse grid, or the budget is used up. `space`: of the disc around the footprint.
+#[must_use]
+pub fn search(
+    space: &ConfigurationSpace,
+    query: &SpaceTimeQuery<'_>,
+    settings: &SpaceTimeSettings,
+    budget: Budget<'_>,
+) -> Option<SpaceTimePath> {
+    let tick = settings.cell / query.speed / f64::from(STRAIGHT);
+    let grid = CoarseGrid::new(space, query.start, settings.cell);
+    let goal = grid.nearest(query.goal);
+    let to_go = CostToGo::new(&grid, goal, (0, 0), (settings.slack / tick) as u32, budget)?;
+    let secs = |ticks: u32| f64::from(ticks) * tick;
+    let mut reached: FxHashMap<Node, Reached> = FxHashMap::default();
+    let mut open = BinaryHeap::new();
+    let start: Node = (0, 0, 0);
+    reached.insert(
+        start,
+        Reached {
+            from: None,
+            ticks: 0,
+            taken: 0,
+            cost: 0,
+        },
+    );
+    open.push((Reverse(to_go.at((0, 0))?), 0_u32, start));
+    let mut expanded: u64 = 0;
+    while let Some((_, cost, node)) = open.pop() {
+        let here = *reached.get(&node)?;
+        if here.cost < cost {
+            continue;
+        }
+        if (node.0, node.1) == goal {
+            return Some(SpaceTimePath {
+                expansions: expanded,
+                ..found(&reached, node, &grid, query, tick)
+            });
+        }
+        expanded += 1;
+        if expanded > settings.max_nodes || budget.is_spent(expanded) {
+            return None;
+        }
+        let waits = std::iter::once((0, 0, STRAIGHT));
+        for (x, y, ticks) in STEPS.iter().copied().chain(waits) {
+            let place = (node.0 + x, node.1 + y);
+            let Some(rest) = to_go.at(place) else { continue };
+            if (x, y) != (0, 0) && !grid.is_free(node.0, node.1, place.0, place.1) {
+                continue;
+            }
+            let after = here.ticks + ticks;
+            let taken = is_taken(query, settings, grid.point(place), secs(after));
+            let taken = if taken { ticks } else { 0 };
+            let cost = here.cost + ticks + settings.taken_cost as u32 * taken;
+            let next: Node = (place.0, place.1, after / STRAIGHT);
+            if reached.get(&next).is_some_and(|known| known.cost <= cost) {
+                continue;
+            }
+            reached.insert(
+                next,
+                Reached {
+                    from: Some(node),
+                    ticks: after,
+                    taken: here.taken + taken,
+                    cost,
+                },
+            );
+            open.push((Reverse(cost + rest), cost, next));
+        }
+    }
+    None
+}
+
+/// The path that leads to a node.
+fn found(
+    reached: &FxHashMap<Node, Reached>,
+    last: Node,
+    grid: &CoarseGrid<'_>,
+    query: &SpaceTimeQuery<'_>,
+    tick: f64,
+) -> SpaceTimePath {
+    let (mut places, mut waits) = (Vec::new(), 0.0);
+    let in_the_way = reached.get(&last).map_or(0.0, |last| f64::from(last.taken) * tick);
+    let mut at = Some(last);
+    while let Some(node) = at {
+        let Some(here) = reached.get(&node) else { break };
+        places.push((f64::from(here.ticks) * tick, grid.point((node.0, node.1))));
+        if here.from.is_some_and(|from| (from.0, from.1) == (node.0, node.1)) {
+            waits += f64::from(STRAIGHT) * tick;
+        }
+        at = here.from;
+    }
+    places.reverse();
+    if let Some((_, end)) = places.last_mut() {
+        *end = query.goal;
+    }
+    SpaceTimePath {
+        places,
+        waits,
+        in_the_way,
+        expansions: 0,
+    }
+}
+
+/// Places some distance apart, counted from the start of the search.
+struct CoarseGrid<'a> {
+    space: &'a ConfigurationSpace,
+    origin: Point2<f64>,
+    cell: f64,
+}
+
+impl<'a> CoarseGrid<'a> {
+    fn new(space: &'a ConfigurationSpace, origin: Point2<f64>, cell: f64) -> Self {
+        Self { space, origin, cell }
+    }
+
+    fn point(&self, (x, y): (i32, i32)) -> Point2<f64> {
+        Point2::new(
+            self.origin.x + f64::from(x) * self.cell,
+            self.origin.y + f64::from(y) * self.cell,
+        )
+    }
+
+    fn nearest(&self, point: Point2<f64>) -> (i32, i32) {
+        let off = (point - self.origin) / self.cell;
+        (off.x.round() as i32, off.y.round() as i32)
+    }
+
+    /// Whether the robot can move straight between two nodes.
+    fn is_free(&self, from_x: i32, from_y: i32, to_x: i32, to_y: i32) -> bool {
+        let spec = self.space.spec();
+        let [from, to] = [(from_x, from_y), (to_x, to_y)].map(|node| spec.to_cells(self.point(node)));
+        self.space.sees(from, to)
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,127 @@
+use zenav_protocol::messages::CoursePlace;
+use zenav_protocol::robot::Footprint;
+use zenav_space::UnknownPolicy;
+
+use super::*;
+
+const RADIUS: f64 = 0.3;
+
+/// A hall of 10 m by 8 m.
+fn hall(occupied: &[(u32, u32)]) -> ConfigurationSpace {
+    let grid = zenav_fixtures::map_with_occupied(zenav_fixtures::spec(200, 160, 0.05), occupied);
+    ConfigurationSpace::new(&grid, &Footprint::Radius(RADIUS), UnknownPolicy::Blocked, 0.0)
+}
+
+/// A robot at constant velocity from a place on, for 30 s.
+fn course(from: [f64; 2], velocity: [f64; 2]) -> KnownCourse {
+    let place = |secs: f64| CoursePlace {
+        secs,
+        x: from[0] + velocity[0] * secs,
+        y: from[1] + velocity[1] * secs,
+    };
+    KnownCourse {
+        radius: RADIUS,
+        places: (0..=60).map(|nth| place(0.5 * f64::from(nth))).collect(),
+    }
+}
+
+fn query(courses: &[KnownCourse]) -> SpaceTimeQuery<'_> {
+    SpaceTimeQuery {
+        start: Point2::new(1.0, 4.0),
+        goal: Point2::new(9.0, 4.0),
+        speed: 0.5,
+        radius: RADIUS,
+        courses,
+    }
+}
+
+fn find(space: &ConfigurationSpace, courses: &[KnownCourse]) -> SpaceTimePath {
+    search(space, &query(courses), &SpaceTimeSettings::default(), Budget::UNLIMITED).unwrap()
+}
+
+/// The least distance between the two centers at any one time, m.
+fn nearest(path: &SpaceTimePath, course: &KnownCourse) -> f64 {
+    let off = path.places.iter().map(|(secs, place)| {
+        let there = pieces(course, *secs, secs + 1e-3).next();
+        there.map_or(f64::INFINITY, |(at, _)| (at - place).norm())
+    });
+    off.fold(f64::INFINITY, f64::min)
+}
+
+#[test]
+fn alone_it_goes_straight() {
+    let path = find(&hall(&[]), &[]);
+    assert!((path.arrival() - 16.0).abs() < 0.1, "{}", path.arrival());
+    assert_eq!((path.waits, path.in_the_way), (0.0, 0.0));
+}
+
+#[test]
+fn an_oncoming_robot_is_passed_at_a_distance() {
+    let course = course([9.0, 4.0], [-0.5, 0.0]);
+    let path = find(&hall(&[]), std::slice::from_ref(&course));
+    assert!(nearest(&path, &course) > 2.0 * RADIUS + 0.3);
+    assert!(path.arrival() < 19.0 && path.in_the_way == 0.0, "{path:?}");
+}
+
+#[test]
+fn a_crossing_robot_is_passed_behind_or_waited_for_and_the_others_are_too() {
+    let courses: Vec<KnownCourse> = (0..4)
+        .map(|nth| course([5.0, 0.5 - f64::from(nth)], [0.0, 0.5]))
+        .collect();
+    let path = find(&hall(&[]), &courses);
+    assert!(path.in_the_way == 0.0 && path.arrival() < 30.0, "{path:?}");
+    for course in &courses {
+        assert!(nearest(&path, course) > 2.0 * RADIUS + 0.3);
+    }
+}
+
+#[test]
+fn in_a_lane_it_waits_until_the_other_one_is_through() {
+    // A wall with a gap of 1 m in the middle of the hall.
+    let wall: Vec<(u32, u32)> = (0..160).filter(|y| !(70..90).contains(y)).map(|y| (100, y)).collect();
+    let oncoming = course([8.0, 4.0], [-0.5, 0.0]);
+    let path = find(&hall(&wall), std::slice::from_ref(&oncoming));
+    assert!(path.in_the_way == 0.0, "{path:?}");
+    assert!(nearest(&path, &oncoming) > 2.0 * RADIUS + 0.3);
+}
+
+#[test]
+fn who_stands_in_the_way_gets_out_of_it() {
+    let course = course([0.0, 4.0], [0.5, 0.0]);
+    let path = find(&hall(&[]), std::slice::from_ref(&course));
+    assert!(path.in_the_way < 3.0 && path.arrival() < 30.0, "{path:?}");
+}
+
+#[test]
+fn what_is_met_stands_beside_the_path_and_the_pulled_path_keeps_its_side() {
+    let space = hall(&[]);
+    let courses = [course([9.0, 4.0], [-0.5, 0.0])];
+    let (settings, query) = (SpaceTimeSettings::default(), query(&courses));
+    let path = find(&space, &courses);
+    let discs = path.meets(&query, &settings, 0.1);
+    assert!(!discs.is_empty());
+    let line: Vec<Point2<f64>> = path.places.iter().map(|(_, place)| *place).collect();
+    for (center, radius) in &discs {
+        assert!(distance_to_line(*center, &line) >= radius + RADIUS + 0.1 - 1e-9);
+    }
+    let turns = |points: &[Point2<f64>]| {
+        let side = |point: &Point2<f64>| point.y - 4.0;
+        let widest = points.iter().max_by(|a, b| side(a).abs().total_cmp(&side(b).abs()));
+        widest.map_or(0.0, side)
+    };
+    let pulled = pulled(&space, &path);
+    assert!((pulled[pulled.len() - 1] - query.goal).norm() < 1e-9);
+    assert!(turns(&line).abs() > 0.3 && pulled.len() <= line.len());
+}
+
+#[test]
+fn where_no_way_leads_there_is_none() {
+    let wall: Vec<(u32, u32)> = (0..160).map(|y| (100, y)).collect();
+    let found = search(
+        &hall(&wall),
+        &query(&[]),
+        &SpaceTimeSettings::default(),
+        Budget::UNLIMITED,
+    );
+    assert_eq!(found, None);
+}
