@@ -100,7 +100,7 @@ zenav_protocol::settings! {
         /// Speed that is planned with, as a share of the robot's top speed: it also turns and speeds up.
         pub speed: f64 = 0.8, "", 0.1..=1.0;
         /// Distance kept from another robot's disc; at least what the right of way on the robot asks for (0.3 m), or it waits all the same.
-        pub clearance: f64 = 0.35, "m", 0.0..=2.0;
+        pub clearance: f64 = 0.4, "m", 0.0..=2.0;
         /// A place is left so long before another robot comes.
         pub before: f64 = 2.0, "s", 0.0..=20.0;
         /// And entered so long after it has left.

@@ -34,7 +34,7 @@ const MAX_VIA: usize = 1000;
 /// Farthest that a robot may be told to leave an obstacle by, or to end beside its goal, m.
 const FARTHEST: f64 = 10.0;
 /// Room beside a path past other robots, m.
-const BESIDE: f64 = 0.15;
+const BESIDE: f64 = 0.05;
 /// Longest path that is smoothed, m.
 const LONGEST: f64 = 20_000.0;
 /// Wheels that run faster than so many times their top speed, and a bit (m/s), are mistaken.

@@ -213,7 +213,7 @@ impl ValueFunction {
             }
             if track.is_robot() {
                 for (hit, distance) in hits.iter_mut().zip(&*distances) {
-                    *hit = if *distance > near { *hit } else { !track.makes_way() };
+                    *hit |= *distance <= near && !track.makes_way();
                 }
             }
         }

@@ -1,7 +1,12 @@
 //! Claims about drives.
 
+use std::f64::consts::FRAC_PI_2;
+
+use nalgebra::Point2;
+use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::messages::{
-    EventKind, GoalPhase, GoalPoint, GoalRequest, LeaseRole, MapAction, Mode, ResumeRequest, Revision, StopRequest,
+    EventKind, GoalPhase, GoalPoint, GoalRequest, Intent, LeaseRole, MapAction, Mode, ResumeRequest, Revision,
+    StopRequest,
 };
 use zenav_protocol::topics::EdgeRequest;
 
@@ -406,4 +411,34 @@ fn a_refused_replacement_leaves_the_motion_before_it_in_force() {
     rig.plans_are_spoiled = false;
     rig.success_of("a", 40.0);
     assert!(rig.driven() < 9.5, "{}", rig.driven());
+}
+
+#[test]
+fn a_slow_robot_that_crosses_is_passed_instead_of_waited_for() {
+    let mut rig = Rig::new();
+    rig.submit(to(5.0, 0.0, "a")).unwrap();
+    let mut nearest = f64::INFINITY;
+    for step in 0..100 {
+        let secs = 0.2 * f64::from(step);
+        let at = |ahead: f64| Point2::new(2.5, -1.2 + 0.1 * (secs + ahead));
+        rig.stage.robots[0].inbox.intents.push(Intent {
+            robot: "slow".to_owned(),
+            radius: 0.3,
+            map_from_base: Pose2::new(at(0.0).x, at(0.0).y, FRAC_PI_2),
+            velocity: Twist2::new(0.1, 0.0),
+            step: 0.4,
+            places: (0..16).map(|nth| at(0.4 * f64::from(nth))).collect(),
+            later: (1..=12).map(|nth| at(6.0 + 2.0 * f64::from(nth))).collect(),
+            later_step: 2.0,
+            driving: true,
+            // It has the longer way, so it goes first.
+            way_secs: 1000.0,
+            ..Intent::default()
+        });
+        rig.run(0.2);
+        nearest = nearest.min(rig.distance(at(0.2).x, at(0.2).y));
+    }
+    let goal = rig.end_of("a", 1.0);
+    assert_eq!(goal.state, GoalPhase::Succeeded, "{:?}", goal.reason);
+    assert!(rig.trajectories() >= 2 && nearest > 0.3 + 0.27 + 0.05, "{nearest}");
 }

@@ -3,18 +3,22 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
-use zenav_protocol::messages::{DrivingProfile, MapInfo, MapRef, MapReply};
+use zenav_protocol::messages::{CoursePlace, DrivingProfile, MapInfo, MapRef, MapReply};
 use zenav_protocol::time::Stamp;
 use zenav_protocol::trajectory::TrajectoryPoint;
 
 use super::*;
 
 fn spec() -> GridSpec {
+    spec_of(120, 80)
+}
+
+fn spec_of(width: u32, height: u32) -> GridSpec {
     GridSpec {
         origin: Point2::origin(),
         resolution: 0.05,
-        width: 120,
-        height: 80,
+        width,
+        height,
     }
 }
 
@@ -43,16 +47,19 @@ fn hall(door: f64) -> MapReplica {
 
 /// The same with obstacles at these places, m.
 fn hall_with(door: f64, is_occupied: impl Fn(Point2<f64>) -> bool) -> MapReplica {
-    let spec = spec();
+    let is_wall = |at: Point2<f64>| (3.0..3.05).contains(&at.x) && !(2.0..2.0 + door).contains(&at.y);
+    hall_of(spec(), |at| is_wall(at) || is_occupied(at))
+}
+
+/// A hall with obstacles at these places, m.
+fn hall_of(spec: GridSpec, is_occupied: impl Fn(Point2<f64>) -> bool) -> MapReplica {
     let mut grid = OccupancyGrid::filled(spec, Occupancy::FREE);
-    for cell in (0..80).flat_map(|y| (0..120).map(move |x| Cell::new(x, y))) {
-        let at = spec.center(cell);
-        let is_wall = cell.x == 60 && !(2.0..2.0 + door).contains(&at.y);
-        if is_wall || is_occupied(at) {
+    for cell in (0..spec.height).flat_map(|y| (0..spec.width).map(move |x| Cell::new(x, y))) {
+        if is_occupied(spec.center(cell)) {
             grid[cell] = Occupancy::OCCUPIED;
         }
     }
-    let info = map_info();
+    let info = MapInfo { spec, ..map_info() };
     let mut replica = MapReplica::new();
     replica.replace(&MapReply {
         info,
@@ -267,4 +274,50 @@ fn a_long_body_backs_out_of_a_lane_in_which_it_cannot_turn_and_drives_on_forward
         "no jump: {trajectory:?}"
     );
     assert!((trajectory.last().unwrap().position() - request.plan.goal.position()).norm() < 1e-6);
+}
+
+/// A robot of 0.3 m radius at constant velocity from a place on, for 30 s.
+fn course(from: [f64; 2], velocity: [f64; 2]) -> KnownCourse {
+    let place = |secs: f64| CoursePlace {
+        secs,
+        x: from[0] + velocity[0] * secs,
+        y: from[1] + velocity[1] * secs,
+    };
+    KnownCourse {
+        radius: 0.3,
+        places: (0..=60).map(|nth| place(0.5 * f64::from(nth))).collect(),
+    }
+}
+
+#[test]
+fn a_trajectory_leads_past_a_robot_that_goes_first_and_tells_when_it_arrives() {
+    let map = hall_of(spec_of(240, 160), |_| false);
+    let mut request = request("tiago", "astar");
+    (request.plan.start, request.plan.goal) = (Pose2::new(1.0, 4.0, 0.0), Pose2::new(10.0, 4.0, 0.0));
+    let alone = ask(&map, &request, &Cancel::default());
+    assert_eq!(alone.arrival_secs, None);
+    for course in [
+        course([10.0, 4.0], [-0.5, 0.0]),
+        course([5.5, 3.0], [0.0, 0.15]),
+        course([2.0, 4.0], [0.2, 0.0]),
+    ] {
+        request.plan.yield_to = vec![course.clone()];
+        let reply = ask(&map, &request, &Cancel::default());
+        let smooth = reply.smooth.unwrap();
+        let arrival = reply.arrival_secs.unwrap();
+        let end = smooth.trajectory.end_time();
+        assert!(
+            arrival >= end && arrival < alone.smooth.as_ref().unwrap().trajectory.end_time() + 8.0,
+            "{arrival} {end}"
+        );
+        for point in smooth.trajectory.iter() {
+            let other = course.places[((point.t / 0.5) as usize).min(60)].at();
+            let apart = (point.position() - other).norm();
+            assert!(apart > 0.3 + 0.27 + 0.1, "{apart} at {} s", point.t);
+        }
+    }
+    request.plan.yield_to[0].places.reverse();
+    let request = MotionRequest::Trajectory(request);
+    let answer = MotionWorker::default().answer(Some(&map), &request, &mut || 0.0, &Cancel::default());
+    assert!(matches!(answer, Err(Refusal::BadRequest { .. })), "{answer:?}");
 }
