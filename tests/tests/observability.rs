@@ -96,6 +96,7 @@ async fn every_declared_metric_shows_in_a_scrape_of_a_robot_that_drove() {
     let deployment = Deployment::new(ZENAV, "kitchen", 8.0);
     let mut up = deployment.start_up_with(&METRICS);
     let health = address(&mut up);
+    drop(deployment.bus().await);
     let goal = ["goal", "submit", "--wait", "-0.9", "-0.2"];
     let driven = deployment.client(&goal);
     assert_eq!(driven.status.code(), Some(0), "{driven:?}");
