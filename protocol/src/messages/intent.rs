@@ -1,4 +1,4 @@
-//! What a robot is about to do, for the other robots around it.
+//! Intent. Where is a robot about to drive, for the other robots around it?
 
 use std::cmp::Ordering;
 
@@ -8,44 +8,45 @@ use serde::{Deserialize, Serialize};
 use crate::geometry::{Pose2, Twist2};
 use crate::time::Stamp;
 
-/// Where a robot is and will be, published some times a second until it has stood for a while with nothing to drive to: then it is an
-/// obstacle like any other. All robots that hear one another share the map frame.
+/// Present and future positions of a robot. Published a few times a second until the robot has been stationary without a goal for a while;
+/// other robots then treat it as a plain obstacle. All robots that receive each other's intents share one map frame.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Intent {
-    /// The time that the pose is for, on the robot's clock.
+    /// Time that the pose is for, on the robot's clock.
     pub stamp: Stamp,
     /// The robot's name.
     pub robot: String,
-    /// Radius of the disc around the base that holds the whole outline, m.
+    /// Radius of the disc around the base that contains the whole footprint, m.
     pub radius: f64,
     /// Pose in the map.
     pub map_from_base: Pose2,
     /// Velocity in the base frame.
     pub velocity: Twist2,
-    /// Time from one of the places to the next, s.
+    /// Time between two of the `places`, s.
     pub step: f64,
-    /// Where it will be: from the stamp on, a step apart; it stays at the last. Map frame, m.
+    /// Predicted positions, `step` apart, beginning at the stamp; the robot stays at the last one. Map frame, m.
     #[cfg_attr(feature = "schema", schemars(with = "Vec<[f64; 2]>"))]
     pub places: Vec<Point2<f64>>,
-    /// Where its plan leads after that, `later_step` apart; for who waits before both ways meet. Map frame, m.
+    /// Positions along its plan after that, `later_step` apart, so that another robot can wait before the paths meet. Map frame, m.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[cfg_attr(feature = "schema", schemars(with = "Vec<[f64; 2]>"))]
     pub later: Vec<Point2<f64>>,
-    /// Time from one of the later places to the next, s.
+    /// Time between two of the `later` positions, s.
     #[serde(default, skip_serializing_if = "crate::drive::is_zero")]
     pub later_step: f64,
-    /// Whether it has somewhere to go now. Who has not cannot make way.
+    /// Whether the robot has somewhere to go. A robot without a goal cannot make way.
     pub driving: bool,
-    /// Whether it has found no place to make way to.
+    /// Whether the robot has found no place to make way to.
     pub trapped: bool,
-    /// Time that its whole way takes by its plan, fixed when it set out, s: the longer way goes first.
+    /// Planned duration of its whole path, fixed when it set out, s: the robot with the longer one goes first.
     pub way_secs: f64,
 }
 
 impl Intent {
-    /// Whether this robot has right of way over another: who cannot make way, then who found no place to, then who has the longer way, then
-    /// by name. A total order, so no ring of robots waits for one another; both robots compute it alike, from the two messages alone.
+    /// Right of way over another robot, decided by the first difference: a robot that cannot make way, then one that found no place to make
+    /// way to, then the one with the longer path, then by name. This is a total order, so no cycle of robots waits for each other; both
+    /// robots compute the same result from the two messages alone.
     #[must_use]
     pub fn goes_before(&self, other: &Self) -> bool {
         let order = self.driving.cmp(&other.driving);
@@ -54,7 +55,7 @@ impl Intent {
         order.then_with(|| self.robot.cmp(&other.robot)) == Ordering::Less
     }
 
-    /// Whether its numbers can be meant.
+    /// Whether all numbers are plausible.
     #[must_use]
     pub fn is_sound(&self) -> bool {
         let places = self
@@ -74,7 +75,7 @@ impl Intent {
     }
 }
 
-/// Most places that a robot tells, and most of those after them.
+/// Most `places` in an intent, and most `later` positions.
 const MOST_PLACES: usize = 64;
 const MOST_LATER: usize = 32;
 
