@@ -1,6 +1,6 @@
-//! Map subscriber. How does a service keep a replica of every robot's map?
+//! Map subscriber. Keeps a replica of every robot's map.
 //!
-//! By patches; where one was lost, by asking for the whole map.
+//! Replicas are updated by patches. When a patch is lost, the whole map is requested.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -11,11 +11,11 @@ use zenav_protocol::map_replica::{MapReplica, PatchResult};
 use zenav_protocol::messages::{MapPatch, MapRef, MapRequest};
 use zenav_protocol::topics::{MAP, MAP_PATCH};
 
-/// Most patches that wait; when more arrive at once, the whole map is asked for.
+/// Most queued patches; when more arrive at once, the whole map is requested.
 const QUEUE: usize = 128;
-/// Time that a patch may be on its way.
+/// Time that a patch may take to arrive.
 const SETTLING: Duration = Duration::from_millis(100);
-/// Most robots whose maps are kept; beyond it the first by name is dropped.
+/// Most robots whose maps are kept; beyond that the first by name is dropped.
 const MAX_ROBOTS: usize = 1024;
 
 /// Replicas of the maps of all robots on the bus.
@@ -42,7 +42,7 @@ impl RobotReplica {
         }
     }
 
-    /// Whether the missing patch may just be on its way.
+    /// Whether the missing patch may still be in transit.
     fn is_a_little_behind(&self, wanted: &MapRef) -> bool {
         !self.gap && self.replica.map().id == wanted.id && !self.replica.holds(wanted)
     }
@@ -61,7 +61,7 @@ impl MapSubscriber {
         })
     }
 
-    /// Applies patches for ever; drop the future to stop. `false` after the bus was closed.
+    /// Applies patches forever; drop the future to stop. Returns `false` when the bus is closed.
     pub async fn follow(&mut self) -> bool {
         while let Some(received) = self.patches.next().await {
             self.take(received.chunks.first(), &received.message);
@@ -75,7 +75,7 @@ impl MapSubscriber {
         match robot_replica.replica.apply(patch) {
             PatchResult::Applied => robot_replica.gap = false,
             PatchResult::Old => {}
-            // Healed when this map is asked for.
+            // Repaired by the next request for this map.
             PatchResult::Gap => robot_replica.gap = true,
         }
         if self.robots.len() > MAX_ROBOTS {
@@ -83,13 +83,13 @@ impl MapSubscriber {
         }
     }
 
-    /// A robot's map at the wanted revision or a later one; the whole map is asked for where the replica is behind. With an empty id any map
-    /// will do. `None` when the map does not arrive in time.
+    /// A robot's map at the wanted revision or later. If the replica is behind, the whole map is requested. With an empty id any map will
+    /// do. `None` when the map does not arrive in time.
     pub async fn map(&mut self, robot: &str, wanted: &MapRef, deadline: Duration) -> Option<&mut MapReplica> {
         while let Some(received) = self.patches.try_next() {
             self.take(received.chunks.first(), &received.message);
         }
-        // A patch that others have already is on its way: the whole map is asked for only when it does not arrive.
+        // A patch that others already have is in transit: the whole map is requested only if it does not arrive.
         let settled = Instant::now() + SETTLING.min(deadline);
         while self
             .robots

@@ -1,4 +1,4 @@
-//! What tests of the services stand on. Which router do their sessions share?
+//! Shared by the tests of the services: the router of their sessions.
 
 use zenav_protocol::bus::{Router, RouterConfig};
 

@@ -1,4 +1,4 @@
-//! Completion. What may stand here? Names that a shell asks for while somebody types: of shipped files, and of what lives on the bus now.
+//! Completion. Names that a shell offers while a user types: shipped files, and robots, places, goals and topics on the bus.
 
 use std::ffi::OsStr;
 use std::io::Write;
@@ -22,20 +22,20 @@ use crate::connect::{self, DEFAULT_ENDPOINT, LinkArgs};
 use crate::failure::Failure;
 use crate::{annotations, exit_code};
 
-/// The variable by which a shell asks; clap's own default.
+/// The variable by which a shell requests completions; clap's own default.
 const ASKED_BY: &str = "COMPLETE";
-/// Nobody waits longer for a key press.
+/// Longest wait for an answer: completion must feel instant.
 const WITHIN: Duration = Duration::from_millis(700);
 
-/// Answers a shell that asks for completions, and ends the process; does nothing in any other.
+/// Answers a shell's completion request and ends the process; otherwise does nothing.
 pub(crate) fn answer(command: impl Fn() -> clap::Command) {
     CompleteEnv::with_factory(command).var(ASKED_BY).complete();
 }
 
-/// Writes what a shell is to run at its start.
+/// Writes the script that a shell runs at startup.
 ///
 /// # Errors
-/// For a shell that cannot ask, and when `out` takes nothing.
+/// A shell without support for completion requests, or `out` cannot be written.
 pub(crate) fn register(shell: Shell, out: &mut dyn Write) -> Result<(), Failure> {
     let name = shell.to_possible_value().map(|value| value.get_name().to_owned());
     let shells = Shells::builtins();
@@ -123,7 +123,7 @@ pub fn goals() -> ArgValueCandidates {
     })
 }
 
-/// Topics of the robot, as `zenav topic` takes them.
+/// Topics of the robot, in the form that `zenav topic` accepts.
 pub fn keys() -> ArgValueCandidates {
     ArgValueCandidates::new(|| {
         let of_a_robot = topics::TABLE
@@ -138,7 +138,7 @@ fn candidates(names: Vec<String>) -> Vec<CompletionCandidate> {
     names.into_iter().map(CompletionCandidate::new).collect()
 }
 
-/// What is on the bus that the words typed so far name; nothing where nobody answers at once.
+/// Looks up names on the bus that the typed words select; empty if there is no quick answer.
 fn on_bus(look: impl AsyncFnOnce(Bus, Option<String>) -> Result<Vec<String>, Failure>) -> Vec<String> {
     let words: Vec<String> = std::env::args().collect();
     let link = LinkArgs {
@@ -173,7 +173,7 @@ fn on_robot(look: impl AsyncFnOnce(Bus, String) -> Result<Vec<String>, Failure>)
     })
 }
 
-/// The value of an option among the words of a command line, behind a blank or a `=`.
+/// The value of an option in a command line, after a space or `=`.
 fn option(words: &[String], name: &str) -> Option<String> {
     let at = words.iter().position(|word| {
         word.strip_prefix(name)

@@ -1,6 +1,6 @@
-//! Components. How do parts that share a process start and end?
+//! Components. Starts and stops parts that share a process.
 //!
-//! Every part gets a Zenoh session of its own, also when they share a process: nothing is passed in memory.
+//! Every part has its own Zenoh session, even if parts share a process: no data is passed in memory.
 
 use std::collections::BTreeMap;
 use std::future::Future;
@@ -28,10 +28,10 @@ use crate::exit_code;
 use crate::failure::Failure;
 use crate::files;
 
-/// Time for the parts to end by themselves.
+/// Time limit for all parts to end.
 const DRAIN: Duration = Duration::from_secs(8);
 
-/// Before a mission that broke off begins again: at first, and at most.
+/// Pause before a failed mission is restarted: initial and largest.
 const MISSION_PAUSE: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(60));
 
 /// Off-board services.
@@ -44,16 +44,16 @@ pub enum CloudPart {
     Motion,
     /// Missions of the deployment's robots
     Mission,
-    /// All of them
+    /// All off-board services
     All,
 }
 
-/// Whose time the services of a deployment live by.
+/// Clock of a deployment's services.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Time {
-    /// The simulation's, which its world tells.
+    /// Simulated time, published by the world.
     Simulated,
-    /// That of the wall: every body is a driver's, and nobody tells any other.
+    /// Wall time: every body is a driver of real motors, and no simulated clock is published.
     Wall,
 }
 
@@ -74,13 +74,13 @@ impl Time {
     }
 }
 
-/// Parts that run in this process.
+/// The parts running in this process.
 #[derive(Debug)]
 pub struct Parts {
     tasks: JoinSet<(String, Result<(), Failure>)>,
     shutdown: Shutdown,
     security: Security,
-    /// How many have not begun yet: they wait for a router, or for a world.
+    /// Number of parts that have not started: they wait for a router, or for a world.
     waiting: Arc<watch::Sender<usize>>,
 }
 
@@ -91,7 +91,7 @@ impl Default for Parts {
 }
 
 impl Parts {
-    /// No parts yet; the links of those that come are protected so.
+    /// No parts yet; `security` protects the links of all later ones.
     pub(crate) fn new(security: Security) -> Self {
         Self {
             tasks: JoinSet::new(),
@@ -101,7 +101,7 @@ impl Parts {
         }
     }
 
-    /// How a part of a deployment reaches the others.
+    /// Bus configuration of a part of a deployment.
     pub(crate) fn bus(&self, deployment: &Deployment, name: &str) -> BusConfig {
         BusConfig {
             security: self.security.clone(),
@@ -116,7 +116,7 @@ impl Parts {
         }
     }
 
-    /// Runs a part on a bus of its own until the shutdown.
+    /// Runs a part on its own bus until shutdown.
     pub(crate) fn spawn<F, R>(&mut self, name: String, bus: BusConfig, part: F)
     where
         F: FnOnce(Bus, Shutdown) -> R + Send + 'static,
@@ -126,7 +126,7 @@ impl Parts {
         self.spawn_once(name, opening, |bus, (), shutdown| part(bus, shutdown));
     }
 
-    /// Runs a part on the bus, and with what else, that `opening` gives once it is there, until the shutdown.
+    /// Runs a part until shutdown, on the bus (and any further resource) that `opening` provides once it completes.
     fn spawn_once<T, O, F, R>(&mut self, name: String, opening: O, part: F)
     where
         T: Send + 'static,
@@ -137,7 +137,7 @@ impl Parts {
         let (shutdown, waiting) = (self.shutdown.clone(), Arc::clone(&self.waiting));
         waiting.send_modify(|count| *count += 1);
         self.tasks.spawn(async move {
-            // Without a router or a world a part waits for one: its end must not.
+            // A part waits for a missing router or world, but shutdown must not.
             let opened = tokio::select! {
                 opened = opening => opened,
                 () = shutdown.wait() => return (name, Ok(())),
@@ -153,11 +153,11 @@ impl Parts {
         });
     }
 
-    /// Starts the deployment's robots. Those simulated here share one world and its time; returns their referees, in the order of their ids.
-    /// Robots of a served world find it at `world_endpoint`, or else on the deployment's bus.
+    /// Starts the deployment's robots. Those simulated here share one world and its time; returns their referees, in order of their ids.
+    /// Robots of a served world reach it at `world_endpoint`, or if there is none on the deployment's bus.
     ///
     /// # Errors
-    /// Bad files, or a start where something stands.
+    /// Bad files, or a start pose that is occupied.
     pub fn edges(
         &mut self,
         deployment: &Deployment,
@@ -212,17 +212,17 @@ impl Parts {
         Ok(referees)
     }
 
-    /// Starts the one robot of a deployment that is simulated here; returns its referee.
+    /// Starts the deployment's only robot simulated here; returns its referee.
     ///
     /// # Errors
-    /// As [`edges`](Self::edges), or when there is none.
+    /// As [`edges`](Self::edges), or if there is none.
     pub fn edge(&mut self, deployment: &Deployment, world: &World) -> Result<Referee, Failure> {
         let referee = self.edges(deployment, world, None)?.pop();
         referee.ok_or_else(|| Failure::failed("the deployment has no simulated robot"))
     }
 
-    /// Starts a robot of the world that `zenav sim serve` serves: on the deployment's bus, or at an endpoint of its own, to which the robot
-    /// then has a session for its body alone, as a real one has wires.
+    /// Starts a robot in the world that `zenav sim serve` serves: on the deployment's bus, or at a separate endpoint, to which the robot
+    /// opens a session for its body alone, like the wiring of a real one.
     fn attached(
         &mut self,
         deployment: &Deployment,
@@ -275,7 +275,7 @@ impl Parts {
         );
     }
 
-    /// Starts a robot whose body is a driver's process on its bus.
+    /// Starts a robot whose body is a driver process on its bus.
     fn driven(
         &mut self,
         deployment: &Deployment,
@@ -297,7 +297,7 @@ impl Parts {
         });
     }
 
-    /// Starts the mapping of robots.
+    /// Starts mapping for these robots.
     ///
     /// # Errors
     /// A known map or zones that cannot be read.
@@ -342,7 +342,7 @@ impl Parts {
     /// Starts motion workers.
     ///
     /// # Errors
-    /// A name that no worker may have, bad zones.
+    /// An invalid worker name, bad zones.
     pub fn motion(&mut self, deployment: &Deployment, name: &str) -> Result<(), Failure> {
         let zones = files::zones(deployment.zones.file.as_deref())?;
         for number in 1..=deployment.planning.run.workers {
@@ -361,7 +361,7 @@ impl Parts {
         Ok(())
     }
 
-    /// Starts robots' missions. They share a session: a hundred robots are one orchestrator's.
+    /// Starts robots' missions. They share one session: one orchestrator may serve a hundred robots.
     ///
     /// # Errors
     /// Bad zones.
@@ -396,7 +396,7 @@ impl Parts {
         Ok(())
     }
 
-    /// Starts what takes goals for a group of robots.
+    /// Starts the dispatcher that takes goals for a group of robots.
     fn dispatch(&mut self, deployment: &Deployment, world: &World, group: Id, robots: Vec<Id>) {
         let bus = self.bus(deployment, &format!("dispatch-{group}"));
         let places = places(world);
@@ -407,10 +407,10 @@ impl Parts {
         });
     }
 
-    /// Starts all off-board services of a deployment that run.
+    /// Starts all enabled off-board services of a deployment.
     ///
     /// # Errors
-    /// A name that no worker may have, a known map or zones that cannot be read.
+    /// An invalid worker name, a known map or zones that cannot be read.
     pub fn cloud(
         &mut self,
         deployment: &Deployment,
@@ -435,7 +435,7 @@ impl Parts {
         Ok(())
     }
 
-    /// Waits until every part has met a router and begun.
+    /// Waits until every part has connected to a router and started.
     pub(crate) fn all_begun(&self) -> impl Future<Output = ()> + Send + use<> {
         let mut waiting = self.waiting.subscribe();
         async move {
@@ -443,7 +443,7 @@ impl Parts {
         }
     }
 
-    /// Waits for the first part that ends by itself.
+    /// Waits for the first part to end on its own.
     ///
     /// # Errors
     /// The part's failure.
@@ -456,7 +456,7 @@ impl Parts {
         }
     }
 
-    /// Ends all parts, robots first to rest, each within its deadline.
+    /// Ends all parts, with a common time limit; robots stop before their edges end.
     pub async fn end(mut self) {
         self.shutdown.trigger();
         let ended = async {
@@ -472,7 +472,7 @@ impl Parts {
     }
 }
 
-/// A robot of a deployment.
+/// Configuration of a robot's edge.
 pub(crate) fn edge_config(id: &Id, section: &RobotSection, model: RobotModel, start: Pose2) -> EdgeConfig {
     let mut edge = EdgeConfig::new(id.clone(), model, start);
     edge.on_lost = section.on_lost;
@@ -488,8 +488,8 @@ async fn run_edge(bus: Bus, service: ServiceConfig, body: Box<dyn Body>, shutdow
         .map_err(Failure::failed)
 }
 
-/// Runs a robot's mission. One that breaks off ends the part, and begins again with it; where the part has other robots, it begins again by
-/// itself.
+/// Runs a robot's mission. A failed mission ends the part; if the part serves other robots too, only the mission is restarted, after a
+/// pause.
 async fn keep_mission(
     bus: Bus,
     clock: Clock,

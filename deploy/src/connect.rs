@@ -1,7 +1,7 @@
-//! Connection of a command. How does it reach the router, and which robot does it mean?
+//! Connection of a command. Connects to the router, and determines which robot the command is for.
 //!
-//! A command is a Zenoh client that fails at once when nobody is there. The robot may be left out when there is one:
-//! it is found by the liveliness tokens of its components, or by the state that it publishes (on a robot's own endpoint).
+//! A command is a Zenoh client that fails at once if there is no router. The robot's name is optional if there is only one robot: it is
+//! found by the liveliness tokens of its components, or by the state that it publishes (on a robot's own endpoint).
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Display;
@@ -23,22 +23,22 @@ use crate::failure::{Failure, in_words};
 
 pub use zenav_protocol::bus::{DEFAULT_ENDPOINT, ROBOT_ENDPOINT};
 
-/// How long to look for a robot that does not show at once: it may just be starting.
+/// How long to look for a robot that is not found at once: it may still be starting.
 const LOOK_FOR: Duration = Duration::from_millis(2000);
-/// How long one look at the tokens may take.
+/// Time limit of one query for tokens.
 const GLANCE: Duration = Duration::from_millis(500);
-/// Pause between two looks.
+/// Pause between two queries.
 const PAUSE: Duration = Duration::from_millis(100);
-/// A robot without tokens is known by its state, published ten times a second: others may follow within this time.
+/// A robot without tokens is found by its state, published ten times a second: states of other robots arrive within this time.
 const STATE_ROUND: Duration = Duration::from_millis(300);
 
-/// Where to connect to, and how long to wait for answers.
+/// Connection, and longest wait for answers.
 #[derive(Clone, Debug, clap::Args)]
 pub struct LinkArgs {
-    /// Router to connect to, or a robot's own endpoint; of several, separated by commas, one is enough
+    /// Router to connect to, or a robot's own endpoint; or several separated by commas, of which one must be reachable
     #[arg(long, global = true, value_name = "ENDPOINT", value_delimiter = ',', default_value = DEFAULT_ENDPOINT, env = "ZENAV_BUS__CONNECT", hide_env_values = true, value_parser = endpoint)]
     pub connect: Vec<String>,
-    /// Namespace of the deployment, where its file has one
+    /// Namespace of the deployment, if its file sets one
     #[arg(
         long,
         global = true,
@@ -52,7 +52,7 @@ pub struct LinkArgs {
     /// Longest wait for a connection or an answer, s
     #[arg(long, global = true, value_name = "SECS", default_value_t = 10.0, value_parser = positive)]
     pub timeout: f64,
-    /// Who asks.
+    /// Identity of this process.
     #[command(flatten)]
     pub identity: IdentityArgs,
 }
@@ -64,7 +64,8 @@ impl LinkArgs {
         Duration::try_from_secs_f64(self.timeout).unwrap_or(Duration::MAX)
     }
 
-    /// For what must reach a robot without a router: when nobody named another endpoint, also that of this machine's robot itself.
+    /// For requests that must reach a robot without a router: if no endpoint was given, also tries the endpoint of this machine's own
+    /// robot.
     #[must_use]
     pub fn with_robot(&self) -> Self {
         let mut link = self.clone();
@@ -75,13 +76,13 @@ impl LinkArgs {
     }
 }
 
-/// Where to connect to, and which robot is meant.
+/// Connection and robot.
 #[derive(Clone, Debug, clap::Args)]
 pub struct RobotArgs {
     /// Connection.
     #[command(flatten)]
     pub link: LinkArgs,
-    /// Robot's name; may be left out when there is one
+    /// Name of the robot; optional if there is only one
     #[arg(long, global = true, value_name = "NAME", value_parser = robot_name, add = completion::robots())]
     pub robot: Option<String>,
 }
@@ -93,12 +94,12 @@ fn robot_name(text: &str) -> Result<String, String> {
 /// A name on the command line.
 ///
 /// # Errors
-/// With what was expected.
+/// Invalid text; the message says what was expected.
 pub fn name(text: &str) -> Result<String, String> {
     Id::new(text).map(String::from).map_err(|error| error.to_string())
 }
 
-/// The namespace that the environment names, as for a deployment.
+/// The namespace in the environment, read as for a deployment.
 pub(crate) fn namespace() -> String {
     std::env::var("ZENAV_BUS__NAMESPACE").unwrap_or_default()
 }
@@ -106,9 +107,9 @@ pub(crate) fn namespace() -> String {
 /// An endpoint on the command line.
 ///
 /// # Errors
-/// With what was expected.
+/// Invalid text; the message says what was expected.
 pub(crate) fn endpoint(text: &str) -> Result<String, String> {
-    // Quoted, as a deployment takes its environment.
+    // May be quoted, like a deployment's values in the environment.
     let text = text.trim_matches('"');
     let form = || {
         format!("expected an endpoint, such as {DEFAULT_ENDPOINT}: links are over tcp, or over quic with an identity")
@@ -119,7 +120,7 @@ pub(crate) fn endpoint(text: &str) -> Result<String, String> {
 /// Endpoints on the command line, separated by commas.
 ///
 /// # Errors
-/// With what was expected.
+/// Invalid text; the message says what was expected.
 pub(crate) fn endpoints(text: &str) -> Result<String, String> {
     let checked: Result<Vec<String>, String> = text.split(',').map(|one| endpoint(one.trim())).collect();
     checked.map(|endpoints| endpoints.join(","))
@@ -128,7 +129,7 @@ pub(crate) fn endpoints(text: &str) -> Result<String, String> {
 /// A finite number on the command line.
 ///
 /// # Errors
-/// With what was expected.
+/// Invalid text; the message says what was expected.
 pub fn finite(text: &str) -> Result<f64, String> {
     number(text, Expected::Finite)
 }
@@ -136,7 +137,7 @@ pub fn finite(text: &str) -> Result<f64, String> {
 /// A heading on the command line, rad.
 ///
 /// # Errors
-/// With what was expected.
+/// Invalid text; the message says what was expected.
 pub fn heading(text: &str) -> Result<f64, String> {
     number(text, Expected::Angle)
 }
@@ -144,7 +145,7 @@ pub fn heading(text: &str) -> Result<f64, String> {
 /// A positive, finite number on the command line.
 ///
 /// # Errors
-/// With what was expected.
+/// Invalid text; the message says what was expected.
 pub fn positive(text: &str) -> Result<f64, String> {
     number(text, Expected::Positive)
 }
@@ -152,7 +153,7 @@ pub fn positive(text: &str) -> Result<f64, String> {
 /// Zero, or a positive, finite number, on the command line.
 ///
 /// # Errors
-/// With what was expected.
+/// Invalid text; the message says what was expected.
 pub fn not_negative(text: &str) -> Result<f64, String> {
     number(text, Expected::NotNegative)
 }
@@ -165,7 +166,7 @@ fn number(text: &str, expected: Expected) -> Result<f64, String> {
 /// A whole number on the command line.
 ///
 /// # Errors
-/// With what was expected.
+/// Invalid text; the message says what was expected.
 pub fn whole<N: FromStr>(text: &str) -> Result<N, String> {
     let expected = || in_words(&format!("expected {}", std::any::type_name::<N>()));
     text.parse().map_err(|_| expected())
@@ -182,10 +183,10 @@ where
     }
 }
 
-/// The address of something that listens, on the command line.
+/// A listening address on the command line.
 ///
 /// # Errors
-/// With what was expected.
+/// Invalid text; the message says what was expected.
 pub fn address(text: &str) -> Result<String, String> {
     match text.rsplit_once(':') {
         Some((host, port)) if !host.is_empty() && port.parse::<u16>().is_ok() => Ok(text.to_owned()),
@@ -193,41 +194,41 @@ pub fn address(text: &str) -> Result<String, String> {
     }
 }
 
-/// Side of a map's cells on the command line, m; bounded as that of a deployment.
+/// Cell side of a map on the command line, m; the bounds are those of a deployment.
 ///
 /// # Errors
-/// With what was expected.
+/// Invalid text; the message says what was expected.
 pub fn resolution(text: &str) -> Result<f64, String> {
     number(text, Expected::Range(0.005, 10.0, "0.005 to 10 m"))
 }
 
-/// How fast simulated time is to go, on the command line.
+/// Speed of simulated time on the command line.
 ///
 /// # Errors
-/// With what was expected.
+/// Invalid text; the message says what was expected.
 pub fn speed(text: &str) -> Result<f64, String> {
     number(text, Expected::Range(0.001, 1000.0, "a number from 0.001 to 1000"))
 }
 
-/// Runs a command's work in a Tokio runtime of its own (a multi-threaded one: Zenoh needs it).
+/// Runs a command's work in its own Tokio runtime (multi-threaded: Zenoh requires it).
 ///
 /// # Errors
-/// The work's own, or when the system gives no threads.
+/// That of the work, or the system gives no threads.
 pub fn block_on<T>(work: impl Future<Output = Result<T, Failure>>) -> Result<T, Failure> {
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(2)
         .enable_all()
         .build()?;
     let result = runtime.block_on(work);
-    // A thread that blocks on the keyboard must not hold up the end.
+    // A thread blocked on the keyboard must not delay the exit.
     runtime.shutdown_background();
     result
 }
 
-/// Connects, does the work, and leaves.
+/// Connects, does the work, and disconnects.
 ///
 /// # Errors
-/// [`exit_code::CANNOT_CONNECT`] when nobody is there, or the work's own.
+/// [`exit_code::CANNOT_CONNECT`] without a router, or that of the work.
 pub fn on_bus<T>(link: &LinkArgs, work: impl AsyncFnOnce(Bus) -> Result<T, Failure>) -> Result<T, Failure> {
     block_on(async {
         let bus = open(link).await?;
@@ -237,7 +238,7 @@ pub fn on_bus<T>(link: &LinkArgs, work: impl AsyncFnOnce(Bus) -> Result<T, Failu
     })
 }
 
-/// As [`on_bus`], for work on one robot, which is looked for first.
+/// As [`on_bus`], for work on one robot, which is looked up first.
 ///
 /// # Errors
 /// As [`on_bus`] and [`find`].
@@ -248,7 +249,7 @@ pub fn on_robot<T>(args: &RobotArgs, work: impl AsyncFnOnce(Bus, String) -> Resu
     })
 }
 
-/// The host of an endpoint, if it has no address.
+/// The host of an endpoint, if it cannot be resolved.
 fn unknown_host(endpoint: &str) -> Option<&str> {
     let (_, address) = endpoint.split_once('/')?;
     let (host, _) = address.rsplit_once(':')?;
@@ -258,7 +259,7 @@ fn unknown_host(endpoint: &str) -> Option<&str> {
 /// Connects.
 ///
 /// # Errors
-/// [`exit_code::CANNOT_CONNECT`] when nobody is there, [`exit_code::USAGE`] for what is no endpoint.
+/// [`exit_code::CANNOT_CONNECT`] without a router, [`exit_code::USAGE`] for an invalid endpoint.
 pub async fn open(link: &LinkArgs) -> Result<Bus, Failure> {
     let endpoints = link.connect.join(", ");
     let config = BusConfig {
@@ -292,10 +293,10 @@ pub async fn open(link: &LinkArgs) -> Result<Bus, Failure> {
     }
 }
 
-/// The robots that show now, each with its components (`edge`, `mapping`, `mission`).
+/// The robots found now, each with its components (`edge`, `mapping`, `mission`).
 ///
 /// # Errors
-/// When the bus was closed.
+/// The bus was closed.
 pub async fn robots(bus: &Bus) -> Result<BTreeMap<String, BTreeSet<String>>, Failure> {
     let mut robots = BTreeMap::<String, BTreeSet<String>>::new();
     for key in bus
@@ -312,7 +313,7 @@ pub async fn robots(bus: &Bus) -> Result<BTreeMap<String, BTreeSet<String>>, Fai
     Ok(robots)
 }
 
-/// Says that a robot which is listened to does not show: what comes of it later is heard all the same.
+/// Notes that a robot was not found; the caller keeps listening for it.
 pub async fn tell_absence(bus: &Bus, robot: Option<&str>) {
     if let Some(robot) = robot
         && find(bus, Some(robot)).await.is_err()
@@ -323,10 +324,10 @@ pub async fn tell_absence(bus: &Bus, robot: Option<&str>) {
     }
 }
 
-/// The robots of which a component shows, in order.
+/// The robots with this component, sorted.
 ///
 /// # Errors
-/// [`exit_code::NOT_FOUND`] when none shows within a while.
+/// [`exit_code::NOT_FOUND`] if none is found within a while.
 pub async fn with_component(bus: &Bus, component: &str) -> Result<Vec<String>, Failure> {
     let start = Instant::now();
     loop {
@@ -348,10 +349,10 @@ pub async fn with_component(bus: &Bus, component: &str) -> Result<Vec<String>, F
     }
 }
 
-/// Waits until somebody takes goals for a group.
+/// Waits until a dispatcher takes goals for a group.
 ///
 /// # Errors
-/// [`exit_code::NOT_FOUND`] when nobody does within a while; names the groups that there are.
+/// [`exit_code::NOT_FOUND`] if none does within a while; lists the existing groups.
 pub async fn find_group(bus: &Bus, group: &str) -> Result<(), Failure> {
     let start = Instant::now();
     loop {
@@ -381,10 +382,10 @@ pub async fn find_group(bus: &Bus, group: &str) -> Result<(), Failure> {
     }
 }
 
-/// The robot that a command means: the named one, if there is such, or the only one.
+/// The robot of a command: the named one, if it exists, otherwise the only one.
 ///
 /// # Errors
-/// [`exit_code::NOT_FOUND`] for none or an unknown one, [`exit_code::USAGE`] for several to choose from; both name what was found.
+/// [`exit_code::NOT_FOUND`] for none or an unknown one, [`exit_code::USAGE`] if there are several; both list the robots found.
 pub async fn find(bus: &Bus, wanted: Option<&str>) -> Result<String, Failure> {
     let mut states = bus.latest(&topics::STATE, &[wanted.unwrap_or("*")])?;
     let start = Instant::now();
@@ -396,7 +397,7 @@ pub async fn find(bus: &Bus, wanted: Option<&str>) -> Result<String, Failure> {
             seen.extend(state.chunks.into_iter().next());
             first_state.get_or_insert_with(Instant::now);
         }
-        // A robot whose edge shows comes before one that only has a cloud waiting for it.
+        // A robot with a running edge takes precedence over one that has only cloud services waiting for it.
         let with_edge: BTreeSet<String> = alive
             .iter()
             .filter(|(_, components)| components.contains("edge"))

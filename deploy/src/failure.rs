@@ -1,4 +1,4 @@
-//! Failures. How does a command fail? With one message on stderr and an exit code.
+//! Failures. A command fails with one message on stderr and an exit code.
 
 use std::fmt::Display;
 use std::path::Path;
@@ -10,7 +10,7 @@ use zenav_protocol::messages::Refusal;
 
 use crate::exit_code;
 
-/// A command's failure: what to tell, and the exit code.
+/// A command's failure: message and exit code.
 #[derive(Debug, Error, Diagnostic)]
 #[error("{message}")]
 pub struct Failure {
@@ -21,7 +21,7 @@ pub struct Failure {
 }
 
 impl Failure {
-    /// A failure with a code of its own.
+    /// A failure with the given exit code.
     #[must_use]
     pub fn new(code: u8, message: impl Display) -> Self {
         Self {
@@ -30,36 +30,36 @@ impl Failure {
         }
     }
 
-    /// The command's input was wrong.
+    /// Wrong input.
     #[must_use]
     pub fn usage(message: impl Display) -> Self {
         Self::new(exit_code::USAGE, message)
     }
 
-    /// No such robot, goal, file.
+    /// A robot, goal or file that does not exist.
     #[must_use]
     pub fn not_found(message: impl Display) -> Self {
         Self::new(exit_code::NOT_FOUND, message)
     }
 
-    /// It was tried, and failed.
+    /// The work was attempted and failed.
     #[must_use]
     pub fn failed(message: impl Display) -> Self {
         Self::new(exit_code::FAILED, message)
     }
 
-    /// [`Self::usage`] for what is wrong in a file, which it names; for `map_err`.
+    /// [`Self::usage`] for bad contents of a file, with its name; for `map_err`.
     pub fn usage_at<E: Display>(path: &Path) -> impl FnOnce(E) -> Self {
         move |error| Self::usage(format_args!("{}: {error}", path.display()))
     }
 
-    /// [`Self::failed`] for what cannot be done with a file, which it names; for `map_err`.
+    /// [`Self::failed`] for a failed operation on a file, with its name; for `map_err`.
     pub fn failed_at<E: Display>(path: &Path) -> impl FnOnce(E) -> Self {
         move |error| Self::failed(format_args!("{}: {error}", path.display()))
     }
 }
 
-/// A message of a parser, with the types of Rust that it expected in words.
+/// A parser's error message, with expected Rust types replaced by words.
 pub(crate) fn in_words(message: &str) -> String {
     const EXPECTED: &str = "expected ";
     let mut parts = message.split(EXPECTED);
@@ -86,7 +86,7 @@ pub(crate) fn in_words(message: &str) -> String {
 impl From<BusError> for Failure {
     fn from(error: BusError) -> Self {
         let code = exit_code::of_bus(&error);
-        // Zenoh's own words name lines of its source.
+        // Zenoh's own message refers to lines of its source.
         if let BusError::CannotListen { endpoint, reason } = &error
             && reason.contains("in use")
         {
@@ -131,7 +131,7 @@ impl From<std::io::Error> for Failure {
     }
 }
 
-/// What every command returns: its exit code.
+/// Result of every command: its exit code.
 pub type Outcome = Result<u8, Failure>;
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! Input files. Which one is meant? Worlds, robots and maps by path or by the name of a shipped one.
+//! Input files. Worlds, robots and maps, by path or by shipped name.
 
 use std::io::{BufRead as _, BufReader, Read};
 use std::path::Path;
@@ -17,24 +17,24 @@ use zenav_space::Zones;
 use crate::exit_code;
 use crate::failure::Failure;
 
-/// First bytes of what gzip has compressed (RFC 1952).
+/// First bytes of a gzip file (RFC 1952).
 const GZIP: [u8; 2] = [0x1f, 0x8b];
 /// Largest text file that is read, bytes.
 const MAX_TEXT: u64 = 64 * 1024 * 1024;
-/// Room around the start in a world that is a map, m.
+/// Free space required around the start in a world made from a map, m.
 const ROOM: f64 = 0.6;
-/// Side of a cell where a map file does not say, m: that of a Moving AI map or a bare image.
+/// Cell side of a map file that gives none (a Moving AI map or a bare image), m.
 pub const BARE_RESOLUTION: f64 = 0.05;
 
-/// Reads a text file of a user's.
+/// Reads a user's text file.
 ///
 /// # Errors
-/// Exit code 3 when it is missing, 2 when it is too large or not text.
+/// Exit code 3 if it is missing, 2 if it is too large or not text.
 pub fn text(path: &Path) -> Result<String, Failure> {
     text_within(path, MAX_TEXT)
 }
 
-/// The same of at most `limit` bytes, compressed by gzip or not.
+/// As [`text`], for at most `limit` bytes, plain or gzip-compressed.
 ///
 /// # Errors
 /// As [`text`].
@@ -43,10 +43,10 @@ pub fn text_within(path: &Path, limit: u64) -> Result<String, Failure> {
         .map_err(|_| Failure::usage(format!("{}: expected text in UTF-8", path.display())))
 }
 
-/// At most `limit` bytes of a file, compressed by gzip or not.
+/// Reads at most `limit` bytes of a file, plain or gzip-compressed.
 ///
 /// # Errors
-/// Exit code 3 when it is missing, 2 when it is too large.
+/// Exit code 3 if it is missing, 2 if it is too large.
 pub fn bytes_within(path: &Path, limit: u64) -> Result<Vec<u8>, Failure> {
     let named = |code, what: &str| Failure::new(code, format!("{}: {what}", path.display()));
     let missing = |error: std::io::Error| named(exit_code::NOT_FOUND, &error.to_string());
@@ -55,7 +55,7 @@ pub fn bytes_within(path: &Path, limit: u64) -> Result<Vec<u8>, Failure> {
         Box::new(std::io::stdin())
     } else {
         let kind = std::fs::metadata(path).map_err(missing)?.file_type();
-        // A device may never end.
+        // A device may have no end.
         if !kind.is_file() && !is_pipe(kind) {
             return Err(named(
                 exit_code::USAGE,
@@ -92,20 +92,20 @@ fn is_pipe(_: std::fs::FileType) -> bool {
 /// Writes a file.
 ///
 /// # Errors
-/// Names the file that cannot be written.
+/// A file that cannot be written, with its name.
 pub fn write(path: &Path, bytes: impl AsRef<[u8]>) -> Result<(), Failure> {
     std::fs::write(path, bytes).map_err(Failure::failed_at(path))
 }
 
-/// Writes a file of a map so that nobody ever reads a part of it.
+/// Writes a map file atomically: no reader ever sees part of it.
 ///
 /// # Errors
-/// Names the file that cannot be written.
+/// A file that cannot be written, with its name.
 pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
     atomic::write_atomically(path, bytes).map_err(Failure::failed)
 }
 
-/// A failure to write a map, which it names by this file, and not by the image beside it that is written first; for `map_err`.
+/// A failure to write a map, reported with this file's name instead of the name of its image, which is written first; for `map_err`.
 pub fn unwritten(path: &Path) -> impl FnOnce(MapFileError) -> Failure {
     move |error| match error {
         MapFileError::Io { source, .. } => Failure::failed_at(path)(source),
@@ -113,10 +113,10 @@ pub fn unwritten(path: &Path) -> impl FnOnce(MapFileError) -> Failure {
     }
 }
 
-/// Zones of a map, where a file names any.
+/// Zones of a map from a file; none without a file.
 ///
 /// # Errors
-/// Exit code 3 when there is no such file, 2 when it is bad, with line and key.
+/// Exit code 3 if there is no such file, 2 if it is bad, with line and key.
 pub fn zones(path: Option<&Path>) -> Result<Arc<Zones>, Failure> {
     let Some(path) = path else { return Ok(Arc::default()) };
     Zones::from_toml(&text(path)?, &path.display().to_string())
@@ -124,7 +124,7 @@ pub fn zones(path: Option<&Path>) -> Result<Arc<Zones>, Failure> {
         .map_err(Failure::usage)
 }
 
-/// Tells that a name is neither shipped nor a file.
+/// Failure for a name that is neither shipped nor a file.
 fn unknown(kind: &str, name: &str, shipped: impl Iterator<Item = &'static str>) -> Failure {
     let known: Vec<&str> = shipped.collect();
     Failure::not_found(format!(
@@ -133,7 +133,7 @@ fn unknown(kind: &str, name: &str, shipped: impl Iterator<Item = &'static str>) 
     ))
 }
 
-/// A world that is a map: its first robot starts at the origin, or where there is room nearest to it.
+/// A world made from a map: its first robot starts at the origin, or at the nearest free place.
 fn map_world(name: &str, map: OccupancyGrid) -> World {
     let probe = World::from_map(name, map.clone(), Pose2::IDENTITY);
     let spec = *map.spec();
@@ -151,10 +151,10 @@ fn map_world(name: &str, map: OccupancyGrid) -> World {
     World::from_map(name, map, start.unwrap_or_default())
 }
 
-/// A world by file or shipped name; a ROS map's `.yaml` is one too. What in it is hardly meant is warned of.
+/// A world by file or shipped name; the `.yaml` of a ROS map counts as one too. Suspicious contents cause a warning.
 ///
 /// # Errors
-/// Exit code 3 when there is none, 2 when it is bad, with line and key.
+/// Exit code 3 if there is none, 2 if it is bad, with line and key.
 pub fn world(name: &str) -> Result<World, Failure> {
     let world = read_world(name)?;
     for doubt in world.doubts() {
@@ -188,7 +188,7 @@ fn read_world(name: &str) -> Result<World, Failure> {
 /// A robot by file or shipped name, with its options: `jackal+rear_lidar`.
 ///
 /// # Errors
-/// Exit code 3 when there is none, 2 when it is bad, with line and key.
+/// Exit code 3 if there is none, 2 if it is bad, with line and key.
 pub fn robot(name: &str) -> Result<RobotModel, Failure> {
     let read = |part: &str| {
         let path = Path::new(part);
@@ -214,7 +214,7 @@ pub fn robot(name: &str) -> Result<RobotModel, Failure> {
 /// A map: `map_server` YAML, a bare image, or a Moving AI `.map` (of 1 m cells).
 ///
 /// # Errors
-/// Exit code 3 when there is none, 2 when it is bad.
+/// Exit code 3 if there is none, 2 if it is bad.
 pub fn map(path: &Path) -> Result<OccupancyGrid, Failure> {
     if !path.is_file() {
         return Err(Failure::not_found(format!("{}: no such map file", path.display())));

@@ -1,4 +1,4 @@
-//! `zenav gateway`. How do people see and command robots in a browser? A page and an API beside the parts of a deployment.
+//! `zenav gateway`. A web page and an API to see and command robots, beside the parts of a deployment.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -17,9 +17,9 @@ use crate::failure::{Failure, Outcome};
 use crate::health::HealthArgs;
 use crate::launch::{runtime, until_interrupted};
 
-/// Longest wait for a first robot before the address is told.
+/// Longest wait for a first robot before the address is printed.
 const FIRST_ROBOT: Duration = Duration::from_secs(5);
-/// A free port of loopback.
+/// A free loopback port.
 pub(crate) const FREE_PORT: &str = "127.0.0.1:0";
 
 /// Arguments of `zenav gateway`.
@@ -28,13 +28,13 @@ pub(crate) const FREE_PORT: &str = "127.0.0.1:0";
     after_help = "Without a token the page is served on loopback only. For other machines:\n  zenav gateway --listen 0.0.0.0:7480 --token-file token.txt\nthen open http://HOST:7480/#token=TOKEN; behind a proxy that speaks HTTPS the token is not readable on the way."
 )]
 pub struct GatewayArgs {
-    /// Address of the page and of the API; port 0 takes a free one [default: the deployment's, 127.0.0.1:7480]
+    /// Address of the page and the API; port 0 takes a free one [default: the deployment's, 127.0.0.1:7480]
     #[arg(long, value_name = "ADDRESS:PORT", value_parser = connect::address)]
     listen: Option<String>,
-    /// The router's endpoint, instead of the deployment's
+    /// Router endpoint, instead of the deployment's
     #[arg(long, value_name = "ENDPOINT")]
     connect: Option<String>,
-    /// File whose first line is the token that requests must carry; needed where other machines reach the address
+    /// File whose first line is the token that requests must carry; required if other machines can reach the address
     #[arg(long, value_name = "FILE")]
     token_file: Option<PathBuf>,
     /// Deployment file; without it, the shipped one
@@ -49,19 +49,19 @@ pub struct GatewayArgs {
     health: HealthArgs,
 }
 
-/// The page beside `zenav up` and `zenav demo`.
+/// The mission-control page beside `zenav up` and `zenav demo`.
 #[derive(Debug, Default, Args)]
 pub struct PageArgs {
     /// Address of the mission-control page; port 0 takes a free one
     #[arg(long, value_name = "ADDRESS:PORT", value_parser = connect::address)]
     gateway: Option<String>,
-    /// Without the mission-control page
+    /// Do not serve the mission-control page
     #[arg(long, conflicts_with = "gateway")]
     no_gateway: bool,
 }
 
 impl PageArgs {
-    /// Lays the arguments over a deployment.
+    /// Applies the arguments to a deployment.
     pub(crate) fn apply(&self, deployment: &mut Deployment) {
         deployment.gateway.run.enabled &= !self.no_gateway;
         if let Some(listen) = &self.gateway {
@@ -70,16 +70,16 @@ impl PageArgs {
         }
     }
 
-    /// Whether an address was named.
+    /// Whether an address was given.
     pub(crate) fn names_address(&self) -> bool {
         self.gateway.is_some()
     }
 }
 
-/// Refuses an address of the page that somebody has named and that is taken: the default one gives way to a free port.
+/// Refuses a page address that the user gave and that is taken; only the default one falls back to a free port.
 ///
 /// # Errors
-/// With the address.
+/// The address.
 pub(crate) fn check_named(deployment: &Deployment) -> Result<(), Failure> {
     let gateway = &deployment.gateway;
     let taken = std::net::TcpListener::bind(&gateway.settings.listen)
@@ -94,7 +94,7 @@ pub(crate) fn check_named(deployment: &Deployment) -> Result<(), Failure> {
     }
 }
 
-/// Tells where the page is: the last line before the mission's own output.
+/// Prints the address of the page: the last line before the mission's own output.
 pub(crate) fn tell(address: &str) {
     match logging::format() {
         Format::Text => crate::output::note(format_args!("mission control: {address}")),
@@ -103,7 +103,7 @@ pub(crate) fn tell(address: &str) {
 }
 
 impl Parts {
-    /// Starts the gateway of a deployment, if it runs one; returns the page's address. A default port that is taken gives way to a free one.
+    /// Starts the gateway of a deployment, if it runs one; returns the page's address. If the default port is taken, a free one is used.
     ///
     /// # Errors
     /// An address that is taken or that needs a token, a token file that cannot be read.
@@ -122,7 +122,7 @@ impl Parts {
         Ok(Some(address))
     }
 
-    /// As [`Self::gateway`]; tells the address once a robot shows.
+    /// Like [`Self::gateway`]; prints the address once a robot is found.
     ///
     /// # Errors
     /// As [`Self::gateway`].

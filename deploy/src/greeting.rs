@@ -1,4 +1,4 @@
-//! Greeting of `zenav up`. What stands now, and what can be done with it? Told once, when every part is ready.
+//! Greeting of `zenav up`. What is running, and what to do with it, printed once when every part is ready.
 
 use std::time::{Duration, Instant};
 
@@ -10,17 +10,17 @@ use crate::config::Deployment;
 use crate::connect::DEFAULT_ENDPOINT;
 use crate::gateway;
 
-/// How often it is looked whether all are ready.
+/// Polling period for readiness.
 const LOOK: Duration = Duration::from_millis(100);
-/// After this time it is told whatever waits still: each part says in its log what it waits for.
+/// After this time the greeting is printed even if parts are still waiting: each part logs what it waits for.
 const PATIENCE: Duration = Duration::from_secs(15);
 
-/// What is told of a deployment.
+/// Contents of the greeting.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Greeting {
     robots: Vec<String>,
     world: String,
-    /// Where commands reach the deployment.
+    /// Endpoint of the deployment for commands.
     endpoint: String,
     places: Vec<String>,
     /// Address of the mission-control page.
@@ -38,7 +38,7 @@ impl Greeting {
         }
     }
 
-    /// Waits until every part is ready, and tells it, and how long that took since the start.
+    /// Waits until every part is ready, then prints the greeting with the time since the start.
     pub(crate) async fn tell(self, began: Instant) {
         let (looks, mut is_ready) = (Instant::now(), false);
         while !is_ready && looks.elapsed() < PATIENCE {
@@ -46,7 +46,7 @@ impl Greeting {
             is_ready = readiness::report().0;
         }
         let took = is_ready.then(|| began.elapsed());
-        // What they log of their readiness comes first.
+        // Lets the parts' own log lines about readiness come first.
         tokio::time::sleep(2 * LOOK).await;
         if logging::format() == Format::Text {
             for line in self.lines(took) {
@@ -58,7 +58,7 @@ impl Greeting {
         }
     }
 
-    /// The lines before the address of the page; without a time, some part is not ready yet.
+    /// The lines before the page's address; without a time, some part is not ready yet.
     fn lines(&self, took: Option<Duration>) -> Vec<String> {
         let ready = match took {
             Some(took) => format!("ready in {:.1} s", took.as_secs_f64()),

@@ -1,4 +1,4 @@
-//! Health. Where does a long-running command tell how it is? At `--metrics`, where one is named: `/livez`, `/readyz`, `/metrics`; its spans in the
+//! Health. A long-running command serves `/livez`, `/readyz` and `/metrics` at the address of `--metrics`, and writes its spans into the
 //! file `--trace`.
 
 use std::io::ErrorKind;
@@ -14,19 +14,19 @@ use crate::failure::Failure;
 /// Address of the health endpoint, and the trace file.
 #[derive(Debug, Default, Args)]
 pub(crate) struct HealthArgs {
-    /// Serve /livez, /readyz and /metrics here; port 0 takes a free one
+    /// Serve /livez, /readyz and /metrics at this address; port 0 takes a free one
     #[arg(long, value_name = "ADDRESS:PORT", env = "ZENAV_METRICS", hide_env_values = true, value_parser = connect::address)]
     metrics: Option<String>,
-    /// Write spans of what goes from part to part into this file: OTLP in JSON, one a line
+    /// Write trace spans of messages between parts into this file: OTLP in JSON, one per line
     #[arg(long, value_name = "FILE", env = "ZENAV_TRACE", hide_env_values = true)]
     trace: Option<PathBuf>,
 }
 
 impl HealthArgs {
-    /// Serves as long as the runtime runs. Before anything else: a part that waits for a router is asked why, too.
+    /// Serves as long as the runtime runs. Started before anything else, so that a part still waiting for a router can be queried too.
     ///
     /// # Errors
-    /// What is no address, or one that is taken; a file that cannot be made.
+    /// An invalid address, one that is taken, or a file that cannot be created.
     pub(crate) async fn serve(&self) -> Result<(), Failure> {
         if let Some(file) = &self.trace {
             trace::start(file).map_err(|error| Failure::failed(format!("--trace {}: {error}", file.display())))?;

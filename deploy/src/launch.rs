@@ -1,4 +1,4 @@
-//! Launcher. What do `zenav up`, `router`, `edge` and `cloud` run? The parts of a deployment, all in one process or each in its own.
+//! Launcher. What `zenav up`, `router`, `edge` and `cloud` run: the parts of a deployment, all in one process or each in its own.
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -20,22 +20,22 @@ use crate::health::HealthArgs;
 use crate::record::{self, LiveView};
 use crate::rest;
 
-/// How often a router looks whether the fleet has changed.
+/// Period at which a router checks whether the fleet has changed.
 const FLEET_LOOK: Duration = Duration::from_secs(1);
 
-/// The known map that mapping begins with.
+/// Known map that mapping starts with.
 #[derive(Debug, Default, Args)]
 pub(crate) struct KnownMapArgs {
-    /// Known map to begin with, instead of the stored one: a `map_server` YAML file or an image; it is held
+    /// Known map to start with, instead of the stored one: a `map_server` YAML file or an image; scans do not change it
     #[arg(long, value_name = "FILE")]
     map: Option<PathBuf>,
-    /// Go on mapping into the map of --map, instead of holding it
+    /// Keep mapping into the map of --map, instead of leaving it unchanged
     #[arg(long, requires = "map")]
     live: bool,
 }
 
 impl KnownMapArgs {
-    /// Lays the arguments over a deployment.
+    /// Applies the arguments to a deployment.
     pub(crate) fn apply(&self, deployment: &mut Deployment) {
         if let Some(map) = &self.map {
             deployment.mapping.run.map = Some(map.clone());
@@ -43,8 +43,8 @@ impl KnownMapArgs {
         }
     }
 
-    /// Whether the files are there that services read, before anything runs that would have to end again; not the deployment's map where
-    /// another was named.
+    /// Checks that the files of services exist, before anything starts that would only have to stop again. The deployment's map is skipped
+    /// if another was named.
     fn check_files(&self, layers: &Layers, which: CloudPart) -> Result<(), Failure> {
         let is_mapped = matches!(which, CloudPart::All | CloudPart::Mapping) && layers.deployment.mapping.run.enabled;
         if is_mapped && !self.names_map() {
@@ -59,7 +59,7 @@ impl KnownMapArgs {
     }
 }
 
-/// The pose that a robot begins with.
+/// Start pose of a robot.
 #[derive(Debug, Default, Args)]
 pub(crate) struct PoseArgs {
     /// Initial pose of the robot on the map, m and rad
@@ -68,10 +68,10 @@ pub(crate) struct PoseArgs {
 }
 
 impl PoseArgs {
-    /// Lays the pose over a deployment of one robot.
+    /// Applies the pose to a deployment of one robot.
     ///
     /// # Errors
-    /// Several robots, or a heading that is hardly meant in radians.
+    /// Several robots, or a heading that is probably not in radians.
     pub(crate) fn apply(&self, deployment: &mut Deployment) -> Result<(), Failure> {
         let Some([x, y, yaw]) = self.pose.as_deref() else {
             return Ok(());
@@ -107,10 +107,10 @@ pub struct UpArgs {
     /// World, instead of the deployment's
     #[arg(long)]
     world: Option<String>,
-    /// Simulated time against wall time, instead of the deployment's
+    /// Simulated time relative to wall time, instead of the deployment's
     #[arg(long, value_parser = connect::speed)]
     speed: Option<f64>,
-    /// Folder for what is kept, instead of the deployment's
+    /// Data folder, instead of the deployment's
     #[arg(long)]
     data: Option<PathBuf>,
     #[command(flatten)]
@@ -119,7 +119,7 @@ pub struct UpArgs {
     begin: PoseArgs,
     #[command(flatten)]
     page: PageArgs,
-    /// Serve what goes over the bus to Foxglove, live, at an address of loopback
+    /// Serve live bus traffic to Foxglove, at a loopback address
     #[arg(long, value_name = "ADDRESS:PORT", num_args = 0..=1, default_missing_value = record::FOXGLOVE_LISTEN, value_parser = connect::address)]
     foxglove: Option<String>,
     #[command(flatten)]
@@ -146,30 +146,30 @@ pub struct RouterArgs {
     health: HealthArgs,
 }
 
-/// Values of keys over HTTP.
+/// Key values over HTTP.
 #[derive(Debug, Args)]
 struct RestArgs {
-    /// Answer `GET /KEY` with a key's value, at an address of loopback
+    /// Answer `GET /KEY` with a key's value, at a loopback address
     #[arg(long, value_name = "ADDRESS:PORT", num_args = 0..=1, default_missing_value = rest::DEFAULT_LISTEN, value_parser = connect::address)]
     rest: Option<String>,
 }
 
-/// What `zenav edge` and `zenav cloud` share.
+/// Arguments shared by `zenav edge` and `zenav cloud`.
 #[derive(Debug, Args)]
 struct PartArgs {
     /// Deployment file; without it, the shipped one
     #[arg(long, value_name = "FILE")]
     deployment: Option<PathBuf>,
-    /// The router's endpoint, instead of the deployment's; of several, separated by commas, one is enough
+    /// Router endpoint, instead of the deployment's, or several separated by commas, of which one must be reachable
     #[arg(long, value_parser = connect::endpoints)]
     connect: Option<String>,
-    /// Folder for what is kept, instead of the deployment's
+    /// Data folder, instead of the deployment's
     #[arg(long)]
     data: Option<PathBuf>,
-    /// World (its places are named goals; a simulated robot stands in it), instead of the deployment's
+    /// World, instead of the deployment's: its places are named goals, and a simulated robot drives in it
     #[arg(long)]
     world: Option<String>,
-    /// Only this robot of the deployment
+    /// Run only this robot of the deployment
     #[arg(long)]
     robot: Option<String>,
     #[command(flatten)]
@@ -197,16 +197,16 @@ pub struct EdgeArgs {
     /// The robot's own endpoint, instead of the deployment's
     #[arg(long, value_parser = connect::endpoint)]
     listen: Option<String>,
-    /// Drive robots of the world that `zenav sim serve` serves
+    /// Attach to robots of the world that `zenav sim serve` serves
     #[arg(long)]
     attach: bool,
-    /// Endpoint where that world is served, where it is not the router's
+    /// Endpoint of that world, if it is not the router's
     #[arg(long, value_name = "ENDPOINT")]
     attach_to: Option<String>,
     /// Where the robot's body is, if it is not simulated here
     #[arg(long, value_enum, conflicts_with_all = ["attach", "attach_to"])]
     body: Option<BodyKind>,
-    /// Simulated time against wall time, instead of the deployment's
+    /// Simulated time relative to wall time, instead of the deployment's
     #[arg(long, value_parser = connect::speed)]
     speed: Option<f64>,
     /// Seed of the simulated noise, instead of the deployment's
@@ -224,15 +224,15 @@ pub struct EdgeArgs {
     after_help = "Examples:\n  zenav cloud\n  zenav cloud mission --holder bert --data bert    a second orchestrator, which takes over from the first\n  zenav cloud mapping --map kitchen.yaml --live"
 )]
 pub struct CloudArgs {
-    /// Which service
+    /// Service to run
     #[arg(value_enum, default_value = "all")]
     service: CloudPart,
     #[command(flatten)]
     part: PartArgs,
-    /// The orchestrator's name, instead of the deployment's; no two may share it
+    /// Name of the orchestrator, instead of the deployment's; every orchestrator needs its own
     #[arg(long, value_parser = connect::name)]
     holder: Option<String>,
-    /// Names this process's workers
+    /// Name prefix of this process's workers
     #[arg(long)]
     worker: Option<String>,
     #[command(flatten)]
@@ -241,7 +241,7 @@ pub struct CloudArgs {
     identity: IdentityArgs,
 }
 
-/// A runtime for services and commands.
+/// Runtime for services and commands.
 ///
 /// # Errors
 /// When the system gives no threads.
@@ -268,7 +268,7 @@ pub(crate) async fn until_interrupted(mut parts: Parts) -> Outcome {
 }
 
 impl PartArgs {
-    /// Lays the arguments over a deployment.
+    /// Applies the arguments to a deployment.
     fn over(&self, mut deployment: Deployment) -> Result<Deployment, Failure> {
         if let Some(connect) = &self.connect {
             deployment.bus.connect.clone_from(connect);
@@ -322,7 +322,7 @@ pub fn up(args: &UpArgs) -> Outcome {
     if args.page.names_address() || layers.sets("gateway.listen") {
         gateway::check_named(&deployment)?;
     }
-    // Before anything runs that would have to end again.
+    // Checked before anything starts that would only have to stop again.
     let data = &deployment.data.dir;
     std::fs::create_dir_all(data).map_err(Failure::failed_at(data))?;
     let security = args.security.security_of(&deployment)?;
@@ -367,7 +367,7 @@ pub fn up(args: &UpArgs) -> Outcome {
     })
 }
 
-/// An endpoint whose port is one that is free now, where it is 0: all parts have to know it.
+/// The endpoint with port 0 replaced by a port that is free now: all parts have to know it.
 fn with_free_port(endpoint: &str) -> String {
     let free = |address: &str| std::net::TcpListener::bind(address)?.local_addr();
     match endpoint.strip_suffix(":0").zip(endpoint.split_once('/')) {
@@ -378,7 +378,7 @@ fn with_free_port(endpoint: &str) -> String {
     }
 }
 
-/// Two deployments on one machine: where the default robot's own endpoint is taken, it takes a free one.
+/// Allows two deployments on one machine: if the default robot endpoint is taken, the robot takes a free port.
 fn free_robot_endpoint(deployment: &mut Deployment) {
     let Some(address) = ROBOT_ENDPOINT.strip_prefix("tcp/") else {
         return;
@@ -411,7 +411,7 @@ async fn start_all(parts: &mut Parts, deployment: &Deployment, world: &World) ->
     Ok(())
 }
 
-/// Opens a router, and its REST where there is an address for it.
+/// Opens a router, and its REST server if there is an address for it.
 async fn open_router(config: &RouterConfig, rest: &str) -> Result<Router, Failure> {
     let router = Router::open(config).await?;
     tracing::info!(endpoints = ?router.endpoints().await, "router up");
@@ -452,8 +452,8 @@ pub fn router(args: &RouterArgs) -> Outcome {
     Ok(exit_code::OK)
 }
 
-/// Waits until an identity is not what its folder holds any more: somebody was revoked or issued, or the certificate renewed. Zenoh takes
-/// neither while it runs.
+/// Waits until the identity no longer matches its folder: a member was issued or revoked, or the certificate renewed. Zenoh cannot reload
+/// these while it runs.
 async fn outdated(identity: Option<&Identity>) {
     let Some(identity) = identity else {
         return std::future::pending().await;

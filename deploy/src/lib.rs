@@ -5,28 +5,28 @@
 //! | `cli` | which commands there are, and their exit codes |
 //! | `config` | what a deployment is made of, and where each value came from |
 //! | `launch` | what `up`, `router`, `edge` and `cloud` run |
-//! | `components` | how the parts start and end that share a process |
-//! | `hosts` | a deployment of many hosts as units, containers and manifests, and whether it runs |
+//! | `components` | how the parts that share a process start and stop |
+//! | `hosts` | a deployment of many hosts as units, containers and manifests, and checks of its state |
 //! | `rest` | values of keys over HTTP, read-only |
-//! | `gateway` | how people see and command robots in a browser |
+//! | `gateway` | how operators see and command robots in a browser |
 //! | `world_server` | how robots on several machines share one world |
 //! | `demo`, `report` | one scenario on this machine over real Zenoh sessions |
-//! | `lockstep` | the same cores without a network, bit for bit repeatable |
+//! | `lockstep` | the same cores without a network, bit-for-bit repeatable |
 //! | `connect` | how a command reaches the router and its robot |
-//! | `live_map` | what a robot does now, drawn in a terminal |
+//! | `live_map` | a robot's current state, drawn in a terminal |
 //! | `goal`, `operator` | goals and hand control from anywhere |
 //! | `annotations` | places and zones of a running robot's map |
-//! | `keys` | who belongs to a fleet, and how its members prove it |
+//! | `keys` | the members of a fleet, and their certificates |
 //! | `inspect` | topics, maps, trees, health |
-//! | `record` | runs as files: recorded, replayed, computed again, compared, told |
+//! | `record` | runs as files: recorded, replayed, recomputed, compared, reported |
 //! | `batch` | planning, smoothing and mapping offline |
-//! | `localise` | the robot that made a log, in a map |
+//! | `localise` | a recorded robot's poses in a map |
 //! | `slam` | maps and poses from logs; pose graphs, certified |
-//! | `bench` | how fast is the bus, how well do robots drive |
-//! | `wall_following` | how well a robot follows walls by itself, and with which gains best |
+//! | `bench` | how fast the bus is, and how well robots drive |
+//! | `wall_following` | how well a robot follows walls, and which gains are best |
 //! | `files` | worlds, robots and maps by file or shipped name |
 //! | `drawing` | pictures: maps, worlds, films, trees |
-//! | `completion` | which names a shell may offer: shipped ones, and those on the bus |
+//! | `completion` | names that a shell offers: shipped ones, and those on the bus |
 //! | `output`, `failure` | tables and JSON; errors with their exit codes |
 
 pub mod annotations;
@@ -64,7 +64,7 @@ pub mod world_server;
 
 pub use zenav_edge::exit_code;
 
-/// Runs the command line of this process; the exit codes stand in [`exit_code`].
+/// Runs the command line of this process; [`exit_code`] lists the exit codes.
 #[must_use]
 pub fn main() -> std::process::ExitCode {
     cli::main()

@@ -1,4 +1,4 @@
-//! Map that moves. What does a robot do now, seen in a terminal? Its map with plan, scan, goal, places and other robots, five times a second.
+//! Live map. A robot's current state in a terminal: its map with plan, scan, goal, places and other robots, five times a second.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -15,14 +15,14 @@ use zenav_protocol::topics;
 use crate::drawing::terminal::{self, Mark, Screen};
 use crate::failure::Failure;
 
-/// Time between two pictures.
+/// Period of pictures.
 const PERIOD: Duration = Duration::from_millis(200);
-/// Longest wait for a map before the last one is drawn again.
+/// Longest wait for a map; then the last one is drawn again.
 const MAP_WITHIN: Duration = Duration::from_millis(500);
-/// Most other robots that are drawn.
+/// Most other robots drawn.
 const MOST_ROBOTS: usize = 64;
 
-/// What there is to draw, the newest of each.
+/// Data to draw, the newest of each.
 #[derive(Default)]
 struct Seen {
     pose: Option<Pose2>,
@@ -47,7 +47,7 @@ pub struct LiveMap {
     seen: Seen,
 }
 
-/// A live map on a terminal; it stands still when this is dropped.
+/// A live map on a terminal; dropping it stops the updates.
 pub struct Drawing {
     task: AbortHandle,
 }
@@ -60,7 +60,7 @@ impl Drop for Drawing {
 
 impl LiveMap {
     /// # Errors
-    /// When something cannot be subscribed to.
+    /// A topic cannot be subscribed to.
     pub fn new(bus: &Bus, robot: &str) -> Result<Self, Failure> {
         Ok(Self {
             robot: robot.to_owned(),
@@ -75,7 +75,7 @@ impl LiveMap {
         })
     }
 
-    /// The picture of this moment; without a map, what is waited for.
+    /// The current picture; without a map, a line about what it waits for.
     pub async fn frame(&mut self, screen: Screen) -> String {
         self.take();
         let Some(replica) = self.maps.map(&self.robot, &MapRef::default(), MAP_WITHIN).await else {
@@ -105,7 +105,7 @@ impl LiveMap {
         if let Some(plan) = self.plans.take() {
             let points = plan.trajectory.iter().map(|point| Point2::new(point.x, point.y));
             let points: Vec<Point2<f64>> = points.collect();
-            // A plan without a time law is its waypoints.
+            // A plan without a time law has only waypoints.
             seen.plan = if points.is_empty() { plan.waypoints } else { points };
         }
         while let Some(goal) = self.goals.take() {
@@ -147,7 +147,7 @@ impl Seen {
             .map(|(name, at)| Mark::Place(name, Point2::new(at.x, at.y)))
             .collect();
         marks.push(Mark::Scan(&self.scan));
-        // A plan that is not driven is history.
+        // A plan that is not being driven is outdated.
         if self
             .state
             .as_ref()
@@ -163,7 +163,7 @@ impl Seen {
     }
 }
 
-/// What a line has room for.
+/// The status line.
 fn status(state: &EdgeState) -> String {
     let link = state.round_trip_secs.map(|secs| format!(" {:.0} ms", 1e3 * secs));
     format!(

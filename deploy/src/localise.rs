@@ -1,4 +1,4 @@
-//! `zenav localise`. Where in a map was the robot that made a log, and how sure is that?
+//! `zenav localise`. Poses of a recorded robot in a map, with their confidence.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -19,15 +19,15 @@ use crate::inspect::read_log;
 use crate::output::Format;
 use crate::{files, output};
 
-/// Where the robot was not sure of its place.
+/// Colour of untrusted poses.
 const UNSURE: [u8; 3] = [215, 60, 40];
 /// Pixels of the picture's longer side.
 const SIZE: u32 = 1400;
 
-/// Follow the robot that made a log through a map.
+/// Localise a recorded robot in a map.
 ///
-/// The log's poses are taken for raw odometry. Without `--start` the robot is looked for in the whole map with its first scan. The time is that
-/// of the thread: what others do on the machine does not count.
+/// The log's poses count as raw odometry. Without `--start` the first scan is searched for in the whole map. Times are processor times of
+/// the thread, independent of other load on the machine.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Examples:\n  zenav localise --map map/map.yaml --log drive.log.gz --out found\n  zenav localise --map map/map.yaml --log drive.log.gz --start 0 0 0"
@@ -39,16 +39,16 @@ pub struct LocaliseArgs {
     /// CARMEN log of scans and raw odometry, compressed by gzip or not
     #[arg(long, value_name = "FILE")]
     log: PathBuf,
-    /// Look for the robot in the whole map (the default)
+    /// Search for the robot in the whole map (the default)
     #[arg(long, conflicts_with = "start")]
     global: bool,
-    /// Where it is at its first scan, to within some decimetres: m, m, rad
+    /// Pose at the first scan, to within some decimetres: m, m, rad
     #[arg(long, num_args = 3, value_names = ["X", "Y", "YAW"], value_parser = crate::connect::finite)]
     start: Option<Vec<f64>>,
     /// Folder for trajectory.csv and localise.png
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Side of a cell of a map that does not say it, m
+    /// Side of a cell if the map does not give it, m
     #[arg(long, value_name = "M", default_value_t = 0.05, value_parser = crate::connect::positive)]
     resolution: f64,
     /// Output format
@@ -60,19 +60,19 @@ pub struct LocaliseArgs {
 #[derive(Debug, Serialize)]
 struct Followed {
     scans: usize,
-    /// Scans by what was said of the robot's place.
+    /// Number of scans by state of the localisation.
     tracking: usize,
     degraded: usize,
     lost: usize,
     ambiguous: usize,
-    /// Scans from which the robot was found by a search of the whole map, and the first of them, s after the log's beginning.
+    /// Scans at which a search of the whole map found the robot, and the first of them, s after the start of the log.
     found: usize,
     found_after_s: Option<f64>,
-    /// Mean share of the scans' points that agree with the map, where the place was trusted.
+    /// Mean share of scan points that agree with the map, while the pose was trusted.
     agreeing: f64,
-    /// Processor time of a scan, searches included.
+    /// Processor time per scan, searches included.
     cpu_ms_per_scan: Times,
-    /// Where it was at the end.
+    /// Last pose.
     last: Pose2,
 }
 
@@ -85,13 +85,13 @@ struct Times {
     max: f64,
 }
 
-/// One scan: when, s, and what was made of it.
+/// One scan: its time, s, and its localisation.
 type Step = (f64, Located);
 
-/// Follows a log.
+/// Localises the robot of a log.
 ///
 /// # Errors
-/// Exit code 3 when a file is missing, 2 when it is bad, 1 when the robot was never found.
+/// Exit code 3 if a file is missing, 2 if it is bad, 1 if the robot was never found.
 pub fn localise(args: &LocaliseArgs) -> Outcome {
     if !args.map.is_file() {
         return Err(Failure::not_found(format!("{}: no such map", args.map.display())));
@@ -157,7 +157,7 @@ pub fn localise(args: &LocaliseArgs) -> Outcome {
     })
 }
 
-/// What localisation makes of each scan, and its time, s.
+/// Localisation of each scan, and its processor time, s.
 fn follow(map: &OccupancyGrid, scans: &[Scan], start: Option<&[f64]>) -> (Vec<Step>, Vec<f64>) {
     let mut localiser = Localiser::new(LocalisationSettings::default(), map);
     if start.is_none() {
@@ -181,7 +181,7 @@ fn follow(map: &OccupancyGrid, scans: &[Scan], start: Option<&[f64]>) -> (Vec<St
     (steps, times)
 }
 
-/// Writes the way and its picture into a folder.
+/// Writes the trajectory and its picture into a folder.
 fn write(out: &Path, map: &OccupancyGrid, steps: &[Step]) -> Result<(), Failure> {
     std::fs::create_dir_all(out).map_err(Failure::failed_at(out))?;
     let mut rows = "t,x,y,yaw,health\n".to_owned();
@@ -193,7 +193,7 @@ fn write(out: &Path, map: &OccupancyGrid, steps: &[Step]) -> Result<(), Failure>
             Health::Lost => "lost",
             Health::Ambiguous { .. } => "ambiguous",
         };
-        // Writing to a string does not fail.
+        // Writing to a string cannot fail.
         let _ = writeln!(rows, "{stamp},{x},{y},{yaw},{health}");
     }
     files::write(&out.join("trajectory.csv"), rows)?;
@@ -207,7 +207,7 @@ fn write(out: &Path, map: &OccupancyGrid, steps: &[Step]) -> Result<(), Failure>
         UNKNOWN,
     )?;
     plane.map(map);
-    // A stretch ends where trust does, and where the robot is found somewhere else.
+    // A stretch ends where the pose is not trusted, and where the robot is found at another place.
     let mut stretch: Vec<Point2<f64>> = Vec::new();
     let mut is_sure = true;
     for (_, located) in steps {

@@ -1,4 +1,4 @@
-//! Output. How is data printed? On stdout, as a table for people or as JSON for programs.
+//! Output. Prints data on stdout, as a table for people or as JSON for programs.
 
 use std::fmt::Display;
 use std::io::{IsTerminal as _, Write as _};
@@ -12,20 +12,20 @@ use serde::Serialize;
 use crate::exit_code;
 use crate::failure::Failure;
 
-/// Form of printed data.
+/// Format of printed data.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum Format {
-    /// For people.
+    /// Human-readable.
     #[default]
     Table,
-    /// One document.
+    /// One JSON document.
     Json,
-    /// One object a line.
+    /// One JSON object per line.
     Ndjson,
 }
 
 impl Format {
-    /// The form of what comes one after another without an end: no document holds it, so JSON is an object a line.
+    /// The format for an endless stream: a stream fits into no document, so JSON becomes one object per line.
     #[must_use]
     pub fn streamed(self) -> Self {
         match self {
@@ -35,8 +35,8 @@ impl Format {
     }
 }
 
-/// Writes a line to stdout; a closed pipe is no error (`zenav topic echo | head`), and ends the process. So does whatever else stops the
-/// output, as an error: a full disk must not look like a result.
+/// Writes a line to stdout. A closed pipe (`zenav topic echo | head`) ends the process without an error. Any other write error ends it
+/// with one: a full disk must not look like a result.
 pub fn line(text: &str) {
     let mut out = std::io::stdout().lock();
     if let Err(error) = writeln!(out, "{text}").and_then(|()| out.flush()) {
@@ -49,19 +49,19 @@ pub fn line(text: &str) {
     }
 }
 
-/// Writes a line to stderr: what a person at a terminal reads beside the output. Where nobody reads it, it is lost, and the command goes on.
+/// Writes a line to stderr for a person at a terminal. If it cannot be written, it is lost, and the command continues.
 pub fn note(text: impl Display) {
     let _ = writeln!(std::io::stderr(), "{text}");
 }
 
-/// A count of things that add an `s` when they are several: `1 plan`, `2 plans`.
+/// A count and its noun, with a plural `s` if needed: `1 plan`, `2 plans`.
 #[must_use]
 pub fn counted<N: Display + PartialEq + From<u8>>(count: N, thing: &str) -> String {
     let plural = if count == N::from(1_u8) { "" } else { "s" };
     format!("{count} {thing}{plural}")
 }
 
-/// `, perhaps `X``: the known name that may have been meant, of those that differ in at most so many letters.
+/// `, perhaps `X``: the most similar known name, within so many edits.
 #[must_use]
 pub fn perhaps<'n>(meant: &str, known: impl IntoIterator<Item = &'n str>, slips: usize) -> String {
     let told = known.into_iter().map(|name| (strsim::osa_distance(meant, name), name));
@@ -71,10 +71,10 @@ pub fn perhaps<'n>(meant: &str, known: impl IntoIterator<Item = &'n str>, slips:
     }
 }
 
-/// Prints one value: pretty as JSON, in one line as NDJSON, or by `table`.
+/// Prints one value: pretty-printed JSON, one line of NDJSON, or by `table`.
 ///
 /// # Errors
-/// When the value cannot be written as JSON.
+/// The value cannot be written as JSON.
 pub fn value<T: Serialize>(format: Format, value: &T, table: impl FnOnce(&T) -> String) -> Result<(), Failure> {
     let text = match format {
         Format::Table => table(value),
@@ -85,10 +85,10 @@ pub fn value<T: Serialize>(format: Format, value: &T, table: impl FnOnce(&T) -> 
     Ok(())
 }
 
-/// Prints many values: a JSON array, one object a line, or one table.
+/// Prints several values: a JSON array, one object per line, or one table.
 ///
 /// # Errors
-/// When a value cannot be written as JSON.
+/// A value cannot be written as JSON.
 pub fn values<T: Serialize>(format: Format, values: &[T], table: impl FnOnce(&[T]) -> String) -> Result<(), Failure> {
     match format {
         Format::Ndjson => {
@@ -101,7 +101,7 @@ pub fn values<T: Serialize>(format: Format, values: &[T], table: impl FnOnce(&[T
     }
 }
 
-/// A progress bar of the form that a template gives it; hidden where stderr is no terminal.
+/// A progress bar from a template; hidden if stderr is not a terminal.
 #[must_use]
 pub fn progress(bar: ProgressBar, template: &str) -> ProgressBar {
     if !std::io::stderr().is_terminal() {
@@ -113,7 +113,7 @@ pub fn progress(bar: ProgressBar, template: &str) -> ProgressBar {
     bar
 }
 
-/// A living line on stderr with the time and a message, and room for a picture above it as its prefix; `None` where stderr is no terminal.
+/// A live line on stderr with time and message, and a prefix that can hold a picture above it; `None` if stderr is not a terminal.
 #[must_use]
 pub fn spinner() -> Option<ProgressBar> {
     std::io::stderr()
@@ -121,7 +121,7 @@ pub fn spinner() -> Option<ProgressBar> {
         .then(|| living(ProgressDrawTarget::stderr()))
 }
 
-/// As [`spinner`], on stdout: for what is nothing but a display.
+/// Like [`spinner`], on stdout: for commands that only display.
 #[must_use]
 pub fn display() -> Option<ProgressBar> {
     std::io::stdout()
@@ -141,10 +141,10 @@ fn living(target: ProgressDrawTarget) -> ProgressBar {
     bar
 }
 
-/// The display that stands on the terminal now.
+/// The display currently on the terminal.
 static LIVING: Mutex<Option<WeakProgressBar>> = Mutex::new(None);
 
-/// Stderr for log lines: a living display makes room for each, and leaves nothing of itself behind.
+/// Stderr for log lines: a live display makes room for each, without leaving fragments.
 #[derive(Clone, Copy, Debug)]
 pub struct LogWriter;
 

@@ -1,4 +1,4 @@
-//! Report of a scenario. How did it go? The report for people and programs, from the simulator's truth.
+//! Report of a scenario. Its result from the simulator's ground truth, for people and programs.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -9,38 +9,38 @@ use zenav_sim::Truth;
 
 use crate::wall_following::score::Kept;
 
-/// What became of a scenario.
+/// Outcome of a scenario.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ScenarioOutcome {
     /// Every goal was reached without a collision.
     Succeeded,
-    /// Something else.
+    /// Anything else.
     Failed,
 }
 
 /// Report of `zenav demo`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct DemoReport {
-    /// Its name.
+    /// Name of the scenario.
     pub scenario: String,
     /// Seed of all noise.
     pub seed: u64,
-    /// Simulated seconds asked for a second of wall time.
+    /// Requested simulated seconds per second of wall time.
     pub speed: f64,
-    /// What became of it.
+    /// Outcome.
     pub outcome: ScenarioOutcome,
-    /// Why it failed.
+    /// Reason of a failure.
     pub reason: Option<String>,
-    /// Whether the map was found stored, so that mapping was skipped.
+    /// Whether a stored map was found, so that mapping was skipped.
     pub map_found: bool,
-    /// Each drive in order.
+    /// Every drive, in order.
     pub goals: Vec<GoalReport>,
-    /// Goals that were asked for although nobody can reach them, and refused as they must be.
+    /// Unreachable goals that were submitted, and correctly refused.
     pub refused: Vec<RefusedGoal>,
-    /// Contacts.
+    /// Contacts of the robot.
     pub collisions: u64,
-    /// Least distance of the footprint to an obstacle over the whole run, m.
+    /// Smallest distance of the footprint to an obstacle over the whole run, m.
     pub min_clearance_m: f64,
     /// Simulated time, s.
     pub sim_time_s: f64,
@@ -48,42 +48,42 @@ pub struct DemoReport {
     pub wall_time_s: f64,
     /// Plans published.
     pub plans: u64,
-    /// Plans that replaced another one while driving.
+    /// Plans that replaced another one during a drive.
     pub replans: u64,
     /// Wall-clock latencies.
     pub latency: Latency,
     /// Energy drawn, J.
     pub energy_j: f64,
-    /// Energy drawn for each metre driven, J/m; `None` where hardly any was.
+    /// Energy drawn per metre driven, J/m; `None` for hardly any distance.
     pub energy_per_m: Option<f64>,
-    /// How walls were followed, where they were.
+    /// Results of wall following, if the robot followed walls.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub walls: Option<WallReport>,
-    /// What does not hold at this speed of simulation.
+    /// Limits of validity at this simulation speed.
     pub notes: Vec<String>,
-    /// What was written.
+    /// Files written.
     pub files: Vec<PathBuf>,
 }
 
-/// How walls were followed: distances by the simulator's truth.
+/// Results of wall following: distances from the simulator's ground truth.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct WallReport {
-    /// Distance to be kept, m.
+    /// Target distance, m.
     pub target_m: f64,
-    /// How it was kept.
+    /// Accuracy of the distance.
     #[serde(flatten)]
     pub kept: Kept,
-    /// Contacts that the bumper told of.
+    /// Contacts reported by the bumper.
     pub bumps: u64,
     /// Path driven, m.
     pub driven_m: f64,
-    /// Share of the time along walls.
+    /// Share of the time spent along walls.
     pub following: f64,
-    /// Transitions of the state machine, with how often each came.
+    /// Transitions of the state machine, with their counts.
     pub transitions: BTreeMap<String, u64>,
-    /// Whether the event log has every event of the run, and each transition begins where the one before ended.
+    /// Whether the event log has every event of the run, and each transition starts where the previous one ended.
     pub complete: bool,
-    /// Control ticks that came too late.
+    /// Late control ticks.
     pub missed_ticks: u64,
 }
 
@@ -123,56 +123,56 @@ impl WallReport {
     }
 }
 
-/// A goal that was refused.
+/// A refused goal.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RefusedGoal {
-    /// Where it lies, in words.
+    /// Description of the place.
     pub name: String,
     /// Map x, m.
     pub x: f64,
     /// Map y, m.
     pub y: f64,
-    /// Why it was refused.
+    /// Reason of the refusal.
     pub reason: String,
-    /// The nearest place that the robot can be at, as far as it knows.
+    /// The nearest known place where the robot fits.
     pub nearest_free: Option<GoalPoint>,
 }
 
-/// One drive. Length, clearance and error are the simulator's truth.
+/// One drive. Length, clearance and error are from the simulator's ground truth.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct GoalReport {
-    /// Its name in the mission.
+    /// Name in the mission.
     pub name: String,
-    /// `reached` or why not.
+    /// `reached`, or the reason of the failure.
     pub outcome: String,
     /// Simulated time, s.
     pub time_s: f64,
     /// Driven, m.
     pub length_m: f64,
-    /// Least distance of the footprint to an obstacle, m.
+    /// Smallest distance of the footprint to an obstacle, m.
     pub min_clearance_m: f64,
     /// Distance from the goal at the end, m; `None` for a drive without a goal of its own.
     pub final_error_m: Option<f64>,
     /// Energy drawn, J.
     pub energy_j: f64,
-    /// Energy drawn for each metre driven, J/m; `None` where hardly any was.
+    /// Energy drawn per metre driven, J/m; `None` for hardly any distance.
     pub energy_per_m: Option<f64>,
 }
 
-/// Energy for each metre of a path, J/m; `None` where it is too short to tell.
+/// Energy per metre of path, J/m; `None` if the path is too short.
 #[must_use]
 pub fn per_metre(joules: f64, metres: f64) -> Option<f64> {
     (metres >= ENOUGH_WAY).then(|| joules / metres)
 }
 
-/// Energy drawn, and for each metre where that is known, in words.
+/// Energy drawn, and per metre if known, in words.
 #[must_use]
 pub fn energy(joules: f64, per_metre: Option<f64>) -> String {
     let per_metre = per_metre.map(|energy| format!(" ({energy:.0} J/m)"));
     format!("{joules:.0} J{}", per_metre.unwrap_or_default())
 }
 
-/// Least clearance, m, in words; infinite where there was nothing.
+/// Least clearance, m, in words; infinite if there were no obstacles.
 #[must_use]
 pub fn least_clearance(metres: f64) -> String {
     if metres.is_finite() {
@@ -182,13 +182,13 @@ pub fn least_clearance(metres: f64) -> String {
     }
 }
 
-/// Outcome of a goal that was.
+/// Outcome of a reached goal.
 pub const REACHED: &str = "reached";
-/// Over a shorter way, energy a metre tells nothing, m.
+/// Below this distance the energy per metre is meaningless, m.
 const ENOUGH_WAY: f64 = 0.1;
 
 impl GoalReport {
-    /// Why it was not reached.
+    /// Reason why it was not reached.
     fn failure(&self) -> Option<&str> {
         (self.outcome != REACHED).then_some(&self.outcome)
     }
@@ -199,11 +199,11 @@ impl GoalReport {
 pub struct Latency {
     /// From the arrival of the scan or pose that a plan is based on to the plan's arrival.
     pub scan_to_plan_ms: Percentiles,
-    /// From the beginning of a drive (its planning) to the robot's first motion.
+    /// From the start of a drive (its planning) to the robot's first motion.
     pub goal_to_motion_ms: Percentiles,
 }
 
-/// Median and 99th percentile; `None` when nothing was measured.
+/// Median and 99th percentile; `None` without measurements.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Percentiles {
     /// Median.
@@ -213,7 +213,7 @@ pub struct Percentiles {
 }
 
 impl Percentiles {
-    /// Of samples in any order.
+    /// Percentiles of samples in any order.
     #[must_use]
     pub fn of(samples: &[f64]) -> Self {
         let mut sorted = samples.to_vec();
@@ -229,13 +229,13 @@ impl Percentiles {
     }
 }
 
-/// A number with so many decimals; `-` where there is none.
+/// A number with so many decimals; `-` for `None`.
 fn short(value: Option<f64>, decimals: usize) -> String {
     value.map_or_else(|| "-".to_owned(), |value| format!("{value:.decimals$}"))
 }
 
 impl DemoReport {
-    /// What the simulator's truth tells of a scenario; it has succeeded where there is no `reason` against it.
+    /// A report from the ground truth of a scenario; it succeeded unless there is a `reason`.
     #[must_use]
     pub fn new(scenario: &str, seed: u64, speed: f64, truth: &Truth, sim_time_s: f64, reason: Option<String>) -> Self {
         Self {
@@ -265,20 +265,20 @@ impl DemoReport {
         }
     }
 
-    /// The scenario has failed for a reason beside its drives.
+    /// Marks the scenario as failed, for a reason other than its drives.
     pub fn fail(&mut self, why: String) {
         self.outcome = ScenarioOutcome::Failed;
         self.reason.get_or_insert(why);
     }
 
-    /// The report for people.
+    /// The report as text.
     #[must_use]
     pub fn text(&self) -> String {
         let rows: Vec<Vec<String>> = self
             .goals
             .iter()
             .map(|goal| {
-                // The reason stands below: it is longer than a column.
+                // The reason is printed below the table: it is longer than a column.
                 let outcome = goal.failure().map_or(REACHED, |_| "not reached");
                 vec![
                     goal.name.clone(),

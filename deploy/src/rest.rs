@@ -1,10 +1,10 @@
-//! REST of the router. What does a robot say, asked by a program that speaks HTTP alone? `GET /KEY` answers with the value of a key.
+//! REST of the router. `GET /KEY` answers with the value of a key, for programs that only speak HTTP.
 //!
-//! - A key that somebody serves (`zenav/tiago/ask/cloud/map?format=png`) is asked; of any other, the value kept for late joiners is told, or
-//!   the next one that comes.
-//! - A key without wildcards answers with the bytes as they are, under their own media type. A pattern answers with a JSON list of
+//! - A key with a queryable (`zenav/tiago/ask/cloud/map?format=png`) is queried; for any other key, the retained value is returned, or the
+//!   next one published.
+//! - A key without wildcards returns its bytes unchanged, under their own media type. A pattern returns a JSON list of
 //!   `{key, value, encoding, time}`, as Zenoh's own REST plugin does.
-//! - Nothing can be written: a robot is commanded through `zenav gateway`, which knows who may.
+//! - It is read-only: commands go through `zenav gateway`, which checks authorisation.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -25,17 +25,17 @@ use zenav_protocol::bus::{Bus, BusError, RawReply, RawSample};
 
 use crate::failure::Failure;
 
-/// Address without another choice: that of Zenoh's own REST plugin, on loopback.
+/// Default address: that of Zenoh's own REST plugin, on loopback.
 pub const DEFAULT_LISTEN: &str = "127.0.0.1:8000";
 /// Longest wait for an answer or a sample.
 const WITHIN: Duration = Duration::from_secs(2);
-/// Time for which samples of a pattern are gathered.
+/// Time for gathering samples of a pattern.
 const GATHERED: Duration = Duration::from_millis(500);
 /// Most values in one answer.
 const MOST_VALUES: usize = 1024;
-/// Most requests at once; more are told to come again.
+/// Most requests at once; further ones are told to try again.
 const MOST_REQUESTS: usize = 64;
-/// Media type of what we say ourselves.
+/// Media type of the server's own messages.
 const JSON: &str = "application/json";
 
 struct Shared {
@@ -44,10 +44,10 @@ struct Shared {
     places: Semaphore,
 }
 
-/// Serves the values of all keys at an address of loopback as long as this process runs; tells where.
+/// Serves the values of all keys at a loopback address as long as this process runs; returns the bound address.
 ///
 /// # Errors
-/// An address that is taken, none, or reached from other machines.
+/// An address that is invalid, taken, or reachable from other machines.
 pub async fn start(listen: &str, bus: Bus) -> Result<SocketAddr, Failure> {
     let failed = |error: std::io::Error| Failure::usage(format!("REST cannot listen on {listen}: {error}"));
     let (listener, address) = zenav_gateway::listen(listen).await.map_err(failed)?;
@@ -107,7 +107,7 @@ async fn value(
     found.unwrap_or_else(|error| said(StatusCode::BAD_REQUEST, &error.to_string()))
 }
 
-/// The answer of whoever serves a key; else its value.
+/// The answer of the key's queryable, otherwise its value.
 async fn one(bus: &Bus, key: &str, selector: &str) -> Result<Response, BusError> {
     let deadline = Instant::now() + WITHIN;
     let mut samples = bus.raw_subscribe_kept(key, 1)?;
@@ -126,7 +126,7 @@ async fn one(bus: &Bus, key: &str, selector: &str) -> Result<Response, BusError>
     Ok(said(StatusCode::NOT_FOUND, &reason))
 }
 
-/// All answers to a pattern, and the newest value of each key that matches.
+/// All answers to a pattern, and the newest value of each matching key.
 async fn pattern(bus: &Bus, key: &str, selector: &str) -> Result<Response, BusError> {
     let deadline = Instant::now() + GATHERED;
     let mut samples = bus.raw_subscribe_kept(key, MOST_VALUES)?;
@@ -147,7 +147,7 @@ async fn pattern(bus: &Bus, key: &str, selector: &str) -> Result<Response, BusEr
     Ok(body(StatusCode::OK, JSON, Value::from(list).to_string().into_bytes()))
 }
 
-/// A sample in a list: JSON as it is, anything else in base 64.
+/// A sample in a list: JSON unchanged, anything else in base 64.
 fn listed(sample: &RawSample) -> Value {
     let encoded = || Value::from(STANDARD.encode(&sample.bytes));
     let value = if sample.encoding == JSON {
@@ -179,7 +179,7 @@ fn said(status: StatusCode, reason: &str) -> Response {
 }
 
 fn body(status: StatusCode, encoding: &str, bytes: Vec<u8>) -> Response {
-    // An encoding may name a schema behind a semicolon; one that is no media type is bytes.
+    // An encoding may name a schema behind a semicolon; an encoding that is not a media type counts as bytes.
     let kind = encoding
         .split(';')
         .next()

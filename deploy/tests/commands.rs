@@ -1,4 +1,4 @@
-//! What do the commands answer, and with which exit code? The binary itself against small fake robots on a router of the test's own.
+//! Answers and exit codes of the commands: the binary itself against small fake robots on the test's own router.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 
@@ -11,7 +11,7 @@ use std::time::Duration;
 use fake::{Fake, router};
 use serde_json::Value;
 
-/// The exit code and what was printed.
+/// Exit code and output.
 struct Answer {
     code: i32,
     out: String,
@@ -138,7 +138,7 @@ async fn ctrl_c_detaches_from_a_goal_and_does_not_cancel_it() {
     )
     .spawn()
     .unwrap();
-    // Told once the goal was accepted: from then on Ctrl-C means to detach.
+    // Printed once the goal is accepted: from then on Ctrl-C detaches.
     let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
     let output = tokio::task::spawn_blocking(move || {
         assert!(lines.any(|line| line.unwrap().contains("Active")));
@@ -259,7 +259,7 @@ async fn topics_are_printed_as_they_are_and_measured() {
         .expect(0);
     let whole = |line: &str| serde_json::from_str::<Value>(line).is_ok();
     assert!(stream.out.lines().all(whole), "an object a line: {}", stream.out);
-    // Kept for late joiners, and CBOR shown as JSON.
+    // A retained message; CBOR is shown as JSON.
     let patch = zenav(
         &endpoint,
         &["topic", "echo", "map_patch", "--count", "1", "-o", "ndjson"],

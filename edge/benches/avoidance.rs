@@ -1,8 +1,8 @@
 //! Avoidance bench. What does one decision among people cost?
 //! `cargo bench -p zenav-edge --bench avoidance`
 //!
-//! A hall of 8 m by 8 m in which people walk, seen for two seconds by a robot at rest; its plan leads straight through. Aim: 2 ms at most, at
-//! 20 Hz. In contact, where the bumper is pressed from behind, ways out are looked for, too.
+//! A hall of 8 m by 8 m in which people walk, seen for two seconds by a robot at rest; its plan leads straight through. Aim: 2 ms at most,
+//! at 20 Hz. In contact, where the bumper is pressed from behind, ways out are searched too.
 
 #![allow(missing_docs, reason = "criterion's macros")]
 #![allow(clippy::unwrap_used, reason = "a bench")]
@@ -23,11 +23,11 @@ use zenav_protocol::time::Stamp;
 
 /// Half the hall, m.
 const HALL: (f64, f64) = (4.0, 4.0);
-/// Time that the robot looks around, and from sweep to sweep, s.
+/// Time for which the robot looks around, and from sweep to sweep, s.
 const LOOKS: f64 = 2.0;
 const SWEEP: f64 = 0.05;
 
-/// Where people are: on circles around the robot, each on a way of its own, two thirds of them towards it.
+/// People on circles around the robot, each on a path of its own: one third of them towards it, the others across.
 fn people(count: u32, secs: f64) -> Vec<(Point2<f64>, f64)> {
     (0..count)
         .map(|nth| {

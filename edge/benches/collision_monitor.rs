@@ -1,4 +1,4 @@
-//! Collision monitor bench. What does one decision on a scan of 667 beams cost, and what taking in such a scan before it?
+//! Collision monitor bench. What does one decision on a scan of 667 beams cost, and what does it cost to take in such a scan?
 //! `cargo bench -p zenav-edge --bench collision_monitor`
 //!
 //! A room of 5 m by 4 m with furniture at arm's length, seen by the shipped robots' own lidars with 667 beams each; one person walks
@@ -22,7 +22,7 @@ use zenav_protocol::time::Stamp;
 const BEAMS: usize = 667;
 /// Half the room, m.
 const ROOM: (f64, f64) = (2.5, 2.0);
-/// What stands in it: places and radii, m.
+/// Furniture: positions and radii, m.
 const FURNITURE: [(f64, f64, f64); 6] = [
     (1.1, 0.5, 0.2),
     (0.9, -0.6, 0.05),
@@ -47,13 +47,13 @@ fn sweep(model: &RobotModel, secs: f64, base: Pose2, people: &[(f64, f64, f64)])
     zenav_fixtures::sweep_in_room(model.first_lidar().unwrap(), secs, base, ROOM, &discs)
 }
 
-/// Three seconds of a robot that turns about and comes to look along x.
+/// Three seconds of a robot that turns around and ends up facing along x.
 fn history(model: &RobotModel, people: bool) -> Vec<(Sweep, Pose2)> {
     (0..60)
         .map(|step| {
             let secs = 0.05 * f64::from(step);
             let base = Pose2::new(0.0, 0.0, 2.0 * (secs - 2.95));
-            // One comes from ahead, one has walked behind the robot.
+            // One person comes from ahead, one has walked behind the robot.
             let walkers = [(2.2 - 0.4 * secs, 0.1, 0.2), (0.6 - 0.5 * secs, 0.85, 0.15)];
             let seen = if people { &walkers[..] } else { &[] };
             (sweep(model, secs, base, seen), base)
@@ -102,7 +102,7 @@ fn decision(criterion: &mut Criterion) {
                 let mut obstacles = LocalObstacles::new(&model);
                 bencher.iter_batched_ref(
                     || {
-                        // Round after round of the same seconds, on a clock that goes on.
+                        // Replays the same seconds over and over, on a clock that goes on.
                         let (sweep, base) = &history[step % history.len()];
                         step += 1;
                         let sweep = Sweep::new(Stamp::from_secs(0.05 * step as f64), sweep.ranges.clone());

@@ -1,8 +1,8 @@
 //! Plan acceptance. May this plan move the robot? Trust but verify: the robot checks every plan before it drives it.
 //!
-//! A plan must be of the current lease epoch and boot, newer than every one before, not expired, finite, monotone in time,
-//! within the robot's own limits, start where the robot will be, and be free of obstacles in the robot's latest scan as far as
-//! that sees. A rejection has no effect but an event with its reason.
+//! A plan must belong to the current lease epoch and boot, be newer than every plan before it, not expired, finite, monotone in time and
+//! within the robot's own limits, start where the robot will be, and be free of obstacles as far as the robot's latest scan sees. A
+//! rejection has no effect except an event with its reason.
 
 use nalgebra::Point2;
 use thiserror::Error;
@@ -25,13 +25,13 @@ const MOST_POINTS: usize = 100_000;
 const LONGEST_ID: usize = 128;
 /// Spacing of the poses checked against the scan, m and rad.
 const CHECK_SPACING: (f64, f64) = (0.05, 0.2);
-/// What touches the robot may be this much deeper inside its outline on the way than it is now, m.
+/// An obstacle in contact may be this much deeper inside the outline along the path than it is now, m.
 const TOUCHING: f64 = 0.01;
 
 /// Why a plan was refused.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum Rejection {
-    /// Of another lease epoch.
+    /// The plan belongs to another lease epoch.
     #[error("plan of epoch {got}, the current epoch is {current}")]
     WrongEpoch {
         /// Epoch of the plan.
@@ -39,13 +39,13 @@ pub enum Rejection {
         /// Epoch of the current lease.
         current: u64,
     },
-    /// Nobody holds a live lease, or an operator does.
+    /// No lease is live, or an operator holds it.
     #[error("no mission holds a live lease")]
     NoLease,
     /// The stop is latched.
     #[error("the robot is stopped")]
     Stopped,
-    /// Made in a frame of the map that the robot cannot carry it over from.
+    /// The plan was made in a map frame from which it cannot be carried over to the robot's.
     #[error("OldFrame: the plan is of map frame {got}, the robot is in frame {current}")]
     OldFrame {
         /// Frame of the plan.
@@ -53,7 +53,7 @@ pub enum Rejection {
         /// Frame of the robot.
         current: u64,
     },
-    /// Its place in the map is not known.
+    /// The robot's pose in the map is not known.
     #[error("it is not known where the robot is")]
     NotLocalised,
     /// A maneuver is running.
@@ -67,7 +67,7 @@ pub enum Rejection {
         /// The newest seen under this epoch.
         newest: Revision,
     },
-    /// Its revision is farther from the newest than any writer counts in the time of a lease.
+    /// Its revision is farther from the newest than a writer can count within a lease.
     #[error("plan revision {}.{} leaps from {}.{}, by more than {longest}", .got.incarnation, .got.counter, .newest.incarnation, .newest.counter)]
     Leap {
         /// Revision of the plan.
@@ -134,7 +134,7 @@ pub enum Rejection {
     /// It does not end at rest.
     #[error("trajectory ends at {0:.2} m/s, not at rest")]
     EndsMoving(f64),
-    /// An obstacle is in its way.
+    /// An obstacle is in the way.
     #[error("blocked in the latest scan at ({x:.2}, {y:.2}), {time:.1} s ahead")]
     Blocked {
         /// Obstacle, map frame, m.
@@ -144,12 +144,12 @@ pub enum Rejection {
         /// Plan time of the collision, s.
         time: f64,
     },
-    /// The same id for another trajectory.
+    /// A known trajectory id with other points.
     #[error("trajectory {0} is known with other points")]
     Changed(u64),
 }
 
-/// The names of the rejections, for the metrics: each variant has one.
+/// The names of the rejections for the metrics, one per variant.
 macro_rules! kinds {
     ($($pattern:pat => $name:literal),* $(,)?) => {
         impl Rejection {
@@ -192,7 +192,7 @@ kinds! {
     Self::Changed(_) => "changed",
 }
 
-/// The robot's lease, stop and clock, which a plan's header is checked against.
+/// The robot's lease, stop and clock, against which a plan's header is checked.
 #[derive(Clone, Debug)]
 pub struct Grant<'a> {
     /// Now, on the edge's clock.
@@ -211,7 +211,7 @@ pub struct Grant<'a> {
     pub newest: Option<Revision>,
     /// Longest validity that counts, s.
     pub max_validity: f64,
-    /// Longest step of a counter or an incarnation that is believed.
+    /// Longest accepted step of a counter or an incarnation.
     pub longest_step: u64,
 }
 
@@ -276,7 +276,7 @@ pub fn judge_head(plan: &Plan, grant: &Grant<'_>) -> Result<Stamp, Rejection> {
     Ok(expiry)
 }
 
-/// Whether a newer revision is farther from the newest than a writer comes.
+/// Whether a revision is farther from the newest than a writer can count.
 fn leaps(revision: Revision, newest: Revision, longest: u64) -> bool {
     let counted_from = if revision.incarnation == newest.incarnation {
         newest.counter
@@ -400,8 +400,8 @@ pub fn judge_start(
     }
 }
 
-/// Checks that a trajectory is free of the obstacle points of the latest scan (map frame), for a robot that scanned
-/// from `map_from_base`. A point inside the outline there touches it, by a noisy range: only a motion that leads farther into it is barred.
+/// Checks that a trajectory is free of the obstacle points of the latest scan (map frame), for a robot that scanned from `map_from_base`. A
+/// point inside the outline at that pose is in contact, seen with a noisy range: only motion deeper into it is rejected.
 ///
 /// # Errors
 /// [`Rejection::Blocked`].
@@ -472,7 +472,7 @@ mod tests {
             let settings = AcceptanceSettings::default();
             judge_free(&driven(end), &jackal, Pose2::IDENTITY, &[obstacle], &settings)
         };
-        // A noisy range takes it to be inside the outline, whose half width is 0.215 m.
+        // A noisy range puts it inside the outline, whose half width is 0.215 m.
         let beside = Point2::new(0.0, 0.175);
         assert_eq!(judge(Pose2::new(-0.4, 0.0, 0.0), beside), Ok(()), "past it");
         for (end, obstacle) in [

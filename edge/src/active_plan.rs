@@ -15,7 +15,7 @@ use crate::trackers::{Law, Progress, Tracker, TrackerInput};
 /// The plan in force.
 #[derive(Clone, Debug)]
 pub struct ActivePlan {
-    /// As it was received, in the frame that it names.
+    /// As received, in its own map frame.
     plan: Plan,
     expiry: Stamp,
     tracker: Box<dyn Tracker>,
@@ -24,7 +24,7 @@ pub struct ActivePlan {
     end_reported: bool,
 }
 
-/// Where the robot is and what it sees, when a plan is judged.
+/// The robot's pose, motion and surroundings when a plan is judged.
 #[derive(Clone, Copy, Debug)]
 pub struct Scene<'a> {
     /// Footprint and limits of the robot.
@@ -53,7 +53,7 @@ pub enum Taken {
 impl ActivePlan {
     /// Takes a plan whose header has been checked: renews the active plan, or replaces it. A rejection changes nothing.
     ///
-    /// `here_from_plan` is how the map has moved since the plan's frame.
+    /// `here_from_plan` is the move of the map since the plan's frame.
     ///
     /// # Errors
     /// [`Rejection`].
@@ -178,12 +178,12 @@ impl ActivePlan {
         now < self.expiry
     }
 
-    /// One tick: the wanted twist. With [`Self::speed_cap`] as `view.speed_cap` at most the robot is at rest by the expiry.
+    /// One tick: the wanted twist. With `view.speed_cap` no larger than [`Self::speed_cap`], the robot is at rest by the expiry.
     pub fn step(&mut self, view: &TrackerInput, gains: &ControllerGains) -> Twist2 {
         self.tracker.step(view, gains)
     }
 
-    /// The rest of the plan at its own pace, `apart` s apart and to its end or `secs` from now; odometry frame.
+    /// The rest of the plan at its own pace, sampled every `apart` s up to its end or `secs` from now; odometry frame.
     pub fn ahead(&self, odom_from_map: Pose2, secs: f64, apart: f64, out: &mut Vec<Ahead>) {
         out.clear();
         let Some((trajectory, now)) = self.tracker.followed() else {
@@ -200,25 +200,25 @@ impl ActivePlan {
         }));
     }
 
-    /// The plan time that is reached, s; `None` without a trajectory.
+    /// Plan time reached, s; `None` without a trajectory.
     #[must_use]
     pub fn plan_time(&self) -> Option<f64> {
         self.tracker.followed().map(|(_, now)| now)
     }
 
-    /// Where the plan, at its own pace, has the robot some time from now, s; map frame. At its end later on; `None` without a trajectory.
+    /// Position on the plan `secs` from now at the plan's own pace, map frame; its end after that. `None` without a trajectory.
     #[must_use]
     pub fn place_in(&self, secs: f64) -> Option<Point2<f64>> {
         let (trajectory, now) = self.tracker.followed()?;
         Some(trajectory.sample(now + secs).pose().position())
     }
 
-    /// Something else drives the robot: the tracker goes on from the nearest place on the plan.
+    /// Another source drives the robot: the tracker continues from the nearest place on the plan.
     pub fn rejoin(&mut self, map_from_base: &Pose2) {
         self.tracker.rejoin(map_from_base);
     }
 
-    /// Why the plan can no longer be followed, if so; `off_track` is the distance at which it is lost, m, if not the usual one.
+    /// Why the plan can no longer be followed, if so; `off_track` replaces the usual distance at which the plan is lost, m.
     #[must_use]
     pub fn lost(&self, off_track: Option<f64>) -> Option<&'static str> {
         let limit = off_track.unwrap_or(self.settings.off_track);
@@ -245,7 +245,7 @@ impl ActivePlan {
         self.end_reported
     }
 
-    /// Carries what is driven over to another frame of the map.
+    /// Carries the tracked path over to another map frame.
     pub fn moved(&mut self, new_from_old: Pose2) {
         self.tracker.moved(new_from_old);
     }
@@ -284,7 +284,7 @@ impl ActivePlan {
         self.raw_progress(map_from_base).time_left
     }
 
-    /// Marker of the waypoint or reference that the robot drives to now.
+    /// Marker of the waypoint or reference that the robot drives to.
     #[must_use]
     pub fn marker(&self, now: Stamp) -> Option<Marker> {
         let (name, point) = self.tracker.target()?;
@@ -303,7 +303,7 @@ impl ActivePlan {
         (self.settings.braking_share * drive.acceleration() * usable).max(0.0)
     }
 
-    /// Largest wheel surface speed from which the robot comes to rest within a way, m; the motors' lag at this speed included, m/s.
+    /// Largest wheel surface speed from which the robot comes to rest within `way` m, the motors' lag at this speed included, m/s.
     #[must_use]
     pub fn speed_cap_within(&self, way: f64, tick: f64, drive: &Drive) -> f64 {
         let braking = self.settings.braking_share * drive.acceleration();

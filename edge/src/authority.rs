@@ -1,6 +1,6 @@
 //! Command authority. Who may command the robot, and may it move at all? The lease, the latched stop, the policy and the link.
 //!
-//! A stop needs no lease, latches across restarts, and discards the plan; so does every change of the lease's holder.
+//! A stop needs no lease, latches across restarts and discards the plan. Every change of the lease holder discards the plan too.
 
 use std::time::Duration;
 
@@ -21,7 +21,7 @@ use crate::teleop::Dropped;
 
 /// Longest name of a holder or request, bytes.
 const LONGEST_NAME: usize = 128;
-/// Most stores that may have caught up with the leader, its own among them.
+/// Most stores listed as caught up with the leader, its own included.
 const MOST_STANDBYS: usize = 8;
 /// Most first answers kept for repeated requests.
 const MEMORY: usize = 64;
@@ -39,7 +39,7 @@ pub struct Authority {
     live: bool,
     settings: LeaseSettings,
     first_answers: std::collections::VecDeque<(LeaseRequest, Result<LeaseReply, Refusal>)>,
-    /// The last round trip that nobody has asked for.
+    /// The last measured round trip, until it is taken.
     measured: Option<Duration>,
     stored: Persisted,
 }
@@ -145,7 +145,7 @@ impl Authority {
         }
     }
 
-    /// The round trip that was measured last, once.
+    /// Takes the last measured round trip.
     pub fn take_measured(&mut self) -> Option<Duration> {
         self.measured.take()
     }
@@ -153,7 +153,7 @@ impl Authority {
     /// Whether teleop twists under this epoch may act now.
     ///
     /// # Errors
-    /// [`Dropped`] unless it is the current one, and an operator's with a live lease.
+    /// [`Dropped`] unless the epoch is current and an operator holds it with a live lease.
     pub fn admit_teleop(&self, now: Stamp, epoch: u64) -> Result<(), Dropped> {
         let current = self.arbiter.epoch();
         if epoch != current {
@@ -191,7 +191,7 @@ impl Authority {
         }
     }
 
-    /// Releases the stop: allows a new plan, and nothing else. One that was asked for before the newest stop came late, and does nothing.
+    /// Releases the stop: allows a new plan, and nothing else. A request made before the newest stop is refused.
     pub fn resume(&mut self, now: Stamp, request: &ResumeRequest, events: &mut EventLog) -> Decision<StopReply> {
         if self.stopped && request.stop.is_some_and(|stop| stop != self.stops) {
             return Decision::without_effect(Err(Refusal::rejected(
@@ -214,7 +214,7 @@ impl Authority {
     /// Sets the lost-link policy, if the request has one.
     ///
     /// # Errors
-    /// [`Refusal`] without the current epoch.
+    /// [`Refusal`] if a policy is to be set without the current epoch.
     pub fn set_policy(&mut self, now: Stamp, request: &ModeRequest) -> Result<LostPolicy, Refusal> {
         if let Some(policy) = request.on_lost {
             self.admit(now, request.epoch)?;
@@ -226,7 +226,7 @@ impl Authority {
     /// Whether a change under this epoch is admitted now.
     ///
     /// # Errors
-    /// [`Refusal`] without an epoch, or with another one than the current live one.
+    /// [`Refusal`] without an epoch, or with one that is not current and live.
     pub fn admit(&self, now: Stamp, epoch: Option<u64>) -> Result<(), Refusal> {
         let Some(epoch) = epoch else {
             return Err(Refusal::bad_request("a change needs the `epoch` of the lease"));
@@ -304,7 +304,7 @@ impl Authority {
         self.stopped
     }
 
-    /// How often it was told to stop since the start.
+    /// Number of stop requests since the start.
     #[must_use]
     pub fn stops(&self) -> u64 {
         self.stops
@@ -316,7 +316,7 @@ impl Authority {
         self.resumed
     }
 
-    /// Whether somebody of this role holds a live lease.
+    /// Whether a holder with this role has a live lease.
     #[must_use]
     pub fn is_live_as(&self, now: Stamp, role: LeaseRole) -> bool {
         self.arbiter.is_live(now) && self.arbiter.role() == Some(role)

@@ -1,8 +1,8 @@
 //! Blind-spot grid. Which floor in the blind spot is known to be free? A rolling free-space grid: floor that was seen free before it
 //! left the field of view.
 //!
-//! A ring buffer of cells around the robot in the odometry frame. Floor that was never seen counts as occupied: a robot does not drive
-//! backwards into the unknown, unless it feels its way. At the start, the disc that the robot needs to turn is taken to be free.
+//! A ring buffer of cells around the robot in the odometry frame. Floor never seen counts as occupied: the robot does not back into unknown
+//! floor unless it feels its way. At the start, the disc that the robot needs to turn is assumed free.
 
 use nalgebra::{Isometry2, Point2, Vector2};
 use zenav_protocol::robot::Footprint;
@@ -15,14 +15,14 @@ pub(crate) const SIDE: i32 = 1 << SIDE_BITS;
 const SIDE_BITS: u32 = 7;
 const CELLS: usize = (SIDE * SIDE) as usize;
 
-/// Floor that is known to be free, in a ring buffer around the robot.
+/// Floor known to be free, in a ring buffer around the robot.
 #[derive(Clone, Debug)]
 pub struct BlindSpotGrid {
     view: FieldOfView,
     settings: BlindSpotGridSettings,
     /// Beams are traced up to this distance from the lidar, m.
     range: f64,
-    /// Radius of the disc that is taken to be free at the start, m.
+    /// Radius of the disc assumed free at the start, m.
     reach: f64,
     /// `None` before the first scan.
     cells: Option<Box<[Cell; CELLS]>>,
@@ -46,15 +46,15 @@ pub enum Floor {
 /// A cell of the ring buffer.
 #[derive(Clone, Copy, Debug)]
 struct Cell {
-    /// Which lap of the ring buffer it belongs to, 16 bits an axis.
+    /// Lap of the ring buffer that the cell belongs to, 16 bits per axis.
     at: u32,
     /// The last scan with a beam through it.
     looked: u16,
-    /// Scans through it until it is free; zero: free.
+    /// Number of scans that must still pass through it before it is free; zero: free.
     doubt: u8,
 }
 
-/// Belongs to no place yet, or to one 200 km away.
+/// A cell that belongs to no place yet, or to one 200 km away.
 const NOWHERE: Cell = Cell {
     at: 0x8000_8000,
     looked: 0,
@@ -62,13 +62,13 @@ const NOWHERE: Cell = Cell {
 };
 
 impl BlindSpotGrid {
-    /// Nothing is known but the disc that the robot needs to turn at its start.
+    /// Only the disc that the robot needs to turn at its start is known to be free.
     #[must_use]
     pub(crate) fn new(view: FieldOfView, footprint: &Footprint, settings: &EdgeSettings) -> Self {
         let range = settings.local_obstacles.range;
         let settings = settings.blind_spot_grid;
         let reach = match footprint {
-            // A disc turns where it stands.
+            // A round robot turns on the spot.
             Footprint::Radius(_) => 0.0,
             Footprint::Polygon(_) => footprint.circumscribed_radius() + settings.start_margin,
         };
@@ -111,11 +111,11 @@ impl BlindSpotGrid {
             if range.is_nan() || range < scan.lidar.range_min {
                 continue;
             }
-            // From column to column, or from row to row.
+            // One step leads from column to column, or from row to row.
             let step = size / ray.x.abs().max(ray.y.abs());
             let (dx, dy) = (fixed(ray.x * step, size), fixed(ray.y * step, size));
             let steps = |range: f64| (range / step) as u32;
-            // Beams are dense near the lidar: every other one begins where its neighbour alone would leave cells out.
+            // Beams are dense near the lidar: every second one starts at half the range, every second of the rest at a quarter, and so on.
             let begin = steps(most).checked_shr(nth.trailing_zeros() + 1).unwrap_or(0);
             let mut x = fixed(laser.x, size) + i64::from(begin) * dx;
             let mut y = fixed(laser.y, size) + i64::from(begin) * dy;
@@ -173,7 +173,7 @@ impl BlindSpotGrid {
     }
 }
 
-/// A grid with the disc free that the robot needs to turn at its start.
+/// A grid in which only the disc that the robot needs to turn at its start is free.
 fn at_start(base: Point2<f64>, radius: f64, cell: f64) -> Box<[Cell; CELLS]> {
     let mut cells = Box::new([NOWHERE; CELLS]);
     let steps = (radius / cell).ceil() as i32;
@@ -188,7 +188,7 @@ fn at_start(base: Point2<f64>, radius: f64, cell: f64) -> Box<[Cell; CELLS]> {
     cells
 }
 
-/// A beam of a scan passes through a cell.
+/// Marks a cell that a beam of a scan passes through.
 fn look_through(cells: &mut [Cell; CELLS], (at, index): Place, sweep: u16) {
     let Some(cell) = cells.get_mut(index) else { return };
     // Branchless: the branch would be unpredictable.

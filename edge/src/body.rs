@@ -1,24 +1,23 @@
-//! Body. What must hardware offer to be driven? Readings, and a way to set wheel speeds.
+//! Body. What must a robot's hardware provide? Readings, and a way to set wheel speeds.
 
 use thiserror::Error;
 use zenav_protocol::readings::Readings;
 
 /// A robot's hardware, real or simulated.
 pub trait Body: Send {
-    /// The readings of this control tick. A simulated body advances its world by one tick first.
+    /// The readings of this control tick. A simulated body first advances its world by one tick.
     ///
     /// # Errors
     /// [`BodyError`] when the hardware does not answer; the caller brakes and tries again at the next tick.
     fn read(&mut self) -> Result<Readings, BodyError>;
 
-    /// Sets the wanted wheel speeds (left, right; rad/s) until the next call. Hardware that is not called for 0.1 s
-    /// must stop by itself.
+    /// Sets the wanted wheel speeds (left, right; rad/s) until the next call. Hardware must stop by itself if this is not called for 0.1 s.
     ///
     /// # Errors
     /// [`BodyError`] when the hardware does not answer.
     fn drive(&mut self, wheels: [f64; 2]) -> Result<(), BodyError>;
 
-    /// Whether [`read`](Self::read) itself waits for the next tick, a few of them at most; else the caller keeps time.
+    /// Whether [`read`](Self::read) itself waits for the next tick, a few of them at most; otherwise the caller keeps time.
     fn gives_the_pace(&self) -> bool {
         false
     }

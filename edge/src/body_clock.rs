@@ -1,29 +1,29 @@
-//! Body clock. Which readings are of the body's own time?
+//! Body clock. Which readings carry the body's true time?
 //!
-//! The robot's clock is the stamp of its readings, so one message with a stamp of the far future would make every later one an old one. A
-//! step of more than a bound is a leap: it is believed only when several messages in a row go on from there, as they do after a pause of the
-//! link. What comes in between and goes on from where the clock stood shows that the leap was none.
+//! The robot's clock is the stamp of its readings, so a single message stamped far in the future would make every later one old. A step
+//! longer than a bound is a leap: it is accepted only when several messages in a row continue from there, as they do after a pause of the
+//! link. A message in between that continues from the old time shows that the leap was false.
 
 use thiserror::Error;
 use zenav_protocol::time::Stamp;
 
-/// So many messages in a row make a leap, or a first stamp, the time.
+/// Number of messages in a row that confirm a leap, or a first stamp.
 const CONFIRMS: u32 = 3;
 
 /// Follows the stamps of a body.
 #[derive(Clone, Debug)]
 pub struct BodyClock {
-    /// Longest step that is believed at once, s.
+    /// Longest step accepted at once, s.
     longest_step: f64,
     shown: Option<Stamp>,
-    /// Where the time may be instead, and how many messages say so.
+    /// A possible leap: its newest stamp, and how many messages support it.
     leap: Option<(Stamp, u32)>,
 }
 
 /// Why readings are not used.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum NotNow {
-    /// They are older than what was used.
+    /// They are not newer than the last readings used.
     #[error("readings of {got:.3} s after those of {shown:.3} s: if its time began anew, restart the edge")]
     Old {
         /// Their stamp, s.
@@ -31,7 +31,7 @@ pub enum NotNow {
         /// The newest that was used, s.
         shown: f64,
     },
-    /// They leap, and nothing has confirmed it yet.
+    /// They leap ahead, and nothing has confirmed it yet.
     #[error(
         "readings of {got:.3} s, {ahead:.3} s after the last ones: a leap of more than {longest} s is not believed"
     )]
@@ -59,7 +59,7 @@ impl BodyClock {
         }
     }
 
-    /// Judges the stamp of readings; the clock shows it from then on, if it is the body's time.
+    /// Judges the stamp of readings; if accepted, the clock shows it from then on.
     ///
     /// # Errors
     /// [`NotNow`]: the readings must not be used.

@@ -1,13 +1,14 @@
-//! Collision monitor. May the robot move as it wants to? It has the last word: after the limiters, directly before the wheels.
+//! Collision monitor. May the robot move as it wants to? The monitor has the last word: after the limiters, directly before the wheels.
 //!
-//! It scales the wanted twist down, at constant curvature, until the robot can stop before any static obstacle, before any moving
-//! obstacle could reach it, and within the floor that the lidar has seen, unless it feels its way at `unseen_speed`. It does not swing
-//! towards a moving obstacle that has left the field of view (see [`crate::passive_safety`]). A robot that only grazes an obstacle inside the
-//! margin may creep on while its time to contact is at least a second; motion that does not reduce the clearance is always allowed. What the
-//! motors still do of a faster motion fades before a gentle one begins.
-//! Scans may come late: the robot reacts by so much later, and drives as slowly as that needs. When they stop coming it slows down, and is
-//! at rest a set time after the last one. While the wheel encoders are silent it drives slowly. A scan that is too old, a command that is
-//! not finite, and bumper contact stop it at once.
+//! It scales the wanted twist down, at constant curvature, until the robot can stop before any static obstacle, before any moving obstacle
+//! could reach it, and within the floor that the lidar has seen, unless it feels its way at `unseen_speed`. It does not swing towards a
+//! moving obstacle that has left the field of view (see [`crate::passive_safety`]). A robot that only grazes an obstacle inside the margin
+//! may creep on while its time to contact is at least a second; motion that does not reduce the clearance is always allowed. A gentle
+//! motion begins only after the motors' response to a faster one has faded.
+//!
+//! Late scans delay the robot's reaction, so it drives accordingly more slowly. When scans stop arriving it slows down, and is at rest a
+//! set time after the last one. While the wheel encoders are silent it drives slowly. A scan that is too old, a command that is not finite,
+//! and bumper contact stop it at once.
 
 use std::f64::consts::PI;
 
@@ -27,7 +28,7 @@ use crate::wheel_coordination::WheelCoordination;
 
 /// No point of the outline moves outwards faster than this once a faster motion has faded, m/s.
 const FADED: f64 = 0.009;
-/// A contact that is felt again so soon is the same, s.
+/// A contact felt again within this time is the same contact, s.
 const CHATTER: f64 = 0.5;
 
 /// Judges every twist before it goes to the wheels.
@@ -43,13 +44,13 @@ pub struct CollisionMonitor {
     pub blind_speed: f64,
     /// Largest speed over floor in the blind spot that was never seen, m/s.
     pub unseen_speed: f64,
-    /// Whether the wheel encoders say nothing new although the wheels turn.
+    /// Whether the wheel encoders are silent although the wheels turn.
     pub encoders_silent: bool,
-    /// What the wheels do by now with what they were told.
+    /// Model of the motors' response to the commands so far.
     motors: WheelCoordination,
-    /// Which way the last contact lay if its bumper told no bearing, rad: where the robot moved when it began; and when it was felt last.
+    /// Bearing of the last contact if its bumper gave none, rad: the direction of motion when it began; and when it was last felt.
     felt_toward: Option<(f64, Stamp)>,
-    /// The oldest of the lidars' newest scans, and when it arrived.
+    /// Stamp of the oldest of the lidars' newest scans, and when it arrived.
     scan: Option<(Stamp, Stamp)>,
     zone: GuardZone,
     since: Stamp,
@@ -90,7 +91,7 @@ impl CollisionMonitor {
         }
     }
 
-    /// The same with other tunables than the defaults.
+    /// The same with these settings instead of the defaults.
     #[must_use]
     pub fn with_settings(mut self, settings: &EdgeSettings) -> Self {
         self.settings = settings.collision_monitor.clone();
@@ -142,13 +143,13 @@ impl CollisionMonitor {
         self.motors.reset();
     }
 
-    /// The twist that the wheels drive by now, as their motors lag behind what they were told.
+    /// The twist that is driven by now: the motors lag behind their commands.
     fn driven(&self) -> Twist2 {
         self.model.drive.twist(self.motors.speed())
     }
 
-    /// Whether more than a gentle motion is left of what the wheels were told before, while no more than a gentle one may be told now: both
-    /// together would be no gentle one.
+    /// Whether more than a gentle motion is left of earlier commands while only a gentle one is allowed now: the two together would not be
+    /// gentle.
     fn fades(&self, allowed: Twist2) -> bool {
         let fastest = |twist| fastest_outward(&self.model.footprint, twist);
         fastest(allowed) <= FADED && fastest(self.driven()) > FADED
@@ -174,8 +175,8 @@ impl CollisionMonitor {
         times.filter(|time| *time < horizon).reduce(f64::min)
     }
 
-    /// The share of a wanted twist that moving obstacles allow: these in view, and those out of sight. In contact, what stands and what is
-    /// felt (`touched`) counts too.
+    /// The share of a wanted twist that moving obstacles allow: `movers` in view, and those out of sight. In contact (`touched`), the
+    /// bumper, static obstacles and unseen floor limit it too.
     #[must_use]
     pub fn share_among(
         &self,
@@ -208,7 +209,7 @@ impl CollisionMonitor {
         moving.min(felt).min(standing).min(floor)
     }
 
-    /// Whoever went into the blind spot and did not come out may stand there still.
+    /// Allowed speed into the blind spot, m/s: zero while an obstacle that entered it may still be there.
     pub(crate) fn speed_into_blind_spot(&self, now: Stamp, obstacles: &LocalObstacles, odom_from_base: Pose2) -> f64 {
         match obstacles.moving().may_be_in_blind_spot(now, odom_from_base.position()) {
             true => 0.0,
@@ -228,8 +229,7 @@ impl CollisionMonitor {
         )
     }
 
-    /// Time since the last scan arrived from the lidar that is the farthest behind, s; before a second one arrived, since the first was
-    /// taken.
+    /// Time since the last scan arrived from the lidar that is farthest behind, s; before its second one, since the first was taken.
     fn silence(&mut self, now: Stamp, obstacles: &LocalObstacles) -> f64 {
         let Some(stamp) = obstacles.oldest() else {
             return f64::INFINITY;
@@ -306,7 +306,7 @@ impl CollisionMonitor {
             .fold((1.0, ""), |least, limit| if limit.0 < least.0 { limit } else { least })
     }
 
-    /// Where the bumper is touched (base frame); `None` while it is not.
+    /// The contact point of the bumper (base frame); `None` without contact.
     pub(crate) fn feel(&mut self, now: Stamp, bump: &Bump) -> Option<Point2<f64>> {
         if !bump.pressed {
             return None;
@@ -323,8 +323,8 @@ impl CollisionMonitor {
             .unwrap_or(0.0)
     }
 
-    /// The share of a motion that is allowed in contact: all of it away from the contact, slowly along it, and nothing towards it. Without
-    /// a bearing the contact is taken to be where the robot moved when it began, and no motion along it is allowed.
+    /// The share of a motion allowed in contact: all of it away from the contact, slowly along it, and nothing towards it. Without a
+    /// bearing the contact is assumed to lie where the robot was moving when it began, and no motion along it is allowed.
     fn share_in_contact(&self, wanted: Twist2, bump: &Bump) -> f64 {
         let touched = contact_point(&self.model.footprint, self.bearing(bump));
         let share = share_beside(&self.model.footprint, wanted, touched);

@@ -1,4 +1,4 @@
-//! Edge configuration. Which robot is this, where does it stand, and how is it tuned?
+//! Edge configuration. Which robot is this, where does it start, and how is it tuned?
 
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
@@ -14,11 +14,11 @@ pub struct EdgeConfig {
     pub robot: Id,
     /// Footprint, limits, sensors and gains.
     pub model: RobotModel,
-    /// Where the robot stands at start, map frame.
+    /// Pose at the start, map frame.
     pub start: Pose2,
     /// Control period, s.
     pub tick: f64,
-    /// What to do with an accepted plan when the lease has expired.
+    /// What to do with an accepted plan once the lease has expired.
     pub on_lost: LostPolicy,
     /// Everything that can be tuned.
     pub settings: EdgeSettings,

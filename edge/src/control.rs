@@ -1,5 +1,5 @@
-//! Control loop. When does the pilot step? On a thread of its own, at absolute deadlines or when the body has new readings; a missed tick is
-//! skipped and counted, never caught up. It never waits for the network.
+//! Control loop. When does the pilot step? On a thread of its own, at absolute deadlines or when the body has new readings; a missed tick
+//! is skipped and counted, never caught up. The loop never waits for the network.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -16,7 +16,7 @@ use crate::pilot::Pilot;
 const HALTING_TICKS: u32 = 150;
 /// Speed below which the body counts as at rest, m/s.
 const AT_REST: f64 = 0.01;
-/// Time between two blind ticks while no readings come: so long does a request wait, and so often does the robot say so.
+/// Period of blind ticks while no readings come: the longest wait of a request, and the period at which the robot reports the fault.
 const BLIND_PERIOD: Duration = Duration::from_millis(100);
 
 /// Stops the wheels however the thread ends, even by a panic.
@@ -52,7 +52,7 @@ impl Timer {
     }
 }
 
-/// Ticks paced by the body's readings: how late is each?
+/// Lateness of ticks that the body's readings pace.
 struct Pace {
     period: Duration,
     last: Option<(Stamp, Instant)>,

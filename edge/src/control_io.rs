@@ -1,4 +1,4 @@
-//! Control I/O. What goes into one control tick, and what comes out of it? Typed and decoded already: no bus in here.
+//! Control I/O. What goes into one control tick, and what comes out of it? Typed and decoded: there is no bus in here.
 
 use std::mem::discriminant;
 
@@ -9,7 +9,7 @@ use zenav_protocol::messages::{
 use zenav_protocol::readings::KindReading;
 use zenav_protocol::topics::{EdgeReply, EdgeRequest};
 
-/// Identifies a request, so that its reply finds the asker.
+/// Identifies a request, so that its reply reaches the caller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Ticket(pub u64);
 
@@ -24,23 +24,23 @@ pub struct Inbox {
     pub teleops: Vec<Teleop>,
     /// Pose measurements made off board.
     pub corrections: Vec<Correction>,
-    /// Whether its place in the map can be trusted, as seen from off board.
+    /// Off-board reports on whether the robot's pose in the map can be trusted.
     pub localisations: Vec<Localisation>,
-    /// What other robots are about to do.
+    /// The courses that other robots announce.
     pub intents: Vec<Intent>,
     /// Requests that wait for a reply.
     pub requests: Vec<(Ticket, EdgeRequest)>,
     /// Control ticks missed since start.
     pub missed_ticks: u64,
-    /// How late this tick began, where it is measured.
+    /// How late this tick began, if measured.
     pub late: Option<std::time::Duration>,
     /// Brake now: the edge shuts down.
     pub halt: bool,
-    /// Why what must outlive a restart is not stored, as long as it is not.
+    /// Why the state that must survive a restart is not stored, while it is not.
     pub not_stored: Option<String>,
 }
 
-/// State that must outlive a restart of the edge.
+/// State that must survive a restart of the edge.
 #[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct Persisted {
     /// The highest epoch ever granted.
@@ -72,11 +72,11 @@ pub enum Publication {
     State(Box<EdgeState>),
     /// An event of the event log.
     Event(Event),
-    /// The moving obstacles that it tracks.
+    /// The tracks of moving obstacles.
     Obstacles(Obstacles),
-    /// What it is about to do.
+    /// The course that this robot announces.
     Intent(Intent),
-    /// The robots that it gives way to.
+    /// The robots that it gives way to on its plan.
     Yield(Yield),
     /// Shapes to draw.
     Marker(Marker),
@@ -104,10 +104,10 @@ pub struct Outbox {
     pub publications: Vec<Publication>,
     /// What to store **before** the replies go out.
     pub persist: Option<Persisted>,
-    /// Replies to asks.
+    /// Replies to requests.
     pub replies: Vec<(Ticket, Result<EdgeReply, Refusal>)>,
     /// The verdict on the plan that was judged, if one was: `accepted`, `renewed` or the kind of the rejection.
     pub verdict: Option<&'static str>,
-    /// How long limits and collision monitor took.
+    /// Time taken by the limiter and the collision monitor.
     pub monitor: std::time::Duration,
 }

@@ -1,31 +1,31 @@
-//! Course. Where will a moving obstacle be, and how near does its way of some moments come to a place?
+//! Course. Where will a moving obstacle be, and how near does its path over some moments come to a place?
 
 use nalgebra::Point2;
 
-/// What is told of later than this is not listened to, s.
+/// A course is ignored beyond this time, s.
 const MOST_SECS: f64 = 60.0;
 
-/// What a robot has told of its future.
+/// The announced course of a robot.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Course {
-    /// Where it will be, a step apart, odometry frame; it stays at the last. Never empty.
+    /// Future positions, `step` apart, odometry frame; the robot stays at the last one. Never empty.
     pub places: Vec<Point2<f64>>,
-    /// s.
+    /// Time between them, s.
     pub step: f64,
-    /// Where its plan leads after that, `later_step` apart, s.
+    /// Positions on its plan after those, `later_step` apart.
     pub later: Vec<Point2<f64>>,
-    /// s.
+    /// Time between them, s.
     pub later_step: f64,
-    /// How long after the first place the track's stamp is, s.
+    /// Time from the first position to the track's stamp, s.
     pub begun: f64,
-    /// Whether it drives by a plan.
+    /// Whether the robot drives by a plan.
     pub planned: bool,
-    /// Whether it makes way for this robot, rather than this one for it.
+    /// Whether it gives way to this robot, rather than the reverse.
     pub makes_way: bool,
 }
 
 impl Course {
-    /// The place `secs` after the track's stamp, odometry frame.
+    /// Position `secs` after the track's stamp, odometry frame.
     #[must_use]
     pub fn at(&self, secs: f64) -> Point2<f64> {
         let share = ((self.begun + secs) / self.step).clamp(0.0, self.places.len() as f64);
@@ -36,7 +36,7 @@ impl Course {
 }
 
 impl Course {
-    /// All places from the track's stamp on, within a minute, and when it is there, s after that; its end once.
+    /// All positions from the track's stamp on, within a minute, each with its time, s after the stamp; the end appears once.
     #[must_use]
     pub fn timed(&self) -> Vec<(f64, Point2<f64>)> {
         let steps = std::iter::repeat_n(self.step, self.places.len().saturating_sub(1));
@@ -53,13 +53,13 @@ impl Course {
         {
             timed.pop();
         }
-        // From the leg on that it is on now.
+        // Starts with the leg that it is on now.
         let past = timed.iter().skip(1).take_while(|(secs, _)| *secs < 0.0).count();
         timed[past.min(timed.len().saturating_sub(1))..].to_vec()
     }
 }
 
-/// The way of a track over some moments, as a line of a few points.
+/// The path of a track over some moments, as a polyline of a few points.
 #[derive(Clone, Copy, Debug)]
 pub struct Way {
     points: [Point2<f64>; 4],
@@ -76,7 +76,7 @@ impl Way {
         Self { points, count: 4 }
     }
 
-    /// Distance of a point from it, m.
+    /// Distance of a point from the path, m.
     #[must_use]
     pub fn distance(&self, point: Point2<f64>) -> f64 {
         let squared = self.points[..self.count].windows(2).map(|leg| {
@@ -87,8 +87,8 @@ impl Way {
         squared.fold(f64::INFINITY, f64::min).sqrt()
     }
 
-    /// Distances of the points of a row from it, m; as many as there is room for. The row is counted from `origin`; without branches, so that the
-    /// compiler takes several points at once.
+    /// Distances of a row of points from the path, m; as many as `distances` has room for. Coordinates count from `origin`. Without
+    /// branches, so that the compiler vectorises it.
     pub(crate) fn distances(&self, origin: Point2<f64>, xs: &[f32], y: f32, distances: &mut [f32]) {
         distances.fill(f32::INFINITY);
         for leg in self.points[..self.count].windows(2) {
@@ -98,7 +98,7 @@ impl Way {
             for (least, x) in distances.iter_mut().zip(xs) {
                 let right = x - from.x;
                 let share = (right * along.x + up * along.y) * per_squared;
-                // `f32::clamp` and `min` look for what is no number.
+                // `f32::clamp` and `min` also check for NaN.
                 let share = if share > 0.0 { share } else { 0.0 };
                 let share = if share < 1.0 { share } else { 1.0 };
                 let (right, up) = (right - along.x * share, up - along.y * share);
@@ -111,7 +111,7 @@ impl Way {
         }
     }
 
-    /// A place in its middle, and the distance of its farthest point from there, m.
+    /// A point in its middle, and the distance of its farthest point from there, m.
     #[must_use]
     pub fn disc(&self) -> (Point2<f64>, f64) {
         let points = &self.points[..self.count];

@@ -1,5 +1,5 @@
-//! A robot's part of a deployment file. What does `zenav-edge` take of `[robots.NAME]`? What concerns the robot's side; the rest of the file
-//! belongs to others.
+//! Robot section of a deployment file. What does `zenav-edge` read from `[robots.NAME]`? The keys of the robot's side; the rest of the file
+//! belongs to other components.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -16,7 +16,7 @@ struct Deployment {
     robots: BTreeMap<String, RobotSection>,
 }
 
-/// `[robots.NAME]`; what it leaves out is as without a file.
+/// `[robots.NAME]`; missing keys have the same effect as without a file.
 #[derive(Debug, Default, PartialEq, Deserialize)]
 pub(crate) struct RobotSection {
     pub(crate) model: Option<String>,

@@ -1,9 +1,9 @@
-//! Deskewing. What would a lidar have seen that takes all beams at once, at the end of its sweep?
+//! Deskewing. What would the lidar have seen if it measured all beams at once, at the end of its sweep?
 //!
-//! A lidar that turns measures its beams one after the other, while the robot drives and turns: at 1 rad/s and five sweeps a second a wall
-//! is sheared by 11 degrees from one end of the sweep to the other. Each return is moved to where odometry says that it was seen from, and
-//! looked at from where the robot is at the stamp. What stands is then where it stands; what moves by itself is where it was when its beam
-//! met it ([`LidarModel::before_end`] tells how long ago).
+//! A rotating lidar measures its beams one after the other, while the robot drives and turns: at 1 rad/s and five sweeps a second a wall is
+//! sheared by 11 degrees from one end of the sweep to the other. Each return is placed by the odometry of its own time, then expressed from
+//! the robot's pose at the stamp. A static obstacle is then where it stands; a moving one is where it was when its beam hit it
+//! ([`LidarModel::before_end`] tells how long ago).
 
 use std::borrow::Cow;
 use std::f64::consts::TAU;
@@ -15,15 +15,15 @@ use zenav_protocol::time::Stamp;
 
 use crate::lost_beams::is_one_surface;
 
-/// Between poses this far apart in time the robot drives straight, s; most of them.
+/// Between poses this far apart in time the motion counts as straight, s; most such poses.
 const STRAIGHT: f64 = 0.01;
 const MOST_STEPS: f64 = 100.0;
-/// A robot that drives and turns less than this during a sweep stands, m and rad.
+/// A robot that drives and turns less than this during a sweep is at rest, m and rad.
 const STANDS: f64 = 1e-4;
-/// What no beam looked at: it neither hits nor clears.
+/// Range of a direction that no beam covers: it neither hits nor clears.
 const UNSEEN: f32 = 0.0;
 
-/// A beam as it would be at the stamp.
+/// A beam as seen from the pose at the stamp.
 #[derive(Clone, Copy)]
 struct Moved {
     /// Its direction, in beams from the first.
@@ -32,8 +32,8 @@ struct Moved {
     range: f32,
 }
 
-/// A sweep as if all beams had been measured at its stamp, from odometry at a stamp. Where the robot stands, or the lidar takes all beams at
-/// once, it is as it was.
+/// A sweep as if all beams had been measured at its stamp, from odometry at a stamp. Unchanged if the robot is at rest or the lidar takes
+/// all beams at once.
 pub(crate) fn deskewed<'a>(
     sweep: &'a Sweep,
     lidar: &LidarModel,
@@ -49,7 +49,7 @@ pub(crate) fn deskewed<'a>(
     let laser_from_odom = (end * lidar.mount).inverse();
     let steps = (lidar.sweep_time.abs() / STRAIGHT).ceil().min(MOST_STEPS);
     let step = lidar.sweep_time.abs() / steps;
-    // Where the lidar was at each step before the stamp; before the first odometry it was where that begins.
+    // Poses of the lidar at each step before the stamp; before the first odometry, that first pose.
     let mut earliest = end;
     let lasers = (0..=steps as usize).map(|nth| {
         earliest = odom_from_base_at(sweep.stamp.plus_secs(-step * nth as f64)).unwrap_or(earliest);
@@ -74,13 +74,13 @@ pub(crate) fn deskewed<'a>(
         let (turn, range) = if (lidar.range_min..=lidar.range_max).contains(&seen) {
             let (sin, cos) = (laser.yaw + angle).sin_cos();
             let (x, y) = (laser.x + seen * cos, laser.y + seen * sin);
-            // It stays a return.
+            // Clamped so that it stays a return.
             let range = x.hypot(y).clamp(1.001 * lidar.range_min, 0.999 * lidar.range_max);
             (wrap_angle(y.atan2(x) - angle), range as f32)
         } else if seen > lidar.range_max {
             (laser.yaw, f32::INFINITY)
         } else {
-            // Nothing, or not a number.
+            // No measurement, or NaN.
             (laser.yaw, UNSEEN)
         };
         let at = beam as f64 + turn / lidar.angle_increment();
@@ -94,7 +94,7 @@ pub(crate) fn deskewed<'a>(
     })
 }
 
-/// One range for each of the lidar's directions. Of what was seen twice the nearer counts, of one surface the later.
+/// One range for each of the lidar's directions. Where two beams fall on one direction the nearer counts; on one surface, the later.
 fn laid_out(moved: &[Moved], lidar: &LidarModel) -> Vec<f32> {
     let count = moved.len();
     let mut laid = vec![None; count];
@@ -130,7 +130,7 @@ fn laid_out(moved: &[Moved], lidar: &LidarModel) -> Vec<f32> {
         }
         let beside = [beam.checked_sub(1), Some(beam + 1)].map(|beam| moved.get(beam?));
         let nearest = this.at.round();
-        // Along its surface to the direction that is asked for.
+        // Follows its surface to the direction asked for.
         let [before, after] = beside.map(|other| other.filter(|other| surface(this, other)));
         let (from, to) = (before.unwrap_or(this), after.unwrap_or(this));
         let slope = if to.at - from.at > 0.5 {
@@ -144,7 +144,7 @@ fn laid_out(moved: &[Moved], lidar: &LidarModel) -> Vec<f32> {
             this.range
         };
         lay(nearest, range);
-        // Where the robot turns with the sweep, beams lie farther apart than a beam here and there.
+        // Where the robot turns with the sweep, some neighbouring beams lie two directions apart.
         if let Some(next) = beside[1]
             && next.at.round() - nearest == 2.0
             && (after.is_some() || this.range == next.range)
@@ -219,12 +219,12 @@ mod tests {
             let mut unseen = 0;
             for (beam, (range, truth)) in deskewed.ranges.iter().zip(&seen_from_stamp).enumerate() {
                 unseen += usize::from(*range == UNSEEN);
-                // Past a corner a wall goes on by up to half a beam.
+                // Past a corner a wall continues by up to half a beam.
                 let beside = [beam + lidar.beams - 1, beam + 1].map(|beam| (seen_from_stamp[beam % lidar.beams] - truth).abs());
                 let most = 0.002 + 0.002 * truth + beside[0].max(beside[1]).min(0.1);
                 prop_assert!(*range == UNSEEN || (range - truth).abs() < most, "{range} {truth}");
             }
-            // A robot that turns against the sweep does not see all around: as many beams as it turned by, and one at each end.
+            // A robot that turns against the sweep misses as many beams as it turned by, and one at each end.
             let turned = (w * sweep_time / lidar.angle_increment()).abs().ceil() as usize;
             let moved = (v * sweep_time / 1.5 / lidar.angle_increment()).abs().ceil() as usize;
             prop_assert!(unseen <= turned + moved + 2, "{unseen} of {turned} + {moved}");
@@ -240,7 +240,7 @@ mod tests {
         assert!(matches!(deskewed(&sweep, &swept, stands), Cow::Borrowed(_)));
         assert!(matches!(deskewed(&sweep, &at_once, drives), Cow::Borrowed(_)));
         assert!(matches!(deskewed(&sweep, &swept, drives), Cow::Owned(_)));
-        // Before the first odometry nobody knows.
+        // Before the first odometry the motion is unknown.
         assert!(matches!(deskewed(&sweep, &swept, |_| None), Cow::Borrowed(_)));
     }
 

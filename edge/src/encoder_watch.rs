@@ -1,17 +1,18 @@
-//! Encoder watch. What have the wheels turned when their encoders say nothing new? What the model of the motors says, until they speak again.
+//! Encoder watch. How far have the wheels turned while their encoders are silent? As far as the motor model predicts, until they report
+//! again.
 //!
-//! A lost reading repeats the angles of the one before, and a dead encoder goes on doing so: taken for the truth they are a robot that stops
-//! from one tick to the next, and every scan of that tick is put in the wrong place. Angles count from the start, so the next real reading
-//! makes up for every error of the guess. A robot in contact may be held, and an empty one has no motors: then the encoders are believed.
+//! A lost reading repeats the previous angles, and a dead encoder keeps repeating them. Taken literally, the robot would stop from one tick
+//! to the next, and every scan of that tick would be misplaced. Angles count from the start, so the next real reading corrects every error
+//! of the prediction. In contact the robot may be held, and with an empty battery the motors are off: then the encoders are believed.
 
 use zenav_protocol::readings::Readings;
 use zenav_protocol::robot::RobotModel;
 
-/// A wheel must have turned by this many of its encoder's steps, and by this angle, rad, to be missed.
+/// A reading is missing only if the wheel must have turned by this many encoder steps plus this angle, rad.
 const STEPS: f64 = 3.0;
 const NOTICEABLE: f64 = 0.002;
 
-/// After so long nothing more is guessed, s: a wheel may be held, too.
+/// Longest prediction, s: the wheel may also be held.
 const LONGEST_GUESS: f64 = 2.0;
 
 /// Watches both encoders.
@@ -24,16 +25,16 @@ pub(crate) struct EncoderWatch {
 /// One wheel.
 #[derive(Clone, Copy, Debug, Default)]
 struct Wheel {
-    /// The last angle that was new, rad.
+    /// The last new angle, rad.
     told: f64,
-    /// What it has turned since then by the model, rad.
+    /// Angle turned since then by the model, rad.
     turned: f64,
-    /// For how long it has turned without saying so, s.
+    /// For how long it has turned without a new reading, s.
     silent: f64,
 }
 
 impl EncoderWatch {
-    /// Nothing told yet.
+    /// No reading yet.
     pub fn new(model: &RobotModel) -> Self {
         Self {
             noticeable: STEPS * model.encoders.resolution + NOTICEABLE,
@@ -41,8 +42,8 @@ impl EncoderWatch {
         }
     }
 
-    /// Angles of both wheels after a tick of `secs` seconds in which the motors' model had them turn at `speeds` (rad/s): as read, or as
-    /// guessed where a reading is not new and should be.
+    /// Angles of both wheels after a tick of `secs` seconds in which the motor model had them turn at `speeds` (rad/s): as read, or
+    /// predicted where a new reading is missing.
     pub fn angles(&mut self, readings: &Readings, speeds: [f64; 2], secs: f64) -> [f64; 2] {
         let believed = readings.bump.pressed || readings.battery.charge <= 0.0;
         let mut angles = readings.wheels;
@@ -65,7 +66,7 @@ impl EncoderWatch {
         angles
     }
 
-    /// For how long a wheel has turned without saying so, s.
+    /// For how long a wheel has turned without a new reading, s.
     pub fn silence(&self) -> f64 {
         self.wheels.iter().map(|wheel| wheel.silent).fold(0.0, f64::max)
     }

@@ -1,4 +1,4 @@
-//! Exit codes. What does a command end with, `zenav` or `zenav-edge`?
+//! Exit codes. Which exit code does a command return, `zenav` or `zenav-edge`?
 
 use zenav_protocol::bus::{AskError, BusError};
 use zenav_protocol::messages::Refusal;
@@ -15,7 +15,7 @@ pub const USAGE: u8 = 2;
 pub const NOT_FOUND: u8 = 3;
 /// Neither router nor robot could be reached.
 pub const CANNOT_CONNECT: u8 = 4;
-/// Nobody answered in time.
+/// No answer came in time.
 pub const TIMEOUT: u8 = 5;
 /// The goal was cancelled.
 pub const CANCELED: u8 = 6;
@@ -24,7 +24,7 @@ pub const REJECTED: u8 = 7;
 /// The user pressed Ctrl-C.
 pub const INTERRUPTED: u8 = 130;
 
-/// Of a command whose request was refused.
+/// Exit code of a command whose request was refused.
 #[must_use]
 pub const fn of_refusal(refusal: &Refusal) -> u8 {
     match refusal {
@@ -38,7 +38,7 @@ pub const fn of_refusal(refusal: &Refusal) -> u8 {
     }
 }
 
-/// Of a command that got no answer.
+/// Exit code of a command that got no answer.
 #[must_use]
 pub const fn of_ask(error: &AskError) -> u8 {
     match error {
@@ -50,7 +50,7 @@ pub const fn of_ask(error: &AskError) -> u8 {
     }
 }
 
-/// Of a command without a session.
+/// Exit code of a command without a session.
 #[must_use]
 pub const fn of_bus(error: &BusError) -> u8 {
     match error {
@@ -60,7 +60,7 @@ pub const fn of_bus(error: &BusError) -> u8 {
     }
 }
 
-/// Of an edge without a body.
+/// Exit code of an edge without a body.
 #[must_use]
 pub const fn of_attach(error: &AttachError) -> u8 {
     match error {

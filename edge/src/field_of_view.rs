@@ -9,7 +9,7 @@ use zenav_protocol::readings::Sweep;
 use zenav_protocol::robot::{Footprint, LidarModel};
 use zenav_protocol::time::Stamp;
 
-/// Several lidars are asked for blind places up to this range, m, this far apart.
+/// With several lidars, blind places are searched up to this range, m, at this spacing, m.
 const SAMPLED_RANGE: f64 = 6.0;
 const SAMPLE: f64 = 0.01;
 
@@ -18,7 +18,7 @@ pub(crate) fn rigid(pose: Pose2) -> Isometry2<f64> {
     Isometry2::new(Vector2::new(pose.x, pose.y), pose.yaw)
 }
 
-/// The directions that one lidar looks in, in the base frame.
+/// The sector that one lidar sees, in the base frame.
 #[derive(Clone, Copy, Debug)]
 struct Sector {
     /// Where the lidar sits.
@@ -26,7 +26,7 @@ struct Sector {
     /// Direction of the first and of the last beam.
     first: Vector2<f64>,
     last: Vector2<f64>,
-    /// Angle that is never seen, rad; a gap of a beam is none.
+    /// Angle that is never seen, rad; a gap of one beam does not count.
     gap: f64,
 }
 
@@ -43,7 +43,7 @@ impl Sector {
         }
     }
 
-    /// Whether nothing at this place is ever seen.
+    /// Whether this lidar never sees a place.
     fn in_blind_spot(&self, place: Point2<f64>) -> bool {
         let local = place.coords - self.origin;
         let (after_last, before_first) = (self.last.perp(&local) > 0.0, local.perp(&self.first) > 0.0);
@@ -54,7 +54,7 @@ impl Sector {
         }
     }
 
-    /// How deep a place lies in what is never seen, m; negative: so far from it.
+    /// Depth of a place in the sector that is never seen, m; negative: its distance from it.
     fn depth(&self, place: Point2<f64>) -> f64 {
         if self.gap == 0.0 {
             return f64::NEG_INFINITY;
@@ -72,7 +72,7 @@ impl Sector {
     }
 }
 
-/// What all lidars of a robot see together, in the base frame: blind is what no lidar sees.
+/// The joint view of all lidars of a robot, in the base frame: a place is blind if no lidar sees it.
 #[derive(Clone, Debug)]
 pub(crate) struct FieldOfView {
     sectors: Vec<Sector>,
@@ -94,7 +94,7 @@ impl FieldOfView {
         view
     }
 
-    /// Whether any place outside of the footprint is blind, by looking at many.
+    /// Whether any place outside the footprint is blind, by sampling.
     fn has_blind_place(&self, footprint: &Footprint) -> bool {
         let rings = (SAMPLED_RANGE / SAMPLE).ceil() as u32;
         let directions = (0..360_u32).map(|degree| f64::from(degree).to_radians().sin_cos());
@@ -106,23 +106,23 @@ impl FieldOfView {
         })
     }
 
-    /// Whether some places are never seen.
+    /// Whether there are places that no lidar sees.
     pub(crate) fn has_blind_spot(&self) -> bool {
         self.has_blind_spot
     }
 
-    /// Whether nothing at this place is ever seen.
+    /// Whether no lidar ever sees a place.
     pub(crate) fn in_blind_spot(&self, place: Point2<f64>) -> bool {
         self.has_blind_spot && self.sectors.iter().all(|sector| sector.in_blind_spot(place))
     }
 
-    /// A place is no nearer than this to what is never seen, m: zero within it, infinite where all is seen.
+    /// Lower bound of the distance from a place to the blind spot, m: zero inside it, infinite without one.
     pub(crate) fn distance_to_blind_spot(&self, place: Point2<f64>) -> f64 {
         (-self.depth(place)).max(0.0)
     }
 
-    /// A place lies no deeper than this in what is never seen, m; negative: so far from it; minus infinity where all is seen. No disc is
-    /// hidden whose center lies less deep than its radius.
+    /// Upper bound of the depth of a place in the blind spot, m; negative: its distance from it; minus infinity without one. A disc is
+    /// hidden only if its center lies deeper than its radius.
     pub(crate) fn depth(&self, place: Point2<f64>) -> f64 {
         if !self.has_blind_spot {
             return f64::NEG_INFINITY;
@@ -155,7 +155,7 @@ impl ProjectedScan<'_> {
         self.odom_from_laser.translation.vector.into()
     }
 
-    /// The beam towards a place, odometry frame, and the distance to it, m; `None` from where the lidar itself is.
+    /// The beam towards a place, odometry frame, and the distance to it, m; `None` at the lidar itself.
     pub(crate) fn beam_to(&self, place: Point2<f64>) -> Option<(usize, f64)> {
         let off = place - self.laser();
         let (first, toward) = (self.rays.first()?, off.try_normalize(1e-6)?);
@@ -163,7 +163,7 @@ impl ProjectedScan<'_> {
         Some(((angle / self.lidar.angle_increment()).round() as usize, off.norm()))
     }
 
-    /// When a beam was measured; one beyond the last, as the last.
+    /// When a beam was measured; a beam beyond the last counts as the last.
     pub(crate) fn met(&self, beam: f64) -> Stamp {
         let beam = beam.min(self.lidar.beams.saturating_sub(1) as f64);
         self.stamp.plus_secs(-self.lidar.before_end(beam))

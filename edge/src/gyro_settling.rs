@@ -1,25 +1,25 @@
-//! Settling of the gyro. Is its bias known well enough for the way ahead, where nothing else tells the heading?
+//! Gyro settling. Is the gyro's bias known well enough for the rest of the plan, where nothing else gives the heading?
 //!
-//! A gyro's bias `b` bends a way that takes `t` by `b t / 2` of its length. It is learned at rest ([`crate::estimator`]), and what was driven
-//! before is set right by it, because the filter knows how both hang together. So a robot that sees nothing, and knows its gyro too badly
-//! for the rest of its plan, stands still for some seconds; if that was not enough, again after some metres.
+//! A gyro's bias `b` bends a path of duration `t` by `b t / 2` of its length. The bias is learned at rest ([`crate::estimator`]), which
+//! also corrects the path driven before, because the filter knows their correlation. So a robot that sees nothing, and does not know its
+//! gyro's bias well enough for the rest of its plan, stands still for some seconds; if that was not enough, again after some metres.
 
 use nalgebra::Point2;
 use zenav_protocol::time::Stamp;
 
 use crate::settings::SettlingSettings;
 
-/// With fewer of their beams seeing something, the scans tell no heading.
+/// With a smaller share of beams returning, scans give no heading.
 const IN_SIGHT: f64 = 0.05;
 
-/// What decides whether the robot stands.
+/// Inputs of the decision to stand still.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct SettlingInput {
     /// Now.
     pub(crate) now: Stamp,
     /// Odometry frame, m.
     pub(crate) place: Point2<f64>,
-    /// Share of the beams that see something.
+    /// Share of beams with a return.
     pub(crate) in_sight: f64,
     /// Standard deviation of the gyro's bias, rad/s.
     pub(crate) bias_std: f64,
@@ -30,24 +30,24 @@ pub(crate) struct SettlingInput {
 /// Holds the robot while its gyro settles.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct GyroSettling {
-    /// Since when it stands.
+    /// Since when the robot has stood still.
     since: Option<Stamp>,
-    /// Where it stood last, odometry frame, m.
+    /// Where it last stood still, odometry frame, m.
     stood: Option<Point2<f64>>,
 }
 
 impl GyroSettling {
-    /// Whether the robot stands.
+    /// Whether the robot is standing still.
     pub(crate) fn is_holding(&self) -> bool {
         self.since.is_some()
     }
 
-    /// Something else than the plan moves the robot.
+    /// A source other than the plan moves the robot.
     pub(crate) fn interrupt(&mut self) {
         self.since = None;
     }
 
-    /// Whether the robot stands still for its gyro.
+    /// Decides whether the robot stands still for its gyro.
     pub(crate) fn holds(&mut self, input: &SettlingInput, settings: &SettlingSettings) -> bool {
         let is_known = 0.5 * input.bias_std * input.time_left <= settings.share;
         let is_over = self

@@ -68,8 +68,8 @@ pub struct PersistThenReply {
 }
 
 impl PersistThenReply {
-    /// Sends the replies; after a failure (`unless`) whoever would be granted the lease, or be told that it leads, gets that refusal instead: an
-    /// epoch must not come twice, nor a leader be forgotten. A stop was obeyed all the same, and says so.
+    /// Sends the replies. After a failure (`unless`), a reply that grants the lease or names the leader is replaced by that refusal: an
+    /// epoch must not be granted twice, nor a leader be forgotten. A stop has taken effect all the same, and its reply says so.
     pub fn send(self, unless: Option<&Refusal>) {
         for (reply, answer) in self.replies {
             let answer = match (answer, unless) {
@@ -78,7 +78,7 @@ impl PersistThenReply {
                 }
                 (answer, _) => answer,
             };
-            // The asker may have given up meanwhile.
+            // The caller may have given up meanwhile.
             let _ = reply.send(answer);
         }
     }
@@ -106,7 +106,7 @@ impl Handoff {
     /// Network side: hands a request to the robot and waits for the reply.
     ///
     /// # Errors
-    /// The robot's refusal, or that it is too busy, or gone.
+    /// The robot's refusal, or that it is too busy or shutting down.
     pub async fn ask(&self, request: EdgeRequest) -> Result<EdgeReply, Refusal> {
         let answer = {
             let mut inward = self.inward();

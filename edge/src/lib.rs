@@ -1,32 +1,32 @@
 //! The robot's side of zenav: it senses, drives and keeps itself safe, with or without a cloud.
 //!
-//! [`Pilot`] is the whole of it, pure: readings and messages in, wheel speeds and messages out. [`service::run`] connects it to the bus
-//! and to a [`Body`], on a thread of its own. In the order of the data flow:
+//! [`Pilot`] is the whole control logic, pure: readings and messages in, wheel speeds and messages out. [`service::run`] connects it to the
+//! bus and to a [`Body`], on its own thread. In the order of the data flow:
 //!
 //! | module | answers |
 //! |---|---|
-//! | [`body`] | what must hardware offer to be driven? |
-//! | `encoder_watch` | what have the wheels turned when their encoders say nothing new? |
+//! | [`body`] | what must a robot's hardware provide? |
+//! | `encoder_watch` | how far have the wheels turned while their encoders are silent? |
 //! | [`estimator`], [`history`] | where is the robot, and where was it? |
-//! | `gyro_settling` | is the gyro's bias known well enough where nothing else tells the heading? |
-//! | `lost_beams` | which beams met nothing, and which did the lidar lose? |
-//! | [`local_obstacles`], [`moving_obstacles`], [`obstacle_tracks`], `slow_movers`, [`recent_places`], [`blind_spot_grid`] | which obstacles are around it, which of them move, and what was never seen? |
-//! | [`authority`], [`link`] | who may command it, and how old is the last word of who does? |
-//! | [`acceptance`] | may this plan move it? |
+//! | `gyro_settling` | is the gyro's bias known well enough where nothing else gives the heading? |
+//! | `lost_beams` | which beams without a return hit nothing, and which did the lidar lose? |
+//! | [`local_obstacles`], [`moving_obstacles`], [`obstacle_tracks`], `slow_movers`, [`recent_places`], [`blind_spot_grid`] | which obstacles are near, which move, which floor is unseen? |
+//! | [`authority`], [`link`] | who may command the robot, and how long ago was the lease renewed? |
+//! | [`acceptance`] | may this plan move the robot? |
 //! | [`active_plan`], [`trackers`] | how is an accepted plan driven, renewed and ended? |
-//! | [`arbitration`] | which source moves it: plan, teleop, maneuver, wall follower, return to home, or nothing? |
-//! | [`maneuvers`], [`teleop`], [`wall_follower`], [`return_home`] | what moves it without a plan? |
-//! | [`right_of_way`] | where does it wait for other robots that go first? |
-//! | [`avoidance`] | does the plan lead into the way of somebody, and what does the robot do instead? |
-//! | [`limiter`], [`collision_monitor`], [`passive_safety`], [`time_to_contact`] | may it move as it wants to? |
+//! | [`arbitration`] | which source moves the robot: plan, teleop, maneuver, wall follower, return to home, or none? |
+//! | [`maneuvers`], [`teleop`], [`wall_follower`], [`return_home`] | what moves the robot without a plan? |
+//! | [`right_of_way`] | where does the robot wait for robots that have right of way? |
+//! | [`avoidance`] | does the plan lead into the path of a moving obstacle, and what does the robot do instead? |
+//! | [`limiter`], [`collision_monitor`], [`passive_safety`], [`time_to_contact`] | how much of the wanted motion is safe? |
 //! | [`wheel_coordination`] | how do both wheels slow down together? |
-//! | [`requests`], [`params`], [`event_log`], [`telemetry`], [`uplink`] | what does it answer, record and publish, and how much of it? |
-//! | [`pilot`], [`control_io`] | what does it do in one tick? |
+//! | [`requests`], [`params`], [`event_log`], [`telemetry`], [`uplink`] | what does the robot answer, record and publish, and how much of it? |
+//! | [`pilot`], [`control_io`] | what does the robot do in one tick? |
 //! | [`config`], [`settings`] | what can be set and tuned? |
-//! | `control`, [`loop_timing`], [`handoff`] | when does the pilot step, how late, and how does it exchange messages with the network? |
-//! | [`exit_code`] | what does a command end with? |
-//! | [`service`], [`state_file`] | how is it connected to the bus, and what outlives a restart? |
-//! | [`remote_body`], `sim_body` (feature `sim`) | how is a robot in another process a body, how a simulated one in this process? |
+//! | `control`, [`loop_timing`], [`handoff`] | when does the pilot step, how late is it, and how does it exchange messages with the network? |
+//! | [`exit_code`] | which exit code does a command return? |
+//! | [`service`], [`state_file`] | how is the edge connected to the bus, and what survives a restart? |
+//! | [`remote_body`], `sim_body` (feature `sim`) | how does a robot in another process become a body, and how does a simulated one in this process? |
 
 pub mod acceptance;
 pub mod active_plan;

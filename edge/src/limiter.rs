@@ -1,5 +1,5 @@
-//! Limiter. Which wheel speeds may follow the last ones? Speed limits at constant curvature, then acceleration limits, then the jerk limit of
-//! a robot that has one.
+//! Limiter. Which wheel speeds may follow the last ones? Speed limits at constant curvature, then acceleration limits, then the jerk limit
+//! of a robot that has one.
 //!
 //! The jerk limit shapes how a motion begins and changes, never how it ends: a command to rest brakes at once, and the collision monitor
 //! acts after it.
@@ -21,7 +21,7 @@ pub enum Braking {
 pub struct Limiter {
     drive: Drive,
     last: [f64; 2],
-    /// Last acceleration of the wheels, rad/s²; zero after braking by others.
+    /// Last acceleration of the wheels, rad/s²; zero after the collision monitor or the body has braked.
     gained: [f64; 2],
 }
 
@@ -79,7 +79,7 @@ impl Limiter {
         [wheel(0), wheel(1)]
     }
 
-    /// Records the wheel speeds that were really commanded, `dt` seconds after the last ones.
+    /// Records the wheel speeds that were actually commanded, `dt` seconds after the last ones.
     pub fn set(&mut self, wheels: [f64; 2], dt: f64) {
         let gained = [(wheels[0] - self.last[0]) / dt, (wheels[1] - self.last[1]) / dt];
         let most = self.drive.max_wheel_acceleration * (1.0 + 1e-9);

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use zenav_protocol::messages::Link;
 
-/// The link by the age of the lease's last renewal; `None`, nobody holds the lease, is lost.
+/// The link state for an age of the lease's last renewal; `None` (no holder) is lost.
 #[must_use]
 pub fn link(age: Option<Duration>, stale_after: Duration, lost_after: Duration) -> Link {
     match age {

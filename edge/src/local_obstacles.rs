@@ -1,8 +1,8 @@
-//! Local obstacle memory. What stands around the robot, and what of it moves? The newest sweep of every lidar, and in the blind spot
-//! what earlier sweeps saw.
+//! Local obstacle memory. Which obstacles are around the robot, and which of them move? The newest sweep of every lidar, and in the blind
+//! spot what earlier sweeps saw.
 //!
-//! Points lie where surfaces are, as far as that can be told from the noise of single beams (`range_filter`).
-//! Points are kept in the odometry frame: it is continuous, so a correction of the map never moves an obstacle.
+//! Points lie on surfaces, as far as the noise of single beams allows (`range_filter`). They are kept in the odometry frame: it is
+//! continuous, so a correction of the map never moves an obstacle.
 
 use std::collections::VecDeque;
 
@@ -20,7 +20,7 @@ use crate::passive_safety::Hidden;
 use crate::range_filter::RangeFilter;
 use crate::settings::{EdgeSettings, LocalObstacleSettings};
 
-/// A return this near to a robot's disc is on it, m.
+/// A return this near to a robot's disc belongs to that robot, m.
 const ON_ROBOT: f64 = 0.1;
 
 /// Obstacle points around the robot.
@@ -30,9 +30,9 @@ pub struct LocalObstacles {
     view: FieldOfView,
     /// Where the robot was at the newest sweep.
     odom_from_base: Isometry2<f64>,
-    /// What was seen in what is the blind spot now, until it is seen again or left behind.
+    /// Points that lie in the present blind spot, until they are seen again or left behind.
     remembered: VecDeque<Point2<f64>>,
-    /// What touches the robot now.
+    /// The present contact point.
     touched: Option<Point2<f64>>,
     moving: MovingObstacles,
     blind_spots: BlindSpotGrid,
@@ -48,9 +48,9 @@ struct LidarView {
     stamp: Option<Stamp>,
     /// The returns of its newest sweep, odometry frame.
     seen: Vec<Point2<f64>>,
-    /// Where it was then.
+    /// Pose of the lidar at that sweep.
     odom_from_laser: Isometry2<f64>,
-    /// All its ranges, without what is noise in them.
+    /// Its ranges, with the noise filtered out.
     filter: RangeFilter,
 }
 
@@ -85,8 +85,8 @@ impl LocalObstacles {
         }
     }
 
-    /// Takes a sweep, with the robot's odometry at the sweep's stamp. Returns whether it was one: a sweep of an unknown lidar, with
-    /// another number of beams, or not newer than that lidar's last, is not.
+    /// Takes a sweep, with the robot's odometry at the sweep's stamp. Returns whether it was accepted: a sweep of an unknown lidar, with
+    /// another number of beams, or not newer than that lidar's last, is ignored.
     pub fn insert(&mut self, sweep: &Sweep, odom_from_base: Pose2) -> bool {
         let Some(index) = self.lidars.iter().position(|lidar| lidar.name == sweep.lidar) else {
             return false;
@@ -113,7 +113,7 @@ impl LocalObstacles {
                 self.moving.note_occlusion(odom_from_base.position(), sweep.stamp);
             }
             let base_from_odom = scan.odom_from_base.inverse();
-            // Where a robot is that tells its course need not be remembered.
+            // A robot that announces its course need not be remembered.
             let robots = self.moving.tracks();
             seen.retain(|point| robots.robot_at(*point).is_none());
             remember(&mut self.remembered, seen, &self.view, base_from_odom, &self.settings);
@@ -137,8 +137,8 @@ impl LocalObstacles {
         true
     }
 
-    /// What the bumper feels now, at a place (base frame), is an obstacle as long as it is felt; where no lidar looks it counts as something
-    /// that moves.
+    /// Takes the bumper's present contact point (base frame): an obstacle while the contact lasts. In the blind spot it counts as a moving
+    /// one.
     pub fn touch(&mut self, now: Stamp, place: Option<Point2<f64>>, odom_from_base: Pose2) {
         self.touched = place.map(|place| odom_from_base.transform_point(place));
         if let Some((place, touched)) = place.zip(self.touched)
@@ -148,20 +148,20 @@ impl LocalObstacles {
         }
     }
 
-    /// Age of what is seen, s: that of the lidar whose newest sweep is the oldest; `None` before each lidar's first.
+    /// Age of the view, s: that of the lidar whose newest sweep is the oldest; `None` until every lidar has sent one.
     #[must_use]
     pub fn age(&self, now: Stamp) -> Option<f64> {
         self.oldest().map(|stamp| now.secs_since(stamp))
     }
 
-    /// When the oldest of the lidars' newest sweeps was taken; `None` before each lidar's first.
+    /// Stamp of the oldest of the lidars' newest sweeps; `None` until every lidar has sent one.
     #[must_use]
     pub fn oldest(&self) -> Option<Stamp> {
         let stamps = self.lidars.iter().map(|lidar| lidar.stamp);
         stamps.reduce(|oldest, stamp| Some(oldest?.min(stamp?))).flatten()
     }
 
-    /// When the newest sweep of any lidar was taken.
+    /// Stamp of the newest sweep of any lidar.
     #[must_use]
     pub fn stamp(&self) -> Option<Stamp> {
         self.lidars.iter().filter_map(|lidar| lidar.stamp).max()
@@ -179,7 +179,7 @@ impl LocalObstacles {
         seen.chain(&self.remembered).chain(&self.touched).copied()
     }
 
-    /// Those of them that are on no track, in the odometry frame.
+    /// The known points that are on no track, in the odometry frame.
     pub fn standing(&self) -> impl Iterator<Item = Point2<f64>> + '_ {
         self.in_odom().filter(|point| self.moving.tracks().at(*point).is_none())
     }
@@ -208,7 +208,7 @@ impl LocalObstacles {
         standing.map(move |point| frame_from_odom * point)
     }
 
-    /// The runs of beams of a lidar's newest sweep that met a tracked obstacle: the first beam, and the one after the last.
+    /// The runs of beams of a lidar's newest sweep that hit a tracked obstacle: the first beam, and the one after the last.
     #[must_use]
     pub fn moving_beams(&self, lidar: &str) -> Vec<[u32; 2]> {
         let mut runs: Vec<[u32; 2]> = Vec::new();
@@ -233,13 +233,13 @@ impl LocalObstacles {
         runs
     }
 
-    /// Takes the robots that tell their course.
+    /// Takes the robots that announce their course.
     pub(crate) fn set_robots(&mut self, robots: impl Iterator<Item = Track>) {
         self.moving.set_robots(robots);
     }
 
-    /// Points of robots that tell their course within a distance (m), in the base frame of a robot at `odom_from_base`, each with its
-    /// velocity over the floor, m/s: the returns on them, and the near side of who is in the blind spot.
+    /// Points of robots that announce their course within a distance (m), in the base frame of a robot at `odom_from_base`, each with its
+    /// velocity over the floor, m/s: the returns on them, and the near side of those in the blind spot.
     #[must_use]
     pub fn robots_in_base(&self, odom_from_base: Pose2, within: f64) -> Vec<(Point2<f64>, Vector2<f64>)> {
         let (here, base_from_odom) = (odom_from_base.position(), rigid(odom_from_base.inverse()));
@@ -262,14 +262,14 @@ impl LocalObstacles {
         points
     }
 
-    /// A lidar's newest sweep without what is noise in its ranges, m; none before its first.
+    /// The filtered ranges of a lidar's newest sweep, m; empty before its first.
     #[must_use]
     pub fn ranges(&self, lidar: &str) -> &[f32] {
         let known = self.lidars.iter().find(|known| known.name == lidar);
         known.map_or(&[], |lidar| lidar.filter.ranges())
     }
 
-    /// Share of the beams of the newest sweeps that see something, of the lidar that sees most; 1 before the first.
+    /// Share of beams with a return in the newest sweep of the lidar that sees most; 1 before the first.
     pub(crate) fn in_sight(&self) -> f64 {
         let share = |lidar: &LidarView| lidar.seen.len() as f64 / lidar.filter.ranges().len().max(1) as f64;
         self.lidars
@@ -280,25 +280,25 @@ impl LocalObstacles {
             .unwrap_or(1.0)
     }
 
-    /// The points of each lidar's newest sweep in the order of its beams, odometry frame; after them what it did not look at again.
+    /// The points of each lidar's newest sweep in the order of its beams, odometry frame; after them, earlier points that it did not cover.
     pub fn seen_by_lidar(&self) -> impl Iterator<Item = &[Point2<f64>]> {
         self.lidars.iter().map(|lidar| &lidar.seen[..])
     }
 
-    /// The moving ones among them.
+    /// The moving obstacles among them.
     #[must_use]
     pub fn moving(&self) -> &MovingObstacles {
         &self.moving
     }
 
-    /// What moves may have been met this long before the stamp of a sweep, s: the longest sweep of a lidar.
+    /// Duration of the longest sweep of a lidar, s: a beam may have hit a moving obstacle this long before the sweep's stamp.
     #[must_use]
     pub fn sweep_time(&self) -> f64 {
         let sweeps = self.lidars.iter().map(|lidar| lidar.projector.lidar().sweep_time.abs());
         sweeps.fold(0.0, f64::max)
     }
 
-    /// The moving ones that have left the field of view near the robot.
+    /// The moving obstacles that have left the field of view near the robot.
     pub fn hidden(&self, now: Stamp) -> impl Iterator<Item = Hidden> + '_ {
         let base_from_odom = self.odom_from_base.inverse();
         let sweep_time = self.sweep_time();
@@ -315,7 +315,7 @@ impl LocalObstacles {
         self.odom_from_base
     }
 
-    /// No disc is hidden whose center (base frame of the newest sweep) lies less deep out of sight than its radius, m.
+    /// Depth of a place (base frame of the newest sweep) out of sight, m: a disc is hidden only if its center lies deeper than its radius.
     pub(crate) fn depth_out_of_sight(&self, place: Point2<f64>) -> f64 {
         self.view.depth(place)
     }
@@ -327,8 +327,8 @@ impl LocalObstacles {
     }
 }
 
-/// Those points of a lidar's sweep before that this one did not look at: a robot that turns against the sweep leaves out as much of the circle as
-/// it turned by.
+/// Points of a lidar's previous sweep that this one did not cover: while the robot turns against the sweep, the sweep leaves out as much of
+/// the circle as the robot turns.
 fn kept_at_the_ends(before: &[Point2<f64>], scan: &ProjectedScan<'_>) -> Vec<Point2<f64>> {
     let is_seen = |range: &f32| *range != 0.0;
     let (Some(first), Some(last)) = (
@@ -347,7 +347,7 @@ fn kept_at_the_ends(before: &[Point2<f64>], scan: &ProjectedScan<'_>) -> Vec<Poi
     before.iter().filter(at_ends).copied().collect()
 }
 
-/// Keeps those known points that are in the blind spot from here.
+/// Keeps the known points that lie in the present blind spot.
 fn remember(
     remembered: &mut VecDeque<Point2<f64>>,
     seen: &[Point2<f64>],

@@ -1,9 +1,9 @@
-//! Lost beams. Which beams without a return met nothing, and which did the lidar lose? Both look alike, and a lost one seems to look through
-//! walls.
+//! Lost beams. Which beams without a return hit nothing, and which did the lidar lose? Both look alike, and a lost beam seems to see
+//! through walls.
 //!
-//! The share that is lost is estimated from the sweeps themselves: between two returns of about the same range a beam without one was lost.
-//! Where more than a few are, a run of beams without a return counts as lost unless it is so long that loss does not explain it. A short one
-//! on one surface is interpolated; of another nothing is known, and its range is zero: it neither hits nor clears.
+//! The share of lost beams is estimated from the sweeps themselves: a beam without a return between two returns of about the same range was
+//! lost. Above a small share, a run of beams without a return counts as lost unless it is too long for loss to explain it. A short run on
+//! one surface is interpolated; the ranges of any other run are unknown and set to zero: they neither hit nor clear.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -11,11 +11,11 @@ use std::collections::BTreeMap;
 use zenav_protocol::readings::Sweep;
 use zenav_protocol::robot::LidarModel;
 
-/// Less than this share is no loss: edges of things look alike.
+/// A smaller share is not treated as loss: edges of objects look alike.
 const LEAST_LOSS: f64 = 0.02;
 /// A run of lost beams this long or longer happens by chance this rarely.
 const CHANCE: f64 = 1e-4;
-/// How much of the estimate one pair of returns changes.
+/// Weight of one pair of returns in the estimate.
 const MEMORY: f64 = 0.005;
 /// Returns of one surface differ by at most this, m, and by this share of their range.
 const SURFACE: (f32, f32) = (0.05, 0.05);
@@ -31,7 +31,7 @@ pub(crate) struct LostBeams {
 }
 
 impl LostBeams {
-    /// A sweep without lost beams: as it is where none are.
+    /// A sweep with its lost beams repaired; unchanged if none are lost.
     pub fn mend<'a>(&mut self, sweep: &'a Sweep, lidar: &LidarModel) -> Cow<'a, Sweep> {
         let least = lidar.range_min as f32;
         let is_return = |range: f32| range >= least && range <= lidar.range_max as f32;
@@ -50,7 +50,7 @@ impl LostBeams {
                 *lost += MEMORY * (f64::from(u8::from(beam == f32::INFINITY)) - *lost);
             }
         }
-        // A range of zero must mean nothing.
+        // Zero must be an invalid range.
         if *lost < LEAST_LOSS || least <= 0.0 {
             return Cow::Borrowed(sweep);
         }
@@ -123,7 +123,7 @@ mod tests {
         let mended = watch.mend(&sweep(spoilt.clone()), &lidar).into_owned().ranges;
         assert!(mended[..100].iter().all(|range| *range == 2.0), "{mended:?}");
         assert!(mended[100..].iter().all(|range| *range == lost));
-        // At the edge of a post nobody knows.
+        // At the edge of a post the range is unknown.
         let mut post = spoilt;
         post[4..8].fill(1.0);
         let mended = watch.mend(&sweep(post), &lidar).into_owned().ranges;

@@ -31,7 +31,7 @@ struct Arguments {
     /// The robot's name in every key.
     #[arg(long, default_value = "tiago")]
     id: String,
-    /// Deployment file, of which `[robots.ID]` counts: model, listen, on_lost and edge. Flags win.
+    /// Deployment file, of which `[robots.ID]` is read: model, listen, on_lost and edge. Flags win.
     #[arg(long, value_name = "FILE")]
     deployment: Option<PathBuf>,
     /// Routers to connect to, separated by commas; the edge also works without one.
@@ -43,17 +43,17 @@ struct Arguments {
         hide_env_values = true
     )]
     connect: Vec<String>,
-    /// The edge's own endpoints: it can be stopped there without a router; port 0 takes a free one [default: that of the deployment file,
+    /// The edge's own endpoints: it can be stopped there without a router; port 0 picks a free one [default: that of the deployment file,
     /// or tcp/127.0.0.1:7450].
     #[arg(long, value_delimiter = ',')]
     listen: Vec<String>,
     /// Folder of the robot's identity in its fleet: `ca.pem`, `cert.pem`, `key.pem`, `members.txt`; links are encrypted then.
     #[arg(long, env = "ZENAV_IDENTITY")]
     identity: Option<PathBuf>,
-    /// Listen to other machines without an identity: whoever reaches the endpoint commands the robot.
+    /// Listen to other machines without an identity: anyone who reaches the endpoint can command the robot.
     #[arg(long)]
     insecure: bool,
-    /// Namespace of the deployment on its routers; none without.
+    /// Namespace of the deployment on its routers; none if empty.
     #[arg(long, default_value = "", env = "ZENAV_BUS__NAMESPACE", hide_env_values = true)]
     namespace: String,
     /// Folder of the stored epoch and stop latch.
@@ -62,20 +62,20 @@ struct Arguments {
     /// Start pose X,Y,YAW in metres and radians (default: the world's start).
     #[arg(long, value_parser = pose, allow_hyphen_values = true)]
     start: Option<Pose2>,
-    /// Policy when the lease has expired: finish_horizon, stop, wall_follow or return_home [default: that of the deployment file, or
+    /// Policy once the lease has expired: finish_horizon, stop, wall_follow or return_home [default: that of the deployment file, or
     /// finish_horizon].
     #[arg(long, value_parser = lost_policy)]
     on_lost: Option<LostPolicy>,
-    /// Drive the robot of this name in the world of `zenav sim serve`.
+    /// Drive the robot of this name in a world served by `zenav sim serve`.
     #[arg(long)]
     attach: bool,
-    /// Who drives the motors: `bus`, a process that publishes readings and obeys wheel speeds.
+    /// What drives the motors: `bus`, a process that publishes readings and obeys wheel speeds.
     #[arg(long, conflicts_with = "attach")]
     body: Option<BodyKind>,
-    /// Serve /livez, /readyz and /metrics here; port 0 takes a free one.
+    /// Serve /livez, /readyz and /metrics here; port 0 picks a free one.
     #[arg(long, value_name = "ADDRESS:PORT", env = "ZENAV_METRICS", hide_env_values = true)]
     metrics: Option<String>,
-    /// Write spans of what goes from part to part into this file: OTLP in JSON, one a line.
+    /// Write trace spans of messages between components into this file: OTLP in JSON, one per line.
     #[arg(long, value_name = "FILE", env = "ZENAV_TRACE", hide_env_values = true)]
     trace: Option<PathBuf>,
     /// Log lines as text or json.
@@ -96,10 +96,10 @@ struct Arguments {
 #[cfg(feature = "sim")]
 #[derive(Debug, clap::Args)]
 struct SimulationArguments {
-    /// Drive a simulated robot in this world: a shipped one's name, or a TOML file.
+    /// Drive a simulated robot in this world: the name of a shipped one, or a TOML file.
     #[arg(long, conflicts_with_all = ["attach", "body"])]
     world: Option<String>,
-    /// Simulated time against wall time.
+    /// Rate of simulated time against wall time.
     #[arg(long, default_value_t = 1.0)]
     speed: f64,
     /// Seed of the simulation's noise.
@@ -139,7 +139,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// What went wrong, and the exit code that says so. In plain words: the robot's binary stays small.
+/// What went wrong, as plain text, and the exit code for it. Plain text keeps the robot's binary small.
 struct Failure {
     code: u8,
     reason: String,
@@ -176,7 +176,7 @@ impl From<AttachError> for Failure {
     }
 }
 
-/// The text of a file that stands for none of the shipped names.
+/// Reads the file at `path`, which is not the name of a shipped item; the error lists the shipped names.
 fn read_file(what: &str, path: &str, known: &[(&str, &str)]) -> Result<String, Failure> {
     std::fs::read_to_string(path).map_err(|error| {
         let names: Vec<_> = known.iter().map(|(name, _)| *name).collect();
@@ -286,16 +286,16 @@ fn start(arguments: Arguments) -> Result<(), Failure> {
     })
 }
 
-/// A body, and how it begins.
+/// A body and its start conditions.
 struct Started {
     body: Box<dyn Body>,
     start: Pose2,
-    /// Time between its readings, where it is not the default.
+    /// Time between its readings, if not the default, s.
     tick: Option<f64>,
     speed: f64,
 }
 
-/// A body of somebody's own. It has nothing to say before its first readings.
+/// A body in a process of the user's own. It is silent until its first readings.
 async fn on_the_bus(
     bus: BusConfig,
     robot: &Id,

@@ -1,5 +1,5 @@
-//! Edge metrics. What of a robot is counted and measured? The control thread adds to atomic numbers that were looked up before it began; the
-//! rest is read off the states and events that the robot publishes.
+//! Edge metrics. What is counted and measured on a robot? The control thread updates atomic numbers that were looked up before it began;
+//! the rest is derived from the states and events that the robot publishes.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -38,7 +38,7 @@ impl ControlMetrics {
         }
     }
 
-    /// A tick began so late, and so many before it were skipped.
+    /// Records how late a tick began, and how many before it were skipped.
     pub(crate) fn began(&self, late: Option<Duration>, missed: u64) {
         if let Some(late) = late {
             self.late.observe(late.as_secs_f64());
@@ -46,7 +46,7 @@ impl ControlMetrics {
         self.missed.inc_by(missed);
     }
 
-    /// A tick took so long, and so long of it the collision monitor; it judged a plan thus.
+    /// Records how long a tick took, how long the collision monitor took of that, and the verdict on a plan.
     pub(crate) fn ended(&self, took: Duration, monitor: Duration, verdict: Option<&'static str>) {
         self.tick.observe(took.as_secs_f64());
         self.monitor.observe(monitor.as_secs_f64());
@@ -56,7 +56,7 @@ impl ControlMetrics {
     }
 }
 
-/// A state as one gauge for each value that it may have.
+/// A state as one gauge for each of its possible values.
 #[derive(Debug)]
 struct States<T>(Vec<(T, Gauge)>);
 
@@ -68,7 +68,7 @@ impl<T: PartialEq> States<T> {
     }
 }
 
-/// What the robot's published states and events tell.
+/// Metrics derived from the robot's published states and events.
 #[derive(Debug)]
 pub(crate) struct RobotMetrics {
     robot: String,
@@ -120,7 +120,7 @@ impl RobotMetrics {
         }
     }
 
-    /// Counts an event, and tells it in the log where a person would want to know.
+    /// Counts an event, and logs it if an operator would want to know.
     pub(crate) fn event(&self, event: &EventKind) {
         let robot = self.robot.as_str();
         match event {

@@ -1,7 +1,7 @@
-//! Other robots. Where will those be that tell what they are about to do ([`Intent`]), and which of them makes way for this one?
+//! Other robots. Where will the robots be that announce their course ([`Intent`]), and which of them give way to this one?
 //!
-//! Each becomes a track with a known future ([`crate::obstacle_tracks`]) for as long as it is heard. Who is no longer heard, or parks, is
-//! what a lidar makes of it. Clocks of two robots are never compared: a message holds from its arrival.
+//! Each becomes a track with a known future ([`crate::obstacle_tracks`]) while its messages arrive. A robot that is silent or parked is
+//! only what a lidar sees of it. Clocks of two robots are never compared: a message holds from its arrival.
 
 use nalgebra::{Point2, Vector2};
 use zenav_protocol::geometry::Pose2;
@@ -11,23 +11,23 @@ use zenav_protocol::time::Stamp;
 use crate::course::Course;
 use crate::obstacle_tracks::Track;
 
-/// Most robots that are listened to: the nearest.
+/// Most robots tracked: the nearest.
 const MOST: usize = 64;
-/// Who has been silent for longer is forgotten, s.
+/// A robot silent for longer than this is forgotten, s.
 const SILENT: f64 = 1.0;
-/// Ids of robots' tracks begin here: those of a lidar's never get there.
+/// First id of the tracks of robots: ids of lidar tracks never get this high.
 const FIRST_ID: u64 = 1 << 48;
 
-/// The robots that this one hears.
+/// The robots whose messages this one receives.
 #[derive(Clone, Debug, Default)]
 pub struct OtherRobots {
     own: String,
-    /// By name.
+    /// In the order of their names.
     heard: Vec<(Stamp, Intent)>,
 }
 
 impl OtherRobots {
-    /// Nobody heard yet, by the robot of this name.
+    /// No robot heard yet; `own` is this robot's name.
     #[must_use]
     pub fn new(own: &str) -> Self {
         Self {
@@ -36,7 +36,7 @@ impl OtherRobots {
         }
     }
 
-    /// Takes in what arrived while this robot is `here` (map frame), and forgets who is silent.
+    /// Takes the messages that arrived while this robot is `here` (map frame), and forgets silent robots.
     pub fn receive(&mut self, now: Stamp, here: Point2<f64>, intents: Vec<Intent>) {
         for intent in intents {
             if intent.robot == self.own || !intent.is_sound() {
@@ -59,7 +59,7 @@ impl OtherRobots {
             .binary_search_by(|(_, known)| known.robot.as_str().cmp(robot))
     }
 
-    /// Forgets the farthest one, unless the new one is farther still.
+    /// Forgets the farthest robot, unless the new one is farther still.
     fn forget_farther(&mut self, here: Point2<f64>, new: &Intent) -> bool {
         let away = |intent: &Intent| (intent.map_from_base.position() - here).norm();
         let heard = self.heard.iter().enumerate();
@@ -71,7 +71,7 @@ impl OtherRobots {
         true
     }
 
-    /// Their tracks at a time, in the odometry frame; `own` is what this robot has told of itself.
+    /// Their tracks at a time, in the odometry frame; `own` is this robot's own intent.
     pub fn tracks(&self, now: Stamp, own: &Intent, odom_from_map: Pose2) -> impl Iterator<Item = Track> {
         self.heard.iter().zip(FIRST_ID..).map(move |((arrived, intent), id)| {
             let (v, heading) = (intent.velocity.v, (odom_from_map * intent.map_from_base).heading());

@@ -1,11 +1,11 @@
-//! Passive safety. How fast may a robot go, so that it is at rest before any contact? Four limits: static obstacles, moving obstacles,
-//! the lidar's blind spot, and moving obstacles that have left the field of view. Each is a share of the wanted twist at constant curvature.
+//! Passive safety. How fast may a robot go and still be at rest before any contact? Four limits: static obstacles, moving obstacles, the
+//! lidar's blind spot, and moving obstacles that have left the field of view. Each is a share of the wanted twist at constant curvature.
 //!
-//! Static: reaction (scan age, tick, motor lag) plus braking distance, `u tau + u²/(2 a)`, within the time to contact along the robot's
-//! own arc. Moving: passive safety (Macek et al., "Towards safe vehicle navigation in dynamic urban scenarios", Automatika 2009): a
-//! moving obstacle may come at the robot at the assumed speed, around it but not through it; by the time that it could arrive the robot is
-//! at rest. Occluded (Bouraine et al., "Provably safe navigation for mobile robots with limited field-of-views in dynamic environments",
-//! Autonomous Robots 2012): by that time no point of the outline moves outwards faster than gently, by driving or by turning.
+//! Static: reaction (scan age, tick, motor lag) plus braking distance, `u tau + u²/(2 a)`, within the time to contact along the robot's own
+//! arc. Moving: passive safety (Macek et al., "Towards safe vehicle navigation in dynamic urban scenarios", Automatika 2009): a moving
+//! obstacle may approach at the assumed speed, around the robot but not through it; the robot is at rest by the time that it could arrive.
+//! Occluded (Bouraine et al., "Provably safe navigation for mobile robots with limited field-of-views in dynamic environments", Autonomous
+//! Robots 2012): by that time no point of the outline moves outwards faster than gently, by driving or by turning.
 
 use nalgebra::{Isometry2, Point2, Vector2};
 use zenav_protocol::geometry::{Pose2, Twist2};
@@ -20,27 +20,27 @@ use crate::time_to_contact::SweptFootprint;
 
 /// No obstacle nearer than this is approached, m.
 pub(crate) const LEAST_CLEARANCE: f64 = 0.01;
-/// Shares of the wanted twist that are tried against moving obstacles.
+/// Shares of the wanted twist tried against moving obstacles.
 const SHARES: [f64; 8] = [1.0, 0.8, 0.6, 0.45, 0.3, 0.2, 0.1, 0.05];
 /// Spacing of the samples of the outline, and of the poses that they are checked at, m.
 const SAMPLE: f64 = 0.04;
-/// Steps that the time until rest is cut into.
+/// Number of steps in the time until rest.
 const STOPPING_STEPS: u32 = 5;
-/// Most poses that are checked along the stopping distance.
+/// Most poses checked along the stopping distance.
 const MAX_POSES: f64 = 100.0;
-/// No robot that tells its course is faster, m/s.
+/// Top speed of any robot that announces its course, m/s.
 const FASTEST_ROBOT: f64 = 3.0;
-/// What comes nearer more slowly does not come nearer, m/s.
+/// A closing speed up to this counts as none, m/s.
 const RESTING: f64 = 1e-6;
-/// Contact at this speed is no harm, m/s.
+/// Contact at this speed is harmless, m/s.
 pub(crate) const GENTLE: f64 = 0.008;
-/// So is a controller's last bit of speed towards what is touched, m/s.
+/// Harmless residual speed of a controller towards a contact, m/s.
 const HARMLESS: f64 = 0.25 * GENTLE;
-/// A point inside an outline that is this much deeper behind one side than behind another may have come in through either, m.
+/// A point inside an outline may have come in through every side behind which it is at most this much deeper than behind the nearest, m.
 const CORNER: f64 = 0.03;
-/// What touches a robot is seen inside its outline by no more than this, m.
+/// A touching obstacle is seen inside the outline by no more than this, m.
 const DEPTH: f64 = 0.05;
-/// A motion that comes nearer to a point at no more than this share of its speed goes along it.
+/// A motion that closes in on a point at no more than this share of its speed slides along it.
 const SLIDING: f64 = 0.05;
 
 /// A wanted motion, and how fast it can be brought to rest.
@@ -64,23 +64,23 @@ pub struct Motion<'a> {
     pub settings: &'a PassiveSafetySettings,
 }
 
-/// A disc or a point that moves.
+/// A moving disc or point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Mover {
     /// Its center, base frame, m.
     pub at: Point2<f64>,
     /// m; zero for a point.
     pub radius: f64,
-    /// What it keeps to, base frame, m/s.
+    /// Its known velocity, base frame, m/s.
     pub velocity: Vector2<f64>,
-    /// As fast as it may move beside that, m/s.
+    /// Its largest speed relative to that, m/s.
     pub speed: f64,
-    /// How far it may have come since it was met by a beam before the newest sweep's stamp, m.
+    /// How far it may have moved between the beam that hit it and the newest sweep's stamp, m.
     pub travelled: f64,
 }
 
 impl Mover {
-    /// Turns at will, at a speed up to this, m/s.
+    /// A mover that turns at will, at a speed up to this, m/s.
     #[must_use]
     pub fn at_will(at: Point2<f64>, radius: f64, speed: f64) -> Self {
         Self {
@@ -93,34 +93,35 @@ impl Mover {
     }
 }
 
-/// A disc that moves and has left the field of view: none of it is seen.
+/// A moving disc that has left the field of view: no part of it is seen.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hidden {
-    /// A point of it when it was seen last, base frame of the newest sweep, m.
+    /// One of its points when it was last seen, base frame of the newest sweep, m.
     pub last_seen: Point2<f64>,
-    /// As far as it may have moved since, m.
+    /// How far it may have moved since, m.
     pub travelled: f64,
-    /// At least this, m.
+    /// Its minimum radius, m.
     pub radius: f64,
-    /// As fast as it may move, m/s.
+    /// Its largest speed, m/s.
     pub speed: f64,
 }
 
-/// A step of a motion until rest.
+/// One step of a motion until rest.
 struct Step {
     /// Its end, s from now.
     until: f64,
-    /// The fastest that the robot may be within it, as a share of the wanted twist.
+    /// The robot's largest speed within it, as a share of the wanted twist.
     share: f64,
-    /// The base frame at its begin, in the base frame of now.
+    /// The base frame at its beginning, in the present base frame.
     here_from_there: Isometry2<f64>,
-    /// Length of the way of the base from now to its begin, and to its end, m.
+    /// Path length of the base from now to its beginning, and to its end, m.
     way: [f64; 2],
 }
 
 impl Step {
-    /// What the robot occupies from now to the end of the step, in the base frame at its begin, for a disc of this radius (m) around the base:
-    /// that is never farther than this from the middle between where it is now and where it is at the begin.
+    /// A disc that the robot occupies throughout, from now to the end of the step, in the base frame at its beginning. `inscribed` is the
+    /// radius of a disc around the base, m. The base is never farther than `way[1] - way[0] / 2` from the middle between its places now and
+    /// at the beginning.
     fn always_occupied(&self, there_from_here: Isometry2<f64>, inscribed: f64) -> Disc {
         Disc {
             center: Point2::from(0.5 * there_from_here.translation.vector),
@@ -129,15 +130,15 @@ impl Step {
     }
 }
 
-/// A disc that nobody goes through.
+/// A disc that no obstacle passes through.
 struct Disc {
     center: Point2<f64>,
     radius: f64,
 }
 
 impl Disc {
-    /// Whether something round of a radius gets from place to place around this disc within a way, m; wherever the disc is not in the way it
-    /// does.
+    /// Whether a round object of `radius` gets from `from` to `to` around this disc in at most `within` m; true wherever the disc is not in
+    /// the way.
     fn is_passed(&self, from: Point2<f64>, to: Point2<f64>, radius: f64, within: f64) -> bool {
         let (off, to_end, radius) = (from - self.center, to - self.center, self.radius + radius);
         let straight = (to - from).norm();
@@ -147,10 +148,10 @@ impl Disc {
         if radius <= 0.0 || nearest.norm() >= radius || far.min(far_end) < radius - DEPTH {
             return true;
         }
-        // Who touches the disc may be seen inside it.
+        // An object that touches the disc may be seen inside it.
         let (far, far_end) = (far.max(radius), far_end.max(radius));
         let tangents = (far * far - radius * radius).sqrt() + (far_end * far_end - radius * radius).sqrt();
-        // No way around is shorter than its tangents, nor than the straight one outside the disc.
+        // No path around is shorter than its tangents, or than the straight line outside the disc.
         if tangents > within || straight - 2.0 * DEPTH > within {
             return false;
         }
@@ -206,7 +207,7 @@ impl<'a> Motion<'a> {
         let near = self.footprint.circumscribed_radius() + self.margin + self.stopping_distance(1.0) + LEAST_CLEARANCE;
         let outer = SweptFootprint::new(self.footprint, self.margin, self.twist);
         let inner = SweptFootprint::new(self.footprint, LEAST_CLEARANCE.min(self.margin), self.twist);
-        // What moves the outline hardly at all, as a disc that turns on the spot, needs no more room.
+        // A motion that hardly moves the outline, such as a disc that turns on the spot, needs no more room.
         let slow = HARMLESS / fastest_outward(self.footprint, self.twist).max(1e-9);
         let mut share: f64 = 1.0;
         for point in obstacles.in_base(odom_from_base) {
@@ -226,7 +227,7 @@ impl<'a> Motion<'a> {
             }
             let creeping = if inner.contains(point) {
                 match share_beside(self.footprint, self.twist, point) {
-                    // The rear swings past what was last seen by a beam or two, with all their noise: at this speed contact is no harm.
+                    // The rear swings past points last seen by a beam or two, with all their noise: at this speed contact is harmless.
                     0.0 if self.twist.v > 0.0 && obstacles.blind_spots().in_blind_spot(point) => {
                         GENTLE / closing_speed(self.footprint, self.twist, point)
                     }
@@ -243,8 +244,8 @@ impl<'a> Motion<'a> {
         share
     }
 
-    /// Limit by moving obstacles in view, each point of one by itself, and by the robots that tell their course: those keep nearly to their
-    /// velocity, or brake, which is what [`Self::limit_static`] looks at.
+    /// Limit by moving obstacles in view, each of their points by itself, and by the robots that announce their course: those nearly keep
+    /// their velocity, or brake, which [`Self::limit_static`] covers.
     #[must_use]
     pub fn limit_dynamic(&self, obstacles: &LocalObstacles, odom_from_base: Pose2) -> f64 {
         let sweep_time = obstacles.sweep_time();
@@ -261,9 +262,9 @@ impl<'a> Motion<'a> {
         self.limit_among(&points)
     }
 
-    /// Limit by moving obstacles: wherever one may be by then, at its own speed and turning at will, no point of the outline that it can
-    /// reach moves outwards faster than gently. So the robot may make way at any speed, and is at rest before contact else. Nobody goes
-    /// through the robot: who stands behind it has a long way to what is ahead of it.
+    /// Limit by moving obstacles: no point of the outline that one can reach by then, at its own speed and turning at will, moves outwards
+    /// faster than gently. So the robot may move away at any speed, and is otherwise at rest before contact. No obstacle passes through the
+    /// robot: from behind, it has a long way to the front.
     #[must_use]
     pub fn limit_among(&self, movers: &[Mover]) -> f64 {
         let stopping_time = self.stopping_time(1.0);
@@ -281,7 +282,7 @@ impl<'a> Motion<'a> {
         SHARES.iter().find(safe).copied().unwrap_or(0.0)
     }
 
-    /// Where the robot is at most, from a share of its speed until rest, in steps.
+    /// Bounds the robot's motion from a share of its speed until rest, in steps.
     fn until_rest(&self, share: f64) -> impl Iterator<Item = Step> + '_ {
         let (speed, all) = (share * self.speed, self.stopping_time(share));
         let (mut travelled, mut before) = (0.0, 0.0);
@@ -300,7 +301,7 @@ impl<'a> Motion<'a> {
         })
     }
 
-    /// Whether one of these movers may touch the outline where it moves outwards, before the robot is at rest from a share of its speed.
+    /// Whether a mover may touch the outline where it moves outwards, before the robot is at rest from a share of its speed.
     fn may_be_touched(&self, share: f64, samples: &[(Point2<f64>, Vector2<f64>)], movers: &[Mover]) -> bool {
         let inscribed = self.footprint.inscribed_radius();
         self.until_rest(share).any(|step| {
@@ -319,8 +320,8 @@ impl<'a> Motion<'a> {
         })
     }
 
-    /// Limit by the lidar's blind spot: the outline moves only over floor that was seen before, but for what moves as slowly as `unseen`
-    /// (m/s), and straight into the blind spot no faster than `allowed` (m/s), because somebody may have come up unseen.
+    /// Limit by the lidar's blind spot: the outline moves over floor that was never seen no faster than `unseen` (m/s), and straight into
+    /// the blind spot no faster than `allowed` (m/s), because an obstacle may have entered it unseen.
     #[must_use]
     pub fn limit_blind_spot(
         &self,
@@ -342,7 +343,7 @@ impl<'a> Motion<'a> {
         let samples: Vec<_> = outline_samples(self.footprint, self.margin + self.settings.unseen_margin)
             .into_iter()
             .filter(|(at, normal)| {
-                // A point that moves outwards this slowly does no harm.
+                // A point that moves outwards this slowly is harmless.
                 self.outward(*at, *normal) > GENTLE
             })
             .map(|(at, normal)| {
@@ -365,7 +366,7 @@ impl<'a> Motion<'a> {
                     continue;
                 }
                 let floor = grid.floor(&odom_from_base, there * outer);
-                // An occupied cell is coarse: its obstacle is remembered as a point, too.
+                // An occupied cell is coarse: its obstacle is also remembered as a point.
                 let met = || grid.floor(&odom_from_base, there * inner) == Floor::Occupied;
                 let harmless = match floor {
                     Floor::InSight => continue,
@@ -382,9 +383,9 @@ impl<'a> Motion<'a> {
         share.min(1.0)
     }
 
-    /// Limit by moving obstacles that have left the field of view: each is wherever it may have got to by now, unseen, and comes out of there
-    /// at its own speed. No point of the outline that it can reach before the robot is at rest moves outwards faster than gently: inside the
-    /// blind spot by any motion, outside it by swinging towards what may come into view.
+    /// Limit by moving obstacles that have left the field of view: each may be wherever it can have moved unseen by now, and comes out of
+    /// there at its own speed. No point of the outline that it can reach before the robot is at rest moves outwards faster than gently:
+    /// inside the blind spot by any motion, outside it by swinging towards an obstacle that may come into view.
     #[must_use]
     pub fn limit_occluded(&self, now: Stamp, obstacles: &LocalObstacles, odom_from_base: Pose2) -> f64 {
         let mut hidden: Vec<Hidden> = obstacles.hidden(now).collect();
@@ -401,7 +402,7 @@ impl<'a> Motion<'a> {
             .filter(|(_, _, outward)| *outward > GENTLE)
             .collect();
         if self.twist.v <= 0.0 {
-            // Who turns on the spot may do so beside somebody half hidden, too: there no size is relied on.
+            // Turning on the spot or backing up is possible beside an obstacle that is half hidden: its size is not relied on there.
             hidden.iter_mut().for_each(|hidden| hidden.radius = 0.0);
         }
         let then_from_here = obstacles.base_at_newest_sweep().inverse() * rigid(odom_from_base);
@@ -411,7 +412,7 @@ impl<'a> Motion<'a> {
         share.max(GENTLE / fastest)
     }
 
-    /// Whether somebody hidden may touch one of these points of the outline (with their normals and outward speeds, m/s) where it moves
+    /// Whether a hidden obstacle may touch one of these points of the outline (with their normals and outward speeds, m/s) where it moves
     /// outwards, before the robot is at rest from a share of its speed.
     fn may_be_met(
         &self,
@@ -426,7 +427,7 @@ impl<'a> Motion<'a> {
             let moving = samples.iter().filter(|(_, _, outward)| step.share * outward > GENTLE);
             moving.into_iter().any(|(at, normal, _)| {
                 hidden.iter().any(|hidden| {
-                    // Where its center is when it touches there.
+                    // The obstacle's center when it touches that point.
                     let center = then_from_there * (at + normal * hidden.radius);
                     let reach = self.margin + hidden.speed * step.until;
                     let known = reach + hidden.radius + hidden.travelled;
@@ -443,7 +444,7 @@ impl<'a> Motion<'a> {
     }
 }
 
-/// Where the bumper was touched at a bearing (base frame, rad), just outside the outline.
+/// The contact point for a bumper bearing (base frame, rad), just outside the outline.
 pub(crate) fn contact_point(footprint: &Footprint, bearing: f64) -> Point2<f64> {
     let toward = Vector2::new(bearing.cos(), bearing.sin());
     // Bisection along the bearing.
@@ -489,7 +490,7 @@ fn outline_samples(footprint: &Footprint, margin: f64) -> Vec<(Point2<f64>, Vect
                     (0..=count as u32).map(move |step| (from + along * (length * f64::from(step) / count), normal))
                 })
                 .collect();
-            // A corner is touched from between its two sides as well.
+            // A corner can be touched from between its two sides as well.
             let before = corners.iter().cycle().skip(corners.len() - 1);
             let after = corners.iter().cycle().skip(1);
             samples.extend(corners.iter().zip(before).zip(after).map(|((corner, before), after)| {
@@ -501,7 +502,7 @@ fn outline_samples(footprint: &Footprint, margin: f64) -> Vec<(Point2<f64>, Vect
     }
 }
 
-/// How fast a twist moves any point of the outline outwards, at most, m/s.
+/// Largest speed at which a twist moves any point of the outline outwards, m/s.
 pub(crate) fn fastest_outward(footprint: &Footprint, twist: Twist2) -> f64 {
     let samples = outline_samples(footprint, 0.0);
     let outward = samples.iter().map(|(at, normal)| outward(twist, *at, *normal));
@@ -521,7 +522,7 @@ pub(crate) fn closing_speed(footprint: &Footprint, twist: Twist2, point: Point2<
     if here > 0.0 {
         (here - there) / STEP
     } else {
-        // Inside the outline, by noise or in contact: what slides along a side comes no nearer. At a corner both sides count.
+        // Inside the outline, by noise or in contact: sliding along a side does not come nearer. At a corner both sides count.
         match footprint {
             Footprint::Radius(_) => -point.coords.dot(&motion) / point.coords.norm().max(1e-9),
             Footprint::Polygon(corners) => {
@@ -541,8 +542,8 @@ pub(crate) fn closing_speed(footprint: &Footprint, twist: Twist2, point: Point2<
     }
 }
 
-/// The share of a twist that is allowed beside a point (base frame) that it may not come nearer to: all of it away from the point, and
-/// along it so slowly that the drive's and the sensors' errors do no harm; nothing towards it that is faster than those.
+/// The share of a twist allowed beside a point (base frame) that the robot may not approach: all of a twist that leads away; of one that
+/// slides along the point, as much as stays harmless given the errors of drive and sensors; nothing of one that leads towards it.
 pub(crate) fn share_beside(footprint: &Footprint, twist: Twist2, point: Point2<f64>) -> f64 {
     let closing = closing_speed(footprint, twist, point);
     if closing <= RESTING {

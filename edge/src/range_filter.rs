@@ -1,26 +1,26 @@
-//! Range filter. Where is a surface, beneath the noise of single beams?
+//! Range filter. Where is a surface, given the noise of single beams?
 //!
-//! Along a straight wall the inverse range is a sinusoid of the beam's angle. Each return is replaced by the value of the sinusoid through its
-//! neighbours, where their inverse ranges lie on one to within the lidar's noise; at the end of a wall the neighbours on one side do. What is
-//! thinner than a run of beams, and every step larger than the noise, stays as it was measured.
+//! Along a straight wall the inverse range is a sinusoid of the beam's angle. Each return is replaced by the value of the sinusoid through
+//! its neighbours if their inverse ranges lie on one to within the lidar's noise; at the end of a wall the neighbours on one side suffice.
+//! Objects thinner than a run of beams, and every step larger than the noise, stay as measured.
 //!
-//! A line instead of the sinusoid would put a wall at the edge of the view nearer than the same wall in its middle, by a quarter of a percent:
-//! enough to turn a map.
+//! A line instead of the sinusoid would put a wall at the edge of the view nearer than the same wall in its middle, by a quarter of a
+//! percent: enough to turn a map.
 //!
 //! Sources: Savitzky and Golay, "Smoothing and differentiation of data by simplified least squares procedures", Analytical Chemistry 1964;
 //! the choice among windows after Nagao and Matsuyama, "Edge preserving smoothing", CGIP 1979.
 
 use crate::range_noise::RangeNoise;
 
-/// Angle on either side of a beam whose neighbours are asked, rad.
+/// Angle to either side of a beam within which neighbours are used, rad.
 const REACH: f64 = 0.07;
 /// Most beams on either side.
 const MOST: usize = 12;
-/// No range is changed by more than so many standard deviations.
+/// Largest change of a range, in standard deviations.
 const LARGEST_CHANGE: f64 = 2.5;
-/// Residuals of a wall, in their own standard deviations, that are taken for noise: all but one window of a hundred.
+/// Largest residual of a wall that counts as noise, in its own standard deviations: noise exceeds it in one window of a hundred.
 const LARGEST_RESIDUAL: f64 = 2.5;
-/// Beyond this range nothing is filtered, m: what is near is what counts, and far away a run of beams spans more than one thing.
+/// Ranges beyond this are not filtered, m: near obstacles matter, and far away a run of beams spans more than one object.
 const FARTHEST: f64 = 5.0;
 
 /// Filters the sweeps of one lidar.
@@ -33,8 +33,8 @@ pub(crate) struct RangeFilter {
     half: usize,
     /// Cosine and sine of every half increment from the first beam on.
     directions: Vec<(f64, f64)>,
-    /// Of the beams before each one: how many have no return, and sums of the inverse range times the cosine and the sine of the beam's
-    /// angle, and of its square.
+    /// Sums over the beams before each one: the number without a return, the inverse range times the cosine and times the sine of the
+    /// beam's angle, and the square of the inverse range.
     sums: Vec<[f64; 4]>,
     ranges: Vec<f32>,
 }
@@ -53,7 +53,7 @@ impl RangeFilter {
         }
     }
 
-    /// Filters a sweep of ranges (m), of which those are returns that `is_return` holds for.
+    /// Filters a sweep of ranges (m); `is_return` tells which of them are returns.
     pub(crate) fn update(&mut self, ranges: &[f32], is_return: impl Fn(f64) -> bool) {
         let is_near = |range: f64| is_return(range) && range < FARTHEST;
         let std_dev = self.noise.update(ranges, is_near);
@@ -76,7 +76,7 @@ impl RangeFilter {
             self.sums.push(sums);
         }
         let half = self.half;
-        // Beams before and after, the least noise first.
+        // Number of beams before and after, the least noise first.
         let windows = [
             [half, half],
             [half / 2, 2 * half - half / 2],
@@ -103,7 +103,7 @@ impl RangeFilter {
         }
     }
 
-    /// The sweep filtered last, m; what is no return is as it was.
+    /// The last filtered sweep, m; a beam without a return is unchanged.
     pub(crate) fn ranges(&self) -> &[f32] {
         &self.ranges
     }
@@ -116,14 +116,14 @@ impl RangeFilter {
             return None;
         }
         let [with_cos, with_sin, squares] = [1, 2, 3].map(|i| to[i] - from[i]);
-        // About the middle of the window cosine and sine have nothing in common.
+        // About the middle of the window cosine and sine are orthogonal.
         let (cos, sin) = self.directions.get(first + last)?;
         let [even, odd] = [cos * with_cos + sin * with_sin, cos * with_sin - sin * with_cos];
         let ripple = (count * self.increment).sin() / self.increment.sin();
         let [of_cos, of_sin] = [0.5 * (count + ripple), 0.5 * (count - ripple)];
         let (level, slope) = (even / of_cos, odd / of_sin);
         let residual = (squares - level * even - slope * odd).max(0.0);
-        // An inverse range has the range's noise over the square of the range; of the mean of squares, its own standard deviation.
+        // The noise of an inverse range is the range's noise over the square of the range; the limit is on the chi-square of the residual.
         let (freedom, noise) = (count - 2.0, std_dev * level * level);
         let most = freedom + LARGEST_RESIDUAL * (2.0 * freedom).sqrt();
         let (sin, cos) = ((beam as f64 - 0.5 * (first + last) as f64) * self.increment).sin_cos();

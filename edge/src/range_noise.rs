@@ -6,9 +6,9 @@
 
 /// The median size of a Gaussian value, in standard deviations.
 const MEDIAN: f32 = 0.6745;
-/// Fewer triples than this in a scan tell nothing.
+/// A scan with fewer triples is not used.
 const LEAST_TRIPLES: usize = 30;
-/// How much of the estimate one scan changes.
+/// Weight of one scan in the estimate.
 const SHARE: f64 = 0.1;
 /// Bounds of the estimate, m: rounded ranges seem to have none, rough ground seems to have much.
 const BOUNDS: (f64, f64) = (0.005, 0.06);
@@ -18,13 +18,13 @@ const BOUNDS: (f64, f64) = (0.005, 0.06);
 pub(crate) struct RangeNoise {
     /// Standard deviation of a range, m.
     std_dev: f64,
-    /// Whether any scan has told something yet.
+    /// Whether any scan has been used yet.
     is_estimated: bool,
     triples: Vec<f32>,
 }
 
 impl RangeNoise {
-    /// Before the first scan: what is expected, m.
+    /// Starts from the expected noise, m.
     pub(crate) fn new(expected: f64) -> Self {
         Self {
             std_dev: expected,
@@ -33,7 +33,7 @@ impl RangeNoise {
         }
     }
 
-    /// Takes the ranges of a scan, of which those count that `is_near` holds for; returns the standard deviation of a range, m.
+    /// Takes the ranges of a scan, of which those count that `is_near` accepts; returns the standard deviation of a range, m.
     pub(crate) fn update(&mut self, ranges: &[f32], is_near: impl Fn(f64) -> bool) -> f64 {
         self.triples.clear();
         for triple in ranges.windows(3) {

@@ -1,5 +1,5 @@
-//! Remote body. How is a robot in another process a [`Body`]? Readings and wheel speeds go over the bus: a world server for many robots
-//! (`zenav sim serve`), or a hardware driver in any language.
+//! Remote body. How does a robot in another process become a [`Body`]? Readings and wheel speeds go over the bus: to a world server for
+//! many robots (`zenav sim serve`), or to a hardware driver in any language.
 
 use std::hash::{BuildHasher, RandomState};
 use std::time::{Duration, Instant};
@@ -24,7 +24,7 @@ use crate::settings::BodySettings;
 const QUEUE: usize = 32;
 /// Wall time without readings after which the body counts as silent.
 const SILENCE: Duration = Duration::from_millis(200);
-/// Wall time for a world server to answer; then it is asked over a new session.
+/// Wall time for a world server to answer before it is asked again over a new session.
 const ATTACH: Duration = Duration::from_secs(3);
 
 /// A body on the other side of the bus.
@@ -53,7 +53,7 @@ pub enum AttachError {
     /// No world server answers, or it does not accept the robot.
     #[error("cannot attach to a world server: {0}")]
     Ask(#[from] AskError),
-    /// The bus.
+    /// The bus failed.
     #[error(transparent)]
     Bus(#[from] BusError),
     /// The world's tick or speed is not a positive number.
@@ -62,8 +62,8 @@ pub enum AttachError {
 }
 
 impl RemoteBody {
-    /// Adds a robot to the world that is served on a bus, or takes over one that is in it already. Waits, and logs it, as long as nobody serves
-    /// a world. In a Tokio runtime only.
+    /// Adds a robot to the world served on a bus, or takes over one that is already in it. While no world is served it waits, and logs
+    /// that. In a Tokio runtime only.
     ///
     /// # Errors
     /// [`AttachError`]: the world does not accept the robot, or another edge drives it.
@@ -78,7 +78,7 @@ impl RemoteBody {
             robot: robot.to_string(),
             model: model.clone(),
             start,
-            // Up to 2^53: what every reader of JSON can hold.
+            // Below 2^53: every JSON reader can hold it exactly.
             edge: RandomState::new().hash_one(std::process::id()) >> 11,
         };
         loop {
@@ -97,8 +97,8 @@ impl RemoteBody {
                     }
                     return Ok(Attached { bus, body, reply });
                 }
-                // Zenoh takes a router that comes within 0.1 s of another's leaving for that one, and tells it nothing: a link that
-                // nothing comes over may be such a one.
+                // Zenoh takes a router that comes up within 0.1 s of another one's leaving for that one, and tells it nothing: a link
+                // without any traffic may be such a case.
                 Err(AttachError::Ask(AskError::Timeout { .. })) => {
                     tracing::info!(connect = config.connect.join(", "), "waiting for a world server");
                     bus.close().await;
@@ -124,7 +124,7 @@ impl RemoteBody {
         Ok((Self::new(bus, &request.robot, request.edge, settings)?, reply))
     }
 
-    /// The body that publishes this robot's readings; `edge` identifies who drives it. In a Tokio runtime only.
+    /// The body that publishes this robot's readings; `edge` identifies the edge that drives it. In a Tokio runtime only.
     ///
     /// # Errors
     /// [`BusError`] when its topics cannot be declared.

@@ -1,4 +1,4 @@
-//! Requests. How does the robot answer asks? Each of them works without a cloud.
+//! Requests. How does the robot answer requests? All of them work without a cloud.
 
 use zenav_protocol::SCHEMA_VERSION;
 use zenav_protocol::geometry::Pose2;
@@ -21,7 +21,7 @@ use crate::pilot::Pilot;
 const LONGEST_ID: usize = 128;
 
 impl Pilot {
-    /// Answers one request. A new ask of the edge's is an arm here.
+    /// Answers one request. A new kind of request is a new arm here.
     pub(crate) fn answer(&mut self, now: Stamp, request: EdgeRequest) -> Result<EdgeReply, Refusal> {
         match request {
             EdgeRequest::Lease(request) => self.lease(now, &request).map(EdgeReply::Lease),
@@ -97,7 +97,7 @@ impl Pilot {
                 if self.maneuvers.running() == Some(request.id.as_str()) {
                     self.maneuvers.cancel(now, "canceled", &mut self.events);
                 } else if known.is_none() {
-                    // Its start may come yet, and is too late then.
+                    // Its start request may still arrive, and must then start nothing.
                     let report = BehaviourReport {
                         id: request.id.clone(),
                         state: BehaviourState::Canceled,
@@ -122,7 +122,7 @@ impl Pilot {
         let footprint = &self.config.model.footprint;
         let unseen = self.config.settings.maneuvers.unseen_clearance;
         let (drive, settings) = (&self.config.model.drive, &self.config.settings.maneuvers);
-        // Who went into the blind spot may stand there.
+        // An obstacle that entered the blind spot may still be there.
         let blind = self.obstacles.blind_spots().leads_into_blind_spot(-1.0)
             && self
                 .obstacles

@@ -1,5 +1,4 @@
-//! Return to home. How does a robot whose link is lost get back to where it started? Along the path that it came by, backwards: it had room
-//! there.
+//! Return to home. How does a robot whose link is lost get back to where it started? Back along its recorded trail, where it had room.
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2};
@@ -32,7 +31,7 @@ impl ReturnHome {
         }
     }
 
-    /// Records where the robot is while something else moves it; ends a return.
+    /// Records the robot's position while another source moves it; ends a return.
     pub fn record(&mut self, place: Point2<f64>) {
         self.tracker = None;
         let near = |known: &Point2<f64>| (known - place).norm() < self.spacing;
@@ -49,13 +48,13 @@ impl ReturnHome {
         self.trail.push(place);
     }
 
-    /// Forgets the way: what was taken for it was somewhere else.
+    /// Forgets the trail: it was recorded under a wrong pose estimate.
     pub fn forget(&mut self) {
         self.trail.clear();
         self.tracker = None;
     }
 
-    /// Carries the trail over to another frame of the map.
+    /// Carries the trail over to another map frame.
     pub fn moved(&mut self, new_from_old: Pose2) {
         for place in &mut self.trail {
             *place = new_from_old.transform_point(*place);

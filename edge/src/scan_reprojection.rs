@@ -10,7 +10,7 @@ use zenav_protocol::robot::LidarModel;
 
 use crate::settings::ScanReprojectionSettings;
 
-/// The beams of a lidar, and the points of a scan seen among them.
+/// The beams of a lidar, and the points of a scan reprojected among them.
 #[derive(Clone, Debug)]
 pub(crate) struct ScanReprojection {
     /// Directions of the beams in the frame of the lidar.
@@ -28,9 +28,9 @@ pub(crate) struct ScanReprojection {
     bearings: Vec<f32>,
     /// Their distances, m.
     distances: Vec<f32>,
-    /// How much longer a beam is that passes through a return, m.
+    /// How much longer than a return's range a beam is that passes through it, m.
     pub(crate) depth: f64,
-    /// How much farther away a return may be than it was measured, m.
+    /// How much farther away than measured a return may be, m.
     pub(crate) beyond: f64,
     settings: ScanReprojectionSettings,
 }
@@ -184,7 +184,7 @@ mod tests {
                 let beams: Vec<f64> = (0..lidar.beams)
                     .filter(|beam| (*beam as f64 - at).abs() <= settings.neighbours as f64)
                     .map(|beam| f64::from(there[beam]))
-                    // What was not met is free as far as the lidar reaches; NaN stays.
+                    // A beam without a return is free as far as the lidar reaches; NaN stays.
                     .map(|range| if range > lidar.range_max { lidar.range_max } else { range })
                     .collect();
                 if beams.iter().any(|range| (range - free_depth).abs() < 1e-4) {

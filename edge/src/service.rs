@@ -37,7 +37,7 @@ use crate::trackers::{Law, UnknownTracker};
 
 /// Most messages of a topic that wait in the bus.
 const QUEUE: usize = 32;
-/// A robot without readings for so long is not ready.
+/// A robot without readings for this long is not ready.
 const SILENCE: Duration = Duration::from_secs(3);
 /// Time between two attempts to store what could not be stored.
 const SAVE_AGAIN: Duration = Duration::from_millis(500);
@@ -99,7 +99,8 @@ pub async fn run(bus: Bus, config: ServiceConfig, body: Box<dyn Body>, shutdown:
     let metrics = Arc::new(RobotMetrics::new(&robot));
     let file = StateFile::open(&config.state_dir, &config.edge.robot)?;
     let stored = file.load()?;
-    // Fail now if the folder is not ours. On a full disk the robot can be stopped and watched; it grants no lease before there is room.
+    // Fail now if the folder cannot be used. On a full disk the robot can be stopped and watched, but it grants no lease before there is
+    // room.
     let unsaved = match file.save(&stored) {
         Ok(()) => None,
         Err(error) if error.may_pass() => Some(stored.clone()),
@@ -156,7 +157,7 @@ pub async fn run(bus: Bus, config: ServiceConfig, body: Box<dyn Body>, shutdown:
     result
 }
 
-/// Waits for shutdown, stops the robot, and waits until it rests; or learns that the control thread panicked.
+/// Waits for shutdown, stops the robot and waits until it is at rest; ends early if the control thread panics.
 async fn supervise(mut ended: oneshot::Receiver<()>, halt: &AtomicBool, shutdown: &Shutdown) -> Result<(), EdgeError> {
     tokio::select! {
         early = &mut ended => return early.map_err(|_| EdgeError::Panicked),
@@ -211,7 +212,7 @@ fn hear<T: DeserializeOwned + Send + 'static>(
     Ok(())
 }
 
-/// As [`hear`], for what other robots are about to do: each speaks for itself, on its own key.
+/// As [`hear`], for the courses of other robots: each may announce only its own, on its own key.
 fn hear_intents(tasks: &mut JoinSet<()>, bus: &Bus, handoff: &Arc<Handoff>) -> Result<(), BusError> {
     let mut subscription = bus.subscribe(&topics::INTENT, &["*"], QUEUE)?;
     let handoff = Arc::clone(handoff);
@@ -244,7 +245,7 @@ fn hear_plans(
     Ok(())
 }
 
-/// Carries the requests of one ask to the pilot, and its replies back, one at a time.
+/// Passes one kind of request to the pilot and its replies back, one at a time.
 async fn serve(bus: Bus, mut server: PartServer<EdgeRequest>, handoff: Arc<Handoff>) {
     while let Some(Call { request, responder }) = server.next().await {
         let mut reply = handoff.ask(request).await;
@@ -255,7 +256,7 @@ async fn serve(bus: Bus, mut server: PartServer<EdgeRequest>, handoff: Arc<Hando
     }
 }
 
-/// One publisher a topic.
+/// One publisher per topic.
 struct Publishers {
     /// By name of the lidar.
     scans: BTreeMap<String, Publisher<Scan>>,
@@ -381,7 +382,7 @@ async fn publish(publishers: Publishers, handoff: Arc<Handoff>, metrics: Arc<Rob
             match publication {
                 Publication::State(state) => {
                     metrics.state(state);
-                    // Without a body it says so, and goes on saying so.
+                    // While the body is silent every state names that fault.
                     match &state.faults.body {
                         Some(_) => readings.unmet(),
                         None => readings.met(),
@@ -395,8 +396,8 @@ async fn publish(publishers: Publishers, handoff: Arc<Handoff>, metrics: Arc<Rob
     }
 }
 
-/// Persists, then replies: nobody learns of an epoch that a power cut could take back. What cannot be stored (`unsaved`) is tried again until
-/// it can; the robot says so meanwhile.
+/// Persists, then replies: an epoch is announced only once no power cut can undo it. State that cannot be stored (`unsaved`) is tried again
+/// until it can; the robot reports the fault meanwhile.
 async fn persist_then_reply(
     file: StateFile,
     handoff: Arc<Handoff>,

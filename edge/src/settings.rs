@@ -1,8 +1,8 @@
 //! Edge settings. What can be tuned on the robot's side, in which unit, within which bounds, and why is the default what it is?
 //!
-//! One section a subsystem; a deployment file holds them as `[robots.NAME.edge.collision_monitor]` and so on. What belongs to one robot
-//! model (gains, distances of the wall follower) is in the robot file instead. Numerical epsilons and memory bounds stay private constants
-//! of their subsystem.
+//! One section per subsystem; a deployment file holds them as `[robots.NAME.edge.collision_monitor]` and so on. Values that belong to one
+//! robot model (gains, distances of the wall follower) are in the robot file instead. Numerical epsilons and memory bounds stay private
+//! constants of their subsystem.
 
 use zenav_protocol::config_text::OutOfBounds;
 
@@ -15,9 +15,9 @@ zenav_protocol::settings! {
         pub body: BodySettings;
         /// Lease and link.
         pub lease: LeaseSettings;
-        /// Which plans are accepted.
+        /// Plan acceptance.
         pub acceptance: AcceptanceSettings;
-        /// How an accepted plan is followed to its end or expiry.
+        /// Following an accepted plan to its end or expiry.
         pub plan: PlanSettings;
         /// Teleop.
         pub teleop: TeleopSettings;
@@ -33,9 +33,9 @@ zenav_protocol::settings! {
         pub passive_safety: PassiveSafetySettings;
         /// Local obstacle memory.
         pub local_obstacles: LocalObstacleSettings;
-        /// Floor known to be free in the lidars' blind spot.
+        /// Blind-spot grid: floor known to be free where no lidar sees.
         pub blind_spot_grid: BlindSpotGridSettings;
-        /// Scan reprojection: through which places did the beams of another scan pass?
+        /// Scan reprojection: which returns of one scan do the beams of another pass through?
         pub scan_reprojection: ScanReprojectionSettings;
         /// Detection of moving obstacles.
         pub moving_obstacles: MovingObstacleSettings;
@@ -45,7 +45,7 @@ zenav_protocol::settings! {
         pub avoidance: AvoidanceSettings;
         /// Pose estimator.
         pub estimator: EstimatorSettings;
-        /// Standing still for the gyro.
+        /// Standing still to learn the gyro's bias.
         pub settling: SettlingSettings;
         /// Telemetry.
         pub telemetry: TelemetrySettings;
@@ -64,7 +64,8 @@ zenav_protocol::settings! {
 zenav_protocol::settings! {
     /// The body's readings.
     pub struct BodySettings {
-        /// Longest step of a body's stamps, on the bus, that is believed at once; a longer one when several readings in a row go on from there.
+        /// Longest step between the stamps of a body on the bus that is accepted at once; a longer one must be confirmed by several
+        /// readings in a row.
         pub longest_step: f64 = 1.0, "s", 0.05..=60.0;
     }
 }
@@ -86,35 +87,36 @@ zenav_protocol::settings! {
 }
 
 zenav_protocol::settings! {
-    /// Which plans are accepted.
+    /// Plan acceptance.
     pub struct AcceptanceSettings {
         /// Longest validity that a plan may claim; a longer one is cut.
         pub max_validity: f64 = 60.0, "s", 0.5..=3600.0;
-        /// Longest step of a writer's counter, and of its incarnation, from one accepted plan of a lease to the next (a plan a second for 11 days).
+        /// Longest step of a writer's counter, and of its incarnation, between two accepted plans of a lease (one plan a second for 11
+        /// days).
         pub longest_step: u64 = 1_000_000, "", 1..=1_000_000_000;
-        /// Largest distance between where a trajectory starts and where the robot will be.
+        /// Largest distance between the start of a trajectory and the predicted position of the robot.
         pub start_distance: f64 = 0.25, "m", 0.01..=2.0;
         /// Largest heading difference at the start.
         pub start_yaw: f64 = 0.6, "rad", 0.01..=3.2;
-        /// Largest difference of the wheels' surface speed at the start.
+        /// Largest difference in wheel surface speed at the start.
         pub start_speed: f64 = 0.35, "m/s", 0.01..=5.0;
-        /// The footprint checked against the scan is smaller than the true one by this, for range noise.
+        /// The footprint checked against the scan is smaller than the true one by this, to allow for range noise.
         pub scan_tolerance: f64 = 0.02, "m", 0.0..=0.2;
-        /// And by this for each metre from the robot, for heading error.
+        /// It is smaller by this much more for each metre from the robot, to allow for heading error.
         pub scan_tolerance_per_metre: f64 = 0.01, "m/m", 0.0..=0.2;
-        /// Beyond this distance from the robot the scan is not used.
+        /// The scan is not used beyond this distance from the robot.
         pub scan_horizon: f64 = 4.0, "m", 0.5..=50.0;
     }
 }
 
 zenav_protocol::settings! {
-    /// How an accepted plan is followed to its end or expiry.
+    /// Following an accepted plan to its end or expiry.
     pub struct PlanSettings {
-        /// Share of the normal deceleration that braking for the expiry uses; the rest is for control.
+        /// Share of the normal deceleration used to brake for the plan's expiry; the rest is left for control.
         pub braking_share: f64 = 0.9, "", 0.1..=1.0;
         /// How far in the past the splice of an arriving replan may lie.
         pub late_splice: f64 = 1.5, "s", 0.0..=10.0;
-        /// Farther than this from where the plan has the robot, the plan is discarded.
+        /// Distance from the plan's reference at which the plan is discarded.
         pub off_track: f64 = 0.6, "m", 0.05..=10.0;
     }
 }
@@ -134,17 +136,18 @@ zenav_protocol::settings! {
         pub speed_share: f64 = 0.8, "", 0.05..=1.0;
         /// Speed of the drive to a free place.
         pub escape_speed: f64 = 0.1, "m/s", 0.01..=1.0;
-        /// Largest speed into the lidar's blind spot, over floor seen before: the path was checked when the maneuver began.
+        /// Largest speed of a maneuver or an evasion into the lidar's blind spot, over floor seen before: the path was checked when it
+        /// began.
         pub blind_speed: f64 = 0.15, "m/s", 0.0..=1.0;
-        /// Stopped by the collision monitor for this long a maneuver has failed.
+        /// A maneuver fails after the collision monitor has stopped it for this long.
         pub blocked_timeout: f64 = 1.0, "s", 0.1..=60.0;
-        /// Heading feedback of a straight drive.
+        /// Heading feedback gain of a straight drive.
         pub straight_gain: f64 = 2.0, "1/s", 0.0..=20.0;
         /// Remaining turn at which a spin is done.
         pub turn_tolerance: f64 = 0.02, "rad", 0.001..=0.5;
         /// Remaining distance at which a drive is done.
         pub distance_tolerance: f64 = 0.005, "m", 0.001..=0.5;
-        /// Floor known to be free around the outline where a drive to a free place leads into the blind spot: more than the collision
+        /// Clearance that a drive to a free place into the blind spot keeps from floor not known to be free: more than the collision
         /// monitor requires.
         pub unseen_clearance: f64 = 0.1, "m", 0.0..=1.0;
     }
@@ -153,29 +156,29 @@ zenav_protocol::settings! {
 zenav_protocol::settings! {
     /// Wall follower, beyond what the robot file sets.
     pub struct WallFollowerSettings {
-        /// Free on both sides of the body where the robot goes straight.
+        /// Clearance on both sides of the body where the robot goes straight.
         pub side_clearance: f64 = 0.05, "m", 0.0..=1.0;
-        /// Stopped by the collision monitor for this long the robot turns elsewhere.
+        /// The robot turns elsewhere after the collision monitor has stopped it for this long.
         pub blocked_timeout: f64 = 1.0, "s", 0.1..=60.0;
-        /// A wall shorter than this is approached only where there is no longer one: a pillar is no wall.
+        /// A wall shorter than this is approached only if there is no longer one: a pillar is not a wall.
         pub short_wall: f64 = 0.5, "m", 0.0..=10.0;
-        /// A wall bends where a return is farther from its chord than this …
+        /// A wall is split where a return is farther from its chord than this …
         pub bend: f64 = 0.02, "m", 0.001..=0.5;
-        /// … and than this many standard deviations of the lidar.
+        /// … and than this many standard deviations of the lidar's range noise.
         pub bend_sigmas: f64 = 4.0, "", 0.0..=20.0;
-        /// Another wall is approached only if it is nearer by this.
+        /// The approach switches to another wall only if that wall is nearer by this.
         pub nearer_wall: f64 = 0.1, "m", 0.0..=5.0;
-        /// A wall this near to where the approached one was is the same.
+        /// A wall this near to the point approached so far counts as the same wall.
         pub same_wall: f64 = 0.3, "m", 0.01..=5.0;
         /// Heading error that ends an approach.
         pub astray: f64 = 0.6, "rad", 0.05..=3.2;
         /// The path ahead is clear when it is free for this many target distances.
         pub clear_ahead: f64 = 2.0, "", 0.5..=20.0;
-        /// The distance to keep changes by at most this share of the speed.
+        /// Rate limit of the wall distance to keep, as a share of the robot's speed.
         pub widening: f64 = 0.6, "", 0.01..=5.0;
-        /// A wall this many times farther than any distance that is kept is lost.
+        /// A wall is lost beyond this many times the largest distance to keep.
         pub lost_factor: f64 = 1.4, "", 1.0..=10.0;
-        /// A bump ends when an operator has driven the robot this far from the contact.
+        /// The bump state ends once an operator has driven the robot this far from the contact.
         pub bump_clearance: f64 = 0.05, "m", 0.0..=1.0;
     }
 }
@@ -183,7 +186,7 @@ zenav_protocol::settings! {
 zenav_protocol::settings! {
     /// Return to home.
     pub struct ReturnHomeSettings {
-        /// Spacing of the recorded trail; where the trail comes this near to itself the loop is cut off.
+        /// Spacing of the recorded trail; a loop that comes back this near to the trail is cut off.
         pub spacing: f64 = 0.2, "m", 0.05..=5.0;
     }
 }
@@ -193,24 +196,24 @@ zenav_protocol::settings! {
     pub struct CollisionMonitorSettings {
         /// A lidar scan older than this stops the robot.
         pub scan_timeout: f64 = 1.0, "s", 0.05..=5.0;
-        /// When no scan arrives any more the robot is at rest this long after the last one (0.7: a lidar of 10 Hz does not slow a robot
-        /// that brakes from its top speed in 0.4 s).
+        /// Once scans stop arriving, the robot is at rest this long after the last one (0.7: a lidar of 10 Hz does not slow a robot that
+        /// brakes from its top speed in 0.4 s).
         pub rest_after_silence: f64 = 0.7, "s", 0.1..=5.0;
-        /// Share of the top speed while the wheel encoders say nothing new.
+        /// Share of the top speed allowed while the wheel encoders are silent.
         pub without_encoders: f64 = 0.5, "", 0.0..=1.0;
-        /// A zone must last this long before it is left for a milder one.
+        /// A zone is left for a milder one once it has not been needed for this long.
         pub hysteresis: f64 = 0.3, "s", 0.0..=5.0;
-        /// In contact, a motion leads away from what is touched if it does so at this share of its speed at least.
+        /// In contact, a motion counts as leading away if it moves away from the contact at this share of its speed at least.
         pub departure_share: f64 = 0.2, "", 0.0..=1.0;
-        /// Largest speed of a plan or a maneuver into the lidar's blind spot, over floor that was never seen too, while nothing has been seen
-        /// to move since the start or for `moving_obstacles.memory_backing`: the robot feels its way until its bumper stops it. Set it to 0 on a robot
-        /// without a bumper: nothing else tells whether there is one.
+        /// Largest speed of a plan or a maneuver into the lidar's blind spot, including floor that was never seen, while nothing has been
+        /// seen to move since the start or for `moving_obstacles.memory_backing`: the robot feels its way until its bumper stops it. Set it
+        /// to 0 on a robot without a bumper: nothing else would detect an obstacle there.
         pub feeling_speed: f64 = 0.05, "m/s", 0.0..=0.3;
-        /// Largest speed along what is touched.
+        /// Largest speed along a contact.
         pub sliding_speed: f64 = 0.1, "m/s", 0.0..=1.0;
-        /// Scaled to less than this share of the wanted twist, the motion counts as stopped.
+        /// A motion scaled to less than this share of the wanted twist counts as stopped.
         pub stop_share: f64 = 0.02, "", 0.0..=0.5;
-        /// Scaled to more than this share of it, the motion counts as clear.
+        /// A motion scaled to more than this share of it counts as clear.
         pub clear_share: f64 = 0.95, "", 0.5..=1.0;
     }
 }
@@ -218,18 +221,18 @@ zenav_protocol::settings! {
 zenav_protocol::settings! {
     /// Passive safety: the limits that the collision monitor applies.
     pub struct PassiveSafetySettings {
-        /// Assumed speed of moving obstacles in view that are on no track yet; without it, the robot's own top speed.
+        /// Assumed speed of moving obstacles in view that have no track yet; if unset, the robot's own top speed.
         pub speed_in_view: Option<f64> = None, "m/s";
-        /// Assumed speed of moving obstacles that have left the field of view; without it, the robot's own top speed (1.4 m/s is a walking
+        /// Assumed speed of moving obstacles that have left the field of view; if unset, the robot's own top speed (1.4 m/s is a walking
         /// person).
         pub speed_out_of_sight: Option<f64> = None, "m/s";
-        /// A robot that tells its course deviates from its velocity by at most this, or brakes.
+        /// A robot that announces its course is assumed to deviate from its velocity by at most this, or to brake.
         pub robot_deviation: f64 = 0.1, "m/s", 0.0..=5.0;
-        /// Least time to contact while creeping inside the margin.
+        /// Minimum time to contact while creeping inside the margin.
         pub creep_time: f64 = 1.0, "s", 0.1..=10.0;
-        /// Distance kept from unseen floor beyond the margin: odometry drifts, and cells are coarse.
+        /// Distance kept from unseen floor in addition to the margin: odometry drifts, and cells are coarse.
         pub unseen_margin: f64 = 0.03, "m", 0.0..=0.5;
-        /// Time constants of the motors until rest after braking: a first-order lag is at 2 % after four.
+        /// Motor time constants allowed after braking until the robot is at rest: a first-order lag is at 2 % after four.
         pub lags_to_rest: f64 = 4.0, "", 0.0..=10.0;
     }
     check = |safety: &PassiveSafetySettings| {
@@ -244,45 +247,45 @@ zenav_protocol::settings! {
 zenav_protocol::settings! {
     /// Local obstacle memory.
     pub struct LocalObstacleSettings {
-        /// Points that have left the field of view are remembered, and beams traced through the blind-spot grid, within this distance.
+        /// Within this distance, points that have left the field of view are remembered and beams are traced through the blind-spot grid.
         pub range: f64 = 3.0, "m", 0.5..=50.0;
-        /// Least spacing of remembered points.
+        /// Minimum spacing of remembered points.
         pub spacing: f64 = 0.02, "m", 0.001..=0.5;
-        /// Most points remembered; the oldest is dropped first.
+        /// Most points remembered; the oldest are dropped first.
         pub max_points: usize = 2048, "", 1..=100_000;
-        /// After this long without a scan somebody may have entered the blind spot.
+        /// After this long without a scan, a moving obstacle may have entered the blind spot unseen.
         pub scan_gap: f64 = 0.5, "s", 0.05..=10.0;
     }
 }
 
 zenav_protocol::settings! {
-    /// Floor known to be free in the lidars' blind spot. The grid has 128 cells a side.
+    /// Blind-spot grid: floor known to be free where no lidar sees. The grid has 128 cells a side.
     #[derive(Copy)]
     pub struct BlindSpotGridSettings {
         /// Side of a cell.
         pub cell: f64 = 0.05, "m", 0.02..=0.5;
-        /// A cell with a return is free again when beams of this many scans have passed through it: thin legs are hit only now and then.
+        /// A cell with a return is free again once beams of this many scans have passed through it: thin legs are hit only now and then.
         pub free_after: u8 = 10, "scans", 1..=255;
         /// Beams are traced up to this distance before their return.
         pub return_margin: f64 = 0.02, "m", 0.0..=0.5;
-        /// Floor taken to be free at the start, beyond the circumscribed circle; a round robot turns where it stands and needs none.
+        /// Floor assumed free at the start, beyond the circumscribed circle; a round robot turns on the spot and needs none.
         pub start_margin: f64 = 0.16, "m", 0.0..=2.0;
     }
 }
 
 zenav_protocol::settings! {
-    /// Scan reprojection: through which places did the beams of another scan pass?
+    /// Scan reprojection: which returns of one scan do the beams of another pass through?
     #[derive(Copy)]
     pub struct ScanReprojectionSettings {
-        /// A beam passes through a place when it and this many neighbours on either side are longer by the free depth.
+        /// A beam passes through a place if the beam and this many neighbours on either side are longer by the free depth.
         pub neighbours: usize = 2, "beams", 0..=20;
-        /// Free depth beyond the noise of ranges.
+        /// Free depth in addition to range noise.
         pub depth: f64 = 0.03, "m", 0.0..=1.0;
-        /// Free depth in standard deviations of a range, as estimated from the scans.
+        /// Free depth in standard deviations of range noise, as estimated from the scans.
         pub depth_sigmas: f64 = 1.5, "", 0.0..=20.0;
-        /// A place is passed only if what lies this many standard deviations of a range behind it, too, is passed.
+        /// A return is passed only if a point this many standard deviations of range noise behind it is passed too.
         pub point_sigmas: f64 = 2.5, "", 0.0..=20.0;
-        /// Free depth for each metre of range: heading errors and the spacing of beams.
+        /// Free depth for each metre of range: covers heading errors and the spacing of beams.
         pub depth_per_metre: f64 = 0.01, "m/m", 0.0..=0.2;
     }
 }
@@ -294,33 +297,33 @@ zenav_protocol::settings! {
         pub range: f64 = 3.5, "m", 0.5..=50.0;
         /// Reference scans that a new one is compared with.
         pub references: usize = 3, "", 1..=16;
-        /// Least time between two reference scans.
+        /// Minimum time between two reference scans.
         pub reference_period: f64 = 0.32, "s", 0.05..=5.0;
-        /// A moving obstacle is at least this wide.
+        /// Minimum width of a moving obstacle.
         pub least_width: f64 = 0.04, "m", 0.0..=1.0;
-        /// And this many beam spacings at its range: an earlier scan may have missed a thinner one.
+        /// Its minimum width in beam spacings at its range: an earlier scan may have missed a thinner obstacle.
         pub least_beams: f64 = 2.5, "", 0.0..=20.0;
-        /// Departed returns are looked for in a reference scan at least this old: by then the obstacle is clearly farther away.
+        /// Minimum age of a reference scan that is searched for departed returns: by then the obstacle is clearly farther away.
         pub departed_after: f64 = 0.3, "s", 0.05..=5.0;
-        /// A return this near to where something moved counts as moving, too.
+        /// A return this near to where something moved counts as moving too.
         pub turning_distance: f64 = 0.2, "m", 0.0..=2.0;
-        /// For this long: an obstacle that turns round seems to rest.
+        /// For how long it does: an obstacle that turns round seems to rest.
         pub turning_secs: f64 = 1.0, "s", 0.0..=30.0;
         /// An obstacle last seen this near to the blind spot, plus its motion between two scans, may have entered it.
         pub beside_blind_spot: f64 = 0.3, "m", 0.0..=5.0;
-        /// An obstacle that needs longer than this to reach the robot does not keep the outline from swinging out into the blind spot.
+        /// An obstacle that needs longer than this to reach the robot does not stop the outline from swinging into the blind spot.
         pub near_secs: f64 = 0.75, "s", 0.0..=10.0;
-        /// And one that needs longer than this does not keep the robot from moving straight into it.
+        /// An obstacle that needs longer than this does not stop the robot from driving straight into the blind spot.
         pub far_secs: f64 = 4.0, "s", 0.0..=60.0;
-        /// An obstacle that entered the blind spot keeps the outline from swinging out there for this long.
+        /// An obstacle that entered the blind spot stops the outline from swinging into it for this long.
         pub memory: f64 = 10.0, "s", 0.0..=600.0;
-        /// And the robot from moving straight into the blind spot for this long: someone may stand there, or lean on it.
+        /// It stops the robot from driving straight into the blind spot for this long: a person may stand there, or lean on the robot.
         pub memory_backing: f64 = 60.0, "s", 0.0..=600.0;
-        /// An obstacle that leaves the blind spot this much farther away than it could have moved is still the same one.
+        /// An obstacle that leaves the blind spot this much farther away than it could have moved still counts as the same one.
         pub reappearance_tolerance: f64 = 0.1, "m", 0.0..=2.0;
-        /// Least spacing of the points of moving obstacles.
+        /// Minimum spacing of the points of moving obstacles.
         pub spacing: f64 = 0.02, "m", 0.001..=0.5;
-        /// Least spacing of the places that are kept where something moved or entered the blind spot.
+        /// Minimum spacing of the stored places where something moved or entered the blind spot.
         pub place_spacing: f64 = 0.1, "m", 0.01..=1.0;
     }
 }
@@ -330,19 +333,19 @@ zenav_protocol::settings! {
     pub struct TrackingSettings {
         /// Returns beyond this range are not tracked.
         pub range: f64 = 9.0, "m", 0.5..=100.0;
-        /// Standard deviation of where a scan shows the center of an obstacle: its far side is never seen.
+        /// Standard deviation of an obstacle's center as seen in a scan: its far side is never seen.
         pub position_noise: f64 = 0.05, "m", 0.005..=1.0;
-        /// Standard deviation of an obstacle's acceleration: how soon a person turns or stops.
+        /// Standard deviation of an obstacle's acceleration: how quickly a person turns or stops.
         pub acceleration: f64 = 2.0, "m/s²", 0.1..=20.0;
-        /// A track goes on with what is seen this near to where it is expected, plus two standard deviations.
+        /// Association gate: a track continues with a segment this near to its prediction, plus two standard deviations.
         pub gate: f64 = 0.35, "m", 0.05..=3.0;
-        /// What is wider than this is no moving obstacle.
+        /// Anything wider than this is not a moving obstacle.
         pub widest: f64 = 1.3, "m", 0.1..=10.0;
-        /// Slower than this an obstacle stands.
+        /// An obstacle slower than this is stationary.
         pub least_speed: f64 = 0.08, "m/s", 0.0..=2.0;
-        /// An obstacle that has stood for this long is a static one.
+        /// An obstacle that has been stationary for this long is a static one.
         pub standing: f64 = 2.0, "s", 0.1..=60.0;
-        /// A track that is hidden goes on by its prediction for this long.
+        /// A hidden track continues by prediction for this long.
         pub memory: f64 = 2.0, "s", 0.1..=60.0;
     }
 }
@@ -352,21 +355,21 @@ zenav_protocol::settings! {
     pub struct AvoidanceSettings {
         /// How far ahead moving obstacles are predicted.
         pub horizon: f64 = 4.8, "s", 1.0..=10.0;
-        /// Distance kept from where a moving obstacle is predicted.
+        /// Distance kept from the predicted position of a moving obstacle.
         pub clearance: f64 = 0.25, "m", 0.0..=2.0;
-        /// And this much for each second of prediction, for people who turn.
+        /// Additional distance for each second of prediction: people turn.
         pub clearance_per_second: f64 = 0.08, "m/s", 0.0..=1.0;
-        /// Largest of these together.
+        /// Upper limit of the two together.
         pub clearance_most: f64 = 0.6, "m", 0.0..=3.0;
-        /// The way of a moving obstacle is left this long before it comes.
+        /// The robot leaves the path of a moving obstacle this long before the obstacle arrives.
         pub lead: f64 = 1.2, "s", 0.0..=5.0;
-        /// Distance kept from the way of a robot that tells its course.
+        /// Distance kept from the path of a robot that announces its course.
         pub robot_clearance: f64 = 0.15, "m", 0.0..=2.0;
-        /// The way of such a robot is left this long before it comes.
+        /// The robot leaves the path of such a robot this long before it arrives.
         pub robot_lead: f64 = 0.4, "s", 0.0..=5.0;
-        /// A robot that is to make way has done so after this long: nearer in time it is minded all the same.
+        /// A robot that must give way is expected to have done so after this time; nearer predictions of it are avoided all the same.
         pub robot_minded: f64 = 2.5, "s", 0.0..=10.0;
-        /// Farther than this from where the plan has the robot, the plan is discarded while the robot makes way.
+        /// Distance from the plan's reference at which the plan is discarded while the robot gives way.
         pub off_track: f64 = 3.0, "m", 0.1..=20.0;
     }
 }
@@ -378,30 +381,30 @@ zenav_protocol::settings! {
         pub start_std: f64 = 0.05, "m", 0.0001..=10.0;
         /// Standard deviation of the start heading.
         pub start_yaw_std: f64 = 0.05, "rad", 0.0001..=3.2;
-        /// Wheels that have not turned for this long are at rest: the gyro then shows its bias.
+        /// Wheels that have not turned for this long are at rest: the gyro then measures its own bias.
         pub still_after: f64 = 0.5, "s", 0.05..=10.0;
-        /// After this many rejected measurements in a row the estimate is doubted rather than the sensor.
+        /// After this many rejected measurements in a row the filter doubts its estimate instead of the sensor.
         pub doubt_after: u32 = 25, "", 1..=10000;
-        /// Least random walk of a wheel beyond the encoder's own noise (slip, floor), for each metre rolled.
+        /// Minimum random walk of a wheel beyond the encoder's own noise (slip, floor), for each metre rolled.
         pub slip: f64 = 1e-6, "m²/m", 0.0..=0.01;
         /// Share of the forward variance that acts sideways.
         pub sideways_share: f64 = 1e-3, "", 0.0..=1.0;
-        /// How far a map that corrections refer to goes astray by itself, for the square root of each metre: what lies 4 m apart in it is
-        /// known to 1 cm.
+        /// Random walk of the map that corrections refer to, per square root of a metre: places 4 m apart are known to 1 cm relative to
+        /// each other.
         pub map_walk: f64 = 0.005, "m/sqrt(m)", 0.0..=1.0;
-        /// How far it turns.
+        /// The same for its heading.
         pub map_turn_walk: f64 = 0.0015, "rad/sqrt(m)", 0.0..=1.0;
-        /// Standard deviation of the gyro's bias at the start, at least: what the robot file says of it was measured on another day.
+        /// Minimum standard deviation of the gyro's bias at the start: the value in the robot file was measured on another day.
         pub bias_std: f64 = 0.01, "rad/s", 0.0..=1.0;
         /// Random walk of the gyro's bias (fitted to constant biases, NEES 3).
         pub bias_walk: f64 = 1e-11, "(rad/s)²/s", 0.0..=0.01;
-        /// Standard deviation of a wheel's radius from its stated value, as a share.
+        /// Standard deviation of a wheel's radius from its nominal value, as a share.
         pub radius_std: f64 = 0.01, "", 0.0..=0.5;
-        /// The same of the wheel separation.
+        /// The same for the wheel separation.
         pub separation_std: f64 = 0.02, "", 0.0..=0.5;
-        /// Random walk of those.
+        /// Random walk of the wheel radii and the wheel separation.
         pub wheel_walk: f64 = 1e-10, "1/s", 0.0..=0.01;
-        /// Without wheel angles for longer the robot may have gone anywhere.
+        /// After this long without wheel angles the robot is assumed to have moved anywhere within its top speed.
         pub encoder_timeout: f64 = 0.3, "s", 0.02..=10.0;
         /// Averaging time of the velocity: encoder steps are coarse against one tick.
         pub velocity_smoothing: f64 = 0.05, "s", 0.001..=5.0;
@@ -409,14 +412,14 @@ zenav_protocol::settings! {
 }
 
 zenav_protocol::settings! {
-    /// Standing still for the gyro's bias, where neither compass nor GPS nor anything in sight tells the heading.
+    /// Standing still to learn the gyro's bias, where neither compass nor GPS nor anything in sight gives the heading.
     #[derive(Copy)]
     pub struct SettlingSettings {
-        /// The bias is known well enough when it bends the rest of the plan by no more than this share of its length (one standard deviation).
+        /// The bias is known well enough if it bends the rest of the plan by at most this share of its length (one standard deviation).
         pub share: f64 = 0.01, "", 0.0001..=1000.0;
-        /// Longest rest at a time (below the mission's time without progress).
+        /// Longest single stop (below the mission's time without progress).
         pub longest: f64 = 8.0, "s", 0.0..=9.0;
-        /// Way driven before another rest.
+        /// Distance driven before another stop.
         pub apart: f64 = 10.0, "m", 1.0..=1000.0;
     }
 }
@@ -426,27 +429,27 @@ zenav_protocol::settings! {
     pub struct TelemetrySettings {
         /// Period of the state (contract: 10 Hz).
         pub state_period: f64 = 0.1, "s", 0.02..=1.0;
-        /// Period of what the robot tells other robots of its course.
+        /// Period at which the robot announces its course to other robots.
         pub intent_period: f64 = 0.2, "s", 0.02..=1.0;
-        /// A robot with nothing to drive to tells nothing any more after this: it is an obstacle like any other.
+        /// A robot with nothing to drive to stops announcing its course after this: it is then an obstacle like any other.
         pub intent_parked: f64 = 2.0, "s", 0.0..=60.0;
         /// Period of markers.
         pub marker_period: f64 = 0.2, "s", 0.02..=10.0;
-        /// Period of what changes slowly (battery, bumper).
+        /// Period of slowly changing messages (battery, bumper).
         pub slow_period: f64 = 1.0, "s", 0.1..=60.0;
     }
 }
 
 zenav_protocol::settings! {
-    /// Narrow links: how much of what its sensors say the robot sends.
+    /// Narrow links: how much of its sensor data the robot sends.
     pub struct UplinkSettings {
-        /// Longest time that messages may wait before the link, on top of its round trip, before the robot sends fewer scans, poses and readings.
+        /// Longest queueing time of messages, on top of the link's round trip, before the robot sends fewer scans, poses and readings.
         pub longest_queue: f64 = 0.25, "s", 0.02..=10.0;
     }
 }
 
 impl BlindSpotGridSettings {
-    /// The largest distance that the grid covers around the robot, m: a bit less than half its width.
+    /// Largest distance that the grid covers around the robot, m: a bit less than half its width.
     #[must_use]
     pub fn range(&self) -> f64 {
         0.48 * f64::from(SIDE) * self.cell
@@ -454,7 +457,7 @@ impl BlindSpotGridSettings {
 }
 
 impl AvoidanceSettings {
-    /// Distance kept from where a moving obstacle is predicted `secs` ahead, m.
+    /// Distance kept from the predicted position of a moving obstacle `secs` ahead, m.
     #[must_use]
     pub fn clearance_after(&self, secs: f64) -> f64 {
         (self.clearance + self.clearance_per_second * secs).min(self.clearance_most)

@@ -1,5 +1,5 @@
-//! Simulated body. How is a simulated robot a [`Body`]? All robots of a process share one world, which steps when each of them has asked for
-//! its next readings: all act at the same simulated time.
+//! Simulated body. How does a simulated robot become a [`Body`]? All robots of a process share one world, which steps once each of them has
+//! asked for its next readings: all act at the same simulated time.
 
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -22,7 +22,7 @@ pub struct SimBody {
     asked: Option<u64>,
 }
 
-/// Ground truth of one robot, for judges of a run. The pilot never sees it.
+/// Ground truth of one robot, to judge a run by. The pilot never sees it.
 #[derive(Clone)]
 pub struct Referee {
     shared: Arc<Shared>,
@@ -40,12 +40,12 @@ struct SharedWorld {
     steps: u64,
     /// Robots that are driven.
     driven: usize,
-    /// Those that have asked for the next step.
+    /// Robots that have asked for the next step.
     asked: usize,
 }
 
 impl SharedWorld {
-    /// Makes the step that all have asked for. Returns whether it was made.
+    /// Steps the world once all robots have asked for it. Returns whether it stepped.
     fn step(&mut self) -> bool {
         let everybody = self.asked >= self.driven && self.driven > 0;
         if everybody {
@@ -101,7 +101,7 @@ impl SimBody {
         self.ask_of(&mut shared.lock());
     }
 
-    /// Returns the steps made when the robot asked.
+    /// Asks for the next step; returns the number of steps when the robot first asked.
     fn ask_of(&mut self, turn: &mut SharedWorld) -> u64 {
         let before = *self.asked.get_or_insert_with(|| {
             turn.asked += 1;
@@ -159,7 +159,7 @@ impl Referee {
     /// Carries the robot to another place.
     ///
     /// # Errors
-    /// Where it does not fit there.
+    /// If the robot does not fit there.
     pub fn carry(&self, to: Pose2) -> Result<(), SimError> {
         self.shared.lock().simulation.carry(self.robot, to)
     }
@@ -260,7 +260,7 @@ mod tests {
                                 std::thread::yield_now();
                             }
                         }
-                        // Whoever has several robots asks for all of them before it waits for any.
+                        // A thread with several robots asks for all of them before it waits for any.
                         share.iter_mut().for_each(|(_, body)| body.ask());
                         for ((_, body), (_, said)) in share.iter_mut().zip(&mut said) {
                             *said += &format!("{:?}\n", body.read().unwrap());

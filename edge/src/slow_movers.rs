@@ -1,8 +1,8 @@
-//! Slow movers. What moves so slowly that no scan of the last second tells?
+//! Slow movers. Which objects move too slowly for the scans of the last second to show it?
 //!
-//! A round thing that stands alone is watched for some seconds. It has moved once it is seen elsewhere and a beam passes through the place
-//! where its center was: through what stands, none does, from wherever the robot looks. A wall has no center that is seen, and the ends of
-//! what is seen of it move with the robot: only what bulges towards the lidar counts.
+//! An isolated round object is watched for some seconds. It has moved once it is seen elsewhere and a beam passes through the former place
+//! of its center: no beam passes through a static object, wherever the robot looks from. A wall has no visible center, and the ends of its
+//! visible part move with the robot: only segments that bulge towards the lidar count.
 
 use std::collections::VecDeque;
 
@@ -11,25 +11,26 @@ use zenav_protocol::time::Stamp;
 
 use crate::field_of_view::ProjectedScan;
 
-/// Most things watched.
+/// Most objects watched.
 const MOST: usize = 64;
-/// Centers are kept this often, and for this long, s.
+/// Period at which centers are stored, and for how long they are kept, s.
 const EVERY: f64 = 0.25;
 const MEMORY: f64 = 5.0;
-/// Of centers at least this old it is asked whether they are seen through, s.
+/// Minimum age of a stored center that is tested for beams through it, s.
 const LEAST_AGE: f64 = 0.8;
-/// Something is another thing when it is seen farther than this from where it was last, m, or later than this, s.
+/// An object seen farther than this from its last place, m, or later than this, s, is another one.
 const FARTHEST: f64 = 0.25;
 const UNSEEN: f64 = 0.6;
-/// It has come its radius, or this far at least, m; and farther by this share of the way that a turn of the robot swings it around.
+/// Minimum distance moved, m, unless the object's radius is larger; plus this share of the distance by which the robot's turn swings it
+/// around.
 const LEAST_WAY: f64 = 0.2;
 const TURN_ERROR: f64 = 0.06;
-/// A beam passes through a place when it ends this far behind it, m.
+/// A beam passes through a place if it ends this far behind it, m.
 const BEHIND: f64 = 0.1;
-/// So many scans that see it, one after the other, see it moved.
+/// Number of scans in a row that must show it moved.
 const EVIDENCE: u32 = 3;
 
-/// A round thing that stands alone, as a scan shows it.
+/// An isolated round object as seen in a scan.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Round {
     /// Odometry frame, m.
@@ -38,35 +39,35 @@ pub(crate) struct Round {
     pub(crate) radius: f64,
 }
 
-/// What was seen to move slowly.
+/// An object that was seen to move slowly.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct SlowMover {
-    /// Which of the things seen it is.
+    /// Its index among the objects seen.
     pub(crate) index: usize,
     /// m/s.
     pub(crate) velocity: Vector2<f64>,
-    /// Over this time, s.
+    /// Time over which the velocity was measured, s.
     pub(crate) secs: f64,
 }
 
-/// One that is watched.
+/// A watched object.
 #[derive(Clone, Debug)]
 struct Watched {
-    /// Where its center was, odometry frame, and the robot's heading, rad, then; oldest first.
+    /// Its centers, odometry frame, and the robot's heading, rad, then; oldest first.
     places: VecDeque<(Stamp, Point2<f64>, f64)>,
-    /// Where it was seen last.
+    /// Where it was last seen.
     last: (Stamp, Point2<f64>),
     evidence: u32,
 }
 
-/// Everything that is watched.
+/// All watched objects.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct SlowMovers {
     watched: Vec<Watched>,
 }
 
 impl SlowMovers {
-    /// Takes the round things of a scan that nobody knows to move, each with its index; returns those that do.
+    /// Takes the round objects of a scan that are not known to move, each with its index; returns those that do.
     pub(crate) fn insert(
         &mut self,
         scan: &ProjectedScan<'_>,
@@ -123,7 +124,7 @@ impl Watched {
         }
     }
 
-    /// Its velocity, m/s, over the time, s, since the newest place kept from which it has evidently moved.
+    /// Its velocity, m/s, and the time, s, since the newest stored place from which it has evidently moved.
     fn velocity(&self, scan: &ProjectedScan<'_>, round: Round, yaw: f64) -> Option<(Vector2<f64>, f64)> {
         let range = (round.center - scan.laser()).norm();
         self.places.iter().rev().find_map(|(stamp, place, heading)| {
@@ -136,7 +137,7 @@ impl Watched {
     }
 }
 
-/// Whether the beams through a place, odometry frame, go on behind it.
+/// Whether the beams through a place, odometry frame, continue behind it.
 fn is_seen_through(scan: &ProjectedScan<'_>, place: Point2<f64>) -> bool {
     let Some((beam, range)) = scan.beam_to(place) else {
         return false;

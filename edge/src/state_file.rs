@@ -1,7 +1,7 @@
-//! State file. What outlives a restart of the edge? The last epoch, the stop latch and which store leads, in one small file that is replaced
-//! atomically: write beside it, fsync, rename, fsync the folder. A lock file beside it keeps a second edge out.
+//! State file. What survives a restart of the edge? The last epoch, the stop latch and which store leads, in one small file that is
+//! replaced atomically: write beside it, fsync, rename, fsync the folder. A lock file beside it keeps a second edge out.
 //!
-//! On a disk that is full or read-only the file is opened all the same: a robot that cannot store anything can still be watched and stopped.
+//! On a full or read-only disk the file is opened all the same: a robot that cannot store anything can still be watched and stopped.
 
 use std::fs::{self, File, TryLockError};
 use std::io::{self, Write};
@@ -18,7 +18,7 @@ use crate::control_io::Persisted;
 pub struct StateFile {
     path: PathBuf,
     lock_path: PathBuf,
-    /// Locked while the state is in use; `None` as long as the disk has no room for it.
+    /// Locked while the state is in use; `None` while the disk has no room for it.
     lock: Arc<Mutex<Option<File>>>,
 }
 
@@ -39,7 +39,7 @@ pub enum StateError {
         /// The locked file.
         path: PathBuf,
     },
-    /// The file holds something else.
+    /// The file does not hold edge state.
     #[error("{path} holds no edge state ({source}); remove it only if nobody can still hold an old lease")]
     Malformed {
         /// Path of the file.
@@ -50,7 +50,7 @@ pub enum StateError {
 }
 
 impl StateError {
-    /// Whether it is the disk that has no room, or takes nothing: it may by and by.
+    /// Whether the disk is full or read-only, which may change.
     #[must_use]
     pub fn may_pass(&self) -> bool {
         matches!(self, Self::Io { source, .. } if has_no_room(source))
@@ -66,7 +66,7 @@ fn has_no_room(error: &io::Error) -> bool {
 }
 
 impl StateFile {
-    /// The file of a robot in a folder, which is made if need be, and if the disk has room.
+    /// The file of a robot in a folder, which is created if it is missing and the disk has room.
     ///
     /// # Errors
     /// [`StateError::Io`] when the folder cannot be made; [`StateError::Locked`] while another edge has it.
@@ -82,7 +82,7 @@ impl StateFile {
         }
     }
 
-    /// Locks the state for this edge, unless it has it.
+    /// Locks the state for this edge, unless it is locked already.
     fn claim(&self) -> Result<(), StateError> {
         let mut held = self.lock.lock().unwrap_or_else(PoisonError::into_inner);
         if held.is_some() {
@@ -93,7 +93,7 @@ impl StateFile {
             Some(folder) => fs::create_dir_all(folder),
             None => Ok(()),
         };
-        // One that is there can be locked on a read-only disk, too.
+        // An existing lock file can be locked on a read-only disk too.
         let opened = made
             .and_then(|()| File::create(&path))
             .or_else(|error| File::open(&path).map_err(|_| error));
@@ -127,10 +127,10 @@ impl StateFile {
         }
     }
 
-    /// Persists durably: after a return without an error no power cut loses it.
+    /// Stores the state durably: after a return without an error no power cut loses it.
     ///
     /// # Errors
-    /// [`StateError::Io`], and [`StateError::Locked`] where another edge came first; what was stored before is still there.
+    /// [`StateError::Io`], and [`StateError::Locked`] if another edge came first; the state stored before is unchanged.
     pub fn save(&self, state: &Persisted) -> Result<(), StateError> {
         let io = |source| StateError::Io {
             path: self.path.clone(),

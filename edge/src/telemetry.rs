@@ -1,7 +1,7 @@
 //! Telemetry. What does the robot publish, and how often?
 //!
-//! Over a link that is too narrow for everything it sends fewer scans, obstacles, poses and readings ([`Uplink`]). State, events, intent and markers keep
-//! their rates: they are few, and what drives the robot needs them.
+//! Over a narrow link the robot sends fewer scans, obstacles, poses and readings ([`Uplink`]). State, events, intent and markers keep their
+//! rates: they are few, and driving the robot needs them.
 
 use std::collections::BTreeMap;
 use std::mem::{Discriminant, discriminant};
@@ -28,7 +28,7 @@ pub struct Telemetry {
     uplink: Uplink,
     poses: Sieve,
     imu: Sieve,
-    /// Each kind of sensor by itself: one for all would let the seldom ones through by chance.
+    /// One sieve per kind of sensor: a shared one would pass rare kinds only by chance.
     kinds: Vec<(Discriminant<KindReading>, Sieve)>,
     /// By name of the lidar.
     scans: BTreeMap<String, Sieve>,
@@ -135,7 +135,7 @@ impl Telemetry {
                 out.push(Publication::Sensor(reading));
             }
         }
-        // What changes seldom: bumper and battery.
+        // Slowly changing readings: bumper and battery.
         let slow = self.slow.now(now, self.settings.slow_period);
         if slow || readings.bump.pressed != self.pressed {
             self.pressed = readings.bump.pressed;
@@ -157,7 +157,7 @@ impl Telemetry {
         passes
     }
 
-    /// An event when more inputs were dropped since the last one, at most one in a while.
+    /// An event if more inputs were dropped since the last one, at most one per period.
     pub fn dropped(&mut self, now: Stamp, tally: Tally) -> Option<EventKind> {
         let Tally { too_late, broken, .. } = tally;
         if self.told == (too_late, broken) || !self.dropped.now(now, DROPPED) {
@@ -183,8 +183,8 @@ impl Telemetry {
     }
 }
 
-/// A scan as a message, with its ranges (m) as far as they are no noise, the runs of beams that met a moving obstacle and the poses at its
-/// own stamp; `None` when that is too long ago to know them, and for an unknown lidar.
+/// A scan as a message, with filtered ranges (m), the runs of beams that hit a moving obstacle and the poses at its own stamp; `None` if
+/// the stamp is too old for the poses to be known, or the lidar is unknown.
 #[must_use]
 pub fn scan(
     sweep: &Sweep,

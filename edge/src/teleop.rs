@@ -1,5 +1,5 @@
-//! Teleop input with a dead-man switch. Does a teleop twist act? Only under the operator's epoch, echoing a fresh edge stamp, newer than all
-//! before, and only until that stamp is older than the dead-man timeout: a replayed recording never moves the robot.
+//! Teleop input with a dead-man switch. Does a teleop twist act? Only under the operator's epoch, echoing a fresh edge stamp, newer than
+//! all before, and only until that stamp is older than the dead-man timeout: a replayed recording never moves the robot.
 
 use std::mem::{Discriminant, discriminant};
 
@@ -73,8 +73,8 @@ impl DeadMan {
         }
     }
 
-    /// Takes what arrived: messages of the operator who holds the lease act and renew it. Why others are dropped is recorded, for each cause
-    /// at most once in a while.
+    /// Takes the messages that arrived: those of the operator who holds the lease act and renew it. Others are dropped and the cause is
+    /// recorded, rate-limited for each cause.
     pub fn receive(&mut self, now: Stamp, teleops: &[Teleop], authority: &mut Authority, events: &mut EventLog) {
         for teleop in teleops {
             let taken = authority
@@ -97,7 +97,7 @@ impl DeadMan {
     /// Takes a message of the operator's current epoch. Returns whether it is new: the same message again has no effect.
     ///
     /// # Errors
-    /// [`Dropped`]. Of several messages with one echo the first is taken, and a stop always: their order is unknown.
+    /// [`Dropped`]. Of several messages with one echo the first is taken, because their order is unknown; a stop is always taken.
     pub fn take(&mut self, now: Stamp, teleop: &Teleop) -> Result<bool, Dropped> {
         let age = now.secs_since(teleop.echo);
         if !teleop.twist.is_finite() {
@@ -229,7 +229,7 @@ mod tests {
         assert_eq!(switch.twist(at(10.16)), Twist2::ZERO, "released stays released");
     }
 
-    /// Stamps come every `period`, messages every 50 ms with the newest stamp heard; each way takes `way`.
+    /// Stamps come every `period`, messages every 50 ms with the newest stamp received; each way takes `way`. Whether the motion stutters.
     fn stutters(period: f64, way: f64) -> bool {
         let mut switch = DeadMan::new(0.3);
         let mut began = false;

@@ -1,4 +1,5 @@
-//! Time to contact of a swept footprint. When does a footprint that moves along an arc first touch a point? Exact, for discs and convex polygons.
+//! Time to contact of a swept footprint. When does a footprint that moves along an arc first touch a point? Exact, for discs and convex
+//! polygons.
 //!
 //! In the base frame of a robot with a constant twist, a resting point travels on a circle around the instantaneous
 //! centre of rotation (0, v/w), or on a straight line; the contact is where that curve enters the outline.
@@ -98,7 +99,7 @@ impl SweptFootprint {
                 if radius < self.band.0 || radius > self.band.1 {
                     return None;
                 }
-                // The point turns the other way round than the robot does.
+                // The point turns opposite to the robot.
                 self.arc(center, from_center, radius, -w.signum())
                     .map(|angle| angle / w.abs())
             }
@@ -211,7 +212,7 @@ mod tests {
             }
             match (swept.time_to_contact(point), stepped) {
                 (Some(exact), Some(stepped)) => prop_assert!(exact <= stepped + 1e-9 && stepped - exact < 0.05, "{exact} {stepped}"),
-                // A graze may hide between two steps, and a contact after the last step is out of their sight.
+                // Small steps may miss a graze, and any contact after the last step.
                 (Some(_), None) => (),
                 (None, Some(stepped)) => prop_assert!(false, "missed a contact at {stepped}"),
                 (None, None) => (),

@@ -1,5 +1,5 @@
-//! Edge trace. Where does a trace begin, and where does it end? It begins with a scan that goes out, one in a second, and ends when a plan that came
-//! of it moves the wheels.
+//! Edge trace. Where does a trace begin, and where does it end? It begins with a published scan, one per second, and ends when a plan that
+//! results from it moves the wheels.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -7,10 +7,10 @@ use std::time::{Duration, Instant};
 use zenav_observability::trace::{self, Context, Span};
 use zenav_protocol::messages::{EventKind, Plan, Scan};
 
-/// Time between two scans that are followed.
+/// Time between two traced scans.
 const PERIOD: Duration = Duration::from_secs(1);
 
-/// What is followed at a robot.
+/// The traces of one robot.
 #[derive(Debug)]
 pub(crate) struct EdgeTrace {
     part: String,
@@ -20,7 +20,7 @@ pub(crate) struct EdgeTrace {
 #[derive(Debug, Default)]
 struct State {
     last: Option<Instant>,
-    /// The newest plan that came of a traced scan, until the robot judged it.
+    /// The newest plan that resulted from a traced scan, until the robot has judged it.
     plan: Option<(u64, Span)>,
 }
 
@@ -36,7 +36,7 @@ impl EdgeTrace {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A scan goes out: the trace that it begins, if it is to be followed.
+    /// Begins a trace with a scan that is published, if one is due.
     pub(crate) fn scan(&self, scan: &Scan) -> Option<Context> {
         if !trace::is_on() {
             return None;
@@ -52,7 +52,7 @@ impl EdgeTrace {
         Some(context)
     }
 
-    /// A plan has come.
+    /// A plan has arrived.
     pub(crate) fn plan(&self, plan: &Plan, from: Option<Context>) {
         let span = from.and_then(|from| trace::child(&from, &self.part, "plan to wheels"));
         if let Some(span) = span {
@@ -60,7 +60,7 @@ impl EdgeTrace {
         }
     }
 
-    /// The robot says what it made of a plan: in the tick of this word it commands the wheels by it.
+    /// Ends the trace of a plan with the robot's verdict: in the tick of this event it commands the wheels by the plan.
     pub(crate) fn event(&self, event: &EventKind) {
         let (id, verdict) = match event {
             EventKind::PlanAccepted { trajectory_id, .. } => (*trajectory_id, "accepted"),

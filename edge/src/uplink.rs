@@ -1,9 +1,9 @@
-//! Uplink. How much may the robot say over its link? All of it, or the share that a narrow link carries without a queue.
+//! Uplink. How much of its sensor data may the robot send? All of it, or the share that a narrow link carries without a queue.
 //!
-//! What a link cannot carry waits in a queue before it, and with it the few messages that a mission needs to drive the robot. How long they
-//! wait is the round trip by the heartbeats less the least one of late: the idea of LEDBAT (RFC 6817), here with
-//! increase and decrease in turn, because the queue must empty now and then for its length to be known.
-//! How fast the round trip grows tells what the link carries: of what is said, the share that does not go into its growth.
+//! Messages beyond a link's capacity wait in a queue, and with them the few messages that a mission needs to drive the robot. The queueing
+//! delay is the round trip of the heartbeats less the least one of late: the idea of LEDBAT (RFC 6817), here with increase and decrease in
+//! turn, because the queue must empty now and then for its length to be known. The growth rate of the round trip gives the capacity: the
+//! share of the data sent that does not add to the queue.
 
 use std::time::Duration;
 
@@ -11,46 +11,46 @@ use zenav_protocol::time::Stamp;
 
 use crate::settings::UplinkSettings;
 
-/// Time over which the least round trip counts, s: what delays single heartbeats (a plan under way, a link that stalled) is no queue.
+/// Window over which the least round trip is taken, s: a delay of single heartbeats (a plan under way, a link that stalled) is not a queue.
 const LOOK: f64 = 1.0;
-/// A link whose least round trip has grown is another link after one to two of these, s.
+/// A least round trip that has grown counts as a change of the link after one to two of these, s.
 const MEMORY: f64 = 60.0;
-/// What is left of what the link carries after a look that found a queue: the rest drains it.
+/// Share of the capacity used after a window that found a queue: the rest drains it.
 const DECREASE: f64 = 0.6;
-/// Fastest growth of the round trip that is believed, s/s: a tenth of what is said gets through.
+/// Fastest growth of the round trip that is believed, s/s: then a tenth of the data gets through.
 const STEEPEST: f64 = 0.9;
-/// What the share grows by for each look that found none.
+/// Growth factor of the share for each window without a queue.
 const INCREASE: f64 = 1.1;
-/// The least share: a scan each 5 s of a lidar of 10 Hz.
+/// The least share: one scan per 5 s of a lidar of 10 Hz.
 const LEAST: f64 = 0.02;
-/// After so many looks in a row that found the same wait, to within this share of it, however little was sent, it is no queue: the link is a
-/// longer one.
+/// After this many windows in a row with the same delay, to within this share of it, although less was sent, the delay is not a queue: the
+/// link has become longer.
 const SAME: (u32, f64) = (3, 0.2);
-/// After so long without a measurement nothing is known of a queue, s: who drives by hand sends no echoes.
+/// After this long without a measurement the queue is unknown, s: an operator who drives by hand sends no heartbeat echoes.
 const UNMEASURED: f64 = 5.0;
 
-/// What share of its sensors' messages the robot sends.
+/// The share of its sensors' messages that the robot sends.
 #[derive(Clone, Debug)]
 pub struct Uplink {
     settings: UplinkSettings,
     share: f64,
-    /// Since when, and the least round trip from then on and in the period before.
+    /// Start of the present period, and the least round trip in it and in the period before, s.
     base: Option<(Stamp, f64, f64)>,
     look: Option<Look>,
-    /// The next look begins then at the earliest.
+    /// Earliest start of the next window.
     not_before: Stamp,
-    /// The lease that round trips were measured under: another holder is another way.
+    /// The lease epoch of the measurements: another holder is reached over another path.
     epoch: u64,
-    /// What the looks in a row that found a queue began with.
+    /// The run of windows that found a queue.
     full: Option<Full>,
-    /// The last measurement, or what the share grew by since.
+    /// Time of the last measurement; moved on whenever the share grows without one.
     last: Stamp,
 }
 
-/// Looks in a row that found a queue.
+/// A run of windows that found a queue.
 #[derive(Clone, Copy, Debug)]
 struct Full {
-    /// How many found the same wait, s.
+    /// How many of them found the same delay.
     same: u32,
     wait: f64,
     /// The share before the first.
@@ -87,7 +87,7 @@ impl Uplink {
         self.share
     }
 
-    /// Time goes on: without measurements the share grows again.
+    /// Advances time: without measurements the share grows again.
     pub fn elapse(&mut self, now: Stamp) {
         if self.share < 1.0 && now.secs_since(self.last) >= UNMEASURED {
             self.share = (INCREASE * self.share).min(1.0);
@@ -149,7 +149,7 @@ impl Uplink {
             return;
         }
         let growth = ((round_trip - look.first) / secs).clamp(0.0, STEEPEST);
-        // What was said before still has to pass.
+        // Data sent before still has to pass.
         self.not_before = now.plus_secs(round_trip);
         self.share = (DECREASE * (1.0 - growth) * share).max(LEAST);
     }
@@ -180,14 +180,14 @@ impl Sieve {
 mod tests {
     use super::*;
 
-    /// A link of `rate` times what the robot says, with a round trip of `delay` s, from a time (s) on: the share and the queue, s, at each beat of
-    /// 0.1 s.
+    /// A link that carries `rate` times the robot's full data, with a round trip of `delay` s, from a time (s) on: the share and the queue,
+    /// s, at each beat of 0.1 s.
     fn drive(uplink: &mut Uplink, from: f64, (rate, delay): (f64, f64), secs: f64) -> Vec<(f64, f64)> {
         let mut found: Vec<(f64, f64)> = Vec::new();
         for beat in 0..(10.0 * secs) as usize {
             let queue = found.last().map_or(0.0, |(_, queue)| *queue);
             found.push((uplink.share(), (queue + 0.1 * (uplink.share() - rate) / rate).max(0.0)));
-            // A beat tells of the queue that the newest message that has come through had before it.
+            // A beat shows the queue that the newest message to come through had ahead of it.
             let came = |(said, (_, queue)): &(usize, &(f64, f64))| 0.1 * (beat - said) as f64 + 1e-9 >= queue + delay;
             let newest = found.iter().enumerate().rev().find(came);
             if let Some((_, (_, queue))) = newest {
@@ -237,7 +237,7 @@ mod tests {
         drive(&mut uplink, 0.0, (2.0, 0.005), 30.0);
         let found = drive(&mut uplink, 30.0, (2.0, 0.4), 40.0);
         assert!(found[150..].iter().all(|(share, _)| *share == 1.0), "{:?}", found[150]);
-        // Another holder of the lease is another way from the first message on.
+        // Another lease holder is reached over another path, from the first message on.
         for beat in 0..50_u32 {
             uplink.measured(
                 Stamp::from_secs(80.0 + 0.1 * f64::from(beat)),

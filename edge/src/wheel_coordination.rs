@@ -1,8 +1,8 @@
-//! Wheel coordination. How do both wheels brake together? Where one wheel is at its braking limit, the other brakes in proportion: the robot
-//! stays on its curve.
+//! Wheel coordination. How do both wheels brake together? Where one wheel is at its braking limit, the other brakes in proportion: the
+//! robot stays on its curve.
 //!
 //! The collision monitor predicts the curve that is driven. With independent motors, each braking as hard as it can, the inner wheel of a
-//! curve would stop before the outer one, and the robot would swing into the obstacle that it stops for.
+//! curve would stop before the outer one, and the robot would swing into the obstacle that it brakes for.
 
 use zenav_protocol::robot::Drive;
 
@@ -35,7 +35,7 @@ impl WheelCoordination {
         self.speed
     }
 
-    /// The wheels may have been stopped by something else: the next command starts from rest.
+    /// Something else may have stopped the wheels: the next command starts from rest.
     pub fn reset(&mut self) {
         self.speed = [0.0; 2];
     }

@@ -1,11 +1,11 @@
-//! Declaration. What is a metric? One row of [`metrics`](crate::metrics): it makes the metric, the registry's entry and the docs' line.
+//! Declaration. One row of [`metrics`](crate::metrics) defines a metric: its static, its registry entry and its line in the docs.
 
 use std::sync::LazyLock;
 
 use prometheus::core::Collector;
 use prometheus::{CounterVec, GaugeVec, HistogramOpts, HistogramVec, IntCounterVec, IntGaugeVec, Opts, Registry};
 
-/// Buckets of every latency, s: from the collision monitor's microseconds to a search that takes its whole budget.
+/// Buckets of every latency, s: from the collision monitor's microseconds to a path search that uses its whole budget.
 pub(crate) const LATENCIES: &[f64] = &[
     1e-5, 2.5e-5, 5e-5, 1e-4, 2.5e-4, 5e-4, 1e-3, 2.5e-3, 5e-3, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0,
 ];
@@ -13,7 +13,7 @@ pub(crate) const LATENCIES: &[f64] = &[
 /// The registry of this process.
 pub(crate) static REGISTRY: LazyLock<Registry> = LazyLock::new(Registry::new);
 
-/// How a metric's number moves.
+/// Kind of a metric.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// Only grows.
@@ -25,7 +25,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// Its name in Prometheus' text format.
+    /// Name in Prometheus' text format.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -41,13 +41,13 @@ impl Kind {
 pub struct Row {
     /// Name, with its unit.
     pub name: &'static str,
-    /// How it moves.
+    /// Counter, gauge or histogram.
     pub kind: Kind,
-    /// What tells its series apart.
+    /// Labels of its series.
     pub labels: &'static [&'static str],
-    /// What it says.
+    /// Help text.
     pub help: &'static str,
-    /// The stage of the data way, or the part, that it belongs to.
+    /// Stage of the data flow, or part, that it belongs to.
     pub stage: &'static str,
 }
 
@@ -93,13 +93,13 @@ impl Declared for HistogramVec {
     }
 }
 
-/// Makes a declared metric and puts it into the registry.
+/// Creates a declared metric and registers it.
 pub(crate) fn declared<T: Declared>(name: &str, help: &str, labels: &[&str]) -> T {
     let made = T::new(Opts::new(name, help.trim()), labels)
         .and_then(|metric| REGISTRY.register(Box::new(metric.clone())).map(|()| metric));
     match made {
         Ok(metric) => metric,
-        // The declarations are constants: a test makes every one.
+        // The declarations are constants, and a test creates each one.
         Err(error) => unreachable!("{name}: {error}"),
     }
 }
@@ -113,13 +113,13 @@ macro_rules! metrics {
                 std::sync::LazyLock::new(|| $crate::declare::declared($name, $help, &[$($label),*]));
         )*)*
 
-        /// Makes every one.
+        /// Creates every metric.
         #[cfg(test)]
         fn make_all() {
             $($(std::sync::LazyLock::force(&$NAME);)*)*
         }
 
-        /// Every metric, in the order of the data way.
+        /// Every metric, in the order of the data flow.
         pub const TABLE: &[$crate::Row] = &[$($(
             $crate::Row {
                 name: $name,

@@ -1,16 +1,16 @@
-//! How does a part of zenav tell how it is? Metrics, readiness, the HTTP endpoint of both, and logs.
+//! Observability of zenav's parts: metrics, readiness, the HTTP endpoint for both, traces, and logs.
 //!
-//! One process has one registry, whatever parts run in it: a scrape is one answer, and a stage counts without being handed anything. Nothing
-//! here knows a robot or a network of robots.
+//! A process has one registry for all parts in it: one scrape covers them all, and a stage counts without being passed a handle. Nothing
+//! here depends on robots or on the bus.
 //!
 //! | module | subject |
 //! |---|---|
 //! | [`metrics`] | every metric, one row each: name, kind, labels, help, stage |
-//! | [`readiness`] | what a part waits for before it can do its work |
+//! | [`readiness`] | the conditions that a part waits for |
 //! | [`server`] | `/livez`, `/readyz`, `/metrics` |
-//! | [`trace`] | spans of what goes from part to part |
+//! | [`trace`] | spans across parts |
 //! | [`process`] | memory, processor time, open files, age of this process |
-//! | [`logging`], [`recent`] | log lines as text or JSON; the newest ones, for whoever asks |
+//! | [`logging`], [`recent`] | log lines as text or JSON; the newest ones, on request |
 
 mod declare;
 pub mod logging;

@@ -1,5 +1,5 @@
-//! Logging. How does a process write its log? One line an event on stderr, as text for people or as JSON for collectors; fields keep their names
-//! (`robot`, `part`, `goal`, `plan`) in both.
+//! Logging. One line per event on stderr, as text for people or as JSON for collectors; fields have the same names (`robot`, `part`,
+//! `goal`, `plan`) in both.
 
 use std::io::IsTerminal as _;
 use std::str::FromStr;
@@ -34,22 +34,22 @@ impl FromStr for Format {
     }
 }
 
-/// Whether what goes to stderr may be coloured: on a terminal, without `NO_COLOR`.
+/// Whether output on stderr may be coloured: on a terminal, without `NO_COLOR`.
 #[must_use]
 pub fn colors() -> bool {
     std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty())
 }
 
-/// What [`init`] was told.
+/// The format given to [`init`].
 static FORMAT: OnceLock<Format> = OnceLock::new();
 
-/// The form of this process's log lines: what else goes to stderr for people has no place among JSON.
+/// The form of this process's log lines. With JSON, stderr must carry no other text for people.
 #[must_use]
 pub fn format() -> Format {
     FORMAT.get().copied().unwrap_or_default()
 }
 
-/// Begins to log. `RUST_LOG` says what is shown, `filter` where it does not. A second call (tests in one process) changes nothing.
+/// Starts logging, filtered by `RUST_LOG`, or by `filter` if that is unset. A second call (tests in one process) has no effect.
 pub fn init<W>(format: Format, filter: &str, writer: W)
 where
     W: for<'a> MakeWriter<'a> + Send + Sync + 'static,
@@ -57,7 +57,7 @@ where
     let format = *FORMAT.get_or_init(|| format);
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(filter));
     let all = registry().with(filter).with(KeepRecent);
-    // A closed stderr is nobody's error: told there, it would end the process.
+    // A closed stderr must not be reported on stderr: that would end the process.
     let lines = fmt::layer().with_writer(writer).log_internal_errors(false);
     let _ = match format {
         Format::Text => all.with(lines.with_ansi(colors()).with_target(false)).try_init(),

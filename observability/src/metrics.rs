@@ -1,6 +1,7 @@
-//! Metrics. What does zenav count and measure? This table, and nowhere else; `docs/observability.md` shows it, and a test compares the two.
+//! Metrics. Everything that zenav counts and measures is declared in this table; `docs/observability.md` shows it, and a test compares the
+//! two.
 //!
-//! Durations are wall time by a monotonic clock, but for the age of a scan, which is the robot's own time (simulated where it is). Labels:
+//! Durations are wall time by a monotonic clock, except the age of a scan, which is in the robot's own (possibly simulated) time. Labels:
 //! `robot` (its id), `part` (the kind of a session: `edge`, `mapping`, …, or the session's whole name where the help says so), `topic` (a
 //! pattern of the key table), and outcomes of a fixed list.
 
@@ -110,7 +111,7 @@ fn observe_process() {
         let cpu = CPU.with_label_values::<&str>(&[]);
         cpu.inc_by((seconds - cpu.get()).max(0.0));
     }
-    // Shows from the start.
+    // Creates the series, so that it shows from the start.
     let _ = SPANS_DROPPED.with_label_values::<&str>(&[]);
     BUILD.with_label_values(&[env!("CARGO_PKG_VERSION")]).set(1.0);
 }

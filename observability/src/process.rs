@@ -1,21 +1,21 @@
-//! Process. How old and how large is this process, and what did it take of the processor? From `/proc` of Linux; nothing elsewhere.
+//! Process. Uptime, memory, processor time, files and threads of this process, from `/proc` of Linux; empty on other systems.
 
 use std::hash::{BuildHasher as _, RandomState};
 use std::sync::LazyLock;
 use std::time::{SystemTime, UNIX_EPOCH};
 
-/// The standard library seeds each process's hashing anew.
+/// Random per process: the standard library seeds each process's hashing differently.
 static INSTANCE: LazyLock<u32> = LazyLock::new(|| RandomState::new().hash_one(()) as u32);
 
-/// What the kernel counts in: `USER_HZ`, 100 on every Linux.
+/// Ticks of the kernel's counters per second: `USER_HZ`, 100 on every Linux.
 const TICKS_PER_SECOND: f64 = 100.0;
 
-/// Facts of this process, as far as the system tells them.
+/// Facts of this process; `None` for those that the system does not provide.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Facts {
     /// Id of this process.
     pub pid: u32,
-    /// Drawn at the start: tells apart what runs under one id on one machine, as containers do.
+    /// Drawn at the start: distinguishes processes with the same id on one machine, as in containers.
     pub instance: u32,
     /// Name of the machine.
     pub host: Option<String>,
@@ -33,7 +33,7 @@ pub struct Facts {
     pub threads: Option<u64>,
 }
 
-/// Reads them.
+/// Reads the facts of this process.
 #[must_use]
 pub fn facts() -> Facts {
     let read = |path: &str| std::fs::read_to_string(path).ok();
@@ -41,7 +41,7 @@ pub fn facts() -> Facts {
     let fields = stat.as_deref().map(after_name);
     let field = |number: usize| fields.as_ref()?.get(number)?.parse::<f64>().ok();
     let status = read("/proc/self/status");
-    // Asked of the kernel, not of /proc/uptime: a hardened unit does not see that.
+    // From the kernel instead of /proc/uptime, which a hardened systemd unit does not see.
     let boot = rustix::time::clock_gettime(rustix::time::ClockId::Boottime);
     let boot_uptime = Some(boot.tv_sec as f64 + 1e-9 * boot.tv_nsec as f64);
     let uptime_secs = boot_uptime
@@ -50,7 +50,7 @@ pub fn facts() -> Facts {
     Facts {
         pid: std::process::id(),
         instance: *INSTANCE,
-        // A hardened unit sees no more of /proc than its own processes.
+        // A hardened unit sees only its own processes in /proc.
         host: read("/proc/sys/kernel/hostname")
             .or_else(|| read("/etc/hostname"))
             .map(|name| name.trim().to_owned()),
@@ -76,13 +76,13 @@ pub fn unix_secs() -> f64 {
         .as_secs_f64()
 }
 
-/// Places in `/proc/self/stat` behind the name, as proc(5) numbers them less three.
+/// Indices of the fields of `/proc/self/stat` after the name: their numbers in proc(5) minus three.
 const USER: usize = 11;
 const SYSTEM: usize = 12;
 const THREADS: usize = 17;
 const START: usize = 19;
 
-/// The fields behind the program's name, which may hold anything.
+/// The fields after the program's name, which may contain any character.
 fn after_name(stat: &str) -> Vec<&str> {
     stat.rsplit_once(')')
         .map(|(_, rest)| rest.split_whitespace().collect())

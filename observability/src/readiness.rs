@@ -1,13 +1,13 @@
-//! Readiness. Can a part do its work now, and if not, what is missing?
+//! Readiness. Whether a part can work now, and if not, which conditions are missing.
 //!
-//! A part is ready when it has started and every condition that it named is met. It says so in its log, once; what it misses later it says too.
-//! The link to the router is a condition with words of its own: `router lost`, `router back`.
+//! A part is ready when it has started and all its conditions are met. It logs `ready` once, and `not ready` when a condition is lost
+//! later. The link to the router is a condition with its own log lines: `router lost`, `router back`.
 
 use std::sync::{Arc, LazyLock, Mutex, MutexGuard, PoisonError, Weak};
 
 use crate::metrics::PART_READY;
 
-/// The condition that every part has: it has declared what it serves and hears.
+/// The condition that every part has: its services and subscriptions are declared.
 const STARTED: &str = "it has started";
 
 /// Every part of this process.
@@ -17,7 +17,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A part of this process, and what it waits for. Clones are the same part; it is forgotten with the last.
+/// A part of this process, and the conditions that it waits for. Clones share the part; it is removed when the last clone is dropped.
 #[derive(Clone, Debug)]
 pub struct Readiness(Arc<Part>);
 
@@ -30,7 +30,7 @@ struct Part {
 #[derive(Debug)]
 struct State {
     conditions: Vec<(String, bool)>,
-    /// Whether the log says that it is ready.
+    /// Whether `ready` was logged last.
     said_ready: bool,
 }
 
@@ -40,12 +40,12 @@ impl State {
     }
 }
 
-/// Something that a part waits for.
+/// A condition that a part waits for.
 #[derive(Clone, Debug)]
 pub struct Condition {
     part: Arc<Part>,
     index: usize,
-    /// Its changes are told by whoever watches it.
+    /// Its loss is logged by the code that watches it.
     silent: bool,
 }
 
@@ -61,7 +61,7 @@ impl Readiness {
         part
     }
 
-    /// What is no part of this process: a command's client. It shows nowhere and says nothing.
+    /// A session that is no part of this process, such as a command's client. It is not in the report and not in the metrics.
     #[must_use]
     pub fn unlisted(name: &str) -> Self {
         let part = Arc::new(Part {
@@ -80,13 +80,13 @@ impl Readiness {
         &self.0.name
     }
 
-    /// From now on the part is not ready before this is met: a statement, such as `its map is loaded`.
+    /// Adds a condition, unmet at first. `what` is a statement such as `its map is loaded`.
     #[must_use]
     pub fn expects(&self, what: &str) -> Condition {
         self.condition(what, false)
     }
 
-    /// As [`Self::expects`]; losing it is told by whoever watches it, not here.
+    /// Like [`Self::expects`], but the caller logs its loss.
     #[must_use]
     pub fn expects_silently(&self, what: &str) -> Condition {
         self.condition(what, true)
@@ -95,7 +95,7 @@ impl Readiness {
     fn condition(&self, what: &str, silent: bool) -> Condition {
         let mut state = lock(&self.0.state);
         let conditions = &mut state.conditions;
-        // Who begins again waits for the same.
+        // A part that restarts reuses its condition.
         let index = conditions.iter().position(|(known, _)| known == what);
         let index = index.unwrap_or_else(|| {
             conditions.push((what.to_owned(), false));
@@ -111,7 +111,7 @@ impl Readiness {
         condition
     }
 
-    /// The part has declared what it serves and hears, and named its conditions.
+    /// The part has declared its services, subscriptions and conditions.
     pub fn started(&self) {
         let started = Condition {
             part: Arc::clone(&self.0),
@@ -129,12 +129,12 @@ impl Readiness {
 }
 
 impl Condition {
-    /// It holds.
+    /// The condition holds.
     pub fn met(&self) {
         self.set(true);
     }
 
-    /// It does not hold any more.
+    /// The condition no longer holds.
     pub fn unmet(&self) {
         self.set(false);
     }
@@ -159,8 +159,7 @@ impl Condition {
     }
 }
 
-/// A line for each condition of each part of this process, those that are not met first, and whether all are met. A process of no parts is
-/// not ready.
+/// Whether all conditions of this process are met, and a line for each, unmet ones first. A process without parts is not ready.
 #[must_use]
 pub fn report() -> (bool, String) {
     let parts: Vec<Arc<Part>> = lock(&PARTS).iter().filter_map(Weak::upgrade).collect();
@@ -177,7 +176,7 @@ pub fn report() -> (bool, String) {
     (ready, text.concat())
 }
 
-/// Brings the gauges up to date.
+/// Updates the readiness gauges.
 pub(crate) fn observe() {
     PART_READY.reset();
     let parts: Vec<Arc<Part>> = lock(&PARTS).iter().filter_map(Weak::upgrade).collect();
@@ -216,7 +215,7 @@ mod tests {
         let part = Readiness::new("gateway-readiness");
         assert!(report().1.contains("gateway-readiness"));
         drop(part);
-        // Whoever else makes a report right now, as the other test does, still holds it for that moment.
+        // A concurrent report, such as the other test's, may hold the part for a moment longer.
         let is_forgotten = (0..1000).any(|_| {
             std::thread::sleep(std::time::Duration::from_millis(1));
             !report().1.contains("gateway-readiness")

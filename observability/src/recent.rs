@@ -1,4 +1,4 @@
-//! Recent log. What did this process say last? The newest lines are kept, bounded in number and length, for whoever asks from another machine.
+//! Recent log. The newest log lines of this process, bounded in number and length, for requests from other machines.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::fmt::{Debug, Write as _};
@@ -13,7 +13,7 @@ use crate::process::unix_secs;
 
 /// Lines that are kept.
 const MOST_LINES: usize = 256;
-/// Longest message or field, characters; what is longer is cut.
+/// Longest message or field, characters; the rest is cut off.
 const LONGEST: usize = 400;
 /// Most fields of a line.
 const MOST_FIELDS: usize = 16;
@@ -35,13 +35,13 @@ fn kept() -> MutexGuard<'static, Kept> {
 pub struct Line {
     /// Number within this process, from one.
     pub sequence: u64,
-    /// When, by the machine's wall clock, s of UNIX time.
+    /// Time by the machine's wall clock, s of UNIX time.
     pub unix_secs: f64,
     /// `ERROR`, `WARN` or `INFO`.
     pub level: &'static str,
-    /// What happened.
+    /// Message of the event.
     pub message: String,
-    /// To whom and with what.
+    /// Fields of the event.
     pub fields: BTreeMap<&'static str, String>,
 }
 
@@ -56,7 +56,7 @@ pub fn since(sequence: u64) -> Vec<Line> {
         .collect()
 }
 
-/// Keeps what is logged at `INFO` and above.
+/// Keeps log lines of level `INFO` and above.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct KeepRecent;
 

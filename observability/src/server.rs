@@ -1,5 +1,5 @@
-//! Health endpoint. How do Prometheus, Kubernetes and people ask a process how it is? By HTTP, GET alone: one request a connection, small and
-//! bounded, so that the robot's binary needs no web server.
+//! Health endpoint. Health and metrics over HTTP, GET only, one small bounded request per connection, so that the robot's binary needs no
+//! web server.
 //!
 //! | path | answer |
 //! |---|---|
@@ -21,17 +21,17 @@ use crate::{metrics, readiness};
 
 /// Most connections at once; further ones wait in the system's queue.
 const MOST_CONNECTIONS: usize = 64;
-/// Time for a request to come and its answer to go.
+/// Time limit of a request and its answer.
 const WITHIN: Duration = Duration::from_secs(2);
 /// Longest head of a request, bytes.
 const LONGEST_HEAD: usize = 8 * 1024;
 /// Most header lines.
 const MOST_HEADERS: usize = 64;
-/// Pause after a connection that could not be taken: the process may be short of file descriptors.
+/// Pause after a failed accept: the process may be short of file descriptors.
 const RESPITE: Duration = Duration::from_millis(100);
 /// Media type of Prometheus' text format.
 const METRICS: &str = "text/plain; version=0.0.4; charset=utf-8";
-/// Media type of words.
+/// Media type of plain text.
 const TEXT: &str = "text/plain; charset=utf-8";
 
 /// An answer.
@@ -51,10 +51,10 @@ impl Response {
     }
 }
 
-/// Serves at `ADDRESS:PORT` as long as the runtime runs; port 0 takes a free one. Returns where.
+/// Serves at `ADDRESS:PORT` as long as the runtime runs; port 0 takes a free one. Returns the address.
 ///
 /// # Errors
-/// When it is no address, or taken.
+/// When the address is invalid or in use.
 pub async fn serve(address: &str) -> io::Result<SocketAddr> {
     let listener = TcpListener::bind(address).await?;
     let address = listener.local_addr()?;
@@ -71,7 +71,7 @@ async fn take(listener: TcpListener) {
         match listener.accept().await {
             Ok((stream, _)) => {
                 tokio::spawn(async move {
-                    // Whoever is slow, or gone, is left.
+                    // A slow or closed connection is dropped.
                     let _ = timeout(WITHIN, answer(stream)).await;
                     drop(place);
                 });

@@ -1,9 +1,9 @@
-//! Traces. Through which parts did one scan go until it moved the wheels, and how long did each take?
+//! Traces. The spans of one scan through all parts until it moves the wheels, and how long each takes.
 //!
-//! A context is W3C's `traceparent` (<https://www.w3.org/TR/trace-context/>) and goes over the bus in a message's attachment. Each process writes its
-//! spans into a file of its own, one OTLP export request in JSON a line, as OpenTelemetry's file exporter does: Jaeger opens the file, a collector
-//! reads it, and the files of several hosts are joined by `cat`. Off unless a file is named. Nobody waits for the disk: spans that it cannot take are
-//! dropped and counted.
+//! A context is W3C's `traceparent` (<https://www.w3.org/TR/trace-context/>); it crosses the bus in a message's attachment. Each process
+//! writes its spans into its own file, one OTLP export request in JSON per line, as OpenTelemetry's file exporter does: Jaeger opens the
+//! file, a collector reads it, and `cat` joins the files of several hosts. Off unless a file is named. Spans never wait for the disk: if
+//! the queue is full they are dropped and counted.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -19,19 +19,19 @@ use uuid::Uuid;
 use crate::metrics::SPANS_DROPPED;
 use crate::process;
 
-/// Spans that wait for the disk.
+/// Most spans queued for the disk.
 const MOST_WAITING: usize = 1024;
-/// Largest file, bytes; what comes later is left out.
+/// Largest file, bytes; later spans are left out.
 const LARGEST_FILE: u64 = 256 * 1024 * 1024;
 /// Length of a `traceparent`.
 const LENGTH: usize = 55;
 
 static WRITER: OnceLock<SyncSender<Span>> = OnceLock::new();
 
-/// Begins to write spans into a file, which is made anew.
+/// Starts writing spans into a new file; an existing one is replaced.
 ///
 /// # Errors
-/// When it cannot be made, or a file was named before.
+/// When the file cannot be created, or spans are already written to another one.
 pub fn start(path: &Path) -> io::Result<()> {
     let file = File::create(path)?;
     let (sender, spans) = sync_channel(MOST_WAITING);
@@ -69,7 +69,7 @@ pub fn is_on() -> bool {
     WRITER.get().is_some()
 }
 
-/// Where in a trace a message comes from.
+/// Trace context of a message: the trace, and the span that it comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Context {
     trace: [u8; 16],
@@ -77,7 +77,7 @@ pub struct Context {
 }
 
 impl Context {
-    /// Reads a `traceparent` of version 00 that is sampled; anything else is none.
+    /// Parses a sampled `traceparent` of version 00; `None` for anything else.
     #[must_use]
     pub fn parse(bytes: &[u8]) -> Option<Self> {
         let text = std::str::from_utf8(bytes).ok().filter(|text| text.len() == LENGTH)?;
@@ -116,14 +116,14 @@ fn from_hex<const N: usize>(text: &str) -> Option<[u8; N]> {
     Some(bytes)
 }
 
-/// Eight bytes by chance.
+/// A random span id.
 fn new_span() -> [u8; 8] {
     let mut span = [0; 8];
     span.copy_from_slice(&Uuid::new_v4().as_bytes()[..8]);
     span
 }
 
-/// Something that takes time. It is written when it ends; dropped, it never was.
+/// A span. It is written when it [ends](Span::end); a dropped span is not.
 #[derive(Clone, Debug)]
 pub struct Span {
     context: Context,
@@ -141,7 +141,7 @@ pub fn root(part: &str, name: &'static str) -> Option<Span> {
     is_on().then(|| Span::new(*Uuid::new_v4().as_bytes(), None, part, name))
 }
 
-/// A span that goes on from a context; `None` while no spans are written.
+/// A child span of a context; `None` while no spans are written.
 #[must_use]
 pub fn child(parent: &Context, part: &str, name: &'static str) -> Option<Span> {
     is_on().then(|| Span::new(parent.trace, Some(parent.span), part, name))
@@ -163,20 +163,20 @@ impl Span {
         }
     }
 
-    /// With something to know of it.
+    /// Adds an attribute.
     #[must_use]
     pub fn with(mut self, name: &'static str, value: impl ToString) -> Self {
         self.attributes.insert(name, value.to_string());
         self
     }
 
-    /// What goes on from here.
+    /// The context for child spans.
     #[must_use]
     pub fn context(&self) -> Context {
         self.context
     }
 
-    /// It ends now.
+    /// Ends the span now and queues it for the file.
     pub fn end(mut self) {
         self.ended = now();
         if let Some(writer) = WRITER.get()
@@ -186,7 +186,7 @@ impl Span {
         }
     }
 
-    /// An OTLP export request with this span alone, and the end of the line.
+    /// An OTLP export request with only this span, and a newline.
     fn line(&self, host: &str) -> String {
         let parent = self.parent.map(|parent| hex(&parent)).unwrap_or_default();
         let attributes: Vec<String> = self

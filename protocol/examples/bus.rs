@@ -1,4 +1,4 @@
-//! A publisher, a subscriber and a server that talk over a router, all in this process.
+//! A publisher, a subscriber and a server that communicate over a router, all in this process.
 //!
 //! `cargo run -p zenav-protocol --features bus --example bus`
 
@@ -24,7 +24,7 @@ async fn main() -> Result<(), Box<dyn Error>> {
     let robot = Bus::open(BusConfig::service("robot", &endpoint)).await?;
     let cloud = Bus::open(BusConfig::service("cloud", &endpoint)).await?;
 
-    // The robot publishes events before anybody listens: a late joiner gets the ones that are kept.
+    // The robot publishes events before there is a subscriber: a late joiner gets the kept ones.
     let events = robot.publisher(&EVENT, &["tiago"])?;
     for (sequence, kind) in (1..).zip([EventKind::Started, EventKind::Bumped]) {
         events.put(&Event {

@@ -1,11 +1,11 @@
-//! Access. Which keys may a member of a fleet write, serve, ask and hear? The key table says; what it does not grant is denied.
+//! Access. Which keys may a member of a fleet write, serve, ask and subscribe to? The key table decides; everything else is denied.
 //!
 //! | role | writes and serves | asks | hears |
 //! |---|---|---|---|
-//! | robot | what edge and body write and serve, under its own name | what robots ask | its own keys, the intents of others, simulated time |
-//! | service | what mapping, motion and mission write and serve, for all robots; actions of trees | everything but what robots ask | everything |
-//! | operator | teleoperation and heartbeats | what operators and viewers ask | everything |
-//! | viewer | nothing | what viewers ask | everything |
+//! | robot | what edge and body write and serve, under its own name | asks for robots | its own keys, others' intents, simulated time |
+//! | service | what mapping, motion and mission write and serve, for all robots; actions of trees | all but asks for robots | everything |
+//! | operator | teleoperation and heartbeats | asks for operators and viewers | everything |
+//! | viewer | nothing | asks for viewers | everything |
 //! | router | everything | everything | everything |
 
 use crate::member::{Member, Role};
@@ -13,30 +13,30 @@ use crate::topics::{ALIVE_COMPONENT, ALIVE_WORKER, Asker, INTENT, Producer, Qos,
 
 /// Every key of the stack.
 const EVERYTHING: &str = "zenav/**";
-/// Keys on which programs beside the stack serve the actions of behaviour trees, where access is controlled.
+/// Keys on which external programs serve the actions of behaviour trees, where access is controlled.
 const ACTIONS: &str = "action/**";
 
-/// Keys that a member may use; `*` stands for any chunk, `**` for any number of chunks.
+/// Keys that a member may use; `*` matches any chunk, `**` any number of chunks.
 #[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Grants {
-    /// Topics that it writes.
+    /// Topics that the member writes.
     pub writes: Vec<String>,
-    /// Those of them of which the writer keeps samples for late joiners.
+    /// Written topics whose samples the writer keeps for late joiners.
     pub keeps: Vec<String>,
-    /// Asks that it answers.
+    /// Asks that the member serves.
     pub serves: Vec<String>,
-    /// Asks that it makes.
+    /// Asks that the member sends.
     pub asks: Vec<String>,
-    /// Topics that it hears.
+    /// Topics that the member subscribes to.
     pub hears: Vec<String>,
-    /// Liveliness tokens that it shows.
+    /// Liveliness tokens that the member declares.
     pub alive: Vec<String>,
-    /// Whether it sees everybody's liveliness tokens.
+    /// Whether the member sees all liveliness tokens.
     pub sees_alive: bool,
 }
 
 impl Grants {
-    /// What the key table grants a member.
+    /// The keys that the key table grants a member.
     #[must_use]
     pub fn of(member: &Member) -> Self {
         let role = member.role;
@@ -99,12 +99,12 @@ impl Grants {
     }
 }
 
-/// Whether a role writes or serves what a producer does.
+/// Whether a role may write or serve as this producer.
 fn is_written(producer: Producer, role: Role) -> bool {
     match producer {
         Producer::Edge | Producer::Body => role == Role::Robot,
         Producer::Mapping | Producer::Motion | Producer::Mission => role == Role::Service,
-        // The mission-control page is a part of an operator's.
+        // The mission-control page runs under an operator's certificate.
         Producer::Holder | Producer::Part => matches!(role, Role::Service | Role::Operator),
         Producer::Operator => role == Role::Operator,
         // A world server is a router.

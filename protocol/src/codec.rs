@@ -1,8 +1,9 @@
-//! Codec. How does a message become bytes, and bytes a message?
+//! Codec. How are messages encoded to bytes and decoded?
 //!
-//! JSON wherever a person may read, CBOR (RFC 8949) for bulk. A receiver decodes by the sample's encoding, and everything that is not CBOR as
-//! JSON, so that a goal typed into any Zenoh client works. Input from outside is bounded before it is decoded: its size by the key's limit,
-//! its depth by [`MAX_DEPTH`] (CBOR) or serde_json's own 128 (JSON). Neither decoder allocates by a length that the input merely claims.
+//! JSON where people may read the message, CBOR (RFC 8949) for bulk data. A receiver decodes by the sample's encoding, and treats
+//! everything but CBOR as JSON, so that a goal typed into any Zenoh client works. External input is bounded before it is decoded: its size
+//! by the key's limit, its depth by [`MAX_DEPTH`] (CBOR) or serde_json's own 128 (JSON). Neither decoder allocates memory according to a
+//! length that the input merely claims.
 //!
 //! ```
 //! use zenav_protocol::codec::{Encoding, decode, encode};
@@ -24,7 +25,7 @@ use thiserror::Error;
 /// Deepest nesting of CBOR that is decoded.
 pub const MAX_DEPTH: usize = 64;
 
-/// Longest reason kept from a decoder, bytes: it may quote the input.
+/// Longest decoder error kept, bytes: it may quote the input.
 const MAX_REASON: usize = 240;
 
 /// The two encodings on the wire.
@@ -33,7 +34,7 @@ pub enum Encoding {
     /// `application/json`, exactly, without a schema suffix.
     #[default]
     Json,
-    /// `application/cbor`, for bulk.
+    /// `application/cbor`, for bulk data.
     Cbor,
 }
 
@@ -76,18 +77,18 @@ pub enum CodecError {
         /// Size of the payload, bytes.
         got: usize,
     },
-    /// The payload is not this message in this encoding.
+    /// The payload is not a valid message in this encoding.
     #[error("{reason}")]
     Malformed {
         /// What the decoder expected; for JSON, with line and column.
         reason: String,
     },
-    /// The encoding cannot express the message, for example a JSON map whose keys are not strings.
+    /// The encoding cannot represent the message, for example a JSON map whose keys are not strings.
     #[error("cannot be encoded as {encoding}: {reason}")]
     Unencodable {
-        /// The encoding asked for.
+        /// The requested encoding.
         encoding: Encoding,
-        /// What the encoder objects to.
+        /// The encoder's error.
         reason: String,
     },
 }
@@ -107,10 +108,10 @@ impl CodecError {
     }
 }
 
-/// Encodes a message. In JSON a number that is not finite becomes `null`.
+/// Encodes a message. In JSON, a number that is not finite becomes `null`.
 ///
 /// # Errors
-/// [`CodecError::Unencodable`] for a type that the encoding cannot express: a bug in the program, not in the data.
+/// [`CodecError::Unencodable`] for a type that the encoding cannot represent: a bug in the program, not in the data.
 pub fn encode<T: Serialize + ?Sized>(message: &T, encoding: Encoding) -> Result<Vec<u8>, CodecError> {
     let mut bytes = Vec::with_capacity(256);
     match encoding {
@@ -133,7 +134,7 @@ pub fn encode<T: Serialize + ?Sized>(message: &T, encoding: Encoding) -> Result<
 /// Decodes a message of at most `max_bytes`.
 ///
 /// # Errors
-/// [`CodecError::TooLarge`], without decoding anything; [`CodecError::Malformed`] for anything but exactly one message.
+/// [`CodecError::TooLarge`], without decoding anything; [`CodecError::Malformed`] unless the bytes are exactly one message.
 pub fn decode<T: DeserializeOwned>(bytes: &[u8], encoding: Encoding, max_bytes: usize) -> Result<T, CodecError> {
     if bytes.len() > max_bytes {
         return Err(CodecError::TooLarge {
@@ -244,7 +245,7 @@ mod tests {
         assert!(
             malformed(decode::<serde_json::Value>(&deep_json, Encoding::Json, 1 << 20)).contains("recursion limit")
         );
-        // Under an unknown field too, where the value is skipped rather than built.
+        // An unknown field is skipped, not built; the limit applies there too.
         let skipped = [br#"{"stamp":1,"x":1.0,"deep":"#.as_slice(), &deep_json].concat();
         malformed(decode::<Probe>(&skipped, Encoding::Json, 1 << 20));
         // 0x81: an array of one item.

@@ -1,4 +1,4 @@
-//! Configuration text. What did a user write in a file, on which line, and is it within its bounds?
+//! Configuration text. What is set in a user's file, on which line, and is it within its bounds?
 
 use std::f64::consts::TAU;
 use std::fmt;
@@ -9,7 +9,7 @@ use thiserror::Error;
 
 use crate::settings::Bounds;
 
-/// Exactly two numbers: reading the first two of `[1, 2, 3]` would hide a mistake.
+/// Exactly two numbers: silently taking the first two of `[1, 2, 3]` would hide a mistake.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Vec<f64>")]
 pub struct Pair(pub [f64; 2]);
@@ -40,14 +40,14 @@ pub(crate) fn pair<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f64; 2
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("`{key}` {problem}")]
 pub struct OutOfBounds {
-    /// Key of the setting, with the sections before it joined by dots.
+    /// Key of the setting, joined by dots with its enclosing sections.
     pub key: String,
-    /// The value found, and what was expected.
+    /// The value, and what was expected.
     pub problem: String,
 }
 
 impl OutOfBounds {
-    /// For a number outside its range.
+    /// For a number out of its range.
     #[must_use]
     pub fn outside(key: &str, value: f64, bounds: &Bounds, unit: &str) -> Self {
         Self::unlike(key, value, format!("{bounds} {unit}").trim_end())
@@ -62,7 +62,7 @@ impl OutOfBounds {
         }
     }
 
-    /// The same error, with the key as seen from the section around.
+    /// The same error, with the key as seen from the enclosing section.
     #[must_use]
     pub fn within(self, section: &str) -> Self {
         Self {
@@ -72,7 +72,7 @@ impl OutOfBounds {
     }
 }
 
-/// What a number in a file is expected to be.
+/// Expected range of a number in a file.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Expected {
     /// Finite and greater than zero.
@@ -83,17 +83,17 @@ pub enum Expected {
     Share,
     /// Any finite number.
     Finite,
-    /// An angle in rad: more than a full turn was hardly meant, as where it is written in degrees.
+    /// An angle in rad, at most a full turn: a larger value was probably written in degrees.
     Angle,
-    /// From the one to the other, and how that is said.
+    /// From the first to the second number, and the range in words.
     Range(f64, f64, &'static str),
 }
 
 impl Expected {
-    /// The value, where it is what is expected.
+    /// Returns the value if it is as expected.
     ///
     /// # Errors
-    /// In words: what it is, and what was expected.
+    /// A sentence with the value and what was expected.
     pub fn check(self, value: f64) -> Result<f64, String> {
         if self.holds(value) {
             Ok(value)
@@ -102,7 +102,7 @@ impl Expected {
         }
     }
 
-    /// Whether a value is what is expected.
+    /// Whether a value is as expected.
     #[must_use]
     pub fn holds(self, value: f64) -> bool {
         match self {
@@ -132,7 +132,7 @@ impl fmt::Display for Expected {
 /// Checks values by key.
 ///
 /// # Errors
-/// The first value that is not what is expected.
+/// The first value that is not as expected.
 pub fn check_all(values: &[(&'static str, f64, Expected)]) -> Result<(), OutOfBounds> {
     match values.iter().find(|(_, value, expected)| !expected.holds(*value)) {
         Some((name, value, expected)) => Err(OutOfBounds::unlike(name, *value, expected)),
@@ -140,7 +140,7 @@ pub fn check_all(values: &[(&'static str, f64, Expected)]) -> Result<(), OutOfBo
     }
 }
 
-/// A number in a message: what would need a line of digits is written with an exponent.
+/// A number in a message, in scientific notation if it is very large or very small.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Number(pub f64);
 
@@ -155,8 +155,8 @@ impl fmt::Display for Number {
     }
 }
 
-/// Line (from 1) of a dotted key in a TOML text; where the key is not written, the line of its table. `None` where neither is written, or
-/// the text is not TOML.
+/// Line (from 1) of a dotted key in a TOML text; the line of its table if the key is not written. `None` if neither is written, or if the
+/// text is not TOML.
 #[must_use]
 pub fn line_of(text: &str, key: &str) -> Option<usize> {
     let document = toml::de::DeTable::parse(text).ok()?;
@@ -203,7 +203,7 @@ mod tests {
             ("b.d.e", Some(4)),
             ("b.f.g", Some(7)),
             ("b.f.h.i", Some(8)),
-            // Not written: their tables.
+            // Not written: the line of their table.
             ("b.x", Some(2)),
             ("b.f.x.y", Some(5)),
             ("x", None),

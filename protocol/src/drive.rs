@@ -1,21 +1,21 @@
-//! Drive: wheels, their limits, and kinematics. Which wheel speeds make which motion of the base, and which are allowed?
+//! Drive: wheels, their limits, and kinematics. Which wheel speeds give which motion of the base, and which are allowed?
 //!
-//! The one place for kinematics: the simulator, the edge and the planners ask here. A further kind of drive (omnidirectional, Ackermann)
-//! is a variant of [`DriveKind`] and its arms here.
+//! The only place for kinematics, used by the simulator, the edge and the planners. Another kind of drive (omnidirectional, Ackermann) is a
+//! variant of [`DriveKind`] plus its match arms here.
 
 use serde::{Deserialize, Serialize};
 
 use crate::config_text::{Expected, OutOfBounds, check_all, pair};
 use crate::geometry::Twist2;
 
-/// No base is faster, m/s.
+/// Greatest speed of any base, m/s.
 const FASTEST: f64 = 50.0;
 
 /// How the wheels are arranged.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum DriveKind {
-    /// Two driven wheels on one axle through the base's origin, left and right; whatever else touches the floor follows.
+    /// Two driven wheels on one axle through the base's origin, left and right; all other wheels are passive.
     #[default]
     Differential,
 }
@@ -30,7 +30,7 @@ impl DriveKind {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Drive {
-    /// How the wheels are arranged; the default is left out where it is written.
+    /// How the wheels are arranged; the default is not serialised.
     #[serde(default, skip_serializing_if = "DriveKind::is_default")]
     pub kind: DriveKind,
     /// Radius of a wheel, m.
@@ -41,7 +41,7 @@ pub struct Drive {
     pub max_wheel_speed: f64,
     /// Largest acceleration of a wheel in normal driving, rad/s².
     pub max_wheel_acceleration: f64,
-    /// Deceleration of the base when it brakes as hard as it can, m/s².
+    /// Deceleration of the base under hardest braking, m/s².
     pub hard_braking: f64,
     /// Largest lateral acceleration, m/s².
     #[serde(default = "default_lateral")]
@@ -52,36 +52,36 @@ pub struct Drive {
     /// Largest forward speed, m/s; the wheels may allow less.
     #[serde(default = "unlimited")]
     pub max_speed: f64,
-    /// Largest jerk of the base along its path, m/s³; without it plans and commands change their acceleration at once.
+    /// Largest jerk of the base along its path, m/s³; without it the acceleration of plans and commands may jump.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub max_jerk: Option<f64>,
     /// Time constant of the motors, s.
     #[serde(default)]
     pub motor_lag: f64,
-    /// What the simulated robot does differently from what it believes.
+    /// Errors of the simulated drive that the robot does not model.
     #[serde(default)]
     pub errors: DriveErrors,
 }
 
 /// Systematic and random errors of a drive's odometry (Borenstein and Feng, "Measurement and Correction of Systematic Odometry Errors in
-/// Mobile Robots", 1996), and what its body does differently. The simulator drives by them; the robot knows of the slip only.
+/// Mobile Robots", 1996), and deviations of the body's dynamics. The simulator applies them; the robot itself knows only the slip.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct DriveErrors {
-    /// How much larger the wheels (left, right) are than stated, as a share.
+    /// Relative error of the wheel radii (left, right): positive means larger than stated.
     #[serde(deserialize_with = "pair")]
     pub wheel_radius: [f64; 2],
-    /// How much farther apart the wheels touch the floor than stated, as a share.
+    /// Relative error of the wheel separation: positive means farther apart than stated.
     pub wheel_separation: f64,
-    /// Standard deviation of what a wheel slips, m for each square root of a metre rolled.
+    /// Standard deviation of a wheel's slip, m per square root of a metre rolled.
     pub slip: f64,
-    /// How much heavier the robot is than stated, as a share: it gains and loses speed that much less.
+    /// Relative error of the mass: a heavier robot accelerates and brakes that much less.
     #[serde(skip_serializing_if = "is_zero")]
     pub mass: f64,
-    /// How much longer the motors' time constant is than stated, s.
+    /// Error of the motors' time constant: positive means longer than stated, s.
     #[serde(skip_serializing_if = "is_zero")]
     pub motor_lag: f64,
-    /// Time from a command of the wheels until the motors take it up, s.
+    /// Time from a wheel command until the motors act on it, s.
     #[serde(skip_serializing_if = "is_zero")]
     pub dead_time: f64,
 }
@@ -100,13 +100,13 @@ fn unlimited() -> f64 {
 }
 
 impl Drive {
-    /// Forward speed with all wheels at their limit, or the base's own limit, m/s.
+    /// Forward speed with all wheels at their limit, capped by the base's own limit, m/s.
     #[must_use]
     pub fn top_speed(&self) -> f64 {
         (self.max_wheel_speed * self.wheel_radius).min(self.max_speed)
     }
 
-    /// Yaw rate on the spot with all wheels at their limit, or the base's own limit, rad/s.
+    /// Yaw rate on the spot with all wheels at their limit, capped by the base's own limit, rad/s.
     #[must_use]
     pub fn top_yaw_rate(&self) -> f64 {
         (2.0 * self.max_wheel_speed * self.wheel_radius / self.wheel_separation).min(self.max_yaw_rate)
@@ -118,7 +118,7 @@ impl Drive {
         self.max_wheel_acceleration * self.wheel_radius
     }
 
-    /// Deceleration of a wheel that brakes as hard as it can, rad/s².
+    /// Deceleration of a wheel under hardest braking, rad/s².
     #[must_use]
     pub fn wheel_braking(&self) -> f64 {
         self.hard_braking / self.wheel_radius
@@ -161,7 +161,7 @@ impl Drive {
         }
     }
 
-    /// The twist that the base really makes of wheel speeds (left, right; rad/s), with the drive's [`DriveErrors`] but without slip.
+    /// The twist that wheel speeds (left, right; rad/s) really cause, with the drive's [`DriveErrors`] but without slip.
     #[must_use]
     pub fn true_twist(&self, wheels: [f64; 2]) -> Twist2 {
         let [left, right] = self.errors.wheel_radius;
@@ -177,8 +177,8 @@ impl Drive {
         }
     }
 
-    /// Wheel speeds (left, right; rad/s) within the limits of wheels and base: each wheel is bounded, then all slow down alike, so that
-    /// the curvature stays.
+    /// Wheel speeds (left, right; rad/s) within the limits of wheels and base: each wheel is clamped, then both are scaled alike, which
+    /// keeps the curvature.
     #[must_use]
     pub fn bounded(&self, wheels: [f64; 2]) -> [f64; 2] {
         let bounded = wheels.map(|speed| speed.clamp(-self.max_wheel_speed, self.max_wheel_speed));
@@ -189,7 +189,7 @@ impl Drive {
         bounded.map(|speed| speed / excess)
     }
 
-    /// The first value that no drive has.
+    /// Checks all values; the first one out of bounds.
     pub(crate) fn check(&self) -> Result<(), OutOfBounds> {
         const ERROR: Expected = Expected::Range(-0.5, 0.5, "a share, -0.5 to 0.5");
         const LOAD: Expected = Expected::Range(-0.9, 10.0, "a share, -0.9 to 10");

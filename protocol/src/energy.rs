@@ -1,13 +1,13 @@
 //! Energy model. How much power does a robot draw to move?
 //!
-//! One model for the simulated battery and the smoother's forecast. A wheel pushes with the force `F` that accelerates its half of the mass
-//! and of the inertia, and that overcomes friction. Its direct-current motor draws the mechanical power `F v` and the copper loss
-//! `(F r / k)²`, with the wheel radius `r` and the motor constant `k`. Braking feeds nothing back. Sensors and computers draw a constant
+//! One model, used for the simulated battery and for the smoother's forecast. A wheel pushes with the force `F` that accelerates its half
+//! of the mass and of the inertia and overcomes friction. Its direct-current motor draws the mechanical power `F v` and the copper loss
+//! `(F r / k)²`, with the wheel radius `r` and the motor constant `k`. Braking recovers no energy. Sensors and computers draw a constant
 //! power on top.
 //!
 //! Source: Mei, Lu, Hu and Lee, "Energy-Efficient Motion Planning for Mobile Robots", ICRA 2004, and "A Case Study of Mobile Robot's Energy
-//! Consumption and Conservation Techniques", ICAR 2005 (power of a robot as power at rest and of motion); Kim and Kim, "Minimum-Energy
-//! Translational Trajectory Generation for Differential-Driven Wheeled Mobile Robots", JIRS 2007 (motors with losses in their windings).
+//! Consumption and Conservation Techniques", ICAR 2005 (power at rest plus power of motion); Kim and Kim, "Minimum-Energy Translational
+//! Trajectory Generation for Differential-Driven Wheeled Mobile Robots", JIRS 2007 (motors with losses in their windings).
 
 use serde::{Deserialize, Serialize};
 
@@ -46,7 +46,7 @@ impl Default for MotorModel {
 }
 
 impl MotorModel {
-    /// The first value that no motor has.
+    /// Checks all values; the first one out of bounds.
     pub(crate) fn check(&self) -> Result<(), OutOfBounds> {
         check_all(&[
             ("mass", self.mass, Expected::Positive),
@@ -65,7 +65,7 @@ impl RobotModel {
         let motors = &self.motors;
         let radius = self.drive.wheel_radius;
         let gained = self.drive.twist(accelerations);
-        // The sum of the wheels' forces pushes the base, their difference turns it.
+        // The sum of the wheel forces pushes the base, their difference turns it.
         let push = 0.5 * motors.mass * gained.v;
         let turn = motors.inertia * gained.w / self.drive.wheel_separation;
         let rolling = 0.5 * motors.rolling_resistance * motors.mass * GRAVITY;
@@ -118,7 +118,7 @@ mod tests {
         let way = 0.5 * v;
         let expected = 0.5 * motors.mass * v * v + motors.rolling_resistance * motors.mass * GRAVITY * way;
         assert!((drawn - expected).abs() < 1e-3 * expected, "{drawn} against {expected}");
-        // Braking harder than friction does gives nothing back.
+        // Braking harder than friction recovers no energy.
         assert_eq!(power(&robot, 0.5, -2.0), 0.0);
     }
 

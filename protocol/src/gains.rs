@@ -1,86 +1,86 @@
-//! Gains of the trackers. How does a robot follow its plan? Part of the robot's file; the bounds are the same for the file and for
-//! `ask/edge/param` while the robot runs.
+//! Gains of the trackers. How does a robot follow its plan? Part of the robot's file; the same bounds apply to the file and to
+//! `ask/edge/param` at run time.
 
 use crate::config_text::OutOfBounds;
 
 crate::settings! {
     /// Gains of the trackers.
     pub struct ControllerGains {
-        /// The law that follows a plan, by name: `time_law`, `pure_pursuit`, `pid`, `wheel_law`, `heading_first`. The edge checks it.
+        /// Name of the tracking law: `time_law`, `pure_pursuit`, `pid`, `wheel_law`, `heading_first`. Checked by the edge.
         pub tracker: String = "time_law".to_owned();
-        /// Waypoint law: wheel speed for each radian of heading error.
+        /// Waypoint law: wheel speed per radian of heading error.
         pub heading_gain: f64 = 4.0, "1/s", 0.0..=20.0;
-        /// Waypoint law: wheel speed for each metre of distance.
+        /// Waypoint law: wheel speed per metre of distance.
         pub distance_gain: f64 = 2.0, "rad/(m s)", 0.0..=20.0;
-        /// Waypoint law: a waypoint nearer than this is passed.
+        /// Waypoint law: distance at which a waypoint counts as passed.
         pub waypoint_threshold: f64 = 0.3, "m", 0.05..=2.0;
-        /// Trajectory tracker: gain along the track.
+        /// Trajectory tracker: gain on the along-track error.
         pub along_gain: f64 = 1.5, "1/s", 0.0..=5.0;
-        /// Trajectory tracker: gain across the track.
+        /// Trajectory tracker: gain on the cross-track error.
         pub cross_gain: f64 = 8.0, "1/m²", 0.0..=50.0;
-        /// Trajectory tracker: gain of the heading.
+        /// Trajectory tracker: gain on the heading error.
         pub yaw_gain: f64 = 4.0, "1/m", 0.0..=20.0;
-        /// Heading-first law (`Kv`): speed for the distance.
+        /// Heading-first law (`Kv`): speed per metre of distance.
         pub go_gain: f64 = 1.0, "1/s", 0.0..=10.0;
-        /// Heading-first law (`Kw`): yaw rate for the bearing.
+        /// Heading-first law (`Kw`): yaw rate per radian of bearing.
         pub turn_gain: f64 = 2.0, "1/s", 0.0..=10.0;
-        /// PID law: yaw rate for the distance from the path.
+        /// PID law: yaw rate per metre of cross-track error.
         pub pid_p: f64 = 6.0, "rad/(m s)", 0.0..=100.0;
-        /// PID law: yaw rate for the integral of that distance.
+        /// PID law: yaw rate per integral of the cross-track error.
         pub pid_i: f64 = 0.5, "rad/(m s²)", 0.0..=100.0;
-        /// PID law: yaw rate for the rate of that distance.
+        /// PID law: yaw rate per rate of the cross-track error.
         pub pid_d: f64 = 6.0, "rad/m", 0.0..=100.0;
-        /// Pure pursuit: time to the point ahead.
+        /// Pure pursuit: lookahead time.
         pub lookahead_secs: f64 = 1.5, "s", 0.1..=5.0;
-        /// Turning on the spot: yaw rate for the heading error.
+        /// Turning on the spot: yaw rate per radian of heading error.
         pub spin_gain: f64 = 2.0, "1/s", 0.1..=20.0;
-        /// Laws on a path: the end is reached within this.
+        /// Laws on a path: distance at which the end counts as reached.
         pub end_distance: f64 = 0.05, "m", 0.005..=1.0;
-        /// Waypoint laws: the last waypoint, a place to be at, is reached within this at most.
+        /// Waypoint laws: greatest distance at which the last waypoint, a position to stop at, counts as reached.
         pub last_waypoint: f64 = 0.03, "m", 0.01..=2.0;
-        /// Trajectory tracker, beyond its gains.
+        /// Trajectory tracker: further parameters.
         pub time_law: TimeLawGains;
         /// Pure pursuit.
         pub pure_pursuit: PurePursuitGains;
-        /// PID law, beyond its gains.
+        /// PID law: further parameters.
         pub pid: PidGains;
         /// Wheel law.
         pub wheel_law: WheelLawGains;
         /// Heading-first law.
         pub heading_first: HeadingFirstGains;
-        /// Distance from an obstacle at which the collision monitor stops, beyond the braking distance.
+        /// Stopping distance of the collision monitor from an obstacle, on top of the braking distance.
         pub guard_margin: f64 = 0.03, "m", 0.01..=0.5;
-        /// Greatest speed into the lidar's blind spot, over floor that was seen free before: more than zero only where nobody
-        /// comes up behind. Recoveries back up slowly all the same.
+        /// Greatest speed into the lidar's blind spot, over floor that was seen free before: above zero only where nobody approaches from
+        /// behind. Recoveries back up slowly regardless.
         pub blind_speed: f64 = 0.0, "m/s", 0.0..=5.0;
     }
 }
 
 crate::settings! {
-    /// Trajectory tracker: when plan time waits for the robot, and how the end is settled.
+    /// Trajectory tracker: slowing of plan time when the robot deviates, and settling at the end.
     #[derive(Copy)]
     pub struct TimeLawGains {
-        /// Lag along the track up to which plan time runs at full rate.
+        /// Along-track lag up to which plan time runs at full rate.
         pub lag: f64 = 0.05, "m", 0.0..=2.0;
-        /// And at which it stands.
+        /// Along-track lag at which plan time stands still.
         pub lag_stop: f64 = 0.20, "m", 0.01..=5.0;
-        /// The same for the error across the track.
+        /// Cross-track error up to which plan time runs at full rate.
         pub cross: f64 = 0.10, "m", 0.0..=2.0;
-        /// And where plan time stands.
+        /// Cross-track error at which plan time stands still.
         pub cross_stop: f64 = 0.40, "m", 0.01..=5.0;
-        /// The same for the heading error.
+        /// Heading error up to which plan time runs at full rate.
         pub turn: f64 = 0.15, "rad", 0.0..=3.0;
-        /// And where plan time stands.
+        /// Heading error at which plan time stands still.
         pub turn_stop: f64 = 0.60, "rad", 0.01..=3.2;
-        /// Lead along the track beyond which the reference is moved up to the robot.
+        /// Along-track lead beyond which the reference is advanced to the robot.
         pub lead: f64 = 0.03, "m", 0.0..=1.0;
         /// Fastest correction at the end.
         pub settle_speed: f64 = 0.10, "m/s", 0.0..=1.0;
         /// Distance at which the end counts as reached.
         pub settle_distance: f64 = 0.015, "m", 0.001..=1.0;
-        /// Heading error at which it does.
+        /// Heading error at which the end counts as reached.
         pub settle_angle: f64 = 0.03, "rad", 0.001..=1.0;
-        /// Time to settle at the end; then where the robot stands is the end.
+        /// Time limit for settling at the end; after it, the robot's position counts as the end.
         pub settle_secs: f64 = 2.0, "s", 0.0..=60.0;
     }
     check = |law: &TimeLawGains| {
@@ -91,36 +91,36 @@ crate::settings! {
 }
 
 crate::settings! {
-    /// Regulated pure pursuit: where the point ahead is, and where the robot slows down.
+    /// Regulated pure pursuit: lookahead point, and where the robot slows down.
     #[derive(Copy)]
     pub struct PurePursuitGains {
-        /// The point ahead is at least this far.
+        /// Least lookahead distance.
         pub lookahead: f64 = 0.3, "m", 0.05..=5.0;
-        /// And at most this far.
+        /// Greatest lookahead distance.
         pub lookahead_most: f64 = 0.9, "m", 0.06..=20.0;
-        /// Bends of a smaller radius are driven slower.
+        /// Radius below which the robot slows down in a bend.
         pub slow_radius: f64 = 0.9, "m", 0.0..=10.0;
-        /// Slowest in a bend.
+        /// Least speed in a bend.
         pub least_speed: f64 = 0.1, "m/s", 0.01..=2.0;
-        /// The end is approached slower from here on.
+        /// Distance from the end at which the robot begins to slow down.
         pub approach: f64 = 0.6, "m", 0.01..=10.0;
-        /// Bearing of the point ahead beyond which the robot turns on the spot.
+        /// Bearing of the lookahead point beyond which the robot turns on the spot.
         pub turn_first: f64 = 0.785, "rad", 0.1..=3.2;
     }
     check = |law: &PurePursuitGains| ordered(("lookahead", law.lookahead), ("lookahead_most", law.lookahead_most));
 }
 
 crate::settings! {
-    /// PID law: its limits.
+    /// PID law: limits.
     #[derive(Copy)]
     pub struct PidGains {
-        /// The integral is held within this.
+        /// Limit of the integral.
         pub windup: f64 = 0.3, "m s", 0.0..=10.0;
-        /// Least speed before the end.
+        /// Least speed on the approach to the end.
         pub least_speed: f64 = 0.08, "m/s", 0.01..=2.0;
         /// Heading error beyond which the robot turns on the spot.
         pub turn_first: f64 = 0.8, "rad", 0.1..=3.2;
-        /// Deceleration towards the end, as a share of what the robot can.
+        /// Deceleration towards the end, as a share of the robot's own.
         pub braking_share: f64 = 0.5, "", 0.05..=1.0;
     }
 }
@@ -131,7 +131,7 @@ crate::settings! {
     pub struct WheelLawGains {
         /// Bearing beyond which the robot turns on the spot.
         pub turn_first: f64 = 1.0, "rad", 0.1..=3.2;
-        /// Least distance that the law counts with before the end: it would creep towards every waypoint.
+        /// Least distance in the law before the end; without it, the robot would creep towards every waypoint.
         pub least_distance: f64 = 0.6, "m", 0.0..=10.0;
     }
 }
@@ -140,14 +140,14 @@ crate::settings! {
     /// Heading-first law.
     #[derive(Copy)]
     pub struct HeadingFirstGains {
-        /// Bearing within which the robot drives.
+        /// Bearing below which the robot drives.
         pub aligned: f64 = 0.1, "rad", 0.01..=1.5;
-        /// A waypoint nearer than this is reached.
+        /// Distance at which a waypoint counts as reached.
         pub waypoint: f64 = 0.2, "m", 0.02..=2.0;
     }
 }
 
-/// Whether the first of two settings is less than the second.
+/// Checks that the first of two settings is less than the second.
 fn ordered((than, less): (&str, f64), (key, more): (&str, f64)) -> Result<(), OutOfBounds> {
     if less < more {
         Ok(())

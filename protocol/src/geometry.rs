@@ -1,6 +1,6 @@
-//! How are poses, velocities and angles written down? (REP-103: x forward, y left, yaw counter-clockwise in (-pi, pi].)
+//! Planar geometry. How are poses, velocities and angles represented? (REP-103: x forward, y left, yaw counter-clockwise in (-pi, pi].)
 //!
-//! Frames stand in variable names, `a_from_b`: `map_from_base = map_from_odom * odom_from_base`.
+//! Variable names state the frames, as `a_from_b`: `map_from_base = map_from_odom * odom_from_base`.
 
 use std::f64::consts::{PI, TAU};
 use std::ops::Mul;
@@ -8,7 +8,7 @@ use std::ops::Mul;
 use nalgebra::{Isometry2, Point2, Vector2};
 use serde::{Deserialize, Serialize};
 
-/// Brings an angle (rad) into (-pi, pi].
+/// Wraps an angle (rad) into (-pi, pi].
 ///
 /// Returns NaN for a non-finite angle.
 #[must_use]
@@ -22,8 +22,8 @@ pub fn wrap_angle(angle: f64) -> f64 {
 
 /// A rigid transform in the plane: position in metres, yaw in radians.
 ///
-/// The one pose type of the stack: on the wire it is `{"x": …, "y": …, "yaw": …}`; where linear algebra is done it
-/// converts to [`nalgebra::Isometry2`].
+/// The only pose type of the stack: on the wire it is `{"x": …, "y": …, "yaw": …}`; for linear algebra it converts to
+/// [`nalgebra::Isometry2`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Pose2 {
@@ -37,7 +37,7 @@ pub struct Pose2 {
 }
 
 impl Pose2 {
-    /// The transform that changes nothing.
+    /// The identity transform.
     pub const IDENTITY: Self = Self {
         x: 0.0,
         y: 0.0,
@@ -66,7 +66,7 @@ impl Pose2 {
         Vector2::new(self.yaw.cos(), self.yaw.sin())
     }
 
-    /// The same place, heading the other way.
+    /// The same position, with the opposite heading.
     #[must_use]
     pub fn turned(&self) -> Self {
         Self::new(self.x, self.y, self.yaw + std::f64::consts::PI)
@@ -85,7 +85,7 @@ impl Pose2 {
         Self::new(-(cos * self.x + sin * self.y), sin * self.x - cos * self.y, -self.yaw)
     }
 
-    /// Carries a point from the pose's own frame into its parent frame.
+    /// Transforms a point from the pose's own frame into its parent frame.
     #[must_use]
     pub fn transform_point(&self, point: Point2<f64>) -> Point2<f64> {
         let (sin, cos) = self.yaw.sin_cos();
@@ -101,7 +101,8 @@ impl Pose2 {
         (self.x - other.x).hypot(self.y - other.y)
     }
 
-    /// Linear between two poses of one frame, the heading the shorter way round: `share` 0 is this pose, 1 is `to`.
+    /// Linear interpolation between two poses of one frame, with the heading taking the shorter way round: `share` 0 is this pose, 1 is
+    /// `to`.
     ///
     /// ```
     /// use zenav_protocol::geometry::Pose2;

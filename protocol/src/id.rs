@@ -1,4 +1,4 @@
-//! Ids. Which names may stand in a key, and how is a unique one made?
+//! Ids. Which names are valid in a key, and how is a unique one made?
 //!
 //! An id matches `[A-Za-z0-9_-]{1,64}`, so that no name can widen or break a key expression.
 
@@ -22,7 +22,7 @@ use uuid::Uuid;
 #[serde(try_from = "String", into = "String")]
 pub struct Id(String);
 
-/// A name that cannot stand in a key.
+/// A name that is not valid in a key.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error("`{name}` is not a valid name: expected 1 to 64 of A-Z a-z 0-9 _ -{note}")]
 pub struct InvalidId {
@@ -31,10 +31,10 @@ pub struct InvalidId {
 }
 
 impl Id {
-    /// Checks a name from outside.
+    /// Checks a name from an external source.
     ///
     /// # Errors
-    /// [`InvalidId`] unless it matches `[A-Za-z0-9_-]{1,64}`; `zenav` begins every key, and stands in none a second time.
+    /// [`InvalidId`] unless it matches `[A-Za-z0-9_-]{1,64}`; `zenav` is refused, because it is the first chunk of every key.
     pub fn new(name: impl Into<String>) -> Result<Self, InvalidId> {
         let name: String = name.into();
         if name == "zenav" {

@@ -1,4 +1,4 @@
-//! The contract between robot and cloud: what two machines of zenav must agree on.
+//! The contract between robot and cloud: everything two machines of zenav must agree on.
 //!
 //! Plain data and pure functions, without a network: geometry, grids, robot files, messages, the key table, codecs, the lease. With the
 //! feature `bus` also typed publish, subscribe and ask over [Zenoh](https://zenoh.io); no other crate of zenav names Zenoh.
@@ -10,16 +10,16 @@
 //! | [`grid`] | the grid convention, occupancy values, the one ray walk |
 //! | [`trajectory`] | a path in time: sample, splice, nearest ahead |
 //! | [`time`] | stamps in nanoseconds |
-//! | [`id`] | names that may stand in a key, and unique ids |
+//! | [`id`] | names that are valid in a key, and unique ids |
 //! | [`robot`] | footprint, limits and sensors of a robot, and its TOML file |
 //! | [`drive`] | wheels, their limits and kinematics |
 //! | [`sensors`] | sensors: model, bounds, reading and message, one file for each kind |
 //! | [`gains`], [`wall_following`] | path trackers and the wall follower: settings and their bounds |
-//! | [`energy`] | power that a robot draws |
-//! | [`readings`] | sensor readings that a body hands to its edge |
+//! | [`energy`] | electrical power that a robot draws |
+//! | [`readings`] | sensor readings, from a body to its edge |
 //! | [`messages`] | everything that crosses the wire |
 //! | [`topics`] | the key table: key, message, quality of service, producer |
-//! | [`member`], [`access`] | who takes part in a fleet, and which keys each may use |
+//! | [`member`], [`access`] | the members of a fleet, and which keys each may use |
 //! | [`codec`] | JSON and CBOR |
 //! | [`lease`] | lease arbiter: who may command a robot |
 //! | [`map_replica`], [`padding`] | a copy of a map on another machine |
@@ -57,5 +57,5 @@ pub mod topics;
 pub mod trajectory;
 pub mod wall_following;
 
-/// Version of the message schema. Two components that talk must have the same one; each states it in its `info` reply.
+/// Version of the message schema. Two components that communicate must have the same one; each states it in its `info` reply.
 pub const SCHEMA_VERSION: u32 = 3;

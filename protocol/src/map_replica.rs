@@ -1,6 +1,6 @@
 //! Map replica. How does another machine keep a copy of a map?
 //!
-//! By applying patches. Where a patch is missing, the replica reports a gap and takes over the whole map instead:
+//! The replica applies patches. When a patch is missing, it reports a gap and takes over the whole map instead:
 //!
 //! ```
 //! use nalgebra::Point2;
@@ -34,7 +34,7 @@ use crate::messages::{MapPatch, MapRef, MapReply, TILE, Tile};
 use crate::padding::{Extent, Padding, tiles_before};
 use crate::time::Stamp;
 
-/// A patch that begins a map has at most so many cells for each tile that it brings, and one more: few bytes do not ask for much memory.
+/// Most cells per tile, plus one tile, of a patch that starts a map: a small message must not allocate much memory.
 const MOST_CELLS_A_TILE: usize = 4096 * (TILE * TILE) as usize;
 
 /// What a replica did with a patch.
@@ -45,13 +45,13 @@ pub enum PatchResult {
     Applied,
     /// The replica already holds this revision or a later one.
     Old,
-    /// The patch applies to another map or revision than the replica's, or it is malformed: ask for the whole map.
+    /// The patch is for another map or revision, or it is malformed: request the whole map.
     Gap,
 }
 
 /// A copy of a map, kept up to date by patches.
 ///
-/// The replica may be [padded](Self::reach) with unknown cells beyond the map. A clone shares the cells until one of the two changes.
+/// [Padding](Self::reach) can extend the replica with unknown cells beyond the map. A clone shares the cells until either copy changes.
 #[derive(Clone, Debug)]
 pub struct MapReplica {
     map: MapRef,
@@ -71,7 +71,7 @@ impl Default for MapReplica {
 }
 
 impl MapReplica {
-    /// A replica without a map: no cells.
+    /// A replica without a map: it has no cells.
     #[must_use]
     pub fn new() -> Self {
         let nothing = GridSpec {
@@ -90,7 +90,7 @@ impl MapReplica {
         }
     }
 
-    /// Applies a patch. After [`PatchResult::Gap`] nothing has changed.
+    /// Applies a patch. After [`PatchResult::Gap`] the replica is unchanged.
     pub fn apply(&mut self, patch: &MapPatch) -> PatchResult {
         let same = patch.map.id == self.map.id;
         if same && patch.map.revision <= self.map.revision && self.map.revision > 0 {
@@ -101,7 +101,7 @@ impl MapReplica {
             return PatchResult::Gap;
         }
         if from_unknown {
-            // The places asked for belong to the map before.
+            // The requested padding belongs to the previous map.
             self.padding = Padding::default();
         }
         if from_unknown && patch.spec.len() > MOST_CELLS_A_TILE * (patch.tiles.len() + 1) {
@@ -130,7 +130,7 @@ impl MapReplica {
         PatchResult::Applied
     }
 
-    /// Takes over a whole map; `false`, and nothing changes, when the reply is malformed or carries no cells.
+    /// Takes over a whole map; `false`, without any change, when the reply is malformed or has no cells.
     pub fn replace(&mut self, reply: &MapReply) -> bool {
         let Ok(grid) = reply.grid() else {
             return false;
@@ -146,7 +146,7 @@ impl MapReplica {
         true
     }
 
-    /// Pads the replica so that it covers an extent, also as the map grows: a planner may route through cells that nobody has seen.
+    /// Pads the replica so that it covers an extent, also as the map grows: a planner may route through unseen cells.
     pub fn reach(&mut self, extent: &Extent) {
         self.padding = self.padding.widened(extent, self.spec);
         self.pad();
@@ -167,7 +167,7 @@ impl MapReplica {
         &self.grid
     }
 
-    /// The map and its revision; an empty id before the first map.
+    /// The map and its revision; the id is empty before the first map.
     #[must_use]
     pub fn map(&self) -> &MapRef {
         &self.map
@@ -202,14 +202,14 @@ impl MapReplica {
             .collect()
     }
 
-    /// Takes another grid, every tile of it written in this revision.
+    /// Replaces the grid; all tiles count as written in this revision.
     fn begin(&mut self, grid: OccupancyGrid, revision: u64) {
         let tiles = grid.spec().width.div_ceil(TILE) as usize * grid.spec().height.div_ceil(TILE) as usize;
         self.grid = Arc::new(grid);
         self.written = Arc::new(vec![revision; tiles]);
     }
 
-    /// The values, moved into a grid of another size; `None` when the cells of the two do not coincide.
+    /// The values, copied into a grid of another size; `None` when the cells of the two grids do not coincide.
     fn regridded(&self, spec: GridSpec) -> Option<OccupancyGrid> {
         let old = *self.grid.spec();
         let shift = spec.to_cells(old.origin);
@@ -238,7 +238,7 @@ impl MapReplica {
         Some(grid)
     }
 
-    /// Writes a tile of the map; `before` counts the padding's columns and rows of tiles to the left and below.
+    /// Writes a tile of the map; `before` is the padding to the left and below, in columns and rows of tiles.
     fn write(&mut self, tile: &Tile, before: (u32, u32), revision: u64) {
         let columns = self.grid.spec().width.div_ceil(TILE) as usize;
         let place = (tile.y + before.1) as usize * columns + (tile.x + before.0) as usize;
@@ -249,7 +249,7 @@ impl MapReplica {
         let (width, height) = (grid.spec().width as usize, grid.spec().height as usize);
         let side = TILE as usize;
         let (x, y) = ((tile.x + before.0) as usize * side, (tile.y + before.1) as usize * side);
-        // A tile at the map's border is clipped to the map: its cells beyond are padding, and unknown.
+        // A tile at the map's border is clipped to the map: the cells beyond are padding and stay unknown.
         let length = side
             .min(width.saturating_sub(x))
             .min((self.spec.width as usize).saturating_sub(tile.x as usize * side));
@@ -268,7 +268,7 @@ impl MapReplica {
     }
 }
 
-/// Whether a patch from outside is well-formed: a grid within the limits, and whole tiles inside it.
+/// Whether an external patch is well-formed: a grid within the limits, with whole tiles inside it.
 fn is_well_formed(patch: &MapPatch) -> bool {
     let Ok(spec) = patch.spec.checked() else {
         return false;

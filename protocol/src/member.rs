@@ -1,4 +1,4 @@
-//! Member. Who takes part in a fleet, and as what? The common name of its certificate says: `ROLE.NAME`.
+//! Members. Which participants does a fleet have, and in which roles? The common name of a member's certificate states both: `ROLE.NAME`.
 
 use std::fmt;
 use std::str::FromStr;
@@ -7,18 +7,18 @@ use thiserror::Error;
 
 use crate::id::{Id, InvalidId};
 
-/// What a member of a fleet may do; [`Grants::of`](crate::access::Grants::of) says which keys that means.
+/// Permissions of a member; [`Grants::of`](crate::access::Grants::of) translates them into keys.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Role {
-    /// Where links meet: it passes everything on, so it is trusted with everything. A world server, or a whole deployment in one process.
+    /// A hub of links: it forwards everything, so it is trusted with everything. A world server, or a whole deployment in one process.
     Router,
     /// One robot: its edge, and the body that the edge drives.
     Robot,
     /// Off-board services: mapping, motion, mission.
     Service,
-    /// A person who commands, or a page where people do.
+    /// A person who commands, or a page for commanding.
     Operator,
-    /// Whoever looks and changes nothing.
+    /// A read-only participant.
     Viewer,
 }
 
@@ -26,7 +26,7 @@ impl Role {
     /// All roles.
     pub const ALL: [Self; 5] = [Self::Router, Self::Robot, Self::Service, Self::Operator, Self::Viewer];
 
-    /// The word for it in a common name.
+    /// Name of the role in a common name.
     #[must_use]
     pub const fn as_str(self) -> &'static str {
         match self {
@@ -38,7 +38,7 @@ impl Role {
         }
     }
 
-    /// Whether others dial it: its certificate also serves as that of an endpoint.
+    /// Whether other members connect to it: its certificate is then also valid for an endpoint.
     #[must_use]
     pub const fn listens(self) -> bool {
         matches!(self, Self::Router | Self::Robot)
@@ -63,19 +63,19 @@ impl fmt::Display for Role {
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Member {
-    /// What it may do.
+    /// The member's role.
     pub role: Role,
-    /// Its name, which for a robot stands in every key.
+    /// The member's name; for a robot, it is part of every key.
     pub name: Id,
 }
 
-/// A text that names no member.
+/// A text that is not a valid member name.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum NoMember {
-    /// There is no such role, or none at all.
+    /// The role is unknown or missing.
     #[error("`{0}`: expected ROLE.NAME, where ROLE is router, robot, service, operator or viewer")]
     Role(String),
-    /// The name cannot stand in a key.
+    /// The name is not valid in a key.
     #[error(transparent)]
     Name(#[from] InvalidId),
 }

@@ -1,7 +1,7 @@
 //! Map padding. How far does a map replica extend beyond the map?
 //!
-//! Paths may lead through cells that nobody has seen, and those do not end at the map's border. So a replica can be padded with whole tiles
-//! of unknown cells, out to every place that was asked for.
+//! Paths may lead through unseen cells, also beyond the map's border. So a replica can be padded with whole tiles of unknown cells, out to
+//! every requested position.
 
 use nalgebra::{Point2, Vector2};
 
@@ -9,7 +9,7 @@ use crate::grid::{GridSpec, MAX_CELLS};
 use crate::messages::TILE;
 use crate::robot::Footprint;
 
-/// Extent that a planner needs of a map, seen or not.
+/// Extent of the map that a planner needs, seen or not.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Extent {
     /// Places that the replica must cover, map frame, m.
@@ -19,7 +19,7 @@ pub struct Extent {
 }
 
 impl Extent {
-    /// The places, with a ring in which a robot of this footprint can go around everything.
+    /// The places, with a ring wide enough for a robot of this footprint to drive around everything.
     #[must_use]
     pub fn of(footprint: &Footprint, places: Vec<Point2<f64>>) -> Self {
         Self {
@@ -32,20 +32,20 @@ impl Extent {
 /// Width of the ring beyond the robot's own width, m.
 const RING_MARGIN: f64 = 0.5;
 
-/// A replica keeps earlier extents as long as it has no more than so many times the cells of the newest one alone.
+/// A replica keeps earlier extents while their sum has at most this many times the cells of the newest one alone.
 const MOST_TIMES: u64 = 4;
 
-/// Padding of a map replica: the sum of the extents asked for.
+/// Padding of a map replica: the union of the requested extents.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Padding {
-    /// Lower-left and upper-right corner of all places asked for, m.
+    /// Lower-left and upper-right corner of all requested places, m.
     bounds: Option<[Point2<f64>; 2]>,
     /// Width of the ring around them and around the map, m.
     ring: f64,
 }
 
 impl Padding {
-    /// Adds an extent: its places, and the map, will lie at least the ring's width inside the border. Numbers that are not finite are
+    /// Adds an extent: afterwards its places and the map lie at least the ring's width inside the border. Numbers that are not finite are
     /// ignored.
     pub fn include(&mut self, Extent { places, ring }: &Extent) {
         for place in places.iter().filter(|place| place.coords.iter().all(|c| c.is_finite())) {
@@ -57,8 +57,8 @@ impl Padding {
         }
     }
 
-    /// The padding that serves a new extent of a map too: this one and the new one, or the new one alone where the sum would be far larger than
-    /// needed or exceed the largest map. Where the new one alone would, nobody can be served, and this one stays.
+    /// The padding after a new extent: the union with this one, or the new one alone if the union would be far larger than needed or exceed
+    /// the largest map. If the new extent alone exceeds it, the padding stays unchanged.
     #[must_use]
     pub fn widened(&self, extent: &Extent, spec: GridSpec) -> Self {
         let (mut both, mut alone) = (*self, Self::default());
@@ -72,14 +72,14 @@ impl Padding {
         }
     }
 
-    /// Geometry of the padded replica of a map. It grows by whole tiles, so that the map's tiles stay aligned. Where it would exceed the
-    /// largest map, the map's own geometry.
+    /// Geometry of the padded replica of a map. It grows by whole tiles, so that the map's tiles stay aligned. If it would exceed the
+    /// largest map, the map's own geometry is returned.
     #[must_use]
     pub fn around(&self, spec: GridSpec) -> GridSpec {
         self.padded(spec).unwrap_or(spec)
     }
 
-    /// The same; `None` where it would exceed the largest map.
+    /// As [`Self::around`]; `None` if it would exceed the largest map.
     fn padded(&self, spec: GridSpec) -> Option<GridSpec> {
         if spec.is_empty() || *self == Self::default() {
             return Some(spec);
@@ -157,7 +157,7 @@ mod tests {
         assert_eq!(padding.around(spec(10, 10)), spec(10, 10));
         padding.include(&to(f64::NAN));
         assert_eq!(padding.around(spec(10, 10)).width, 10 + 2 * TILE, "the ring alone");
-        // Too far for anybody: what serves the others stays. Far: for this one alone.
+        // Too far: the earlier padding stays. Far: only the new extent is kept.
         let map = spec(10, 10);
         let wide = padding.widened(&to(9.0), map);
         assert_eq!(wide.widened(&to(1e9), map), wide);

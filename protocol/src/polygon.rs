@@ -1,6 +1,6 @@
 //! Polygons. What does an outline enclose, and is it a simple polygon?
 //!
-//! For obstacles, zones and footprints, as users draw them in files.
+//! Used for obstacles, zones and footprints from user files.
 
 use std::f64::consts::PI;
 
@@ -36,7 +36,7 @@ pub fn doubled_area(corners: &[Point2<f64>]) -> f64 {
     edges(corners).map(|edge| cross(edge.a.coords, edge.b.coords)).sum()
 }
 
-/// Whether a polygon turns left at every corner, and once in all, with corners in counter-clockwise order.
+/// Whether a polygon turns left at every corner and makes exactly one full turn, with its corners counter-clockwise.
 #[must_use]
 pub fn is_convex(corners: &[Point2<f64>]) -> bool {
     let following = corners.iter().cycle().skip(2);
@@ -50,8 +50,8 @@ pub fn is_convex(corners: &[Point2<f64>]) -> bool {
     turns_left && turned < 3.0 * PI
 }
 
-/// A convex outline with every edge moved outwards by a distance, m; inwards for a negative one. Corners stay sharp, so that a grown outline
-/// contains the rounded one.
+/// A convex outline with every edge moved outwards by a distance, m; a negative distance moves inwards. Corners stay sharp, so the grown
+/// outline contains the rounded one.
 #[must_use]
 pub fn offset(corners: &[Point2<f64>], by: f64) -> Vec<Point2<f64>> {
     let count = corners.len();
@@ -126,7 +126,7 @@ pub fn simple(mut corners: Vec<Point2<f64>>) -> Result<Vec<Point2<f64>>, Outline
         return Err(OutlineError::Repeated(edge.a));
     }
     for (i, edge) in edges.iter().enumerate() {
-        // Neighbours share a corner: they may only not turn straight back.
+        // Neighbouring edges share a corner; only turning straight back is an error.
         let next = edges[(i + 1) % edges.len()];
         let (along, on) = (edge.b - edge.a, next.b - next.a);
         if cross(along, on) == 0.0 && along.dot(&on) < 0.0 {

@@ -1,4 +1,4 @@
-//! Readings. What does a body give its pilot each tick, whether it is real or simulated?
+//! Readings. What does a body send to its edge each tick, real or simulated?
 
 use serde::{Deserialize, Serialize};
 
@@ -9,7 +9,7 @@ use crate::time::Stamp;
 
 macro_rules! readings {
     ([] $($(#[doc = $doc:literal])* $(#[serde $serde:tt])* $kind:ident: $Model:ident => $Reading:ident, $TOPIC:ident = $key:literal;)*) => {
-        /// Raw readings of one control tick. What did not come since the last tick is `None`.
+        /// Raw readings of one control tick. A sensor without a new reading since the last tick is `None`.
         #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
         #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
         pub struct Readings {
@@ -35,7 +35,7 @@ macro_rules! readings {
         }
 
         impl Readings {
-            /// Nothing measured yet: wheels at zero, no contact, a full battery.
+            /// Initial readings: wheels at zero, no contact, a full battery.
             #[must_use]
             pub fn new(stamp: Stamp) -> Self {
                 Self {
@@ -53,7 +53,7 @@ macro_rules! readings {
                 }
             }
 
-            /// These readings and later ones as those of one tick: nothing that was sensed in between is lost.
+            /// Merges these readings with later ones into those of one tick, without losing a measurement.
             #[must_use]
             pub fn followed_by(self, mut later: Self) -> Self {
                 let bump = if self.bump.pressed && !later.bump.pressed {
@@ -74,7 +74,7 @@ macro_rules! readings {
                 }
             }
 
-            /// What sensors of the table's kinds measured since the last tick.
+            /// New measurements of the sensors of the table's kinds since the last tick.
             #[must_use]
             pub fn of_kinds(&self) -> Vec<KindReading> {
                 [$(self.$kind.clone().map(KindReading::$Reading)),*].into_iter().flatten().collect()

@@ -1,7 +1,7 @@
-//! Robot model. What is a robot, for everybody who plans for it, drives it or simulates it? Its footprint, limits and sensors.
+//! Robot model. What are the footprint, limits and sensors of a robot, for planning, driving and simulation?
 //!
 //! Read from TOML; unknown keys are errors that name the line. Shipped robots are found by name, and options such as `rear_lidar` are
-//! added to a robot with `+`: `jackal+rear_lidar`.
+//! appended with `+`: `jackal+rear_lidar`.
 
 use std::collections::BTreeMap;
 
@@ -20,7 +20,7 @@ use crate::wall_following::WallFollowing;
 
 macro_rules! robot_model {
     ([] $($(#[doc = $doc:literal])* $(#[serde $serde:tt])* $kind:ident: $Model:ident => $Reading:ident, $TOPIC:ident = $key:literal;)*) => {
-        /// A robot: what its file says.
+        /// A robot, as described by its file.
         #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
         #[serde(deny_unknown_fields)]
         pub struct RobotModel {
@@ -51,7 +51,7 @@ macro_rules! robot_model {
             /// Battery.
             #[serde(default)]
             pub battery: BatteryModel,
-            /// Motors, and what they move.
+            /// Motors, and the mass that they move.
             #[serde(default)]
             pub motors: MotorModel,
             /// Gains of the trackers.
@@ -63,7 +63,7 @@ macro_rules! robot_model {
         }
 
         impl RobotModel {
-            /// The first value that no sensor of a kind of the table has.
+            /// Checks the sensors of the table's kinds; the first value out of bounds.
             pub(crate) fn check_kinds(&self) -> Result<(), OutOfBounds> {
                 $(
                     let model = self.$kind.as_ref();
@@ -77,7 +77,7 @@ macro_rules! robot_model {
 
 crate::sensor_kinds!(robot_model []);
 
-/// Outline on the floor, in the base frame.
+/// Outline on the floor, base frame.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", try_from = "FootprintTable")]
 pub enum Footprint {
@@ -87,7 +87,7 @@ pub enum Footprint {
     Polygon(Vec<Point2<f64>>),
 }
 
-/// A footprint as it is written: one of its keys.
+/// A footprint as written in the file: exactly one of the keys.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct FootprintTable {
@@ -117,7 +117,7 @@ impl TryFrom<FootprintTable> for Footprint {
 }
 
 impl Footprint {
-    /// Radius of the largest disc around the base inside the outline, m.
+    /// Radius of the largest disc around the base that fits inside the outline, m.
     #[must_use]
     pub fn inscribed_radius(&self) -> f64 {
         match self {
@@ -134,7 +134,7 @@ impl Footprint {
         }
     }
 
-    /// Radius of the smallest disc around the base that holds the outline, m.
+    /// Radius of the smallest disc around the base that contains the outline, m.
     #[must_use]
     pub fn circumscribed_radius(&self) -> f64 {
         match self {
@@ -143,7 +143,8 @@ impl Footprint {
         }
     }
 
-    /// The outline moved outwards by a distance on all sides, m; inwards for a negative one, by at most half the inscribed radius.
+    /// The outline moved outwards by a distance on all sides, m; a negative distance moves it inwards, by at most half the inscribed
+    /// radius.
     #[must_use]
     pub fn offset(&self, by: f64) -> Self {
         let by = by.max(-0.5 * self.inscribed_radius());
@@ -153,7 +154,7 @@ impl Footprint {
         }
     }
 
-    /// The outline of the same robot that takes its rear for its front.
+    /// The outline of the same robot with rear and front exchanged.
     #[must_use]
     pub fn turned(&self) -> Self {
         match self {
@@ -198,14 +199,14 @@ impl Footprint {
     }
 }
 
-/// Names and texts of the shipped options: parts that are added to a robot's file.
+/// Names and texts of the shipped options: partial files laid over a robot's file.
 pub const OPTIONS: &[(&str, &str)] = &[
     ("rear_lidar", include_str!("../robots/options/rear_lidar.toml")),
     ("indoor", include_str!("../robots/options/indoor.toml")),
     ("worn", include_str!("../robots/options/worn.toml")),
 ];
 
-/// Key of an option file: what the robot goes without, each a key or a dotted path to one.
+/// Key of an option file: list of keys or dotted paths to remove from the robot.
 const WITHOUT: &str = "without";
 
 /// Names and texts of the shipped robots.
@@ -223,10 +224,10 @@ pub fn shipped(name: &str) -> Option<&'static str> {
 }
 
 impl RobotModel {
-    /// Reads a robot file's text; `name` is for errors.
+    /// Reads a robot file's text; `name` is used in errors.
     ///
     /// # Errors
-    /// [`RobotError`] for text that is not TOML, unknown or missing keys, and values that no robot has: file, line and key.
+    /// [`RobotError`] for text that is not TOML, unknown or missing keys, and values out of bounds: with file, line and key.
     pub fn from_toml(text: &str, name: &str) -> Result<Self, RobotError> {
         let refused = |source| RobotError::toml(name, source);
         let model: Self = toml::from_str(text).map_err(refused)?;
@@ -237,13 +238,13 @@ impl RobotModel {
         Ok(model)
     }
 
-    /// Reads a robot and its options, `ROBOT+OPTION+…`: a robot file's tables, with those of each option file laid over them, and less
-    /// what an option file says that the robot goes `without`.
+    /// Reads a robot and its options, `ROBOT+OPTION+…`: the tables of the option files are laid over those of the robot file, and the keys
+    /// listed in an option's `without` are removed.
     ///
-    /// `read` gives the text of a file that is not a shipped robot or option, or says why it cannot.
+    /// `read` returns the text of a file that is not a shipped robot or option, or why it cannot be read.
     ///
     /// # Errors
-    /// [`RobotError`], as for [`Self::from_toml`]; values that only the sum of all files gets wrong are named without a line.
+    /// [`RobotError`], as for [`Self::from_toml`]; values that only the combination of files puts out of bounds are named without a line.
     ///
     /// ```
     /// use zenav_protocol::robot::RobotModel;
@@ -264,7 +265,7 @@ impl RobotModel {
         let mut parts = names.split('+');
         let robot = parts.next().unwrap_or_default();
         let text = text_of(robot, SHIPPED)?;
-        // By itself first: errors of the robot's own file name its lines.
+        // Read without options first, so that errors in the robot's own file name its lines.
         let alone = Self::from_toml(&text, robot)?;
         let mut options = parts.peekable();
         if options.peek().is_none() {
@@ -293,7 +294,7 @@ impl RobotModel {
         model.fitted(&sum).checked(names)
     }
 
-    /// With the wall follower's distances for this robot where its `file` has none.
+    /// Adapts the wall follower's distances to this robot where its `file` does not set them.
     fn fitted(self, file: &toml::Table) -> Self {
         let written = file.get("wall_following").and_then(toml::Value::as_table);
         let reach = self.footprint.circumscribed_radius();
@@ -305,7 +306,7 @@ impl RobotModel {
         }
     }
 
-    /// Checks values, wherever they came from; `name` is for errors.
+    /// Checks the values of a model from any source; `name` is used in errors.
     ///
     /// # Errors
     /// [`RobotError::Value`].
@@ -314,8 +315,8 @@ impl RobotModel {
         Ok(self)
     }
 
-    /// All lidars with their names: [`Self::lidar`] first, then the others by name. The first is the one whose scans are published on
-    /// the robot's plain scan key.
+    /// All lidars with their names: [`Self::lidar`] first, then the others by name. Scans of the first are published on the robot's plain
+    /// scan key.
     pub fn all_lidars(&self) -> impl Iterator<Item = (&str, &LidarModel)> {
         let first = self.lidar.as_ref().map(|lidar| (DEFAULT_LIDAR, lidar));
         first
@@ -323,7 +324,7 @@ impl RobotModel {
             .chain(self.lidars.iter().map(|(name, lidar)| (name.as_str(), lidar)))
     }
 
-    /// The same, to change them.
+    /// As [`Self::all_lidars`], mutable.
     pub fn all_lidars_mut(&mut self) -> impl Iterator<Item = (&str, &mut LidarModel)> {
         let first = self.lidar.as_mut().map(|lidar| (DEFAULT_LIDAR, lidar));
         let others = self.lidars.iter_mut();
@@ -332,14 +333,14 @@ impl RobotModel {
             .chain(others.map(|(name, lidar)| (name.as_str(), lidar)))
     }
 
-    /// The first lidar; every robot that was read from a file has one.
+    /// The first lidar; every robot read from a file has one.
     #[must_use]
     pub fn first_lidar(&self) -> Option<&LidarModel> {
         self.all_lidars().next().map(|(_, lidar)| lidar)
     }
 }
 
-/// Lays tables over tables; any other value replaces what was there.
+/// Merges tables recursively; any other value replaces the previous one.
 fn lay_over(table: &mut toml::Table, over: toml::Table) {
     for (key, value) in over {
         match (table.get_mut(&key), value) {
@@ -351,7 +352,7 @@ fn lay_over(table: &mut toml::Table, over: toml::Table) {
     }
 }
 
-/// Takes keys out of a table; one that is not there is no robot's that goes without it.
+/// Removes keys from a table; missing keys are ignored.
 fn take_away(table: &mut toml::Table, keys: toml::Value) -> Result<(), String> {
     let keys: Vec<String> = keys
         .try_into()

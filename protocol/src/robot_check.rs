@@ -1,4 +1,4 @@
-//! Validation of robot files. Which values may a robot's file hold? A value out of bounds is named with file, line and key.
+//! Validation of robot files. Which values are allowed? A value out of bounds is reported with file, line and key.
 
 use nalgebra::Point2;
 use thiserror::Error;
@@ -10,47 +10,47 @@ use crate::robot::{Footprint, RobotModel};
 use crate::sensors::DEFAULT_LIDAR;
 use crate::settings::Settings as _;
 
-/// No robot reaches farther from its origin, m.
+/// Greatest reach of a footprint from the base, m.
 const MAX_REACH: f64 = 10.0;
 /// Most lidars of one robot.
 const MAX_LIDARS: usize = 16;
 
-/// Sensors that faults of a world call by these names.
+/// Names under which the faults of a world refer to the other sensors; no lidar may use them.
 const OTHER_SENSORS: [&str; 5] = ["encoders", "imu", "bump", "battery", "gps"];
 
 /// Why a robot file was refused.
 #[derive(Debug, Error)]
 pub enum RobotError {
-    /// The TOML does not fit: the message names line and key.
+    /// The TOML does not match the model: the message names line and key.
     #[error("{name}: {source}")]
     Toml {
         /// The file.
         name: String,
-        /// What and where.
+        /// Problem and position.
         source: Box<toml::de::Error>,
     },
-    /// There is no robot or option of that name.
+    /// No robot or option has this name.
     #[error("`{name}`: {reason}")]
     Unknown {
-        /// What was asked for.
+        /// The requested name.
         name: String,
-        /// Why it cannot be had.
+        /// Why it is not available.
         reason: String,
     },
-    /// A value that no robot has.
+    /// A value is out of bounds.
     #[error("{at}: `{key}` {problem}")]
     Value {
-        /// The file, and the line where it is written in one: `my.toml:7`.
+        /// The file and, if known, the line: `my.toml:7`.
         at: String,
-        /// The key, its tables before it.
+        /// The key with its enclosing tables.
         key: String,
-        /// What it is, and what was expected.
+        /// The value, and what was expected.
         problem: String,
     },
 }
 
 impl RobotError {
-    /// The TOML does not fit.
+    /// [`RobotError::Toml`].
     pub(crate) fn toml(name: &str, source: toml::de::Error) -> Self {
         Self::Toml {
             name: name.to_owned(),
@@ -58,7 +58,7 @@ impl RobotError {
         }
     }
 
-    /// A value out of bounds, with its line where there is a text.
+    /// [`RobotError::Value`], with its line if the text is known.
     pub(crate) fn value(error: OutOfBounds, name: &str, text: Option<&str>) -> Self {
         let OutOfBounds { key, problem } = error;
         let line = text.and_then(|text| line_of(text, &key));
@@ -71,7 +71,7 @@ impl RobotError {
 }
 
 impl RobotModel {
-    /// The first value that no robot has.
+    /// Checks all values; the first one out of bounds.
     pub(crate) fn check(&self) -> Result<(), OutOfBounds> {
         self.check_footprint()?;
         self.drive.check().map_err(|error| error.within("drive"))?;
@@ -162,7 +162,7 @@ mod tests {
     use super::*;
     use crate::robot::{SHIPPED, shipped};
 
-    /// What is said of the shipped TIAGo with a line replaced, or with lines at its end.
+    /// Error message for the shipped TIAGo with a line replaced, or with lines appended.
     fn said(line: &str, by: &str) -> String {
         let text = shipped("tiago").unwrap();
         let text = if line.is_empty() {

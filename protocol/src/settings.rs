@@ -1,9 +1,8 @@
-//! Settings. What can be tuned, in which unit, within which bounds, and why is the default what it is?
+//! Settings. What can be tuned, in which unit, within which bounds, and what justifies the default?
 //!
 //! [`settings!`](crate::settings!) declares a section of settings in one place: each field with its doc line, type, default, unit and
-//! bounds. From that come
-//! the struct (serde with unknown keys refused, `Default`), the check of its bounds, and the table of rows that `zenav config show` prints.
-//! A field without a default is a section of its own.
+//! bounds. It generates the struct (serde with unknown keys refused, `Default`), the check of its bounds, and the rows that
+//! `zenav config show` prints. A field without a default is a nested section.
 
 use std::fmt;
 use std::ops::{Bound, RangeBounds};
@@ -17,9 +16,9 @@ pub use {serde, serde_json};
 
 /// Declares a section of settings: see [the module](mod@crate::settings).
 ///
-/// Each field is `name: type = default, "unit", bounds;`. The unit may be left out when the bounds are, and is `""` for what has none;
-/// bounds are any range of numbers. A field without `= default` is a section, declared the same way. A closing
-/// `check = function;` adds what no single bound can say; it answers [`OutOfBounds`](crate::config_text::OutOfBounds).
+/// Each field is `name: type = default, "unit", bounds;`. The unit may be omitted if there are no bounds, and is `""` for a setting without
+/// a unit; bounds are any range of numbers. A field without `= default` is a nested section, declared the same way. A closing
+/// `check = function;` adds conditions beyond single bounds; it returns [`OutOfBounds`](crate::config_text::OutOfBounds).
 ///
 /// ```
 /// use zenav_protocol::settings::Settings;
@@ -119,33 +118,33 @@ macro_rules! settings {
 
 /// A section of settings, as [`settings!`](crate::settings!) declares it.
 pub trait Settings: Clone + Default + Serialize + DeserializeOwned {
-    /// What can be set, in the order of the declaration; the keys of sections inside are joined by dots.
+    /// All settings, in the order of the declaration; keys of nested sections are joined by dots.
     fn rows() -> Vec<Row>;
 
-    /// Whether every value is within its bounds and fits the others.
+    /// Whether every value is within its bounds and consistent with the others.
     ///
     /// # Errors
-    /// The first that is not, by its key.
+    /// The first value that is not, by its key.
     fn check(&self) -> Result<(), OutOfBounds>;
 
-    /// The keys of all settings that are numbers.
+    /// Keys of all numeric settings.
     #[must_use]
     fn numbers() -> Vec<String> {
         let rows = Self::rows().into_iter().filter(|row| row.default.is_number());
         rows.map(|row| row.key).collect()
     }
 
-    /// A number by its key.
+    /// The numeric setting with this key.
     #[must_use]
     fn number(&self, key: &str) -> Option<f64> {
         let values = serde_json::to_value(self).ok()?;
         values.pointer(&pointer(key))?.as_f64()
     }
 
-    /// These settings with another value for the number of that key; `None` when no number has it.
+    /// A copy with one number changed; `None` if no numeric setting has this key.
     ///
     /// # Errors
-    /// The value is out of its bounds, no whole number where one is needed, or does not fit the other settings.
+    /// The value is out of bounds, not a whole number where one is needed, or inconsistent with the other settings.
     fn with_number(&self, key: &str, value: f64) -> Option<Result<Self, OutOfBounds>> {
         let row = Self::rows()
             .into_iter()
@@ -172,17 +171,17 @@ fn pointer(key: &str) -> String {
 /// One setting.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Row {
-    /// Its key, the sections before it joined by dots.
+    /// Key, joined by dots with the enclosing sections.
     pub key: String,
-    /// The Rust type of its values.
+    /// Rust type of the value.
     pub kind: &'static str,
-    /// The value where nothing is set.
+    /// Default value.
     pub default: serde_json::Value,
-    /// Unit of the value; empty where it has none.
+    /// Unit of the value; empty without one.
     pub unit: &'static str,
-    /// The values that it can have, where not all of its type.
+    /// Bounds of the value; `None` if the whole range of its type is allowed.
     pub bounds: Option<Bounds>,
-    /// What it does, and where the default comes from.
+    /// Effect of the setting, and where the default comes from.
     pub doc: &'static str,
 }
 
@@ -215,7 +214,7 @@ impl Row {
         }
     }
 
-    /// The row of the section around this one's.
+    /// The row as seen from the enclosing section.
     #[must_use]
     pub fn within(self, section: &str) -> Self {
         Self {
@@ -225,17 +224,17 @@ impl Row {
     }
 }
 
-/// The least and the greatest value that a setting can have, each where there is one.
+/// Least and greatest value of a setting, if bounded.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Bounds {
-    /// The least.
+    /// Least value.
     pub least: Option<f64>,
-    /// The greatest.
+    /// Greatest value.
     pub most: Option<f64>,
 }
 
 impl Bounds {
-    /// The bounds of a range, the ends themselves among them.
+    /// The bounds of a range, both ends included.
     #[must_use]
     pub fn of<T: Bounded>(range: &impl RangeBounds<T>) -> Self {
         let number = |bound| match bound {
@@ -248,7 +247,7 @@ impl Bounds {
         }
     }
 
-    /// Whether a value is within; no NaN is.
+    /// Whether a value is within the bounds; NaN never is.
     #[must_use]
     pub fn contain(&self, value: f64) -> bool {
         !value.is_nan() && self.least.is_none_or(|least| value >= least) && self.most.is_none_or(|most| value <= most)
@@ -266,9 +265,9 @@ impl fmt::Display for Bounds {
     }
 }
 
-/// A number that a setting may be.
+/// A numeric type of settings.
 pub trait Bounded: Copy {
-    /// It, as wide as numbers get.
+    /// The value as `f64`.
     fn number(self) -> f64;
 }
 

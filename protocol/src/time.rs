@@ -1,6 +1,6 @@
-//! Stamps. What is a point in time on the wire?
+//! Stamps. How is a point in time represented on the wire?
 //!
-//! Nanoseconds of the writer's own clock. Clocks of two machines are never compared.
+//! As nanoseconds of the writer's own clock. Clocks of two machines are never compared.
 
 use std::ops::{Add, Sub};
 use std::time::Duration;

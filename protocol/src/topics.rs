@@ -1,10 +1,10 @@
-//! Key table. Which keys exist, who writes or serves them, with which type and quality of service? This table, and nowhere else.
+//! Key table. Which keys exist, and who writes or serves each, with which type and quality of service? This table is the only definition.
 //!
-//! `zenav/{robot}/{side}/{name}`: the third chunk says who may write or serve, so one access rule covers a side.
+//! In `zenav/{robot}/{side}/{name}` the third chunk determines who may write or serve the key, so one access rule covers a side.
 //!
-//! A new ask is one row here: key, request, reply, server, who may ask, size and carrier. A part that serves several asks has them as one
-//! type ([`EdgeRequest`], [`MissionRequest`]): the row adds a variant, the bus serves it, and the part does not compile until its core
-//! answers it.
+//! A new ask is one row here: key, request, reply, server, permitted requesters, size and encoding. A component that serves several asks
+//! receives them as one type ([`EdgeRequest`], [`MissionRequest`]): the row adds a variant, the bus serves it, and the component does not
+//! compile until its core answers it.
 
 use std::fmt::Debug;
 use std::marker::PhantomData;
@@ -31,12 +31,13 @@ pub enum Qos {
     Latest,
     /// As `Latest`, at real-time priority and sent at once.
     RealTime,
-    /// Advanced publication: the writer keeps this many samples for late joiners and gaps; receivers get all, in order.
+    /// Advanced publication: the writer keeps this many samples for late joiners and for recovery of gaps; receivers get all samples, in
+    /// order.
     Events {
         /// Samples kept by the writer.
         cache: usize,
     },
-    /// Advanced publication of which the writer keeps the last value for late joiners.
+    /// Advanced publication; the writer keeps the last value for late joiners.
     State,
 }
 
@@ -49,60 +50,60 @@ pub enum Producer {
     Mapping,
     /// A motion worker.
     Motion,
-    /// The mission that holds the robot's lease, nobody else.
+    /// The mission that holds the robot's lease.
     Mission,
-    /// Who holds the robot's lease: a mission or an operator.
+    /// The holder of the robot's lease: a mission or an operator.
     Holder,
-    /// Whoever operates by hand.
+    /// An operator who drives by hand.
     Operator,
     /// The simulator.
     Sim,
-    /// Any part off board: what every one of them serves.
+    /// Any off-board component: topics and asks that all of them have.
     Part,
-    /// What carries the robot's sensors and motors, where that is another process than its edge.
+    /// The drive base with sensors and motors, if it is a separate process from the edge.
     Body,
 }
 
-/// Who may ask, where access is controlled.
+/// Who may send an ask, where access is controlled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Asker {
     /// Everybody but robots: the ask changes nothing.
     Viewer,
-    /// Whoever commands, an operator or a service: the ask changes something, or can.
+    /// Operators and services: the ask changes something, or can.
     Operator,
-    /// The services among themselves.
+    /// Services only.
     Service,
-    /// A robot, of the world in which its body is simulated.
+    /// Robots, to attach a simulated body to a world.
     Robot,
 }
 
-/// A key that carries `T`. `{robot}`, `{id}` and `{worker}` in the pattern are filled by [`Topic::key`].
+/// A key that carries `T`. [`Topic::key`] fills `{robot}`, `{id}` and `{worker}` in the pattern.
 #[derive(Debug)]
 pub struct Topic<T> {
     /// Key with named chunks.
     pub pattern: &'static str,
-    /// How it is carried.
+    /// Quality of service.
     pub qos: Qos,
-    /// Largest payload in bytes that a receiver looks at.
+    /// Largest payload that a receiver decodes, bytes.
     pub max_bytes: usize,
-    /// How its writer encodes it; a receiver takes JSON everywhere.
+    /// Encoding used by the writer; a receiver accepts JSON everywhere.
     pub encoding: Encoding,
     message: PhantomData<fn() -> T>,
 }
 
-/// A key that answers `Q` with `R` or with a [`Refusal`](crate::messages::Refusal).
+/// A key on which `Q` is answered with `R` or with a [`Refusal`](crate::messages::Refusal).
 #[derive(Debug)]
 pub struct Ask<Q, R> {
     /// Key with named chunks.
     pub pattern: &'static str,
     /// Largest request in bytes that a server looks at.
     pub max_bytes: usize,
-    /// The form in which typed askers want the reply (selector parameter `format=cbor`); anybody else gets JSON.
+    /// Encoding of the reply to typed requesters (selector parameter `format=cbor`); all others get JSON.
     pub reply_encoding: Encoding,
     message: PhantomData<fn() -> (Q, R)>,
 }
 
-// Not derived: that would ask `T: Copy` of the message.
+// Not derived: a derive would require `T: Copy` of the message.
 impl<T> Clone for Topic<T> {
     fn clone(&self) -> Self {
         *self
@@ -117,13 +118,13 @@ impl<Q, R> Clone for Ask<Q, R> {
 impl<Q, R> Copy for Ask<Q, R> {}
 
 impl<T> Topic<T> {
-    /// The key with its chunks filled in order; a chunk may be `*`.
+    /// The key, with its named chunks filled in order; a chunk may be `*`.
     #[must_use]
     pub fn key(&self, chunks: &[&str]) -> String {
         fill(self.pattern, chunks)
     }
 
-    /// The chunks of a concrete key that stand where this pattern has names; none for a key of another topic.
+    /// The chunks of a concrete key at this pattern's names; empty for a key of another topic.
     #[must_use]
     pub fn chunks(&self, key: &str) -> Vec<String> {
         owned_chunks(self.pattern, key)
@@ -131,37 +132,38 @@ impl<T> Topic<T> {
 }
 
 impl<Q, R> Ask<Q, R> {
-    /// The key with its chunks filled in order; a chunk may be `*`.
+    /// The key, with its named chunks filled in order; a chunk may be `*`.
     #[must_use]
     pub fn key(&self, chunks: &[&str]) -> String {
         fill(self.pattern, chunks)
     }
 
-    /// The chunks of a concrete key that stand where this pattern has names; none for a key of another ask.
+    /// The chunks of a concrete key at this pattern's names; empty for a key of another ask.
     #[must_use]
     pub fn chunks(&self, key: &str) -> Vec<String> {
         owned_chunks(self.pattern, key)
     }
 }
 
-/// All asks that one part serves, as one type of request and one of reply: what goes into the part's core, and what comes out of it.
+/// All asks that one component serves, as one request type and one reply type: the input and output of the component's core.
 pub trait PartAsks: Clone + Debug + Send + Sync + 'static {
-    /// The replies, a variant of the same name for each request.
+    /// The replies, with a variant of the same name for each request.
     type Reply: Debug + Send + 'static;
 
-    /// Shows every ask of the part to `visitor`, in the order of the table.
+    /// Passes every ask of the component to `visitor`, in the order of the table.
     ///
     /// # Errors
-    /// The visitor's first.
+    /// The visitor's first error.
     fn visit<V: AskVisitor<Self>>(visitor: &mut V) -> Result<(), V::Error>;
 }
 
-/// What is done with every ask of a part: the bus declares a server for each.
+/// Visitor of all asks of a component; the bus uses it to declare a server for each.
 pub trait AskVisitor<P: PartAsks> {
-    /// Why it could not be done.
+    /// Error that ends the visit.
     type Error;
 
-    /// One ask: how a request goes into the core's type, and how the reply comes out of it (`None`: another ask's reply).
+    /// Visits one ask. `request` wraps a request into the core's type; `reply` unwraps the reply (`None`: the reply belongs to another
+    /// ask).
     ///
     /// # Errors
     /// Ends the visit.
@@ -176,24 +178,24 @@ pub trait AskVisitor<P: PartAsks> {
         R: Serialize + Send + Sync + 'static;
 }
 
-/// What every message of the table can do.
+/// Bounds that every message of the table meets.
 #[cfg(feature = "schema")]
 pub trait Message: Serialize + DeserializeOwned + schemars::JsonSchema {}
 #[cfg(feature = "schema")]
 impl<T: Serialize + DeserializeOwned + schemars::JsonSchema> Message for T {}
 
-/// What every message of the table can do.
+/// Bounds that every message of the table meets.
 #[cfg(not(feature = "schema"))]
 pub trait Message: Serialize + DeserializeOwned {}
 #[cfg(not(feature = "schema"))]
 impl<T: Serialize + DeserializeOwned> Message for T {}
 
-/// Is shown every row of the table with its types, for tools that know a message by its key alone.
+/// Visitor of every row of the table with its types, for tools that identify a message by its key alone.
 pub trait TableVisitor {
-    /// A topic, and the name of its message.
+    /// A topic and the name of its message.
     fn topic<T: Message>(&mut self, topic: Topic<T>, message: &'static str);
 
-    /// An ask, and the names of its request and its reply.
+    /// An ask and the names of its request and reply.
     fn ask<Q: Message, R: Message>(&mut self, ask: Ask<Q, R>, request: &'static str, reply: &'static str);
 }
 
@@ -240,11 +242,11 @@ pub struct Row {
     pub message: &'static str,
     /// Who writes or serves it.
     pub producer: Producer,
-    /// How a topic is carried; `None` for an ask.
+    /// Quality of service of a topic; `None` for an ask.
     pub qos: Option<Qos>,
-    /// Who may ask; `None` for a topic.
+    /// Permitted requesters; `None` for a topic.
     pub asked_by: Option<Asker>,
-    /// Largest payload looked at, bytes.
+    /// Largest payload that is decoded, bytes.
     pub max_bytes: usize,
 }
 
@@ -262,7 +264,7 @@ macro_rules! encoding {
 }
 
 macro_rules! key_table {
-    // The topics of the table of sensors, between those that are written here.
+    // The topics of the sensor table go between the topics listed here.
     ([{ $($before:tt)* } sensors { $($after:tt)* } $($rest:tt)*]
      $($(#[doc = $doc:literal])* $(#[serde $serde:tt])* $kind:ident: $Model:ident => $Reading:ident, $TOPIC:ident = $key:literal;)*) => {
         $(use crate::sensors::$Reading;)*
@@ -406,13 +408,13 @@ crate::sensor_kinds!(key_table [
     }
 ]);
 
-/// The row that a concrete key belongs to; `None` for a key of nobody's.
+/// The row that a concrete key belongs to; `None` for a key outside the table.
 #[must_use]
 pub fn row_of(key: &str) -> Option<&'static Row> {
     TABLE.iter().find(|row| unfill(row.pattern, key).is_some())
 }
 
-/// Whoever does a tree's `RemoteAction` serves a key of its own, which is the one chunk here; it is no key of the stack's.
+/// The server of a tree's `RemoteAction` chooses its own key, which is the single chunk here; the key is not part of the table.
 pub const REMOTE_ACTION: Ask<RemoteRequest, RemoteReply> = Ask {
     pattern: "{server}",
     max_bytes: 64 * KIB,
@@ -420,9 +422,9 @@ pub const REMOTE_ACTION: Ask<RemoteRequest, RemoteReply> = Ask {
     message: PhantomData,
 };
 
-/// Liveliness of a robot's component (`edge`, `mapping`, `mission`): discovery only, never authority.
+/// Liveliness of a robot's component (`edge`, `mapping`, `mission`): for discovery only, never for authority.
 pub const ALIVE_COMPONENT: &str = "zenav/{robot}/alive/{component}";
-/// Liveliness of a stateless worker of `motion`, and of who takes goals for a group (`group-{name}`).
+/// Liveliness of a stateless `motion` worker, and of a group's goal server (`group-{name}`).
 pub const ALIVE_WORKER: &str = "zenav/svc/alive/{service}/{worker}";
 
 /// Fills the named chunks of a liveliness pattern in order.
@@ -437,7 +439,7 @@ pub fn alive_chunks<'k>(pattern: &str, key: &'k str) -> Option<Vec<&'k str>> {
     unfill(pattern, key)
 }
 
-/// The key table as Markdown, as it stands in `ARCHITECTURE.md`.
+/// The key table as Markdown, as in `ARCHITECTURE.md`.
 #[must_use]
 pub fn table_markdown() -> String {
     let mut text = String::from("| key | message | written or served by | kind | at most |\n|---|---|---|---|---|\n");

@@ -1,6 +1,6 @@
 //! Trajectory. Where is the robot to be, at which time, at which velocity?
 //!
-//! A path is points; a trajectory is a path in time; a plan is a trajectory under the contract of
+//! A path is a list of points; a trajectory is a path over time; a plan is a trajectory under the contract of
 //! [`Plan`](crate::messages::Plan). On the wire a trajectory is the list of its points.
 
 use std::fmt;
@@ -11,15 +11,15 @@ use serde::{Deserialize, Serialize, Serializer};
 
 use crate::geometry::{Pose2, Twist2, wrap_angle};
 
-/// How far a trajectory that was thinned strays from the one before, at any of that one's points: m and rad, m/s and rad/s.
+/// Greatest deviation of a thinned trajectory from any point of the original: m and rad, m/s and rad/s.
 const STRAY: (f64, f64) = (5e-4, 2e-3);
 const STRAY_SPEED: (f64, f64) = (5e-3, 1e-2);
-/// Points of a thinned trajectory are at most this far apart, s.
+/// Longest time between two points of a thinned trajectory, s.
 const LONGEST_LEG: f64 = 2.0;
-/// Most points that are put between two.
+/// Most points inserted between two.
 const MOST_BETWEEN: f64 = 1e4;
 
-/// Where the robot is to be at a time of the trajectory.
+/// Desired pose and velocity of the robot at a time of the trajectory.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct TrajectoryPoint {
@@ -38,7 +38,7 @@ pub struct TrajectoryPoint {
 }
 
 impl TrajectoryPoint {
-    /// Columns of a point as it is displayed.
+    /// Column names of a displayed point.
     pub const CSV_HEADER: &str = "t,x,y,yaw,v,w";
 
     /// A pose and a velocity at a time (s).
@@ -76,7 +76,7 @@ impl TrajectoryPoint {
         Twist2::new(self.v, self.w)
     }
 
-    /// Linear in time, pose and velocity: `share` 0 is this point, 1 is `to`.
+    /// Linear interpolation of time, pose and velocity: `share` 0 is this point, 1 is `to`.
     #[must_use]
     pub fn interpolate(&self, to: &Self, share: f64) -> Self {
         let between = |from: f64, to: f64| from + share * (to - from);
@@ -87,7 +87,7 @@ impl TrajectoryPoint {
         )
     }
 
-    /// Whether it is the same point as far as a thinned trajectory tells.
+    /// Whether it is the same point to within the tolerance of thinning.
     fn is_near(&self, other: &Self) -> bool {
         self.pose().distance(&other.pose()) <= STRAY.0
             && wrap_angle(self.yaw - other.yaw).abs() <= STRAY.1
@@ -104,10 +104,10 @@ impl fmt::Display for TrajectoryPoint {
     }
 }
 
-/// Points in the order of time, linear between them. Reads as the slice of its points.
+/// Points in the order of time, interpolated linearly. Dereferences to the slice of its points.
 ///
-/// Time begins at zero, or below: a spliced trajectory keeps the rest of the one before it at negative times.
-/// A trajectory from outside may hold any numbers; whoever drives it checks it first. Sampling one never panics.
+/// Time begins at zero, or below: a spliced trajectory keeps the rest of the previous one at negative times. A trajectory from an external
+/// source may hold any numbers; it must be checked before it is driven. Sampling never panics.
 ///
 /// ```
 /// use zenav_protocol::geometry::{Pose2, Twist2};
@@ -130,7 +130,7 @@ pub struct Trajectory {
     lengths: Vec<f64>,
 }
 
-/// The place on a trajectory that is nearest to some point.
+/// The point of a trajectory nearest to a given position.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Nearest {
     /// Time of the trajectory there, s.
@@ -154,7 +154,7 @@ impl Trajectory {
         Self { points, lengths }
     }
 
-    /// This trajectory, and after its end another one, which begins where this one ends.
+    /// This trajectory, continued by another one that begins where this one ends.
     #[must_use]
     pub fn then(&self, next: &Self) -> Self {
         let (later, known) = (self.end_time() - next.start_time(), usize::from(!self.is_empty()));
@@ -165,7 +165,7 @@ impl Trajectory {
         self.iter().copied().chain(shifted).collect()
     }
 
-    /// The same for a robot that takes its rear for its front: what was driven forwards is driven backwards.
+    /// The same for a robot with rear and front exchanged: what was driven forwards is driven backwards.
     #[must_use]
     pub fn turned(&self) -> Self {
         let turned = self
@@ -174,7 +174,7 @@ impl Trajectory {
         turned.collect()
     }
 
-    /// The same in another frame.
+    /// The same trajectory in another frame.
     #[must_use]
     pub fn moved(&self, new_from_old: Pose2) -> Self {
         let moved = self
@@ -195,7 +195,7 @@ impl Trajectory {
         self.points.last().map_or(0.0, |point| point.t)
     }
 
-    /// From the first time to the last, s.
+    /// Time from the first point to the last, s.
     #[must_use]
     pub fn duration(&self) -> f64 {
         self.end_time() - self.start_time()
@@ -217,7 +217,7 @@ impl Trajectory {
         self.length() - length + self.sample(t).pose().distance(&to.pose())
     }
 
-    /// Where the robot is to be at a time (s), linear between two points and held at both ends. Logarithmic in the points.
+    /// The point at a time (s), interpolated linearly and held at both ends. Cost: logarithmic in the number of points.
     #[must_use]
     pub fn sample(&self, t: f64) -> TrajectoryPoint {
         let next = self.next_index(t);
@@ -249,7 +249,8 @@ impl Trajectory {
         Self::new(points)
     }
 
-    /// The same in numbers that are worth sending: poses and velocities to a millionth of their units, times to a nanosecond. Half as many bytes.
+    /// The same with fewer digits for transmission: poses and velocities to a millionth of their units, times to a nanosecond. Halves the
+    /// size.
     #[must_use]
     pub fn rounded(&self) -> Self {
         let millionth = |number: f64| (1e6 * number).round() / 1e6 + 0.0;
@@ -266,8 +267,8 @@ impl Trajectory {
             .collect()
     }
 
-    /// The same motion by fewer points: those are left out that lie on the line between their neighbours, to within half a millimetre,
-    /// 2 mrad, 5 mm/s and 10 mrad/s. Both ends are kept, and points at most 2 s apart.
+    /// The same motion with fewer points: a point is dropped if it lies on the line between its neighbours to within half a millimetre, 2
+    /// mrad, 5 mm/s and 10 mrad/s. Both ends are kept, and points at most 2 s apart.
     #[must_use]
     pub fn thinned(&self) -> Self {
         let mut kept: Vec<TrajectoryPoint> = self.points.first().copied().into_iter().collect();
@@ -289,8 +290,8 @@ impl Trajectory {
         Self::new(kept)
     }
 
-    /// Its points from time `from` (s) on, and between those that are farther apart than `way` (m) or `turn` (rad) more of them, at
-    /// even times.
+    /// The points from time `from` (s) on, with further points at even times between those that are more than `way` (m) or `turn` (rad)
+    /// apart.
     pub fn spaced(&self, from: f64, way: f64, turn: f64) -> impl Iterator<Item = TrajectoryPoint> {
         let rest = self.rest(from);
         let legs = rest.windows(2).flat_map(move |leg| {
@@ -315,8 +316,8 @@ impl Trajectory {
             .unwrap_or_default()
     }
 
-    /// The place nearest to a point (map frame) among those from time `from` (s) on, looked for `window` (m) ahead along the
-    /// path: a path that comes back close to itself is not cut short. Of places equally near the last.
+    /// The point nearest to a position (map frame) from time `from` (s) on, searched `window` (m) ahead along the path, so that a path that
+    /// returns close to itself is not cut short. Of several equally near points, the last.
     #[must_use]
     pub fn nearest_ahead(&self, from: f64, point: Point2<f64>, window: f64) -> Nearest {
         let first = self.next_index(from).saturating_sub(1);
@@ -330,7 +331,7 @@ impl Trajectory {
             let [begin, end] = leg else { continue };
             let (origin, along) = (begin.position(), end.position() - begin.position());
             let squared = along.norm_squared();
-            // A turn on the spot is passed at once.
+            // A turn on the spot counts as passed at once.
             let share = if squared > 0.0 {
                 ((point - origin).dot(&along) / squared).clamp(0.0, 1.0)
             } else {
@@ -348,7 +349,7 @@ impl Trajectory {
         best
     }
 
-    /// Positions along the path, `spacing` (m) apart, and the last; the first is left out.
+    /// Positions along the path, `spacing` (m) apart, without the first but with the last.
     #[must_use]
     pub fn positions_spaced(&self, spacing: f64) -> Vec<Point2<f64>> {
         let mut positions = Vec::new();
@@ -440,7 +441,7 @@ mod tests {
 
     #[test]
     fn a_thinned_trajectory_is_the_same_motion_by_fewer_points() {
-        // Speeds up, goes along a bend and straight on, and brakes.
+        // Speeds up, drives a bend and a straight, and brakes.
         let mut at = TrajectoryPoint::default();
         let points = (0..=400).map(|step| {
             let here = at;

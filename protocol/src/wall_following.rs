@@ -1,29 +1,29 @@
-//! Settings of the wall follower. How does a robot follow walls? Part of the robot's file; distances are from the base's origin.
+//! Settings of the wall follower. How does a robot follow walls? Part of the robot's file; distances are measured from the base's origin.
 
 use crate::config_text::OutOfBounds;
 use crate::settings::Settings as _;
 
-/// Room that a robot has beside a wall where no distance is written, m.
+/// Gap between robot and wall if no distance is configured, m.
 const BESIDE: f64 = 0.15;
 
 crate::settings! {
     /// Distances, speeds and gains of the wall follower.
     pub struct WallFollowing {
-        /// Distance that is kept from the wall. Where it is not written, at least 0.15 m more than the robot reaches.
+        /// Distance kept from the wall. If it is not set, it is at least 0.15 m more than the robot's reach.
         pub target_distance: f64 = 0.55, "m", 0.05..=12.0;
-        /// Distance at which an approached wall counts as reached. Where it is not written, it grows with `target_distance`.
+        /// Distance at which an approached wall counts as reached. If it is not set, it grows with `target_distance`.
         pub identify_wall_distance: f64 = 0.75, "m", 0.05..=12.0;
-        /// Neighbouring returns that make a wall: fewer are noise.
+        /// Fewest neighbouring returns that form a wall; fewer count as noise.
         pub wall_min_points: usize = 5, "", 2..=100;
-        /// Neighbouring returns farther apart than this belong to different walls.
+        /// Gap between neighbouring returns above which they belong to different walls.
         pub wall_gap: f64 = 0.15, "m", 0.01..=2.0;
-        /// A return that stands out from a wall by less belongs to the wall.
+        /// Deviation below which a return belongs to the wall.
         pub wall_roughness: f64 = 0.05, "m", 0.0..=0.5;
-        /// Heading error within which a wall that was searched is approached.
+        /// Heading error below which the robot drives up to the wall it searched.
         pub search_tolerance: f64 = 0.1, "rad", 0.01..=0.5;
-        /// Approach: speed for each metre left.
+        /// Approach: speed per metre left.
         pub approach_gain: f64 = 0.8, "1/s", 0.05..=10.0;
-        /// Approach and turns on the spot: yaw rate for the angle left.
+        /// Approach and turns on the spot: yaw rate per radian left.
         pub steering: f64 = 2.0, "1/s", 0.1..=20.0;
         /// Approach: least speed.
         pub least_speed: f64 = 0.05, "m/s", 0.01..=2.0;
@@ -31,22 +31,22 @@ crate::settings! {
         pub greatest_speed: f64 = 0.3, "m/s", 0.01..=2.0;
         /// Yaw rate of turns on the spot.
         pub turn_rate: f64 = 0.8, "rad/s", 0.1..=5.0;
-        /// Half the opening of the cone ahead in which obstacles widen the distance.
+        /// Half the opening angle of the cone ahead in which obstacles widen the distance.
         pub cone_angle: f64 = 0.6, "rad", 0.1..=1.2;
-        /// Length of that cone. Where it is not written, it grows with `target_distance`.
+        /// Length of that cone. If it is not set, it grows with `target_distance`.
         pub cone_reach: f64 = 1.1, "m", 0.1..=12.0;
-        /// Distance from the wall up to which the robot goes around an obstacle; what needs more is a corner. Where it is not written, it
-        /// grows with `target_distance`.
+        /// Greatest distance from the wall at which the robot still passes an obstacle; one that needs more counts as a corner. If it is
+        /// not set, it grows with `target_distance`.
         pub widest_distance: f64 = 0.85, "m", 0.05..=12.0;
-        /// Yaw rate for the distance error.
+        /// Yaw rate per distance error.
         pub wall_p: f64 = 4.0, "rad/(m s)", 0.0..=200.0;
-        /// Yaw rate for the integral of the distance error.
+        /// Yaw rate per integral of the distance error.
         pub wall_i: f64 = 0.2, "rad/(m s²)", 0.0..=50.0;
-        /// Yaw rate for the rate of the distance error.
+        /// Yaw rate per rate of the distance error.
         pub wall_d: f64 = 8.0, "rad/m", 0.0..=200.0;
-        /// The distance error is summed up within this only.
+        /// Distance error below which it is integrated.
         pub wall_i_within: f64 = 0.1, "m", 0.0..=2.0;
-        /// Most that the integral may turn the robot by.
+        /// Limit of the integral's yaw rate.
         pub wall_i_most: f64 = 0.3, "rad/s", 0.0..=5.0;
         /// Steepest heading towards the wall, as a sine.
         pub wall_steepest: f64 = 0.45, "", 0.05..=1.0;
@@ -54,8 +54,8 @@ crate::settings! {
 }
 
 impl WallFollowing {
-    /// The same for a robot whose outline reaches `reach` m from its origin: the distances that nobody has `written` grow with a robot for
-    /// which the usual ones are too short, and with a longer distance from the wall.
+    /// Adapts the distances to a robot whose outline reaches `reach` m from its origin: those not `written` grow for a robot too large for
+    /// the defaults, and with a longer distance from the wall.
     #[must_use]
     pub(crate) fn fitted(self, reach: f64, written: impl Fn(&str) -> bool) -> Self {
         let grown = |key, distance: f64, by: f64| if written(key) { distance } else { distance + by.max(0.0) };
@@ -74,8 +74,7 @@ impl WallFollowing {
         }
     }
 
-    /// Whether all settings are within bounds and fit one another, for a robot whose outline reaches `reach` m from its
-    /// origin.
+    /// Whether all settings are within bounds and consistent with one another, for a robot whose outline reaches `reach` m from its origin.
     ///
     /// # Errors
     /// Names the setting and what was expected.

@@ -1,7 +1,7 @@
-//! Does a message look on the wire as it always did?
+//! Wire format. Does every message still have the same form on the wire?
 //!
 //! Each line of `wire.golden` is the name of a message and its JSON. A line must decode, and encode to the same bytes again. A change of a
-//! line is a change of the contract: unless it only adds an optional field, it raises `SCHEMA_VERSION`. To write the lines anew:
+//! line is a change of the contract: unless it only adds an optional field, it raises `SCHEMA_VERSION`. To regenerate the lines:
 //! `ZENAV_WRITE_GOLDEN=1 cargo test -p zenav-protocol --test wire`, and read the diff.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
@@ -27,7 +27,7 @@ use zenav_protocol::topics::TABLE;
 
 const LIMIT: usize = 1 << 20;
 
-/// Decodes a message and encodes it again, in JSON directly, and by way of CBOR.
+/// Decodes a message and encodes it again, in JSON directly, and through CBOR.
 fn round_trips<T: Serialize + DeserializeOwned>(json: &str) -> Result<[String; 2], CodecError> {
     let message: T = decode(json.as_bytes(), Encoding::Json, LIMIT)?;
     let cbor: T = decode(&encode(&message, Encoding::Cbor)?, Encoding::Cbor, LIMIT)?;

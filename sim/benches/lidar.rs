@@ -1,4 +1,4 @@
-//! How many rays a second? Whole sweeps by the angular buffer beside parry's ray cast, on the same worlds from the same poses.
+//! Rays per second. Whole sweeps by the angular buffer, compared with parry's ray cast on the same worlds from the same poses.
 //!
 //! For maps of real buildings, many robots and a peer: `cargo bench -p zenav-tests --bench simulator`, or `zenav sim bench --world W`.
 

@@ -1,4 +1,4 @@
-//! A TIAGo drives in a circle through a kitchen until it has been driving for ten seconds: how close did it come to anything?
+//! A TIAGo drives in a circle through a kitchen for ten seconds; prints its poses, its distance and its contacts.
 
 use zenav_protocol::{
     id::Id,

@@ -1,4 +1,4 @@
-//! Body of one robot. What does a robot do in a tick? Its chassis moves, then its sensors measure.
+//! Body of one robot. In a tick its chassis moves, then its sensors measure.
 
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
@@ -15,14 +15,14 @@ use crate::sensors::{Fitted, sensors};
 #[derive(Clone)]
 pub struct Body {
     model: RobotModel,
-    /// How it moves.
+    /// Wheels, footprint and battery.
     pub chassis: Chassis,
     sensors: Vec<Fitted>,
     readings: Readings,
 }
 
 impl Body {
-    /// At rest at a pose; of the world's faults it has its own.
+    /// At rest at a pose; of the world's faults, its own apply.
     #[must_use]
     pub fn new(id: &Id, model: RobotModel, map_from_base: Pose2, seed: u64, faults: &[FaultModel]) -> Self {
         Self {
@@ -39,7 +39,7 @@ impl Body {
         &self.model
     }
 
-    /// What faults call its sensors.
+    /// Names of the sensors that can have faults.
     pub fn sensors(&self) -> impl Iterator<Item = &str> {
         let fallible = |name: &&str| !["bump", "battery"].contains(name);
         self.sensors.iter().map(Fitted::name).filter(fallible)
@@ -59,7 +59,7 @@ impl Body {
         moved
     }
 
-    /// Measures what is due, when everybody has moved.
+    /// Takes the measurements that are due, after everything has moved.
     pub fn sense(&mut self, around: Surroundings<'_>, now: Stamp) {
         self.chassis.settle(around, now);
         self.readings = Readings::new(now);
@@ -68,7 +68,7 @@ impl Body {
         }
     }
 
-    /// What the sensors reported in the last step.
+    /// Readings of the last step.
     #[must_use]
     pub fn readings(&self) -> Readings {
         self.readings.clone()

@@ -1,11 +1,11 @@
-//! Which things are near, the nearest first? A tree of boxes over short runs of neighbours.
+//! Box tree. The things that are near, the nearest first: a tree of boxes over short runs of neighbours.
 //!
-//! Split at the median along the longer side (Bentley 1975), so that a box holds what is close together; both children of a node lie
-//! side by side in memory. A walk goes front to back, so that a lidar leaves out what is hidden or too far; clearances use parry's tree.
+//! Split at the median along the longer side (Bentley 1975), so that a box holds things that are close together; both children of a node
+//! are adjacent in memory. A walk goes front to back, so that a lidar can skip what is hidden or too far; clearances use parry's tree.
 
 use nalgebra::Point2;
 
-/// Things in one leaf, at most.
+/// Largest number of things in a leaf.
 const RUN: usize = 16;
 
 /// Something that has an extent.
@@ -18,20 +18,20 @@ pub trait Bounded {
 struct Node {
     low: Point2<f64>,
     high: Point2<f64>,
-    /// First thing of a leaf; the nearer in memory of two children.
+    /// First thing of a leaf, or first of the two children.
     first: u32,
-    /// Things in a leaf; zero for a node with children.
+    /// Number of things in a leaf; zero for a node with children.
     count: u32,
 }
 
-/// Things, indexed.
+/// Things, indexed by boxes.
 #[derive(Clone, Debug)]
 pub struct BoxTree<T> {
     nodes: Vec<Node>,
     things: Vec<T>,
 }
 
-/// A box, and how far it is.
+/// A box and its distance.
 #[derive(Clone, Copy, Debug)]
 pub struct Apart {
     /// Lower-left corner, m.
@@ -42,18 +42,18 @@ pub struct Apart {
     pub squared: f64,
 }
 
-/// Whoever walks through a tree.
+/// Visitor of a walk through a tree.
 pub trait Visitor<T> {
-    /// What a box looks like from where the walk began.
+    /// The visitor's view of a box from the start of the walk.
     type View: Copy;
 
-    /// Looks at two boxes that lie side by side; the root comes twice.
+    /// Looks at two boxes that are siblings; the root is passed twice.
     fn look(&self, pair: [&Apart; 2]) -> [Self::View; 2];
 
-    /// Whether to enter a box, now that the walk has come to it.
+    /// Whether to enter a box when the walk reaches it.
     fn enters(&self, view: &Self::View) -> bool;
 
-    /// Comes to the things in a box that was entered.
+    /// Receives the things of a leaf that was entered.
     fn meet(&mut self, things: &[T]);
 }
 
@@ -69,7 +69,7 @@ impl<T: Bounded> BoxTree<T> {
         Self { nodes, things }
     }
 
-    /// Everything, in the tree's order.
+    /// All things, in the tree's order.
     #[must_use]
     pub fn things(&self) -> &[T] {
         &self.things
@@ -97,7 +97,7 @@ impl<T: Bounded> BoxTree<T> {
             } else if depth + 2 <= waiting.len() {
                 let (left, right) = (apart(from, &self.nodes[first]), apart(from, &self.nodes[first + 1]));
                 let views = visitor.look([&left, &right]);
-                // The nearer one last: it is taken first.
+                // The nearer one is pushed last, so that it is taken first.
                 let nearer = usize::from(right.squared < left.squared);
                 waiting[depth] = (node.first + 1 - nearer as u32, views[1 - nearer]);
                 waiting[depth + 1] = (node.first + nearer as u32, views[nearer]);
@@ -107,7 +107,7 @@ impl<T: Bounded> BoxTree<T> {
     }
 }
 
-/// How far a node's box is from a point.
+/// The distance of a node's box from a point.
 fn apart(from: Point2<f64>, node: &Node) -> Apart {
     Apart {
         low: node.low,
@@ -139,7 +139,7 @@ fn bounds<T: Bounded>(things: &[T]) -> Node {
     node
 }
 
-/// Splits a leaf that holds too much. `offset` is the place of its first thing among all.
+/// Splits a leaf that holds too much. `offset` is the index of its first thing among all.
 fn split<T: Bounded>(nodes: &mut Vec<Node>, at: usize, things: &mut [T], offset: usize) {
     if things.len() <= RUN {
         nodes[at].first = offset as u32;

@@ -1,10 +1,10 @@
-//! How do nalgebra's types become parry's? (parry speaks `glam`; this is the only place that converts.)
+//! Conversion of nalgebra's types to parry's. (parry uses `glam`; this is the only place that converts.)
 
 use nalgebra::Point2;
 use parry2d_f64::bounding_volume::Aabb;
 use parry2d_f64::math::Vector;
 
-/// A point as parry writes it.
+/// A point as parry's vector.
 pub(crate) fn vector(point: Point2<f64>) -> Vector {
     Vector::new(point.x, point.y)
 }

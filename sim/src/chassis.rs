@@ -1,9 +1,8 @@
-//! Chassis. How does one robot move among solids, and what does it touch? Contact blocks motion into the obstacle.
+//! Chassis. The motion of one robot among solids, and its contacts: a contact blocks motion into the obstacle.
 //!
-//! Motion is cut into pieces shorter than the footprint is wide, so that nothing is jumped over. A piece that would
-//! bring the true outline into contact is halved until the robot stands in front of the obstacle; its wheels stall. One that only
-//! grazes slides along.
-//! Exact distances are only computed where the last known clearance does not already rule contact out.
+//! Motion is cut into pieces shorter than the footprint is wide, so that no obstacle is skipped. A piece that would bring the true
+//! outline into contact is halved until the robot stands in front of the obstacle, and its wheels stall. A piece that only grazes the
+//! obstacle slides along it. Exact distances are computed only where the last known clearance does not already rule contact out.
 
 use parry2d_f64::math::Vector;
 use parry2d_f64::query;
@@ -19,22 +18,22 @@ use crate::scene::Scene;
 use crate::sensors::random::gauss;
 use crate::shape::Solid;
 
-/// A blocked robot stands this far in front of the obstacle, m: contact, without overlap by rounding.
+/// Gap between a blocked robot and the obstacle, m: contact without overlap by rounding.
 const SKIN: f64 = 1e-6;
 /// A clearance up to this is contact, m.
 pub(crate) const CONTACT: f64 = 1e-4;
-/// A robot whose outline comes nearer to what it touches by no more than this share of its way there grazes it: it slides along.
+/// A robot whose outline approaches what it touches by no more than this share of its motion grazes it, and slides along.
 const GRAZE: f64 = 0.05;
-/// A contact ends when the robot is this far away, m: one touch is one collision.
+/// A contact ends at this distance, m: one touch is one collision.
 const RELEASE: f64 = 2e-3;
-/// People farther away are nobody's business, m.
+/// People farther away are not reported, m.
 const SPACE: f64 = 3.0;
-/// Motors and arcs are integrated in steps of at most this, s.
+/// Longest integration step of motors and arcs, s.
 const SUBSTEP: f64 = 0.005;
-/// A blocked piece is halved this often to find how far it goes.
+/// Number of halvings of a blocked piece to find how far it goes.
 const HALVINGS: u32 = 20;
 
-/// A collision, as it began.
+/// A collision, at its beginning.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Contact {
     /// When.
@@ -45,44 +44,44 @@ pub struct Contact {
     pub own_speed: f64,
 }
 
-/// What nobody on the robot knows for sure.
+/// Ground truth, which no robot knows exactly.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Truth {
-    /// Where the robot is.
+    /// Pose of the robot.
     pub map_from_base: Pose2,
     /// Its velocity, base frame.
     pub twist: Twist2,
-    /// Distance from the footprint to the nearest solid, mover or robot, m; infinite where there is none.
+    /// Distance from the footprint to the nearest solid, mover or robot, m; infinite if there is none.
     pub clearance: f64,
     /// The least clearance since the beginning, m.
     pub min_clearance: f64,
-    /// Distance from the footprint to the nearest round mover: a person, m; infinite where none is within 3 m.
+    /// Distance from the footprint to the nearest round mover, that is, a person, m; infinite if none is within 3 m.
     pub to_person: f64,
-    /// Contacts since the beginning; touching for a while counts once.
+    /// Contacts since the beginning; a lasting contact counts once.
     pub collisions: u32,
     /// The latest contact.
     pub last_contact: Option<Contact>,
-    /// The robot's largest own speed towards something while it touched it, m/s.
+    /// The robot's largest own speed towards something that it touched, m/s.
     pub hardest_contact: f64,
-    /// Way driven since the beginning, forwards and backwards, m.
+    /// Distance driven since the beginning, forwards and backwards, m.
     pub length: f64,
     /// Energy drawn since the beginning, J.
     pub drawn_j: f64,
 }
 
-/// Everything that can be touched: what never moves, and what moves but is not this robot.
+/// Everything that can be touched: the static scene, and everything that moves except this robot.
 #[derive(Clone, Copy)]
 pub struct Surroundings<'a> {
-    /// What never moves.
+    /// The static scene.
     pub scene: &'a Scene,
     /// Movers and robots.
     pub crowd: &'a Crowd,
-    /// The robot's own place in the crowd.
+    /// The robot's own index in the crowd.
     pub own: usize,
 }
 
 impl Surroundings<'_> {
-    /// Distance from a footprint to the nearest solid, m; infinite where there is none. Exact.
+    /// Distance from a footprint to the nearest solid, m; infinite if there is none. Exact.
     #[must_use]
     pub fn clearance(&self, placed: &Placed) -> f64 {
         let moving = self.crowd.nearest(placed, self.own);
@@ -91,7 +90,7 @@ impl Surroundings<'_> {
             .min(self.scene.distance(placed))
     }
 
-    /// Where a footprint touches the nearest solid; `None` where nothing is near, and inside of a solid.
+    /// Contact of a footprint with the nearest solid; `None` if nothing is near, and inside a solid.
     fn contact(&self, placed: &Placed) -> Option<query::Contact> {
         let moving = self.crowd.nearest(placed, self.own);
         let moving = moving.and_then(|(_, solid)| solid.contact(placed, RELEASE));
@@ -100,14 +99,14 @@ impl Surroundings<'_> {
     }
 }
 
-/// What a tick did, for the sensors.
+/// Motion of a tick, for the sensors.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Moved {
     /// True turns of the wheels (left, right), rad.
     pub wheels: [f64; 2],
     /// True turn of the base, rad.
     pub turn: f64,
-    /// No point of the footprint moved farther, m.
+    /// Upper bound of the motion of any point of the footprint, m.
     pub reach: f64,
 }
 
@@ -119,7 +118,7 @@ pub struct Chassis {
     floor: Pcg64Mcg,
     reach: f64,
     inscribed: f64,
-    /// No solid is nearer than this, m: exact at the end of a tick.
+    /// Lower bound of the distance to any solid, m: exact at the end of a tick.
     clearance: f64,
     touching: bool,
     bearing: Option<f64>,
@@ -127,7 +126,7 @@ pub struct Chassis {
 }
 
 impl Chassis {
-    /// At rest at a pose. `floor` draws what the wheels slip.
+    /// At rest at a pose. `floor` is the random stream of the wheels' slip.
     #[must_use]
     pub fn new(model: &RobotModel, map_from_base: Pose2, floor: Pcg64Mcg) -> Self {
         let truth = Truth {
@@ -164,7 +163,7 @@ impl Chassis {
         self.motors.command(&model.drive, wheels);
     }
 
-    /// Stands at another pose at once.
+    /// Moves to another pose at once.
     pub fn carry(&mut self, to: Pose2) {
         self.truth.map_from_base = to;
         (self.touching, self.bearing, self.clearance) = (false, None, 0.0);
@@ -194,7 +193,7 @@ impl Chassis {
         self.bearing
     }
 
-    /// Drives for a time. `others` is how far anything else has moved since the last call of [`Self::settle`], m.
+    /// Drives for a time. `others` bounds how far anything else has moved since the last call of [`Self::settle`], m.
     pub fn advance(
         &mut self,
         model: &RobotModel,
@@ -241,7 +240,7 @@ impl Chassis {
         self.truth.twist = model.drive.true_twist(self.motors.speed());
     }
 
-    /// The wheel speeds by which the robot gets on, rad/s: a random walk along the way, whatever the step.
+    /// The wheel speeds after slip, rad/s: a random walk along the distance, whatever the step.
     fn slipped(&mut self, drive: &Drive, wheels: [f64; 2], secs: f64) -> [f64; 2] {
         let slip = drive.errors.slip;
         if slip <= 0.0 {
@@ -253,13 +252,13 @@ impl Chassis {
         })
     }
 
-    /// No point of the footprint moves faster, m/s.
+    /// Upper bound of the speed of any point of the footprint, m/s.
     fn speed_of_outline(&self, twist: Twist2) -> f64 {
         twist.v.abs() + twist.w.abs() * self.reach
     }
 
-    /// Moves along an arc as far as nothing is touched; returns the share of the time that it could move. `turning` is what the
-    /// wheels would do without slip: slip is a random walk, it has a way but no speed.
+    /// Moves along an arc until something is touched; returns the share of the time in which it could move. `turning` is the motion of
+    /// the wheels without slip: slip is a random walk, with a distance but no speed.
     fn roll(&mut self, around: Surroundings<'_>, [twist, turning]: [Twist2; 2], secs: f64, now: Stamp) -> f64 {
         let pieces = (self.speed_of_outline(twist) * secs / self.inscribed)
             .ceil()
@@ -276,7 +275,7 @@ impl Chassis {
             let exact = |pose: Pose2| around.clearance(&self.footprint.at(pose));
             let next = here.advance(twist, piece);
             let there = exact(next);
-            // Touching already, a robot may still turn on the spot or move away.
+            // A robot in contact may still turn on the spot or move away.
             let before = exact(here);
             if there > SKIN || there >= before {
                 self.clearance = there;
@@ -290,7 +289,7 @@ impl Chassis {
                 continue;
             }
             let (mut free, mut taken) = (0.0, 1.0);
-            // Pressing on against what it stands in front of: nothing left to halve.
+            // Pressed against an obstacle already: nothing left to halve.
             let halvings = if before <= 2.0 * SKIN { 0 } else { HALVINGS };
             for _ in 0..halvings {
                 let middle = 0.5 * (free + taken);
@@ -308,8 +307,8 @@ impl Chassis {
         1.0
     }
 
-    /// Where a robot that grazes something is pushed to, and its clearance there: its tyres give way sideways by so little. `next` is where
-    /// its wheels alone would take it, from a clearance of `before`, m, by a twist for so many s.
+    /// The pose to which a robot that grazes something is pushed, and its clearance there: its tyres give way sideways by so little.
+    /// `next` is where its wheels alone would take it from a clearance of `before` (m), by a twist for `secs` seconds.
     fn pushed_aside(
         &self,
         around: Surroundings<'_>,
@@ -331,7 +330,7 @@ impl Chassis {
 
     fn touch(&mut self, around: Surroundings<'_>, twist: Twist2, now: Stamp) {
         let contact = around.contact(&self.outline());
-        // What holds the whole robot touches it nowhere: then straight ahead.
+        // A solid that contains the whole robot has no contact point: straight ahead is taken.
         let (at, normal) = contact.map_or((Vector::ZERO, Vector::X), |found| (found.point1, found.normal1));
         let bearing = at.y.atan2(at.x);
         self.bearing = Some(bearing);
@@ -349,7 +348,7 @@ impl Chassis {
         });
     }
 
-    /// Notes how far the nearest of those is that are people.
+    /// Updates the distance to the nearest solid that is a person.
     pub fn meet(&mut self, crowd: &Crowd, is_person: impl Fn(usize, &Solid) -> bool) {
         let (outline, mut nearest) = (self.outline(), f64::INFINITY);
         crowd.near(outline.center(), self.reach + SPACE, |index, solid| {
@@ -360,12 +359,12 @@ impl Chassis {
         self.truth.to_person = if nearest <= SPACE { nearest } else { f64::INFINITY };
     }
 
-    /// Somebody has come without driving there: how far away others are is not known any more.
+    /// Discards the known clearance, because a solid has appeared at once.
     pub fn look_again(&mut self) {
         self.clearance = 0.0;
     }
 
-    /// Ends a tick, when everybody has moved: true clearance, and contacts that others made.
+    /// Ends a tick after everything has moved: true clearance, and contacts caused by others.
     pub fn settle(&mut self, around: Surroundings<'_>, now: Stamp) {
         let clearance = around.clearance(&self.outline());
         self.clearance = clearance;
@@ -381,7 +380,7 @@ impl Chassis {
         }
     }
 }
-/// Velocity, m/s, of a point of a robot that moves with a twist, base frame.
+/// Velocity of a point of a robot that moves with a twist, base frame, m/s.
 fn velocity_at(twist: Twist2, point: Vector) -> Vector {
     Vector::new(twist.v - twist.w * point.y, twist.w * point.x)
 }

@@ -1,4 +1,4 @@
-//! Clearance and contact. How far is a form from another, and where do they touch? By parry, on true outlines.
+//! Clearance and contact. The distance between two forms, and where they touch, by parry on true outlines.
 
 use nalgebra::Point2;
 use parry2d_f64::bounding_volume::Aabb;
@@ -38,7 +38,7 @@ impl Placed {
         Self::new(self.form.clone(), map_from_form)
     }
 
-    /// Where its origin is, m.
+    /// Its origin, m.
     #[must_use]
     pub fn center(&self) -> Point2<f64> {
         Point2::new(self.pose.translation.x, self.pose.translation.y)
@@ -50,13 +50,13 @@ impl Placed {
         self.form.compute_aabb(&self.pose)
     }
 
-    /// Whether its inside is solid: an outline that is not convex has only edges.
+    /// Whether its inside is solid: a non-convex outline has only edges.
     #[must_use]
     pub fn is_convex(&self) -> bool {
         self.form.is_convex()
     }
 
-    /// Distance to another form, m; zero where they overlap.
+    /// Distance to another form, m; zero if they overlap.
     #[must_use]
     pub fn distance(&self, other: &Self) -> f64 {
         DefaultQueryDispatcher
@@ -72,7 +72,8 @@ impl Placed {
             .is_ok_and(|found| found.intersecting)
     }
 
-    /// Where it touches another form, or would within a distance, m: the points in each one's own frame, and the normal out of it.
+    /// Contact with another form, or the closest points if they are within a distance, m: the points in each form's own frame, and its
+    /// outward normal.
     #[must_use]
     pub fn contact(&self, other: &Self, within: f64) -> Option<Contact> {
         DefaultQueryDispatcher
@@ -116,7 +117,7 @@ mod tests {
         (edge.a + along * share - point).norm()
     }
 
-    /// From school: the distance from a footprint to an edge, both in the base frame.
+    /// Reference: the distance from a footprint to an edge, both in the base frame.
     fn to_edge(footprint: &Footprint, edge: &Edge) -> f64 {
         match footprint {
             Footprint::Radius(radius) => (to_point(edge, Point2::origin()) - radius).max(0.0),

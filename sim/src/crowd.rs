@@ -1,7 +1,7 @@
-//! Which movers and robots are near? A tree of boxes, rebuilt once a step.
+//! Crowd. The movers and robots near a form or a point: a tree of boxes, rebuilt once a step.
 //!
-//! Within a step solids move one after the other while the tree stays: the distance that any of them has moved since
-//! is taken off every bound, so that searches stay exact.
+//! Within a step solids move one after the other while the tree stays: the largest distance that any of them has moved since is
+//! subtracted from every bound, so that searches stay exact.
 
 use nalgebra::Point2;
 use parry2d_f64::bounding_volume::Aabb;
@@ -13,14 +13,14 @@ use crate::bridge;
 use crate::clearance::Placed;
 use crate::shape::Solid;
 
-/// Everything that moves, indexed.
+/// Everything that moves, indexed by boxes.
 #[derive(Clone)]
 pub struct Crowd {
     solids: Vec<Solid>,
     tree: Bvh,
     /// Where the solids were when the tree was built.
     built: Vec<Point2<f64>>,
-    /// No solid has moved farther since then, m.
+    /// Largest distance that a solid has moved since then, m.
     drift: f64,
 }
 
@@ -46,7 +46,7 @@ impl Crowd {
         self.solids.push(solid);
     }
 
-    /// Takes a solid out; those after it move up by one.
+    /// Removes a solid; the indices of those after it drop by one.
     pub fn remove(&mut self, index: usize) {
         if index < self.solids.len() {
             self.solids.remove(index);
@@ -54,7 +54,7 @@ impl Crowd {
         }
     }
 
-    /// Builds the tree anew from where everything is. Cost: O(n log n).
+    /// Rebuilds the tree from the present positions. Cost: O(n log n).
     pub fn refresh(&mut self) {
         let boxes: Vec<_> = self
             .solids
@@ -73,7 +73,7 @@ impl Crowd {
         &self.solids
     }
 
-    /// Changes where a solid is.
+    /// Changes a solid, and notes how far it has moved.
     pub fn change(&mut self, index: usize, change: impl FnOnce(&mut Solid)) {
         if let (Some(solid), Some(built)) = (self.solids.get_mut(index), self.built.get(index)) {
             change(solid);
@@ -86,7 +86,7 @@ impl Crowd {
         self.change(index, |solid| solid.place(pose));
     }
 
-    /// The solid nearest to a form, but for one, and how far it is, m. Exact.
+    /// The solid nearest to a form, except the one with index `but`, and its distance, m. Exact.
     #[must_use]
     pub fn nearest(&self, placed: &Placed, but: usize) -> Option<(f64, &Solid)> {
         let own = placed.bounds();

@@ -1,4 +1,4 @@
-//! Faults of sensors. Which sensor is broken, how, and when? As the world file tells, in windows of simulated time.
+//! Sensor faults. Which sensor is broken, how, and when: defined by the world file, in windows of simulated time.
 
 use std::ops::Range;
 
@@ -8,32 +8,32 @@ use zenav_protocol::time::Stamp;
 /// A fault as the world file describes it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FaultModel {
-    /// Where it is written: file and line.
+    /// File and line of its definition.
     pub at: String,
-    /// The robot's name; every robot that has the sensor where it is `None`.
+    /// The robot's name; `None`: every robot that has the sensor.
     pub robot: Option<Id>,
     /// `encoders`, `imu`, another kind of sensor as the robot file names it (`gps`), or a lidar by name.
     pub sensor: String,
-    /// What is wrong.
+    /// Kind of fault.
     pub kind: FaultKind,
-    /// From when until when, s.
+    /// Time window, s.
     pub window: Range<f64>,
 }
 
-/// What is wrong with a sensor.
+/// Kind of fault of a sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum FaultKind {
-    /// It measures nothing; encoders go on telling their last angles.
+    /// It measures nothing; encoders keep reporting their last angles.
     Dead,
-    /// This share of its readings is lost, 0 to 1; of a lidar, of its beams.
+    /// This share of its readings is lost, 0 to 1; for a lidar, of its beams.
     Lost(f64),
-    /// Readings arrive later by this, s, with the stamp of their measurement.
+    /// Readings arrive this much later, s, with the stamp of their measurement.
     Late(f64),
-    /// More noise by this standard deviation, in the unit of the sensor's own.
+    /// Additional noise of this standard deviation, in the unit of the sensor's own.
     Noisy(f64),
 }
 
-/// What is wrong with one sensor at a moment; several faults add up.
+/// Total fault of one sensor at a moment; several faults add up.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Fault {
     /// Whether it measures nothing.
@@ -47,7 +47,7 @@ pub struct Fault {
 }
 
 impl Fault {
-    /// All faults of one sensor that hold at a moment, together.
+    /// All faults of one sensor that are active at a moment, added up.
     #[must_use]
     pub fn at(faults: &[FaultModel], now: Stamp) -> Self {
         let holding = faults.iter().filter(|fault| fault.window.contains(&now.as_secs()));
@@ -68,13 +68,13 @@ impl Fault {
         })
     }
 
-    /// Share of readings lost of a sensor that without the fault loses `dropout` of them.
+    /// Share of readings lost by a sensor that loses `dropout` of them without the fault.
     #[must_use]
     pub fn dropout(&self, dropout: f64) -> f64 {
         dropout + self.lost * (1.0 - dropout)
     }
 
-    /// Standard deviation of the noise of a sensor that without the fault has `std_dev`.
+    /// Standard deviation of the noise of a sensor that has `std_dev` without the fault.
     #[must_use]
     pub fn noise(&self, std_dev: f64) -> f64 {
         std_dev.hypot(self.noise)

@@ -2,17 +2,17 @@
 //!
 //! | module | answers |
 //! |---|---|
-//! | [`world`] | what stands where? |
-//! | `world_file` | how is a world written down? (TOML) |
+//! | [`world`] | what is where? |
+//! | `world_file` | how is a world described in a file? (TOML) |
 //! | [`world_check`] | which values may a world hold? |
 //! | [`shape`] | what are solids made of? (edges and discs) |
 //! | [`outline`] | which edges bound the occupied cells of a map? |
 //! | [`boxes`] | which things are near, the nearest first? (for lidars) |
-//! | [`scene`] | what never moves, and how far is it? |
+//! | [`scene`] | what never moves, and how far away is it? |
 //! | [`crowd`] | which movers and robots are near? |
 //! | [`clearance`] | how far is a form from another, and where do they touch? (parry) |
 //! | [`lidar`] | what does a planar lidar measure? (angular z-buffer) |
-//! | [`motors`] | what do wheels and motors make of a command? |
+//! | [`motors`] | how do wheels and motors respond to a command? |
 //! | [`sensors`] | what do encoders, gyro, compass and GPS measure, and when? |
 //! | [`faults`] | which sensor is broken, how, and when? |
 //! | [`movers`] | where are the moving obstacles? |
@@ -20,7 +20,7 @@
 //! | [`chassis`] | how does one robot move among solids, and what does it touch? |
 //! | [`body`] | what does one robot do in a tick? |
 //! | [`simulation`] | how does everything advance together? |
-//! | [`scatter`] | where can many robots stand? |
+//! | [`scatter`] | where can many robots start? |
 //! | [`made_worlds`] | which worlds need no file? |
 //!
 //! The world frame is the map frame. Metres, radians, seconds.

@@ -1,4 +1,4 @@
-//! Made worlds. Which worlds need no file? Those for benches, examples and tests: polygons on a lattice, a floor for many robots, an office.
+//! Made worlds. Worlds without a file, for benches, examples and tests: polygons on a lattice, a floor for many robots, an office.
 
 use std::fmt::Write as _;
 
@@ -26,7 +26,7 @@ pub fn polygons(shapes: usize, sides: usize, size: f64) -> String {
     let pitch = size / a_row as f64;
     for shape in 0..shapes {
         let (x, y) = ((shape % a_row) as f64 + 0.5, (shape / a_row) as f64 + 0.5);
-        // Sizes and angles that differ, without a generator.
+        // Sizes and angles vary without a random generator.
         let radius = pitch * (0.1 + 0.15 * ((shape * 7) % 10) as f64 / 10.0);
         let corners: Vec<[f64; 2]> = (0..sides)
             .map(|side| std::f64::consts::TAU * (side as f64 / sides as f64 + shape as f64 * 0.13))
@@ -37,13 +37,13 @@ pub fn polygons(shapes: usize, sides: usize, size: f64) -> String {
     text
 }
 
-/// A walled floor with room for `count` robots of a model and with four-sided things to see, one for every ten robots, twenty at least.
+/// A walled floor with room for `count` robots of a model and with quadrilaterals to see, one for every ten robots, at least twenty.
 ///
 /// # Errors
-/// [`WorldError`] for more things than a world holds.
+/// [`WorldError`] for more things than a world may hold.
 pub fn floor(model: &RobotModel, count: usize) -> Result<World, WorldError> {
     let apart = 2.0 * model.footprint.circumscribed_radius() + model.drive.wheel_separation;
-    // Four times the square that each needs: robots that are put down at random leave half of that empty.
+    // Four times the square that each robot needs: random placement leaves half of that empty.
     let size = (2.0 * apart * (count as f64).sqrt()).max(20.0).ceil();
     World::from_toml(&polygons((count / 10).max(20), 4, size), "floor", &|_| {
         Err(String::new())
@@ -68,7 +68,7 @@ pub fn office() -> World {
             let (room_x, room_y) = (x / 120, y / 120);
             let corner = 20 + (room_x * 13 + room_y * 29) % 60;
             let furniture = (corner..corner + 14).contains(&in_x) && (80..88).contains(&in_y);
-            // Clutter, as a scanner sees it.
+            // Clutter, as in a scanned map.
             let speck = (x * 7919 + y * 104_729) % 1013 == 0;
             if wall || furniture || speck || x == SIDE - 1 || y == SIDE - 1 {
                 map[Cell::new(x, y)] = Occupancy::OCCUPIED;

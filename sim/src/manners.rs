@@ -1,11 +1,12 @@
-//! Manners. Which velocity does a walker choose among others? A blind one goes straight on; others make way by one of two published models.
+//! Manners. The velocity that a walker chooses among others: a blind walker goes straight on; others make way by one of two published
+//! models.
 //!
-//! - ORCA (van den Berg, Guy, Lin and Manocha, "Reciprocal n-Body Collision Avoidance", 2011): for each neighbour a half-plane of
-//!   velocities that keep both apart for a time, of which the walker takes half the effort; the permitted velocity nearest to the wanted
-//!   one is chosen. Walls take the whole effort. The optimum of so small a problem is the wanted velocity, its projection on a bound, or a
-//!   point where two bounds meet: all are tried.
-//! - Social force (Helbing and Molnár, "Social force model for pedestrian dynamics", 1995): the walker is drawn towards its goal and pushed
-//!   away from others by elliptical potentials along their next step, and from walls; what is behind it pushes half as much.
+//! - ORCA (van den Berg, Guy, Lin and Manocha, "Reciprocal n-Body Collision Avoidance", 2011): each neighbour gives a half-plane of
+//!   velocities that keep both apart for a time, with half of the effort taken by the walker; the permitted velocity nearest to the
+//!   wanted one is chosen. Towards walls the walker takes the whole effort. The optimum of so small a problem is the wanted velocity, its
+//!   projection on a bound, or a point where two bounds meet: all are tried.
+//! - Social force (Helbing and Molnár, "Social force model for pedestrian dynamics", 1995): the walker is attracted by its goal, and
+//!   repelled by others through elliptical potentials along their next step, and by walls; repulsion from behind counts half.
 
 use std::f64::consts::PI;
 
@@ -16,62 +17,62 @@ use serde::Deserialize;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Manners {
-    /// It looks out for nobody.
+    /// Ignores everybody else.
     #[default]
     Blind,
-    /// Optimal reciprocal collision avoidance, half of the effort its own.
+    /// Optimal reciprocal collision avoidance; the walker takes half of the effort.
     Orca,
     /// Social force.
     SocialForce,
 }
 
-/// Nobody farther away matters, m.
+/// Others farther away are ignored, m.
 pub(crate) const SIGHT: f64 = 5.0;
-/// A walker that makes way is faster than it likes to walk by this factor at most (Helbing and Molnár: 1.3).
+/// Top speed of a walker that makes way, as a multiple of its preferred speed (Helbing and Molnár: 1.3).
 const HASTE: f64 = 1.3;
-/// Most neighbours that ORCA regards, the nearest first.
+/// Largest number of neighbours in ORCA, the nearest first.
 const NEIGHBOURS: usize = 10;
 /// ORCA keeps walkers apart for this long, and off walls for this long, s.
 const HORIZON: f64 = 2.5;
 const WALL_HORIZON: f64 = 0.5;
-/// And this much farther apart than they need to be, m: without it they graze one another.
+/// Extra distance that ORCA keeps, m: without it walkers graze one another.
 const BERTH: f64 = 0.1;
-/// Who is nearer already is to be apart after this, s.
+/// Neighbours that are already too close are to be apart after this, s.
 const PARTING: f64 = 0.2;
-/// A bound is kept to this, m/s.
+/// Tolerance of a bound, m/s.
 const TOLERANCE: f64 = 1e-9;
 /// Social force: relaxation time, s; strength, m²/s², and range, m, of other people's potential and of walls'; length of a step in time, s.
 const RELAXATION: f64 = 0.5;
 const PEOPLE: (f64, f64) = (2.1, 0.3);
 const WALLS: (f64, f64) = (10.0, 0.2);
 const STEP: f64 = 2.0;
-/// The wanted velocity is turned by this, so that two who meet face to face need not guess: people keep to the right, rad.
+/// Turn of the wanted velocity, rad: two walkers who meet face to face both keep to the right.
 const KEEP_RIGHT: f64 = -0.05;
-/// Half of the angle of sight, rad, and the weight of what lies outside of it.
+/// Half of the angle of sight, rad, and the weight of repulsion from outside it.
 const HALF_SIGHT: f64 = PI / 1.8;
 const UNSEEN: f64 = 0.5;
 
-/// Somebody else, seen from a walker.
+/// Another walker or robot, seen from a walker.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Neighbour {
     /// From the walker's centre to its own, m.
     pub offset: Vector2<f64>,
-    /// m/s.
+    /// Velocity, m/s.
     pub velocity: Vector2<f64>,
-    /// m.
+    /// Radius, m.
     pub radius: f64,
 }
 
-/// A walker, as it chooses its velocity.
+/// A walker that chooses its velocity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Walker {
-    /// m/s.
+    /// Velocity, m/s.
     pub velocity: Vector2<f64>,
-    /// What it would like, m/s.
+    /// Wanted velocity, m/s.
     pub wanted: Vector2<f64>,
-    /// m.
+    /// Radius, m.
     pub radius: f64,
-    /// How fast it likes to walk, m/s.
+    /// Preferred walking speed, m/s.
     pub speed: f64,
 }
 
@@ -83,7 +84,7 @@ struct HalfPlane {
 }
 
 impl HalfPlane {
-    /// How far a velocity is inside, m/s.
+    /// Distance of a velocity from the bound, m/s; negative outside.
     fn margin(&self, velocity: Vector2<f64>) -> f64 {
         (velocity - self.at).dot(&self.inwards)
     }
@@ -94,7 +95,7 @@ impl HalfPlane {
 }
 
 impl Manners {
-    /// The fastest that somebody of these manners walks who likes to walk at `speed`, m/s.
+    /// Top speed of a walker of these manners whose preferred speed is `speed`, m/s.
     #[must_use]
     pub fn top_speed(self, speed: f64) -> f64 {
         match self {
@@ -137,7 +138,7 @@ fn orca(walker: &Walker, others: &[Neighbour], walls: &[Vector2<f64>]) -> Vector
         let margins = planes.iter().map(|plane| plane.margin(velocity));
         margins.fold(top - velocity.norm(), f64::min)
     };
-    // The best so far: bounds that are broken count first, then the distance from what is wanted.
+    // The best so far: violated bounds count first, then the distance from the wanted velocity.
     let mut best: (f64, f64, Vector2<f64>) = (f64::NEG_INFINITY, f64::INFINITY, Vector2::zeros());
     candidates(walker.wanted, top, &planes, |velocity| {
         let broken = worst(velocity).min(-TOLERANCE);
@@ -149,7 +150,7 @@ fn orca(walker: &Walker, others: &[Neighbour], walls: &[Vector2<f64>]) -> Vector
     best.2.cap_magnitude(top)
 }
 
-/// The velocities that keep a walker and another apart for the horizon, if the other makes half of the effort, too.
+/// The velocities that keep a walker and another apart for the horizon, if the other makes half of the effort too.
 fn reciprocal(walker: &Walker, other: &Neighbour) -> HalfPlane {
     let (offset, radius) = (other.offset, walker.radius + other.radius + BERTH);
     let relative = walker.velocity - other.velocity;
@@ -193,7 +194,7 @@ fn reciprocal(walker: &Walker, other: &Neighbour) -> HalfPlane {
     }
 }
 
-/// Where the optimum can lie: the wanted velocity, its projections on the bounds, and the points where two bounds meet.
+/// All candidates for the optimum: the wanted velocity, its projections on the bounds, and the points where two bounds meet.
 fn candidates(wanted: Vector2<f64>, top: f64, planes: &[HalfPlane], mut visit: impl FnMut(Vector2<f64>)) {
     visit(wanted.cap_magnitude(top));
     visit(Vector2::zeros());
@@ -215,14 +216,14 @@ fn candidates(wanted: Vector2<f64>, top: f64, planes: &[HalfPlane], mut visit: i
 
 fn social_force(walker: &Walker, others: &[Neighbour], walls: &[Vector2<f64>], secs: f64) -> Vector2<f64> {
     let heading = walker.wanted.try_normalize(1e-9);
-    // What pushes from behind counts less.
+    // Repulsion from behind counts less.
     let seen = |push: Vector2<f64>| match heading {
         Some(heading) if heading.dot(&-push) < push.norm() * HALF_SIGHT.cos() => push * UNSEEN,
         _ => push,
     };
     let mut force = (walker.wanted - walker.velocity) / RELAXATION;
     for other in others {
-        // The model's people are points: here the other one has an outline, and robots are of all sizes.
+        // The model's people are points; here the other one has an outline, and robots come in all sizes.
         let apart = other.offset.norm();
         let Some(towards) = other.offset.try_normalize(1e-9) else {
             continue;
@@ -236,7 +237,7 @@ fn social_force(walker: &Walker, others: &[Neighbour], walls: &[Vector2<f64>], s
         let (strength, range) = PEOPLE;
         force += seen(direction * (strength / range * (-minor / range).exp() * sum / (4.0 * minor)));
     }
-    // The nearest point of all walls pushes, as in the model.
+    // As in the model, only the nearest point of all walls repels.
     let wall = walls
         .iter()
         .min_by(|a, b| a.norm_squared().total_cmp(&b.norm_squared()));
@@ -247,7 +248,7 @@ fn social_force(walker: &Walker, others: &[Neighbour], walls: &[Vector2<f64>], s
     (walker.velocity + force * secs).cap_magnitude(Manners::SocialForce.top_speed(walker.speed))
 }
 
-/// Where a walker would like to go that is drawn to a place (from its centre, m): straight there, slower on the last steps.
+/// Wanted velocity of a walker towards a place (from its centre, m): straight there, slower on the last steps.
 pub(crate) fn wanted(to_place: Vector2<f64>, speed: f64) -> Vector2<f64> {
     Rotation2::new(KEEP_RIGHT) * (to_place / RELAXATION).cap_magnitude(speed)
 }
@@ -256,7 +257,8 @@ pub(crate) fn wanted(to_place: Vector2<f64>, speed: f64) -> Vector2<f64> {
 mod tests {
     use super::*;
 
-    /// Two who walk towards each other; the least distance between their centres, m, and whether each got there.
+    /// Two walkers approach each other; returns the least distance between their centres, m, and the distance that each has left to its
+    /// goal, m.
     fn meeting(manners: [Manners; 2]) -> (f64, [f64; 2]) {
         let secs = 0.02;
         let mut at = [Vector2::new(-4.0, 0.0), Vector2::new(4.0, 0.1)];

@@ -1,8 +1,8 @@
-//! Motors. What do wheels and motors make of a command? Lag and limits.
+//! Motors. The response of wheels and motors to a command: lag and limits.
 //!
-//! A motor is a first-order lag towards the commanded wheel speed, bounded by the wheel's acceleration limit, or by
-//! hard braking where the wheel slows down. Between two wheel speeds the base follows the arc of their mean. A drive with errors
-//! takes a command up later, lags more, and has less strength for its mass than its robot believes.
+//! A motor is a first-order lag towards the commanded wheel speed, bounded by the wheel's acceleration limit, or by hard braking when the
+//! wheel slows down. Between two wheel speeds the base follows the arc of their mean. A drive with errors responds later, lags more, and
+//! is weaker for its mass than its robot's model says.
 
 use std::collections::VecDeque;
 
@@ -13,7 +13,7 @@ use zenav_protocol::robot::Drive;
 pub struct Motors {
     command: [f64; 2],
     speed: [f64; 2],
-    /// Commands that have not been taken up yet, each with the time that is left until then, s.
+    /// Commands that have not taken effect yet, each with the time that is left until then, s.
     waiting: VecDeque<(f64, [f64; 2])>,
 }
 
@@ -28,8 +28,7 @@ impl Motors {
         }
     }
 
-    /// Sets the commanded wheel speeds (left, right; rad/s), bounded by the limits of wheels and base. What is not a
-    /// number stops both wheels.
+    /// Sets the commanded wheel speeds (left, right; rad/s), bounded by the limits of wheels and base. NaN stops both wheels.
     pub fn command(&mut self, drive: &Drive, wheels: [f64; 2]) {
         let command = if wheels.iter().any(|speed| speed.is_nan()) {
             [0.0; 2]
@@ -43,7 +42,7 @@ impl Motors {
         }
     }
 
-    /// Wheel speeds now (left, right; rad/s).
+    /// Present wheel speeds (left, right; rad/s).
     #[must_use]
     pub fn speed(&self) -> [f64; 2] {
         self.speed
@@ -69,13 +68,13 @@ impl Motors {
         [0.5 * (before[0] + self.speed[0]), 0.5 * (before[1] + self.speed[1])]
     }
 
-    /// Stops both wheels at once: something stands in the way.
+    /// Stops both wheels at once: the robot is blocked.
     pub fn stall(&mut self) {
         self.speed = [0.0; 2];
     }
 }
 
-/// `wanted`, as far as `speed` may lose `down` and gain `up`; through zero it first brakes, then accelerates.
+/// `wanted`, limited to a loss of `down` and a gain of `up` from `speed`; through zero it first brakes, then accelerates.
 fn limited(speed: f64, wanted: f64, down: f64, up: f64) -> f64 {
     if speed == 0.0 {
         return wanted.clamp(-up, up);

@@ -1,9 +1,9 @@
-//! Where are the moving obstacles? They walk their route at constant speed, and wait where a robot stands in their way.
-//! A walker with [`Manners`] leaves the straight line to make way for robots and other movers, and goes on to its next place from there.
+//! Movers. The moving obstacles walk their route at constant speed, and wait where a robot stands in their way. A walker with [`Manners`]
+//! leaves the straight line to make way for robots and other movers, and goes on to its next place from there.
 //!
-//! A mover keeps its orientation. A path leads from its last point back to the first: two points make it go to and fro; it may rest at
-//! each. A walker goes straight to one place after another, drawn at random from its area, wherever nothing that stands is in between.
-//! A door is a path of two places: shut, and slid aside.
+//! A mover keeps its orientation. A path leads from its last point back to the first, so a path of two points is walked to and fro; the
+//! mover may rest at each point. A walker goes straight to one random place of its area after another, wherever nothing static is in
+//! between. A door is a path of two places: shut, and slid aside.
 
 use nalgebra::{Point2, Vector2};
 use rand::RngExt as _;
@@ -19,18 +19,18 @@ use crate::shape::{Shape, Solid};
 /// A moving obstacle as the world file describes it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MoverModel {
-    /// Its form around its place.
+    /// Its form around its position.
     pub shape: Shape,
-    /// Where it goes.
+    /// Its route.
     pub route: Route,
-    /// m/s.
+    /// Speed, m/s.
     pub speed: f64,
-    /// Whether it makes way; a disc only.
+    /// Whether it makes way; only for a disc.
     pub manners: Manners,
 }
 
 impl MoverModel {
-    /// Distance from a place to the nearest that it may ever touch, m; never more than that, unless it makes way.
+    /// Distance from a place to the nearest point that it may ever touch, m; a lower bound, unless it makes way.
     #[must_use]
     pub fn berth(&self, place: Point2<f64>) -> f64 {
         let to_route = match &self.route {
@@ -55,10 +55,10 @@ impl MoverModel {
     }
 }
 
-/// Where a mover goes.
+/// Route of a mover.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Route {
-    /// A closed path: its corners, m, and how long it rests at each, s. It starts at the first.
+    /// A closed path: its corners, m, and the rest at each, s. It starts at the first.
     Path(Vec<(Point2<f64>, f64)>),
     /// Anywhere in a box.
     Walk {
@@ -71,46 +71,47 @@ pub enum Route {
     },
 }
 
-/// A moving obstacle at work.
+/// A moving obstacle in a simulation.
 #[derive(Clone, Debug)]
 pub struct Mover {
     route: Route,
     speed: f64,
     manners: Manners,
     velocity: Vector2<f64>,
-    /// What it draws its places from.
+    /// Random generator of its places.
     rng: Pcg64Mcg,
-    /// The corner that it comes from, on a path.
+    /// Index of the corner that it comes from, on a path.
     corner: usize,
     from: Point2<f64>,
     to: Point2<f64>,
     along: f64,
     rest: f64,
-    /// How long something has been in its way, s.
+    /// Time for which something has been in its way, s.
     held: f64,
 }
 
-/// A mover goes in steps of at most this length, so that it cannot jump through a robot, m.
+/// Longest step of a mover, so that it cannot jump through a robot, m.
 const STRIDE: f64 = 0.01;
-/// Most steps a tick: what moves faster takes longer strides.
+/// Largest number of steps per tick: faster movers take longer steps.
 const MAX_STRIDES: f64 = 1000.0;
-/// A blocked step is halved this often to find how far it goes.
+/// Number of halvings of a blocked step to find how far it goes.
 const HALVINGS: u32 = 16;
-/// Places that a walker looks at before it rests.
+/// Number of places that a walker tries before it rests.
 const LOOKS: u32 = 20;
-/// A walker that finds no way rests this long, s.
+/// Rest of a walker that finds no free way, s.
 const REST: f64 = 1.0;
-/// A walker that is held this long turns elsewhere, s.
+/// A walker that is blocked this long turns elsewhere, s.
 const PATIENCE: f64 = 2.0;
-/// A walker that makes way has come to a place from this near, m, sees walls this near, m, and is held below this share of its speed.
+/// For a walker that makes way: distance at which a place is reached, m, range within which walls count, m, and share of its speed below
+/// which it is blocked.
 const ARRIVED: f64 = 0.15;
 const WALLS: f64 = 1.5;
 const HELD: f64 = 0.1;
-/// Of more places of walls the nearest count.
+/// Largest number of wall points that count, the nearest first.
 const MOST_WALLS: usize = 24;
-/// A walker sets out only where its way stays this far from what stands, m.
+/// Distance from static obstacles that a walker's way must keep, m.
 const MARGIN: f64 = 0.05;
-/// Samples on a walker's way: a longer one is not looked at so finely.
+/// Largest number of samples on a walker's way: a longer way is sampled more coarsely.
 const MAX_SAMPLES: f64 = 10_000.0;
 
 impl Mover {
@@ -153,7 +154,7 @@ impl Mover {
         Pose2::new(at.x, at.y, 0.0)
     }
 
-    /// Sets out for the next place, from where it has come to.
+    /// Chooses the next place, from the present one.
     fn turn(&mut self, scene: &Scene, reach: f64) {
         self.along = 0.0;
         self.held = 0.0;
@@ -185,19 +186,19 @@ impl Mover {
         }
     }
 
-    /// How far it goes in a time at most, m.
+    /// Upper bound of the distance covered in a time, m.
     #[must_use]
     pub fn stride(&self, secs: f64) -> f64 {
         self.manners.top_speed(self.speed) * secs
     }
 
-    /// Whether it makes way for others: then it moves by [`Self::make_way`].
+    /// Whether it makes way for others: it then moves by [`Self::make_way`].
     #[must_use]
     pub fn makes_way(&self) -> bool {
         self.manners != Manners::Blind
     }
 
-    /// Moves on for a time among others and places `solid`; it stops where `blocked` says that the next place would touch a robot.
+    /// Moves on for a time among others and places `solid`; it stops where `blocked` reports that the next place would touch a robot.
     pub fn make_way(
         &mut self,
         secs: f64,
@@ -206,7 +207,7 @@ impl Mover {
         others: &[Neighbour],
         blocked: impl Fn(&Solid) -> bool,
     ) {
-        // No step is longer than its radius: it does not step over anything.
+        // At its preferred speed no step is longer than the radius, so that nothing is stepped over.
         let steps = (self.speed * secs / solid.reach().max(STRIDE))
             .ceil()
             .clamp(0.0, MAX_STRIDES);
@@ -271,7 +272,7 @@ impl Mover {
         }
     }
 
-    /// Moves on for a time and places `solid`; it stops where `blocked` says that the next place would touch a robot.
+    /// Moves on for a time and places `solid`; it stops where `blocked` reports that the next place would touch a robot.
     pub fn step(&mut self, secs: f64, scene: &Scene, solid: &mut Solid, blocked: impl Fn(&Solid) -> bool) {
         if self.speed <= 0.0 {
             return;
@@ -291,10 +292,10 @@ impl Mover {
         self.held = 0.0;
     }
 
-    /// Goes on for a short time; `false` when a robot is in the way.
+    /// Moves on for a short time; `false` if a robot is in the way.
     fn advance(&mut self, secs: f64, scene: &Scene, solid: &mut Solid, blocked: &impl Fn(&Solid) -> bool) -> bool {
         let mut left = secs;
-        // Rests and corners are passed within the time, but none forever.
+        // A few rests and corners may be passed within the time, but not endlessly many.
         for _ in 0..8 {
             let rested = self.rest.min(left);
             (self.rest, left) = (self.rest - rested, left - rested);
@@ -328,7 +329,7 @@ impl Mover {
     }
 }
 
-/// Where a disc comes to by a step: along what stands in its way, never into it.
+/// Position of a disc after a step: it slides along static obstacles, never into them.
 fn slid(scene: &Scene, radius: f64, at: Point2<f64>, step: Vector2<f64>) -> Point2<f64> {
     let disc = Placed::footprint(&Footprint::Radius(radius), Pose2::IDENTITY);
     let placed = |at: Point2<f64>| disc.at(Pose2::new(at.x, at.y, 0.0));
@@ -347,10 +348,10 @@ fn slid(scene: &Scene, radius: f64, at: Point2<f64>, step: Vector2<f64>) -> Poin
     }
 }
 
-/// Whether a disc goes straight between two places and stays off what stands.
+/// Whether a disc can go straight between two places with a margin from static obstacles.
 fn is_open(scene: &Scene, from: Point2<f64>, to: Point2<f64>, reach: f64) -> bool {
     let disc = Placed::footprint(&Footprint::Radius(reach + MARGIN), Pose2::IDENTITY);
-    // Samples two margins apart: in between the disc is at most a margin nearer to anything than at one of them.
+    // Samples are two margins apart: in between the disc is at most a margin nearer to anything than at one of them.
     let steps = ((to - from).norm() / (2.0 * MARGIN)).ceil().clamp(1.0, MAX_SAMPLES);
     (0..=steps as u32).all(|step| {
         let at = from + (to - from) * (f64::from(step) / steps);

@@ -1,16 +1,16 @@
-//! Which edges bound the occupied cells of a map?
+//! Outline. The edges that bound the occupied cells of a map.
 //!
-//! An occupied cell is a closed square. Sides between two occupied cells are inside the solid and left out; sides in
-//! one line with the solid on the same side become one edge. What is left is exact and much less than the cells.
+//! An occupied cell is a closed square. Sides between two occupied cells are inside the solid and left out; collinear sides with the
+//! solid on the same side are merged into one edge. The result is exact and much smaller than the cells.
 
 use nalgebra::Point2;
 use zenav_protocol::grid::{Occupancy, OccupancyGrid};
 
 use crate::shape::Edge;
 
-/// The boundary of all occupied cells; unknown cells are open. Edges that meet share their corner bit by bit.
+/// The boundary of all occupied cells; unknown cells are open. Edges that meet share bit-identical corners.
 ///
-/// Cost: one visit a cell and direction.
+/// Cost: one visit per cell and direction.
 #[must_use]
 pub fn outline(map: &OccupancyGrid) -> Vec<Edge> {
     let spec = *map.spec();
@@ -57,7 +57,7 @@ pub fn outline(map: &OccupancyGrid) -> Vec<Edge> {
     edges
 }
 
-/// Runs of positions where only one side of a line is solid: `found(from, to, whether it is the far side)`.
+/// Runs of positions where only one side of a line is solid: `found(from, to, whether the far side is solid)`.
 fn runs(length: usize, side: impl Fn(usize) -> (bool, bool), mut found: impl FnMut(usize, usize, bool)) {
     let mut open: Option<(usize, bool)> = None;
     for at in 0..=length {

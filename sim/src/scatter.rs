@@ -1,4 +1,4 @@
-//! Random placement. Where can many robots stand at the same time?
+//! Random placement. Poses at which many robots can stand at the same time.
 
 use std::collections::HashMap;
 
@@ -10,11 +10,11 @@ use zenav_protocol::robot::RobotModel;
 
 use crate::world::World;
 
-/// After so many rejected poses in a row there is no room.
+/// Number of rejected poses in a row after which the world is full.
 const TRIES: usize = 10_000;
 
-/// Places `count` robots at random in the free part of a world, at least `margin` m apart from everything; fewer where
-/// there is no room left. Robots are only compared with those in the cells around them.
+/// Places `count` robots at random in the free part of a world, at least `margin` m apart from everything; fewer if there is no room
+/// left. Robots are only compared with those in the cells around them.
 #[must_use]
 pub fn scatter(world: &World, model: &RobotModel, count: usize, margin: f64, seed: u64) -> Vec<Pose2> {
     let mut rng = Pcg64Mcg::seed_from_u64(seed);

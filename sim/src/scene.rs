@@ -1,4 +1,4 @@
-//! Which edges and discs never move, and how far are they?
+//! Scene. The edges and discs that never move, and the distances to them.
 
 use nalgebra::Point2;
 use parry2d_f64::math::Pose;
@@ -11,16 +11,16 @@ use crate::bridge;
 use crate::clearance::Placed;
 use crate::shape::{Disc, Edge};
 
-/// Everything that never moves, indexed: once for lidars, once for clearances.
+/// Everything static, indexed: once for lidars, once for clearances.
 #[derive(Clone)]
 pub struct Scene {
     edges: BoxTree<Edge>,
     discs: BoxTree<Disc>,
-    /// All of it as one form, unless there is nothing.
+    /// All of it as one form; `None` if there is nothing.
     solid: Option<Placed>,
 }
 
-/// Edges and discs as one form, unless there are none.
+/// Edges and discs as one form; `None` if there are none.
 fn solid(edges: &[Edge], discs: &[Disc]) -> Option<Placed> {
     let segment = |edge: &Edge| SharedShape::segment(bridge::vector(edge.a), bridge::vector(edge.b));
     let ball = |disc: &Disc| {
@@ -56,7 +56,7 @@ impl Scene {
         }
     }
 
-    /// The same with glass: it is touched, but no lidar sees it.
+    /// The same scene with glass: it can be touched, but no lidar sees it.
     #[must_use]
     pub fn with_glass(mut self, edges: Vec<Edge>, discs: &[Disc]) -> Self {
         if edges.is_empty() && discs.is_empty() {
@@ -80,7 +80,7 @@ impl Scene {
         &self.discs
     }
 
-    /// Distance from a form to the nearest edge or disc, m; infinite where there is none.
+    /// Distance from a form to the nearest edge or disc, m; infinite if there is none.
     #[must_use]
     pub fn distance(&self, placed: &Placed) -> f64 {
         self.solid
@@ -88,7 +88,7 @@ impl Scene {
             .map_or(f64::INFINITY, |solid| placed.distance(solid))
     }
 
-    /// Calls `visit` with the nearest point of every edge and disc that a lidar sees and that reaches within `radius` of a place, m.
+    /// Calls `visit` with the nearest point of every edge and disc that a lidar sees, if that point is within `radius` of a place, m.
     pub fn near(&self, place: Point2<f64>, radius: f64, visit: impl FnMut(Point2<f64>)) {
         let mut nearby = Nearby { place, radius, visit };
         self.edges.walk(place, &mut nearby);
@@ -101,14 +101,14 @@ impl Scene {
         self.solid.as_ref().is_some_and(|solid| placed.touches(solid))
     }
 
-    /// Where a form touches an edge or disc, or would within a distance, m; see [`Placed::contact`].
+    /// Contact of a form with an edge or disc, within a distance, m; see [`Placed::contact`].
     #[must_use]
     pub fn contact(&self, placed: &Placed, within: f64) -> Option<Contact> {
         placed.contact(self.solid.as_ref()?, within)
     }
 }
 
-/// Looks for what is near a place.
+/// Visitor of everything near a place.
 struct Nearby<F> {
     place: Point2<f64>,
     radius: f64,

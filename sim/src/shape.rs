@@ -1,6 +1,6 @@
-//! What are solids made of? Directed edges with the solid on their left, and discs.
+//! Shapes. Solids are made of directed edges with the solid on their left, and of discs.
 //!
-//! Everything that a lidar sees or a footprint touches is one of the two: polygons and map cells are their edges.
+//! Everything that a lidar sees or a footprint touches is one of the two: polygons and map cells are represented by their edges.
 
 use nalgebra::Point2;
 use parry2d_f64::query::Contact;
@@ -41,7 +41,7 @@ impl From<&Footprint> for Shape {
 }
 
 impl Shape {
-    /// The form as parry has it: a solid one where it is convex, otherwise its outline.
+    /// The form for parry: solid if it is convex, otherwise its outline.
     #[must_use]
     pub fn form(&self) -> SharedShape {
         match self {
@@ -55,7 +55,7 @@ impl Shape {
         }
     }
 
-    /// No part of it is farther from its origin, m.
+    /// Largest distance of any part from its origin, m.
     fn reach(&self) -> f64 {
         match self {
             Self::Disc(radius) => *radius,
@@ -64,7 +64,7 @@ impl Shape {
     }
 }
 
-/// A solid that can move: its form and where it is now, in world coordinates.
+/// A solid that can move: its form and its present place, in world coordinates.
 #[derive(Clone)]
 pub struct Solid {
     shape: Shape,
@@ -101,13 +101,13 @@ impl Solid {
         }
     }
 
-    /// Where its origin is, m.
+    /// Its origin, m.
     #[must_use]
     pub fn center(&self) -> Point2<f64> {
         self.placed.center()
     }
 
-    /// No part of it is farther from its origin, m.
+    /// Largest distance of any part from its origin, m.
     #[must_use]
     pub fn reach(&self) -> f64 {
         self.reach
@@ -119,7 +119,7 @@ impl Solid {
         &self.edges
     }
 
-    /// The disc, where it is one.
+    /// The disc, if it is one.
     #[must_use]
     pub fn disc(&self) -> Option<Disc> {
         match self.shape {
@@ -131,7 +131,7 @@ impl Solid {
         }
     }
 
-    /// Distance from a form, m; zero too when one holds the other.
+    /// Distance from a form, m; also zero if one contains the other.
     #[must_use]
     pub fn distance(&self, placed: &Placed) -> f64 {
         if !self.placed.is_convex() && crossings(self.edges.iter().copied(), placed.center()) {
@@ -140,7 +140,7 @@ impl Solid {
         placed.distance(&self.placed)
     }
 
-    /// Where a form touches it, or would within a distance, m; see [`Placed::contact`].
+    /// Contact of a form with it, within a distance, m; see [`Placed::contact`].
     #[must_use]
     pub fn contact(&self, placed: &Placed, within: f64) -> Option<Contact> {
         placed.contact(&self.placed, within)

@@ -1,4 +1,4 @@
-//! What stands where? Walls, furniture, a map, movers, the start and named places; the world frame is the map frame.
+//! World. Walls, furniture, a map, movers, the start and named places; the world frame is the map frame.
 
 use std::sync::Arc;
 
@@ -23,15 +23,15 @@ use crate::world_file;
 pub struct Place {
     /// Its name.
     pub name: Id,
-    /// m.
+    /// Map x, m.
     pub x: f64,
-    /// m.
+    /// Map y, m.
     pub y: f64,
-    /// Heading, rad, where it matters.
+    /// Heading, rad, if it matters.
     pub yaw: Option<f64>,
 }
 
-/// A world at rest.
+/// A world before anything moves.
 #[derive(Clone)]
 pub struct World {
     pub(crate) name: String,
@@ -61,12 +61,12 @@ pub fn shipped(name: &str) -> Option<&'static str> {
     SHIPPED.iter().find(|(known, _)| *known == name).map(|(_, text)| *text)
 }
 
-/// Whether a point lies in a box, its edge included.
+/// Whether a point lies in a box, its border included.
 pub(crate) fn within(low: Point2<f64>, high: Point2<f64>, point: Point2<f64>) -> bool {
     (low.x..=high.x).contains(&point.x) && (low.y..=high.y).contains(&point.y)
 }
 
-/// What a world is made of, before it is indexed.
+/// Parts of a world, before they are indexed.
 pub(crate) struct Parts {
     pub name: String,
     pub low: Point2<f64>,
@@ -80,7 +80,7 @@ pub(crate) struct Parts {
     pub places: Vec<Place>,
 }
 
-/// What never moves.
+/// Static solids.
 #[derive(Default)]
 pub(crate) struct Solids {
     pub polygons: Vec<Vec<Point2<f64>>>,
@@ -96,8 +96,8 @@ impl Solids {
 impl World {
     /// Reads a world file's text.
     ///
-    /// `file` is for errors. `load_map` opens what `[map] yaml` names, exactly as written there: the caller knows what
-    /// the path is relative to, and reads images.
+    /// `file` is named in errors. `load_map` opens the path in `[map] yaml`, exactly as written there: the caller knows what the path is
+    /// relative to, and reads images.
     ///
     /// # Errors
     /// [`WorldError`] names the file, the line and the key.
@@ -121,7 +121,7 @@ impl World {
         Self::from_toml(text, name, &|_| Err("a shipped world has no map file".to_owned()))
     }
 
-    /// A world that is a map and nothing else: occupied cells are solid, all others open.
+    /// A world that consists of a map only: occupied cells are solid, all others open.
     #[must_use]
     pub fn from_map(name: &str, map: OccupancyGrid, start: Pose2) -> Self {
         let spec = *map.spec();
@@ -176,7 +176,7 @@ impl World {
         &self.name
     }
 
-    /// Lower-left and upper-right corner of the part that is meant to be driven in, m.
+    /// Lower-left and upper-right corner of the part intended for driving, m.
     #[must_use]
     pub fn bounds(&self) -> (Point2<f64>, Point2<f64>) {
         (self.low, self.high)
@@ -188,13 +188,13 @@ impl World {
         self.start
     }
 
-    /// Whether a point lies in the part that is meant to be driven in, its edge included.
+    /// Whether a point lies in the part intended for driving, its border included.
     #[must_use]
     pub fn holds(&self, point: Point2<f64>) -> bool {
         within(self.low, self.high, point)
     }
 
-    /// What can be simulated but is hardly meant: a start or places where nobody can stand, each in words.
+    /// Values that can be simulated but are hardly intended: a start or places where no robot can stand, each in words.
     #[must_use]
     pub fn doubts(&self) -> Vec<String> {
         let start = ("the start".to_owned(), self.start.position());
@@ -229,7 +229,7 @@ impl World {
         &self.movers
     }
 
-    /// Faults of sensors, in the order of the file.
+    /// Sensor faults, in the order of the file.
     #[must_use]
     pub fn faults(&self) -> &[FaultModel] {
         &self.faults
@@ -247,13 +247,13 @@ impl World {
         &self.discs
     }
 
-    /// The map, where the world has one.
+    /// The map, if the world has one.
     #[must_use]
     pub fn map(&self) -> Option<&OccupancyGrid> {
         self.map.as_ref()
     }
 
-    /// Everything that never moves, indexed.
+    /// Everything static, indexed.
     #[must_use]
     pub fn scene(&self) -> &Scene {
         &self.scene
@@ -263,7 +263,7 @@ impl World {
         Arc::clone(&self.scene)
     }
 
-    /// Whether a point lies inside something that never moves.
+    /// Whether a point lies inside a static solid.
     #[must_use]
     pub fn is_solid(&self, point: Point2<f64>) -> bool {
         let in_map = self
@@ -279,8 +279,7 @@ impl World {
         in_map || in_disc() || self.polygons.iter().any(|polygon| shape::contains(polygon, point))
     }
 
-    /// Distance from a footprint at a pose to the nearest thing that never moves, m; zero on and inside it, infinite
-    /// where there is none.
+    /// Distance from a footprint at a pose to the nearest static solid, m; zero on and inside it, infinite if there is none.
     #[must_use]
     pub fn clearance(&self, footprint: &Footprint, map_from_base: Pose2) -> f64 {
         if self.is_solid(map_from_base.position()) {

@@ -1,4 +1,4 @@
-//! Which values may a world hold? Finite, bounded, and outlines that enclose an area; what is wrong is named with its line.
+//! World checks. Values must be finite and bounded, and outlines must enclose an area; errors name the line.
 
 use std::ops::Range;
 
@@ -8,19 +8,19 @@ use toml::Spanned;
 use zenav_protocol::config_text::{Expected, Number, Pair};
 use zenav_protocol::polygon;
 
-/// Most polygons, circles and walls, each.
+/// Largest number of polygons, circles and walls, each.
 pub const MAX_SHAPES: usize = 20_000;
-/// Most corners of one polygon or path.
+/// Largest number of corners of one polygon or path.
 pub const MAX_CORNERS: usize = 1_000;
-/// Most corners of all polygons together.
+/// Largest number of corners of all polygons together.
 pub const MAX_ALL_CORNERS: usize = 200_000;
-/// Most movers, doors, places and faults, each.
+/// Largest number of movers, doors, places and faults, each.
 pub const MAX_MOVERS: usize = 1_000;
-/// Coordinates lie within this, m.
+/// Largest absolute coordinate, m.
 pub const MAX_COORDINATE: f64 = 100_000.0;
-/// A mover or door rests at most this long, s.
+/// Longest rest of a mover or door, s.
 pub const MAX_REST: f64 = 86_400.0;
-/// Movers are not faster than this, m/s.
+/// Largest speed of a mover, m/s.
 pub const MAX_MOVER_SPEED: f64 = 20.0;
 
 /// Why a world was refused.
@@ -31,7 +31,7 @@ pub enum WorldError {
     Unknown {
         /// The name.
         name: String,
-        /// The names that there are.
+        /// The names that are known.
         known: String,
     },
     /// The TOML does not fit: an unknown, missing or mistyped key.
@@ -44,7 +44,7 @@ pub enum WorldError {
         /// What and where.
         source: Box<toml::de::Error>,
     },
-    /// A value that no world has.
+    /// A value that no world may have.
     #[error("{file}:{line}: `{key}`: {problem}")]
     Value {
         /// The file.
@@ -58,7 +58,7 @@ pub enum WorldError {
     },
 }
 
-/// The text, to turn places in it into lines.
+/// The text of a file, to convert byte positions into lines.
 #[derive(Clone, Copy)]
 pub(crate) struct Source<'a> {
     pub text: &'a str,

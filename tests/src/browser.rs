@@ -1,5 +1,4 @@
-//! Browser. How does a test use a page as a person does? In headless Chromium, through `chromedriver` and W3C WebDriver, which is JSON over
-//! HTTP: a few lines of it are enough.
+//! Browser. Uses a page as a person does, in headless Chromium, through `chromedriver` and a small part of W3C WebDriver (JSON over HTTP).
 
 #![allow(
     clippy::expect_used,
@@ -20,7 +19,7 @@ use crate::process::{Process, free_endpoint};
 const ANSWER: Duration = Duration::from_secs(60);
 /// Longest wait for the driver to start.
 const START: Duration = Duration::from_secs(60);
-/// Pause between two looks.
+/// Polling interval.
 const PAUSE: Duration = Duration::from_millis(50);
 
 /// A browser with one page.
@@ -77,7 +76,7 @@ impl Browser {
         self.call("POST", "/url", &json!({ "url": address }));
     }
 
-    /// Makes the inside of the window this large, pixels.
+    /// Sets the inner size of the window, pixels.
     ///
     /// # Panics
     /// When the browser refuses.
@@ -93,7 +92,7 @@ impl Browser {
         );
     }
 
-    /// Runs a script in the page, the body of a function, and returns what it returns.
+    /// Runs a script (the body of a function) in the page and returns its result.
     ///
     /// # Panics
     /// When it throws.
@@ -102,7 +101,7 @@ impl Browser {
         self.call("POST", "/execute/sync", &json!({ "script": script, "args": [] }))
     }
 
-    /// As [`Self::script`], for one that waits: it returns what it calls its last argument with.
+    /// Like [`Self::script`], for asynchronous scripts: the result is the value that the script passes to its last argument.
     ///
     /// # Panics
     /// When it throws, or does not call it.
@@ -114,7 +113,7 @@ impl Browser {
     /// Waits until an expression of the page is true.
     ///
     /// # Panics
-    /// When it is not within `limit`: with what the page says.
+    /// With the page's text, when it is not true within `limit`.
     pub fn until(&self, what: &str, limit: Duration, expression: &str) {
         let start = Instant::now();
         while self.script(&format!("return Boolean({expression})")) != true {
@@ -144,7 +143,7 @@ impl Browser {
         self.call("POST", &format!("/element/{id}/click"), &json!({}));
     }
 
-    /// Presses the mouse at one place of the window, drags it to another in steps, and lets go; pixels.
+    /// Presses the mouse button at one place of the window, drags to another in steps, and releases it; pixels.
     ///
     /// # Panics
     /// When a place is outside the window.
@@ -161,7 +160,7 @@ impl Browser {
         self.call("POST", "/actions", &json!({ "actions": [mouse] }));
     }
 
-    /// Presses a key and lets it go; `\u{E007}` is Enter, `\u{E00C}` Escape.
+    /// Presses and releases a key; `\u{E007}` is Enter, `\u{E00C}` Escape.
     ///
     /// # Panics
     /// When the browser refuses.
@@ -192,7 +191,7 @@ impl Browser {
         std::fs::write(file, base64(text.as_str().unwrap_or_default())).expect("the picture is written");
     }
 
-    /// What the page wrote to its console as errors.
+    /// Errors in the page's console.
     ///
     /// # Panics
     /// When the browser refuses.
@@ -227,7 +226,7 @@ impl Browser {
                 self.port,
                 text.len()
             )?;
-            // The driver keeps the connection open: the length in the head says where the answer ends.
+            // The driver keeps the connection open, so the length in the head determines where the answer ends.
             let mut reader = BufReader::new(stream);
             let mut length = 0;
             loop {
@@ -265,7 +264,7 @@ impl Drop for Browser {
     }
 }
 
-/// Decodes base64; other letters are passed over.
+/// Decodes base64; other characters are skipped.
 fn base64(text: &str) -> Vec<u8> {
     let (mut bytes, mut held, mut bits) = (Vec::with_capacity(text.len() * 3 / 4), 0_u32, 0_u32);
     for letter in text.bytes() {

@@ -1,6 +1,6 @@
-//! Deployments. How do a router, a robot and a cloud run, each as a process of its own, as on three machines?
+//! Deployments. A router, a robot and a cloud as separate processes, as on three machines.
 //!
-//! Endpoints are free ones, chosen once, so that a part that was killed comes back where the others look for it. Robot and cloud keep
+//! Endpoints are chosen once from free ports, so a killed part restarts on the endpoint where the others look for it. Robot and cloud keep
 //! their files in separate folders.
 
 #![allow(clippy::expect_used, reason = "a test cannot go on without its rig")]
@@ -61,10 +61,10 @@ pub struct Deployment {
 }
 
 impl Deployment {
-    /// Starts nothing yet. `world` is a shipped name, or the text of a world file; `speed` is simulated seconds a second.
+    /// Starts nothing yet. `world` is a shipped name, or the text of a world file; `speed` is simulated seconds per second.
     ///
     /// # Panics
-    /// When the machine gives no folder or port.
+    /// When there is no folder or free port.
     #[must_use]
     pub fn new(binary: &str, world: &str, speed: f64) -> Self {
         let folder = tempfile::tempdir().expect("a temporary folder");
@@ -156,7 +156,7 @@ impl Deployment {
         ])
     }
 
-    /// `zenav cloud mission` under a name, which is its folder's too.
+    /// `zenav cloud mission` under a name, which is also its folder.
     #[must_use]
     pub fn start_mission(&self, holder: &str) -> Process {
         self.start(&[
@@ -173,8 +173,8 @@ impl Deployment {
         ])
     }
 
-    /// `zenav cloud mission` for robots, which are part of a deployment file, under a name, which is its folder's too; `is_pinned`: on the first
-    /// core alone (by `taskset`, of util-linux).
+    /// `zenav cloud mission` under a name, which is also its folder. `robots`: the robots' sections of a deployment file; `is_pinned`: only
+    /// on the first core (by `taskset` of util-linux).
     ///
     /// # Panics
     /// When the file cannot be written.
@@ -205,7 +205,7 @@ impl Deployment {
         self.start_up_with(&[])
     }
 
-    /// As [`Self::start_up`], with further arguments.
+    /// Like [`Self::start_up`], with further arguments.
     ///
     /// # Panics
     /// When the file cannot be written.
@@ -214,7 +214,7 @@ impl Deployment {
         self.start_up_of("", more)
     }
 
-    /// As [`Self::start_up_with`], with further sections of the deployment file.
+    /// Like [`Self::start_up_with`], with further sections of the deployment file.
     ///
     /// # Panics
     /// When the file cannot be written.
@@ -238,7 +238,7 @@ impl Deployment {
         self.start(&[&["sim", "serve", "--listen", &self.router][..], &world].concat())
     }
 
-    /// `zenav up` for robots of the served world; `robots` is their part of a deployment file.
+    /// `zenav up` for robots of the served world; `robots`: their sections of a deployment file.
     ///
     /// # Panics
     /// When the file cannot be written.

@@ -1,4 +1,4 @@
-//! HTTP. What does a part answer to a program that speaks HTTP alone? One request a connection, by hand: what is tested is what goes over it.
+//! HTTP. A minimal HTTP client, one request per connection, so that tests see exactly what a part sends.
 
 #![allow(clippy::expect_used, reason = "a test cannot go on without its answer")]
 
@@ -16,7 +16,7 @@ const LONG: Duration = Duration::from_secs(60);
 pub struct Answer {
     /// Its status.
     pub status: u16,
-    /// Status line and headers, in small letters.
+    /// Status line and headers, in lower case.
     pub head: String,
     /// Its body.
     pub body: Vec<u8>,
@@ -26,7 +26,7 @@ impl Answer {
     /// The body as JSON.
     ///
     /// # Panics
-    /// When it is none.
+    /// When the body is not JSON.
     #[must_use]
     pub fn json(&self) -> Value {
         serde_json::from_slice(&self.body).expect("the body is JSON")
@@ -39,10 +39,10 @@ impl Answer {
     }
 }
 
-/// One request to `ADDRESS:PORT`, with the connection's end as the body's.
+/// One request to `ADDRESS:PORT`; the body ends with the connection.
 ///
 /// # Panics
-/// When nobody answers.
+/// Without an answer.
 #[must_use]
 pub fn request(address: &str, method: &str, path: &str, host: &str) -> Answer {
     let ask = || -> std::io::Result<Vec<u8>> {

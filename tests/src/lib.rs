@@ -1,13 +1,13 @@
-//! What tests, benches and acceptance runs across parts stand on: processes of the binary under test on free ports, and simulated rigs.
+//! Rigs for tests, benches and acceptance runs across parts: processes of the binary under test on free ports, and simulated rigs.
 //!
 //! | module | holds |
 //! |---|---|
-//! | [`browser`] | a page in headless Chromium, used as a person does |
+//! | [`browser`] | a page in headless Chromium, used as by a person |
 //! | [`process`] | real processes, started, paused and killed |
-//! | [`deployment`] | a router, a robot and a cloud, each as a process of its own |
+//! | [`deployment`] | a router, a robot and a cloud as separate processes |
 //! | [`http`] | one HTTP request, by hand |
-//! | [`secured`] | a fleet whose members prove who they are, each part a process of its own |
-//! | [`hosts`] | deployments of many hosts, as containers or in network namespaces |
+//! | [`secured`] | a fleet with identities, each part a separate process |
+//! | [`hosts`] | multi-host deployments, as containers or in network namespaces |
 //! | [`observer`] | what a robot publishes, and how to wait for it |
 //! | [`acceptance`] | the long runs: many worlds, many kills |
 //! | [`usage`] | processor time and memory of a process |

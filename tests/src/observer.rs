@@ -1,4 +1,4 @@
-//! Observer. What does a test see of a robot? Every state and event in order, as any client does, waited for with a deadline.
+//! Observer. Every state and event of a robot in order, as any client receives them, awaited with a deadline.
 
 #![allow(clippy::expect_used, reason = "a test cannot go on without its rig")]
 
@@ -22,7 +22,7 @@ pub fn is_rest(velocity: Twist2) -> bool {
     velocity.v.abs() < REST_V && velocity.w.abs() < REST_W
 }
 
-/// What one robot publishes.
+/// Observes the messages of one robot.
 #[derive(Debug)]
 pub struct Observer {
     states: Subscription<EdgeState>,
@@ -84,7 +84,7 @@ impl Observer {
         }
     }
 
-    /// Every state until `secs` later by the robot's clock.
+    /// Every state of the next `secs` by the robot's clock.
     ///
     /// # Panics
     /// When the robot falls silent.
@@ -94,7 +94,7 @@ impl Observer {
         self.up_to(end, vec![first]).await
     }
 
-    /// Every state until a stamp of the robot's clock, after those that were seen.
+    /// `states`, followed by every state up to a stamp of the robot's clock.
     ///
     /// # Panics
     /// When the robot falls silent.
@@ -113,7 +113,7 @@ impl Observer {
         &self.told
     }
 
-    /// All plans written so far, by anybody.
+    /// All plans published so far, by any client.
     pub fn plans(&mut self) -> &[Plan] {
         while let Some(plan) = self.plans.try_next() {
             self.written.push(plan.message);

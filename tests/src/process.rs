@@ -1,4 +1,4 @@
-//! Processes. How does a test start and end real processes? As a user does, on free ports.
+//! Processes. Real processes, started and ended as a user does, on free ports.
 
 use std::ffi::OsStr;
 use std::io::{BufRead as _, BufReader, Read};
@@ -19,12 +19,12 @@ pub struct Process {
     seen: Vec<String>,
 }
 
-/// Ports below those that the system hands out by itself: neither a link's own port nor a part that listens on port 0 takes one of them.
+/// Ports below the system's ephemeral range: neither a link's local port nor a part that listens on port 0 takes one of them.
 const PORTS: Range<u32> = 10_000..32_000;
 
-/// A free loopback endpoint, for as long as this process runs another one at each call.
+/// A free loopback endpoint; each call of a process gives another one.
 ///
-/// Two tests that run as processes of their own begin at different ports.
+/// Tests in different processes begin at different ports.
 ///
 /// # Panics
 /// When the machine has no free port.
@@ -32,7 +32,7 @@ const PORTS: Range<u32> = 10_000..32_000;
 pub fn free_endpoint() -> String {
     static GIVEN: AtomicU32 = AtomicU32::new(0);
     let count = PORTS.end - PORTS.start;
-    // A golden ratio's share of all ports from one process to the next.
+    // From one process id to the next the start advances by the golden ratio of all ports.
     let first = process::id().wrapping_mul(13_597) % count;
     #[expect(clippy::expect_used, reason = "a test cannot go on without a port")]
     let port = (0..count)
@@ -47,7 +47,7 @@ impl Process {
     /// Starts `binary` with arguments in a folder.
     ///
     /// # Panics
-    /// When it cannot be started.
+    /// When the binary cannot be started.
     #[must_use]
     pub fn start(binary: impl AsRef<OsStr>, arguments: &[&str], folder: &Path) -> Self {
         #[expect(clippy::expect_used, reason = "a test cannot go on without its process")]
@@ -90,10 +90,10 @@ impl Process {
         let _ = self.child.wait();
     }
 
-    /// Interrupts it as Ctrl-C does (`SIGINT`) and waits for its end; its exit code.
+    /// Interrupts it as Ctrl-C does (`SIGINT`), waits for its end, and returns its exit code.
     ///
     /// # Errors
-    /// When the signal cannot be sent, it does not end in time, or a signal ended it.
+    /// When the signal cannot be sent, or the process does not end in time or is ended by a signal.
     pub fn interrupt(&mut self, limit: Duration) -> Result<i32, String> {
         self.signal(rustix::process::Signal::INT)?;
         let deadline = Instant::now() + limit;
@@ -144,7 +144,7 @@ impl Process {
         assert!(self.is_running(), "`zenav {}` has ended", self.name);
     }
 
-    /// The first line of its log that contains a text, which may still have to come.
+    /// Waits for the first line of its log that contains a text.
     ///
     /// # Panics
     /// When it does not come in time, or the process ends without it.
@@ -178,7 +178,7 @@ impl Drop for Process {
     fn drop(&mut self) {
         self.kill();
         if std::thread::panicking() {
-            // Its end closes the pipe: the log is whole.
+            // The end of the process closes the pipe, so the log is complete.
             self.seen.extend(self.log.iter());
             eprintln!("--- zenav {} ---\n{}", self.name, self.seen.join("\n"));
         }
@@ -222,7 +222,7 @@ pub fn run(binary: impl AsRef<OsStr>, arguments: &[&str], folder: &Path, limit: 
             let said = String::from_utf8_lossy(&stderr.join().unwrap_or_default()).into_owned();
             panic!("`{}` did not end within {limit:?}: {said}", arguments.join(" "));
         }
-        // The end of a child cannot be awaited with a deadline otherwise in std.
+        // std has no wait for a child with a deadline.
         std::thread::park_timeout(Duration::from_millis(10));
     };
     Output {

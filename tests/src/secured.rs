@@ -1,5 +1,4 @@
-//! Secured deployments. How does a fleet run whose members prove who they are? Each part as a process of its own, with keys that `zenav keys`
-//! made, on endpoints over QUIC.
+//! Secured deployments. A fleet with identities: each part is a separate process with keys made by `zenav keys`, on QUIC endpoints.
 
 #![allow(clippy::expect_used, reason = "a test cannot go on without its rig")]
 
@@ -23,7 +22,7 @@ pub struct SecuredFleet {
     binary: PathBuf,
     folder: TempDir,
     speed: f64,
-    /// The namespace of all its parts; empty: none.
+    /// Namespace of all parts; empty for none.
     namespace: String,
     /// The router's endpoint.
     pub router: String,
@@ -32,10 +31,10 @@ pub struct SecuredFleet {
 }
 
 impl SecuredFleet {
-    /// Makes a fleet with these members; starts nothing yet.
+    /// Creates the keys of a fleet with these members; starts nothing yet.
     ///
     /// # Panics
-    /// When the machine gives no folder or port, or `zenav keys` fails.
+    /// When there is no folder or free port, or `zenav keys` fails.
     #[must_use]
     pub fn new(binary: &str, speed: f64, members: &[&str]) -> Self {
         let fleet = Self {
@@ -53,7 +52,7 @@ impl SecuredFleet {
         fleet
     }
 
-    /// The same in a namespace.
+    /// The same fleet in a namespace.
     #[must_use]
     pub fn within(self, namespace: &str) -> Self {
         Self {
@@ -94,7 +93,7 @@ impl SecuredFleet {
         Process::start("env", &[&before, arguments, &after[..]].concat(), self.folder())
     }
 
-    /// The namespace as a part is told of it.
+    /// The environment variable that sets the namespace of a part.
     fn variable(&self) -> String {
         format!("ZENAV_BUS__NAMESPACE={}", self.namespace)
     }
@@ -154,7 +153,7 @@ impl SecuredFleet {
         run(&self.binary, arguments, self.folder(), COMMAND)
     }
 
-    /// Runs a client command of a member to its end, at the router or at another endpoint.
+    /// Runs a client command as a member to its end, at the router or at another endpoint.
     #[must_use]
     pub fn client(&self, member: &str, endpoint: &str, arguments: &[&str]) -> Output {
         let identity = self.identity(member).to_string_lossy().into_owned();
@@ -185,10 +184,10 @@ impl SecuredFleet {
         joined.expect("somebody lets it in in time").expect("the bus opens")
     }
 
-    /// Tries once to join at the router with another fleet's identity, or with none.
+    /// Tries once to join at an endpoint with any identity, or with none.
     ///
     /// # Errors
-    /// Why it cannot.
+    /// The reason why it cannot join.
     pub async fn try_to_join(&self, identity: Option<&Path>, endpoint: &str) -> Result<Bus, BusError> {
         let security = Security::of(identity, false).expect("an identity");
         Bus::open(BusConfig {

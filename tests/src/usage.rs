@@ -1,4 +1,4 @@
-//! Resource usage. What do processes use of the machine? From Linux's `/proc`.
+//! Resource usage. Processor time, memory, handles and threads of processes, from Linux's `/proc`.
 
 use thiserror::Error;
 
@@ -21,7 +21,7 @@ fn read(path: &str) -> Result<String, Unknown> {
 pub fn cpu_secs(process: u32) -> Result<f64, Unknown> {
     let path = format!("/proc/{process}/stat");
     let stat = read(&path)?;
-    // The name in brackets may hold anything; user and system time are the 12th and 13th field after it.
+    // The name in brackets may contain any character; user and system time are the 12th and 13th field after it.
     let fields = stat.rsplit(')').next().unwrap_or_default().split_whitespace();
     let ticks: Option<u64> = fields.skip(11).take(2).map(|field| field.parse::<u64>().ok()).sum();
     ticks.map(|ticks| ticks as f64 / CLOCK_TICKS).ok_or(Unknown(path))
@@ -72,7 +72,7 @@ fn number_in_status(process: u32, field: &str) -> Result<u64, Unknown> {
         .ok_or(Unknown(path))
 }
 
-/// What a process holds on to.
+/// Resources of a process.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Held {
     /// Resident memory, bytes.
@@ -85,7 +85,7 @@ pub struct Held {
     pub cpu_secs: f64,
 }
 
-/// What a process holds on to now.
+/// The current resources of a process.
 ///
 /// # Errors
 /// Without such a process, or without `/proc`.

@@ -1,4 +1,4 @@
-//! A few of the many worlds that the `acceptance` command runs in.
+//! A few of the many worlds of the `acceptance` command.
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
@@ -42,7 +42,8 @@ fn without_the_collision_monitor_the_same_commands_drive_the_robot_into_things()
 
 #[test]
 fn the_estimate_is_as_good_as_its_covariance_says_with_late_and_missing_readings_and_without_gps() {
-    // The errors of one drive pass slowly: a drive is hardly more than one sample, and the band is that of a single step.
+    // Errors within one drive are strongly correlated: a drive counts as little more than one sample, so the band is that of a single
+    // step.
     const DRIVES: u32 = 40;
     let runs = f64::from(DRIVES);
     let (low, high) = pose::band(3.0, runs);

@@ -1,5 +1,5 @@
-//! What does a person change of a running robot from the command line? Maps, places, zones, parameters, maneuvers, requests by hand: each group
-//! against one real deployment.
+//! Changes to a running robot from the command line: maps, places, zones, parameters, maneuvers, manual requests; each group against one
+//! real deployment.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 
@@ -14,12 +14,12 @@ use zenav_tests::deployment::{CORRIDOR, Deployment, ROBOT};
 use zenav_tests::observer::Observer;
 
 const ZENAV: &str = env!("CARGO_BIN_EXE_zenav-under-test");
-/// Longest wait for anything, wall time: much more than it takes on a busy machine.
+/// Longest wait, wall time: far longer than needed even on a busy machine.
 const LONG: Duration = Duration::from_secs(60);
-/// Simulated seconds a second.
+/// Simulated seconds per second.
 const SPEED: f64 = 4.0;
 
-/// The client's output, with the exit code that is expected.
+/// Runs a client that must exit with `code`; returns its output.
 #[track_caller]
 fn client(deployment: &Deployment, words: &[&str], code: i32) -> String {
     let output = deployment.client(words);
@@ -45,7 +45,7 @@ fn json(deployment: &Deployment, words: &[&str]) -> Value {
     serde_json::from_str(&client(deployment, &words, 0)).unwrap()
 }
 
-/// What a shell offers for the last of the words that were typed.
+/// Completions that a shell offers for the last word typed.
 fn offered(words: &[&str]) -> String {
     let output = std::process::Command::new(ZENAV)
         .args(["--", "zenav"])
@@ -58,7 +58,7 @@ fn offered(words: &[&str]) -> String {
     String::from_utf8(output.stdout).unwrap()
 }
 
-/// Runs `zenav map watch` until it draws this.
+/// Runs `zenav map watch` until its picture contains this sign.
 fn watched(deployment: &Deployment, sign: &str) {
     let mut watch = std::process::Command::new(ZENAV)
         .args(["map", "watch", "--connect", &deployment.router])
@@ -125,7 +125,7 @@ async fn maps_are_stored_loaded_and_begun_with() {
     zenav(&["map", "resume"]);
     let reset = zenav(&["map", "reset"]);
     assert!(reset["id"] != from_file["id"] && reset["stored"] == false, "{reset}");
-    // The mission was interrupted for each of these, and commands again.
+    // The mission was interrupted for each of these, and is in command again.
     client(&deployment, &["goal", "submit", "-0.9", "0.1", "--wait"], 0);
     up.assert_running();
     up.kill();
@@ -213,7 +213,7 @@ async fn a_zone_that_is_added_bends_the_plan_that_is_driven_and_places_are_goals
 
     zenav(&["place", "add", "half_way", "6", "0"]);
     assert_eq!(zenav(&["place", "list"])["half_way"]["x"], 6.0);
-    // A shell that completes a place's name is told of both.
+    // Shell completion of a place's name offers both.
     let names = offered(&["goal", "submit", "--connect", &deployment.router, "--place", ""]);
     assert!(names.contains("half_way") && names.contains("far_end"), "{names}");
     client(&deployment, &["goal", "submit", "--place", "far_end", "--id", "far"], 0);
@@ -222,7 +222,7 @@ async fn a_zone_that_is_added_bends_the_plan_that_is_driven_and_places_are_goals
             state.mode == Mode::Follow && state.velocity.v > 0.2
         })
         .await;
-    // Between the robot and the far end, with room to pass on the left.
+    // Between the robot and the far end, with space to pass on the left.
     let wet = [
         "zone",
         "add",
@@ -256,7 +256,7 @@ async fn a_zone_that_is_added_bends_the_plan_that_is_driven_and_places_are_goals
     let refused = client(&deployment, &["goal", "submit", "9.5", "-0.5"], 7);
     assert!(refused.contains("keep-out zone: wet"), "{refused}");
 
-    // Back to a place that was added at run time, slowly where people are.
+    // Back to a place that was added at run time, slowly through the speed zone.
     zenav(&[
         "zone",
         "add",
@@ -305,7 +305,7 @@ async fn a_zone_that_is_added_bends_the_plan_that_is_driven_and_places_are_goals
     let table = client(&deployment, &["goal", "list"], 0);
     assert!(table.contains("AGE") && table.contains("cm off"), "{table}");
 
-    // They outlive a restart, and are removed.
+    // They survive a restart, and can be removed.
     up.kill();
     let mut up = deployment.start_up();
     ready(&deployment).await;
@@ -374,7 +374,7 @@ async fn parameters_maneuvers_and_requests_by_hand() {
     assert!((still - turned).abs() < 0.1, "{still}");
     zenav(&["do", "wait", "0.5"]);
     client(&deployment, &["do", "drive", "0.2", "--speed", "0"], 2);
-    // The lease is given back: the mission commands again.
+    // The lease was released: the mission is in command again.
     robot
         .until("a mission commands the robot again", LONG, |state| {
             state.lease.live && state.lease.holder.as_deref() == Some("mission")

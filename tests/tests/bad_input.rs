@@ -1,4 +1,4 @@
-//! What does bad input do? It gets its own clear answer, and does no harm.
+//! Is bad input refused with a clear answer, without doing harm?
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 
@@ -30,17 +30,17 @@ const ZENAV: &str = env!("CARGO_BIN_EXE_zenav-under-test");
 const MAP_CELL: f64 = 0.025;
 /// Longest wait for an answer, wall time.
 const LONG: Duration = Duration::from_secs(20);
-/// More than any ask takes.
+/// Larger than any ask accepts, bytes.
 const HUGE: usize = 10_000_000;
 
-/// Whether a refusal is the right one.
+/// Whether a refusal is the expected one.
 type Fits = fn(&Refusal) -> bool;
 
 fn number(value: &Value) -> f64 {
     value.as_f64().expect("a number")
 }
 
-/// Payloads that nobody can read, by name.
+/// Undecodable payloads, by name.
 fn unreadable() -> Vec<(&'static str, Vec<u8>)> {
     let deep = |open: &str| open.repeat(200_000).into_bytes();
     let huge_text = [b"\"".as_slice(), &vec![b'a'; HUGE], b"\""].concat();
@@ -60,7 +60,7 @@ fn unreadable() -> Vec<(&'static str, Vec<u8>)> {
     ]
 }
 
-/// A key of the table for the robot, a goal, every worker.
+/// A key of the table, with the robot, a goal or every worker filled in.
 fn key(pattern: &str) -> String {
     pattern
         .replace("{robot}", ROBOT)
@@ -70,7 +70,7 @@ fn key(pattern: &str) -> String {
         .replace("{part}", "*")
 }
 
-/// The one error reply of every server of a key.
+/// The error reply of every server of a key, one each.
 async fn refusal(bus: &Bus, key: &str, payload: Vec<u8>) -> Vec<Refusal> {
     let replies = bus.raw_query(key, Some(payload), LONG).await.unwrap();
     let read = |reply: RawReply| match reply {
@@ -85,7 +85,7 @@ fn cbor(message: &impl Serialize) -> Vec<u8> {
     codec::encode(message, Encoding::Cbor).unwrap()
 }
 
-/// Well-formed messages that make no sense, by key; CBOR carries what JSON cannot.
+/// Well-formed messages with impossible contents, by key; CBOR can carry what JSON cannot.
 fn senseless() -> Vec<(String, Vec<u8>)> {
     let nowhere = Pose2::new(f64::NAN, f64::INFINITY, f64::NAN);
     let scan = Scan {
@@ -202,7 +202,7 @@ async fn every_ask_refuses_and_every_topic_ignores_what_cannot_be_read_and_the_r
     let mut up = deployment.start_up();
     let bus = deployment.bus().await;
     let mut robot = Observer::new(&bus, ROBOT);
-    // Once it has been driven somewhere every part is there.
+    // After a drive all parts are certain to be running.
     let drive = |x: &str, y: &str| {
         let output = deployment.client(&["goal", "submit", "--wait", x, y]);
         assert_eq!(output.status.code(), Some(0), "{output:?}");
@@ -210,7 +210,7 @@ async fn every_ask_refuses_and_every_topic_ignores_what_cannot_be_read_and_the_r
     drive("-0.9", "-0.2");
 
     let payloads = unreadable();
-    // No world is served here: each robot has its own.
+    // No world is served here: the robot's own process simulates it.
     for row in TABLE
         .iter()
         .filter(|row| row.qos.is_none() && row.producer != Producer::Sim)
@@ -233,7 +233,7 @@ async fn every_ask_refuses_and_every_topic_ignores_what_cannot_be_read_and_the_r
     for row in TABLE.iter().filter(|row| row.qos.is_some()) {
         for (_, payload) in &payloads {
             for encoding in ["application/json", "application/cbor", "text/plain"] {
-                // One large one will do.
+                // One huge payload is enough.
                 if payload.len() < HUGE || encoding == "application/json" {
                     bus.raw_put(&key(row.pattern), payload.clone(), encoding).unwrap();
                 }
@@ -245,7 +245,7 @@ async fn every_ask_refuses_and_every_topic_ignores_what_cannot_be_read_and_the_r
     }
     drive("-0.9", "0.3");
 
-    // Words that can be read, and ask for what is not.
+    // Readable requests with impossible contents.
     let bad: Fits = |refusal| matches!(refusal, Refusal::BadRequest { .. });
     let goals: [(&str, Fits); 8] = [
         ("{}", bad),
@@ -283,7 +283,7 @@ fn a_goal_that_cannot_be_and_a_robot_that_is_not_have_their_own_exit_codes() {
     let first = deployment.client(&["goal", "submit", "--wait", "-0.9", "-0.3"]);
     assert_eq!(first.status.code(), Some(0), "{first:?}");
 
-    // On the left face of the table, which stands in full view.
+    // On the left face of the table, in full view of the lidar.
     let in_a_wall = deployment.client(&["goal", "submit", "-o", "json", "-0.6", "-1.5"]);
     assert_eq!(in_a_wall.status.code(), Some(7), "{in_a_wall:?}");
     let answer: Value = serde_json::from_slice(&in_a_wall.stdout).unwrap();
@@ -295,7 +295,7 @@ fn a_goal_that_cannot_be_and_a_robot_that_is_not_have_their_own_exit_codes() {
         0.0,
     );
     assert!((near.x + 0.6).hypot(near.y + 1.5) < 0.5, "{answer}");
-    // In the true world, too, to within a cell: the map knows the table's face from noisy ranges.
+    // Also free in the true world, to within a cell: the map has the table's face from noisy ranges.
     let footprint = robot("tiago").footprint;
     let clearance = World::shipped("kitchen").unwrap().clearance(&footprint, near);
     assert!(clearance > -MAP_CELL, "{clearance} m: {answer}");
@@ -383,7 +383,7 @@ fn a_file_with_an_unknown_key_is_refused_with_file_line_and_key() {
         let said = String::from_utf8_lossy(&output.stderr).into_owned() + &String::from_utf8_lossy(&output.stdout);
         assert_eq!(output.status.code(), Some(2), "{arguments:?}: {said}");
         assert!(said.contains(file) && said.contains(key), "{arguments:?}: {said}");
-        // figment, which reads deployments, keeps no line numbers.
+        // Lines of a deployment file are checked by the tests of `config::layers`.
         let line = line_of(file, key).to_string();
         assert!(
             file == "deployment.toml" || said.split(|c: char| !c.is_ascii_digit()).any(|number| number == line),

@@ -1,4 +1,4 @@
-//! What becomes of missions over a bad link, a cut, and a killed orchestrator? The short fault suite, as `acceptance faults --short` runs it.
+//! Missions over a bad link, with a cut, and with a killed orchestrator: the short fault suite, as run by `acceptance faults --short`.
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 

@@ -1,5 +1,5 @@
-//! Does a deployment of many hosts do its work when it is really started as `zenav deploy render` writes it? As containers of the compose file
-//! where there is an engine, else the units' commands in network namespaces; where neither is possible this fails.
+//! Does a deployment of many hosts work when started as `zenav deploy render` writes it? As containers of the compose file if there is an
+//! engine, otherwise with the units' commands in network namespaces; if neither is possible, the test fails.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 
@@ -15,7 +15,7 @@ use zenav_tests::hosts::{self, trial};
 use zenav_tests::process::{Process, free_endpoint, run};
 
 const ZENAV: &str = env!("CARGO_BIN_EXE_zenav-under-test");
-/// Longest wait for anything, wall time: much more than it takes on a busy machine.
+/// Longest wait, wall time: far longer than needed even on a busy machine.
 const LONG: Duration = Duration::from_secs(60);
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
@@ -30,7 +30,7 @@ async fn three_robots_finish_their_missions_while_parts_die_freeze_are_cut_off_a
     }
     let findings = found.unwrap();
     println!("{findings:#?}");
-    // How long a robot may rest is for `acceptance compose` to judge: here other tests have the processors too.
+    // Pauses of the robot are judged by `acceptance compose`: here other tests share the processors.
     let lost: Vec<&String> = findings
         .failures
         .iter()
@@ -49,7 +49,7 @@ fn rendered(folder: &Path) -> PathBuf {
     folder.join("out")
 }
 
-/// Files below a folder whose names end so.
+/// Files below a folder with this ending.
 fn files(folder: &Path, ending: &str) -> Vec<PathBuf> {
     let mut found = Vec::new();
     for path in std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()) {
@@ -63,7 +63,7 @@ fn files(folder: &Path, ending: &str) -> Vec<PathBuf> {
     found
 }
 
-/// Most that `systemd-analyze security` may find exposed, of 100.
+/// Largest exposure level accepted from `systemd-analyze security`, of 100.
 const EXPOSED: &str = "--threshold=20";
 
 /// Needs `systemd-analyze`: `.ci/run` installs it.
@@ -90,7 +90,7 @@ fn systemd_accepts_every_unit_without_a_word_and_finds_little_exposed() {
     }
 }
 
-/// Needs a Python with `kubernetes-validate`, which brings the schemas along: `.ci/run` has one.
+/// Needs a Python with `kubernetes-validate`, which includes the schemas: `.ci/run` has one.
 #[test]
 #[ignore = "needs Python with kubernetes-validate"]
 fn every_manifest_is_valid_by_the_strict_schemas_of_kubernetes() {
@@ -103,7 +103,7 @@ fn every_manifest_is_valid_by_the_strict_schemas_of_kubernetes() {
         .iter()
         .map(|path| path.to_string_lossy().into_owned())
         .collect();
-    // Kustomize's own file is of no cluster's kind.
+    // Kustomize's own file is not a cluster resource.
     let resources = manifests.iter().filter(|path| !path.ends_with("kustomization.yaml"));
     for resource in resources {
         let output = run(
@@ -154,7 +154,7 @@ async fn mission_and_mapping_refuse_a_robot_of_another_schema_and_name_both_vers
     serving.abort();
 }
 
-/// A part under the eyes of a service manager: what it says comes to the socket.
+/// A part under a test service manager: its notifications arrive at the socket.
 fn supervised(folder: &Path, name: &str, arguments: &[&str]) -> (Process, UnixDatagram) {
     let socket = folder.join(name);
     let heard = UnixDatagram::bind(&socket).unwrap();
@@ -182,7 +182,7 @@ fn a_part_tells_its_service_manager_when_it_is_ready_that_it_lives_and_when_it_e
     assert_eq!(next(&of_worker), "READY=1", "it has met a router");
     assert_eq!(next(&of_worker), "WATCHDOG=1");
 
-    // What is frozen beats no more.
+    // A frozen part stops feeding its watchdog.
     worker.pause().unwrap();
     of_worker.set_nonblocking(true).unwrap();
     let mut bytes = [0; 512];

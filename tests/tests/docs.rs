@@ -1,5 +1,5 @@
-//! Does every command of the README and of `docs/` do what the page says? Each ```` ```sh ```` block is run as it stands, beside one
-//! `zenav up`, with the ports replaced by free ones; `CONTRIBUTING.md` has the conventions.
+//! Does every command of the README and of `docs/` do what the page says? Each ```` ```sh ```` block is run unchanged beside one `zenav
+//! up`, with the ports replaced by free ones; `CONTRIBUTING.md` describes the conventions.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 
@@ -19,9 +19,9 @@ const ZENAV: &str = env!("CARGO_BIN_EXE_zenav-under-test");
 const LIMIT: Duration = Duration::from_secs(120);
 /// Longest wait for the deployment.
 const READY: Duration = Duration::from_secs(60);
-/// Simulated seconds a second.
+/// Simulated seconds per second.
 const SPEED: u32 = 6;
-/// What keeps running by itself.
+/// Commands that keep running by themselves.
 const PARTS: [&str; 6] = [
     "zenav up",
     "zenav router",
@@ -30,12 +30,12 @@ const PARTS: [&str; 6] = [
     "zenav gateway",
     "zenav sim serve",
 ];
-/// What runs already, or has to have run for this test to run.
+/// Commands that already run, or must have run before this test.
 const DONE: [&str; 4] = ["zenav up", "cargo test --workspace", "cargo build --release", ".ci/run"];
-/// Ports that the pages name.
+/// Ports named in the pages.
 const ROUTER_PORT: &str = "7447";
 const ROBOT_PORT: &str = "7450";
-/// The port of a health endpoint in the pages; clients of any kind name it.
+/// Port of a health endpoint in the pages; clients of any kind use it.
 const HEALTH_PORT: &str = "9464";
 
 /// A fenced block.
@@ -43,9 +43,9 @@ const HEALTH_PORT: &str = "9464";
 struct Block {
     line: usize,
     language: String,
-    /// The file that it is to be: `# NAME` or `<!-- NAME -->` in its first line, or `<!-- file: NAME -->` above the fence.
+    /// The file that the block defines: `# NAME` or `<!-- NAME -->` in its first line, or `<!-- file: NAME -->` above the fence.
     file: Option<String>,
-    /// Why it is not run: `# not run: REASON` in its first lines.
+    /// Why the block is not run: `# not run: REASON` in its first lines.
     not_run: Option<String>,
     text: String,
 }
@@ -83,7 +83,7 @@ fn blocks(page: &str) -> Vec<Block> {
     found
 }
 
-/// What a line says that is nothing but a comment.
+/// The comment in a line that has nothing else.
 fn remark(line: &str) -> Option<&str> {
     let xml = line.strip_prefix("<!-- ").and_then(|rest| rest.strip_suffix(" -->"));
     xml.or_else(|| line.strip_prefix("# "))
@@ -96,12 +96,12 @@ fn is_file_name(text: &str) -> bool {
     is_plain && text.contains('.') && !text.starts_with('.')
 }
 
-/// A command of a block, and what is expected of it.
+/// A command of a block, and its expected result.
 #[derive(Debug, Default, PartialEq)]
 struct Command {
     line: usize,
     script: String,
-    /// `# keeps running`, or a part that does by itself: it goes on until the page's end.
+    /// `# keeps running`, or a part that does by itself: it runs until the end of the page.
     keeps_running: bool,
     /// `# exits N`.
     exits: i32,
@@ -146,7 +146,7 @@ fn commands(block: &Block) -> Vec<Command> {
     found
 }
 
-/// Whether the lines stand in the output in this order; `…` in one stands for anything.
+/// Whether the output contains the lines in this order; `…` in a line matches anything.
 fn is_in(expected: &[String], output: &str) -> Result<(), String> {
     let mut lines = output.lines();
     for wanted in expected {
@@ -170,13 +170,13 @@ fn is_in(expected: &[String], output: &str) -> Result<(), String> {
     Ok(())
 }
 
-/// Where the commands of all pages run, beside one `zenav up`.
+/// Folder in which the commands of all pages run, beside one `zenav up`.
 struct Place {
     folder: tempfile::TempDir,
     router: String,
     /// A free port instead of [`HEALTH_PORT`].
     health: String,
-    /// Demonstrations that have run: they take long, and two pages may show the same.
+    /// Demonstrations already run: they take long, and two pages may show the same one.
     shown: BTreeSet<String>,
 }
 
@@ -194,7 +194,7 @@ impl Place {
             let free = endpoint.rsplit(':').next().unwrap();
             let _ = write!(ports, "s/:{port}\\b/:{free}/g;");
         }
-        // Each argument is rewritten by itself and keeps its spaces. Commands that connect by default are told where to.
+        // Each argument is rewritten separately and keeps its spaces. Commands that use the default endpoint are given the deployment's.
         let zenav = format!(
             r#"#!/bin/sh
 count=$#
@@ -245,7 +245,7 @@ exec {ZENAV} "$@"
         Process::start("sh", &["-c", &script], self.folder.path())
     }
 
-    /// The deployment that all pages talk to, once its mission commands the robot.
+    /// Starts the deployment for all pages, and waits until its mission commands the robot.
     async fn up(&self) -> Process {
         let up = self.start("zenav up");
         let opening = Bus::open(BusConfig::service("docs", &self.router));
@@ -261,7 +261,7 @@ exec {ZENAV} "$@"
         up
     }
 
-    /// Runs a block; returns what goes on running.
+    /// Runs a block; returns the processes that keep running.
     fn run(&mut self, page: &str, block: &Block) -> Vec<Process> {
         let mut running = Vec::new();
         for command in commands(block) {

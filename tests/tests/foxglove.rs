@@ -1,4 +1,4 @@
-//! What does Foxglove see of a running robot, and how does it send one somewhere? Its protocol, spoken by a client that is not ours.
+//! Can Foxglove see a running robot, and send it somewhere? Its protocol, spoken by a third-party client.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 
@@ -19,9 +19,9 @@ use zenav_tests::observer::Observer;
 use zenav_tests::process::Process;
 
 const ZENAV: &str = env!("CARGO_BIN_EXE_zenav-under-test");
-/// Longest wait for anything, wall time: much more than it takes on a busy machine.
+/// Longest wait, wall time: far longer than needed even on a busy machine.
 const LONG: Duration = Duration::from_secs(60);
-/// A message of a channel, in either direction: this byte, a number, and from the server the time.
+/// First byte of a channel's message, in either direction; a number follows, and from the server the time.
 const MESSAGE_DATA: u8 = 1;
 
 /// A viewer.
@@ -50,7 +50,7 @@ impl Viewer {
         self.socket.send(Message::text(message.to_string())).await.unwrap();
     }
 
-    /// The next message of a channel that was subscribed to, and its topic. What else comes is taken in.
+    /// The next message of a subscribed channel, with its topic. Other messages are taken in on the way.
     async fn next(&mut self) -> Option<(String, Value)> {
         match timeout(LONG, self.socket.next()).await.unwrap().unwrap().unwrap() {
             Message::Text(text) => {
@@ -74,7 +74,7 @@ impl Viewer {
         }
     }
 
-    /// The first message of a channel, from when it was subscribed to.
+    /// The first message of a channel after subscribing to it.
     async fn first(&mut self, topic: &str, schema: &str) -> Value {
         while !self.channels.contains_key(topic) {
             self.next().await;
@@ -119,7 +119,7 @@ async fn foxglove_sees_a_robot_and_a_pose_published_there_becomes_its_goal() {
     assert!(scan["ranges"].as_array().unwrap().len() > 100);
     let state = viewer.first("zenav/tiago/edge/state", "zenav.EdgeState").await;
     assert!(state["velocity"]["v"].is_number(), "{state}");
-    // Nothing changes the map of a robot at rest: it is the last one that this viewer gets.
+    // Nothing changes the map of a robot at rest: a new viewer gets the last one.
     let map = viewer.first("/tiago/map", "foxglove.Grid").await;
     assert!(map["column_count"].as_u64().unwrap() > 10);
 
@@ -146,7 +146,7 @@ async fn foxglove_sees_a_robot_and_a_pose_published_there_becomes_its_goal() {
             }
         }
     };
-    // Whoever views and never reads must not stop the others: the viewer takes nothing meanwhile.
+    // A viewer that never reads must not stop the others: this one reads nothing during the drive.
     let ended = timeout(LONG, ended).await.unwrap();
     assert_eq!(ended.state, GoalPhase::Succeeded, "{ended:?}");
 }

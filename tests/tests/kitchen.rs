@@ -1,4 +1,4 @@
-//! Does the kitchen mission run from nothing to its end over real Zenoh sessions, and is its map used the second time?
+//! Does the kitchen mission run from an empty folder to its end over real Zenoh sessions, and is its map reused the second time?
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 

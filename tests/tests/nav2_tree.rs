@@ -1,4 +1,4 @@
-//! Does a tree of Nav2's drive a robot of ours? Its default tree for one goal, in the simulator, over the real bus.
+//! Does one of Nav2's trees drive zenav's robot? Its default tree for one goal, in the simulator, over the real bus.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 
@@ -6,11 +6,11 @@ use zenav_tests::deployment::{CORRIDOR, Deployment, ROBOT};
 use zenav_tests::observer::Observer;
 
 const ZENAV: &str = env!("CARGO_BIN_EXE_zenav-under-test");
-/// The nodes and the shape of Nav2's default tree.
+/// Nodes and structure of Nav2's default tree.
 const TREE: &str = include_str!("../../cloud/behaviour_tree/src/tests/navigate.xml");
 
-/// Plans once and fails as soon as the robot is 0.2 m beside its path, as a tree of Nav2's does. It may look anywhere: the way back begins
-/// with a turn about.
+/// Plans once and fails as soon as the robot is 0.2 m off its path, like Nav2's trees. Any heading is allowed: the way back starts with a
+/// turn in place.
 const BOUNDS: &str = r#"<root BTCPP_format="4"><BehaviorTree ID="Main"><Sequence>
     <ComputePathToPose goal="{goal}" path="{path}"/>
     <ReactiveSequence>

@@ -1,4 +1,5 @@
-//! Does every part tell how it is? Metrics, readiness and logs of real processes; the dashboard and the alert rules against what there is.
+//! Does every part report its health? Metrics, readiness and logs of real processes; the dashboard and the alert rules against the
+//! declared metrics.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 
@@ -14,16 +15,16 @@ use zenav_tests::observer::Observer;
 use zenav_tests::process::Process;
 
 const ZENAV: &str = env!("CARGO_BIN_EXE_zenav-under-test");
-/// Longest wait for anything, wall time: much more than it takes on a busy machine.
+/// Longest wait, wall time: far longer than needed even on a busy machine.
 const LONG: Duration = Duration::from_secs(60);
-/// The health endpoint at a free port.
+/// The health endpoint on a free port.
 const METRICS: [&str; 2] = ["--metrics", "127.0.0.1:0"];
 
 fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().to_path_buf()
 }
 
-/// Where a process says that it serves its health.
+/// Address of the health endpoint that a process logs.
 fn address(process: &mut Process) -> String {
     let line = process.until("health: http://", LONG);
     line.split("http://")
@@ -39,7 +40,7 @@ fn get(address: &str, path: &str) -> Answer {
     request(address, "GET", path, address)
 }
 
-/// Waits until `/readyz` fits.
+/// Waits until `/readyz` gives the expected answer.
 fn readiness(address: &str, what: &str, fits: impl Fn(u16, &str) -> bool) -> String {
     let deadline = Instant::now() + LONG;
     loop {
@@ -53,7 +54,7 @@ fn readiness(address: &str, what: &str, fits: impl Fn(u16, &str) -> bool) -> Str
     }
 }
 
-/// Names of metrics in an expression of PromQL, in one word with its label matchers' names.
+/// Names of metrics in a PromQL expression, together with the names in its label matchers.
 fn named(text: &str) -> BTreeSet<String> {
     let is_word = |letter: char| letter.is_ascii_alphanumeric() || letter == '_';
     text.split(|letter| !is_word(letter))
@@ -62,7 +63,7 @@ fn named(text: &str) -> BTreeSet<String> {
         .collect()
 }
 
-/// The row of a metric by its name in PromQL, where a histogram has three.
+/// Whether a name in PromQL belongs to a declared metric; a histogram has three names.
 fn is_declared(name: &str) -> bool {
     metrics::TABLE.iter().any(|row| match row.kind {
         Kind::Histogram => ["_bucket", "_sum", "_count"]
@@ -72,7 +73,7 @@ fn is_declared(name: &str) -> bool {
     })
 }
 
-/// Families of a scrape: their types, and how much was counted of each.
+/// Metric families of a scrape: type, and total count of each.
 fn families(text: &str) -> BTreeMap<String, (String, f64)> {
     let mut found = BTreeMap::new();
     for line in text.lines() {
@@ -96,6 +97,7 @@ async fn every_declared_metric_shows_in_a_scrape_of_a_robot_that_drove() {
     let deployment = Deployment::new(ZENAV, "kitchen", 8.0);
     let mut up = deployment.start_up_with(&METRICS);
     let health = address(&mut up);
+    drop(deployment.bus().await);
     let goal = ["goal", "submit", "--wait", "-0.9", "-0.2"];
     let driven = deployment.client(&goal);
     assert_eq!(driven.status.code(), Some(0), "{driven:?}");
@@ -106,7 +108,7 @@ async fn every_declared_metric_shows_in_a_scrape_of_a_robot_that_drove() {
     assert!(ready.contains("the mission of tiago leads, or stands by"), "{ready}");
     let mut found = families(&get(&health, "/metrics").text());
 
-    // A served world has numbers of its own.
+    // A served world has metrics of its own.
     let served = Deployment::new(ZENAV, "kitchen", 1.0);
     let arguments = ["sim", "serve", "--listen", &served.router, METRICS[0], METRICS[1]];
     let mut sim = Process::start(ZENAV, &arguments, served.folder());
@@ -123,7 +125,7 @@ async fn every_declared_metric_shows_in_a_scrape_of_a_robot_that_drove() {
             .get(row.name)
             .unwrap_or_else(|| panic!("{} does not show", row.name));
         assert_eq!(kind, row.kind.name(), "{}", row.name);
-        // Whatever a scan and a goal go through was measured.
+        // Every stage that a scan or a goal passes was measured.
         assert!(
             row.kind != Kind::Histogram || *sum > 0.0,
             "{} measured nothing",
@@ -244,7 +246,7 @@ async fn ps_lists_every_part_with_host_version_and_role_and_logs_what_each_said(
         assert!(!part["host"].as_str().unwrap().is_empty(), "{part}");
         assert!(part["memory_bytes"].as_u64().unwrap() > 1_000_000, "{part}");
         assert!(part["load"].as_f64().unwrap() > 0.0, "{part}");
-        // One machine: one clock.
+        // All parts run on one machine, with one clock.
         let off = part["clock_ahead_secs"].as_f64().unwrap().abs();
         assert!(
             off <= part["clock_uncertainty_secs"].as_f64().unwrap() + 0.001,
@@ -293,7 +295,7 @@ async fn a_trace_follows_a_scan_from_the_lidar_to_the_wheels() {
         .until("a mission commands the robot", LONG, |state| state.lease.live)
         .await;
     let deadline = Instant::now() + LONG;
-    // A scan a second is followed; the next motion request goes on with the newest.
+    // One scan per second is traced; the next motion request continues the newest trace.
     for y in ["-0.2", "0.3"].iter().cycle() {
         let driven = deployment.client(&["goal", "submit", "--wait", "-0.9", y]);
         assert_eq!(driven.status.code(), Some(0), "{driven:?}");

@@ -1,4 +1,5 @@
-//! Can a program in another language be a robot's body? With real processes: a deployment whose one robot is the example in Python.
+//! Can a program in another language be a robot's body? With real processes: a deployment whose only robot has the Python example as its
+//! body.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 
@@ -13,7 +14,7 @@ model = "neato"
 driver = true
 listen = "tcp/127.0.0.1:0"
 "#;
-/// Longest wait for anything, wall.
+/// Longest wait, wall time.
 const LIMIT: Duration = Duration::from_secs(60);
 
 #[test]

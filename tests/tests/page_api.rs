@@ -1,5 +1,5 @@
-//! Does the gateway keep to its own OpenAPI document, whatever is sent to it? By schemathesis, which makes requests from the document, against a
-//! deployment that runs.
+//! Does the gateway conform to its own OpenAPI document for any request? Checked by schemathesis, which generates requests from the
+//! document, against a running deployment.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 

@@ -1,4 +1,4 @@
-//! Does a robot make way for people who walk blindly? In lockstep, by the simulator's truth.
+//! Does a robot avoid people who ignore it? In lockstep, by the simulator's ground truth.
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
@@ -8,7 +8,7 @@ use zenav_tests::process::run;
 
 const ZENAV: &str = env!("CARGO_BIN_EXE_zenav-under-test");
 
-/// A room with walls at y = ±`half`, from x = -1 to 13, and people who walk to and fro.
+/// A room with walls at y = ±`half`, from x = -1 to 13, and people who walk back and forth.
 fn room(half: f64, people: &[[f64; 5]]) -> String {
     let mut world = format!(
         "size = [15.0, {}]\norigin = [-1.5, {}]\n[start]\nx = 0.0\ny = 0.0\n",
@@ -75,7 +75,7 @@ fn it_steps_aside_for_somebody_who_comes_along_the_middle_of_a_corridor() {
 
 #[test]
 fn it_waits_for_somebody_who_stands_at_its_goal_and_does_not_go_round_them() {
-    // Their near side hides the goal, and the floor behind them looks free.
+    // The near side of the person hides the goal, and the floor behind looks free.
     let mut world = room(2.5, &[[5.5, 0.0, 5.5, -1.9, 0.8]]);
     world += "rest_secs = [22.0, 10000.0]\n";
     let options = "--goal 5.5 0 --timeout 90 --poses slam --seed 1";

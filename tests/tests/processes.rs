@@ -1,5 +1,5 @@
-//! What becomes of a robot when the parts around it die, and when plans come that are not for it? With real processes, killed as the
-//! machines they stand for would be.
+//! What happens to a robot when the parts around it die, and when it gets plans that are not meant for it? With real processes, killed
+//! like the machines they stand for.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 
@@ -21,14 +21,14 @@ use zenav_tests::deployment::{CORRIDOR, Deployment, ROBOT};
 use zenav_tests::observer::{Observer, assert_rests, is_rest};
 
 const ZENAV: &str = env!("CARGO_BIN_EXE_zenav-under-test");
-/// Longest wait for anything, wall time: much more than it takes on a busy machine.
+/// Longest wait, wall time: far longer than needed even on a busy machine.
 const LONG: Duration = Duration::from_secs(30);
-/// Simulated seconds a second.
+/// Simulated seconds per second.
 const SPEED: f64 = 4.0;
 /// The far end of the corridor, m.
 const FAR_END: f64 = 15.0;
 
-/// Submits a goal at the far end and waits until the robot is well on its way, with more than 10 s left.
+/// Submits a goal at the far end and waits until the robot is well under way, with more than 10 s left.
 async fn set_out(deployment: &Deployment, robot: &mut Observer, id: &str) -> EdgeState {
     // A command does not wait for a router that is still starting.
     deployment.bus().await.close().await;
@@ -61,7 +61,7 @@ async fn without_its_cloud_a_robot_is_at_rest_by_its_plan_s_expiry_and_drives_on
         .find(|plan| plan.revision == in_force.revision)
         .expect("the plan was seen")
         .clone();
-    // 5 s, and what a busy machine adds to the round trip, times `SPEED`.
+    // 5 s, plus the delay that a busy machine adds to the round trip, times `SPEED`.
     let late = (driving.round_trip_secs.unwrap_or_default() - 0.3).max(0.0);
     assert!(plan.valid_for <= 5.5 + late, "{}", plan.valid_for);
     let expiry = plan.based_on.stamp.plus_secs(plan.valid_for);
@@ -108,7 +108,7 @@ async fn without_a_router_a_stop_still_reaches_the_robot_and_outlives_its_restar
     let mut router = deployment.start_router();
     let mut edge = deployment.start_edge();
     let _cloud = deployment.start_cloud();
-    // On the robot's own endpoint, as the one who stops it.
+    // On the robot's own endpoint, like an operator who stops it.
     let bus = deployment.bus_at(&deployment.edge).await;
     let mut robot = Observer::new(&bus, ROBOT);
     set_out(&deployment, &mut robot, "far").await;
@@ -133,7 +133,7 @@ async fn without_a_router_a_stop_still_reaches_the_robot_and_outlives_its_restar
     assert_ne!(again.boot_id, resting.boot_id);
     assert_eq!(again.mode, Mode::Stopped, "a stop latches across a restart");
 
-    // The goal is still to be driven, and its mission comes back with the router: until somebody resumes, nothing moves.
+    // The goal is still to be driven, and its mission returns with the router: nothing may move until a resume.
     let _router = deployment.start_router();
     robot.until("the mission is back", LONG, |state| state.lease.live).await;
     let states = robot.during(3.0).await;
@@ -150,7 +150,7 @@ async fn without_a_router_a_stop_still_reaches_the_robot_and_outlives_its_restar
     robot.assert_untouched();
 }
 
-/// A mission of the test's own: holds the robot's lease and writes plans.
+/// A mission made by the test: holds the robot's lease and publishes plans.
 struct Writer {
     bus: Bus,
     epoch: u64,
@@ -190,7 +190,7 @@ impl Writer {
         }
     }
 
-    /// A plan of a metre straight ahead from where the robot is.
+    /// A plan of a metre straight ahead from the robot's pose.
     fn plan(&self, robot: &mut Observer, now: &EdgeState, counter: u64) -> Plan {
         let pose = robot.pose().map_from_base;
         Plan {
@@ -249,7 +249,7 @@ async fn a_stale_replayed_reordered_or_foreign_plan_never_moves_the_robot() {
     }
     assert!(recorded.len() >= 3);
 
-    // Stopped and resumed: at once, while the recorded plans are still valid, they come again, under the lease they were written for.
+    // Stopped and resumed: the recorded plans, still valid, are replayed at once under their original lease.
     cloud.kill();
     assert_eq!(deployment.client(&["stop"]).status.code(), Some(0));
     robot
@@ -268,7 +268,7 @@ async fn a_stale_replayed_reordered_or_foreign_plan_never_moves_the_robot() {
     replay(&bus);
     assert_rests(&robot.during(2.0).await, "replayed after a stop");
 
-    // Another holder, another epoch.
+    // Another holder gets another epoch.
     robot
         .until("the dead mission's lease lapses", LONG, |state| !state.lease.live)
         .await;
@@ -313,7 +313,7 @@ async fn a_stale_replayed_reordered_or_foreign_plan_never_moves_the_robot() {
     }
     assert_rests(&robot.during(2.0).await, "foreign plans");
 
-    // The rightful one does move it; while it drives, older ones change nothing.
+    // A plan of the rightful holder does move it; older plans change nothing meanwhile.
     let now = robot.next(LONG).await;
     let good = writer.plan(&mut robot, &now, 6);
     writer.write(&good);
@@ -342,7 +342,7 @@ async fn a_stale_replayed_reordered_or_foreign_plan_never_moves_the_robot() {
         assert_eq!(state.plan.map(|plan| plan.trajectory_id), Some(good.trajectory_id));
     }
 
-    // Nor does it come again: not after a stop, not as a newer revision of the motion that was thrown away.
+    // It does not return either: not after a stop, not as a newer revision of the discarded motion.
     assert_eq!(deployment.client(&["stop"]).status.code(), Some(0));
     robot
         .until("stopped, at rest", LONG, |state| {
@@ -395,7 +395,7 @@ fn goals_and_stops_are_given_from_the_command_line_and_answered_by_exit_codes() 
         0,
     );
     assert!(text.contains("\"state\": \"Succeeded\""), "{text}");
-    // A repeated id is the same goal: it is not driven again, and is no other goal.
+    // A repeated id is the same goal: it is not driven again, and the id cannot be reused for another goal.
     let text = assert_code(&["goal", "submit", "--id", "first", "-o", "json", "-0.9", "0.2"], 0);
     assert!(text.contains("\"state\": \"Succeeded\""), "{text}");
     assert_code(&["goal", "submit", "--id", "first", "0.9", "0.0"], 7);
@@ -403,7 +403,7 @@ fn goals_and_stops_are_given_from_the_command_line_and_answered_by_exit_codes() 
     let text = assert_code(&["goal", "list", "-o", "ndjson"], 0);
     assert_eq!(text.lines().filter(|line| line.starts_with('{')).count(), 2, "{text}");
     assert_code(&["stop"], 0);
-    // No goal ends while the robot is stopped: those behind it wait, and can be moved.
+    // No goal ends while the robot is stopped: the queued ones wait, and can be moved.
     for id in ["third", "fourth", "fifth"] {
         assert_code(&["goal", "submit", "--id", id, "0.9", "0.0"], 0);
     }
@@ -442,7 +442,7 @@ async fn whenever_an_orchestrator_is_killed_no_goal_is_lost_ends_twice_or_is_dri
     assert!(findings.failures().is_empty(), "{findings:#?}");
 }
 
-/// A goal of the store that was acknowledged, and has ended or not.
+/// An acknowledged goal of the store that has ended, or not.
 fn stored(store: &Path, acknowledged: &[String], has_ended: bool) -> Option<(Store, StoredGoal)> {
     let store = Store::open(store, ROBOT).unwrap();
     let goals = store.goals().unwrap().into_iter();

@@ -1,4 +1,4 @@
-//! Can any program in any language be an action of a tree? With real processes: a deployment, and a server that is not part of it.
+//! Can a program in any language carry out an action of a tree? With real processes: a deployment, and a separate server.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 
@@ -75,7 +75,7 @@ async fn a_program_beside_the_stack_does_an_action_of_a_tree_once() {
     assert_eq!(asked.len(), 1, "one execution: {asked:?}");
 }
 
-/// A Python with Zenoh in it: `PYTHON`, else `python3`.
+/// A Python with the package `zenoh`: `PYTHON`, otherwise `python3`.
 fn python() -> PathBuf {
     let python = PathBuf::from(std::env::var_os("PYTHON").unwrap_or_else(|| "python3".into()));
     let check = Command::new(&python).args(["-c", "import zenoh"]).output();

@@ -1,4 +1,4 @@
-//! What does a program see of a running robot that speaks HTTP alone? `GET /KEY` of a real router.
+//! What can a program see of a running robot over HTTP alone? `GET /KEY` on a real router.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 
@@ -10,7 +10,7 @@ use zenav_tests::http::request;
 use zenav_tests::observer::Observer;
 
 const ZENAV: &str = env!("CARGO_BIN_EXE_zenav-under-test");
-/// Longest wait for anything, wall time: much more than it takes on a busy machine.
+/// Longest wait, wall time: far longer than needed even on a busy machine.
 const LONG: Duration = Duration::from_secs(60);
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -29,7 +29,7 @@ async fn a_router_tells_the_value_of_a_key_over_http_and_lets_nobody_write() {
     assert_eq!(pose.status, 200, "{}", pose.head);
     assert!(pose.head.contains("content-type: application/json"), "{}", pose.head);
     assert!(pose.json()["map_from_base"]["x"].is_number(), "{}", pose.json());
-    // The last value is told of a topic on which nothing new comes, and what is served is asked.
+    // A topic without new messages returns its retained value, and a key with a queryable is queried.
     assert_eq!(get("/zenav/tiago/cloud/mission").status, 200);
     assert_eq!(get("/zenav/tiago/ask/edge/info").json()["component"], "edge");
     let map = get("/zenav/tiago/ask/cloud/map?format=png");
@@ -61,7 +61,7 @@ async fn a_router_tells_the_value_of_a_key_over_http_and_lets_nobody_write() {
             405
         );
     }
-    // A page of another site reaches this machine under a name of its own.
+    // A page of another site reaches this machine under its own host name.
     assert_eq!(
         request(address, "GET", "/zenav/tiago/edge/pose", "robot.example").status,
         403

@@ -1,4 +1,4 @@
-//! Who may do what in a fleet whose members prove who they are? With real processes: a router, a world, a robot, a cloud, and keys of `zenav keys`.
+//! Which members of a secured fleet may do what? With real processes: a router, a world, a robot, a cloud, and keys of `zenav keys`.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 
@@ -16,9 +16,9 @@ use zenav_tests::secured::SecuredFleet;
 
 const ZENAV: &str = env!("CARGO_BIN_EXE_zenav-under-test");
 const ROBOT: &str = "tiago";
-/// Far longer than anything here takes.
+/// Longest wait: far longer than anything here takes.
 const LIMIT: Duration = Duration::from_secs(60);
-/// What nobody answers is waited for so long.
+/// Wait for an answer that must not come.
 const IN_VAIN: Duration = Duration::from_secs(2);
 const JSON: &str = "application/json";
 
@@ -27,7 +27,7 @@ fn said(output: &Output) -> String {
     String::from_utf8_lossy(&text).into_owned()
 }
 
-/// A fleet at work: its keys, and the processes of router, world, robot and cloud.
+/// A running fleet: its keys, and the processes of router, world, robot and cloud.
 struct Running {
     fleet: SecuredFleet,
     router: Process,
@@ -80,8 +80,8 @@ async fn stop(bus: &Bus, within: Duration) -> Result<StopReply, AskError> {
     bus.ask(&topics::STOP, &[ROBOT], &request, within).await
 }
 
-/// Publishes `forged` where the sender may not, then `fair` where it may: the one who hears everything hears only `fair`, which came later
-/// over the same link.
+/// Publishes `forged`, which the sender may not, then `fair`, which it may: a viewer of everything must receive only `fair`, which came
+/// later over the same link.
 async fn only_the_second_passes(sender: &Bus, viewer: &Bus, forged: &str, fair: &str) {
     let mut heard = viewer.raw_subscribe("zenav/**", 4096).unwrap();
     let mark = format!("{{\"mark\":\"{}\"}}", zenav_protocol::id::Id::unique());
@@ -99,7 +99,7 @@ async fn only_the_second_passes(sender: &Bus, viewer: &Bus, forged: &str, fair: 
         };
         match tokio::time::timeout(Duration::from_millis(500), next).await {
             Ok(key) => return assert_eq!(key, fair, "{forged} passed"),
-            // The router did not know of the subscription yet.
+            // The router did not know the subscription yet.
             Err(_) => assert!(tokio::time::Instant::now() < deadline, "{fair} does not pass either"),
         }
     }
@@ -119,7 +119,7 @@ async fn every_role_does_its_part_in_a_mission_and_no_other() {
         .tap(&commands.map(|key| format!("zenav/{ROBOT}/{key}")), 64 << 20)
         .unwrap();
 
-    // The positive control: the operator's goal drives the robot there.
+    // Positive control: the operator's goal makes the robot drive there.
     let goal = [
         "goal",
         "submit",
@@ -137,7 +137,7 @@ async fn every_role_does_its_part_in_a_mission_and_no_other() {
     let there = observer.pose().map_from_base;
     assert!((there.x - 0.88).hypot(there.y - 0.09) < 0.5, "{there:?}");
 
-    // A stranger: without an identity, with plain TCP, with the identity of another fleet.
+    // Strangers: without an identity, with plain TCP, with an identity of another fleet.
     let plain = fleet.router.replace("quic/", "tcp/");
     assert!(fleet.try_to_join(None, &plain).await.is_err());
     let other = tempfile::tempdir().unwrap();
@@ -150,23 +150,23 @@ async fn every_role_does_its_part_in_a_mission_and_no_other() {
         said(&nobody)
     );
 
-    // A robot speaks for itself alone.
+    // A robot may publish only under its own name.
     let own = |key: &str| format!("zenav/neato/edge/{key}");
     for forged in ["edge/state", "cloud/plan", "operator/teleop", "body/readings"] {
         only_the_second_passes(&neato, &viewer, &format!("zenav/{ROBOT}/{forged}"), &own("state")).await;
     }
     assert!(matches!(stop(&neato, IN_VAIN).await, Err(AskError::Timeout { .. })));
-    // An operator drives by hand, and publishes no plan.
+    // An operator may drive by hand, but not publish plans.
     let teleop = format!("zenav/{ROBOT}/operator/teleop");
     for forged in ["cloud/plan", "edge/wheels", "body/readings"] {
         only_the_second_passes(&operator, &viewer, &format!("zenav/{ROBOT}/{forged}"), &teleop).await;
     }
-    // A service plans, and moves no wheel.
+    // A service may plan, but not move wheels.
     let correction = format!("zenav/{ROBOT}/cloud/correction");
     for forged in ["edge/wheels", "body/readings", "edge/event"] {
         only_the_second_passes(&service, &viewer, &format!("zenav/{ROBOT}/{forged}"), &correction).await;
     }
-    // A viewer looks, and neither stops nor steers.
+    // A viewer may look, but neither stop nor steer.
     info(&viewer, LIMIT).await.unwrap();
     assert!(matches!(stop(&viewer, IN_VAIN).await, Err(AskError::Timeout { .. })));
     let steer = Teleop {
@@ -176,7 +176,7 @@ async fn every_role_does_its_part_in_a_mission_and_no_other() {
     };
     viewer.publisher(&topics::TELEOP, &[ROBOT]).unwrap().put(&steer);
 
-    // A replay of everything that drove the robot, by one who may write plans.
+    // A replay of everything that drove the robot, by a member that may write plans.
     let mut replayed = 0;
     while let Some(tapped) = recorded.try_next() {
         service
@@ -195,7 +195,7 @@ async fn every_role_does_its_part_in_a_mission_and_no_other() {
         "nobody who may has stopped it"
     );
 
-    // An operator stops it; on the robot's own endpoint too, where a viewer may as little as at the router.
+    // An operator stops it; on the robot's own endpoint a viewer has as few rights as at the router.
     let at_the_robot = fleet.join("viewer.wall", &fleet.edge).await;
     info(&at_the_robot, LIMIT).await.unwrap();
     assert!(matches!(

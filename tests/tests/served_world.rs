@@ -1,4 +1,4 @@
-//! Do robots of several processes live in one world? They see and pass one another there, and one whose edge dies stops.
+//! Do robots of several processes share one world? They see and pass one another, and a robot whose edge dies stops.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 
@@ -12,12 +12,12 @@ use zenav_protocol::topics;
 use zenav_tests::deployment::{CORRIDOR, Deployment};
 
 const ZENAV: &str = env!("CARGO_BIN_EXE_zenav-under-test");
-/// Longest wait for anything, wall time: much more than it takes on a busy machine.
+/// Longest wait, wall time: far longer than needed even on a busy machine.
 const LONG: Duration = Duration::from_secs(60);
-/// Simulated seconds a second.
+/// Simulated seconds per second.
 const SPEED: f64 = 4.0;
 
-/// One that drives, and one that stands in its way.
+/// One robot that drives, and one that stands in its way.
 const TWO: &str = "
 [robots.driver]
 model = \"tiago\"
@@ -32,7 +32,7 @@ start = { x = 7.0, y = 0.1, yaw = 1.0 }
 all = [\"driver\", \"bystander\"]
 ";
 
-/// The output of a command once it succeeds: robots and missions may just be starting.
+/// Output of a command once it succeeds: robots and missions may still be starting.
 fn retried(command: impl Fn() -> Output) -> Output {
     let deadline = Instant::now() + LONG;
     loop {
@@ -43,7 +43,7 @@ fn retried(command: impl Fn() -> Output) -> Output {
     }
 }
 
-/// Readings of a robot in their order, until `enough`.
+/// Readings of a robot in order, until `enough`.
 async fn listen(bus: &Bus, robot: &str, mut enough: impl FnMut(&[Readings]) -> bool) -> Vec<Readings> {
     let mut subscription = bus.subscribe(&topics::READINGS, &[robot], 256).unwrap();
     let mut heard = Vec::new();
@@ -70,12 +70,12 @@ async fn robots_of_one_served_world_pass_one_another_and_stop_when_their_edge_di
         String::from_utf8_lossy(bytes).contains("robot"),
         "it names the missing field"
     );
-    // Of two worlds on one bus each robot would have a body.
+    // With two worlds on one bus, each robot would have two bodies.
     let other = deployment.client(&["sim", "serve"]);
     let said = String::from_utf8_lossy(&other.stderr);
     assert!(!other.status.success() && said.contains("served"), "{said}");
     let mut robots = deployment.start_up_attached(TWO);
-    // Of the two the bystander is nearer; sent again it is the same goal.
+    // The bystander is the nearer of the two; a repeated request is the same goal.
     let group = [
         "goal",
         "submit",
@@ -109,7 +109,7 @@ async fn robots_of_one_served_world_pass_one_another_and_stop_when_their_edge_di
     assert_eq!(there.status.code(), Some(0), "{there:?}\n{}", robots.log());
     assert!(!world.log().contains("touched"), "{}", world.log());
 
-    // On the way back everything but the world dies.
+    // On the way back everything dies except the world.
     let back = deployment.client(&[&goal[..], &["0.5", "0"]].concat());
     assert_eq!(back.status.code(), Some(0), "{back:?}");
     let turned = |from: &Readings, to: &Readings| (to.wheels[0] - from.wheels[0]).abs();

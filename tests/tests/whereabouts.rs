@@ -1,4 +1,4 @@
-//! Does a robot without GPS and compass find its goal, with odometry that is stated wrongly? In lockstep, by the simulator's truth.
+//! Does a robot without GPS and compass find its goal, with wrong odometry parameters? In lockstep, by the simulator's ground truth.
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
@@ -9,7 +9,7 @@ use zenav_tests::process::run;
 
 const ZENAV: &str = env!("CARGO_BIN_EXE_zenav-under-test");
 
-/// A report of a drive of the worn TIAGo through the house or the kitchen.
+/// Report of a drive of the worn TIAGo through the house or the kitchen.
 fn drive(arguments: &str) -> serde_json::Value {
     let arguments = format!("run --robot tiago+indoor+worn --timeout 120 -o json {arguments}");
     let arguments: Vec<&str> = arguments.split(' ').collect();
@@ -21,7 +21,7 @@ fn drive(arguments: &str) -> serde_json::Value {
 #[test]
 fn a_closure_of_a_metre_leaves_a_driving_robot_on_its_way_at_its_speed_and_its_goal_on_its_spot() {
     let closing = zenav_tests::acceptance::closure::drive(1).unwrap();
-    // SLAM alone is 5 cm off there on this seed.
+    // On this seed SLAM alone is off by 5 cm there.
     assert!(
         closing.succeeded && closing.error < closing.error_without + 0.01,
         "{closing:?}"

@@ -1,7 +1,7 @@
-//! How long does a tick take? Trees of 30 and 1,000 nodes in which every node is ticked in every tick, with leaves that read
-//! ports; and Nav2's default tree while the robot drives, against scripted leaves.
+//! How long does a tick take? Trees of 30 and 1,000 nodes in which every node is ticked in every tick, with leaves that read ports; and
+//! Nav2's default tree while the robot drives, against scripted leaves.
 //!
-//! `cargo bench -p zenav-behaviour-tree --bench tick`; thread CPU time, so that a busy machine does not show.
+//! `cargo bench -p zenav-behaviour-tree --bench tick`; measures thread CPU time, so that other load on the machine does not matter.
 #![allow(missing_docs, clippy::unwrap_used, reason = "a bench")]
 
 use std::hint::black_box;

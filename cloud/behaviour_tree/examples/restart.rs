@@ -1,4 +1,4 @@
-//! How does a running tree survive the end of its process? It is stored between two ticks, and a fresh tree goes on with it.
+//! How does a running tree survive the end of its process? It is stored between two ticks, and a fresh tree continues from there.
 //!
 //! `cargo run -p zenav-behaviour-tree --example restart`
 #![allow(clippy::print_stdout, reason = "an example")]
@@ -11,7 +11,7 @@ const TREE: &str = r#"<root BTCPP_format="4"><BehaviorTree ID="Brew">
     <Sequence><Pour cups="5"/><AlwaysSuccess name="serve"/></Sequence>
 </BehaviorTree></root>"#;
 
-/// Pours a cup in each tick, and remembers how many it has poured. The context is what stands on the table.
+/// Pours one cup per tick, and remembers how many it has poured. The context is the number of cups on the table.
 struct Pour;
 
 impl Leaf<u32> for Pour {

@@ -1,4 +1,4 @@
-//! What would a tree do if its leaves answered so? A recovery tree is played against a script, in simulated time.
+//! What would a tree do if its leaves answered in a given way? A recovery tree is simulated with a script, in simulated time.
 //!
 //! `cargo run -p zenav-behaviour-tree --example scripted`
 #![allow(clippy::print_stdout, reason = "an example")]

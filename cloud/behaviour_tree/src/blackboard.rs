@@ -1,9 +1,8 @@
-//! Blackboard. Where do nodes leave values for one another? Typed entries in scopes, one scope per SubTree.
+//! Blackboard. How do nodes exchange values? Through typed entries in scopes, one scope per SubTree.
 //!
-//! Names are resolved to slots when the tree is built, so a tick reads and writes by index.
-//! A SubTree sees its own names, those remapped to its parent (`inner="{outer}"`, or all that are
-//! not private under `_autoremap`), and those of the root with a leading `@`
-//! (BehaviorTree.CPP v4).
+//! Names are resolved to slots when the tree is built, so a tick reads and writes by index. A SubTree sees its own names, those remapped to
+//! its parent (`inner="{outer}"`, or all non-private ones under `_autoremap`), and those of the root with a leading `@` (BehaviorTree.CPP
+//! v4).
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -11,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use super::value::{Value, ValueType};
 
-/// Index of an entry, the same for the life of a tree.
+/// Index of an entry, constant for the life of a tree.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Slot(u32);
 
@@ -39,13 +38,13 @@ struct Scope {
     keys: BTreeMap<String, Slot>,
 }
 
-/// A value of another type than the entry has kept since its first assignment.
+/// A value whose type differs from the one that the entry has kept since its first assignment.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("entry holds {expected:?}, and {value} does not convert to it")]
 pub struct TypeError {
     /// Type of the entry.
     pub expected: ValueType,
-    /// What was to be written.
+    /// The rejected value.
     pub value: Value,
 }
 
@@ -55,7 +54,7 @@ pub struct Blackboard {
     entries: Vec<Entry>,
     scopes: Vec<Scope>,
     writes: u64,
-    /// Entries that ports name: the tree's, not of what is stored.
+    /// Entries named by ports; a property of the tree, not of a snapshot.
     #[serde(skip)]
     declared: BTreeSet<u32>,
 }
@@ -78,7 +77,7 @@ impl Default for Blackboard {
 }
 
 impl Blackboard {
-    /// Writes an entry of the root scope, made if it is new.
+    /// Writes an entry of the root scope, creating it if necessary.
     ///
     /// # Errors
     /// [`TypeError`] if the entry has another type and the value does not convert without loss.
@@ -92,15 +91,15 @@ impl Blackboard {
         self.find(0, key).and_then(|slot| self.read(slot))
     }
 
-    /// Removes an entry's value and type, root scope.
+    /// Removes the value and type of an entry, root scope.
     pub fn unset(&mut self, key: &str) {
         if let Some(slot) = self.find(0, key) {
             self.clear(slot);
         }
     }
 
-    /// Every entry with a value, as (scope, key, value), scopes in document order, keys sorted.
-    /// A remapped key appears once in every scope that sees it by an own name.
+    /// Every entry with a value, as (scope, key, value), with scopes in document order and keys sorted. A remapped key appears once in
+    /// every scope that has its own name for it.
     pub fn iter(&self) -> impl Iterator<Item = (&str, &str, &Value)> {
         self.scopes.iter().flat_map(move |scope| {
             scope
@@ -110,7 +109,7 @@ impl Blackboard {
         })
     }
 
-    /// How many writes have changed an entry: a snapshot taken at the same count holds the same entries.
+    /// Number of writes that changed an entry: snapshots with the same count hold the same entries.
     pub fn writes(&self) -> u64 {
         self.writes
     }
@@ -132,7 +131,7 @@ impl Blackboard {
         }
     }
 
-    /// Where `key` leads from `scope`: the scope that owns it, its name there, its slot if it is.
+    /// Where `key` leads from `scope`: the owning scope, the name there, and its slot if it exists.
     fn locate<'k>(&self, mut scope: ScopeId, key: &'k str) -> (ScopeId, &'k str, Option<Slot>) {
         let key = match key.strip_prefix('@') {
             Some(root_key) => {
@@ -149,7 +148,7 @@ impl Blackboard {
                 return (scope, key, Some(*slot));
             }
             match here.parent {
-                // Parents come before their children, which also ends this loop.
+                // Parents come before their children, so this loop ends.
                 Some(parent) if here.autoremap && !key.starts_with('_') && parent < scope => {
                     scope = parent;
                 }
@@ -158,18 +157,18 @@ impl Blackboard {
         }
     }
 
-    /// The slot that `key` means in `scope`, if there is one.
+    /// The slot of `key` in `scope`, if it exists.
     pub(crate) fn find(&self, scope: ScopeId, key: &str) -> Option<Slot> {
         self.locate(scope, key).2
     }
 
-    /// The slot that `key` means in `scope`, made if it is new.
+    /// The slot of `key` in `scope`, created if necessary.
     pub(crate) fn resolve(&mut self, scope: ScopeId, key: &str) -> Slot {
         let (owner, key, found) = self.locate(scope, key);
         found.unwrap_or_else(|| self.add_entry(owner, key))
     }
 
-    /// Makes an entry that belongs to `scope` itself, whatever is remapped.
+    /// Creates an entry in `scope` itself, regardless of remapping.
     pub(crate) fn add_entry(&mut self, scope: ScopeId, key: &str) -> Slot {
         let slot = Slot(self.entries.len() as u32);
         self.entries.push(Entry::default());
@@ -186,7 +185,7 @@ impl Blackboard {
         self.entries.get(slot.0 as usize).map_or(0, |entry| entry.sequence)
     }
 
-    /// The type that the entry keeps, once it has one.
+    /// The type of the entry, once it has one.
     pub(crate) fn kind(&self, slot: Slot) -> Option<ValueType> {
         self.entries.get(slot.0 as usize).and_then(|entry| entry.kind)
     }
@@ -203,7 +202,7 @@ impl Blackboard {
             _ => value,
         };
         entry.sequence += 1;
-        // What is written again and again, such as a selector's choice, leaves a stored snapshot good.
+        // Repeated writes of an equal value, such as a selector's choice, do not invalidate a stored snapshot.
         if entry.kind.is_none() || entry.value.as_ref() != Some(&value) {
             entry.kind = Some(value.kind());
             entry.value = Some(value);
@@ -212,8 +211,7 @@ impl Blackboard {
         Ok(())
     }
 
-    /// Writes a value that is worked out anew after a restart: it counts as an update of the entry, but leaves a stored
-    /// snapshot good.
+    /// Writes a value that is recomputed after a restart: counts as an update of the entry, but does not invalidate a stored snapshot.
     pub(crate) fn write_fleeting(&mut self, slot: Slot, value: Value) -> Result<(), TypeError> {
         let writes = self.writes;
         self.write(slot, value)?;
@@ -221,7 +219,7 @@ impl Blackboard {
         Ok(())
     }
 
-    /// A port names this entry: scripts may assign to it before it holds anything.
+    /// Marks an entry as named by a port: scripts may assign to it before it has a value.
     pub(crate) fn declare(&mut self, slot: Slot) {
         self.declared.insert(slot.0);
     }
@@ -230,14 +228,14 @@ impl Blackboard {
         self.declared.contains(&slot.0)
     }
 
-    /// Takes over what was stored of the same tree.
+    /// Restores the entries stored for the same tree.
     pub(crate) fn restore(&mut self, stored: Self) {
         let declared = std::mem::take(&mut self.declared);
         *self = Self { declared, ..stored };
     }
 
-    /// Writes a literal in a remapping: a number where all of it is one, so that scripts count with it, else text. The first proper assignment
-    /// decides its type.
+    /// Writes a literal from a remapping: as a number if all of it is one, so that scripts can compute with it, otherwise as text. The
+    /// first proper assignment determines its type.
     pub(crate) fn write_constant(&mut self, slot: Slot, text: &str) {
         let is_number = !text.is_empty()
             && text
@@ -255,7 +253,7 @@ impl Blackboard {
         self.write_untyped(slot, value.unwrap_or_else(|| Value::text(text)));
     }
 
-    /// Writes text whose type the first proper assignment decides.
+    /// Writes text whose type is determined by the first proper assignment.
     pub(crate) fn write_literal(&mut self, slot: Slot, text: &str) {
         self.write_untyped(slot, Value::text(text));
     }
@@ -268,7 +266,7 @@ impl Blackboard {
         }
     }
 
-    /// Takes the first item of a list without counting as a write: a queue is consumed, not set.
+    /// Takes the first item of a list without counting as an update: a queue is consumed, not set.
     pub(crate) fn pop_front(&mut self, slot: Slot) -> Option<serde_json::Value> {
         let entry = self.entries.get_mut(slot.0 as usize)?;
         let Some(Value::Data(data)) = &mut entry.value else {
@@ -293,8 +291,7 @@ impl Blackboard {
         }
     }
 
-    /// Whether every slot of `self` means the same in `other`, so that a tree built over `self`
-    /// can go on with `other`.
+    /// Whether every slot of `self` has the same meaning in `other`, so that a tree built over `self` can continue with `other`.
     pub(crate) fn is_extended_by(&self, other: &Blackboard) -> bool {
         let inside = |slot: &Slot| (slot.0 as usize) < other.entries.len();
         self.scopes.len() == other.scopes.len()

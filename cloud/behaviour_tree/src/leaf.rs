@@ -1,13 +1,12 @@
-//! Leaves and decorators from outside. How does code outside the engine become a node? By one trait for each.
+//! External leaves and decorators. How does code outside the engine become a node? Through one trait for each.
 //!
-//! The engine has no clock, no I/O and no robot: a leaf gets the time and its ports through
-//! [`LeafIo`], and everything else through the context `C` that the tree is ticked with.
+//! The engine has no clock, no I/O and no robot: a leaf gets the time and its ports through [`LeafIo`], and everything else through the
+//! context `C` passed to the tick.
 //!
 //! # What survives a crash
-//! A leaf object is made anew when a tree is restored. What it must not forget (an execution id, a
-//! start time) it puts into [`LeafIo::remember`], which is part of the tree's snapshot. A leaf with
-//! an effect outside remembers in `start` and acts in the next `tick`, so that the caller can store
-//! the snapshot in between; then no effect is ever unknown after a restart.
+//! A leaf object is constructed anew when a tree is restored. State that must survive (an execution id, a start time) is stored with
+//! [`LeafIo::remember`], which is part of the tree's snapshot. A leaf with an external effect remembers it in `start` and acts in the next
+//! `tick`, so that the caller can store the snapshot in between; then no effect is ever unknown after a restart.
 
 use std::time::Duration;
 
@@ -54,13 +53,12 @@ pub trait Leaf<C>: Send {
     /// Called on entry from any status but `Running`. Answers `Running` to be ticked again.
     fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut C) -> Status;
 
-    /// Called on every later tick while `Running`. Unless overridden, asks `start` again, which
-    /// suits a condition.
+    /// Called on every later tick while `Running`. By default, calls `start` again, which suits a condition.
     fn tick(&mut self, io: &mut LeafIo<'_>, ctx: &mut C) -> Status {
         self.start(io, ctx)
     }
 
-    /// Called instead of `tick` the first time after a restart found this leaf `Running`.
+    /// Called instead of `tick` in the first tick after a restart, if this leaf was `Running`.
     fn resume(&mut self, io: &mut LeafIo<'_>, ctx: &mut C) -> Status {
         self.tick(io, ctx)
     }
@@ -69,12 +67,12 @@ pub trait Leaf<C>: Send {
     fn halt(&mut self, _io: &mut LeafIo<'_>, _ctx: &mut C) {}
 }
 
-/// What a decorator from outside does with its child in this tick.
+/// What an external decorator does with its child in this tick.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Enter {
-    /// Tick the child, then ask [`Decorator::leave`].
+    /// Tick the child, then call [`Decorator::leave`].
     TickChild,
-    /// Do not tick the child; answer this.
+    /// Do not tick the child; give this answer.
     Answer(Status),
 }
 
@@ -89,13 +87,12 @@ impl Enter {
     }
 }
 
-/// A decorator that needs the context: ticking by distance or speed, goal updates.
+/// A decorator that needs the context, such as for ticking by distance or speed, or for goal updates.
 pub trait Decorator<C>: Send {
-    /// Called before the child could be ticked. `child` is the child's status; `Running` means
-    /// that it was not finished when last ticked.
+    /// Called before the child might be ticked. `child` is the child's status; `Running` means that it was not finished in its last tick.
     fn enter(&mut self, io: &mut LeafIo<'_>, ctx: &mut C, child: Status) -> Enter;
 
-    /// Called with the child's answer; what it returns is the decorator's.
+    /// Called with the child's answer; the return value is the decorator's answer.
     fn leave(&mut self, _io: &mut LeafIo<'_>, _ctx: &mut C, child: Status) -> Status {
         child
     }
@@ -104,7 +101,7 @@ pub trait Decorator<C>: Send {
     fn halt(&mut self, _io: &mut LeafIo<'_>, _ctx: &mut C) {}
 }
 
-/// What a leaf sees of the tree: time, its ports, its name, its memory.
+/// A leaf's view of the tree: time, its ports, its name, its memory.
 pub struct LeafIo<'a> {
     pub(crate) info: &'a Info,
     pub(crate) uid: u16,
@@ -117,12 +114,12 @@ pub struct LeafIo<'a> {
 }
 
 impl LeafIo<'_> {
-    /// Time of this tick, since the epoch of whoever ticks the tree.
+    /// Time of this tick, since the epoch of the tick times.
     pub fn now(&self) -> Duration {
         self.now
     }
 
-    /// The node's number: its place in document order, from 1.
+    /// The node's number: its position in document order, from 1.
     pub fn uid(&self) -> u16 {
         self.uid
     }
@@ -137,8 +134,8 @@ impl LeafIo<'_> {
         &self.info.id
     }
 
-    /// The node's status before this tick. `Idle` means that the parent has reset it since: a
-    /// condition that compares with what it saw at its activation takes its sample then.
+    /// The node's status before this tick. `Idle` means that the parent has reset it since: a condition that compares with its activation
+    /// takes its sample then.
     pub fn previous(&self) -> Status {
         self.previous
     }
@@ -190,8 +187,7 @@ impl LeafIo<'_> {
         }
     }
 
-    /// How often the entry behind a port has been written: it changes with every write, also of
-    /// an equal value. 0 for a literal.
+    /// How often the entry behind a port has been written: changes with every write, also of an equal value. 0 for a literal.
     pub fn sequence(&self, port: &str) -> u64 {
         match self.source(port) {
             Some(Source::Slot(slot)) => self.board.sequence(*slot),
@@ -199,8 +195,7 @@ impl LeafIo<'_> {
         }
     }
 
-    /// Names of the ports that the tree, or a default, has put something on; in the order of the specification, then of
-    /// the file.
+    /// Names of the ports that the tree or a default has set, in the order of the specification, then of the file.
     pub fn ports(&self) -> impl Iterator<Item = &str> {
         self.info.ports.iter().map(|bound| &*bound.name)
     }
@@ -210,13 +205,12 @@ impl LeafIo<'_> {
         matches!(self.source(port), Some(Source::Slot(_)))
     }
 
-    /// Whether the tree has anything on this port.
+    /// Whether the tree or a default has set this port.
     pub fn is_set(&self, port: &str) -> bool {
         matches!(self.source(port), Some(Source::Literal(_) | Source::Slot(_)))
     }
 
-    /// Writes an output port; the value is converted to the port's type. A port that the tree
-    /// leaves open takes the value and forgets it.
+    /// Writes an output port; the value is converted to the port's type. If the tree does not set the port, the value is discarded.
     ///
     /// # Errors
     /// [`PortError::Type`] if the entry behind it has another type, [`PortError::Literal`].
@@ -224,7 +218,7 @@ impl LeafIo<'_> {
         self.write(port, value.into(), Blackboard::write)
     }
 
-    /// As [`LeafIo::set`], for feedback that is worked out anew after a restart: a stored snapshot stays good.
+    /// As [`LeafIo::set`], for feedback that is recomputed after a restart: does not invalidate a stored snapshot.
     ///
     /// # Errors
     /// As [`LeafIo::set`].
@@ -259,8 +253,8 @@ impl LeafIo<'_> {
         })
     }
 
-    /// Reads a blackboard entry by its name in the scope of this node (`goal`, `@goal`). Ports are
-    /// the proper way; some Nav2 nodes fall back to fixed names.
+    /// Reads a blackboard entry by its name in the scope of this node (`goal`, `@goal`). Ports are preferable; some Nav2 nodes fall back to
+    /// fixed names.
     pub fn entry(&self, key: &str) -> Option<&Value> {
         self.board
             .find(self.info.scope, key)
@@ -276,7 +270,7 @@ impl LeafIo<'_> {
         self.board.write(slot, value.into())
     }
 
-    /// Sets the node's feedback text; kept until it is started again.
+    /// Sets the node's feedback text; kept until its next start.
     pub fn say(&mut self, feedback: impl Into<String>) {
         self.memory.feedback = feedback.into();
     }
@@ -287,7 +281,7 @@ impl LeafIo<'_> {
         Status::Failure
     }
 
-    /// Ends the whole tree with an error: for what no recovery in the tree can fix.
+    /// Ends the whole tree with an error, for failures that no recovery in the tree can fix.
     pub fn abort(&mut self, why: impl Into<String>) -> Status {
         let why = why.into();
         self.memory.feedback.clone_from(&why);
@@ -295,16 +289,16 @@ impl LeafIo<'_> {
         Status::Failure
     }
 
-    /// What the node has remembered; `None` before it has, or if it was of another shape.
-    /// Outlives success, failure and halt.
+    /// What the node has remembered; `None` before it remembers anything, or if the stored value has another form. Survives success,
+    /// failure and halt.
     pub fn recall<T: DeserializeOwned>(&self) -> Option<T> {
         T::deserialize(&self.memory.kept).ok()
     }
 
-    /// Keeps something in the tree's snapshot for this node.
+    /// Stores a value in the tree's snapshot for this node.
     ///
     /// # Errors
-    /// What serde_json reports for what JSON cannot hold.
+    /// serde_json's error for values that JSON cannot represent.
     pub fn remember<T: Serialize>(&mut self, what: &T) -> Result<(), serde_json::Error> {
         let kept = serde_json::to_value(what)?;
         if kept != self.memory.kept {
@@ -314,7 +308,7 @@ impl LeafIo<'_> {
         Ok(())
     }
 
-    /// Asks for another tick at once, without waiting for the next period.
+    /// Requests another tick at once, without waiting for the next period.
     pub fn wake(&mut self) {
         *self.wake = true;
     }
@@ -328,7 +322,7 @@ impl LeafIo<'_> {
     }
 }
 
-/// A value that a port does not take, in the message whole if it is short.
+/// Error for an unsuitable value; the message quotes at most 60 characters of it.
 fn unfit(port: &str, value: &Value, expected: impl ToString) -> PortError {
     PortError::Type {
         port: port.to_owned(),
@@ -337,7 +331,7 @@ fn unfit(port: &str, value: &Value, expected: impl ToString) -> PortError {
     }
 }
 
-/// A leaf that is a function.
+/// A leaf consisting of a function.
 pub(crate) struct FnLeaf<F>(pub(crate) F);
 
 impl<C, F: FnMut(&mut LeafIo<'_>, &mut C) -> Status + Send> Leaf<C> for FnLeaf<F> {

@@ -1,14 +1,12 @@
-//! A behaviour-tree engine that knows no robot.
+//! A behaviour-tree engine independent of any robot.
 //!
-//! A behaviour tree is a program of nodes that are *ticked*: from the root downwards, many times a second, each node
-//! answers `Running`, `Success`, `Failure` or `Skipped`, and control nodes decide by these answers which child is ticked
-//! next. Trees are BehaviorTree.CPP v4 XML, as Groot2 writes it; the semantics of every node are those of
-//! BehaviorTree.CPP 4.10 and, with the feature `nav2` (on by default), Nav2 1.5, except where a node's documentation says
-//! otherwise.
+//! A behaviour tree is a program of nodes that are *ticked*: from the root downwards, many times a second, each node answers `Running`,
+//! `Success`, `Failure` or `Skipped`, and control nodes decide by these answers which child is ticked next. Trees are BehaviorTree.CPP v4
+//! XML, as written by Groot2; the semantics of every node are those of BehaviorTree.CPP 4.10 and, with the feature `nav2` (on by default),
+//! Nav2 1.5, except where a node's documentation says otherwise.
 //!
-//! The engine has no clock and does no I/O: [`Tree::tick`] is given the time and a context `C` that only the leaves
-//! understand. A running tree can be stored between two ticks ([`Tree::snapshot`]) and resumed later
-//! ([`Tree::restore`]), in another process too.
+//! The engine has no clock and does no I/O: [`Tree::tick`] is given the time and a context `C` that only the leaves interpret. A running
+//! tree can be stored between two ticks ([`Tree::snapshot`]) and resumed later ([`Tree::restore`]), also in another process.
 //!
 //! ```
 //! use std::time::Duration;
@@ -36,10 +34,10 @@
 //! | module | answers |
 //! |---|---|
 //! | `status`, `value`, `ports`, `blackboard` | what nodes exchange |
-//! | `registry`, `leaf` | how code outside becomes a node |
+//! | `registry`, `leaf` | how external code becomes a node |
 //! | `node`, `nodes` | what a node is; the built-in ones, one row each |
-//! | `tree`, `tick`, `snapshot`, `report` | how a tree runs, is stored, is shown |
-//! | `script` | the language inside attributes |
+//! | `tree`, `tick`, `snapshot`, `report` | how a tree runs, is stored, is displayed |
+//! | `script` | the scripting language in attributes |
 //! | `xml` | how a file becomes a tree, or a list of errors |
 //! | [`nav2`] | Nav2's nodes |
 //! | [`simulate`] | a tree against scripted leaves in simulated time |

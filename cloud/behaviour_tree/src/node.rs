@@ -1,5 +1,5 @@
-//! Nodes. What is a node of a tree, apart from what it is doing? Its role, its children, its ports: fixed
-//! when the tree is built. What it is doing is [`NodeState`], plain data that can be stored.
+//! Nodes. What is the fixed part of a node? Its role, children and ports, fixed when the tree is built. Its run-time state is
+//! [`NodeState`], plain data that can be stored.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -16,17 +16,17 @@ use super::status::Status;
 /// Index of a node in its tree, in document order; its uid is one more.
 pub(crate) type NodeId = u32;
 
-/// What does a node's work.
+/// Implementation of a node.
 pub(crate) enum Role<C> {
-    /// The engine's own.
+    /// Built into the engine.
     Builtin(Box<dyn Builtin<C>>),
-    /// From outside; index into the tree's bodies.
+    /// External; index into the tree's bodies.
     Leaf(u32),
-    /// From outside; index into the tree's bodies.
+    /// External; index into the tree's bodies.
     Decorator(u32),
 }
 
-/// Scripts that stand around a node (`_skipIf`, `_onSuccess`, …).
+/// Scripts around a node (`_skipIf`, `_onSuccess`, …).
 #[derive(Default)]
 pub(crate) struct Guards {
     pub(crate) failure_if: Option<Program>,
@@ -39,7 +39,7 @@ pub(crate) struct Guards {
     pub(crate) post: Option<Program>,
 }
 
-/// What a tick needs of a node.
+/// The part of a node needed by a tick.
 pub(crate) struct Node<C> {
     pub(crate) role: Role<C>,
     pub(crate) guards: Option<Box<Guards>>,
@@ -48,7 +48,7 @@ pub(crate) struct Node<C> {
     pub(crate) child_count: u32,
 }
 
-/// What a reader needs of a node.
+/// The part of a node needed for display.
 pub(crate) struct Info {
     pub(crate) name: Arc<str>,
     pub(crate) id: Arc<str>,
@@ -59,16 +59,16 @@ pub(crate) struct Info {
     pub(crate) ports: Box<[BoundPort]>,
 }
 
-/// What a node is doing. The meaning of the counters belongs to the node's family.
+/// Run-time state of a node. The meaning of the counters is defined by the node's family.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct NodeState {
     /// As its parent sees it.
     pub status: Status,
-    /// What it answered last, kept when the parent resets it.
+    /// Its last answer, kept when the parent resets it.
     pub last: Status,
-    /// Its parent has its answer and does not ask again (Parallel).
+    /// Its parent has its answer and does not tick it again (Parallel).
     pub done: bool,
-    /// A latch of its own.
+    /// A latch of the node.
     pub flag: bool,
     /// Index of a child, or of an item.
     pub cursor: u32,
@@ -76,41 +76,41 @@ pub struct NodeState {
     pub count: u32,
     /// Children skipped in this activation.
     pub skipped: u32,
-    /// A time in ns since the epoch of whoever ticks, or a sequence number.
+    /// A time in ns since the epoch of the tick times, or a sequence number.
     pub mark: u64,
-    /// How often it was entered from not `Running`.
+    /// How often it was entered from a status other than `Running`.
     pub starts: u32,
 }
 
 impl NodeState {
-    /// Nothing is counted, latched or timed any more.
+    /// Resets all counters, latches and times.
     pub(crate) fn clear(&mut self) {
         (self.count, self.flag, self.cursor, self.mark) = (0, false, 0, 0);
     }
 }
 
-/// What a node says and remembers.
+/// Feedback and memory of a node.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(crate) struct Memory {
     pub(crate) feedback: String,
     pub(crate) kept: serde_json::Value,
     /// How often `kept` was written.
     pub(crate) writes: u64,
-    /// A restart found it running, and it has not been ticked since.
+    /// It was running when a restart interrupted it, and has not been ticked since.
     pub(crate) resuming: bool,
 }
 
-/// A time as the states keep it.
+/// A time in the form stored in states.
 pub(crate) fn nanos(time: Duration) -> u64 {
     u64::try_from(time.as_nanos()).unwrap_or(u64::MAX)
 }
 
-/// Milliseconds of a port as nanoseconds; negative ones are none.
+/// Milliseconds of a port as nanoseconds; negative values become 0.
 pub(crate) fn millis(ms: i64) -> u64 {
     u64::try_from(ms).unwrap_or(0).saturating_mul(1_000_000)
 }
 
-/// One more. Counters may come from a stored state, so none may overflow.
+/// Increments a counter. Counters may come from a stored state, so overflow must be avoided.
 pub(crate) fn bump(counter: &mut u32) {
     *counter = counter.saturating_add(1);
 }

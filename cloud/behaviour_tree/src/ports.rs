@@ -1,10 +1,10 @@
-//! Ports. What may go into and come out of a node? Named, typed, documented ports, and what each use of
-//! a node in a tree has put on them.
+//! Ports. What are the inputs and outputs of a node? Named, typed, documented ports, and the values or entries bound to them at each use of
+//! a node in a tree.
 
 use super::blackboard::Slot;
 use super::value::{MOST_NESTED, Value, ValueType, is_nested_within, parse_bool};
 
-/// Which way a port's value goes.
+/// Direction of a port's value.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Direction {
     /// Read by the node.
@@ -15,7 +15,7 @@ pub enum Direction {
     InOut,
 }
 
-/// What a port holds.
+/// Type of a port.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum PortType {
     /// Anything.
@@ -42,13 +42,13 @@ pub enum PortType {
     Script,
     /// The name of a blackboard entry, with or without braces.
     Key,
-    /// Structured data of this type name (`Path`, `PoseStamped`). A literal is JSON after `json:`, or text as the
-    /// registry's [`LiteralRules`] have it.
+    /// Structured data of this type name (`Path`, `PoseStamped`). A literal is JSON after `json:`, or text in the format of the registry's
+    /// [`LiteralRules`].
     Data(String),
 }
 
 impl PortType {
-    /// The type that a `TreeNodesModel` names (C++ spelling).
+    /// The type named in a `TreeNodesModel` (C++ spelling).
     pub fn from_name(name: &str) -> PortType {
         let name = name.trim();
         let short = name.rsplit("::").next().unwrap_or(name).trim();
@@ -72,7 +72,7 @@ impl PortType {
         }
     }
 
-    /// What to write there, for messages.
+    /// Description of the expected value, for messages.
     pub fn expected(&self) -> String {
         match self {
             PortType::Any => "a value",
@@ -95,7 +95,7 @@ impl PortType {
         .to_owned()
     }
 
-    /// The type that a blackboard entry has once this port has written it, where that is known.
+    /// The type that this port's writes give to a blackboard entry, if known.
     pub fn value_type(&self) -> Option<ValueType> {
         match self {
             PortType::Bool => Some(ValueType::Bool),
@@ -106,7 +106,7 @@ impl PortType {
         }
     }
 
-    /// A literal of the tree file as a value of this type; `None` if it is none.
+    /// Parses a literal of the tree file as a value of this type; `None` if it is invalid.
     pub fn parse(&self, text: &str) -> Option<Value> {
         let whole = Value::text(text);
         match self {
@@ -123,8 +123,8 @@ impl PortType {
         }
     }
 
-    /// Whether one entry may serve a port of each type. Text and `Any` go with everything, and
-    /// numbers with one another: their values are converted when they are read.
+    /// Whether one entry may serve ports of both types. Text and `Any` are compatible with everything, and numbers with one another: their
+    /// values are converted when they are read.
     pub(crate) fn shares_entry_with(&self, other: &PortType) -> bool {
         use PortType::*;
         match (self, other) {
@@ -136,20 +136,20 @@ impl PortType {
     }
 }
 
-/// How literals of structured types are written, by the name of the type ([`PortType::Data`]).
+/// Format of literals of structured types, by the name of the type ([`PortType::Data`]).
 #[derive(Debug, Clone, Copy)]
 pub struct LiteralRules {
-    /// Whether a text is a literal of a type.
+    /// Whether a text is a valid literal of a type.
     pub fits: fn(kind: &str, text: &str) -> bool,
-    /// How a literal of a type is written, for messages.
+    /// Format of a type's literals, for messages.
     pub form: fn(kind: &str) -> Option<&'static str>,
-    /// The first name in a literal that only whoever runs the tree can resolve: worth a warning.
+    /// The first name in a literal that can only be resolved where the tree runs; causes a warning.
     pub name: for<'t> fn(kind: &str, text: &'t str) -> Option<&'t str>,
-    /// What in a number on a port of this name was hardly meant: worth a warning.
+    /// Why a number on a port of this name is probably a mistake; causes a warning.
     pub doubt: fn(port: &str, number: f64) -> Option<&'static str>,
 }
 
-/// A literal as data if it is JSON, else as text.
+/// A literal as data if it is JSON, otherwise as text.
 fn json_or_text(text: &str) -> Option<Value> {
     match text.strip_prefix("json:") {
         Some(json) => serde_json::from_str(json)
@@ -195,24 +195,24 @@ pub(crate) fn parse_ints(value: &Value) -> Option<Vec<i64>> {
     }
 }
 
-/// A port that a node offers.
+/// Specification of a port.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PortSpec {
     /// Its name, as in the tree file.
     pub name: String,
-    /// Which way its value goes.
+    /// Direction of its value.
     pub direction: Direction,
-    /// What it holds.
+    /// Its type.
     pub kind: PortType,
-    /// Used where the tree file says nothing. May be `{key}`.
+    /// Default if the tree file does not set the port. May be `{key}`.
     pub default: Option<String>,
-    /// Whether a tree without it is refused.
+    /// Whether the tree file must set the port.
     pub required: bool,
-    /// What it means, with its unit.
+    /// Description, with the unit.
     pub doc: String,
 }
 
-/// What one use of a node has on a port.
+/// The binding of a port at one use of a node.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Source {
     Unset,
@@ -220,7 +220,7 @@ pub(crate) enum Source {
     Slot(Slot),
 }
 
-/// A port of one node in a tree.
+/// A bound port of a node in a tree.
 #[derive(Debug, Clone)]
 pub(crate) struct BoundPort {
     pub(crate) name: std::sync::Arc<str>,
@@ -231,20 +231,20 @@ pub(crate) struct BoundPort {
 /// Why a port could not be read or written.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum PortError {
-    /// The tree file says nothing, and there is no default.
+    /// The tree file does not set the port, and there is no default.
     #[error("port `{0}` is not set in the tree")]
     Unset(String),
     /// The entry behind the port has never been written.
     #[error("the blackboard entry behind port `{0}` has no value yet")]
     Empty(String),
-    /// The value is of another type.
+    /// The value has another type.
     #[error("port `{port}` holds `{value}`: expected {expected}")]
     Type {
         /// The port.
         port: String,
-        /// What it holds.
+        /// The value.
         value: String,
-        /// What was wanted.
+        /// The expected type.
         expected: String,
     },
     /// A literal cannot be written to.

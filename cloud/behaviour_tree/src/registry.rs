@@ -1,4 +1,4 @@
-//! Registry. Which nodes may a tree use? Every node has a specification; most have an implementation too.
+//! Registry. Which nodes may a tree use? Every node has a specification; most also have an implementation.
 //!
 //! A node that is only declared can be validated and drawn, but not ticked.
 
@@ -9,7 +9,7 @@ use super::nodes::{self, MakeBuiltin, Row};
 use super::ports::{Direction, LiteralRules, PortSpec, PortType};
 use super::status::Status;
 
-/// What kind of node it is, as Groot2 names them.
+/// Category of a node, as named by Groot2.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Category {
     /// A leaf with an effect.
@@ -50,20 +50,20 @@ impl Category {
     }
 }
 
-/// What a node offers: its id, its kind, its ports, how many children it takes.
+/// Specification of a node: its id, category, ports, and number of children.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NodeSpec {
     /// Registration id, unique in a registry.
     pub id: String,
-    /// What kind of node it is.
+    /// Category of the node.
     pub category: Category,
-    /// Its ports, in the order to show them.
+    /// Its ports, in display order.
     pub ports: Vec<PortSpec>,
-    /// Fewest and most children.
+    /// Least and greatest number of children.
     pub children: (usize, usize),
-    /// Accepts attributes that are no declared port (leaves that a simulation makes up).
+    /// Whether it accepts attributes without a declared port (leaves invented by a simulation).
     pub open: bool,
-    /// What it does, in a line.
+    /// One-line description.
     pub doc: String,
 }
 
@@ -100,7 +100,7 @@ impl NodeSpec {
         NodeSpec::new(Category::Decorator, id, doc)
     }
 
-    /// A control node that takes between `least` and `most` children.
+    /// A control node with between `least` and `most` children.
     pub fn control(id: &str, doc: &str, least: usize, most: usize) -> NodeSpec {
         NodeSpec {
             children: (least, most),
@@ -108,7 +108,7 @@ impl NodeSpec {
         }
     }
 
-    /// A SubTree node: its ports are the names that it remaps.
+    /// A SubTree node: its ports are the names it remaps.
     pub(crate) fn subtree(id: &str) -> NodeSpec {
         NodeSpec {
             open: true,
@@ -116,7 +116,7 @@ impl NodeSpec {
         }
     }
 
-    /// Adds an input port that a tree must set.
+    /// Adds an input port that the tree file must set.
     pub fn input(self, name: &str, kind: PortType, doc: &str) -> NodeSpec {
         self.port(name, Direction::Input, kind, None, true, doc)
     }
@@ -126,12 +126,12 @@ impl NodeSpec {
         self.port(name, Direction::Input, kind, Some(default), false, doc)
     }
 
-    /// Adds an input port that a tree may leave out.
+    /// Adds an input port that the tree file may omit.
     pub fn input_optional(self, name: &str, kind: PortType, doc: &str) -> NodeSpec {
         self.port(name, Direction::Input, kind, None, false, doc)
     }
 
-    /// Adds an output port. A tree may leave it out.
+    /// Adds an output port, which the tree file may omit.
     pub fn output(self, name: &str, kind: PortType, doc: &str) -> NodeSpec {
         self.port(name, Direction::Output, kind, None, false, doc)
     }
@@ -162,13 +162,13 @@ impl NodeSpec {
         self
     }
 
-    /// The port of that name.
+    /// The port with this name.
     pub fn find_port(&self, name: &str) -> Option<&PortSpec> {
         self.ports.iter().find(|port| port.name == name)
     }
 }
 
-/// What a factory knows of the node it makes a leaf for.
+/// Information for a factory about the node that its leaf belongs to.
 #[derive(Debug, Clone, Copy)]
 pub struct LeafSite<'a> {
     /// Registration id.
@@ -177,28 +177,28 @@ pub struct LeafSite<'a> {
     pub name: &'a str,
     /// The node's number.
     pub uid: u16,
-    /// What the node offers.
+    /// Specification of the node.
     pub spec: &'a NodeSpec,
 }
 
 type MakeLeaf<C> = Box<dyn Fn(LeafSite<'_>) -> Box<dyn Leaf<C>> + Send + Sync>;
 type MakeDecorator<C> = Box<dyn Fn(LeafSite<'_>) -> Box<dyn Decorator<C>> + Send + Sync>;
 
-/// How a node is made.
+/// How a node is constructed.
 pub(crate) enum Make<C> {
     Builtin(MakeBuiltin<C>),
     Leaf(MakeLeaf<C>),
     Decorator(MakeDecorator<C>),
-    /// Known, but nothing here does it.
+    /// Known, but without an implementation.
     Declared,
 }
 
-/// An id that is registered already.
+/// An id that is already registered.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("a node `{0}` is registered already")]
 pub struct DuplicateNode(pub String);
 
-/// The nodes that trees over the context `C` may use: the built-in ones and those added.
+/// The nodes available to trees over the context `C`: the built-in ones and the added ones.
 pub struct Registry<C> {
     nodes: BTreeMap<String, (NodeSpec, Make<C>)>,
     enums: BTreeMap<String, i64>,
@@ -237,7 +237,7 @@ impl<C> Registry<C> {
         self.add(spec, Make::Leaf(Box::new(make)))
     }
 
-    /// Adds a leaf that is one function, asked on every tick.
+    /// Adds a leaf consisting of a single function, called on every tick.
     ///
     /// # Errors
     /// [`DuplicateNode`] if its id is taken.
@@ -261,12 +261,12 @@ impl<C> Registry<C> {
         self.add(spec, Make::Decorator(Box::new(make)))
     }
 
-    /// Makes a node known without an implementation. Does nothing if its id is taken.
+    /// Declares a node without an implementation. Does nothing if its id is taken.
     pub fn declare(&mut self, spec: NodeSpec) {
         self.nodes.entry(spec.id.clone()).or_insert((spec, Make::Declared));
     }
 
-    /// Nodes that are declared and that nothing implements, sorted by id.
+    /// Declared nodes without an implementation, sorted by id.
     pub fn declared(&self) -> impl Iterator<Item = &NodeSpec> {
         self.nodes
             .values()
@@ -274,17 +274,17 @@ impl<C> Registry<C> {
             .map(|(spec, _)| spec)
     }
 
-    /// A name for a number in scripts, and in the `case_*` ports of Switch.
+    /// Defines a name for a number in scripts, and in the `case_*` ports of Switch.
     pub fn name_number(&mut self, name: impl Into<String>, number: i64) {
         self.enums.insert(name.into(), number);
     }
 
-    /// Accepts leaves that nothing declares, and implements every leaf that is only declared.
+    /// Accepts undeclared leaves, and implements every leaf that is only declared.
     pub fn invent_unknown_leaves(&mut self, make: impl Fn(LeafSite<'_>) -> Box<dyn Leaf<C>> + Send + Sync + 'static) {
         self.unknown = Some(Box::new(make));
     }
 
-    /// How literals of structured types ([`PortType::Data`]) are written; without it, as JSON.
+    /// Sets the format of literals of structured types ([`PortType::Data`]); without it, JSON.
     pub fn literals(&mut self, rules: LiteralRules) {
         self.literals = Some(rules);
     }
@@ -294,7 +294,7 @@ impl<C> Registry<C> {
         self.nodes.get(id).map(|(spec, _)| spec)
     }
 
-    /// Every specification, built-in ones first, each part sorted by id.
+    /// All specifications, built-in ones first, each group sorted by id.
     pub fn specs(&self) -> impl Iterator<Item = &NodeSpec> {
         let part = |builtin: bool| {
             self.nodes

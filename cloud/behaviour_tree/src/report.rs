@@ -1,4 +1,4 @@
-//! Report. How is a tree shown? One record per node for publishing, and a drawing for a terminal.
+//! Report. How is a tree displayed? One record per node for publishing, and a drawing for a terminal.
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value as Json;
@@ -9,10 +9,10 @@ use super::status::Status;
 use super::tree::Tree;
 use super::value::Value;
 
-/// One node as others see it.
+/// One node as displayed.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct NodeReport {
-    /// Number of the node: its place in document order, SubTrees unfolded, from 1.
+    /// Number of the node: its position in document order with SubTrees unfolded, from 1.
     pub uid: u16,
     /// Number of its parent; `None` for the root.
     pub parent: Option<u16>,
@@ -20,26 +20,26 @@ pub struct NodeReport {
     pub depth: u16,
     /// `name` in the tree file, or the registration id.
     pub name: String,
-    /// Registration id; of a SubTree, the id of its tree.
+    /// Registration id; for a SubTree, the id of its tree.
     pub id: String,
     /// `Action`, `Condition`, `Control`, `Decorator`, `SubTree`.
     pub category: String,
     /// As its parent sees it.
     pub status: Status,
-    /// What it answered last: stays when the parent resets it.
+    /// Its last answer: kept when the parent resets it.
     pub last: Status,
-    /// How often it was entered from not `Running`.
+    /// How often it was entered from a status other than `Running`.
     pub starts: u32,
-    /// What a leaf says about itself.
+    /// A leaf's own feedback.
     pub feedback: String,
 }
 
-/// Longest word for a value, characters.
+/// Longest text for a value, characters.
 const LONGEST: usize = 60;
-/// Most fields of structured data that are named.
+/// Most fields of structured data that are shown.
 const FIELDS: usize = 4;
 
-/// A value in few words; a path of a thousand poses costs no more than its length.
+/// A short text for a value; a path of a thousand poses is shown by its length only.
 fn words(value: &Value) -> String {
     let inner = |value: &Json| match value {
         Json::Number(number) => number
@@ -94,17 +94,17 @@ impl<C> Tree<C> {
         })
     }
 
-    /// Number, status and last answer of every node: what changes from tick to tick, without a
-    /// copy of a name.
+    /// Number, status and last answer of every node: the part that changes from tick to tick, without copying names.
     pub fn statuses(&self) -> impl Iterator<Item = (u16, Status, Status)> + '_ {
         (1_u16..)
             .zip(&self.states)
             .map(|(uid, state)| (uid, state.status, state.last))
     }
 
-    /// The ports of a node and what is on them now, as `(port, words)`; a port without a value is left out.
+    /// The ports of a node and their present values, as `(port, text)`; a port without a value is left out.
     ///
-    /// `uid` as in [`NodeReport`]; an unknown one has no ports. Words are short, whatever the value: structured data is told by its fields.
+    /// `uid` as in [`NodeReport`]; an unknown one has no ports. The texts are short for any value: structured data is described by its
+    /// fields.
     pub fn port_values(&self, uid: u16) -> impl Iterator<Item = (&str, String)> {
         let info = usize::from(uid).checked_sub(1).and_then(|index| self.infos.get(index));
         let ports = info.map(|info| &*info.ports).unwrap_or_default();
@@ -118,7 +118,7 @@ impl<C> Tree<C> {
         })
     }
 
-    /// The tree drawn with lines, a node a row: name, id, status where it has one, feedback.
+    /// The tree drawn with lines, one node per row: name, id, status if any, feedback.
     pub fn render(&self) -> String {
         let mut drawn = String::new();
         let mut todo: Vec<(NodeId, String, String)> = vec![(0, String::new(), String::new())];

@@ -1,9 +1,9 @@
-//! Simulation. What would a tree do if its leaves answered so? A tree is ticked against a script, in simulated
-//! time, without a robot.
+//! Simulation. What would a tree do if its leaves answered in a given way? The tree is ticked against a script, in simulated time, without
+//! a robot.
 //!
-//! The script says how each leaf answers, by registration id or by `name`: which of its starts
-//! fail, how long a start takes, what a failure writes. Actions that are not named succeed at once;
-//! conditions that the blackboard or the simulated time decides are decided; the others fail.
+//! The script defines how each leaf answers, by registration id or by `name`: which of its starts fail, how long a start takes, what a
+//! failure writes. Actions not named in it succeed at once; conditions that depend only on the blackboard or the simulated time are
+//! evaluated; all other conditions fail.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -25,13 +25,13 @@ pub struct Script {
     /// Simulated time between two ticks, ms; at least 1.
     #[serde(deserialize_with = "tick_period")]
     pub tick_period_ms: u64,
-    /// Simulated time after which a tree that still runs is stopped, ms.
+    /// Simulated time after which a running tree is stopped, ms.
     pub timeout_ms: u64,
-    /// Leaves by registration id or by `name`; the name goes before.
+    /// Leaves by registration id or by `name`; the name takes precedence.
     pub leaves: BTreeMap<String, LeafScript>,
     /// Entries of the root blackboard before the first tick.
     pub blackboard: BTreeMap<String, serde_json::Value>,
-    /// Writes to the blackboard that a leaf's start triggers.
+    /// Writes to the blackboard triggered by a leaf's start.
     pub events: Vec<Event>,
 }
 
@@ -47,7 +47,7 @@ impl Default for Script {
     }
 }
 
-/// A period that time gets on with.
+/// A tick period; 0 would stop the time.
 fn tick_period<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u64, D::Error> {
     match u64::deserialize(deserializer)? {
         0 => Err(D::Error::custom("`tick_period_ms` is 0: expected at least 1")),
@@ -63,9 +63,9 @@ pub struct LeafScript {
     pub fail: Vec<(u64, u64)>,
     /// How long a start stays `Running`, ms.
     pub run_ms: u64,
-    /// Output ports to write when it fails.
+    /// Output ports to write on failure.
     pub set: BTreeMap<String, serde_json::Value>,
-    /// What the other starts end with, `Success` by default; `RUNNING` never ends.
+    /// Result of the other starts, `Success` by default; `RUNNING` never ends.
     pub status: Option<Status>,
 }
 
@@ -73,7 +73,7 @@ pub struct LeafScript {
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Event {
-    /// When it happens.
+    /// Its trigger.
     pub when: When,
     /// Entries of the root blackboard to set.
     pub set: BTreeMap<String, serde_json::Value>,
@@ -85,28 +85,28 @@ pub struct Event {
 pub struct When {
     /// The leaf, by registration id or by `name`.
     pub leaf: String,
-    /// Its starts, from 1.
+    /// Number of the start, from 1.
     pub starts: u64,
 }
 
-/// How a simulation ended.
+/// Result of a simulation.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Outcome {
-    /// What the root answered last; `RUNNING` after a time-out, `FAILURE` after an error.
+    /// The root's last answer; `RUNNING` after a time-out, `FAILURE` after an error.
     pub status: Status,
     /// How often the tree was ticked.
     pub ticks: u64,
     /// Simulated time from the first tick to the last, ms.
     pub sim_time_ms: u64,
-    /// How often each leaf was started (entered from not `Running`), by registration id; those
-    /// that the script calls by `name` also by name.
+    /// How often each leaf was started (entered from a status other than `Running`), by registration id; leaves that the script calls by
+    /// `name` also by name.
     pub counts: BTreeMap<String, u64>,
     /// Whether the simulated time ran out.
     pub timed_out: bool,
-    /// The node in error that ended the tree, if one did.
+    /// The node error that ended the tree, if any.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub error: Option<String>,
-    /// What in the script had no effect.
+    /// Parts of the script that had no effect.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub warnings: Vec<String>,
 }
@@ -121,7 +121,7 @@ pub struct Simulation {
     warnings: Vec<String>,
 }
 
-/// Nodes whose leaves follow a script: the built-in ones, Nav2's (feature `nav2`), and whatever leaf a tree names.
+/// Nodes whose leaves follow a script: the built-in ones, Nav2's (feature `nav2`), and any leaf named in a tree.
 pub fn registry() -> Registry<Simulation> {
     let mut registry = unscripted::registry();
     registry.invent_unknown_leaves(|site| {
@@ -134,13 +134,13 @@ pub fn registry() -> Registry<Simulation> {
     registry
 }
 
-/// What nodes do that the script does not name.
+/// Behaviour of nodes not named in the script.
 #[cfg(feature = "nav2")]
 mod unscripted {
     pub(super) use crate::nav2::{scripted_condition as condition, scripted_registry as registry, succeed};
 }
 
-/// What nodes do that the script does not name.
+/// Behaviour of nodes not named in the script.
 #[cfg(not(feature = "nav2"))]
 mod unscripted {
     use super::{Leaf, LeafIo, Registry, Simulation, Status};
@@ -158,10 +158,10 @@ mod unscripted {
     }
 }
 
-/// Builds the tree of a file and plays a script to it.
+/// Builds the tree of a file and simulates it with a script.
 ///
 /// # Errors
-/// Everything that is wrong with the tree file.
+/// All errors in the tree file.
 pub fn simulate(
     file: &str,
     bytes: &[u8],
@@ -173,7 +173,7 @@ pub fn simulate(
     Ok(play(&mut tree, script))
 }
 
-/// Plays a script to a tree built over [`registry`].
+/// Simulates a tree built over [`registry`] with a script.
 pub fn play(tree: &mut Tree<Simulation>, script: &Script) -> Outcome {
     let mut simulation = Simulation::new(script.clone());
     for (key, value) in &script.blackboard {
@@ -230,7 +230,7 @@ fn run(
             Err(error) => return (Status::Failure, ticks, now, Some(error.to_string())),
             Ok(Status::Running) if now.saturating_add(period) <= script.timeout_ms => now += period,
             Ok(status) => {
-                // A script that fails on halting no longer changes the outcome.
+                // A script that fails while halting no longer changes the outcome.
                 let halted = tree.halt(Duration::from_millis(now), simulation);
                 return (status, ticks, now, halted.err().map(|error| error.to_string()));
             }
@@ -238,15 +238,15 @@ fn run(
     }
 }
 
-/// A leaf that answers as the script says.
+/// A leaf that answers according to the script.
 struct Scripted {
     condition: bool,
     inner: Option<Box<dyn Leaf<Simulation>>>,
-    /// The ports that its specification names.
+    /// The ports in its specification.
     ports: Vec<String>,
 }
 
-/// A start that has not ended: when it began, ns, and its number.
+/// A start in progress: its time, ns, and its number.
 type Begun = (u64, u64);
 
 impl Leaf<Simulation> for Scripted {
@@ -319,7 +319,7 @@ impl Leaf<Simulation> for Scripted {
 }
 
 impl Simulation {
-    /// Leaves that answer by this script, none of which has been started.
+    /// The context for leaves that follow this script; none has been started.
     pub fn new(script: Script) -> Simulation {
         Simulation {
             happened: vec![false; script.events.len()],
@@ -352,7 +352,7 @@ impl Simulation {
         }
     }
 
-    /// Sets what the events of this start set.
+    /// Applies the writes of the events triggered by this start.
     fn trigger(&mut self, io: &mut LeafIo<'_>, by_id: u64, by_name: u64) {
         for (event, happened) in self.script.events.iter().zip(&mut self.happened) {
             let now = (event.when.leaf == io.name() && event.when.starts == by_name)

@@ -1,8 +1,7 @@
-//! Snapshot. How does a running tree survive the end of its process? As plain data: the state of every node,
-//! the blackboard, what the leaves remember.
+//! Snapshot. How does a running tree survive the end of its process? As plain data: the state of every node, the blackboard, and the
+//! leaves' memories.
 //!
-//! Time in a snapshot is the time the tree was ticked with; whoever restores it goes on with the
-//! same epoch.
+//! Time in a snapshot is the time passed to the ticks; after a restore, ticks must continue with the same epoch.
 
 use std::collections::BTreeMap;
 
@@ -13,7 +12,7 @@ use super::node::{Memory, NodeState};
 use super::status::Status;
 use super::tree::Tree;
 
-/// Layout of [`TreeSnapshot`]; another one is refused.
+/// Layout version of [`TreeSnapshot`]; any other is refused.
 const VERSION: u32 = 1;
 
 /// A tree between two ticks.
@@ -25,7 +24,7 @@ pub struct TreeSnapshot {
     shape: u64,
     states: Vec<NodeState>,
     blackboard: Blackboard,
-    /// What leaves remember, by uid.
+    /// Memories of leaves, by uid.
     memories: BTreeMap<u16, Kept>,
 }
 
@@ -35,7 +34,7 @@ struct Kept {
     kept: serde_json::Value,
 }
 
-/// Why a snapshot does not fit.
+/// Why a snapshot does not match.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum RestoreError {
     /// Written by another version of the engine.
@@ -50,7 +49,7 @@ pub enum RestoreError {
 }
 
 impl<C> Tree<C> {
-    /// The tree as data. Taken between ticks; a leaf inside a tick has not finished remembering.
+    /// The tree as data. Must be taken between ticks: during a tick, a leaf may not have finished remembering.
     pub fn snapshot(&self) -> TreeSnapshot {
         let memories = (1_u16..)
             .zip(&self.memories)
@@ -73,11 +72,11 @@ impl<C> Tree<C> {
         }
     }
 
-    /// Continues where the snapshot was taken. Leaves that were `Running` are asked to
-    /// [`resume`](super::Leaf::resume) in the next tick, not to start.
+    /// Continues where the snapshot was taken. In the next tick, leaves that were `Running` are [resumed](super::Leaf::resume) instead of
+    /// started.
     ///
     /// # Errors
-    /// [`RestoreError`]; the tree is then as it was.
+    /// [`RestoreError`]; the tree is then unchanged.
     pub fn restore(&mut self, snapshot: TreeSnapshot) -> Result<(), RestoreError> {
         if snapshot.version != VERSION {
             return Err(RestoreError::Version(snapshot.version));

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// What a node answered, or `Idle` before it is asked and after its parent has reset it.
+/// A node's last answer, or `Idle` before its first tick and after a reset by its parent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
 #[serde(rename_all = "UPPERCASE")]
 pub enum Status {
@@ -11,21 +11,21 @@ pub enum Status {
     Idle,
     /// Started, not finished: tick again.
     Running,
-    /// Finished; the aim was reached.
+    /// Finished; the goal was reached.
     Success,
-    /// Finished; the aim was not reached.
+    /// Finished; the goal was not reached.
     Failure,
-    /// Not applicable now: the parent goes on as if the node were not there.
+    /// Not applicable now: the parent continues as if the node did not exist.
     Skipped,
 }
 
 impl Status {
-    /// `Success` if something holds, else `Failure`.
+    /// `Success` if the argument is true, else `Failure`.
     pub fn from_truth(holds: bool) -> Status {
         if holds { Status::Success } else { Status::Failure }
     }
 
-    /// `Skipped` where that is all that the children were, else this.
+    /// `Skipped` if all children were skipped, else this status.
     pub(crate) fn unless_skipped(self, skipped: bool) -> Status {
         if skipped { Status::Skipped } else { self }
     }
@@ -40,7 +40,7 @@ impl Status {
         !matches!(self, Status::Idle | Status::Skipped)
     }
 
-    /// The name that the ecosystem writes: `SUCCESS`, `FAILURE`, …
+    /// The name used in the ecosystem: `SUCCESS`, `FAILURE`, …
     pub fn as_str(self) -> &'static str {
         match self {
             Status::Idle => "IDLE",
@@ -51,7 +51,7 @@ impl Status {
         }
     }
 
-    /// The status of that name, whatever its case.
+    /// The status with this name, in any case.
     pub fn from_name(name: &str) -> Option<Status> {
         [
             Status::Idle,

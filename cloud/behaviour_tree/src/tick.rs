@@ -1,11 +1,10 @@
-//! Tick. How does it go through a tree? Depth first from the root, one node asking its children.
+//! Tick. How does a tick traverse a tree? Depth first from the root; each node ticks its children.
 //!
-//! This file has what all nodes share: scripts before and after (`_skipIf` … `_post`), the status
-//! that a node keeps, reset and halt. What each node does stands in the file of its family.
-//! Nothing here allocates unless a node fails with an error.
+//! This file has what all nodes share: scripts before and after (`_skipIf` … `_post`), the node's stored status, reset and halt. The
+//! behaviour of each node is in the file of its family. Nothing here allocates unless a node fails with an error.
 //!
-//! A node halts exactly once for every start that it did not finish: [`Run::reset`] halts what is
-//! `Running` and nothing else, and leaves it `Idle`.
+//! A node is halted exactly once for every start that it did not finish: [`Run::reset`] halts a node only if it is `Running`, and leaves it
+//! `Idle`.
 
 use std::time::Duration;
 
@@ -17,30 +16,30 @@ use super::script::Program;
 use super::status::Status;
 use super::value::{FromValue, Value};
 
-/// A node in error ends the tick; which and why stands in [`Run::fault`].
+/// A node error ends the tick; the node and the reason are in [`Run::fault`].
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Stop;
 
-/// What a tick of a node comes to.
+/// Result of ticking a node.
 pub(crate) type Answer = Result<Status, Stop>;
 
-/// What ended a tick.
+/// Error that ended a tick.
 #[derive(Debug)]
 pub(crate) struct Fault {
     pub(crate) node: NodeId,
     pub(crate) message: String,
 }
 
-/// Node visits in one tick of the root: beyond it a loop in the tree does not end.
+/// Most node visits in one tick of the root: more mean that a loop in the tree does not end.
 const VISITS: u32 = 1_000_000;
 
-/// Code from outside that is a node.
+/// External code of a node.
 pub(crate) enum Body<C> {
     Leaf(Box<dyn Leaf<C>>),
     Decorator(Box<dyn Decorator<C>>),
 }
 
-/// One tick under way: the tree taken apart into what is fixed and what changes.
+/// One tick in progress: the tree split into fixed and changing parts.
 pub(crate) struct Run<'a, C> {
     pub(crate) nodes: &'a [Node<C>],
     pub(crate) infos: &'a [Info],
@@ -52,7 +51,7 @@ pub(crate) struct Run<'a, C> {
     pub(crate) ctx: &'a mut C,
     pub(crate) now: Duration,
     pub(crate) now_ns: u64,
-    /// A node asks for another tick at once.
+    /// Whether a node requests another tick at once.
     pub(crate) wake: bool,
     pub(crate) changes: u64,
     pub(crate) visits: u32,
@@ -60,7 +59,7 @@ pub(crate) struct Run<'a, C> {
 }
 
 impl<'a, C> Run<'a, C> {
-    /// Ticks a node and keeps its answer as its status.
+    /// Ticks a node and stores its answer as its status.
     pub(crate) fn exec(&mut self, id: NodeId) -> Answer {
         self.visits += 1;
         if self.visits > VISITS {
@@ -117,8 +116,8 @@ impl<'a, C> Run<'a, C> {
         }
     }
 
-    /// `_failureIf`, `_successIf`, `_skipIf` in this order before a node starts; `_while` before
-    /// it starts and before every tick of it: false skips, and halts what runs.
+    /// `_failureIf`, `_successIf`, `_skipIf`, in this order, before a node starts; `_while` before it starts and before each of its ticks:
+    /// if false, the node is skipped, and halted if running.
     fn before(&mut self, id: NodeId, guards: &Guards, status: Status) -> Result<Option<Status>, Stop> {
         let starting = !status.is_active();
         if starting {
@@ -144,7 +143,7 @@ impl<'a, C> Run<'a, C> {
         Ok(None)
     }
 
-    /// `_onSuccess` or `_onFailure`, then `_post`, once the node has completed.
+    /// `_onSuccess` or `_onFailure`, then `_post`, after the node has completed.
     fn after(&mut self, id: NodeId, guards: &Guards, status: Status) -> Result<(), Stop> {
         let own = if status == Status::Success {
             &guards.on_success
@@ -157,7 +156,7 @@ impl<'a, C> Run<'a, C> {
         Ok(())
     }
 
-    /// Puts a node back to `Idle`; one that is `Running` is halted first.
+    /// Sets a node back to `Idle`; a `Running` node is halted first.
     pub(crate) fn reset(&mut self, id: NodeId) {
         if self.states[id as usize].status == Status::Running {
             self.halt(id);
@@ -179,7 +178,7 @@ impl<'a, C> Run<'a, C> {
         }
     }
 
-    /// Ends an activation with this answer: every child is reset, `cursor` and `count` begin anew.
+    /// Ends an activation with this answer: every child is reset, `cursor` and `count` start over.
     pub(crate) fn finish(&mut self, id: NodeId, status: Status) -> Status {
         self.reset_children(id);
         let state = &mut self.states[id as usize];
@@ -210,8 +209,8 @@ impl<'a, C> Run<'a, C> {
         }
     }
 
-    /// After a fault: halts every leaf that runs, whatever its ancestors' statuses say; controls begin anew, those too that had not answered
-    /// yet.
+    /// After a fault: halts every running leaf, whatever its ancestors' statuses; all controls start over, including those that had not
+    /// answered yet.
     pub(crate) fn halt_everything(&mut self) {
         for id in (0..self.nodes.len() as NodeId).rev() {
             self.reset(id);
@@ -252,7 +251,7 @@ impl<'a, C> Run<'a, C> {
         match io.abort {
             None => Ok(status),
             Some(why) => {
-                // It has ended itself: nothing is left to halt.
+                // The leaf has ended itself: nothing is left to halt.
                 self.states[id as usize].status = Status::Idle;
                 Err(self.fault(id, why))
             }
@@ -339,7 +338,7 @@ impl<'a, C> Run<'a, C> {
         self.exec_and_reset(child)
     }
 
-    /// Notes what went wrong; the first fault of a tick is the one that is told.
+    /// Records a fault; the first fault of a tick is the one reported.
     pub(crate) fn fault(&mut self, node: NodeId, message: String) -> Stop {
         self.fault.get_or_insert_with(|| Box::new(Fault { node, message }));
         Stop
@@ -354,7 +353,7 @@ impl<'a, C> Run<'a, C> {
         }
     }
 
-    /// Reads a port of a built-in node that cannot do without it.
+    /// Reads a port that a built-in node requires.
     pub(crate) fn read<T: FromValue>(&mut self, id: NodeId, port: &str, source: &Source) -> Result<T, Stop> {
         let why = match self.value(source) {
             Some(value) => match T::from_value(value) {

@@ -1,5 +1,4 @@
-//! Tree. How does it run? A tick asks the root, and asks again at once while a node wants to be
-//! woken (BehaviorTree.CPP's `tickOnce`).
+//! Tree. How is a tree run? A tick ticks the root, and again at once while a node asks to be woken (BehaviorTree.CPP's `tickOnce`).
 
 use std::time::Duration;
 
@@ -10,13 +9,12 @@ use super::status::Status;
 use super::tick::{Body, Run, Stop};
 use super::value::Value;
 
-/// Most rounds of one tick: an endless retry of what fails at once goes on in the next tick.
+/// Most rounds of one tick: an endless retry of a child that fails at once continues in the next tick.
 const ROUNDS: u32 = 1_000;
-/// Node visits after which a tick is not prolonged by a node that wants to be woken.
+/// Node visits after which a tick is not extended by a node that asks to be woken.
 const ROUND_VISITS: u32 = 100_000;
 
-/// A node in error: a script that cannot be computed, a port without a value, a leaf that aborts.
-/// The whole tree has been halted.
+/// A node error: a script that cannot be evaluated, a port without a value, a leaf that aborts. The whole tree has been halted.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{path} (node {uid}): {message}")]
 pub struct TickError {
@@ -24,7 +22,7 @@ pub struct TickError {
     pub uid: u16,
     /// Names from the root to the node, joined by `/`.
     pub path: String,
-    /// What went wrong and what was expected.
+    /// The error, and what was expected.
     pub message: String,
 }
 
@@ -49,17 +47,17 @@ impl<C> std::fmt::Debug for Tree<C> {
 }
 
 impl<C> Tree<C> {
-    /// Id of the tree that is the root.
+    /// Id of the root tree.
     pub fn id(&self) -> &str {
         &self.id
     }
 
-    /// How many nodes there are, SubTrees unfolded.
+    /// Number of nodes, SubTrees unfolded.
     pub fn len(&self) -> usize {
         self.nodes.len()
     }
 
-    /// Never: a tree has a root.
+    /// Always false: a tree has a root.
     pub fn is_empty(&self) -> bool {
         self.nodes.is_empty()
     }
@@ -69,7 +67,7 @@ impl<C> Tree<C> {
         self.states.first().map_or(Status::Idle, |root| root.status)
     }
 
-    /// The blackboard; names given to it are those of the root scope.
+    /// The blackboard; keys refer to the root scope.
     pub fn blackboard(&self) -> &Blackboard {
         &self.board
     }
@@ -79,25 +77,25 @@ impl<C> Tree<C> {
         &mut self.board
     }
 
-    /// Counts every change that a restart must not lose: another answer of a node, a halt, a
-    /// write to an entry or to a leaf's memory. While it stands still, a stored snapshot is still
-    /// good, counters of starts aside.
+    /// Counts every change that a restart must not lose: a new answer of a node, a halt, a write to an entry or to a leaf's memory. While
+    /// it does not change, a stored snapshot stays valid, except for the counters of starts.
     pub fn revision(&self) -> u64 {
         let remembered: u64 = self.memories.iter().map(|memory| memory.writes).sum();
         self.changes.wrapping_add(self.board.writes()).wrapping_add(remembered)
     }
 
-    /// Whether the tree can be paused from outside: it has a `PauseResumeController`.
+    /// Whether the tree can be paused on request: it has a `PauseResumeController`.
     pub fn can_pause(&self) -> bool {
         self.pause_entries().next().is_some()
     }
 
-    /// Asks every `PauseResumeController` to pause, or to resume; `false`, and nobody is asked, where an entry for it has another type.
+    /// Asks every `PauseResumeController` to pause, or to resume; if one of their entries has an incompatible type, none is asked, and the
+    /// result is `false`.
     pub fn ask_to_pause(&mut self, resume: bool) -> bool {
         let entries = self
             .pause_entries()
             .map(|entries| if resume { entries.resume } else { entries.pause });
-        // Another text each time, so that the request is stored.
+        // A different text each time, so that the request is stored.
         let requests: Vec<(Slot, Value)> = entries
             .map(|slot| {
                 (
@@ -116,7 +114,7 @@ impl<C> Tree<C> {
                 .all(|(slot, value)| self.board.write(slot, value).is_ok())
     }
 
-    /// What stands in the entries of the `PauseResumeController`s by now is no request to them.
+    /// Makes the `PauseResumeController`s ignore earlier writes to their entries.
     pub fn forget_pauses(&mut self) {
         for (node, state) in self.nodes.iter().zip(&mut self.states) {
             if let Role::Builtin(builtin) = &node.role
@@ -135,31 +133,29 @@ impl<C> Tree<C> {
         })
     }
 
-    /// Ticks the tree at the time `now` (since any epoch, never going back), and again at once
-    /// while a node wants to be woken. `Success`, `Failure` or `Skipped` ends the run: the next
-    /// tick starts anew.
+    /// Ticks the tree at the time `now` (since any epoch, never decreasing), and again at once while a node asks to be woken. `Success`,
+    /// `Failure` or `Skipped` ends the run: the next tick starts over.
     ///
     /// Cost: no allocation unless a leaf or a text makes one.
     ///
     /// # Errors
-    /// [`TickError`]: a node in error. Every running leaf has been halted.
+    /// [`TickError`]: a node error. Every running leaf has been halted.
     pub fn tick(&mut self, now: Duration, ctx: &mut C) -> Result<Status, TickError> {
         self.run(now, ctx, ROUNDS)
     }
 
-    /// As [`Tree::tick`], but asks the root exactly once.
+    /// As [`Tree::tick`], but ticks the root exactly once.
     ///
     /// # Errors
-    /// [`TickError`]: a node in error. Every running leaf has been halted.
+    /// [`TickError`]: a node error. Every running leaf has been halted.
     pub fn tick_exactly_once(&mut self, now: Duration, ctx: &mut C) -> Result<Status, TickError> {
         self.run(now, ctx, 1)
     }
 
-    /// Halts whatever runs; every node is `Idle` afterwards. `SequenceWithMemory` and `RunOnce`
-    /// keep what they keep.
+    /// Halts all running nodes; every node is `Idle` afterwards. `SequenceWithMemory` and `RunOnce` keep their memory.
     ///
     /// # Errors
-    /// [`TickError`] of a script that runs on halting; the tree is halted nevertheless.
+    /// [`TickError`] from a script that runs on halting; the tree is halted nevertheless.
     pub fn halt(&mut self, now: Duration, ctx: &mut C) -> Result<(), TickError> {
         let mut run = self.take_apart(now, ctx);
         run.reset(0);
@@ -181,7 +177,7 @@ impl<C> Tree<C> {
             }
             answer = run.exec(0);
         }
-        // A script that failed while something was halted is a fault of the tick too.
+        // A script that failed during a halt is also a fault of the tick.
         if run.fault.is_some() {
             answer = Err(Stop);
         }

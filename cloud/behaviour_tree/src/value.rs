@@ -1,13 +1,12 @@
-//! Value. What can a blackboard entry or a port hold? Four scalars and structured data.
+//! Value. What can a blackboard entry or a port hold? Four scalar types and structured data.
 //!
-//! Conversions follow BehaviorTree.CPP: text is read as what the reader wants, numbers are cast
-//! only where nothing is lost.
+//! Conversions follow BehaviorTree.CPP: text is read as the reader's type, and numbers are cast only without loss.
 
 use std::sync::Arc;
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// The type that an entry keeps once it has been assigned.
+/// The type that an entry keeps after its first assignment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ValueType {
@@ -42,12 +41,12 @@ pub enum Value {
 const EXACT: i64 = 1 << 53;
 
 impl Value {
-    /// Text from anything that is text.
+    /// A text value.
     pub fn text(text: impl AsRef<str>) -> Value {
         Value::Text(Arc::from(text.as_ref()))
     }
 
-    /// Structured data from anything serde can write.
+    /// Structured data from any serialisable value.
     ///
     /// # Errors
     /// What serde_json reports, for example a map whose keys are not text.
@@ -66,8 +65,8 @@ impl Value {
         }
     }
 
-    /// A JSON scalar as a scalar, anything longer as data; `None` for null, and for what is nested more than [`MOST_NESTED`] deep: a stored
-    /// tree that holds it must be read again.
+    /// A JSON scalar as a scalar, an array or object as data; `None` for null, and for JSON nested more than [`MOST_NESTED`] deep, which
+    /// could not be read back from a stored tree.
     pub fn from_json(json: &serde_json::Value) -> Option<Value> {
         if !is_nested_within(json, MOST_NESTED) {
             return None;
@@ -120,7 +119,7 @@ impl Value {
         }
     }
 
-    /// As a float, if nothing is lost. Text `nan` is no number.
+    /// As a float, if nothing is lost. Text `nan` is not a number.
     pub fn as_double(&self) -> Option<f64> {
         match self {
             Value::Bool(value) => Some(f64::from(u8::from(*value))),
@@ -139,7 +138,7 @@ impl Value {
         }
     }
 
-    /// Converted to `kind` without loss; a number does not become text by itself, and text `true` becomes 1.
+    /// Converted to `kind` without loss; a number does not convert to text, and text `true` becomes 1.
     pub fn convert(&self, kind: ValueType) -> Option<Value> {
         match kind {
             ValueType::Bool => self.as_bool().map(Value::Bool),
@@ -150,7 +149,7 @@ impl Value {
             }
             ValueType::Text => match self {
                 Value::Text(_) => Some(self.clone()),
-                // Whoever reads structured data reads it from its JSON as well: a person writes lists as text.
+                // Structured data can also be read from its JSON text, because people write lists as text.
                 Value::Data(data) => Some(Value::text(data.to_string())),
                 _ => None,
             },
@@ -171,7 +170,7 @@ pub(crate) fn truth_word(text: &str) -> Option<bool> {
     }
 }
 
-/// `true`, `false`, `1`, `0`, whatever the case.
+/// `true`, `false`, `1`, `0`, in any case.
 pub(crate) fn parse_bool(text: &str) -> Option<bool> {
     let text = text.trim();
     if text == "1" || text.eq_ignore_ascii_case("true") {
@@ -213,10 +212,10 @@ value_from! {
     serde_json::Value: |data| Value::Data(Arc::new(data));
 }
 
-/// Arrays and objects inside one another, at most.
+/// Greatest nesting depth of arrays and objects.
 pub const MOST_NESTED: usize = 64;
 
-/// Whether JSON is nested no deeper than this. As deep as any reader of JSON goes, so that it may call itself.
+/// Whether JSON is nested at most this deep. Recursive, which is safe because JSON readers limit the depth.
 pub fn is_nested_within(json: &serde_json::Value, most: usize) -> bool {
     let Some(left) = most.checked_sub(1) else {
         return !(json.is_array() || json.is_object());
@@ -228,7 +227,7 @@ pub fn is_nested_within(json: &serde_json::Value, most: usize) -> bool {
     }
 }
 
-/// What a leaf may read a port as.
+/// A type as which a leaf can read a port.
 pub trait FromValue: Sized {
     /// The value, if it converts without loss.
     fn from_value(value: &Value) -> Option<Self>;
@@ -255,7 +254,7 @@ from_value! {
     Value, "a value": |value| Some(value.clone());
 }
 
-/// The stored form: tagged, so that `1`, `1.0` and `"1"` come back as what they were.
+/// The stored form: tagged, so that `1`, `1.0` and `"1"` are restored exactly.
 #[derive(Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 enum Stored {

@@ -1,4 +1,4 @@
-//! Bytes from anywhere are a tree that runs, or are refused: the fuzzer's corpus, whole and cut to pieces.
+//! Arbitrary bytes are either a tree that runs, or refused: the fuzzer's corpus, whole and cut to pieces.
 #![cfg(feature = "nav2")]
 #![allow(missing_docs, clippy::unwrap_used, reason = "tests")]
 
@@ -13,7 +13,7 @@ mod trees;
 
 use exercise::exercise;
 
-/// The files that the fuzzer begins with.
+/// The fuzzer's initial files.
 fn corpus() -> Vec<(String, Vec<u8>)> {
     let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/fuzz/corpus/tree");
     let mut files: Vec<(String, Vec<u8>)> = std::fs::read_dir(folder)
@@ -43,7 +43,7 @@ fn every_file_of_the_corpus_is_run_or_refused() {
 }
 
 proptest! {
-    /// What the fuzzer does without its compiler: pieces of the corpus in another order.
+    /// Imitates the fuzzer without its compiler: pieces of the corpus in another order.
     #[test]
     fn cut_and_joined_files_are_run_or_refused(
         files in prop::collection::vec((any::<prop::sample::Index>(), 0.0..1.0, 0.0..1.0), 1..4),

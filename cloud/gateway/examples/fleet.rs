@@ -1,5 +1,5 @@
-//! Three robots that are made up, drive in circles, and obey a stop. Prints what a browser would be told first; with `--serve` it serves the
-//! page until Ctrl-C. `cargo run -p zenav-gateway --example fleet -- --serve`
+//! Three made-up robots that drive in circles and obey a stop. Prints the first frame for a browser; with `--serve` it serves the page
+//! until Ctrl-C. `cargo run -p zenav-gateway --example fleet -- --serve`
 
 #![allow(clippy::print_stdout, reason = "an example prints")]
 
@@ -20,7 +20,7 @@ use zenav_protocol::messages::{
 
 const ROBOTS: [&str; 3] = ["anna", "bert", "carl"];
 
-/// Which robots are stopped: all that these robots can be told.
+/// The set of stopped robots: these robots know no other command.
 #[derive(Debug, Default)]
 struct Stops(Mutex<BTreeSet<String>>);
 
@@ -85,7 +85,7 @@ impl Operator for Stops {
     }
 }
 
-/// What a robot says of itself after `secs` of driving.
+/// State and pose of a robot after `secs` of driving.
 fn updates(number: usize, secs: f64, stopped: bool) -> Result<[Update; 2], serde_json::Error> {
     let (radius, speed) = (1.0 + number as f64, if stopped { 0.0 } else { 0.4 });
     let angle = 0.4 * secs / radius;

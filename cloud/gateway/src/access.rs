@@ -1,9 +1,10 @@
 //! Access. May this request use the gateway?
 //!
-//! - With a token: whoever carries it, in `Authorization: Bearer …` or, for a WebSocket in a browser, as the subprotocol `bearer.…`.
-//! - Without one the gateway listens on loopback only, and the `Host` must be a name of loopback: a page of another site whose name was
-//!   made to point here (DNS rebinding) does not pass.
-//! - A request that a browser makes for a page carries the page's origin: it must be the gateway's own, or one that the settings name.
+//! - With a token: every request that carries it, in `Authorization: Bearer …` or, for a WebSocket in a browser, as the subprotocol
+//!   `bearer.…`.
+//! - Without one the gateway listens on loopback only, and the `Host` must be a loopback name: this keeps out a page of another site whose
+//!   name was made to point here (DNS rebinding).
+//! - A browser's request for a page carries the page's origin: it must be the gateway's own, or one named in the settings.
 
 use std::net::{IpAddr, SocketAddr};
 
@@ -14,14 +15,14 @@ pub struct Access {
     origins: Vec<String>,
 }
 
-/// Why a request is turned away.
+/// Why a request is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Denied {
     /// The token is missing or wrong.
     Token,
-    /// A page of another origin asks.
+    /// The request comes from a page of another origin.
     Origin,
-    /// The gateway is addressed by a name that is not loopback's.
+    /// The request addresses the gateway by a name other than loopback's.
     Host,
 }
 
@@ -29,10 +30,10 @@ pub enum Denied {
 const SHORTEST_TOKEN: usize = 16;
 
 impl Access {
-    /// Checks that an address may be listened on with this token.
+    /// Checks that the gateway may listen on an address with this token.
     ///
     /// # Errors
-    /// In words: an address that other machines reach without a token, or a token that is too short.
+    /// A sentence: the address is reachable by other machines and there is no token, or the token is invalid.
     pub fn new(listen: SocketAddr, token: Option<String>, origins: Vec<String>) -> Result<Self, String> {
         match &token {
             None if !listen.ip().is_loopback() => Err(format!(
@@ -46,7 +47,7 @@ impl Access {
         }
     }
 
-    /// Whether a request for the page itself may pass; it holds no data.
+    /// Whether a request for the page may pass; the page holds no data.
     pub(crate) fn admit_page(&self, host: Option<&str>) -> Result<(), Denied> {
         if self.token.is_none() && !host.is_some_and(is_loopback_host) {
             return Err(Denied::Host);
@@ -54,10 +55,10 @@ impl Access {
         Ok(())
     }
 
-    /// Whether a request for data or an act may pass: by its `Host`, its `Origin`, and the token that it carries.
+    /// Whether a request for data or an action may pass, by its `Host`, its `Origin`, and its token.
     ///
     /// # Errors
-    /// Which of the three turns it away.
+    /// Which of the three is refused.
     pub fn admit(&self, host: Option<&str>, origin: Option<&str>, token: Option<&str>) -> Result<(), Denied> {
         self.admit_page(host)?;
         if let Some(origin) = origin
@@ -81,12 +82,12 @@ impl Access {
     }
 }
 
-/// Whether a browser takes this sign in the name of a WebSocket's subprotocol, which carries the token (RFC 9110, section 5.6.2).
+/// Whether a browser accepts this character in the name of a WebSocket's subprotocol, which carries the token (RFC 9110, section 5.6.2).
 fn is_token(byte: u8) -> bool {
     byte.is_ascii_alphanumeric() || b"!#$%&'*+-.^_`|~".contains(&byte)
 }
 
-/// Whether a `Host` header names loopback: an address of it, or `localhost`.
+/// Whether a `Host` header names loopback: a loopback address, or `localhost`.
 fn is_loopback_host(host: &str) -> bool {
     let name = match host.strip_prefix('[') {
         Some(rest) => rest.split(']').next().unwrap_or_default(),
@@ -95,7 +96,7 @@ fn is_loopback_host(host: &str) -> bool {
     name == "localhost" || name.parse::<IpAddr>().is_ok_and(|address| address.is_loopback())
 }
 
-/// Compares in a time that does not tell where two texts differ.
+/// Constant-time comparison: the duration does not reveal where two texts differ.
 fn equal(a: &[u8], b: &[u8]) -> bool {
     a.len() == b.len() && a.iter().zip(b).fold(0, |differ, (a, b)| differ | (a ^ b)) == 0
 }

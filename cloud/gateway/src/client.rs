@@ -1,21 +1,21 @@
-//! One client's view. What does this browser have to be told now?
+//! One client's view. Which news does this browser lack?
 //!
-//! A client is three numbers and a list of map tiles: which robot it watches, the change that it was told of last, and what of the map it
-//! lacks. Each frame holds the newest value of everything that changed since, so a client that reads slowly skips values and never falls
-//! behind; there is no queue that could grow.
+//! The state of a client is a few numbers and a list of map tiles: the watched robot, the last change it was told of, and the missing parts
+//! of the map. Each frame holds the newest value of everything that changed since, so a slow client skips values and never falls behind;
+//! there is no queue that could grow.
 
 use std::fmt::Write as _;
 
 use crate::view::{Entry, FleetView, TileCursor};
 
-/// With nothing to tell, a frame says at least this often that the gateway is alive, s.
+/// Longest time between two frames, s: without news, a frame shows that the gateway is alive.
 const KEEP_ALIVE: f64 = 1.0;
 
-/// What a browser was told.
+/// What a browser has been told.
 #[derive(Debug, Default)]
 pub struct Client {
     watched: Option<String>,
-    /// Number of the change that it was told of last.
+    /// Number of the last change it was told of.
     seen: u64,
     /// As `seen`, for the watched robot's details.
     detail_seen: u64,
@@ -23,7 +23,7 @@ pub struct Client {
     last_frame: Option<f64>,
 }
 
-/// What goes to a browser.
+/// Data for a browser.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct Frame {
     /// Everything but the map, JSON.
@@ -39,7 +39,7 @@ impl Client {
         Self::default()
     }
 
-    /// Watches a robot from now on: its details come with the next frame, all of them.
+    /// Watches a robot from now on: the next frame contains all its details.
     pub fn watch(&mut self, robot: Option<String>) {
         self.watched = robot;
         self.detail_seen = 0;
@@ -53,7 +53,8 @@ impl Client {
         self.watched.as_deref()
     }
 
-    /// What the client lacks at `now`, in seconds of the gateway's own clock; `connected` says whether the gateway reaches the bus.
+    /// The values that the client lacks at `now`, in seconds of the gateway's own clock; `connected` is whether the gateway reaches the
+    /// bus.
     pub fn frame(&mut self, view: &FleetView, now: f64, connected: bool) -> Frame {
         let changed = view.version > self.seen.min(self.detail_seen) || self.seen == 0;
         let due = self.last_frame.is_none_or(|last| now - last >= KEEP_ALIVE);
@@ -151,7 +152,7 @@ impl Client {
     }
 }
 
-/// `"name":{"age":…,"data":…}`; the age in s.
+/// `"name":{"age":…,"data":…}`, with the age in s.
 pub(crate) fn write_entry(text: &mut String, name: &str, entry: &Entry, now: f64) {
     push_string(text, name);
     let age = (now - entry.heard).max(0.0);
@@ -363,7 +364,7 @@ mod tests {
         let (header, cells) = piece(&mut client, &view).unwrap();
         assert_eq!(header["tiles"].as_array().unwrap().len(), 128);
         assert_eq!((cells.len(), header["left"].as_u64()), (128 * 4096, Some(72)));
-        // Tile 199 changes before it was sent: it goes out once, as it is now.
+        // Tile 199 changes before it was sent: it is sent once, with its newest cells.
         view.take("a", patch(2, 1, 200, &[199, 3], 100), 1.0);
         let (header, cells) = piece(&mut client, &view).unwrap();
         assert_eq!(header["tiles"].as_array().unwrap().len(), 73);

@@ -1,14 +1,14 @@
-//! Dead man's switch of a browser. Does the person still hold the key?
+//! Dead-man's switch of a browser. Does the person still hold the key?
 //!
-//! A browser repeats its command while the key is held. A command acts for [`HOLD_SECS`] after it came; the robot has a switch of its own, by
-//! the echo of its newest stamp.
+//! A browser repeats its command while the key is held. A command acts for [`HOLD_SECS`] after its arrival; the robot has its own
+//! dead-man's switch, based on the echo of its newest stamp.
 
 use zenav_protocol::geometry::Twist2;
 
-/// For how long a command acts, s.
+/// How long a command acts, s.
 pub const HOLD_SECS: f64 = 0.3;
 
-/// A command, and until when it acts.
+/// A command, and the time until which it acts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hold {
     twist: Twist2,
@@ -16,7 +16,7 @@ pub struct Hold {
 }
 
 impl Hold {
-    /// A command that came at `now`, in seconds of the gateway's own clock; one that is not finite is a stop.
+    /// A command that arrived at `now`, in seconds of the gateway's own clock; one that is not finite becomes a stop.
     #[must_use]
     pub fn new(twist: Twist2, now: f64) -> Self {
         let twist = if twist.is_finite() { twist } else { Twist2::ZERO };
@@ -26,13 +26,13 @@ impl Hold {
         }
     }
 
-    /// The command at `now`: rest, once it was not repeated in time.
+    /// The command at `now`: rest, unless it was repeated in time.
     #[must_use]
     pub fn twist(&self, now: f64) -> Twist2 {
         if now <= self.until { self.twist } else { Twist2::ZERO }
     }
 
-    /// Since when it does not act any more, s; negative while it does.
+    /// Time since it stopped acting, s; negative while it acts.
     #[must_use]
     pub fn released_for(&self, now: f64) -> f64 {
         now - self.until

@@ -1,4 +1,4 @@
-//! Hub. Where do the messages of the robots and the clients meet? One view behind a lock that is held for microseconds, and a signal.
+//! Hub. How do the robots' messages reach the clients? Through one view behind a lock that is held for microseconds, and a signal.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -12,15 +12,15 @@ use crate::rate::TokenBucket;
 use crate::settings::GatewaySettings;
 use crate::view::{FleetView, Update};
 
-/// Shared by whoever feeds the view and whoever serves it.
+/// Shared by the feed of the view and its server.
 #[derive(Debug)]
 pub struct Hub {
     start: Instant,
     view: Mutex<FleetView>,
     rate: Mutex<TokenBucket>,
-    /// Counts the rounds of news.
+    /// Number of rounds of news.
     rounds: watch::Sender<u64>,
-    /// Robots that somebody watches, with the number of watchers.
+    /// Watched robots, with the number of watchers.
     watchers: Mutex<BTreeMap<String, usize>>,
     watched: watch::Sender<BTreeSet<String>>,
     ended: watch::Sender<bool>,
@@ -31,7 +31,7 @@ pub struct Hub {
 }
 
 impl Hub {
-    /// A hub of no robot yet, with named places for everybody.
+    /// A hub without robots, with named places common to all.
     #[must_use]
     pub fn new(settings: GatewaySettings, places: BTreeMap<String, GoalPoint>) -> Arc<Self> {
         Arc::new(Self {
@@ -55,24 +55,24 @@ impl Hub {
         self.start.elapsed().as_secs_f64()
     }
 
-    /// The view, for a moment.
+    /// The view, locked: hold it only for a moment.
     pub fn view(&self) -> MutexGuard<'_, FleetView> {
         self.view.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Takes in a message about a robot.
+    /// Takes a message about a robot into the view.
     pub fn take(&self, robot: &str, update: Update) {
         let now = self.now();
         self.view().take(robot, update, now);
     }
 
-    /// There was a round of news. `connected` says whether the gateway reaches the bus.
+    /// Announces a round of news. `connected` is whether the gateway reaches the bus.
     pub fn announce(&self, connected: bool) {
         self.connected.store(connected, Ordering::Relaxed);
         self.rounds.send_modify(|round| *round += 1);
     }
 
-    /// Robots that somebody watches now.
+    /// The robots that are watched now.
     #[must_use]
     pub fn watched(&self) -> watch::Receiver<BTreeSet<String>> {
         self.watched.subscribe()
@@ -111,7 +111,7 @@ impl Hub {
         &self.places
     }
 
-    /// Whether one more request may be carried out now.
+    /// Whether another request may be carried out now.
     pub(crate) fn admits(&self) -> bool {
         let now = self.now();
         self.rate.lock().unwrap_or_else(PoisonError::into_inner).take(now)
@@ -122,7 +122,7 @@ impl Hub {
         self.clients.load(Ordering::Relaxed)
     }
 
-    /// Counts one more client until the guard is dropped; `None` when there are too many.
+    /// Counts another client until the guard is dropped; `None` when there are too many.
     pub(crate) fn join(self: &Arc<Self>) -> Option<Joined> {
         let joined = self.clients.fetch_add(1, Ordering::Relaxed);
         let guard = Joined {
@@ -156,7 +156,7 @@ pub(crate) struct Joined {
 }
 
 impl Joined {
-    /// The client watches this robot from now on.
+    /// Switches the client to watching this robot.
     pub(crate) fn watch(&mut self, robot: Option<&str>) {
         if let Some(robot) = robot {
             self.hub.count(robot, true);

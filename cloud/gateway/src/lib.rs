@@ -2,12 +2,12 @@
 //!
 //! # The problem
 //!
-//! Robots publish tens of messages a second each; browsers come and go, and read as fast as their link and their tab allow. Every browser is
-//! to see the newest state, none may slow down another or the robots, and memory must be bounded whatever they do.
+//! Robots publish tens of messages a second each; browsers come and go, and read as fast as their link and tab allow. Every browser must
+//! see the newest state, none may slow down another or the robots, and memory must stay bounded in any case.
 //!
-//! [`FleetView`] keeps the newest message of each kind for each robot as JSON text, with the number of the change that brought it. A client is
-//! a cursor over those numbers: its next frame is whatever changed after the change that it was told of last. There is no queue for a client;
-//! one that reads slowly skips values.
+//! [`FleetView`] keeps the newest message of each kind for each robot as JSON text, with the number of the change that brought it. A client
+//! is a cursor over those numbers: its next frame is everything that changed after the last change it was told of. There are no per-client
+//! queues; a slow client skips values.
 //!
 //! ```
 //! use zenav_gateway::{Client, FleetView, Update};
@@ -21,8 +21,8 @@
 //!
 //! # Where to begin
 //!
-//! A [`Hub`] is fed with [`Update`]s and served by [`router`]; what people want of robots goes out through an [`Operator`]. This library knows
-//! no bus: in `zenav` the service in `zenav-cloud` feeds it. The example `fleet` feeds it with robots that it makes up.
+//! A [`Hub`] is fed with [`Update`]s and served by [`router`]; requests to robots go out through an [`Operator`]. This library does not
+//! depend on a bus: in `zenav` the service in `zenav-cloud` feeds it. The example `fleet` feeds it with made-up robots.
 //!
 //! The gateway is an operator: it submits goals, stops, resumes and drives by hand under a lease. It never writes plans.
 //!
@@ -31,9 +31,9 @@
 //! | `settings` | all tunables: [`GatewaySettings`] |
 //! | `view` | the latest state of every robot, pure |
 //! | `client` | what one browser lacks, pure |
-//! | `access`, `rate`, `hold` | who may use it, how often, and the dead man's switch, pure |
+//! | `access`, `rate`, `hold` | who may use it, how often, and the dead-man's switch, pure |
 //! | `hub` | where feed and clients meet |
-//! | `operator` | what may be done to robots |
+//! | `operator` | the operations on robots |
 //! | `http` | the API under `/api/v1`, its OpenAPI document, the WebSocket |
 //! | `page` | the files of the page |
 

@@ -1,4 +1,4 @@
-//! The page. Which files is it made of? Plain HTML, CSS and ES modules, part of the program.
+//! The page. Which files make up the page? Plain HTML, CSS and ES modules, built into the program.
 
 use axum::extract::Path;
 use axum::http::header;

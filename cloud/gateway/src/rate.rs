@@ -1,6 +1,6 @@
 //! Rate limit. May this request be carried out now? A token bucket.
 
-/// Lets a number of things a second pass, and a second's worth at once.
+/// Lets a number of requests pass per second, with bursts of up to one second's worth.
 #[derive(Debug)]
 pub(crate) struct TokenBucket {
     per_sec: f64,
@@ -18,7 +18,7 @@ impl TokenBucket {
         }
     }
 
-    /// Takes a token at `now` (s); `false` where there is none.
+    /// Takes a token at `now` (s); `false` if there is none.
     pub(crate) fn take(&mut self, now: f64) -> bool {
         let passed = (now - self.at).max(0.0);
         self.at = self.at.max(now);

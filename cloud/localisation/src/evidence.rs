@@ -1,4 +1,4 @@
-//! Evidence. How much of a scan agrees with the map from a pose?
+//! Evidence. Share of a scan that agrees with the map from a pose.
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;
@@ -6,20 +6,20 @@ use zenav_protocol::geometry::Pose2;
 use crate::known_map::KnownMap;
 use crate::settings::EvidenceSettings;
 
-/// What a scan says of a pose.
+/// Evidence of a scan on a pose.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Evidence {
-    /// Points about known cells: the others say nothing.
+    /// Points in known cells; others do not count.
     pub points: usize,
-    /// Share of them that end at a wall and reach it through none, 0 to 1.
+    /// Share of them that end at a wall without passing through one, 0 to 1.
     pub agreeing: f64,
-    /// Share of them that go through a wall, 0 to 1: a pose in the wrong room, or a wall that was taken away.
+    /// Share of them that go through a wall, 0 to 1: a pose in the wrong room, or a wall that was removed.
     pub through_walls: f64,
 }
 
 /// Weighs a pose `map_from_base`. `laser`: where the beams begin, `points`: where they end, both in the frame of the base, m.
 ///
-/// Cost: a look a cell along each beam.
+/// Cost: one lookup per cell along each beam.
 #[must_use]
 pub fn evidence(
     map: &KnownMap,

@@ -1,4 +1,4 @@
-//! Global search. Where in the whole map could this scan be from?
+//! Global search. Finds the places in the whole map from which a scan may have been taken.
 
 use nalgebra::{Matrix3, Point2};
 use zenav_protocol::geometry::{Pose2, wrap_angle};
@@ -8,47 +8,47 @@ use crate::evidence::{Evidence, evidence};
 use crate::known_map::KnownMap;
 use crate::settings::LocalisationSettings;
 
-/// Standard deviation of a place that was found, at least, m and rad: one scan says no more.
+/// Least standard deviation of a found place, m and rad: one scan determines it no better.
 const FOUND: (f64, f64) = (0.05, 0.02);
 
-/// How thick walls may be whose far face is mistaken for the near one, m.
+/// Wall thicknesses at which the far face may be mistaken for the near one, m.
 const THICKNESSES: [f64; 3] = [0.06, 0.12, 0.18];
-/// So many more beams must end at the first wall for another pose.
+/// Another pose is preferred only if this share more of the beams ends at the first wall.
 const BETTER: f64 = 0.02;
-/// Poses nearer than this, m and rad, are the same to the beams.
+/// Poses closer than this, m and rad, are equivalent to the beams.
 const SAME: (f64, f64) = (5e-4, 2e-4);
-/// Where so many beams end at the first wall the faces are the right ones.
+/// If this share of the beams ends at the first wall, the faces are the right ones.
 const NEAR_FACES: f64 = 0.9;
-/// Of how many places the faces are looked at, the best first: each takes some milliseconds.
+/// Number of places whose faces are checked, best first: each takes some milliseconds.
 const FACED: usize = 8;
-/// Likelihood of a point in a wall's own cell, at least.
+/// Least likelihood of a point in a wall's own cell.
 const A_WALL: f64 = 0.99;
 
-/// A place from which the scan could be.
+/// A place where the scan may have been taken.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hypothesis {
     /// `map_from_base`.
     pub pose: Pose2,
     /// Covariance of x, y (m²) and yaw (rad²) along the map's axes: large along a corridor.
     pub covariance: Matrix3<f64>,
-    /// How much of the scan agrees with the map from there.
+    /// Evidence of the scan on this pose.
     pub evidence: Evidence,
 }
 
-/// What a search found.
+/// Result of a search.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Found {
-    /// One place, and no other is about as good.
+    /// One place, with no other about as good.
     Unique(Hypothesis),
-    /// Several places agree about as well; the best first.
+    /// Several places agree about equally well; best first.
     Ambiguous(Vec<Hypothesis>),
     /// No place agrees well enough, or the scan sees too little.
     Nowhere,
-    /// The budget was used up before it was known whether there is a better place.
+    /// The budget ran out before it was known whether there is a better place.
     OutOfBudget,
 }
 
-/// Looks for the place of a scan in the whole map, at all headings. `laser`: where the beams begin, `points`: where they end, both in the
+/// Searches the whole map for the place of a scan, at all headings. `laser`: where the beams begin, `points`: where they end, both in the
 /// frame of the base, m.
 #[must_use]
 pub fn find(map: &KnownMap, laser: Point2<f64>, points: &[Point2<f64>], settings: &LocalisationSettings) -> Found {
@@ -76,14 +76,14 @@ pub fn find(map: &KnownMap, laser: Point2<f64>, points: &[Point2<f64>], settings
         ..Window::around(center, 0.5 * width, std::f64::consts::PI)
     };
     let look = |window: &Window| search_among(map.pyramid(), Some(map.places()), &thinned, window);
-    // A place that scores well is found soon. Where none does, or others may be about as good, all are looked at that may count.
+    // A place that scores well is found quickly. If none does, or others may be about as good, all that may count are searched for.
     let mut searched = look(&window);
     let best = searched.found.first().map_or(0.0, |best| best.score);
     if best - global.within < window.min_score && global.min_score < window.min_score {
         let min_score = (best - global.within).max(global.min_score);
         searched = look(&Window { min_score, ..window });
     }
-    // With so many places some were not looked at.
+    // If the list of places is full, some were dropped.
     let is_exact = searched.is_exact && searched.found.len() < window.count;
     let scan = Refinable::new(points);
     let mut places: Vec<Hypothesis> = Vec::new();
@@ -122,8 +122,8 @@ pub fn find(map: &KnownMap, laser: Point2<f64>, points: &[Point2<f64>], settings
     }
 }
 
-/// The pose near a found one from which most beams end at the first wall on their way. A thin wall has two faces, and a scan that sees only one
-/// of them fits the other one as well, a wall's thickness off.
+/// The pose near a found one from which most beams end at the first wall on their way. A thin wall has two faces, and a scan that sees only
+/// one of them also fits the other, off by a wall's thickness.
 fn at_near_faces(
     map: &KnownMap,
     laser: Point2<f64>,
@@ -173,7 +173,7 @@ fn first_hits(map: &KnownMap, laser: Point2<f64>, points: &[Point2<f64>], map_fr
     points.iter().filter(is_first).count() as f64 / points.len().max(1) as f64
 }
 
-/// Whether two poses are one place to a search.
+/// Whether a search counts two poses as one place.
 #[must_use]
 pub fn is_one_place(a: Pose2, b: Pose2, settings: &LocalisationSettings) -> bool {
     let global = &settings.global;
@@ -196,7 +196,7 @@ mod tests {
         });
         let settings = LocalisationSettings::default();
         let map = KnownMap::new(&map, settings.tracking.sigma);
-        // A corner, seen from its inside: nothing but the near faces.
+        // A corner seen from its inside: only the near faces.
         let truth = Pose2::new(3.0, 2.0, 0.0);
         let points: Vec<Point2<f64>> = (0..50)
             .map(|nth| 1.1 + 0.04 * f64::from(nth))

@@ -1,4 +1,4 @@
-//! Known map. How near is a point to a wall, and is anything known there?
+//! Known map. Closeness of a point to a wall, and whether its cell is known.
 
 use nalgebra::Point2;
 use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
@@ -17,8 +17,8 @@ pub struct KnownMap {
 }
 
 impl KnownMap {
-    /// Prepares a map; `sigma`: standard deviation of a point about its wall, m. Walls are the occupied cells at whose side another cell
-    /// is: the inside of a block is seen by nobody. Cost: some looks a cell.
+    /// Prepares a map; `sigma`: standard deviation of a point around its wall, m. Walls are the occupied cells with a neighbour that is not
+    /// occupied: the inside of a block is never seen. Cost: a few operations per cell.
     #[must_use]
     pub fn new(map: &OccupancyGrid, sigma: f64) -> Self {
         let spec = *map.spec();
@@ -44,7 +44,7 @@ impl KnownMap {
             }
         }
         let field = LikelihoodField::from_grid(&walls, sigma);
-        // As many values as cells: they were made so.
+        // Cannot fail: there is one value for each cell.
         let places = LikelihoodField::from_values(spec, places).unwrap_or_else(|| field.clone());
         Self {
             pyramid: Pyramid::new(field, LEVELS),
@@ -77,7 +77,7 @@ impl KnownMap {
         self.known.spec()
     }
 
-    /// Whether the map knows a place: free or occupied.
+    /// Whether the cell of a point is known: free or occupied.
     #[must_use]
     pub fn knows(&self, point: Point2<f64>) -> bool {
         self.known.at(point).copied().unwrap_or(false)

@@ -1,19 +1,19 @@
-//! Localisation in the plane. Where is the robot in a map that is known, and can that be trusted?
+//! Localisation in the plane. Estimates the robot's pose in a known map, and whether it can be trusted.
 //!
 //! # The problem
 //!
 //! Given an occupancy map, and scans with the odometry at their stamps; wanted is `map_from_base` at each scan, its covariance, and a
-//! statement of health: tracking, degraded along a direction, lost, or ambiguous. A covariance alone does not say that the robot is in
-//! the wrong room; what the scan contradicts does.
+//! statement of health: tracking, degraded along a direction, lost, or ambiguous. A covariance alone does not reveal that the robot is in
+//! the wrong room; contradictions between scan and map do.
 //!
-//! 1. **tracking** ([`Localiser::step`]): the pose by odometry is refined on the map's likelihood field. Where the match is doubtful, an
-//!    exact search of a window about it decides.
-//! 2. **evidence** ([`evidence()`]): of what the scan says about known cells, which share agrees with the map? Cells that the map does not
-//!    know say nothing: unmapped rooms are no contradiction.
-//! 3. **global search** ([`find`]): all positions and headings of the map, by exact branch and bound. The best places are refined and weighed
-//!    by evidence; where two agree with the scan about as well, the answer is that it is ambiguous, and all of them.
+//! 1. **tracking** ([`Localiser::step`]): the pose by odometry is refined on the map's likelihood field. If the match is doubtful, an exact
+//!    search of a window around it decides.
+//! 2. **evidence** ([`evidence()`]): the share of the scan's points in known cells that agrees with the map. Cells that the map does not
+//!    know do not count: unmapped rooms are no contradiction.
+//! 3. **global search** ([`find`]): all positions and headings of the map, by exact branch and bound. The best places are refined and
+//!    weighed by evidence; if two agree with the scan about equally well, the answer is ambiguous and lists all of them.
 //!
-//! Frames: `map` is the map's, `base` the robot's. Metres, radians, seconds. No clock, no chance, no files.
+//! Frames: `map` is the map's, `base` the robot's. Metres, radians, seconds. No clock, no randomness, no files.
 //!
 //! # Use
 //!
@@ -23,7 +23,7 @@
 //! |---|---|
 //! | `localiser` | where is the robot now, and is that right? |
 //! | `global` | where in the whole map could this scan be from? |
-//! | `known_map` | how near is a point to a wall, and is anything known there? |
+//! | `known_map` | how near is a point to a wall, and is its cell known? |
 //! | `evidence` | how much of a scan agrees with the map? |
 //! | `settings` | what can be tuned? |
 

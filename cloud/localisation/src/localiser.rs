@@ -1,4 +1,4 @@
-//! Localiser. Where is the robot now, and is that right?
+//! Localiser. Tracks the robot's pose in a known map, and judges whether it is right.
 
 use nalgebra::{Matrix3, Point2};
 use zenav_protocol::geometry::Pose2;
@@ -14,53 +14,55 @@ use crate::global::{Found, Hypothesis, find, is_one_place};
 use crate::known_map::KnownMap;
 use crate::settings::LocalisationSettings;
 
-/// Points that a search about the expected place uses, at most.
+/// Most points used by a search around the expected pose.
 const SEARCH_POINTS: usize = 120;
-/// Variance of a pose that somebody told, m² and rad².
+/// Variance of a pose given by an operator, m² and rad².
 const GUESSED: [f64; 3] = [0.25, 0.25, 0.1];
-/// Odometry is held against matches after so much way, m, and turning, rad: matches that are nearer share their errors.
+/// Odometry is compared with matches after this much travel, m, and turning, rad: closer matches share their errors.
 const APART: (f64, f64) = (0.1, 0.05);
-/// A place that is less likely by odometry than this (chi squared, three degrees of freedom) is not where it led: a jump.
+/// A place less likely by odometry than this (chi squared, three degrees of freedom) is a jump.
 const JUMP: f64 = 16.0;
-/// The search about the expected place looks so many standard deviations farther, and no farther than this, m.
+/// The search around the expected pose is widened by this many standard deviations, and by no more than this, m.
 const WIDER: (f64, f64) = (3.0, 3.0);
-/// Places that such a search tells, at most.
+/// Most places returned by such a search.
 const RIVALS: usize = 8;
-/// Time between two global searches, s.
+/// Interval between two global searches, s.
 const SEARCH_PERIOD: f64 = 0.5;
-/// Time until the whole map is looked at again while the scans contradict the place: it doubles from the first to the second, s.
+/// Pause until the whole map is searched again while the scans contradict the place; it doubles from the first to the second value, s.
 const DOUBT: (f64, f64) = (0.5, 30.0);
 
-/// What a scan tells of the robot's place.
+/// Result of a scan.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Located {
-    /// `map_from_base` at the scan's stamp, the best there is.
+    /// The best estimate of `map_from_base` at the scan's stamp.
     pub pose: Pose2,
-    /// How well the scan knows it: covariance of x, y (m²) and yaw (rad²) along the map's axes. `None` where the scan was not matched.
+    /// Uncertainty of the pose by the scan: covariance of x, y (m²) and yaw (rad²) along the map's axes. `None` if the scan was not
+    /// matched.
     pub covariance: Option<Matrix3<f64>>,
     /// Whether the pose can be trusted.
     pub health: Health,
-    /// What the scan says of the pose.
+    /// Evidence of the scan on the pose.
     pub evidence: Evidence,
-    /// Whether the pose was just found by a search, of the whole map or farther off than is usually looked: the robot takes it instead of its own.
+    /// Whether the pose was just found by a search of the whole map, or farther off than the usual window: the robot then adopts it instead
+    /// of its own.
     pub is_found_anew: bool,
 }
 
-/// Follows a robot in a known map.
+/// Tracks a robot in a known map.
 #[derive(Clone, Debug)]
 pub struct Localiser {
     settings: LocalisationSettings,
     map: KnownMap,
     last: Option<Last>,
-    /// Where the robot was told to be, before a scan.
+    /// Pose given by an operator before the first scan.
     told: Option<Pose2>,
     health: Health,
-    /// How good odometry is.
+    /// Learned quality of odometry.
     odometry: OdometryFilter,
     /// Scans in a row that contradict the map.
     contradictions: u32,
     searched_at: Option<Stamp>,
-    /// How long the last doubt keeps the next one away, s.
+    /// Pause before the next search in doubt, s.
     doubt: f64,
     evidence: Evidence,
 }
@@ -71,22 +73,22 @@ struct Last {
     stamp: Stamp,
     odom_from_base: Pose2,
     pose: Pose2,
-    /// Odometry at the last scan that was matched, if there was one since the place was told.
+    /// Odometry at the last matched scan, if there was one since the pose was set.
     matched: Option<Pose2>,
-    /// Odometry and pose at the last match that odometry was held against, or where the place was told.
+    /// Odometry and pose at the last match that odometry was compared with, or where the pose was set.
     held: (Pose2, Pose2),
 }
 
-/// A scan matched.
+/// A matched scan.
 struct Match {
     refined: Refined,
-    /// Whether that took a search about the expected place.
+    /// Whether it took a search around the expected pose.
     is_wide: bool,
-    /// Whether it is not where odometry led, or not there alone.
+    /// Whether it is off the prediction of odometry, or has a rival within it.
     is_jump: bool,
 }
 
-/// Where odometry leads: from the last pose, and by what was learned of it.
+/// The prediction of odometry: from the last pose, and corrected by what was learned.
 struct Expected {
     start: Pose2,
     pose: Pose2,
@@ -111,8 +113,8 @@ impl Localiser {
         }
     }
 
-    /// Takes in a scan. Its `odom_from_base` is the odometry at its stamp; its `map_from_odom` is the guess with which the first scan begins,
-    /// and is not looked at later. `None` for a scan that is malformed or older than the last.
+    /// Takes in a scan. Its `odom_from_base` is the odometry at its stamp; its `map_from_odom` is the initial guess for the first scan, and
+    /// ignored later. `None` for a scan that is malformed or older than the last.
     pub fn step(&mut self, scan: &Scan) -> Option<Located> {
         let odometry = scan.odom_from_base;
         if !scan.is_sane() || !odometry.is_finite() {
@@ -148,7 +150,7 @@ impl Localiser {
         let is_near = now
             .matched
             .is_some_and(|matched| is_within(matched, (tracking.distance, tracking.turn)));
-        // A robot at rest may be carried away, too: what contradicts the map is looked at however little it has moved.
+        // A robot at rest may be carried away, too: contradictions with the map are examined however little it has moved.
         let is_near = is_near && !self.is_doubtful(laser, &seen, start);
         let (mut covariance, mut is_found_anew) = (None, false);
         if !is_near {
@@ -185,10 +187,10 @@ impl Localiser {
             if is_wide || !is_within(held, APART) {
                 now.held = (odometry, refined.pose);
             }
-            // The robot would take a place so far off for an outlier.
+            // The robot would reject a place so far off as an outlier.
             is_found_anew = is_wide && refined.pose.distance(&start) > self.settings.tracking.reach;
             if self.is_elsewhere(&now, laser, &seen, is_jump) {
-                // The robot brakes and drops its plan; it is looked for with the next scan.
+                // The robot brakes and drops its plan; the next scan is searched for.
                 self.health = Health::Lost;
                 self.searched_at = None;
             }
@@ -207,7 +209,7 @@ impl Localiser {
         })
     }
 
-    /// A place that was told, and odometry there.
+    /// Starts at a given pose, with the odometry there.
     fn begin(&mut self, stamp: Stamp, odom_from_base: Pose2, pose: Pose2) -> Last {
         self.odometry
             .begin_anew(&Matrix3::from_diagonal(&GUESSED.map(f64::recip).into()));
@@ -220,14 +222,14 @@ impl Localiser {
         }
     }
 
-    /// Whether less of a scan agrees with the map than should.
+    /// Whether less of a scan agrees with the map than it should.
     fn is_doubtful(&self, laser: Point2<f64>, seen: &[Point2<f64>], pose: Pose2) -> bool {
         let settings = &self.settings;
         let here = evidence(&self.map, laser, seen, pose, &settings.evidence);
         here.points >= settings.evidence.least_points as usize && here.agreeing < settings.tracking.doubtful
     }
 
-    /// The scan matched about the expected pose.
+    /// Matches the scan around the expected pose.
     fn matched(&self, expected: &Expected, laser: Point2<f64>, seen: &[Point2<f64>]) -> Match {
         let settings = &self.settings;
         let prior = Prior::of_odometry(expected.pose, &expected.step.information());
@@ -275,7 +277,7 @@ impl Localiser {
         if agreeing <= here.agreeing + settings.global.margin {
             return near;
         }
-        // Of several places that odometry allows and the scan likes about as much, none is believed.
+        // If odometry allows several places and the scan fits them about equally, none is trusted.
         let is_rival = |(other, place): &(f64, Refined)| {
             *other > agreeing - settings.global.margin
                 && place.pose.distance(&refined.pose) >= settings.global.apart
@@ -288,9 +290,9 @@ impl Localiser {
         }
     }
 
-    /// Whether the robot is rather somewhere else: the whole map is looked at where the scan contradicts the place that was matched, or that is
-    /// a jump, for the robot may have been carried away, or told a wrong place. While no other place explains the scan clearly better the
-    /// building has changed.
+    /// Whether the robot is more likely elsewhere. The whole map is searched if the scan contradicts the matched place, or if that is a
+    /// jump, since the robot may have been carried away or given a wrong pose. As long as no other place explains the scan clearly better,
+    /// the building has changed.
     fn is_elsewhere(&mut self, now: &Last, laser: Point2<f64>, seen: &[Point2<f64>], is_jump: bool) -> bool {
         let (here, settings) = (self.evidence, &self.settings);
         let says_much = here.points >= settings.evidence.least_points as usize;
@@ -311,13 +313,13 @@ impl Localiser {
         };
         match find(&self.map, laser, seen, settings) {
             Found::Unique(place) => is_better(&place),
-            // After a jump none of several places is believed; without one, whoever was right until now still is.
+            // After a jump none of several places is trusted; without one the present place still is.
             Found::Ambiguous(places) => is_jump || places.iter().all(is_better),
             Found::Nowhere | Found::OutOfBudget => false,
         }
     }
 
-    /// Notes what a match says of the robot's health.
+    /// Derives the robot's health from a match.
     fn note(&mut self, laser: Point2<f64>, seen: &[Point2<f64>], refined: &Refined) {
         let settings = &self.settings;
         self.evidence = evidence(&self.map, laser, seen, refined.pose, &settings.evidence);
@@ -339,7 +341,7 @@ impl Localiser {
         };
     }
 
-    /// Looks for a robot that is lost.
+    /// Searches for a lost robot.
     fn search(&mut self, now: Last, laser: Point2<f64>, seen: &[Point2<f64>]) -> Located {
         let mut located = Located {
             pose: now.pose,
@@ -384,14 +386,14 @@ impl Localiser {
         located
     }
 
-    /// The robot is somewhere else, or its odometry begins anew: it is looked for in the whole map with the next scan.
+    /// Declares the robot lost, because it is elsewhere or its odometry restarted: the next scan is searched for in the whole map.
     pub fn lose(&mut self) {
         (self.last, self.told) = (None, None);
         self.health = Health::Lost;
         self.searched_at = None;
     }
 
-    /// The robot's place is told, `map_from_base` at its last scan or, before the first, at that.
+    /// Sets the robot's pose, `map_from_base` at its last scan or, before the first, at the first.
     pub fn place(&mut self, map_from_base: Pose2) {
         self.health = Health::Tracking;
         self.contradictions = 0;

@@ -1,4 +1,4 @@
-//! Settings. Which numbers of localisation can be tuned?
+//! Settings. The tunable numbers of localisation.
 
 use zenav_scan_matching::{OdometrySettings, RefineSettings, ScanSettings};
 
@@ -8,9 +8,9 @@ zenav_protocol::settings! {
     pub struct LocalisationSettings {
         /// Which points of a scan count.
         pub scan: ScanSettings;
-        /// How well odometry is known.
+        /// Uncertainty of odometry.
         pub odometry: OdometrySettings;
-        /// Following the robot.
+        /// Tracking of the robot.
         pub tracking: TrackingSettings;
         /// When a scan agrees with the map.
         pub evidence: EvidenceSettings;
@@ -22,31 +22,31 @@ zenav_protocol::settings! {
 }
 
 zenav_protocol::settings! {
-    /// Following the robot.
+    /// Tracking of the robot.
     #[derive(Copy)]
     pub struct TrackingSettings {
-        /// Standard deviation of a point about its wall: the likelihood falls off with it.
+        /// Standard deviation of a point around its wall: the likelihood falls off with it.
         pub sigma: f64 = 0.08, "m", 0.005..=2.0;
-        /// A scan is matched after so much way.
+        /// Distance driven after which a scan is matched.
         pub distance: f64 = 0.02, "m", 0.0..=5.0;
-        /// A scan is matched after so much turning.
+        /// Turn after which a scan is matched.
         pub turn: f64 = 0.01, "rad", 0.0..=3.0;
-        /// A match of which less agrees with the map is doubtful: it is searched for about the expected place.
+        /// A match of which a smaller share agrees with the map is doubtful: a window around the expected pose is searched.
         pub doubtful: f64 = 0.6, "", 0.0..=1.0;
-        /// Window of that search, to each side.
+        /// Half width of that search window.
         pub reach: f64 = 0.4, "m", 0.0..=5.0;
-        /// Window of that search, to each side.
+        /// Half width of that search window.
         pub search_turn: f64 = 0.3, "rad", 0.0..=3.15;
         /// Blocks that this search may score.
         pub budget: u32 = 60_000, "", 100..=100_000_000;
-        /// Standard deviation that a match has at least: the map is not exact.
+        /// Least standard deviation of a match: the map is not exact.
         pub floor: f64 = 0.01, "m", 0.0001..=1.0;
-        /// Standard deviation of the heading that a match has at least.
+        /// Least standard deviation of a match's heading.
         pub floor_turn: f64 = 0.003, "rad", 0.0001..=1.0;
-        /// Where more of a scan goes through walls, the whole map is looked at for a place that explains it better: people and things that
-        /// were brought in do not do that, a wrong place does.
+        /// If a larger share of a scan goes through walls, the whole map is searched for a place that explains it better: people and added
+        /// objects do not cause this, a wrong place does.
         pub through_walls: f64 = 0.1, "", 0.0..=1.0;
-        /// So much more of the scan must agree with the map there.
+        /// By how much larger a share of the scan must agree with the map at the other place.
         pub elsewhere: f64 = 0.15, "", 0.0..=1.0;
         /// Scans in a row that contradict the map before the robot is lost.
         pub patience: u32 = 4, "", 1..=1000;
@@ -59,13 +59,13 @@ zenav_protocol::settings! {
     pub struct EvidenceSettings {
         /// A point agrees where the likelihood of a wall is at least this.
         pub explained: f64 = 0.5, "", 0.0..=1.0;
-        /// A beam goes through a wall where the likelihood on its way is at least this.
+        /// A beam goes through a wall if the likelihood along it is at least this.
         pub wall: f64 = 0.9, "", 0.0..=1.0;
-        /// The last stretch of a beam in which a wall is its own end.
+        /// The last stretch of a beam, in which a wall is the beam's own end.
         pub own_end: f64 = 0.3, "m", 0.0..=5.0;
         /// With a smaller share of agreeing points the scan contradicts the map.
         pub lost_below: f64 = 0.4, "", 0.0..=1.0;
-        /// With fewer points about known cells the scan says nothing.
+        /// With fewer points in known cells the scan is no evidence.
         pub least_points: u32 = 20, "", 1..=10_000;
     }
 }
@@ -74,27 +74,27 @@ zenav_protocol::settings! {
     /// Finding the robot without a guess.
     #[derive(Copy)]
     pub struct GlobalSettings {
-        /// Places that score less are of no interest.
+        /// Places that score less are ignored.
         pub min_score: f64 = 0.45, "", 0.0..=1.0;
-        /// A place that scores so well is looked for first: with a higher bound the search is much shorter.
+        /// Places that score at least this are searched for first: with a higher bound the search is much shorter.
         pub good_score: f64 = 0.8, "", 0.0..=1.0;
-        /// Headings are tried on steps by which points so far out move a cell.
+        /// The step of the headings moves points this far out by one cell.
         pub lever: f64 = 4.0, "m", 0.5..=1000.0;
-        /// Places that score this much less than the best one are of no interest either.
+        /// Places that score this much less than the best one are ignored, too.
         pub within: f64 = 0.1, "", 0.0..=1.0;
-        /// Places that are looked at closely, best first.
+        /// Most places examined closely, best first.
         pub places: u32 = 100, "", 1..=1000;
-        /// Places nearer than this are one.
+        /// Places closer than this are one.
         pub apart: f64 = 0.5, "m", 0.01..=100.0;
-        /// Headings nearer than this are one.
+        /// Headings closer than this are one.
         pub apart_turn: f64 = 0.3, "rad", 0.001..=3.15;
-        /// Points that the search uses, at most.
+        /// Most points used by the search.
         pub points: u32 = 60, "", 10..=10_000;
         /// Blocks that the search may score.
         pub budget: u32 = 60_000_000, "", 1000..=1_000_000_000;
-        /// The best place is the answer where at least this share of its points agrees with the map, ...
+        /// The best place is accepted if at least this share of its points agrees with the map, ...
         pub agrees: f64 = 0.75, "", 0.0..=1.0;
-        /// ... and no other place agrees but for less than this.
+        /// ... and every other place agrees less by at least this margin.
         pub margin: f64 = 0.15, "", 0.0..=1.0;
     }
 }

@@ -1,4 +1,4 @@
-//! What localisation claims, each claim as a test.
+//! Tests of localisation's claims.
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
@@ -83,7 +83,7 @@ fn a_robot_that_was_carried_away_is_lost_at_once_and_found_again() {
         let scan = look(&map, (number + 1) * second, first * step, step, first);
         assert!(localiser.step(&scan).unwrap().health.is_trusted());
     }
-    // Odometry knows nothing of being carried.
+    // Odometry does not notice that the robot is carried.
     let elsewhere = Pose2::new(9.5, 6.0, 1.0);
     let (mut lost_after, mut found_after) = (None, None);
     for number in 0..30_u64 {

@@ -1,9 +1,9 @@
-//! Insertion rate. How many scans a second are inserted, in both modes, and how far do the two maps agree?
+//! Insertion rate. Scans inserted per second, in both modes, and the agreement of the two maps.
 //!
 //! `cargo bench -p zenav-mapping --bench mapping`
 //!
-//! A furnished flat seen by two lidars, made here by ray casting; with `ZENAV_BENCH_LOGS=FOLDER` also every CARMEN log (`.log`,
-//! `.log.gz`) of a folder. Times are this thread's own: what others do on the machine does not count.
+//! A furnished flat seen by two lidars, generated here by ray casting; with `ZENAV_BENCH_LOGS=FOLDER` also every CARMEN log (`.log`,
+//! `.log.gz`) of a folder. Times are this thread's own processor time, so other load on the machine does not count.
 
 #![allow(missing_docs, reason = "criterion's macros")]
 #![allow(
@@ -32,7 +32,7 @@ const RESOLUTION: f64 = 0.05;
 /// Scans of one drive through the flat.
 const SCANS: usize = 600;
 
-/// What a bench inserts.
+/// Input of a benchmark.
 struct Input {
     name: String,
     scans: Vec<Scan>,
@@ -78,7 +78,7 @@ impl Flat {
         Self { walls, legs }
     }
 
-    /// Distance to the first thing in a direction, m.
+    /// Distance to the first obstacle in a direction, m.
     fn range(&self, from: Point2<f64>, along: Vector2<f64>) -> f64 {
         let walls = self.walls.iter().filter_map(|(a, b)| {
             let (wall, to) = (b - a, a - from);
@@ -119,7 +119,7 @@ impl Flat {
                     .map(|beam| {
                         let angle = scan.angle(beam) + scan.odom_from_base.yaw;
                         let range = self.range(at, Vector2::new(angle.cos(), angle.sin()));
-                        // Twelve uniform numbers are nearly a normal one.
+                        // The sum of twelve uniform numbers is nearly normal.
                         let noise: f64 = (0..12).map(|_| random.random::<f64>() - 0.5).sum();
                         if range < range_max {
                             (range + 0.01 * noise) as f32

@@ -1,4 +1,4 @@
-//! Synthetic scans of a room become a map, printed as text.
+//! Builds a map from synthetic scans of a room and prints it as text.
 //!
 //! `cargo run -p zenav-mapping --example map_from_scans`
 
@@ -62,7 +62,7 @@ fn main() {
     let (info, map) = (mapper.info(), mapper.grid());
     let is_known = |x: u32, y: u32| map[Cell::new(x, y)] >= 0;
     let (columns, rows) = (0..info.spec.width, 0..info.spec.height);
-    // Only what is known of the grid, which grows by whole tiles.
+    // Only the known part of the grid, which grows by whole tiles.
     let left = columns.clone().find(|x| rows.clone().any(|y| is_known(*x, y)));
     for y in rows.rev().filter(|y| columns.clone().any(|x| is_known(x, *y))) {
         let row: String = (left.unwrap_or_default()..columns.end)

@@ -1,6 +1,6 @@
-//! Atomic files. How is a file written so that nobody ever reads a part of it?
+//! Atomic files. A reader never sees a partly written file.
 //!
-//! Under a temporary name, synced to disk, then renamed.
+//! A file is written under a temporary name, synced to disk, then renamed.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use crate::map_file::MapFileError;
 
-/// Writes a file so that other readers, also after a crash of the machine, see the old content or the new one, never a part.
+/// Writes a file so that readers see the old or the new content, never a part of it, even after a crash of the machine.
 ///
 /// # Errors
 /// [`MapFileError::Io`].
@@ -49,7 +49,7 @@ impl Prepared {
             path: self.path.clone(),
             source,
         })?;
-        // The rename is on disk only when its folder is; where folders cannot be opened, nothing more can be done.
+        // The rename is on disk only once its folder is; where folders cannot be opened, nothing more can be done.
         if let Some(folder) = self.path.parent().filter(|folder| !folder.as_os_str().is_empty())
             && let Ok(folder) = File::open(folder)
         {

@@ -1,4 +1,4 @@
-//! Beams. Which beams of a scan are used, and where do they end?
+//! Beams. Selects the usable beams of a scan and computes their ends.
 
 use std::f64::consts::TAU;
 
@@ -87,7 +87,7 @@ impl BeamReader {
             {
                 continue;
             }
-            // A lost beam looks like one that met nothing.
+            // A lost beam looks like a beam that hit nothing.
             let seen = if measured > scan.range_max {
                 if number >= gap_end {
                     (gap_end, gap_least) = gap(scan, number, settings.lost_run);
@@ -109,8 +109,8 @@ impl BeamReader {
     }
 }
 
-/// The end of the run of beams without a return that begins with one, and how far they clear, m: a run of fewer than `lost` may have been
-/// lost, and clears no farther than the beams beside it saw.
+/// The end of a run of beams without a return that contains `first`, and how far these beams clear, m. A run of fewer than `lost` beams may
+/// have been lost: it clears no farther than the neighbouring returns.
 fn gap(scan: &Scan, first: usize, lost: usize) -> (usize, f64) {
     let is_gap = |beam: &usize| {
         scan.ranges
@@ -123,7 +123,7 @@ fn gap(scan: &Scan, first: usize, lost: usize) -> (usize, f64) {
         .last()
         .map_or(first, |last| last + 1);
     let is_return = |beam: &usize| scan.ranges.get(*beam).is_some_and(|range| scan.is_return(*range));
-    // The next return on either side: what is no range tells nothing.
+    // The next return on either side; invalid readings count for nothing.
     let before = (begin.saturating_sub(lost)..begin).rev().find(is_return);
     let after = (end..end + lost).find(is_return);
     let returns = [before, after]

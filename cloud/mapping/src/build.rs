@@ -1,4 +1,4 @@
-//! Map building. How do recorded scans at known poses become a map, and how far do two maps agree?
+//! Map building. Builds a map from recorded scans at known poses, and compares two maps.
 
 use nalgebra::Point2;
 use serde::Serialize;
@@ -22,7 +22,7 @@ pub enum BuildError {
         size[0], size[1], MAX_CELLS >> 20
     )]
     TooLarge {
-        /// Size of what the scans saw, along x and y, m.
+        /// Extent of the scans along x and y, m.
         size: [f64; 2],
         /// The resolution asked for, m.
         resolution: f64,
@@ -40,7 +40,7 @@ pub struct Built {
     pub beams: u64,
 }
 
-/// Builds a map of scans at known poses, in their order, without decay.
+/// Builds a map from scans at known poses, in order, without decay.
 ///
 /// # Errors
 /// [`BuildError`] when the map would be too large: no beam is ever left out.
@@ -100,7 +100,7 @@ fn too_large(scans: &[Scan], resolution: f64, settings: &BeamSettings) -> BuildE
     }
 }
 
-/// Agreement of a map with a reference: for each class the lesser of precision and recall; 1 where neither map has any.
+/// Agreement of a map with a reference: for each class the lesser of precision and recall; 1 where neither map has any such cell.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Agreement {
     /// Agreement on occupied cells, 0 to 1.
@@ -158,7 +158,7 @@ mod tests {
         lost_run: 0,
     };
 
-    /// Two scans that see four things.
+    /// Two scans with two returns each.
     fn scans() -> Vec<Scan> {
         [0.1, 1.3]
             .map(|yaw| Scan {

@@ -1,4 +1,4 @@
-//! CARMEN logs. How are recorded laser scans at known poses read?
+//! CARMEN logs. Reads recorded laser scans at known poses.
 //!
 //! `FLASER n r1 … rn x y theta odom_x odom_y odom_theta time host logger_time` is a sweep of half a circle; the first pose is the laser's.
 //! `ROBOTLASER1` states its own field of view. Other lines are skipped.
@@ -20,7 +20,7 @@ use crate::settings::BeamSettings;
 const MAX_LINE: u64 = 1 << 20;
 /// Most readings in a sweep.
 const MAX_BEAMS: usize = 10_000;
-/// Readings from here on, m, stand for no return: lasers of that time report 81.9 m.
+/// Readings from here on, m, mean no return: lasers of that time report 81.9 m.
 const NOTHING_SEEN: f64 = 80.0;
 
 /// Why a log could not be read.
@@ -173,7 +173,7 @@ impl Words<'_> {
         Ok(Pose2::new(self.number("x")?, self.number("y")?, self.number("theta")?))
     }
 
-    /// The time, and after it only who logged it and when: what is left over shows a wrong number of readings.
+    /// Reads the time. Only the logging host and its time may follow; more words mean a wrong number of readings.
     fn time(&mut self) -> Result<f64, String> {
         let time = self.number("the time");
         let left = self.words.clone().count();
@@ -209,7 +209,7 @@ impl Words<'_> {
         self.number("the accuracy")?;
         self.number("the remission mode")?;
         let mut ranges = self.ranges()?;
-        // The maximum itself stands for no return.
+        // The maximum range itself means no return.
         for range in ranges.iter_mut().filter(|range| f64::from(**range) >= range_max) {
             *range = f32::INFINITY;
         }
@@ -247,7 +247,7 @@ fn scan(time: f64, laser: Pose2, angle_min: f64, angle_increment: f64, range_max
     }
 }
 
-/// Beams of logs: nothing is cut off, and a beam without a return says nothing, for those lasers also lose black and glass.
+/// Beam settings for logs: nothing is trimmed, and a beam without a return is ignored, since those lasers also lose black and glass.
 pub const LOG_BEAMS: BeamSettings = BeamSettings {
     trim: 0,
     max_range: None,
@@ -279,7 +279,7 @@ mod tests {
             (scans[1].angle_min, scans[1].angle_increment, scans[1].ranges.len()),
             (-1.5, 0.5, 3)
         );
-        // The maximum range stands for no return.
+        // The maximum range means no return.
         assert_eq!(scans[1].ranges, [1.5, 2.5, f32::INFINITY]);
     }
 

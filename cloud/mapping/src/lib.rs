@@ -10,15 +10,15 @@
 //! ```
 //!
 //! where `p(m | zᵢ)` is the inverse sensor model: one value for a cell in which a beam of the scan ended (a hit), one for a cell that beams
-//! only passed (a miss), none for all others. The sum is clamped, so that a map can change its mind. What the robot does not look at any
-//! more, no beam can free; so obstacles that appeared on cells long free decay after a while (temporal decay).
+//! only passed (a miss), none for all others. The sum is clamped so that a map can change its mind. Cells that the robot no longer looks at
+//! cannot be freed by a beam; so obstacles that appeared on cells long free decay after a while (temporal decay).
 //!
 //! Moravec and Elfes 1985; Thrun, Burgard and Fox, "Probabilistic Robotics", chapter 9; Hornung et al., "OctoMap", 2013; Macenski et al.,
 //! "Spatio-Temporal Voxel Layer", 2020.
 //!
 //! # Where to begin
 //!
-//! [`Mapper`] is the whole of it for a live robot: [`insert`](Mapper::insert) scans, [`take_patch`](Mapper::take_patch) for replicas on
+//! [`Mapper`] is the complete mapper of a live robot: [`insert`](Mapper::insert) scans, [`take_patch`](Mapper::take_patch) for replicas on
 //! other machines, [`snapshot`](Mapper::snapshot) for files and pictures. [`LogOddsGrid`] is the grid alone, [`build::build_map`] builds a
 //! map from a recorded log, [`map_file`] reads and writes ROS `map_server` files.
 //!
@@ -32,7 +32,7 @@
 //! | [`build`] | maps from recorded scans, and their agreement |
 //! | [`map_file`], [`map_yaml`], [`map_image`], [`image`], [`atomic`] | `map_server` files |
 //! | [`store`] | a map on disk between two runs of its service |
-//! | [`carmen`], [`moving_ai`] | logs and benchmark maps of others |
+//! | [`carmen`], [`moving_ai`] | logs and benchmark maps in other formats |
 
 pub mod atomic;
 mod beams;

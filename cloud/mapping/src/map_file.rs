@@ -1,4 +1,4 @@
-//! Map files. How are maps read and written, so that every map tool of the field reads them?
+//! Map files. Reads and writes maps in the formats of common map tools.
 //!
 //! ROS `map_server` images with their YAML description, after Nav2's `map_io`. Plain images and Moving AI maps can be read, too.
 
@@ -40,7 +40,7 @@ pub enum MapFileError {
         /// Largest size that is read, bytes.
         limit: u64,
     },
-    /// The image that a description names cannot be read.
+    /// The image named in a description cannot be read.
     #[error("{}:{line}: `image`: {source}", path.display())]
     Described {
         /// Path of the description.
@@ -82,12 +82,12 @@ pub enum MapFileError {
         /// What is wrong with it.
         source: GridError,
     },
-    /// A description of ours says something else than when it was stored.
+    /// A description written by zenav was changed after it was stored.
     #[error("{}: {what}; put the stored numbers back, or remove the line `# {TAG} …` if the others are meant", path.display())]
     Changed {
         /// Path of the description.
         path: PathBuf,
-        /// What does not fit.
+        /// The difference.
         what: String,
     },
     /// The file's extension is not that of a map.
@@ -101,7 +101,7 @@ pub enum MapFileError {
 /// Reads a map: a `map_server` description (`.yaml`) with its image, a plain image (`.pgm`, `.png`: usual thresholds, origin zero), or a
 /// Moving AI map (`.map`). Files that do not state their scale get `resolution` metres for each cell.
 ///
-/// Memory: one byte for each cell. A binary graymap becomes the grid in place; the others are in memory beside their grid for a while.
+/// Memory: one byte for each cell. A binary graymap becomes the grid in place; other images exist beside their grid for a while.
 ///
 /// # Errors
 /// [`MapFileError`], naming the file and what was expected.
@@ -132,8 +132,8 @@ pub fn read_map(path: &Path, resolution: f64) -> Result<OccupancyGrid, MapFileEr
     }
 }
 
-/// Reads a map that was stored here: as [`read_map`], but a description of ours that was changed since is refused. One by another tool is
-/// welcome.
+/// Reads a map stored by zenav: as [`read_map`], but a description of ours that was changed since is refused. Descriptions by other tools
+/// are accepted.
 ///
 /// # Errors
 /// [`MapFileError::Changed`], and those of [`read_map`].
@@ -167,7 +167,7 @@ pub(super) fn read_stored(path: &Path) -> Result<OccupancyGrid, MapFileError> {
     read_described(path)
 }
 
-/// The tag in a description of ours.
+/// The tag in a description written by zenav.
 fn own_tag(text: &str) -> Option<Tag> {
     text.lines()
         .find_map(|line| Tag::parse(line.trim_start_matches('#').trim()))
@@ -193,7 +193,7 @@ fn read_described(path: &Path) -> Result<OccupancyGrid, MapFileError> {
         line: MapYaml::line_of(&text, "image").unwrap_or(1),
         source: Box::new(source),
     })?;
-    // Our own images state their place too: an image that was replaced just before a crash is not read with the older place.
+    // Our own images state their place too, so an image replaced just before a crash is not read with the older place.
     if let Some(tag) = image.comments.iter().find_map(|comment| Tag::parse(comment))
         && !text
             .lines()
@@ -234,7 +234,7 @@ pub(super) fn read_bytes(path: &Path, limit: u64) -> Result<Vec<u8>, MapFileErro
     Ok(bytes)
 }
 
-/// Marks our own files: the image and the description of one write carry the same tag.
+/// Marks files written by zenav: the image and the description of one write carry the same tag.
 const TAG: &str = "zenav:";
 
 /// Place and label of an image, in a comment of the image itself.
@@ -265,9 +265,9 @@ impl Tag {
     }
 }
 
-/// Writes `STEM.pgm` and `STEM.yaml` (trinary) into a folder, which is created where it is missing. Returns the description's path.
+/// Writes `STEM.pgm` and `STEM.yaml` (trinary) into a folder, which is created if missing. Returns the description's path.
 ///
-/// `label` names this state of the map, for example its revision. A half-written file never replaces a good one; when the machine fails
+/// `label` names this state of the map, for example its revision. A half-written file never replaces a good one; if the machine fails
 /// between the two renames, the newer image is still read with its own place.
 ///
 /// # Errors
@@ -377,7 +377,7 @@ mod tests {
         write_map(folder.path(), "map", &grown, "2").unwrap();
         std::fs::write(&path, old_yaml).unwrap();
         assert_eq!(read_map(&path, 1.0).unwrap(), grown);
-        // A place that somebody corrected by hand, or a description of another tool, is taken at its word.
+        // A place corrected by hand, or a description by another tool, is used as is.
         std::fs::write(&path, "image: map.pgm\nresolution: 0.1\norigin: [1, 2, 0]\n").unwrap();
         assert_eq!(read_map(&path, 1.0).unwrap().spec().resolution, 0.1);
     }

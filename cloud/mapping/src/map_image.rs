@@ -1,4 +1,4 @@
-//! Map images. How does brightness become occupancy, and back?
+//! Map images. Converts brightness to occupancy and back.
 //!
 //! As in Nav2's `map_io`.
 
@@ -102,7 +102,8 @@ pub(super) fn shade(value: i8, mode: MapMode) -> u8 {
     }
 }
 
-/// The description for an image of [`to_image`]; in scale mode its thresholds are 0 and 1, so that every percentage comes back.
+/// The description for an image of [`to_image`]; in scale mode its thresholds are 0 and 1, so that every percentage survives the round
+/// trip.
 #[must_use]
 pub fn to_yaml(grid: &OccupancyGrid, mode: MapMode, image: &str) -> MapYaml {
     let yaml = MapYaml {
@@ -229,7 +230,7 @@ mod tests {
                 );
             }
         }
-        // Raw values are percentages, whatever is bright.
+        // Raw values are percentages, whichever shade is bright.
         let raw = MapYaml {
             mode: MapMode::Raw,
             negate: true,

@@ -1,7 +1,7 @@
-//! Map description. What does the YAML file beside a map's image say?
+//! Map description. Reads and writes the YAML file beside a map's image.
 //!
-//! Only the subset of YAML that `map_server` files use: `key: value` lines, lists in brackets or as `- item` lines, comments, quotes. Unknown
-//! keys are ignored, as in `map_server`. A YAML library would cost more than these lines, and its errors do not name key and line.
+//! Only the subset of YAML that `map_server` files use: `key: value` lines, lists in brackets or as `- item` lines, comments, quotes.
+//! Unknown keys are ignored, as in `map_server`. A YAML library would cost more code than this, and its errors do not give key and line.
 
 use std::ops::RangeInclusive;
 use std::path::Path;
@@ -9,7 +9,7 @@ use std::path::Path;
 use nalgebra::Point2;
 use thiserror::Error;
 
-/// The keys that say something here.
+/// The recognised keys.
 const KEYS: [&str; 7] = [
     "image",
     "resolution",
@@ -21,9 +21,9 @@ const KEYS: [&str; 7] = [
 ];
 /// Side of a pixel, m.
 const RESOLUTION: RangeInclusive<f64> = 1e-3..=100.0;
-/// No map lies farther from the origin along an axis, m: coordinates of a national grid are within.
+/// Largest distance of a map from the origin along an axis, m: coordinates of national grids fit.
 const FARTHEST: f64 = 1e7;
-/// An unknown key that differs from a known one in no more letters was meant to be that one.
+/// An unknown key that differs from a known one in at most this many letters is taken for a typing error.
 const SLIPS: usize = 2;
 
 /// How brightness becomes occupancy, as in Nav2's `map_io`; `p` is darkness, or brightness with `negate`.
@@ -32,7 +32,7 @@ pub enum MapMode {
     /// Above `occupied_thresh` occupied, below `free_thresh` free, else unknown.
     #[default]
     Trinary,
-    /// As trinary, but in between the percentage; see-through pixels are unknown.
+    /// As trinary, but the percentage in between; transparent pixels are unknown.
     Scale,
     /// The pixel's own value is the percentage; above 100 it is unknown.
     Raw,
@@ -86,7 +86,7 @@ pub enum MapYamlError {
 }
 
 impl MapYamlError {
-    /// What is wrong, and where in this file.
+    /// The error with its place in this file.
     pub(crate) fn in_file(&self, path: &Path) -> String {
         match self {
             Self::Line { line, what } => format!("{}:{line}: {what}", path.display()),
@@ -237,13 +237,13 @@ impl MapYaml {
         Ok(yaml)
     }
 
-    /// Line of a key, from 1; `None` where it is not written.
+    /// Line of a key, from 1; `None` if it is absent.
     pub(crate) fn line_of(text: &str, key: &str) -> Option<usize> {
         let entry = entries(text).ok()?.into_iter().find(|entry| entry.key == key)?;
         Some(entry.line)
     }
 
-    /// Keys that are ignored but look like slips: each with its line and the key that was meant.
+    /// Ignored keys that look like typing errors: each with its line and the key that was meant.
     pub(crate) fn slips(text: &str) -> Vec<(usize, String, &'static str)> {
         let entries = entries(text).unwrap_or_default().into_iter();
         let slip = |entry: Entry| {
@@ -280,7 +280,7 @@ impl MapYaml {
 
 fn entries(text: &str) -> Result<Vec<Entry>, MapYamlError> {
     let mut entries: Vec<Entry> = Vec::new();
-    // Editors of Windows begin a file with a byte order mark.
+    // Windows editors begin a file with a byte order mark.
     let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     for (index, line) in text.lines().enumerate() {
         let line_number = index + 1;

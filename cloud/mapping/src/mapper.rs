@@ -1,4 +1,4 @@
-//! Mapper. How do a robot's scans become its map?
+//! Mapper. Builds a robot's map from its scans.
 //!
 //! The pure core of mapping: scans in, patches out.
 
@@ -35,10 +35,10 @@ const RESTARTED_CLOCK: f64 = 10.0;
 /// Most lidars whose scans are kept in order.
 const MAX_LIDARS: usize = 16;
 
-/// Most tiles of the patch that begins a frame: what its key allows.
+/// Most tiles of the patch that begins a frame: the limit of its key.
 const MOST_TILES: usize = 15_000;
 
-/// Most positions of a trajectory; beyond it every other one is dropped, and the step doubles.
+/// Most positions of a trajectory; beyond that every other one is dropped, and the step doubles.
 const MAX_TRAJECTORY: usize = 100_000;
 
 /// Builds the map of one robot.
@@ -83,12 +83,12 @@ pub struct Mapper {
     trajectory_step: f64,
     stored: bool,
     held: bool,
-    /// Whether the next patch carries all changes: the map is another one as a whole.
+    /// Whether the map's frame has changed, so that the next patch must carry all changes.
     is_moved: bool,
 }
 
 impl Mapper {
-    /// A new map, all unknown. The id must be new for every map that is begun.
+    /// A new map, all unknown. Every map must get a new id.
     #[must_use]
     pub fn new(settings: MappingSettings, map_id: impl Into<String>) -> Self {
         Self {
@@ -111,7 +111,7 @@ impl Mapper {
         }
     }
 
-    /// A map that was stored: it counts as complete, and is held until it is resumed. The first patches carry all of it.
+    /// A stored map: it counts as complete, and is held until it is resumed. The first patches carry all of it.
     #[must_use]
     pub fn with_stored(
         settings: MappingSettings,
@@ -132,14 +132,14 @@ impl Mapper {
         }
     }
 
-    /// The same mapper, which clears the cells under this footprint.
+    /// Sets the footprint under which cells are cleared.
     #[must_use]
     pub fn with_footprint(mut self, footprint: Footprint) -> Self {
         self.set_footprint(footprint);
         self
     }
 
-    /// Inserts a scan, and says what became of it.
+    /// Inserts a scan and returns the outcome.
     pub fn insert(&mut self, scan: &Scan) -> Insertion {
         if self.held {
             return Insertion::Held;
@@ -162,8 +162,8 @@ impl Mapper {
         Insertion::Inserted
     }
 
-    /// A mapper of the same map in which nothing was seen yet: the scans of this one are drawn into it from better poses, then it
-    /// [succeeds](Self::succeed) it.
+    /// An empty mapper of the same map: the scans of this one are redrawn into it from better poses, then it [succeeds](Self::succeed) this
+    /// one.
     #[must_use]
     pub fn redrawing(&self) -> Self {
         Self {
@@ -175,10 +175,10 @@ impl Mapper {
         }
     }
 
-    /// Takes the place of the mapper that it was made of by [`Self::redrawing`]: the same map, which may have changed everywhere.
+    /// Replaces the mapper from which it was made by [`Self::redrawing`]: the same map, possibly changed everywhere.
     #[must_use]
     pub fn succeed(mut self, old: &Self) -> Self {
-        // Both cover the same ground but for centimetres: where that is too much for a map, the borders of the old one are left.
+        // Both cover the same ground to within centimetres; if that makes the map too large, the borders of the old one are dropped.
         self.grid.succeed(&old.grid);
         Self {
             stamp: self.stamp.max(old.stamp),
@@ -192,7 +192,7 @@ impl Mapper {
         }
     }
 
-    /// Whether a scan is newer than the last one of its lidar: the lidars of one robot scan independently of one another.
+    /// Whether a scan is newer than the last one of its lidar; the lidars of a robot scan independently.
     fn is_in_order(&self, scan: &Scan) -> bool {
         let last = self.newest.iter().find(|(mount, _)| *mount == scan.base_from_laser);
         last.is_none_or(|(_, stamp)| scan.stamp > *stamp || stamp.secs_since(scan.stamp) >= RESTARTED_CLOCK)
@@ -228,7 +228,7 @@ impl Mapper {
 
     /// Takes the changes since the last patch, as the next revision; `None` without any.
     pub fn take_patch(&mut self) -> Option<MapPatch> {
-        // Nobody holds one half of a map in one frame and the other half in another.
+        // A new frame goes out in one patch, so that no replica mixes two frames.
         let is_moved = std::mem::take(&mut self.is_moved);
         let most = if is_moved {
             MOST_TILES
@@ -236,7 +236,7 @@ impl Mapper {
             self.settings.patch_tiles.max(1)
         };
         let tiles = self.grid.take_dirty(most);
-        // A frame of its own is news where the map itself has not changed, too.
+        // A new frame is published even if no cell has changed.
         if tiles.is_empty() && !(is_moved && self.map.revision > 0) {
             return None;
         }
@@ -251,7 +251,7 @@ impl Mapper {
         })
     }
 
-    /// The coordinates of the map are from now on in this frame. The next patch carries all that has changed.
+    /// Sets the frame of the map's coordinates. The next patch carries all changes.
     pub fn set_frame(&mut self, frame: u64) {
         self.is_moved |= self.map.frame != frame;
         self.map.frame = frame;
@@ -263,7 +263,7 @@ impl Mapper {
         self.is_moved || self.grid.is_dirty()
     }
 
-    /// Sets the robot's footprint: from now on the cells under it are cleared.
+    /// Sets the robot's footprint, under which cells are cleared from now on.
     pub fn set_footprint(&mut self, footprint: Footprint) {
         self.footprint = Some(footprint);
     }
@@ -294,7 +294,7 @@ impl Mapper {
         }
     }
 
-    /// The whole map as a message. It may already hold changes of the next patch, which does no harm: patches carry values, not differences.
+    /// The whole map as a message. It may already hold changes of the next patch, which is harmless: patches carry values, not differences.
     #[must_use]
     pub fn reply(&self) -> MapReply {
         self.snapshot().into_reply()
@@ -318,7 +318,7 @@ impl Mapper {
         &self.map
     }
 
-    /// Begins a new map, all unknown, in the frame of the one before, and inserts scans into it.
+    /// Starts a new map, all unknown, in the previous map's frame, and resumes inserting scans.
     pub fn reset(&mut self, map_id: impl Into<String>) {
         let (footprint, frame) = (self.footprint.take(), self.map.frame);
         *self = Self::new(self.settings.clone(), map_id);
@@ -332,7 +332,7 @@ impl Mapper {
         (self.footprint, self.map.frame) = (footprint, frame);
     }
 
-    /// Lets every transient obstacle decay now.
+    /// Decays every transient obstacle now.
     pub fn decay_now(&mut self) {
         self.grid.decay_now();
     }
@@ -365,7 +365,7 @@ impl Mapper {
     }
 }
 
-/// The grid with decay as set.
+/// Adds decay to a grid, as set.
 fn decaying(grid: LogOddsGrid, settings: &MappingSettings) -> LogOddsGrid {
     match Duration::try_from_secs_f64(settings.decay_after) {
         Ok(after) if !after.is_zero() => grid.with_decay(after),

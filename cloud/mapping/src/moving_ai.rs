@@ -1,6 +1,6 @@
-//! Moving AI benchmarks. How are their grid maps (`.map`) and queries (`.scen`) read?
+//! Moving AI benchmarks. Reads grid maps (`.map`) and queries (`.scen`).
 //!
-//! Rows count from the top in these files; they are converted here.
+//! In these files rows count from the top; they are converted here.
 //!
 //! Sturtevant, "Benchmarks for Grid-Based Pathfinding", 2012: `.`, `G` and `S` are passable here, everything else is not.
 
@@ -26,7 +26,7 @@ pub enum MovingAiError {
     Grid(#[from] GridError),
 }
 
-/// A query as it stands in the file, with columns and rows counted from the top left.
+/// A query as in the file, with columns and rows counted from the top left.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scenario {
     /// Class of difficulty: the optimum divided by 4.
@@ -41,7 +41,7 @@ pub struct Scenario {
     pub optimum: f64,
 }
 
-/// The cell of a column and row that count from the top left; `None` outside the grid.
+/// The cell at a column and row counted from the top left; `None` outside the grid.
 #[must_use]
 pub fn cell_from_top(spec: &GridSpec, [x, y]: [u32; 2]) -> Option<Cell> {
     (x < spec.width && y < spec.height).then(|| Cell::new(x, spec.height - 1 - y))
@@ -139,7 +139,7 @@ pub fn parse_scenarios(text: &[u8]) -> Result<Vec<Scenario>, MovingAiError> {
         if content.trim().is_empty() || content.starts_with("version") {
             continue;
         }
-        // The files have tabs. Where somebody edited them with spaces, names have no spaces.
+        // The files use tabs; in hand-edited files with spaces, names contain no spaces.
         let words: Vec<&str> = if content.contains('\t') {
             content.split('\t').map(str::trim).collect()
         } else {

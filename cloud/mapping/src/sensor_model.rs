@@ -1,4 +1,4 @@
-//! Inverse sensor model. What does one observation say about a cell?
+//! Inverse sensor model. The change of a cell's log-odds by one observation.
 //!
 //! With `p` the probability that the cell is occupied, an observation `z` adds its own log-odds to the cell's,
 //!
@@ -40,7 +40,7 @@ pub(crate) struct QuantizedModel {
 }
 
 impl QuantizedModel {
-    /// Probabilities outside (0, 1), and NaN, are brought inside.
+    /// Quantises the model. Probabilities outside (0, 1), and NaN, are brought inside.
     pub(crate) fn new(model: &SensorModel) -> Self {
         let mut percent = [Occupancy::UNKNOWN; 256];
         for (byte, percent) in percent.iter_mut().enumerate().skip(1) {
@@ -85,7 +85,7 @@ impl QuantizedModel {
         self.seen(cell).saturating_add(self.hit).min(self.most)
     }
 
-    /// The byte before the first observation of an unseen cell is the prior.
+    /// Replaces an unseen cell by the prior before its first observation.
     #[inline]
     fn seen(&self, cell: u8) -> u8 {
         if cell == UNSEEN { self.prior } else { cell }

@@ -1,4 +1,4 @@
-//! Settings. Which numbers of mapping can be tuned?
+//! Settings. The tunable numbers of mapping.
 //!
 //! The section `[mapping]` of a deployment file. Numerical epsilons and memory bounds are private constants beside their use.
 
@@ -13,16 +13,16 @@ zenav_protocol::settings! {
         pub resolution: f64 = 0.025, "m", 0.005..=10.0;
         /// How beams are drawn: `reference` (every beam, exactly) or `fast` (wedges between beams are filled).
         pub mode: InsertMode = InsertMode::Reference;
-        /// Temporal decay: an obstacle that appeared where it had long been free is free again after this time without a hit; after as
-        /// long with hits it is permanent. 0 turns decay off (30: longer than a robot usually looks away, shorter than people stand).
+        /// Temporal decay: an obstacle that appeared where it had long been free is freed after this time without a hit; after as long with
+        /// hits it is permanent. 0 turns decay off (30: longer than a robot usually looks away, shorter than people stand).
         pub decay_after: f64 = 30.0, "s", 0.0..=86_400.0;
         /// Distance between the stored positions of the robot.
         pub trajectory_step: f64 = 0.1, "m", 0.01..=100.0;
-        /// Most tiles in a patch; the others follow in the next (2048 tiles are 8 MiB).
+        /// Most tiles in a patch; the rest follow in the next (2048 tiles are 8 MiB).
         pub patch_tiles: usize = 2048, "tiles", 1..=15_000;
         /// Most patches a second; the first scan after a pause is published at once.
         pub publish_hz: f64 = 10.0, "Hz", 0.1..=100.0;
-        /// What one observation says about a cell.
+        /// Evidence of one observation on a cell.
         pub sensor_model: SensorModel;
         /// Which beams of a scan are used.
         pub beams: BeamSettings;
@@ -55,11 +55,11 @@ zenav_protocol::settings! {
     pub struct BeamSettings {
         /// Beams dropped at each end of the sweep, where lidars see their own housing; a full circle has no ends.
         pub trim: usize = 2, "beams", 0..=1000;
-        /// Returns beyond this distance are not trusted: such a beam clears up to here and hits nothing. Without it, the scan's range.
+        /// Returns beyond this distance are ignored: such a beam clears up to here and hits nothing. If not set: the scan's range.
         pub max_range: Option<f64> = None, "m";
         /// Whether a beam without a return clears its cells up to the range; some lidars also lose black and glass.
         pub clear_without_return: bool = true;
-        /// A run of fewer such beams may have been lost: it clears no farther than the beams beside it saw.
+        /// A run of fewer beams than this without a return may have been lost: it clears no farther than the neighbouring returns.
         pub lost_run: usize = 8, "beams", 0..=1000;
     }
     check = |beams: &BeamSettings| match beams.max_range {

@@ -1,6 +1,6 @@
-//! Map store. What of a map outlives its service?
+//! Map store. The part of a map that outlives its service.
 //!
-//! Its `map_server` files, and beside them a record of its revision and the robot's trajectory (`map.json`).
+//! A map is stored as `map_server` files, with a record of its revision and the robot's trajectory beside them (`map.json`).
 
 use std::path::{Path, PathBuf};
 
@@ -18,7 +18,7 @@ const STEM: &str = "map";
 /// Largest record that is read, bytes.
 const MAX_SIDECAR: u64 = 64 << 20;
 
-/// What `map_server` files cannot express.
+/// The data of a map that `map_server` files cannot express.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct MapRecord {
@@ -37,7 +37,7 @@ pub struct MapRecord {
 pub struct StoredMap {
     /// Occupancy of every cell.
     pub grid: OccupancyGrid,
-    /// The map's record; empty where another tool wrote the files.
+    /// The map's record; empty if another tool wrote the files.
     pub record: MapRecord,
 }
 
@@ -57,10 +57,10 @@ pub fn save(folder: &Path, stored: &StoredMap) -> Result<PathBuf, MapFileError> 
     Ok(path)
 }
 
-/// The folders of stored maps in a folder, by name, each with its map's record; none where there is no such folder.
+/// The stored maps in a folder, by name, each with its map's record; empty if there is no such folder.
 ///
 /// # Errors
-/// [`MapFileError::Io`] for a folder that cannot be read.
+/// [`MapFileError::Io`] for an unreadable folder.
 pub fn list(folder: &Path) -> Result<Vec<(String, MapRecord)>, MapFileError> {
     let failed = |source| MapFileError::Io {
         path: folder.to_owned(),
@@ -83,10 +83,10 @@ pub fn list(folder: &Path) -> Result<Vec<(String, MapRecord)>, MapFileError> {
     Ok(found)
 }
 
-/// Loads the map of a folder; `None` when there is none. Without a readable record the map has an empty one.
+/// Loads the map of a folder; `None` if there is none. Without a readable record the map has an empty one.
 ///
 /// # Errors
-/// [`MapFileError`] for files that exist but are no map, or whose description was changed since it was stored.
+/// [`MapFileError`] for files that exist but are not a map, or whose description was changed after it was stored.
 pub fn load(folder: &Path) -> Result<Option<StoredMap>, MapFileError> {
     let path = folder.join(format!("{STEM}.yaml"));
     if !path.exists() {
@@ -99,7 +99,7 @@ pub fn load(folder: &Path) -> Result<Option<StoredMap>, MapFileError> {
     }))
 }
 
-/// The record of a folder's map; empty where there is none that can be read.
+/// The record of a folder's map; empty if there is no readable one.
 fn record(folder: &Path) -> MapRecord {
     let sidecar = sidecar(folder);
     match read_bytes(&sidecar, MAX_SIDECAR) {

@@ -1,4 +1,4 @@
-//! Does a replica that applies the mapper's patches equal the map?
+//! Tests that a replica fed by the mapper's patches equals the map.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use nalgebra::Point2;
@@ -68,7 +68,7 @@ fn malformed_patches_change_nothing() {
     }
     assert_eq!(replica.apply(&good), PatchResult::Applied);
     assert_eq!(replica.apply(&good), PatchResult::Old);
-    // The grid may not slip by part of a cell.
+    // The grid must not shift by a fraction of a cell.
     let mut slipped = good.clone();
     slipped.base_revision = 1;
     slipped.map.revision = 2;

@@ -1,5 +1,5 @@
-//! A mission's core stepped by hand: no robot, no network, no disk. A goal with a tree of its own is submitted, the robot's lease is
-//! granted, and every effect is printed in the order in which a service would carry it out.
+//! A mission's core stepped by hand, without a robot, network or disk. A goal with its own tree is submitted, the robot's lease is granted,
+//! and every effect is printed in the order in which a service would carry it out.
 //!
 //! `cargo run -p zenav-mission --example by_hand`
 #![allow(clippy::print_stdout, reason = "an example")]

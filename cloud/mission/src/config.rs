@@ -1,4 +1,4 @@
-//! Mission configuration. Whose mission is it, and with which settings?
+//! Mission configuration. Which robot is the mission for, and with which settings?
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -15,17 +15,17 @@ use crate::settings::MissionSettings;
 pub struct MissionConfig {
     /// The robot.
     pub robot: Id,
-    /// The orchestrator's name, as holder of the robot's lease; no two may share it.
+    /// The orchestrator's name, as holder of the robot's lease; must be unique.
     pub holder: String,
-    /// The store's file; used by the service alone.
+    /// The store's file; used only by the service.
     pub store: PathBuf,
     /// Named goals, map frame.
     pub places: BTreeMap<String, GoalPoint>,
     /// Zones of the map.
     pub zones: Arc<Zones>,
-    /// Planner that is asked for (`astar`, …).
+    /// Requested planner (`astar`, …).
     pub planner: String,
-    /// What can be tuned.
+    /// Tunable settings.
     pub settings: MissionSettings,
 }
 

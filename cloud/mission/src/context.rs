@@ -22,13 +22,13 @@ use super::robot::RobotView;
 use super::route::{Route, Tries};
 use zenav_space::{ConfigurationSpace, Zones};
 
-/// Pending requests; beyond that the oldest is dropped.
+/// Most pending requests; beyond that the oldest is dropped.
 const MAX_ASKS: usize = 256;
 /// Routes kept for the leaves that follow them.
 const MAX_ROUTES: usize = 16;
 /// Drives kept per goal.
 const MAX_LEGS: usize = 64;
-/// For so long after its start a mission takes a place that it does not know for one that it has not heard of yet, s.
+/// Time after its start during which a mission assumes that an unknown place may still be announced, s.
 const PLACES_WITHIN: f64 = 5.0;
 
 /// Pending requests and their answers.
@@ -96,12 +96,12 @@ impl Asks {
     }
 }
 
-/// The active goal, as far as its leaves write to it.
+/// The active goal, with the state that its leaves write.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ActiveGoal {
     /// Its id.
     pub id: String,
-    /// Distance that counts as reached, m.
+    /// Distance at which the goal counts as reached, m.
     pub tolerance: f64,
     /// The driving profile of its motions.
     pub profile: DrivingProfile,
@@ -109,23 +109,23 @@ pub struct ActiveGoal {
     pub feedback: GoalFeedback,
     /// Its drives.
     pub legs: Vec<Leg>,
-    /// Counts the changes of the drives.
+    /// Number of changes of the drives.
     pub leg_changes: u64,
-    /// What failed last.
+    /// Last failure.
     pub failure: Option<String>,
-    /// When it began.
+    /// Time at which it began.
     pub started: Stamp,
-    /// What was waited for last, and until when.
+    /// The last obstacle waited for, and the end of the wait.
     pub waited: Option<(Blockage, Stamp)>,
-    /// When the robot was turned to it last.
+    /// Last time at which the robot was turned towards the obstacle.
     pub looked: Option<Stamp>,
-    /// Until when that was out of sight, and the robot was being brought nearer.
+    /// Last time at which the obstacle was out of sight and the robot was approaching it.
     pub unseen_until: Option<Stamp>,
-    /// How often it was.
+    /// Approaches made.
     pub tries: Tries,
-    /// What covered it, since when that has been waited for, and when it was seen there last.
+    /// The obstacle that covers the goal: its position, since when the robot has waited for it, and when it was last seen there.
     pub covered: Option<(Point2<f64>, Stamp, Stamp)>,
-    /// Since when something has leaned on it, or it was driven aside for that.
+    /// Since when an obstacle has leaned on the robot, or when the robot last moved aside for it.
     pub leaned_on: Option<Stamp>,
 }
 
@@ -146,27 +146,27 @@ pub struct Context {
     pub lease: LeaseClient,
     /// The plan in force.
     pub motion: MotionKeeper,
-    /// Requests to other parts.
+    /// Requests to other components.
     pub asks: Asks,
     /// The active goal; empty between goals.
     pub goal: ActiveGoal,
     /// Plans to publish, in order.
     pub plans: Vec<Plan>,
-    /// Depth of nested trees of the leaf being ticked; 0 in the goal's own.
+    /// Nesting depth of the tree of the ticked leaf; 0 in the goal's own.
     pub nested: u32,
-    /// Nodes of the inner trees that run, of the goal.
+    /// Number of nodes of the goal's running inner trees.
     pub nested_nodes: usize,
-    /// The maneuver that the robot was asked for last, unless it was called off.
+    /// The manoeuvre that the robot was last asked for, unless it was called off.
     maneuver: Option<String>,
-    /// The maneuver that a pause called off last.
+    /// The manoeuvre that a pause last called off.
     held_up: Option<String>,
-    /// When the first step was.
+    /// Time of the first step.
     begun: Option<Stamp>,
-    /// Whether the annotations of the map have come.
+    /// Whether the annotations of the map have arrived.
     annotated: bool,
-    /// The places of the annotations, and the frame that they are in.
+    /// The places of the annotations, and their frame.
     places: (u64, BTreeMap<String, GoalPoint>),
-    /// How often a tree has asked to cancel what leaves of this registration id do.
+    /// How often a tree has asked to cancel the leaves of a registration id.
     cancels: BTreeMap<&'static str, u64>,
     routes: VecDeque<Arc<Route>>,
     route_count: u64,
@@ -181,20 +181,20 @@ impl Context {
         *self.cancels.entry(id).or_default() += 1;
     }
 
-    /// Asks the robot for a maneuver.
+    /// Requests a manoeuvre of the robot.
     pub(crate) fn ask_maneuver(&mut self, request: BehaviourRequest) -> Ticket {
         self.maneuver = Some(request.id.clone());
         self.asks.ask(Ask::Behaviour(request))
     }
 
-    /// Calls off the maneuver that the robot was asked for last, if it was not called off before.
+    /// Calls off the manoeuvre that the robot was last asked for, unless that was done before.
     pub(crate) fn call_off_last(&mut self) {
         if let Some(id) = self.maneuver.clone() {
             self.call_off(id);
         }
     }
 
-    /// The same for a pause: the leaf whose maneuver it is drives the rest of it when it goes on.
+    /// The same for a pause: the leaf completes the rest of its manoeuvre when it resumes.
     pub(crate) fn hold_up_last(&mut self) {
         if self.maneuver.is_some() {
             self.held_up.clone_from(&self.maneuver);
@@ -202,12 +202,12 @@ impl Context {
         self.call_off_last();
     }
 
-    /// Whether a pause called this maneuver off.
+    /// Whether a pause called this manoeuvre off.
     pub(crate) fn is_held_up(&self, id: &str) -> bool {
         self.held_up.as_deref() == Some(id)
     }
 
-    /// Calls off a maneuver, wherever it is by now: what has ended stays as it ended.
+    /// Calls off a manoeuvre in any state; one that has ended stays as it is.
     pub(crate) fn call_off(&mut self, id: String) {
         self.maneuver.take_if(|last| *last == id);
         if let Some(epoch) = self.lease.epoch() {
@@ -220,7 +220,7 @@ impl Context {
         }
     }
 
-    /// How often leaves of a registration id have been asked to end: a change since its start asks a leaf.
+    /// Number of cancel requests for leaves of a registration id: a change since a leaf's start asks that leaf to end.
     #[must_use]
     pub fn cancels(&self, id: &str) -> u64 {
         self.cancels.get(id).copied().unwrap_or(0)
@@ -257,7 +257,7 @@ impl Context {
         }
     }
 
-    /// Takes the time of a step, and the places and zones of the map where they are new.
+    /// Takes the time of a step, and new places and zones of the map.
     pub(super) fn observe(&mut self, now: Stamp, annotations: Option<Annotations>) {
         self.now = now;
         self.begun.get_or_insert(now);
@@ -265,7 +265,7 @@ impl Context {
         let zones = match Zones::new(&annotations.zones) {
             Ok(zones) => zones,
             Err(error) => {
-                // Those that are known stay in force: a keep-out zone must not vanish.
+                // The known zones stay in force: a keep-out zone must not vanish.
                 tracing::error!(robot = %self.config.robot, %error, "the annotations of the map are refused");
                 return;
             }
@@ -281,7 +281,7 @@ impl Context {
         }
     }
 
-    /// The places, in the present frame of the map.
+    /// Converts the places to the present frame of the map.
     fn carry_places(&mut self) {
         let (from, places) = &self.places;
         let here = places.iter();
@@ -289,7 +289,7 @@ impl Context {
         Arc::make_mut(&mut self.config).places = here.collect();
     }
 
-    /// Goes over to the frame of the newest map, with the plan in force and the places. Returns the frame before, where it is another one.
+    /// Switches to the frame of the newest map, with the plan in force and the places. Returns the previous frame if it changed.
     pub(super) fn settle(&mut self) -> Option<u64> {
         let before = self.frames.settle(self.map.newest().as_ref());
         if before.is_some() {
@@ -303,12 +303,12 @@ impl Context {
         before
     }
 
-    /// Whether the places that were added at run time have come.
+    /// Whether the places added at run time have arrived.
     pub(super) fn knows_places(&self) -> bool {
         self.annotated
     }
 
-    /// Whether places may be known soon that are not known yet.
+    /// Whether unknown places may still be announced.
     pub(super) fn may_learn_places(&self) -> bool {
         let early = |begun| self.now.secs_since(begun) < PLACES_WITHIN;
         !self.annotated && self.begun.is_none_or(early)
@@ -362,7 +362,7 @@ impl Context {
         }
     }
 
-    /// Where the robot may be by what the map says now, or why that is not known.
+    /// The configuration space of the present map, or why it is unknown.
     pub(crate) fn space_now(&mut self) -> Result<Arc<ConfigurationSpace>, String> {
         let Some(model) = self.robot.model().cloned() else {
             return Err("the robot has not described itself".to_owned());
@@ -377,7 +377,7 @@ impl Context {
         space.ok_or_else(|| "no map has come yet".to_owned())
     }
 
-    /// Round trip to the robot and back, s, as the robot measures it: the longest of late.
+    /// Round trip to the robot and back, s, as measured by the robot: recent maximum.
     #[must_use]
     pub fn round_trip(&self) -> f64 {
         let told = self.robot.state().and_then(|state| state.round_trip_secs);
@@ -386,14 +386,14 @@ impl Context {
             .clamp(0.0, LONGEST_ROUND_TRIP.as_secs_f64())
     }
 
-    /// From the robot's newest state to a plan in force that was made from it, s.
+    /// Time from the robot's newest state until a plan made from it is in force, s.
     #[must_use]
     pub fn latency_budget(&self) -> f64 {
         self.config.settings.latency_budget + self.round_trip()
     }
 
-    /// How long a plan is valid from the state that it was made from, s. A plan has lost a round trip of that when it arrives; what an ordinary link
-    /// takes is in the setting, the rest is added.
+    /// How long a plan is valid from the state that it was made from, s. The plan has used up one round trip of that when it arrives; the
+    /// setting covers an ordinary link, and the excess is added.
     fn plan_valid(&self) -> f64 {
         let settings = &self.config.settings;
         settings.plan_valid + (self.round_trip() - settings.latency_budget).max(0.0)
@@ -402,7 +402,7 @@ impl Context {
     /// Publishes a new plan for the active goal.
     pub fn drive(&mut self, mut draft: super::motion::PlanDraft) {
         if draft.map.id.is_empty() {
-            // A plan that no map was needed for is in the present frame all the same.
+            // A plan that needed no map is also in the present frame.
             draft.map.frame = self.frames.at();
         }
         let (Some(epoch), Some(based_on)) = (self.lease.epoch(), self.robot.based_on()) else {
@@ -433,12 +433,12 @@ impl Context {
         }
     }
 
-    /// Shortens the plan in force to the time that braking takes: the robot comes to rest on the path that was checked.
+    /// Shortens the plan in force to the braking time: the robot comes to rest on the checked path.
     pub fn hold(&mut self) {
         self.hold_within(f64::INFINITY);
     }
 
-    /// The same; if it can, the robot is at rest `secs` after its newest state.
+    /// The same; if possible, the robot is at rest `secs` after its newest state.
     pub fn hold_within(&mut self, secs: f64) {
         if let (Some(epoch), Some(based_on), Some(model)) =
             (self.lease.epoch(), self.robot.based_on(), self.robot.model())
@@ -460,7 +460,7 @@ impl Context {
         self.goal.legs.last().is_some_and(|leg| leg.state == GoalPhase::Active)
     }
 
-    /// A drive begins, or the one that failed last begins again.
+    /// Begins a drive, or resumes the last one if it failed.
     pub fn begin_leg(&mut self, name: &str, goal: Option<GoalPoint>, planned_length: f64) {
         if let Some(leg) = self
             .goal
@@ -492,7 +492,7 @@ impl Context {
         self.goal.leg_changes += 1;
     }
 
-    /// The drive ends: nothing is left in force.
+    /// Ends the drive: no plan stays in force.
     pub fn end_leg(&mut self, state: GoalPhase, reason: Option<String>) {
         if state != GoalPhase::Succeeded {
             self.hold();

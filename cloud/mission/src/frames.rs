@@ -1,8 +1,8 @@
-//! Frames of the map. In which coordinates is the mission, and where do its places lie when the map has moved?
+//! Frames of the map. In which frame does the mission work, and where are its places after the map has moved?
 //!
-//! A loop closure begins the next frame of the map. The mission goes over to it once its replica of the map has: then goals and places move
-//! with the part of the map that they belong to, and what the robot drives moves with the robot's surroundings, as it does on the robot.
-//! Until both the map and the word on its parts are there nothing is planned or renewed.
+//! A loop closure starts the next frame of the map. The mission switches to it once its replica of the map has: goals and places then move
+//! with the part of the map they belong to, and the driven path moves with the robot's surroundings, as it does on the robot. Until both
+//! the map and its parts are known in one frame, nothing is planned or renewed.
 
 use std::collections::VecDeque;
 
@@ -11,16 +11,16 @@ use serde::{Deserialize, Serialize};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::{GoalPoint, MOST_MOVES, MapFrame, MapRef, moved_between};
 
-/// What the places of a goal are tied to, so that they keep their spot in the building.
+/// Anchors of a goal's places in parts of the map, so that they keep their spot in the building.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Anchors {
-    /// The map whose parts are meant.
+    /// The map that the parts belong to.
     pub map: String,
-    /// For each place the part that it belongs to, and where it is in that part; without a part, where it is in the map.
+    /// For each place, its part and its position in that part; without a part, its position in the map.
     pub places: Vec<(Option<usize>, GoalPoint)>,
 }
 
-/// The present frame, and what is known of those before it.
+/// The present frame, and the known earlier ones.
 #[derive(Clone, Debug, Default)]
 pub struct Frames {
     at: u64,
@@ -30,7 +30,7 @@ pub struct Frames {
 }
 
 impl Frames {
-    /// Takes what mapping says of a frame and its parts.
+    /// Observes a frame and its parts, as published by mapping.
     pub fn observe(&mut self, frame: MapFrame) {
         if !frame.is_sane() {
             tracing::warn!(map = frame.map.id, "a frame of the map is malformed: left out");
@@ -49,7 +49,7 @@ impl Frames {
         self.newest = Some(frame);
     }
 
-    /// Goes over to the frame of the map's replica where that is known. Returns the frame before, if it is another one.
+    /// Switches to the frame of the map's replica if it is known. Returns the previous frame if it changed.
     pub fn settle(&mut self, replica: Option<&MapRef>) -> Option<u64> {
         let Some(map) = replica else {
             self.is_settled = true;
@@ -63,19 +63,19 @@ impl Frames {
         Some(std::mem::replace(&mut self.at, map.frame))
     }
 
-    /// The present frame: that of the map, of goals and of plans.
+    /// The present frame, used for the map, goals and plans.
     #[must_use]
     pub fn at(&self) -> u64 {
         self.at
     }
 
-    /// Whether the map and the word on its parts are of one frame.
+    /// Whether the map and its parts are known in the same frame.
     #[must_use]
     pub fn is_settled(&self) -> bool {
         self.is_settled
     }
 
-    /// How the robot's surroundings moved from a frame to the present one; `None` where that is not known.
+    /// How the robot's surroundings moved from a frame to the present one; `None` if unknown.
     #[must_use]
     pub fn robot(&self, from: u64) -> Option<Pose2> {
         if from == self.at {
@@ -86,7 +86,7 @@ impl Frames {
         Some(until(self.at)?.inverse() * until(from)?)
     }
 
-    /// Where a place of a frame lies in the present one. What belongs to no part keeps its numbers.
+    /// Where a place of a frame is in the present one. A place that belongs to no part keeps its coordinates.
     #[must_use]
     pub fn place(&self, from: u64, place: GoalPoint) -> GoalPoint {
         let moved = || {
@@ -105,7 +105,7 @@ impl Frames {
         self.version(frame).is_some()
     }
 
-    /// What places of a frame are tied to; `None` where nothing is known of that frame.
+    /// Anchors of places given in a frame; `None` if that frame is unknown.
     #[must_use]
     pub fn anchors(&self, from: u64, places: &[GoalPoint]) -> Option<Anchors> {
         let version = self.version(from)?;
@@ -120,7 +120,7 @@ impl Frames {
         })
     }
 
-    /// Where anchored places lie in the present frame; `None` for those of another map.
+    /// Where anchored places are in the present frame; `None` for anchors in another map.
     #[must_use]
     pub fn resolved(&self, anchors: &Anchors) -> Option<Vec<GoalPoint>> {
         let version = self.version(self.at).filter(|version| version.map.id == anchors.map)?;
@@ -139,7 +139,7 @@ impl Frames {
     }
 }
 
-/// Points moved as one body.
+/// Points moved as a rigid body.
 #[must_use]
 pub fn moved_points(points: &[Point2<f64>], new_from_old: Pose2) -> Vec<Point2<f64>> {
     points

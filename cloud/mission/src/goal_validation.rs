@@ -1,4 +1,5 @@
-//! Goal validation. Is this a goal, and can it be reached? Checked when it is submitted; a rejection has a reason and the nearest free place.
+//! Goal validation. Is this a valid goal, and can it be reached? Checked on submission; a rejection has a reason and the nearest free
+//! place.
 
 use nalgebra::Point2;
 use zenav_protocol::grid::Occupancy;
@@ -14,7 +15,7 @@ use zenav_space::{BitGrid, ConfigurationSpace, reach};
 
 /// Most waypoints of a goal.
 const MAX_WAYPOINTS: usize = 1000;
-/// Largest map on which a goal's connection to the robot is checked before it is accepted, cells: some 50 ms.
+/// Largest map on which the connection of goal and robot is checked before acceptance, cells: about 50 ms.
 const MAX_FLOODED: usize = 4_000_000;
 /// Most blackboard entries of a goal.
 const MAX_ENTRIES: usize = 256;
@@ -25,12 +26,12 @@ pub const TOLERANCE: std::ops::RangeInclusive<f64> = 0.02..=10.0;
 /// Longest deadline, s.
 const LONGEST_DEADLINE: f64 = 1e7;
 
-/// What a goal asks for.
+/// Target of a goal.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Target {
     /// Reach a pose.
     Pose(GoalPoint),
-    /// Pass waypoints in order.
+    /// Pass through waypoints in order.
     Waypoints(Vec<GoalPoint>),
     /// Run the request's tree.
     Tree,
@@ -39,8 +40,8 @@ pub enum Target {
 /// The target of a well-formed request.
 ///
 /// # Errors
-/// [`Refusal::BadRequest`] with what was expected, [`Refusal::NotFound`] for an unknown place, [`Refusal::Busy`] for one that may be known
-/// in a moment.
+/// [`Refusal::BadRequest`] with what was expected, [`Refusal::NotFound`] for an unknown place, [`Refusal::Busy`] for one that may still be
+/// announced.
 pub fn target(request: &GoalRequest, ctx: &Context) -> Result<Target, Refusal> {
     let bad = |reason: String| Err(Refusal::BadRequest { reason });
     if let Some(id) = &request.id
@@ -148,8 +149,8 @@ fn checked_point(point: GoalPoint, name: &str) -> Result<GoalPoint, Refusal> {
     })
 }
 
-/// Whether the robot can reach the target on the known map, or a place within the tolerance (m) of the pose; unknown space counts for the
-/// goal, and so does what may leave again.
+/// Whether the robot can reach the target on the known map, or a place within the tolerance (m) of the pose; unknown space and space taken
+/// by transient obstacles count as reachable.
 ///
 /// # Errors
 /// [`Refusal::Rejected`] for a goal outside the map, in an obstacle or unreachable, with the nearest reachable place.
@@ -187,7 +188,7 @@ pub fn reachable(target: &Target, tolerance: f64, ctx: &mut Context) -> Result<(
             reached.is_none_or(|reached| reach::is_reached(space, reached, point)),
         )
     };
-    // The map as if what may leave had left, once it is asked for.
+    // The map without its transient obstacles, computed on demand.
     let mut later: Option<(ConfigurationSpace, Option<BitGrid>)> = None;
     for goal in points {
         let point = Point2::new(goal.x, goal.y);
@@ -233,7 +234,7 @@ pub fn reachable(target: &Target, tolerance: f64, ctx: &mut Context) -> Result<(
         } else {
             "is occupied: the footprint does not fit"
         };
-        // Where the robot itself does not fit, nobody knows what it can reach.
+        // If the robot itself does not fit where it stands, its reachable space is unknown.
         let told = nearest.filter(|_| reached.is_some() || from.is_none());
         let nearest_free = told.map(|free| GoalPoint {
             x: free.x,

@@ -1,8 +1,8 @@
-//! Goal table. Which goals are there, and how do they end? Every change becomes a record; a goal ends once.
+//! Goal table. Which goals are there, and how do they end? Every change becomes a record; a goal ends exactly once.
 //!
-//! A goal sent again under the same id is the same goal, and a request repeated under its id gets its first answer. Both are
-//! remembered within a window: all open goals, the last `MAX_ENDED` ended ones and the last `MAX_ANSWERS` answers. An id
-//! from before that is a new goal, so a client should not resend one after a thousand others have ended.
+//! A goal resubmitted under the same id is the same goal, and a request repeated under its id gets its first answer. Both are remembered
+//! within a window: all open goals, the last `MAX_ENDED` ended ones and the last `MAX_ANSWERS` answers. An older id means a new goal, so a
+//! client should not resend a goal after a thousand others have ended.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
@@ -13,15 +13,15 @@ use zenav_protocol::time::Stamp;
 
 use super::records::{Record, StoredGoal, Turn};
 
-/// Ended goals that are kept: the window within which a goal's id is known again.
+/// Ended goals kept: the window within which a goal's id is recognised.
 const MAX_ENDED: usize = 1000;
-/// Goals that may be queued.
+/// Most queued goals.
 const MAX_WAITING: usize = 100;
-/// First answers that are kept: the window within which a request's id is known again.
+/// First answers kept: the window within which a request's id is recognised.
 const MAX_ANSWERS: usize = 256;
-/// Ended goals that are published again at the start: an end may have been stored and not published.
+/// Ended goals published again at the start: an end may have been stored but not published.
 const TOLD_AGAIN: usize = 32;
-/// Goals in one answer unless the request says otherwise.
+/// Default number of goals in an answer.
 const DEFAULT_LIMIT: usize = 100;
 
 /// All goals of one robot.
@@ -34,12 +34,12 @@ pub struct GoalTable {
     answers: VecDeque<(String, GoalReply)>,
     records: Vec<Record>,
     changed: BTreeSet<u64>,
-    /// Places in the queue as they were published last.
+    /// Last published positions in the queue.
     told_places: BTreeMap<u64, u64>,
 }
 
 impl GoalTable {
-    /// The goals and answers that were stored.
+    /// A table with the stored goals and answers.
     #[must_use]
     pub fn new(goals: Vec<StoredGoal>, answers: Vec<(String, GoalReply)>) -> Self {
         let goals: BTreeMap<u64, StoredGoal> = goals.into_iter().map(|goal| (goal.sequence, goal)).collect();
@@ -84,23 +84,23 @@ impl GoalTable {
         self.waiting().min_by_key(|goal| goal.turn().key())
     }
 
-    /// Goals that wait, the next one first.
+    /// Waiting goals, the next one first.
     fn queue(&self) -> Vec<&StoredGoal> {
         let mut queue: Vec<&StoredGoal> = self.waiting().collect();
         queue.sort_by_key(|goal| goal.turn().key());
         queue
     }
 
-    /// Places in the queue, from 1, by number of the goal.
+    /// Positions in the queue, from 1, by number of the goal.
     fn places(&self) -> BTreeMap<u64, u64> {
         self.queue().into_iter().map(|goal| goal.sequence).zip(1..).collect()
     }
 
-    /// Moves a waiting goal before another one, or to the end. It takes the other's urgency and priority; among goals of the same, the
-    /// numbers that they have are dealt out anew in the new order.
+    /// Moves a waiting goal before another one, or to the end. It takes on the other's urgency and priority; the order numbers of the goals
+    /// with this urgency and priority are then reassigned in the new order.
     ///
     /// # Errors
-    /// [`Refusal::Rejected`] for a goal that does not wait.
+    /// [`Refusal::Rejected`] for a goal that is not waiting.
     pub fn move_before(&mut self, id: &str, before: Option<&str>) -> Result<(), Refusal> {
         let queue = self.queue();
         let place = |id: &str| {
@@ -225,7 +225,7 @@ impl GoalTable {
         }
     }
 
-    /// Ends a goal; `false` if it has ended already or is unknown.
+    /// Ends a goal; `false` if it is unknown or has already ended.
     pub fn end(&mut self, id: &str, state: GoalPhase, reason: Option<String>, now: Stamp) -> bool {
         let ends = self.get(id).is_some_and(|goal| !goal.state.state.is_end()) && state.is_end();
         if ends {
@@ -262,7 +262,7 @@ impl GoalTable {
         }
     }
 
-    /// The answer to a goal that is there already under the id of `request`: its state, or a refusal where the id is another goal's.
+    /// The answer to a resubmitted goal: its state, or a refusal if the id belongs to a different goal. `None` for a new id.
     #[must_use]
     pub fn resubmitted(&self, request: &GoalRequest) -> Option<Result<GoalReply, Refusal>> {
         let known = self.get(request.id.as_ref()?)?;
@@ -295,7 +295,7 @@ impl GoalTable {
         self.answers.push_back((request_id, reply));
     }
 
-    /// Takes what is to be stored.
+    /// Takes the records to store.
     pub fn take_records(&mut self) -> Vec<Record> {
         std::mem::take(&mut self.records)
     }
@@ -344,7 +344,7 @@ impl GoalTable {
     }
 }
 
-/// A goal's state with its place in the queue.
+/// A goal's state with its position in the queue.
 fn shown(goal: &StoredGoal, places: &BTreeMap<u64, u64>) -> GoalState {
     GoalState {
         queue: places.get(&goal.sequence).copied(),

@@ -1,4 +1,4 @@
-//! Step I/O. What goes into a mission's step, and what comes out? Typed and decoded: no bus in here.
+//! Step I/O. What are the inputs and outputs of a mission's step? Typed and decoded, without a bus.
 
 use thiserror::Error;
 use zenav_protocol::lease::LONGEST_ROUND_TRIP;
@@ -12,7 +12,7 @@ use zenav_protocol::topics::{MissionReply, MissionRequest};
 
 use super::records::Record;
 
-/// Identifies a request of the mission's, so that its answer can be matched.
+/// Identifies a request of the mission, to match its answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize)]
 pub struct Ticket(pub u64);
 
@@ -20,14 +20,14 @@ pub struct Ticket(pub u64);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Client(pub u64);
 
-/// What arrived since the last step.
+/// Inputs since the last step.
 #[derive(Clone, Debug, Default)]
 pub struct Inputs {
     /// The robot's newest state, if new.
     pub state: Option<EdgeState>,
     /// The robot's newest pose estimate, if new.
     pub pose: Option<PoseEstimate>,
-    /// The robots that the robot gives way to, if new.
+    /// The newest report of the robots that the robot gives way to, if new.
     pub yields: Option<Yield>,
     /// The robot's events, in order.
     pub events: Vec<Event>,
@@ -35,13 +35,13 @@ pub struct Inputs {
     pub map_info: Option<MapInfo>,
     /// Map patches, in order.
     pub map_patches: Vec<MapPatch>,
-    /// Whether the robot's place can be trusted, if that was said anew.
+    /// Whether the robot's pose can be trusted, if new.
     pub localisation: Option<Localisation>,
-    /// The frame of the map and where its parts lie, if new.
+    /// The frame of the map and the poses of its parts, if new.
     pub map_frame: Option<MapFrame>,
     /// The places and zones of the map, if new.
     pub annotations: Option<Annotations>,
-    /// Whether the mapper is alive, if that has changed; it counts as alive until reported gone.
+    /// Whether the mapper is alive, if changed; it counts as alive until reported gone.
     pub mapper_alive: Option<bool>,
     /// Answers to the mission's requests.
     pub answers: Vec<(Ticket, Result<Answer, NoAnswer>)>,
@@ -49,7 +49,7 @@ pub struct Inputs {
     pub requests: Vec<(Client, MissionRequest)>,
 }
 
-/// A request of the mission's to another part.
+/// A request of the mission to another component.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Ask {
     /// To the robot: the lease.
@@ -62,20 +62,20 @@ pub enum Ask {
     Motion(Box<MotionRequest>),
     /// To mapping.
     Map(MapRequest),
-    /// To mapping: where the robot is.
+    /// To mapping: the robot's pose.
     Localise(LocaliseRequest),
     /// To a program that runs a remote action, on its key.
     Remote(String, Box<RemoteRequest>),
 }
 
 impl Ask {
-    /// How long the service tries to get an answer, s of wall time.
+    /// How long the service waits for an answer, s of wall time.
     #[must_use]
     pub fn patience_secs(&self) -> f64 {
         match self {
             Self::Lease(_) | Self::EdgeInfo(_) | Self::Behaviour(_) => 2.0 + LONGEST_ROUND_TRIP.as_secs_f64(),
             Self::Remote(..) => 2.0,
-            // Long enough for a second worker when the first one is silent.
+            // Long enough for a second worker if the first one does not answer.
             Self::Motion(request) => 2.0 + 2.0 * request.budget().as_secs_f64(),
             Self::Map(_) | Self::Localise(_) => 5.0,
         }
@@ -95,7 +95,7 @@ pub enum Answer {
     Motion(Box<MotionReply>),
     /// A map.
     Map(Box<MapReply>),
-    /// Whether the robot's place can be trusted.
+    /// Whether the robot's pose can be trusted.
     Localised(LocaliseReply),
     /// A remote action's progress.
     Remote(Box<RemoteReply>),
@@ -107,20 +107,20 @@ pub enum NoAnswer {
     /// The server refused.
     #[error("{0}")]
     Refused(Refusal),
-    /// No server answered in time with something that could be decoded.
+    /// No server gave a decodable answer in time.
     #[error("{0}")]
     Silent(String),
 }
 
-/// What a step asks its caller to do, in order. [`Persist`](Effect::Persist) is on disk, here and with every standby that has caught up,
-/// **before** any other effect of the step but the heartbeat, which promises nothing.
+/// Effects of a step for the caller to carry out, in order. [`Persist`](Effect::Persist) must be on disk, here and on every standby that
+/// has caught up, **before** any other effect of the step, except the heartbeat, which makes no promises.
 #[derive(Clone, Debug, PartialEq)]
 #[allow(
     clippy::large_enum_variant,
     reason = "a step has few effects, and each is moved once"
 )]
 pub enum Effect {
-    /// Store, all or nothing. At most one per step, and the first.
+    /// Store all or nothing. At most one per step, and the first.
     Persist(Vec<Record>),
     /// Publish the heartbeat.
     Heartbeat(Heartbeat),
@@ -130,7 +130,7 @@ pub enum Effect {
     Status(Box<MissionStatus>),
     /// Publish a goal's state.
     Goal(Box<GoalState>),
-    /// Ask.
+    /// Send a request.
     Ask(Ticket, Ask),
     /// Answer a client.
     Reply(Client, Result<MissionReply, Refusal>),

@@ -1,8 +1,8 @@
-//! Lease client. Does this mission command the robot, and does it keep the robot's goals? It asks for the lease until it has it, renews it with
-//! heartbeats, and believes the robot, not itself.
+//! Lease client. Does this mission command the robot, and does it keep the robot's goals? It requests the lease until granted, renews it
+//! with heartbeats, and relies on the robot's record, not on its own.
 //!
-//! To command is to hold the lease; to lead is to keep the goals, which goes on while an operator commands. Where another store may hold
-//! newer goals, this mission leads only once the robot has confirmed it since the mission started or woke.
+//! To command means to hold the lease; to lead means to keep the goals, which continues while an operator commands. If another store may
+//! hold newer goals, this mission leads only once the robot has confirmed it since the mission started or woke.
 
 use zenav_protocol::messages::{EdgeState, Heartbeat, LeaseAction, LeaseReply, LeaseRequest, LeaseRole, Refusal};
 use zenav_protocol::time::Stamp;
@@ -13,21 +13,21 @@ use super::records::Leadership;
 
 /// Time between two heartbeats, s.
 const BEAT: f64 = 0.1;
-/// Time between two requests while another holder commands, s.
+/// Time between two requests while there is another holder, s.
 const RETRY: f64 = 0.5;
-/// A new mission asks for the lease once it has heard the robot, or after this long, s: the robot is to know how far away it is.
+/// A new mission requests the lease once it has heard the robot, or after this long, s: the robot needs the round trip.
 const HEARS: f64 = 3.0;
-/// A robot that has not answered in this time, s, may be off: goals are taken nevertheless.
+/// A robot that has not answered within this time, s, may be off: goals are accepted nevertheless.
 const OFF: f64 = 1.0;
-/// After a pause longer than the lease's TTL (s) nothing known before is trusted.
+/// Pause (s), longer than the lease's TTL, after which all earlier knowledge is discarded.
 const SLEPT: f64 = 1.0;
 
-/// What this mission was granted.
+/// The grant of this mission.
 #[derive(Clone, Debug, PartialEq)]
 struct Grant {
     epoch: u64,
     boot_id: String,
-    /// As the robot told, s.
+    /// As measured by the robot, s.
     round_trip: f64,
 }
 
@@ -44,26 +44,26 @@ pub struct LeaseClient {
     next_beat: Stamp,
     first_step: Option<Stamp>,
     last_step: Option<Stamp>,
-    /// Why there is no lease.
+    /// Why the lease is not held.
     why_not: String,
-    /// Another mission that holds a live lease, by the robot's newest state.
+    /// Another mission with a live lease, according to the robot's newest state.
     other: Option<String>,
     /// The store of this mission, if it keeps goals.
     store: Option<String>,
     /// Epoch of the newest grant to that store.
     term: u64,
-    /// Whether the robot has confirmed that this mission leads, since it started or woke.
+    /// Whether the robot has confirmed that this mission leads, since the mission started or woke.
     confirmed: bool,
-    /// Whether another store may hold all of this store's goals, and by now newer ones.
+    /// Whether another store may hold all of this store's goals, and possibly newer ones.
     shared: bool,
     /// Whether another mission leads now.
     deposed: bool,
-    /// Whether the robot has been asked once, with whatever result.
+    /// Whether the robot has been asked once, with any result.
     heard_out: bool,
 }
 
 impl LeaseClient {
-    /// Nothing granted yet. `incarnation` makes requests and heartbeats newer than those of every earlier run.
+    /// No grant yet. `incarnation` makes requests and heartbeats newer than those of every earlier run.
     #[must_use]
     pub fn new(holder: &str, incarnation: u64, store: Option<String>, leadership: Leadership) -> Self {
         Self {
@@ -94,31 +94,31 @@ impl LeaseClient {
         self.grant.as_ref().map(|grant| grant.epoch)
     }
 
-    /// Round trip to the robot and back, s, as it told with the grant; zero without the lease.
+    /// Round trip to the robot and back, s, as returned with the grant; zero without the lease.
     #[must_use]
     pub fn round_trip(&self) -> f64 {
         self.grant.as_ref().map_or(0.0, |grant| grant.round_trip)
     }
 
-    /// Why there is no lease.
+    /// Why the lease is not held.
     #[must_use]
     pub fn why_not(&self) -> &str {
         &self.why_not
     }
 
-    /// Whether this mission keeps the robot's goals; where no other store can, also without the robot's confirmation.
+    /// Whether this mission keeps the robot's goals; if no other store can, also without the robot's confirmation.
     #[must_use]
     pub fn leads(&self) -> bool {
         self.claims() && (self.confirmed || self.heard_out)
     }
 
-    /// Whether it will lead unless the robot says otherwise: a new mission yields to one that leads.
+    /// Whether this mission leads, or will lead unless the robot names another leader: a new mission yields to the present leader.
     #[must_use]
     pub fn claims(&self) -> bool {
         !self.deposed && (self.confirmed || !self.shared)
     }
 
-    /// Whether another mission leads for sure.
+    /// Whether another mission certainly leads.
     #[must_use]
     pub fn is_deposed(&self) -> bool {
         self.deposed
@@ -130,18 +130,18 @@ impl LeaseClient {
         !self.leads() || self.other.is_some() && self.grant.is_none()
     }
 
-    /// Epoch under which it leads; `None` before the robot has confirmed it.
+    /// Epoch under which this mission leads; `None` before the robot has confirmed it.
     #[must_use]
     pub fn term(&self) -> Option<u64> {
         (self.confirmed && !self.deposed).then_some(self.term)
     }
 
-    /// Whether other stores may hold all that this mission acknowledges, from now on.
+    /// Sets whether other stores may hold everything that this mission acknowledges.
     pub fn share(&mut self, shared: bool) {
         self.shared = shared;
     }
 
-    /// Takes the robot's newest state.
+    /// Observes the robot's newest state.
     pub fn observe(&mut self, now: Stamp, state: &EdgeState) {
         let led = state.lease.live && state.lease.role == Some(LeaseRole::Mission);
         let other = state
@@ -158,7 +158,7 @@ impl LeaseClient {
             self.deposed = true;
         }
         let Some(grant) = &self.grant else {
-            // Nobody commands: the next request need not wait.
+            // There is no holder: the next request need not wait.
             if !state.lease.live && self.asking.is_none() {
                 self.next_ask = self.next_ask.min(now);
             }
@@ -175,10 +175,10 @@ impl LeaseClient {
         } else if lease.epoch == grant.epoch && !lease.live {
             self.lose(now, "the lease has lapsed".to_owned());
         }
-        // A state of an older epoch was sent before the grant.
+        // A state with an older epoch was sent before the grant.
     }
 
-    /// Heartbeats went out until now, though no step was made.
+    /// Records that heartbeats continued until now without a step.
     pub fn was_kept_alive(&mut self, now: Stamp) {
         if let Some(last) = &mut self.last_step {
             *last = now.max(*last);
@@ -191,12 +191,12 @@ impl LeaseClient {
         self.next_ask = now;
     }
 
-    /// Requests the lease where there is none; returns the heartbeat that is due, if one is. `echo` is the robot's time, as far as it is known.
+    /// Requests the lease if it is not held; returns a heartbeat if one is due. `echo` is the robot's time, as far as known.
     pub fn step(&mut self, now: Stamp, echo: Option<Stamp>, asks: &mut Asks) -> Option<Heartbeat> {
         if let Some(last) = self.last_step.replace(now)
             && now.secs_since(last) > SLEPT
         {
-            // Another mission may have taken over: the robot must confirm who leads, and not by an earlier answer.
+            // Another mission may have taken over: the robot must confirm the leader, and an earlier answer does not count.
             self.confirmed &= !self.shared;
             if let Some(ticket) = self.asking.take() {
                 asks.forget(ticket);
@@ -224,7 +224,7 @@ impl LeaseClient {
             self.asking = Some(asks.ask(Ask::Lease(request)));
         }
         let epoch = self.epoch()?;
-        // At even times, whatever else triggers a step; a missed one is not caught up.
+        // At even times, whatever else triggers a step; a missed one is not made up for.
         let late = now.secs_since(self.next_beat);
         if late < -1e-6 {
             return None;
@@ -278,7 +278,7 @@ impl LeaseClient {
     }
 }
 
-/// A counter that grows over restarts: the incarnation in the upper 32 bits, its count below.
+/// A counter that grows over restarts: the incarnation in the upper 32 bits, the count below.
 #[must_use]
 pub fn newer(incarnation: u64, count: u64) -> u64 {
     (incarnation << 32) | (count & 0xffff_ffff)

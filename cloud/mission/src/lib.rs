@@ -1,33 +1,33 @@
 //! Goals that cannot be lost: one robot's orchestrator on behaviour trees.
 //!
-//! A goal is acknowledged only once it is on disk, survives a restart of any process, and ends in exactly one of `Succeeded`,
-//! `Aborted`, `Canceled`, `Rejected`. The mission holds the robot's lease, and it alone publishes the plan that moves the robot; it rechecks
+//! A goal is acknowledged only once it is on disk, survives a restart of any process, and ends in exactly one of `Succeeded`, `Aborted`,
+//! `Canceled`, `Rejected`. The mission holds the robot's lease, and only the mission publishes the plan that moves the robot; it rechecks
 //! that plan against the newest map and renews it before it expires. [`Mission::step`] is pure: time and messages in, [`Effect`]s out, the
-//! first of which is what to persist before anything else is done. A thin service carries the effects out (`zenav-cloud`), or a test
-//! does (`examples/by_hand.rs`).
+//! first of which must be persisted before the others. A thin service carries out the effects (`zenav-cloud`), or a test does
+//! (`examples/by_hand.rs`).
 //!
 //! Requests are idempotent by id within a window: see [`goals`].
 //!
 //! | file | answers |
 //! |---|---|
 //! | [`config`] | what can be set? |
-//! | [`io`] | what goes into a step, and what comes out? |
+//! | [`io`] | what are the inputs and outputs of a step? |
 //! | [`orchestrator`], `publishing` | what happens in a step, and what does it store and publish? |
-//! | `requests`, [`goal_validation`], [`goals`] | what are clients told, which goals are taken, which are there? |
-//! | [`records`], [`store`] | what outlives a crash, and where is it kept? |
+//! | `requests`, [`goal_validation`], [`goals`] | how are clients answered, which goals are accepted, which are there? |
+//! | [`records`], [`store`] | what survives a crash, and where is it kept? |
 //! | [`lease`] | does this mission command the robot? |
 //! | [`membership`], [`standby`] | which standbys hold everything, and when may one lead? |
-//! | [`robot`], [`map`] | what is known of the robot and its map? |
-//! | [`frames`], `spots` | where do goals and plans lie when the map has moved? |
-//! | [`transient`] | what of the map may leave again, and since when has it stood there? |
-//! | [`motion`] | which plan is in force, and is it still good? |
+//! | [`robot`], [`map`] | what is known about the robot and its map? |
+//! | [`frames`], `spots` | where are goals and plans after the map has moved? |
+//! | [`transient`] | which obstacles on the map may leave again, and how long have they been there? |
+//! | [`motion`] | which plan is in force, and is it still free? |
 //! | [`route`] | how does a goal become a motion? plan, then smooth |
 //! | [`context`], [`leaves`], [`trees`] | what do the trees' leaves act on, which are there, which trees are shipped? |
 //!
 //! # A leaf of one's own
 //!
-//! A behaviour tree's actions and conditions are [`zenav_behaviour_tree::Leaf`]s. One that acts on a robot gets the mission's
-//! [`context::Context`]; it is added by name, with its ports, before the first mission begins:
+//! A behaviour tree's actions and conditions are [`zenav_behaviour_tree::Leaf`]s. A leaf that acts on a robot gets the mission's
+//! [`context::Context`]; it is added by name, with its ports, before the first mission starts:
 //!
 //! ```
 //! use zenav_behaviour_tree::{Leaf, LeafIo, NodeSpec, PortType, Status};
@@ -59,9 +59,9 @@
 //! # Ok::<(), trees::CannotAdd>(())
 //! ```
 //!
-//! A leaf that takes its time answers `Running` and is ticked again; one with an effect outside remembers what it is about to do
-//! ([`zenav_behaviour_tree::LeafIo::remember`]) and does it in the next tick, when that is stored. A program in another language
-//! does an action by [`leaves::remote`].
+//! A leaf that takes time returns `Running` and is ticked again; one with an external effect first remembers what it is about to do
+//! ([`zenav_behaviour_tree::LeafIo::remember`]) and does it in the next tick, once that is stored. A program in another language can
+//! execute an action through [`leaves::remote`].
 
 pub mod config;
 pub mod context;

@@ -1,4 +1,4 @@
-//! Robot map. What is known of the robot's map? A replica kept by patches, and the configuration space of it.
+//! Robot map. What is known about the robot's map? A replica kept up to date by patches, and its configuration space.
 
 use std::sync::Arc;
 
@@ -17,7 +17,7 @@ use zenav_space::{ConfigurationSpace, Fit, SpaceCache, UnknownPolicy, Zones};
 
 /// Time between two requests for the whole map, s.
 const RETRY: f64 = 1.0;
-/// How long a missing patch is waited for before the whole map is requested, s.
+/// Time to wait for a missing patch before the whole map is requested, s.
 const PATIENCE: f64 = 0.5;
 
 /// The robot's map as the mission knows it.
@@ -25,15 +25,15 @@ const PATIENCE: f64 = 0.5;
 pub struct RobotMap {
     info: Option<MapInfo>,
     replica: MapReplica,
-    /// Since when the replica has been behind.
+    /// Time since which the replica has been behind.
     behind: Option<Stamp>,
     asking: Option<Ticket>,
     next_ask: Stamp,
-    /// Since when there has been no mapper.
+    /// Time since which there has been no mapper.
     mapper_gone: Option<Stamp>,
     spaces: SpaceCache,
     transients: Transients,
-    /// The frame in which they were observed.
+    /// Frame of the map in which the transients were observed.
     frame: u64,
     /// Number of changes of the zones.
     zone_changes: u64,
@@ -49,7 +49,7 @@ impl RobotMap {
         }
     }
 
-    /// From now on the map has these zones.
+    /// Sets the zones of the map.
     pub fn set_zones(&mut self, zones: Arc<Zones>) {
         self.spaces.set_zones(zones);
         self.zone_changes += 1;
@@ -61,14 +61,14 @@ impl RobotMap {
         self.zone_changes
     }
 
-    /// Takes what the mapper has published.
+    /// Observes what the mapper has published.
     pub fn observe(&mut self, now: Stamp, info: Option<MapInfo>, patches: &[MapPatch]) {
         let mut gap = false;
         for patch in patches {
             // A gap may be closed by a later patch that starts from an unknown map.
             gap = match self.replica.apply(patch) {
                 PatchResult::Applied if patch.map.frame != self.frame => {
-                    // The map has moved as a whole: what was free there says nothing of here.
+                    // The map has moved as a whole: cells that were free refer to other places now.
                     self.frame = patch.map.frame;
                     self.transients = Transients::default();
                     self.transients.observe_all(now, &patch.map.id, self.replica.grid());
@@ -89,7 +89,7 @@ impl RobotMap {
         self.behind = if behind { Some(self.behind.unwrap_or(now)) } else { None };
     }
 
-    /// Takes whether a mapper is alive.
+    /// Observes whether a mapper is alive.
     pub fn observe_mapper(&mut self, now: Stamp, alive: bool) {
         self.mapper_gone = match alive {
             true => None,
@@ -97,8 +97,7 @@ impl RobotMap {
         };
     }
 
-    /// Why the replica cannot vouch for free space: there is none, or no mapper has kept it up to date for longer than
-    /// `patience`, s.
+    /// Why the replica cannot be used to check for free space: it is empty, or no mapper has updated it for longer than `patience`, s.
     #[must_use]
     pub fn unusable(&self, now: Stamp, patience: f64) -> Option<String> {
         if self.spec().is_none_or(|spec| spec.is_empty()) {
@@ -108,7 +107,7 @@ impl RobotMap {
         (gone > patience).then(|| format!("the mapper has been gone for {gone:.0} s"))
     }
 
-    /// Requests the whole map where patches are missing.
+    /// Requests the whole map if patches are missing.
     pub fn step(&mut self, now: Stamp, asks: &mut Asks) {
         if let Some(answer) = self.asking.and_then(|ticket| asks.take(ticket)) {
             self.asking = None;
@@ -153,7 +152,7 @@ impl RobotMap {
         self.replica.has_map().then(|| self.replica.map().clone())
     }
 
-    /// The configuration space padded to an extent, and the replica padded alike; `None` without a map.
+    /// The configuration space padded to an extent, and the replica with the same padding; `None` without a map.
     pub fn space_reaching(
         &mut self,
         footprint: &Footprint,
@@ -178,7 +177,7 @@ impl RobotMap {
         Some(value.map_or(Occupancy::Unknown, |value| Occupancy::of(*value)))
     }
 
-    /// Cells of what may leave again, near these places; none without a map.
+    /// Transient cells near these places; none without a map.
     #[must_use]
     pub fn transient(&self, near: &[Point2<f64>]) -> Vec<TransientCell> {
         let grows = self.info.as_ref().is_some_and(|info| !info.stored);
@@ -195,8 +194,8 @@ impl RobotMap {
             .any(|center| (center - place).norm() <= within)
     }
 
-    /// Occupied cells within a distance (m) of a place, where nothing is occupied for as far again around them: a beam or two that met
-    /// something far away, and no wall. None in a stored map.
+    /// Occupied cells within a distance (m) of a place that are surrounded by no others up to twice that distance: one or two beam returns
+    /// far away, not a wall. None in a stored map.
     #[must_use]
     pub fn lone(&self, place: Point2<f64>, within: f64) -> Vec<TransientCell> {
         if self.info.as_ref().is_none_or(|info| info.stored) {
@@ -233,7 +232,7 @@ impl RobotMap {
         occupied.map(|cell| spec.center(cell))
     }
 
-    /// The configuration space of a (padded) replica of this map, as if what stands at these points had left.
+    /// The configuration space of a (padded) replica of this map, with the cells at these points cleared.
     #[must_use]
     pub fn space_without(&self, map: &MapReplica, footprint: &Footprint, points: &[Point2<f64>]) -> ConfigurationSpace {
         self.spaces.cleared(map, footprint, UnknownPolicy::Free, points)

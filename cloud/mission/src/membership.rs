@@ -1,7 +1,7 @@
 //! Membership. Which standbys hold everything that the leader has acknowledged, as far as the robot knows?
 //!
-//! The leader keeps the robot's list of stores that may lead next. A standby gets onto it once it holds everything, and the leader waits for
-//! it from then on; it is off the list before anything is told that it does not hold, and before it is handed everything anew. So every
+//! The leader maintains the robot's list of stores that may lead next. A standby is listed once it holds everything, and from then on the
+//! leader waits for it; it is taken off the list before anything it lacks is acknowledged, and before it starts replication over. So every
 //! store on the robot's list holds everything that was acknowledged.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -12,29 +12,30 @@ use zenav_protocol::messages::Leader;
 use super::lease::newer;
 use super::records::Leadership;
 
-/// A leader with standbys that was held up for longer tells nothing more before the robot has said that it leads: others may have led since.
+/// A leader with standbys that was delayed for longer than this acknowledges nothing more until the robot confirms that it leads: others
+/// may have led since.
 pub const HELD_UP: Duration = Duration::from_secs(1);
-/// A dropped standby is not waited for again for the first time, doubled each time it is dropped up to the second; after the second without
-/// a drop it starts over.
+/// How long a dropped standby is not waited for: the first time, doubled on each drop up to the second; after the second without a drop it
+/// starts over.
 const DISTRUST: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(60));
 
-/// A leader's standbys. All times count from the same instant of the leader's own clock.
+/// A leader's standbys. All times are relative to the same instant of the leader's own clock.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Membership {
     own: String,
-    /// Epoch under which this mission leads, once the robot has said so.
+    /// Epoch under which this mission leads, once the robot has confirmed it.
     term: Option<u64>,
     /// Number of the newest batch of writes.
     batch: u64,
-    /// The stores that may be on the robot's list, besides the leader's own.
+    /// Stores that may be on the robot's list, besides the leader's own.
     members: BTreeSet<String>,
-    /// Whether the robot's list is known to be exactly these.
+    /// Whether the robot's list is known to equal these.
     settled: bool,
-    /// What this store's file says of whether others may hold newer goals.
+    /// Whether this store's file states that others may hold newer goals.
     shared: bool,
     /// Number of the newest report to the robot.
     revision: u64,
-    /// Until when one that was dropped is not waited for, and for how long that was.
+    /// Until when a dropped standby is not waited for, and how long that period is.
     distrust: BTreeMap<String, (Duration, Duration)>,
 }
 
@@ -54,18 +55,20 @@ impl Membership {
         }
     }
 
-    /// Takes the epoch under which the robot lets this mission lead; whether it is a new one, which the store and the standbys are to know.
+    /// Takes the epoch under which the robot lets this mission lead. Returns whether it is a new one, to be recorded in the store and the
+    /// standbys.
     pub fn lead(&mut self, term: Option<u64>) -> bool {
         let is_new = term.is_some() && term != self.term;
         if is_new {
             self.term = term;
-            // With a new grant the robot's list is empty; where it only said who leads it may not be.
+            // With a new grant the robot's list is empty; if the robot only confirmed the leader, it may not be.
             self.settled &= self.members.is_empty();
         }
         is_new
     }
 
-    /// Takes the robot's word on who leads; whether it was told by a stranger in this leader's name, and is to be told anew.
+    /// Takes the robot's record of the leader. Returns whether somebody else reported in this leader's name, so that the report must be
+    /// repeated.
     pub fn hear(&mut self, leader: &Leader) -> bool {
         let is_foreign = leader.store == self.own && self.term == Some(leader.epoch) && leader.revision > self.revision;
         if is_foreign {
@@ -81,13 +84,13 @@ impl Membership {
         self.term
     }
 
-    /// Whether any other store may hold all that this leader has acknowledged.
+    /// Whether any other store may hold everything that this leader has acknowledged.
     #[must_use]
     pub const fn is_shared(&self) -> bool {
         self.shared
     }
 
-    /// What the store's file is to say from now on, where other stores may hold newer goals (`shared`) or cannot.
+    /// Content of the store's file from now on: whether other stores may hold newer goals (`shared`).
     pub fn share(&mut self, shared: bool) -> Leadership {
         self.shared = shared;
         Leadership {
@@ -96,7 +99,7 @@ impl Membership {
         }
     }
 
-    /// Whether a leader that began something so long ago, or last ran then, is to say nothing more.
+    /// Whether a leader must acknowledge nothing more, because it started something, or last ran, this long ago.
     #[must_use]
     pub fn is_held_up(&self, elapsed: Duration) -> bool {
         self.shared && elapsed > HELD_UP
@@ -108,7 +111,7 @@ impl Membership {
         &self.members
     }
 
-    /// Whether the robot's list is known to be the members, or there is none to know.
+    /// Whether the robot's list is known to equal the members, or there is none to know.
     #[must_use]
     pub const fn is_settled(&self) -> bool {
         self.settled || !self.shared
@@ -120,31 +123,31 @@ impl Membership {
         self.batch
     }
 
-    /// Begins another batch of writes.
+    /// Starts another batch of writes.
     pub const fn next_batch(&mut self) {
         self.batch += 1;
     }
 
-    /// Whether a standby may be handed everything: not while the robot may list it, for meanwhile it holds nothing whole.
+    /// Whether replication to a standby may start: not while the robot may list it, because its store is incomplete meanwhile.
     #[must_use]
     pub fn may_begin(&self, standby: &str) -> bool {
         self.is_settled() && !self.members.contains(standby)
     }
 
-    /// Whether a standby with that batch on disk may be listed and waited for: it holds everything, and was not dropped lately.
+    /// Whether a standby with this batch on disk may be listed and waited for: it holds everything, and was not dropped recently.
     #[must_use]
     pub fn is_ready(&self, standby: &str, stored: Option<u64>, now: Duration) -> bool {
         let is_trusted = self.distrust.get(standby).is_none_or(|(until, _)| now > *until);
         stored == Some(self.batch) && is_trusted && !self.members.contains(standby)
     }
 
-    /// Waits for these standbys from now on; the robot is to be told. Before that the file says that others may hold newer goals.
+    /// Waits for these standbys from now on; the robot must be told. The store's file must first state that others may hold newer goals.
     pub fn admit(&mut self, standbys: impl IntoIterator<Item = String>) {
         self.members.extend(standbys);
         self.settled = false;
     }
 
-    /// Does not wait for a standby any more; the robot is to be told before anybody is told anything.
+    /// Stops waiting for a standby; the robot must be told before anything else is acknowledged.
     pub fn drop(&mut self, standby: &str, now: Duration) {
         self.members.remove(standby);
         self.settled = false;
@@ -156,13 +159,13 @@ impl Membership {
         self.distrust.insert(standby.to_owned(), (now + time, time));
     }
 
-    /// Whether anybody may be told of the newest batch: every standby that the robot may list has it on disk.
+    /// Whether the newest batch may be acknowledged: every standby that the robot may list has it on disk.
     #[must_use]
     pub fn may_tell(&self, stored: impl Fn(&str) -> Option<u64>) -> bool {
         self.is_settled() && self.members.iter().all(|member| stored(member) >= Some(self.batch))
     }
 
-    /// The next report to the robot: who has caught up. `None` before the robot has said that this mission leads.
+    /// The next report to the robot: the stores that have caught up. `None` before the robot has confirmed that this mission leads.
     pub fn report(&mut self) -> Option<Leader> {
         let epoch = self.term?;
         self.revision = self.revision.saturating_add(1);
@@ -174,7 +177,7 @@ impl Membership {
         })
     }
 
-    /// The robot has taken the newest report, since which no standby was admitted or dropped.
+    /// Records that the robot has accepted the newest report; no standby was admitted or dropped since.
     pub const fn settle(&mut self) {
         self.settled = true;
     }
@@ -195,7 +198,7 @@ mod tests {
         membership
     }
 
-    /// One whose standby the robot lists.
+    /// A leader with a standby on the robot's list.
     fn with_standby() -> Membership {
         let mut membership = leader();
         membership.share(true);
@@ -231,7 +234,7 @@ mod tests {
         assert!(!membership.may_begin("b"), "the robot still lists it");
         membership.settle();
         assert!(membership.may_begin("b"));
-        // After a restart another store may be on the list, by the report of an earlier run.
+        // After a restart another store may be on the list, from a report of an earlier run.
         let leadership = Leadership { epoch: 7, shared: true };
         let mut again = Membership::new("a", leadership, 4);
         again.lead(Some(7));

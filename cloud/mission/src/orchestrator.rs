@@ -17,17 +17,17 @@ use super::records::{Restored, RunningTree, StoredGoal};
 use super::trees;
 use zenav_behaviour_tree::{Status, Tree, Value};
 
-/// One robot's mission: pure, so that it runs in a service and in lockstep alike.
+/// One robot's mission. It is pure, so it runs both in a service and in lockstep.
 pub struct Mission {
     pub(super) ctx: Context,
     pub(super) goals: GoalTable,
     pub(super) incarnation: u64,
-    /// The name of the store, where one keeps the goals.
+    /// Name of the store that keeps the goals, if any.
     pub(super) store: Option<String>,
     pub(super) standbys: Vec<String>,
-    /// The mission's time of the last write before this run.
+    /// The mission's time at the last write of an earlier run.
     written: Stamp,
-    /// Offset of the mission's time to the clock, ns.
+    /// Offset of the mission's time from the clock, ns.
     ahead: Option<i64>,
     pub(super) running: Option<Running>,
     /// The tree that ran before a restart, until its goal is active again.
@@ -42,7 +42,7 @@ pub(super) struct Running {
     pub(super) goal_id: String,
     pub(super) name: String,
     pub(super) tree: Tree<Context>,
-    /// The tree's revision that is stored.
+    /// Revision of the tree in the store.
     pub(super) stored: Option<u64>,
 }
 
@@ -80,8 +80,8 @@ impl Mission {
         }
     }
 
-    /// One step, some twenty times a second and whenever a client asks. The caller carries the effects out in order; the
-    /// first, [`Effect::Persist`], completes before any other begins.
+    /// One step, about twenty times a second and whenever a client asks. The caller carries out the effects in order; the first,
+    /// [`Effect::Persist`], must complete before any other begins.
     pub fn step(&mut self, now: Stamp, inputs: Inputs) -> Vec<Effect> {
         let now = self.own_time(now);
         let ctx = &mut self.ctx;
@@ -116,7 +116,7 @@ impl Mission {
             return self.stand_by(inputs.requests);
         }
         self.keep_spots(moved_from);
-        // Goals of an earlier run are active again before any client asks about them.
+        // Goals of an earlier run become active again before any client asks about them.
         self.activate_next();
         for (client, request) in inputs.requests {
             let reply = self.serve(request);
@@ -128,16 +128,16 @@ impl Mission {
         self.collect(heartbeat)
     }
 
-    /// The last step took until now, and heartbeats went out meanwhile: this mission was busy, not suspended.
+    /// Reports that the last step took until now while heartbeats continued: this mission was busy, not suspended.
     pub fn was_kept_alive(&mut self, now: Stamp) {
         let now = self.own_time(now);
         self.ctx.lease.was_kept_alive(now);
     }
 
-    /// The mission's time is monotonic over restarts and machines, whatever their clocks say; stored stamps use it.
+    /// The mission's time is monotonic over restarts and machines, regardless of their clocks; stored stamps use it.
     fn own_time(&mut self, now: Stamp) -> Stamp {
         let written = self.written;
-        // A clock that follows the robot's is zero until it has heard the robot.
+        // A clock that follows the robot's is zero until the robot is heard.
         if now == Stamp::ZERO && self.ahead.is_none() {
             return written;
         }
@@ -145,7 +145,7 @@ impl Mission {
         Stamp(now.0.saturating_add_signed(ahead))
     }
 
-    /// The step of a standby: it requests the lease, and answers clients that it does not lead.
+    /// The step of a standby: it requests the lease, and answers clients with `NotLeader`.
     fn stand_by(&mut self, requests: Vec<(Client, MissionRequest)>) -> Vec<Effect> {
         let mut effects = Vec::new();
         for (client, request) in requests {
@@ -172,13 +172,13 @@ impl Mission {
         self.ctx.now
     }
 
-    /// Why it does not hold the lease.
+    /// Why this mission does not hold the lease.
     #[must_use]
     pub fn why_not(&self) -> &str {
         self.ctx.lease.why_not()
     }
 
-    /// Which standbys hold everything that this mission acknowledges, and whether further stores may.
+    /// Sets which standbys hold everything that this mission acknowledges, and whether other stores may hold it too.
     pub fn share(&mut self, standbys: Vec<String>, shared: bool) {
         self.ctx.lease.share(shared);
         if standbys != self.standbys {
@@ -187,7 +187,7 @@ impl Mission {
         }
     }
 
-    /// Shutdown: the robot comes to rest, and the next run continues its goals.
+    /// Shutdown: the robot comes to rest; the next run continues its goals.
     pub fn leave(&mut self) -> Vec<Effect> {
         self.ctx.hold();
         self.collect(None)
@@ -216,7 +216,7 @@ impl Mission {
             let Some(goal) = self.goals.active().or_else(|| self.goals.next()).cloned() else {
                 return;
             };
-            // A goal of an earlier run may lead to a place that was added at run time: it was known once, so its name will come.
+            // A goal of an earlier run may name a place added at run time: the place was known once, so it will be announced.
             let place = goal.state.request.place.as_ref();
             if place.is_some_and(|place| !self.ctx.config.places.contains_key(place))
                 && goal.state.resolved.is_empty()
@@ -281,7 +281,7 @@ impl Mission {
             ..ActiveGoal::default()
         };
         self.published.legs = 0;
-        // What the goal before it did last is no news of this one.
+        // The last feedback of the previous goal is not feedback of this one.
         self.published.feedback = goal.state.feedback.clone();
         let name = trees::shipped(name).map_or_else(|| tree.id().to_owned(), |_| name.to_owned());
         Ok(Running {
@@ -323,7 +323,7 @@ impl Mission {
         let Some(goal) = self.goals.get(&running.goal_id) else {
             return;
         };
-        // A tree with a node for pausing decides itself what goes on meanwhile.
+        // A tree with a node for pausing decides what continues meanwhile.
         let held = goal.state.state == GoalPhase::Paused && (goal.paused_since.is_some() || !running.tree.can_pause());
         if held || !matches!(goal.state.state, GoalPhase::Active | GoalPhase::Paused) {
             return;
@@ -348,7 +348,7 @@ impl Mission {
         self.finish(&id, phase, reason);
     }
 
-    /// Asks the active goal's tree to pause or resume; `false` if it has no node for that, or one that does not hear it.
+    /// Asks the active goal's tree to pause or resume; `false` if it has no node for that, or the node does not take the request.
     pub(super) fn ask_tree_to_pause(&mut self, id: &str, resume: bool) -> bool {
         let running = self.running.as_mut().filter(|running| running.goal_id == id);
         let Some(running) = running.filter(|running| running.tree.can_pause()) else {
@@ -357,7 +357,7 @@ impl Mission {
         running.tree.ask_to_pause(resume)
     }
 
-    /// Distance from the robot to the place of a goal, m; `None` for a goal without one place.
+    /// Distance from the robot to the goal's place, m; `None` for a goal without a single place.
     fn final_error(&self, id: &str) -> Option<f64> {
         let Ok(Target::Pose(goal)) = self.target(self.goals.get(id)?) else {
             return None;
@@ -366,7 +366,7 @@ impl Mission {
         Some((pose.x - goal.x).hypot(pose.y - goal.y))
     }
 
-    /// Ends a goal: its tree is halted, the robot comes to rest, the end is persisted and published.
+    /// Ends a goal: its tree is halted, the robot comes to rest, and the end is persisted and published.
     pub(super) fn finish(&mut self, id: &str, phase: GoalPhase, reason: Option<String>) {
         if let Some(mut running) = self.running.take_if(|running| running.goal_id == id) {
             let time = self
@@ -376,7 +376,7 @@ impl Mission {
             if let Err(error) = running.tree.halt(time, &mut self.ctx) {
                 tracing::warn!(goal = id, %error, "its tree was halted with an error");
             }
-            // A leaf may have left a plan in force, or a maneuver under way.
+            // A leaf may have left a plan in force, or a manoeuvre running.
             self.ctx.hold();
             self.ctx.call_off_last();
             self.ctx.motion.clear();
@@ -411,7 +411,7 @@ fn fill_blackboard(tree: &mut Tree<Context>, target: &Target, request: &GoalRequ
         Target::Waypoints(goals) => {
             set("goals", goals_value(goals)?)?;
             if request.tree.is_some() {
-                // As Nav2 gives them to its trees: 0 is pending.
+                // As Nav2 initialises them for its trees: 0 is pending.
                 let statuses: Vec<serde_json::Value> = (0..goals.len())
                     .map(|index| serde_json::json!({"waypoint_status": 0, "waypoint_index": index}))
                     .collect();
@@ -431,7 +431,7 @@ fn fill_blackboard(tree: &mut Tree<Context>, target: &Target, request: &GoalRequ
     Ok(())
 }
 
-/// A tree's time stands still while its goal is paused.
+/// Time of a tree: stands still while its goal is paused.
 fn time_of_tree(now: Stamp, goal: &StoredGoal) -> Duration {
     Duration::from_nanos(now.0).saturating_sub(Duration::from_secs_f64(goal.paused_secs.max(0.0)))
 }

@@ -1,4 +1,4 @@
-//! Persisting and publishing. What does a step store, and what does it tell everybody?
+//! Persisting and publishing. What does a step store, and what does it publish?
 
 use std::collections::BTreeMap;
 
@@ -10,7 +10,7 @@ use super::io::Effect;
 use super::orchestrator::Mission;
 use super::records::{Record, RunningTree};
 
-/// What was published last.
+/// Last published values.
 #[derive(Default)]
 pub(super) struct Published {
     /// Goal, revision of its tree, epoch.
@@ -21,7 +21,7 @@ pub(super) struct Published {
 }
 
 impl Mission {
-    /// The effects of a step: what is to be persisted first, then everything else.
+    /// The effects of a step: first the records to persist, then all others.
     pub(super) fn collect(&mut self, heartbeat: Option<Heartbeat>) -> Vec<Effect> {
         self.publish_feedback();
         let mut records = self.goals.take_records();
@@ -93,7 +93,7 @@ impl Mission {
         }
     }
 
-    /// The mission's status, when it has changed or is due.
+    /// The mission's status, if it has changed or is due.
     fn status(&mut self) -> Option<MissionStatus> {
         let running = self.running.as_ref();
         let news = (

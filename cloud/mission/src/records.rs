@@ -1,4 +1,4 @@
-//! Records. What survives a crash? Plain data; how it is kept on disk is the store's business.
+//! Records. What survives a crash? Plain data; the store decides how it is kept on disk.
 
 use std::cmp::Reverse;
 
@@ -9,32 +9,32 @@ use zenav_protocol::time::Stamp;
 use super::frames::Anchors;
 use zenav_behaviour_tree::TreeSnapshot;
 
-/// A goal's turn: preempting goals first, then by priority, then by number.
+/// A goal's position in the order of the queue: preempting goals first, then by priority, then by number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Turn {
-    /// It preempts.
+    /// Whether the goal preempts.
     pub urgent: bool,
-    /// Its priority, highest first.
+    /// Priority, highest first.
     pub priority: i32,
-    /// Its number, lowest first; no two goals have the same.
+    /// Order number, lowest first; unique.
     pub number: u64,
 }
 
 impl Turn {
-    /// What the queue is sorted by.
+    /// Sort key of the queue.
     #[must_use]
     pub const fn key(&self) -> (bool, Reverse<i32>, u64) {
         (!self.urgent, Reverse(self.priority), self.number)
     }
 
-    /// Whether only the numbers of two goals say which is first.
+    /// Whether the order of two goals depends on their numbers only.
     #[must_use]
     pub const fn is_beside(&self, other: &Self) -> bool {
         self.urgent == other.urgent && self.priority == other.priority
     }
 }
 
-/// A goal as it is stored.
+/// A goal as stored.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct StoredGoal {
     /// Order of acceptance.
@@ -42,16 +42,16 @@ pub struct StoredGoal {
     /// It preempted another goal: first in the queue.
     #[serde(default)]
     pub urgent: bool,
-    /// Its turn since somebody moved it in the queue.
+    /// Its position since it was moved in the queue.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub moved: Option<Turn>,
     /// Time spent paused, s.
     #[serde(default)]
     pub paused_secs: f64,
-    /// Since when it has been paused.
+    /// Start of the present pause.
     #[serde(default)]
     pub paused_since: Option<Stamp>,
-    /// What its places are tied to, where the map may move.
+    /// Anchors of its places in the map, if the map may move.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub anchors: Option<Anchors>,
     /// The goal.
@@ -59,7 +59,7 @@ pub struct StoredGoal {
 }
 
 impl StoredGoal {
-    /// Its turn in the queue: as it came, unless somebody moved it.
+    /// Its position in the queue: in order of arrival, unless it was moved.
     #[must_use]
     pub fn turn(&self) -> Turn {
         self.moved.unwrap_or(Turn {
@@ -70,7 +70,7 @@ impl StoredGoal {
     }
 }
 
-/// The tree that runs.
+/// The running tree.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RunningTree {
     /// The goal that it serves.
@@ -79,59 +79,59 @@ pub struct RunningTree {
     pub snapshot: TreeSnapshot,
 }
 
-/// One change of what is stored.
+/// One change of the store.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Record {
     /// A goal, new or changed.
     Goal(Box<StoredGoal>),
-    /// An old goal is dropped.
+    /// Drops an old goal.
     ForgetGoal(String),
-    /// The tree that runs, if one does.
+    /// The running tree, if any.
     Tree(Option<Box<RunningTree>>),
-    /// The plan in force, if there is one; renewals are not stored.
+    /// The plan in force, if any; renewals are not stored.
     Motion(Option<Box<Plan>>),
     /// The first answer to a request.
     Answer(String, GoalReply),
-    /// An old answer is dropped.
+    /// Drops an old answer.
     ForgetAnswer(String),
-    /// The mission's time of the write, by which all other stamps are read.
+    /// The mission's time of the write, to which all other stamps relate.
     Now(Stamp),
 }
 
 /// How a mission's store relates to those of other missions for the same robot.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Leadership {
-    /// Epoch of the newest grant that it led or followed; zero before any mission of the robot led.
+    /// Epoch of the newest grant that it led or followed; zero before the robot had a leader.
     pub epoch: u64,
-    /// Whether another store may hold newer goals than this one: then it leads only once the robot confirms it.
+    /// Whether another store may hold newer goals than this one: then it leads only after the robot confirms it.
     pub shared: bool,
 }
 
-/// What a mission begins with.
+/// Initial state of a mission.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Restored {
-    /// Name of the store; none where nothing is kept.
+    /// Name of the store; `None` if nothing is kept.
     pub store: Option<String>,
-    /// How it stands to other missions' stores.
+    /// Relation to the stores of other missions.
     pub leadership: Leadership,
-    /// Number of this life, greater than that of every life before.
+    /// Number of this run, higher than that of every earlier run.
     pub incarnation: u64,
     /// All goals.
     pub goals: Vec<StoredGoal>,
-    /// The tree that ran.
+    /// The tree that was running.
     pub tree: Option<RunningTree>,
     /// The plan that was in force.
     pub motion: Option<Plan>,
     /// First answers to requests.
     pub answers: Vec<(String, GoalReply)>,
-    /// The mission's time when something was written last: no later life's time is before it.
+    /// The mission's time of the last write: no later run's time is earlier.
     pub now: Stamp,
-    /// How far the leader's time was ahead of this clock when it was heard last, ns, for a standby that takes over.
+    /// Lead of the leader's time over this clock when it was last heard, ns, for a standby that takes over.
     pub ahead: Option<i64>,
 }
 
 impl Restored {
-    /// The first life, with nothing before it.
+    /// The first run, without earlier state.
     #[must_use]
     pub fn fresh() -> Self {
         Self {

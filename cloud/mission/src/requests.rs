@@ -1,4 +1,4 @@
-//! Requests. How are clients answered? Goals are accepted, rejected, cancelled, paused: persist, then reply.
+//! Requests. How are clients answered? Goals are accepted, rejected, cancelled, paused: persisted first, then answered.
 
 use zenav_protocol::SCHEMA_VERSION;
 use zenav_protocol::id::Id;
@@ -16,7 +16,7 @@ use super::orchestrator::Mission;
 const LONGEST_ID: usize = 128;
 
 impl Mission {
-    /// Answers one request. A new ask of the mission's is an arm here.
+    /// Answers one request. A new ask of the mission is an arm here.
     pub(super) fn serve(&mut self, request: MissionRequest) -> Result<MissionReply, Refusal> {
         if self.ctx.lease.stands_by() && !matches!(request, MissionRequest::Info(_)) {
             return Err(Refusal::NotLeader);
@@ -56,7 +56,7 @@ impl Mission {
         }
     }
 
-    /// Idempotency: a repeated request gets its first answer. A refusal is not remembered.
+    /// Idempotency: a repeated request gets its first answer. Refusals are not remembered.
     fn once(
         &mut self,
         request_id: Option<String>,
@@ -100,7 +100,7 @@ impl Mission {
         let id = request
             .id
             .get_or_insert_with(|| {
-                // Distinct from the ids that other missions of the robot make.
+                // Distinct from the ids made by other missions of the robot.
                 let store = self.store.as_ref().map_or(String::new(), |store| format!("{store}-"));
                 let made = (self.goals.next_sequence()..)
                     .map(|sequence| format!("goal-{store}{}-{sequence}", self.incarnation))
@@ -122,7 +122,7 @@ impl Mission {
         })
     }
 
-    /// Takes over the goals that a joining mission accepted before any mission of the robot led: they were acknowledged, so they are not
+    /// Takes over the goals that a joining mission accepted before the robot had a leader: they were acknowledged, so they are not
     /// validated again.
     fn join(&mut self, request: JoinRequest) -> Result<JoinReply, Refusal> {
         let leader = self.store.clone().filter(|_| self.ctx.lease.term().is_some());
@@ -134,7 +134,7 @@ impl Mission {
             proper(id)?;
         }
         for goal in request.goals {
-            // They were acknowledged: a full queue loses none of them.
+            // They were acknowledged: even a full queue takes all of them.
             if let Some(id) = goal.id.clone().filter(|id| self.goals.get(id).is_none()) {
                 self.goals.accept(&robot, id, goal, false, self.ctx.now);
             }
@@ -196,7 +196,7 @@ impl Mission {
         self.state_of(&id)
     }
 
-    /// Whether a paused goal's tree is not ticked; else a node of the tree pauses it.
+    /// Whether a paused goal's tree is not ticked; otherwise a node of the tree pauses it.
     fn is_held(&self, id: &str) -> bool {
         self.goals.get(id).is_some_and(|goal| goal.paused_since.is_some())
     }
@@ -208,7 +208,7 @@ impl Mission {
         self.state_of(&id)
     }
 
-    /// The goal of that id, or the active one.
+    /// The goal with this id, or the active one.
     fn named(&self, id: Option<String>) -> Result<String, Refusal> {
         let short = |id: &str| id.chars().take(80).collect::<String>();
         match id {

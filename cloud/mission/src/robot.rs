@@ -1,4 +1,4 @@
-//! Robot view. What is known of the robot? Its newest state, when it came, and its model.
+//! Robot view. What is known about the robot? Its newest state with its time of arrival, and its model.
 
 use zenav_protocol::SCHEMA_VERSION;
 use zenav_protocol::geometry::{Pose2, Twist2};
@@ -12,13 +12,13 @@ use super::context::Asks;
 use super::frames::Frames;
 use super::io::{Answer, Ask, Ticket};
 
-/// A robot whose newest state is older is silent, s.
+/// Age beyond which the newest state makes the robot silent, s.
 const SILENCE: f64 = 1.0;
-/// Courses of other robots that were told longer ago are no longer believed, s.
+/// Age beyond which reported courses of other robots are ignored, s.
 const TOLD_LATELY: f64 = 1.5;
-/// Time between two requests for its model, s.
+/// Time between two requests for the model, s.
 const RETRY: f64 = 1.0;
-/// Slower than this is at rest: m/s and rad/s.
+/// Speeds below which the robot is at rest: m/s and rad/s.
 const AT_REST: (f64, f64) = (0.02, 0.04);
 
 /// The robot as the mission knows it.
@@ -26,35 +26,35 @@ const AT_REST: (f64, f64) = (0.02, 0.04);
 pub struct RobotView {
     state: Option<(Stamp, EdgeState)>,
     pose: Option<(Stamp, PoseEstimate)>,
-    /// From the frame of its pose to that of the mission; `None` where it is not known.
+    /// Transform from the frame of its pose to the mission's; `None` if unknown.
     here_from_told: Option<Pose2>,
     model: Option<RobotModel>,
     model_boot: Option<String>,
     asking: Option<Ticket>,
     next_ask: Stamp,
     bumped: Option<Stamp>,
-    /// Whether its place can be trusted, and when that was said.
+    /// Whether its pose can be trusted, and when that was reported.
     localisation: Option<(Stamp, Localisation)>,
-    /// The robots that it gives way to, and when they were told.
+    /// The robots that it gives way to, and when that was reported.
     yields: Option<(Stamp, Yield)>,
-    /// What the last reply of another schema version was.
+    /// Description of the last reply with another schema version.
     mismatch: Option<String>,
 }
 
 impl RobotView {
-    /// Takes the robot's events.
+    /// Observes the robot's events.
     pub fn hear(&mut self, now: Stamp, events: &[Event]) {
         if events.iter().any(|event| matches!(event.kind, EventKind::Bumped)) {
             self.bumped = Some(now);
         }
     }
 
-    /// Takes what was said of its place.
+    /// Observes a report on its localisation.
     pub fn observe_localisation(&mut self, now: Stamp, said: Localisation) {
         self.localisation = Some((now, said));
     }
 
-    /// Takes the robots that it gives way to. A course that cannot be meant is dropped.
+    /// Takes a report of the robots that it gives way to. Invalid courses are dropped.
     pub fn observe_yield(&mut self, now: Stamp, mut told: Yield) {
         told.courses.retain(KnownCourse::is_sound);
         told.courses.truncate(KnownCourse::MOST);
@@ -63,7 +63,7 @@ impl RobotView {
         }
     }
 
-    /// The robots that it gives way to on a trajectory, as told within the last second and a half, with times from now on.
+    /// The newest report of the robots that it gives way to on this trajectory, with times relative to now. `None` if it is too old.
     #[must_use]
     pub fn yields(&self, now: Stamp, trajectory_id: u64, frame: u64) -> Option<Yield> {
         let (came, told) = self.yields.as_ref()?;
@@ -78,17 +78,17 @@ impl RobotView {
         Some(told)
     }
 
-    /// Why its place cannot be trusted, if it cannot.
+    /// Why its pose cannot be trusted, if so.
     #[must_use]
     pub fn lost(&self) -> Option<String> {
         let (_, said) = self.localisation.as_ref()?;
-        // What was said of another boot says nothing of this one.
+        // A report on another boot does not apply to this one.
         let is_of_this_boot = self.state().is_none_or(|state| state.boot_id == said.boot_id);
         (is_of_this_boot && !said.health.is_trusted())
             .then(|| format!("Lost: nobody knows where the robot is ({})", said.health))
     }
 
-    /// Whether its place can be trusted by what was said after a time.
+    /// Whether its pose can be trusted, according to a report after a time.
     #[must_use]
     pub fn is_localised_since(&self, time: Stamp) -> bool {
         let newer = |(came, _): &&(Stamp, Localisation)| *came > time;
@@ -101,7 +101,7 @@ impl RobotView {
         self.bumped.is_some_and(|bumped| now.secs_since(bumped) <= secs)
     }
 
-    /// Takes the robot's newest state and pose. Values that are not finite are dropped.
+    /// Observes the robot's newest state and pose. Values that are not finite are dropped.
     pub fn observe(&mut self, now: Stamp, state: Option<EdgeState>, pose: Option<PoseEstimate>) {
         if let Some(state) = state.filter(|state| state.velocity.is_finite()) {
             self.state = Some((now, state));
@@ -111,8 +111,8 @@ impl RobotView {
         }
     }
 
-    /// Requests the model until there is one of the robot's present boot. A reply of another schema version is not believed: it may be
-    /// anybody's, and the robot is asked again.
+    /// Requests the model until there is one of the robot's present boot. A reply with another schema version is ignored, because it may be
+    /// from anybody, and the request is repeated.
     pub fn step(&mut self, now: Stamp, asks: &mut Asks) {
         if let Some(answer) = self.asking.and_then(|ticket| asks.take(ticket)) {
             self.asking = None;
@@ -157,7 +157,7 @@ impl RobotView {
         }
     }
 
-    /// Why its replies are not believed: the newest was of another schema version.
+    /// Why its replies are ignored: the newest one had another schema version.
     #[must_use]
     pub fn mismatch(&self) -> Option<&str> {
         self.mismatch.as_deref().filter(|_| self.model.is_none())
@@ -177,14 +177,14 @@ impl RobotView {
         self.state.as_ref().map(|(_, state)| state)
     }
 
-    /// Its own time, as far as it is known here: the stamp of its newest state, and the time since that came.
+    /// Its own time, as far as known here: stamp of its newest state, plus the time since that arrived.
     #[must_use]
     pub fn time(&self, now: Stamp) -> Option<Stamp> {
         let (came, state) = self.state.as_ref()?;
         Some(state.stamp + now.since(*came))
     }
 
-    /// Time since its newest state came, s.
+    /// Time since its newest state arrived, s.
     #[must_use]
     pub fn state_age(&self, now: Stamp) -> f64 {
         self.state
@@ -192,12 +192,12 @@ impl RobotView {
             .map_or(f64::INFINITY, |(came, _)| now.secs_since(*came))
     }
 
-    /// Takes over the present frame of the map.
+    /// Switches to the present frame of the map.
     pub fn settle(&mut self, frames: &Frames) {
         self.here_from_told = self.pose.as_ref().and_then(|(_, pose)| frames.robot(pose.frame));
     }
 
-    /// The frame of the map that its newest state is in; zero before it was heard.
+    /// Frame of the map that its newest state is in; zero before it was heard.
     #[must_use]
     pub fn frame(&self) -> u64 {
         self.state().map_or(0, |state| state.frame)

@@ -1,48 +1,49 @@
 //! Mission settings: the section `[mission]` of a deployment file.
 //!
-//! Bounds on memory, and how often a silent part is asked again, are private constants beside their use.
+//! Bounds on memory, and retry periods for silent components, are private constants beside their use.
 
 use zenav_protocol::config_text::OutOfBounds;
 use zenav_protocol::messages::DrivingProfile;
 
 zenav_protocol::settings! {
-    /// What can be tuned about missions.
+    /// Settings of missions.
     pub struct MissionSettings {
-        /// Driving profile of goals that name none: `fastest` or `economy`.
+        /// Driving profile of goals without their own: `fastest` or `economy`.
         pub profile: DrivingProfile = DrivingProfile::Fastest;
-        /// Distance that counts as reached where a goal does not say.
+        /// Distance at which a goal without its own tolerance counts as reached.
         pub tolerance: f64 = 0.15, "m", 0.02..=10.0;
         /// Whether paths may lead through unknown cells; the robot replans when they turn out to be occupied.
         pub unknown_is_free: bool = true;
-        /// How far outside a growing map a goal may be.
+        /// Greatest distance of a goal outside a growing map.
         pub explore: f64 = 20.0, "m", 0.0..=1000.0;
-        /// Time that a search may take.
+        /// Time limit of a search.
         pub search_budget: f64 = 2.0, "s", 0.01..=60.0;
-        /// How far ahead of the robot a replan starts, beyond the round trip to the robot, which it measures: the time that a plan takes to compute.
+        /// How far ahead of the robot a replan starts, in addition to the measured round trip to the robot: covers the computation of a
+        /// plan.
         pub latency_budget: f64 = 0.3, "s", 0.0..=10.0;
-        /// Validity of a plan: a robot that hears no more drives on for so long.
+        /// Validity of a plan: a robot without further plans keeps driving for this long.
         pub plan_valid: f64 = 5.0, "s", 0.5..=60.0;
         /// Age at which a plan is rechecked on the newest map and renewed.
         pub renew_period: f64 = 1.0, "s", 0.05..=30.0;
-        /// Without a live mapper for this long plans are no longer renewed: the map says nothing new.
+        /// Time without a live mapper after which plans are no longer renewed, because the map may be outdated.
         pub map_timeout: f64 = 10.0, "s", 0.1..=600.0;
-        /// A robot that by the map stands in an obstacle may leave it for a free place this near.
+        /// Distance within which a robot that stands in an obstacle according to the map may leave it for a free position.
         pub escape: f64 = 0.6, "m", 0.0..=5.0;
-        /// How long something that may leave is waited for while it bars the only way or the goal. A goal's own deadline comes first; 0
-        /// waits for nothing (120: longer than people talk in a door, shorter than somebody needs to see to it).
+        /// How long a transient obstacle that blocks the only path or the goal is waited for. A goal's own deadline takes precedence; 0
+        /// disables waiting (120: longer than people talk in a doorway, shorter than somebody needs to come and clear it).
         pub patience: f64 = 120.0, "s", 0.0..=86_400.0;
-        /// A goal is not given up as closed off or taken sooner than this after it began: a shut door looks like a wall until it opens, and
-        /// somebody far off is a beam or two. Behind what stands before the goal, and hides it, the robot looks after as long.
+        /// Least time after its start before a goal is given up as unreachable or occupied: a closed door looks like a wall until it opens,
+        /// and a distant person is only a beam or two. After the same time the robot drives to look behind an obstacle that hides the goal.
         pub linger: f64 = 30.0, "s", 0.0..=3600.0;
-        /// A bump counts as recent for this long (`IsStuck`).
+        /// Time for which a bump counts as recent (`IsStuck`).
         pub bump_memory: f64 = 1.0, "s", 0.0..=60.0;
-        /// Period of the mission's status where nothing changes.
+        /// Period of the mission's status while nothing changes.
         pub status_period: f64 = 0.5, "s", 0.05..=10.0;
-        /// Whether a drive gets on.
+        /// When a drive counts as stuck.
         pub progress: ProgressSettings;
-        /// When a drive that meets trouble is given up.
+        /// When a drive with problems is given up.
         pub retries: RetrySettings;
-        /// What happens when the map shows an obstacle on the trajectory.
+        /// Reaction to an obstacle on the trajectory.
         pub obstacle: ObstacleSettings;
     }
     check = |mission: &MissionSettings| match mission.renew_period < mission.plan_valid {
@@ -52,43 +53,43 @@ zenav_protocol::settings! {
 }
 
 zenav_protocol::settings! {
-    /// Whether a drive gets on (Nav2's `PoseProgressChecker`).
+    /// When a drive counts as stuck (Nav2's `PoseProgressChecker`).
     pub struct ProgressSettings {
-        /// Either the robot moves by this …
+        /// The robot must either move by this …
         pub distance: f64 = 0.2, "m", 0.01..=10.0;
-        /// … or turns by this …
+        /// … or turn by this …
         pub angle: f64 = 0.2, "rad", 0.01..=3.2;
-        /// … within this time, or its drive fails.
+        /// … within this time; otherwise its drive fails.
         pub timeout: f64 = 10.0, "s", 0.5..=3600.0;
     }
 }
 
 zenav_protocol::settings! {
-    /// When a drive that meets trouble is given up.
+    /// When a drive with problems is given up.
     pub struct RetrySettings {
-        /// Plans in a row that the robot may refuse.
+        /// Consecutive plans that the robot may refuse.
         pub refusals: u32 = 5, "", 0..=1000;
         /// Wait after a refusal.
         pub refusal_wait: f64 = 0.3, "s", 0.0..=60.0;
-        /// Times that the end of a drive may lie beyond the goal's tolerance.
+        /// Number of times that a drive may end outside the goal's tolerance.
         pub misses: u32 = 3, "", 0..=1000;
-        /// Wait before a worker is asked again that did not answer or found nothing.
+        /// Wait before asking again after a worker did not answer or found nothing.
         pub worker_wait: f64 = 0.5, "s", 0.05..=60.0;
         /// Time to wait for a map that the worker does not have yet.
         pub map_wait: f64 = 20.0, "s", 0.0..=600.0;
-        /// Time to wait for the robot to stand where a plan has to start from rest.
+        /// Time to wait for the robot to come to rest, for a plan that starts from rest.
         pub rest_wait: f64 = 10.0, "s", 0.0..=600.0;
     }
 }
 
 zenav_protocol::settings! {
-    /// What happens when the map shows an obstacle on the trajectory.
+    /// Reaction to an obstacle on the trajectory.
     pub struct ObstacleSettings {
-        /// What the robot reaches later than this may wait …
+        /// Obstacles that the robot reaches later than this need no immediate replan …
         pub far: f64 = 4.0, "s", 0.0..=60.0;
-        /// … until the last replan is this old: a map that grows shows one thing after the other.
+        /// … until the last replan is this old: a growing map reveals one obstacle after the other.
         pub gather: f64 = 2.0, "s", 0.0..=60.0;
-        /// The robot is brought to rest this much earlier than braking and the latency budget need.
+        /// Lead with which the robot is brought to rest, in addition to braking and the latency budget.
         pub brake_early: f64 = 0.4, "s", 0.0..=10.0;
     }
 }

@@ -1,4 +1,4 @@
-//! Spots. Where does a goal lie when the map has moved? It keeps its spot in the building, not its numbers.
+//! Spots. Where is a goal after the map has moved? It keeps its spot in the building, so its coordinates change.
 
 use zenav_behaviour_tree::Value;
 use zenav_protocol::messages::{GoalPoint, Refusal};
@@ -9,7 +9,7 @@ use super::orchestrator::Mission;
 use super::records::StoredGoal;
 
 impl Target {
-    /// Its places.
+    /// Places of the target.
     fn places(&self) -> &[GoalPoint] {
         match self {
             Self::Pose(place) => std::slice::from_ref(place),
@@ -20,13 +20,13 @@ impl Target {
 }
 
 impl Mission {
-    /// What a goal asks for, where that lies now.
+    /// The target of a goal, in present coordinates.
     pub(super) fn target(&self, goal: &StoredGoal) -> Result<Target, Refusal> {
         let target = match (
             goal_validation::target(&goal.state.request, &self.ctx),
             &*goal.state.resolved,
         ) {
-            // It was found once, and keeps its spot, whoever forgets the name.
+            // A place that was found once keeps its spot, even if its name is removed later.
             (Err(Refusal::NotFound { .. } | Refusal::Busy { .. }), [place]) if goal.state.request.place.is_some() => {
                 Target::Pose(*place)
             }
@@ -39,16 +39,16 @@ impl Mission {
         })
     }
 
-    /// Ties new goals to the parts of the map that they belong to, and has those that are tied follow them: `moved_from` is the frame before,
-    /// where the map has just moved.
+    /// Anchors new goals to the parts of the map they belong to, and updates the places of anchored goals. `moved_from` is the previous
+    /// frame if the map has just moved.
     pub(super) fn keep_spots(&mut self, moved_from: Option<u64>) {
         let at = self.ctx.frames.at();
         let is_running = |id: &str| self.running.as_ref().is_some_and(|running| running.goal_id == id);
         let mut changes = Vec::new();
-        // Where mapping says nothing of the map's parts there is nothing to tie a goal to.
+        // Without map parts from mapping there is nothing to anchor a goal to.
         let ties = self.ctx.frames.is_known(moved_from.unwrap_or(at));
         for goal in self.goals.open() {
-            // A named place is looked up when its goal begins; until then its name stands for it.
+            // A named place is looked up when its goal begins; until then the goal keeps only the name.
             let is_tied = goal.anchors.is_some();
             if is_tied && moved_from.is_none()
                 || !is_tied && !ties
@@ -81,7 +81,7 @@ impl Mission {
     }
 }
 
-/// Has a tree's blackboard lead to where a goal's places lie now, as far as the tree has put nothing else there.
+/// Replaces the goal's places on the tree's blackboard by their present coordinates, unless the tree has written other values.
 fn rewrite(board: &mut zenav_behaviour_tree::Blackboard, target: &Target, resolved: &[GoalPoint]) {
     let nowhere = super::leaves::Places::new();
     let now = |place: GoalPoint| {

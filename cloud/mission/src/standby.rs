@@ -1,4 +1,4 @@
-//! Standby. Which journal entries does it take, and when may it lead? It believes the robot: who leads, in which epoch, and which stores have
+//! Standby. Which journal entries does it accept, and when may it lead? The robot decides: who leads, in which epoch, and which stores have
 //! caught up.
 
 use zenav_protocol::messages::{JournalEntry, Leader, LeaseRole, LeaseState, Refusal};
@@ -25,19 +25,19 @@ impl JournalPosition {
 pub enum Verdict {
     /// Apply it.
     Take {
-        /// In place of what is stored, rather than after it.
+        /// Replaces the stored content instead of extending it.
         instead: bool,
     },
-    /// It writes nothing: the leader is alive.
+    /// It has no writes: the leader is alive.
     Known,
 }
 
-/// Judges a journal entry: it is the leader's by the robot's `word`, and the next one. No entry is sent twice, so writes under a number that
-/// is stored are of another replication, which a join that came twice began: they are refused, for what is stored under that number is not
-/// what the leader believes to be stored.
+/// Checks a journal entry: it must come from the leader, as named by the robot's `word`, and be the next one. No entry is sent twice, so
+/// writes under a number that is already stored belong to another replication, started by a duplicated join: they are refused, because the
+/// content stored under that number is not what the leader assumes.
 ///
 /// # Errors
-/// [`Refusal::Rejected`] with what stands against it.
+/// [`Refusal::Rejected`] with the reason.
 pub fn judge(entry: &JournalEntry, word: Option<&Leader>, place: &JournalPosition) -> Result<Verdict, Refusal> {
     if entry.session != place.session {
         return Err(Refusal::rejected("the entry belongs to another session"));

@@ -1,11 +1,10 @@
 //! Store. Where are goals kept? In one redb file per mission: goals, the running tree, the plan in force, first answers, the incarnation.
 //!
-//! Every batch of records is one transaction, on disk before [`Store::write`] returns. Records are JSON, so that a newer
-//! program reads an older one's file. A batch can be applied to a standby's store as well; what the file says of itself (its name, its
-//! leadership) never leaves it.
+//! Every batch of records is one transaction, on disk before [`Store::write`] returns. Records are JSON, so that a newer program can read
+//! an older file. A batch can also be applied to a standby's store; the file's own metadata (name, leadership) never leaves it.
 //!
-//! A file is believed only if it is whole: it knows its robot, and the checksum of its records fits. An empty file is no new store, for a new
-//! one comes into its place with its name in it.
+//! A file is accepted only if it is intact: it names its robot, and the checksum of its records matches. An empty file is not a new store,
+//! because a new one is put into place only when it has its name.
 
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -30,37 +29,37 @@ type Definition = TableDefinition<'static, &'static str, &'static [u8]>;
 const GOALS: Definition = TableDefinition::new("goals");
 const ANSWERS: Definition = TableDefinition::new("answers");
 const SINGLES: Definition = TableDefinition::new("singles");
-/// What a leader hands to its standbys.
+/// Tables that a leader replicates to its standbys.
 const SHARED: [Definition; 3] = [GOALS, ANSWERS, SINGLES];
-/// What the file says of itself.
+/// The file's own metadata.
 const OWN: Definition = TableDefinition::new("own");
 
 /// The name of the store.
 const NAME: &str = "name";
 /// The robot whose goals these are.
 const ROBOT: &str = "robot";
-/// What a try to write leaves.
+/// Content of a test write.
 const TRIED: &str = "tried";
-/// Bytes of a try to write.
+/// Size of a test write, bytes.
 const ROOM: usize = 64 * 1024;
 /// The checksum of all records.
 const CHECKSUM: &str = "checksum";
-/// Its leadership record; stored under its former name.
+/// The leadership record, stored under its former name.
 const LEADERSHIP: &str = "standing";
 
-/// The tree that runs.
+/// The running tree.
 const TREE: &str = "tree";
 /// The plan in force.
 const MOTION: &str = "motion";
 /// The time of the last write.
 const NOW: &str = "now";
-/// The number of the last life, of this store's and of its leaders'.
+/// Number of the last run, of this store and of its leaders.
 const INCARNATION: &str = "incarnation";
 
 /// A mission's file.
 #[derive(Debug)]
 pub struct Store {
-    /// `None` while it could not be opened again.
+    /// `None` while it could not be reopened.
     database: RwLock<Option<Database>>,
     path: PathBuf,
     name: String,
@@ -69,34 +68,34 @@ pub struct Store {
 /// Why the store failed.
 #[derive(Debug, Error)]
 pub enum StoreError {
-    /// Another process has the file.
+    /// Another process uses the file.
     #[error("{path}: in use by another mission; expected one process per file")]
     Locked {
         /// The file.
         path: String,
     },
-    /// The disk has no room, or takes nothing: nothing can be stored until it does, and [`Store::reopen`] was called.
+    /// The disk is full or read-only: nothing can be stored until that is resolved and [`Store::reopen`] was called.
     #[error("{path}: {reason}")]
     NoRoom {
         /// The file.
         path: String,
-        /// What the disk says.
+        /// The disk's error.
         reason: String,
     },
-    /// The file is torn, changed by something else than a mission, or another robot's.
+    /// The file is damaged, changed by another program, or another robot's.
     #[error("{path}: {reason}")]
     Foreign {
         /// The file.
         path: String,
-        /// What does not fit, and what to do.
+        /// What does not match, and what to do.
         reason: String,
     },
-    /// The file cannot be made, read or written.
+    /// The file cannot be created, read or written.
     #[error("{path}: {reason}")]
     Io {
         /// The file.
         path: String,
-        /// What went wrong.
+        /// The error.
         reason: String,
     },
     /// A record that this program cannot read or write.
@@ -104,7 +103,7 @@ pub enum StoreError {
     Record {
         /// The file.
         path: String,
-        /// Which.
+        /// The record.
         record: String,
         /// What is wrong with it.
         reason: String,
@@ -112,10 +111,10 @@ pub enum StoreError {
 }
 
 impl Store {
-    /// Opens or makes the file with the goals of a robot.
+    /// Opens or creates the file with the goals of a robot.
     ///
     /// # Errors
-    /// [`StoreError::Locked`] while another process has it; [`StoreError::Foreign`] for a file that is not whole or another robot's;
+    /// [`StoreError::Locked`] while another process uses it; [`StoreError::Foreign`] for a file that is damaged or another robot's;
     /// [`StoreError::NoRoom`]; [`StoreError::Io`]; [`StoreError::Record`].
     pub fn open(path: &Path, robot: &str) -> Result<Self, StoreError> {
         let mut store = Self {
@@ -139,7 +138,7 @@ impl Store {
         Ok(store)
     }
 
-    /// Makes a new file beside its place, and puts it there once it has a name: whatever else lies there is no new one.
+    /// Creates a new file beside its final path, and moves it there once it has a name: so a file at the path is never a half-made one.
     fn make(&self, robot: &str) -> Result<(), StoreError> {
         let beside = self.path.with_extension(format!("new-{}", Id::unique()));
         let made = || {
@@ -147,7 +146,7 @@ impl Store {
             *self.database.write().unwrap_or_else(PoisonError::into_inner) = Some(database);
             self.christen(robot)?;
             self.database.write().unwrap_or_else(PoisonError::into_inner).take();
-            // Another process may have been faster: then its file is the one.
+            // Another process may have been faster: then its file is used.
             match std::fs::hard_link(&beside, &self.path) {
                 // Not every file system has links.
                 Err(error) if error.kind() != ErrorKind::AlreadyExists => {
@@ -157,15 +156,15 @@ impl Store {
             }
         };
         let result = made();
-        // It has its own name now, or is of no use.
+        // The file has its final name now, or is not needed.
         let _ = std::fs::remove_file(&beside);
         result
     }
 
-    /// Opens the file anew: after [`StoreError::NoRoom`] nothing is read or written before.
+    /// Reopens the file: required after [`StoreError::NoRoom`] before anything can be read or written.
     ///
     /// # Errors
-    /// As [`Store::open`]; without room again.
+    /// As [`Store::open`]; again [`StoreError::NoRoom`] if there is still none.
     pub fn reopen(&self) -> Result<(), StoreError> {
         let mut database = self.database.write().unwrap_or_else(PoisonError::into_inner);
         database.take();
@@ -179,7 +178,7 @@ impl Store {
         Ok(())
     }
 
-    /// Writes something of no meaning, of about the size of a goal: is there room?
+    /// Test write of dummy data about as large as a goal, to find out whether the disk has room.
     ///
     /// # Errors
     /// [`StoreError::NoRoom`].
@@ -209,13 +208,13 @@ impl Store {
         }
     }
 
-    /// The name of the store, given once and different from every other store's.
+    /// The name of the store, given once and unique.
     #[must_use]
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// Gives a new file its name and robot, and checks those of an old one; the name.
+    /// Gives a new file its name and robot, or checks those of an old one. Returns the name.
     fn christen(&self, robot: &str) -> Result<String, StoreError> {
         let write = self.begin_write()?;
         let name = {
@@ -267,10 +266,10 @@ impl Store {
         Ok(())
     }
 
-    /// Stores a step's records: all of them or, after an error, none. Returns what a standby's store is to write.
+    /// Stores a step's records: all of them or, on an error, none. Returns the writes for a standby's store.
     ///
     /// # Errors
-    /// [`StoreError`]; nothing that depends on these records may be told to anybody then.
+    /// [`StoreError`]; then nothing that depends on these records may be acknowledged.
     pub fn write(&self, records: &[Record]) -> Result<Vec<JournalWrite>, StoreError> {
         let writes: Vec<JournalWrite> = records
             .iter()
@@ -297,10 +296,10 @@ impl Store {
         })
     }
 
-    /// Writes what a leader's store has written, after what is there or `instead` of it; with how this store stands from then on.
+    /// Applies the writes of a leader's store, to the stored content or `instead` of it, together with this store's new leadership record.
     ///
     /// # Errors
-    /// [`StoreError`], also for a table that there is not; then nothing is written.
+    /// [`StoreError`], also for an unknown table; then nothing is written.
     pub fn apply(
         &self,
         writes: &[JournalWrite],
@@ -338,7 +337,7 @@ impl Store {
         write.commit().map_err(|error| self.io(error))
     }
 
-    /// Writes or removes a record of a shared table, and keeps the checksum.
+    /// Writes or removes a record of a shared table, and updates the checksum.
     fn put(
         &self,
         table: &mut Table<'_, &'static str, &'static [u8]>,
@@ -360,7 +359,7 @@ impl Store {
         Ok(())
     }
 
-    /// Everything that a standby's store is to hold.
+    /// The complete content for a standby's store.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -383,7 +382,7 @@ impl Store {
         Ok(writes)
     }
 
-    /// How this store relates to others.
+    /// Relation of this store to others.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -393,7 +392,7 @@ impl Store {
         Ok(self.single(&own, LEADERSHIP)?.unwrap_or_default())
     }
 
-    /// Begins a new life: the incarnation in [`Restored`] is on disk when this returns.
+    /// Starts a new run: the incarnation in [`Restored`] is on disk when this returns.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -435,7 +434,7 @@ impl Store {
         Ok(restored)
     }
 
-    /// The goals as they stand in the file.
+    /// The goals in the file.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -529,7 +528,7 @@ impl Store {
     }
 }
 
-/// Whether a disk is full, or takes no writes.
+/// Whether a disk is full or read-only.
 fn has_no_room(error: &std::io::Error) -> bool {
     use ErrorKind::{FileTooLarge, QuotaExceeded, ReadOnlyFilesystem, StorageFull, WriteZero};
     matches!(

@@ -1,4 +1,4 @@
-//! Shipped trees. Which are there, and how does a goal's tree become one that runs?
+//! Shipped trees. Which trees are there, and how is a goal's tree built?
 
 use std::fmt;
 use std::sync::OnceLock;
@@ -7,9 +7,9 @@ use super::context::Context;
 use super::leaves;
 use zenav_behaviour_tree::{DuplicateNode, Registry, Tree, TreeErrors, build as build_tree};
 
-/// To one place: plan, follow, and after a failure try again.
+/// Drives to one place: plans, follows, and retries after a failure.
 pub const NAVIGATE: &str = "navigate";
-/// Through places in order.
+/// Drives through places in order.
 pub const NAVIGATE_THROUGH: &str = "navigate_through";
 
 /// Shipped trees: name and XML.
@@ -31,12 +31,12 @@ pub fn shipped(name: &str) -> Option<&'static str> {
     SHIPPED.iter().find(|(known, _)| *known == name).map(|(_, text)| *text)
 }
 
-/// Why there is no tree.
+/// Why a tree could not be built.
 #[derive(Clone, Debug)]
 pub enum NoTree {
-    /// Neither XML nor the name of a shipped tree.
+    /// The text is neither XML nor the name of a shipped tree.
     Unknown(String),
-    /// Everything that is wrong with the XML.
+    /// All errors in the XML.
     Bad(String),
 }
 
@@ -52,10 +52,10 @@ impl fmt::Display for NoTree {
     }
 }
 
-/// The nodes that this process's trees may use, set by the first use.
+/// The nodes available to this process's trees, fixed on first use.
 static REGISTRY: OnceLock<Registry<Context>> = OnceLock::new();
 
-/// The registry of nodes that missions of this process use.
+/// The registry of nodes available to the missions of this process.
 #[must_use]
 pub fn registry() -> &'static Registry<Context> {
     REGISTRY.get_or_init(leaves::registry)
@@ -72,18 +72,17 @@ pub enum CannotAdd {
     Late,
 }
 
-/// Adds leaves of a user's own to those that missions of this process know. The crate's documentation has an example.
+/// Adds user-defined leaves to those known to the missions of this process. The crate's documentation has an example.
 ///
 /// # Errors
-/// [`CannotAdd`]: an id is taken, or this comes too late.
+/// [`CannotAdd`]: an id is taken, or the first tree was already built.
 pub fn add_leaves(add: impl FnOnce(&mut Registry<Context>) -> Result<(), DuplicateNode>) -> Result<(), CannotAdd> {
     let mut registry = leaves::registry();
     add(&mut registry)?;
     REGISTRY.set(registry).map_err(|_| CannotAdd::Late)
 }
 
-/// Builds a tree from XML, or from the name of a shipped one. It can include shipped trees only: the
-/// text may come from another machine.
+/// Builds a tree from XML, or from the name of a shipped one. XML can include shipped trees only, because it may come from another machine.
 ///
 /// # Errors
 /// [`NoTree`].

@@ -1,19 +1,20 @@
-//! Sampling planners beside OMPL's: how fast, how often found, how short? `cargo bench -p zenav-planning --bench sampling [-- MAP…]`
+//! Sampling planners compared with OMPL's: time, success rate, path length. `cargo bench -p zenav-planning --bench sampling [-- MAP…]`
 //!
-//! Maps are files that the stack reads (`.map`, `.yaml`, `.pgm`, `.png`); without any, three made ones. A scenario `MAP.scen` beside a map gives its
-//! ten hardest queries, else they are the longest of many random ones. Lengths are in relation to the shortest path on the grid, which knows
-//! eight directions and cuts no corners.
+//! Maps are files that the stack reads (`.map`, `.yaml`, `.pgm`, `.png`); without any, three generated ones. A scenario `MAP.scen` beside
+//! a map gives its ten hardest queries; otherwise they are the longest of many random ones. Lengths are relative to the shortest path on
+//! the grid, which knows eight directions and cuts no corners.
 //!
-//! With `OMPL_PEER` (a program made of `benches/peers/ompl.cpp`) the peer answers the same queries with the same exact checks. Both sides get one
-//! run for each query and seed, and the same processor time: two seconds for a first path, half a second in all for planners that improve
-//! on theirs. Both are stopped by a flag that another thread sets. `RUNS` seeds are drawn (default 3). All rows are printed.
+//! With `OMPL_PEER` (a program built from `benches/peers/ompl.cpp`) the peer answers the same queries with the same exact checks. Both
+//! sides get one run for each query and seed, and the same processor time: two seconds for a first path, half a second in total for
+//! planners that improve theirs. Both are stopped by a flag that another thread sets. `RUNS` seeds are drawn (default 3). All rows are
+//! printed.
 //!
 //! | row | is |
 //! |---|---|
 //! | `zenav textbook NAME` | the algorithm as published: the map is a black box that answers lines of sight; raw path |
-//! | `zenav NAME` | what users get: samples in free cells, a sweep over the bitmap's free runs, string pulling |
-//! | `ompl NAME` | OMPL's, raw path |
-//! | `ompl NAME + simplify` | the same and OMPL's `simplifySolution`, its time included |
+//! | `zenav NAME` | the planner as users get it: samples in free cells, a sweep over the bitmap's free runs, string pulling |
+//! | `ompl NAME` | OMPL's planner, raw path |
+//! | `ompl NAME + simplify` | the same with OMPL's `simplifySolution`, its time included |
 
 #![allow(
     clippy::unwrap_used,
@@ -35,7 +36,7 @@ use zenav_planning::{Budget, Planner, Query, Searcher};
 use zenav_protocol::grid::{Cell, Occupancy};
 use zenav_space::{BitGrid, LineOfSight as _, PointLineOfSight};
 
-/// Queries a map.
+/// Queries per map.
 const QUERIES: usize = 10;
 /// Random queries that the longest are chosen from.
 const DRAWN: usize = 2000;
@@ -77,7 +78,7 @@ fn main() {
     }
 }
 
-/// Our planners, and those of OMPL beside each.
+/// Our planners, each with its peers in OMPL.
 const ROWS: &[(Planner, &[&str])] = &[
     (Planner::Rrt, &["rrt"]),
     (Planner::RrtConnect, &["rrt_connect"]),
@@ -247,14 +248,14 @@ fn longest(free: &BitGrid) -> Vec<(Cell, Cell, f64)> {
     found
 }
 
-/// What many searches gave.
+/// Results of many searches.
 #[derive(Default)]
 struct Figures {
-    /// s; what is here is always in order.
+    /// Times, s; always sorted.
     times: Vec<f64>,
-    /// Lengths of paths, in relation to the shortest on the grid.
+    /// Path lengths relative to the shortest on the grid; always sorted.
     ratios: Vec<f64>,
-    /// Drawn, or vertices made.
+    /// Samples drawn, or vertices made.
     samples: Vec<u64>,
 }
 
@@ -296,7 +297,7 @@ impl std::fmt::Display for Figures {
     }
 }
 
-/// Corridors of five cells behind walls of one, without a loop: a walk that turns back where it is stuck.
+/// Corridors of five cells between walls of one, without loops: a random walk that backtracks at dead ends.
 fn maze() -> BitGrid {
     const ROOMS: i64 = 60;
     let mut rng = Pcg64Mcg::new(3);
@@ -333,7 +334,7 @@ fn maze() -> BitGrid {
     free
 }
 
-/// Rooms of 24 cells; two walls of three have a door of one cell.
+/// Rooms of 24 cells; two of three walls have a door of one cell.
 fn rooms() -> BitGrid {
     let mut rng = Pcg64Mcg::new(5);
     let mut free = BitGrid::from_fn(501, 501, |cell| {
@@ -358,7 +359,7 @@ fn rooms() -> BitGrid {
     free
 }
 
-/// Noise in which each cell has become as most of those around it are, five times.
+/// Random noise after five rounds of majority smoothing over 3 x 3 cells.
 fn caves() -> BitGrid {
     let mut rng = Pcg64Mcg::new(7);
     let mut free = BitGrid::from_fn(600, 400, |_| rng.next_u64() % 100 < 56);
@@ -384,10 +385,10 @@ fn seconds(clock: rustix::time::ClockId) -> f64 {
     time.tv_sec as f64 + 1e-9 * time.tv_nsec as f64
 }
 
-/// Cancels when the process has used its time.
+/// Sets the cancel flag when the process has used its time.
 struct Watch {
     cancel: Arc<AtomicBool>,
-    /// Processor time of the process at which to cancel, bits of a number of seconds.
+    /// Processor time of the process at which to cancel, s, as the bits of an `f64`.
     until: Arc<AtomicU64>,
 }
 

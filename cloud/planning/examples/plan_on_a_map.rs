@@ -1,4 +1,4 @@
-//! Plans for a robot that is longer than wide, on a small map, and draws what comes out.
+//! Plans on a small map for a robot that is longer than wide, and draws the path.
 //!
 //! `cargo run -p zenav-planning --example plan_on_a_map [-- PLANNER]`
 

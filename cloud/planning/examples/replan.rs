@@ -1,4 +1,4 @@
-//! A door closes and opens again while a robot drives: what of an answer is kept?
+//! Replanning while a door closes and opens again and the robot drives: prints what is reused of each answer.
 //!
 //! `cargo run -p zenav-planning --example replan`
 

@@ -1,11 +1,11 @@
-//! Search budget. How long may a search take? Expansions, samples, and a flag that somebody else may set: a search knows no clock.
+//! Search budget. Limits on expansions and samples, and a cancel flag that the caller may set: a search reads no clock.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Expansions between two looks at the flag.
+/// Expansions between two checks of the cancel flag.
 const PERIOD: u64 = 512;
 
-/// What a search may use.
+/// Limits of one search.
 ///
 /// ```
 /// use std::sync::atomic::AtomicBool;
@@ -21,19 +21,19 @@ pub struct Budget<'a> {
     pub max_expansions: u64,
     /// Samples that may be drawn.
     pub max_samples: u64,
-    /// Ends the search soon after it is set.
+    /// Cancels the search soon after it is set.
     pub cancel: Option<&'a AtomicBool>,
 }
 
 impl Budget<'_> {
-    /// As long as it takes.
+    /// No limits.
     pub const UNLIMITED: Budget<'static> = Budget {
         max_expansions: u64::MAX,
         max_samples: u64::MAX,
         cancel: None,
     };
 
-    /// Whether somebody has set the flag.
+    /// Whether the cancel flag is set.
     #[must_use]
     pub fn is_cancelled(&self) -> bool {
         self.cancel.is_some_and(|flag| flag.load(Ordering::Relaxed))

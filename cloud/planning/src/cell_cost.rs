@@ -1,4 +1,4 @@
-//! Cell costs. What does a step cost beyond its length?
+//! Cell costs. The cost of a step beyond its length.
 
 use zenav_protocol::grid::Cell;
 use zenav_space::{ConfigurationSpace, DistanceCost};
@@ -8,11 +8,11 @@ use super::settings::ClearanceSettings;
 
 /// Costs beyond the path's length.
 pub trait CellCost {
-    /// What it costs to be at a cell, in parts of [`PARTS`] of the step that leads there or away: 0 is the length alone.
+    /// Extra cost of being at a cell, in units of 1/[`PARTS`] of the cost of a step to or from it; 0 is the length alone.
     fn extra(&self, cell: Cell) -> u8;
 }
 
-/// Extra costs are counted in parts of this many of a step's own cost.
+/// Extra costs are counted in this many parts of a step's own cost.
 pub const PARTS: u32 = 32;
 
 /// The path's length alone.
@@ -25,7 +25,7 @@ impl CellCost for Uniform {
     }
 }
 
-/// Nearness to obstacles; none where none is asked for.
+/// Nearness to obstacles; `None` costs nothing extra.
 impl CellCost for Option<DistanceCost<'_>> {
     fn extra(&self, cell: Cell) -> u8 {
         self.as_ref().map_or(0, |costs| costs.at(cell))
@@ -43,7 +43,8 @@ pub(crate) fn weighted(step: u32, here: u32, there: u8) -> u32 {
     step + step * (here + u32::from(there)) / (2 * PARTS)
 }
 
-/// Costs from the first of some neighbouring cells to each of them; `None` where one is not free, or a step would cut a corner.
+/// Cumulative costs from the first of a chain of neighbouring cells to each of them; `None` if a cell is not free or a step would cut a
+/// corner.
 pub(crate) fn costs_along(graph: &GridGraph, costs: &impl CellCost, cells: &[Cell]) -> Option<Vec<u32>> {
     let first = graph.node(*cells.first()?)?;
     let mut total = vec![0];
@@ -60,7 +61,7 @@ pub(crate) fn costs_along(graph: &GridGraph, costs: &impl CellCost, cells: &[Cel
     graph.is_free(first).then_some(total)
 }
 
-/// Cost of being near obstacles: it falls with the square of the clearance still wanted. `None` where none is asked for.
+/// Cost of being near obstacles: it falls with the square of the missing clearance. `None` if the settings ask for none.
 pub(crate) fn clearance_cost<'a>(
     space: &'a ConfigurationSpace,
     settings: &ClearanceSettings,

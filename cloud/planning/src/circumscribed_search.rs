@@ -1,8 +1,8 @@
-//! Circumscribed search. Is there a path on which a robot that is longer than wide may turn anywhere? A* over the cells in which the disc
-//! around it fits.
+//! Circumscribed search. A path with room to turn everywhere, for a robot that is longer than wide: A* over the cells where its
+//! circumscribed disc fits.
 //!
-//! Most paths that the footprint cannot drive only brush past something. Going round that is found in milliseconds, where the search over
-//! places and headings ([`super::se2_search`]) may take a thousand times as long.
+//! Most paths that the footprint cannot drive only brush an obstacle. This search finds the way round it in milliseconds; the search over
+//! positions and headings ([`super::se2_search`]) may take a thousand times as long.
 
 use nalgebra::Point2;
 
@@ -13,8 +13,8 @@ use super::cell_cost::CellCost;
 use super::se2_search::{Query, is_drivable};
 use super::searcher::{NotFound, Searched, Searcher};
 
-/// A path that the true footprint can drive, corner by corner; `costs` as for the cells of the map. [`NotFound::NoPath`] where it has to
-/// pass a place without room to turn, its ends included.
+/// A path that the true footprint can drive, corner by corner; `costs` are those of the map's cells. [`NotFound::NoPath`] if every path,
+/// its ends included, passes a place without room to turn.
 pub(super) fn search(
     space: &ConfigurationSpace,
     costs: &impl CellCost,

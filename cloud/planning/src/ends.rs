@@ -1,7 +1,7 @@
-//! Ends of a search. From which free cell does a robot leave, and to which does it come?
+//! Ends of a search. The free cells at which a search starts and ends.
 //!
-//! A robot that stands a little inside the margin that its footprint asks for leaves by the nearest free cell; it is refused only where it
-//! stands in an obstacle.
+//! A robot that stands slightly inside its footprint's margin leaves through the nearest free cell; it is refused only if it stands in an
+//! obstacle.
 
 use nalgebra::Point2;
 use zenav_protocol::grid::Cell;
@@ -11,10 +11,10 @@ use super::path::center;
 use super::planners::Planner;
 use super::settings::LeavingSettings;
 
-/// Cells looked at around a point that is not at a free cell's centre, in each direction.
+/// Range of the search around a point that is not at a free cell's centre, cells in each direction.
 const NEARBY: i64 = 3;
 
-/// Where a search begins or ends.
+/// Start or end of a search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct End {
     /// The point that was asked for, in cells.
@@ -24,7 +24,8 @@ pub(super) struct End {
 }
 
 impl End {
-    /// Where a planner starts from: the point itself where the planner is not bound to cells and the robot fits there.
+    /// The point that a planner uses: the requested point if the planner is not bound to cells and the robot fits there, else the cell's
+    /// centre.
     pub(super) fn of(&self, space: &ConfigurationSpace, planner: Planner) -> Point2<f64> {
         if planner.grows_trees() && space.admits(self.point) {
             self.point
@@ -34,13 +35,13 @@ impl End {
     }
 }
 
-/// The free cell nearest to a point from whose centre a disc of `radius` (m) goes straight to the point, over cells that it may enter; none
-/// further than a few cells away.
+/// The free cell nearest to a point from whose centre a disc of `radius` (m) can move straight to the point over cells that it may enter;
+/// at most a few cells away.
 pub(super) fn cell_beside(space: &ConfigurationSpace, point: Point2<f64>, radius: f64) -> Option<Cell> {
     reachable(space, point, radius, NEARBY).find(|cell| space.is_permitted_between(space.spec().center(*cell), point))
 }
 
-/// The free cell that a robot leaves by, which may stand closer to obstacles than it would be led.
+/// The free cell through which a robot leaves its start; the start may be closer to obstacles than a planned path.
 pub(super) fn leaving(space: &ConfigurationSpace, start: Point2<f64>, settings: &LeavingSettings) -> Option<Cell> {
     let radius = space.radius();
     if let Some(cell) = reachable(space, start, radius, NEARBY).next() {
@@ -55,7 +56,7 @@ pub(super) fn leaving(space: &ConfigurationSpace, start: Point2<f64>, settings: 
     reachable(space, start, radius.min(clearance * (1.0 - 1e-9) - 1e-9), cells).next()
 }
 
-/// The free cells around a point, the nearest first, from whose centres a disc of `radius` (m) goes straight to it.
+/// The free cells around a point, nearest first, from whose centres a disc of `radius` (m) can move straight to it.
 fn reachable(space: &ConfigurationSpace, point: Point2<f64>, radius: f64, cells: i64) -> impl Iterator<Item = Cell> {
     let spec = space.spec();
     let around = |home: Cell| {

@@ -1,8 +1,8 @@
-//! Grid graph, 8-connected. Which steps can be made from a cell, and what do they cost?
+//! Grid graph, 8-connected. The steps that can be made from a cell, and their costs.
 //!
-//! Eight neighbours; a diagonal step needs both cells beside it (no corner cutting). The bitmap is padded by a blocked border, so that
-//! no search asks where the map ends. Costs are whole numbers, [`STRAIGHT`] and [`DIAGONAL`] a step: 8119/5741 is a convergent of the
-//! square root of two, and two paths whose counts of diagonal steps differ by less than 5741 compare as their exact lengths do.
+//! A diagonal step needs both cells beside it to be free (no corner cutting). A blocked border pads the bitmap, so that no search checks
+//! the bounds of the map. Costs are integers, [`STRAIGHT`] and [`DIAGONAL`] a step: 8119/5741 is a convergent of the square root of two,
+//! and two paths whose counts of diagonal steps differ by less than 5741 compare as their exact lengths do.
 
 use nalgebra::Point2;
 use zenav_protocol::grid::{Cell, MAX_SIDE};
@@ -16,7 +16,7 @@ use super::searcher::NotFound;
 pub const STRAIGHT: u32 = 5741;
 /// Cost of a diagonal step.
 pub const DIAGONAL: u32 = 8119;
-/// Cost of what was not reached; longer paths (about 748,000 cells) are not found.
+/// Cost of a node that was not reached; longer paths (about 748,000 cells) are not found.
 pub const UNREACHED: u32 = u32::MAX;
 
 /// A padded bitmap of free cells. A node is the position of a cell's bit.
@@ -31,12 +31,12 @@ pub struct GridGraph {
     revision: u64,
 }
 
-/// Why a bitmap makes no graph.
+/// The bitmap is too large for a graph.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0} x {1} cells: a search takes at most {MAX_SIDE} a side and {MAX_NODES} in all")]
 pub struct TooManyCells(u32, u32);
 
-/// Nodes that have a number, those of the border included.
+/// Largest number of nodes, border included.
 const MAX_NODES: u64 = u32::MAX as u64 - 64;
 
 impl GridGraph {
@@ -46,7 +46,7 @@ impl GridGraph {
     /// [`TooManyCells`].
     pub fn new(free: &BitGrid) -> Result<Self, TooManyCells> {
         let (width, height) = (free.width(), free.height());
-        // A blocked column on each side, and a word more, since three bits are read at once.
+        // A blocked column on each side, and one extra word at the end because three bits are read at once.
         let stride = (width as usize + 2).div_ceil(64);
         let rows = height as usize + 2;
         if width.max(height) > MAX_SIDE || (stride * 64 * rows) as u64 > MAX_NODES {
@@ -67,13 +67,13 @@ impl GridGraph {
         Ok(graph)
     }
 
-    /// Takes over one word of a row that has changed.
+    /// Copies one changed word of a row.
     pub(super) fn update(&mut self, free: &BitGrid, y: u32, word: usize) {
         self.revision += 1;
         let stride = self.pitch as usize / 64;
         let source = free.row(y);
         let row = &mut self.words[(y as usize + 1) * stride..][..stride];
-        // The border shifts every cell by one.
+        // The border shifts all cells by one bit.
         for at in [word, word + 1] {
             let bits = |at: usize| source.get(at).copied().unwrap_or(0);
             if let Some(to) = row.get_mut(at) {
@@ -82,7 +82,7 @@ impl GridGraph {
         }
     }
 
-    /// Which state of the bitmap this is: what was prepared from an earlier one no longer stands.
+    /// Revision of the bitmap: anything prepared from an earlier revision is stale.
     pub(super) fn revision(&self) -> u64 {
         self.revision
     }
@@ -99,7 +99,7 @@ impl GridGraph {
         (cell.x < self.width && cell.y < self.height).then(|| (cell.y + 1) * self.pitch + cell.x + 1)
     }
 
-    /// The nodes of free ends.
+    /// The nodes of start and goal; an error if one is outside the map or blocked.
     pub(crate) fn ends(&self, start: Cell, goal: Cell) -> Result<(u32, u32), NotFound> {
         let start = self.node(start).ok_or(NotFound::OutOfMap)?;
         let goal = self.node(goal).ok_or(NotFound::OutOfMap)?;
@@ -118,19 +118,19 @@ impl GridGraph {
         Cell::new((node % self.pitch).wrapping_sub(1), (node / self.pitch).wrapping_sub(1))
     }
 
-    /// Distance between the nodes of a cell and of the one above it.
+    /// Node number of the cell above minus that of the cell itself.
     #[must_use]
     pub fn pitch(&self) -> u32 {
         self.pitch
     }
 
-    /// The bitmap, the border included, and a word more.
+    /// The padded bitmap and one extra word.
     #[must_use]
     pub(super) fn words(&self) -> &[u64] {
         &self.words
     }
 
-    /// The rows of the bitmap, the border included.
+    /// The rows of the padded bitmap.
     #[must_use]
     pub(super) fn rows(&self) -> Lines {
         let stride = self.pitch as usize / 64;
@@ -140,7 +140,7 @@ impl GridGraph {
         }
     }
 
-    /// The node of a cell that counts from the border.
+    /// The node of a cell in padded coordinates, counted from the border.
     #[inline]
     pub(super) fn padded(&self, cell: Cell) -> u32 {
         cell.y * self.pitch + cell.x
@@ -159,13 +159,13 @@ impl GridGraph {
     /// The node of the cell that holds a point, in cells; `None` outside the map.
     #[must_use]
     pub fn node_at(&self, p: Point2<f64>) -> Option<u32> {
-        // Casts saturate, and what is not a number is not positive.
+        // Casts saturate; NaN fails both comparisons.
         (p.x >= 0.0 && p.y >= 0.0)
             .then(|| Cell::new(p.x as u32, p.y as u32))
             .and_then(|cell| self.node(cell))
     }
 
-    /// First and last node of the free cells side by side that a free node belongs to.
+    /// First and last node of the horizontal run of free cells that contains a free node.
     #[must_use]
     pub(super) fn run(&self, node: u32) -> [u32; 2] {
         // Every row begins and ends with a blocked column.
@@ -186,14 +186,14 @@ impl GridGraph {
         [first, ((word as u32) << 6) + blocked.trailing_zeros() - 1]
     }
 
-    /// Of the 64 nodes of a word inside the map, those that are free with the two beside them in the given directions, but not with the one
-    /// between these: where an obstacle has a convex corner.
+    /// Of the 64 nodes of a word inside the map: the free nodes whose neighbours in the given horizontal and vertical directions are free
+    /// while the diagonal cell between them is blocked, that is, the nodes at an obstacle's convex corner.
     #[must_use]
     pub(super) fn corners(&self, word: u32, right: bool, up: bool) -> u64 {
         let stride = (self.pitch >> 6) as usize;
         let here = word as usize;
         let there = if up { here + stride } else { here - stride };
-        // Each node's neighbour to the right or left, in its own place.
+        // Each node's right or left neighbour, moved to the node's own bit.
         let beside = |word: usize| {
             if right {
                 self.words[word] >> 1 | self.words[word + 1] << 63
@@ -225,7 +225,7 @@ impl GridGraph {
         east | west << 1 | north << 2 | south << 3 | diagonals
     }
 
-    /// The node that a step leads to.
+    /// The node reached by a step.
     #[must_use]
     pub fn beside(&self, node: u32, step: Step) -> u32 {
         node.wrapping_add_signed(step.y * self.pitch as i32 + step.x)
@@ -247,12 +247,12 @@ pub struct Step {
     pub x: i32,
     /// Rows upwards.
     pub y: i32,
-    /// What it costs: [`STRAIGHT`] or [`DIAGONAL`].
+    /// Cost: [`STRAIGHT`] or [`DIAGONAL`].
     pub cost: u32,
 }
 
 impl Step {
-    /// The cell that it leads to.
+    /// The cell reached by it.
     #[inline]
     #[must_use]
     pub const fn after(self, cell: Cell) -> Cell {
@@ -280,12 +280,12 @@ pub const STEPS: [Step; 8] = [
     step(-1, 1),
 ];
 
-/// Cost between two cells on an empty map: never above the true one.
+/// Octile distance: the cost between two cells on an empty map, a lower bound of the true cost.
 #[must_use]
 pub fn octile(from: Cell, to: Cell) -> u32 {
     let (dx, dy) = (from.x.abs_diff(to.x), from.y.abs_diff(to.y));
     let (long, short) = if dx > dy { (dx, dy) } else { (dy, dx) };
-    // Sides are at most 32,768: this stays far below the largest number.
+    // Sides are at most 32,768, so this is far from overflow.
     short * DIAGONAL + (long - short) * STRAIGHT
 }
 

@@ -1,11 +1,11 @@
-//! Jump points on bitmaps. Where does a run over free cells end? At an obstacle, or where one beside it ends: bitmaps of those stops, one
-//! for each direction.
+//! Jump points on bitmaps. One bitmap of stops for each direction: a run over free cells stops at an obstacle, or where an obstacle
+//! beside it ends.
 //!
-//! A run is a look for the next bit, 64 cells at a time: along rows, along columns on a transposed copy, and along diagonals on copies
-//! whose rows are shifted against one another first. Diagonal runs stop at obstacles too, and wherever a straight run from the cell
-//! passed leads to a jump point; all other cells of theirs are passed unseen.
+//! A run is a search for the next set bit, 64 cells at a time: along rows, along columns on a transposed copy, and along diagonals on
+//! sheared copies. Diagonal runs stop at obstacles too, and at each cell from which a straight run leads to a jump point; all other cells
+//! are skipped.
 //!
-//! Eight bits a cell, made in time linear in them.
+//! Memory: eight bits a cell; built in time linear in them.
 //!
 //! Source: Harabor and Grastien, "Improving Jump Point Search", ICAPS 2014 (block scanning); the diagonals are our own.
 
@@ -14,22 +14,22 @@ use zenav_protocol::grid::Cell;
 use super::grid_graph::{GridGraph, STEPS, Step};
 use super::lines::Lines;
 
-/// The stops of a graph. Its cells count from the graph's border here.
+/// The stops of a graph. Cells are in padded coordinates, counted from the graph's border.
 #[derive(Clone, Debug)]
 pub struct JumpGrid {
     rays: [Ray; 8],
 }
 
-/// A direction, and where runs in it stop.
+/// A direction and the stops of the runs along it.
 ///
-/// Lines of bits: rows, columns, or diagonals, which wrap around at the graph's last column. A run goes towards higher bits; lines
-/// that are gone along the other way are turned over.
+/// Its lines of bits are rows, columns, or diagonals that wrap around at the graph's last column. A run goes towards higher bits; for the
+/// opposite direction the lines are reversed.
 #[derive(Clone, Debug)]
 pub(super) struct Ray {
     /// One step of it.
     pub(super) step: Step,
     stops: Lines,
-    /// Columns of the graph, those that pad it included.
+    /// Columns of the graph, padding included.
     pitch: u32,
 }
 
@@ -61,7 +61,7 @@ impl Ray {
             if found != 0 {
                 return passed + found.trailing_zeros();
             }
-            // The border stops whatever comes so far.
+            // The blocked border stops every run.
             passed += 64;
         }
     }
@@ -78,7 +78,7 @@ impl Ray {
         if line < self.pitch { line } else { line - self.pitch }
     }
 
-    /// The cell some steps on.
+    /// The cell `steps` steps on.
     #[inline]
     pub(super) fn after(&self, from: Cell, steps: u32) -> Cell {
         let Step { x, y, .. } = self.step;
@@ -136,9 +136,9 @@ fn stops(free: &Lines) -> [Lines; 2] {
         for (at, here) in bits.iter().enumerate().filter(|(_, here)| **here != 0) {
             let before = at.checked_sub(1).map_or(0, |at| bits[at] >> 63);
             let after = bits.get(at + 1).map_or(0, |bits| bits << 63);
-            // Free cells behind which an obstacle ends: a run beside them may turn there.
+            // Free cells directly past the end of an obstacle: a run in a line beside them may turn there.
             let (ends_up, ends_down) = (here & !(here << 1 | before), here & !(here >> 1 | after));
-            // The border's lines hold no free cell, so that there are lines on both sides.
+            // The border's lines hold no free cell, so every line that does has a line on both sides.
             for beside in [line - 1, line + 1] {
                 up.words[beside * up.stride + at] |= ends_up;
                 down.words[beside * up.stride + at] |= ends_down;
@@ -181,7 +181,8 @@ fn leads_down(free: &Lines, stops: &Lines) -> Lines {
     leads
 }
 
-/// Bits above jump points, up to the next stop: the carries of a sum, made by jump points, handed on by whatever is no stop.
+/// Bits above jump points, up to the next stop, as the carries of a sum: a jump point generates a carry, a cell that is no stop
+/// propagates it.
 fn carries(jumps: u64, stops: u64, carry: &mut bool) -> u64 {
     let passing = jumps | !stops;
     let (sum, first) = passing.overflowing_add(jumps);
@@ -190,7 +191,7 @@ fn carries(jumps: u64, stops: u64, carry: &mut bool) -> u64 {
     sum ^ passing ^ jumps
 }
 
-/// Cells that are free together with the one to the right, the one above, and the one between.
+/// Cells that are free together with the cells to the right, above, and diagonally between.
 fn squares(rows: &Lines) -> Lines {
     let mut squares = rows.clone();
     let stride = rows.stride;
@@ -200,13 +201,13 @@ fn squares(rows: &Lines) -> Lines {
                 .get(at)
                 .map_or(0, |word| word & rows.words.get(at + stride).copied().unwrap_or(0))
         };
-        // The last column is blocked: what follows a row's last word does not matter.
+        // The last column is blocked, so the word after a row's last one does not matter.
         squares.words[at] = both(at) & (both(at) >> 1 | both(at + 1) << 63);
     }
     squares
 }
 
-/// Where diagonal runs stop: where they end, and where a run to the side or straight up or down leads to a jump point.
+/// Stops of diagonal runs: where the next step is blocked, and where a horizontal or vertical run leads to a jump point.
 fn turns(step: Step, side: &Lines, end: &Lines, squares: &Lines) -> Lines {
     let mut turns = squares.clone();
     let below = if step.y < 0 { squares.stride } else { 0 };

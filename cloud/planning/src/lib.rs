@@ -10,18 +10,18 @@
 //! - `theta`: the length over any directions, approximately;
 //! - `rrt`, `rrt_connect`: nothing, the first path that is found; `rrt_star`: the length, in the limit of many samples.
 //!
-//! Everything is exact against closed squares of occupied cells: no step size is involved, and a single occupied cell is never missed.
-//! Everything is deterministic, and knows no clock: a [`Budget`] bounds a search, and a flag in it ends one from outside.
+//! Collision checks are exact against the closed squares of occupied cells: there is no step size, and a single occupied cell is never
+//! missed. Planning is deterministic and reads no clock: a [`Budget`] bounds a search, and its flag cancels one from outside.
 //!
-//! # Which question is asked how
+//! # Entry points
 //!
-//! | question | answer |
+//! | question | entry point |
 //! |---|---|
 //! | Is there a path that this robot can drive? | [`plan()`] |
-//! | The same, again and again while the map changes and the robot drives? | [`Replanner`] |
-//! | The path of one search between two points of a bitmap, in cells? | [`Searcher`] |
+//! | The same, repeatedly, while the map changes and the robot drives? | [`Replanner`] |
+//! | What does one search between two points of a bitmap find, in cells? | [`Searcher`] |
 //! | A path past robots whose courses are known? | [`search_space_time`] |
-//! | Which planners are there, which settings? | [`Planner`], [`PlanningSettings`] |
+//! | Which planners and settings are there? | [`Planner`], [`PlanningSettings`] |
 //!
 //! ```
 //! use nalgebra::Point2;
@@ -57,21 +57,21 @@
 //! | file | answers |
 //! |---|---|
 //! | `plan` | is there a path for this robot, and which search finds it? |
-//! | `ends` | from which free cell does a search begin, at which does it end? |
+//! | `ends` | at which free cells does a search start and end? |
 //! | `circumscribed_search` | is there a path on which the robot may turn anywhere? |
 //! | `se2_search` | is there a path for the footprint itself, over positions and headings? |
-//! | `space_time` | which path leads past robots whose courses are known, and when is the robot where? |
-//! | `replan` | does an answer still stand when the map has changed or the robot has moved on? |
+//! | `space_time` | which path passes robots whose courses are known, and when does it arrive? |
+//! | `replan` | is an answer still valid after the map has changed or the robot has moved on? |
 //! | `planners` | which planners are there, and how is one added? |
-//! | `searcher` | which search runs, and on what memory? |
+//! | `searcher` | which search runs, and on which memory? |
 //! | `grid_graph` | which steps can be made from a cell, and what do they cost? |
 //! | `cell_cost` | what does a step cost beyond its length? |
-//! | `jump_grid`, `lines` | where does a run over free cells end? |
+//! | `jump_grid`, `lines` | where does a run over free cells stop? |
 //! | `open_list` | which open node is next? |
-//! | `node_table` | what does a search note about cells, of which it sees few? |
-//! | `sampling` | what do planners share that grow trees? |
+//! | `node_table` | how does a search store values for the few nodes it visits? |
+//! | `sampling` | what do tree-growing planners share? |
 //! | `string_pulling` | which corners of a path are needed? |
-//! | `budget`, `options`, `settings` | how long may a search take, how does it search, what can be tuned? |
+//! | `budget`, `options`, `settings` | how long may a search take, which options does it have, what can be tuned? |
 
 mod budget;
 mod cell_cost;

@@ -1,4 +1,4 @@
-//! Transposed and sheared bitmaps. How are bitmaps turned, so that columns and diagonals lie as rows do, 64 cells to a word?
+//! Transposed and sheared bitmaps. Columns and diagonals are laid out like rows, 64 cells to a word.
 //!
 //! Source: Warren, "Hacker's Delight", 7-3 (transposing a block of bits).
 
@@ -20,12 +20,12 @@ impl Lines {
         &self.words[line * self.stride..][..self.stride]
     }
 
-    /// Bit `y` of line `x` is bit `x` of line `y` here; bits that no line here has are zero.
+    /// Transpose: bit `y` of line `x` is bit `x` of line `y` here; bits without a source line are zero.
     pub(super) fn transposed(&self) -> Self {
         self.turned(|line, word| line.map_or(0, |line| self.words[line * self.stride + word]))
     }
 
-    /// Bit `y` of line `x - slope * y` is bit `x` of line `y` here, lines counted around; bits that no line here has are set.
+    /// Shear: bit `y` of line `x - slope * y` is bit `x` of line `y` here, line numbers wrap around; bits without a source line are set.
     pub(super) fn sheared(&self, slope: i32) -> Self {
         let bits = self.stride * 64;
         self.turned(|line, word| {
@@ -38,7 +38,7 @@ impl Lines {
         })
     }
 
-    /// Every line the other way round.
+    /// Reverses every line.
     pub(super) fn reversed(mut self) -> Self {
         for line in self.words.chunks_mut(self.stride) {
             line.reverse();
@@ -47,7 +47,7 @@ impl Lines {
         self
     }
 
-    /// Transposes block by block; `word` gives the words of the lines, and of those that are none.
+    /// Transposes block by block; `word` gives the words of a line, or the fill for `None` (past the last line).
     fn turned(&self, word: impl Fn(Option<usize>, usize) -> u64) -> Self {
         let count = self.count();
         let stride = count.div_ceil(64);

@@ -1,26 +1,26 @@
-//! Node table. What does a search note about cells, of which it sees few? A table that costs nothing where it was not written.
+//! Node table. A value for each node, for searches that visit few of them: unwritten parts cost nothing.
 //!
-//! It is made of zeros, which the operating system hands out page by page when they are first written; and what was written is known
-//! by lines of a cache, so that a new search wipes those alone.
+//! The table is allocated as zeros, which the operating system backs page by page on the first write. Written cache lines are recorded,
+//! so that a new search clears only those.
 
-/// Bytes wiped at a time.
+/// Bytes cleared at a time: a cache line.
 const LINE: usize = 64;
 
 /// A number for each node, 0 at first.
 #[derive(Clone, Debug, Default)]
 pub(super) struct NodeTable<T> {
     values: Vec<T>,
-    /// Which lines hold anything, a bit each.
+    /// One bit for each cache line that was written.
     written: Vec<u64>,
 }
 
 impl<T: Copy + Default> NodeTable<T> {
     const PER_LINE: usize = LINE / size_of::<T>();
 
-    /// Zeros for `nodes` nodes.
+    /// Sets all values to zero, for `nodes` nodes.
     pub(super) fn clear(&mut self, nodes: usize) {
         if self.values.len() != nodes {
-            // The old table goes first: two would not always fit.
+            // The old table is dropped first: memory may not hold both.
             *self = Self {
                 values: Vec::new(),
                 written: Vec::new(),
@@ -39,7 +39,7 @@ impl<T: Copy + Default> NodeTable<T> {
         }
     }
 
-    /// Which lines hold anything.
+    /// The lines written since the last `clear`.
     pub(super) fn written(&self) -> Written {
         Written {
             lines: self.written.clone(),
@@ -60,7 +60,7 @@ impl<T: Copy + Default> NodeTable<T> {
     }
 }
 
-/// Which lines of a table had been written.
+/// Snapshot of the written lines of a table.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Written {
     lines: Vec<u64>,

@@ -1,15 +1,15 @@
-//! Open list. Which node is expanded next? The one with the lowest estimate, of almost equal ones the latest.
+//! Open list. The node with the lowest estimate is expanded next; of almost equal ones, the latest.
 //!
-//! Estimates never fall in a search with a consistent heuristic, so that no heap is needed: what comes soon lies in fine buckets, what
-//! comes later in coarser and coarser ones, which are spread over finer ones when their time comes. To put in and to take out costs a
-//! few instructions, whatever the number of nodes. Latest first leads a search on towards its goal where many paths are equally short.
+//! Estimates never fall in a search with a consistent heuristic, so no heap is needed: near estimates lie in fine buckets, later ones in
+//! coarser and coarser buckets, which are spread over finer ones when their turn comes. A push or a pop costs a few instructions,
+//! whatever the number of nodes. Latest-first leads a search straight on towards its goal where many paths are equally short.
 //!
 //! Sources: Dial, "Algorithm 360: Shortest-Path Forest with Topological Ordering", 1969; Varghese and Lauck, "Hashed and Hierarchical
 //! Timing Wheels", 1987.
 
 /// Estimates that differ by less than this, an eleventh of a straight step, come in any order.
 const WIDTH_BITS: u32 = 9;
-/// Buckets a level: one bit of a word each.
+/// Buckets per level: one bit of a word each.
 const SLOT_BITS: u32 = 6;
 const SLOTS: usize = 1 << SLOT_BITS;
 const LEVELS: usize = 4;
@@ -19,18 +19,18 @@ const _: () = assert!(WIDTH_BITS + SLOT_BITS * LEVELS as u32 >= u32::BITS);
 #[derive(Clone, Debug)]
 pub(super) struct OpenList {
     buckets: Vec<Vec<Open>>,
-    /// Which buckets of each level hold anything.
+    /// The buckets of each level that are not empty, a bit each.
     filled: [u64; LEVELS],
-    /// The bucket, of the finest level, that is being emptied.
+    /// The bucket of the finest level that is being emptied.
     now: u32,
 }
 
-/// A node that was reached and not expanded yet.
+/// A node that was reached but not expanded yet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Open {
     /// Least cost of a path through it.
     pub(super) estimate: u32,
-    /// Whatever the search calls it.
+    /// Identifier given by the search.
     pub(super) name: u32,
 }
 
@@ -44,7 +44,7 @@ impl Default for OpenList {
     }
 }
 
-/// Whether nothing that is taken out from `estimate` on is better than `cost`.
+/// Whether no node popped from `estimate` on can be better than `cost`.
 pub(super) fn is_past(estimate: u32, cost: u32) -> bool {
     estimate >> WIDTH_BITS > cost >> WIDTH_BITS
 }
@@ -61,11 +61,11 @@ impl OpenList {
         self.now = first >> WIDTH_BITS;
     }
 
-    /// Puts a node in. Its estimate is not below that of the last one taken out.
+    /// Adds a node. Its estimate is not below that of the last node popped.
     pub(super) fn push(&mut self, open: Open) {
         let bucket = (open.estimate >> WIDTH_BITS).max(self.now);
         let differs = bucket ^ self.now;
-        // The highest digit that differs tells how long it has time.
+        // The highest digit that differs selects the level.
         let level = if differs < SLOTS as u32 {
             0
         } else {
@@ -76,7 +76,7 @@ impl OpenList {
         self.buckets[level * SLOTS + slot].push(open);
     }
 
-    /// Takes the next one out.
+    /// Removes the next node.
     pub(super) fn pop(&mut self) -> Option<Open> {
         while self.filled[0] == 0 {
             self.spread()?;
@@ -91,7 +91,7 @@ impl OpenList {
         open
     }
 
-    /// Spreads the next coarse bucket over the finer ones.
+    /// Spreads the next coarse bucket over finer ones.
     fn spread(&mut self) -> Option<()> {
         let level = self.filled.iter().position(|filled| *filled != 0)?;
         let slot = self.filled[level].trailing_zeros();
@@ -118,7 +118,7 @@ mod tests {
         #[test]
         fn whatever_is_put_in_comes_out_once_and_in_order(first in any::<u32>(), rises in prop::collection::vec((0_u32..28, any::<u32>(), any::<bool>()), 1..300)) {
             let mut list = OpenList::default();
-            // What an earlier search left does not matter.
+            // Leftovers of an earlier search do not matter.
             list.push(Open { estimate: 7, name: 7 });
             list.clear(first);
             let (mut last, mut inside) = (first, Vec::new());
@@ -128,7 +128,7 @@ mod tests {
                     let least = inside.iter().map(|open: &Open| open.estimate >> WIDTH_BITS).min();
                     prop_assert_eq!(out.map(|open| open.estimate >> WIDTH_BITS), least);
                     if let Some(open) = out {
-                        // Of those in one bucket the latest.
+                        // The latest of those in one bucket.
                         let latest = inside.iter().rposition(|other| other.estimate >> WIDTH_BITS == open.estimate >> WIDTH_BITS).unwrap();
                         prop_assert_eq!(inside.remove(latest), open);
                         last = last.max(open.estimate);

@@ -1,9 +1,9 @@
-//! Options of one plan. How is a path searched for?
+//! Options of one plan. Planner, seed, tolerances and settings of one request.
 
 use super::planners::Planner;
 use super::settings::PlanningSettings;
 
-/// How a path is searched for.
+/// How a path is planned.
 ///
 /// ```
 /// use zenav_planning::{PlanOptions, Planner};
@@ -17,13 +17,13 @@ pub struct PlanOptions {
     pub planner: Planner,
     /// Seed of sampling planners.
     pub seed: u64,
-    /// The robot may begin with any heading, whatever the start says.
+    /// Whether the robot may start with any heading; the start pose's heading is then ignored.
     pub any_heading: bool,
-    /// A robot that stands in an obstacle of the map may go this far to the nearest free place, m (default 0: it is refused).
+    /// How far a robot that stands in an obstacle of the map may go to the nearest free place, m (default 0: the plan is refused).
     pub escape: f64,
-    /// A goal where the robot does not fit may be replaced by the nearest free place if that is this near, m (default 0: it is refused).
+    /// How far a goal where the robot does not fit may be moved to the nearest free place, m (default 0: the plan is refused).
     pub goal_tolerance: f64,
-    /// What can be tuned.
+    /// Tuning.
     pub settings: PlanningSettings,
 }
 

@@ -1,4 +1,4 @@
-//! Paths. What does a search give? Corner points in cells, from grid, any-angle and sampling planners alike.
+//! Paths. The result of a search: corner points in cells, from grid, any-angle and sampling planners alike.
 
 use nalgebra::Point2;
 use zenav_protocol::grid::Cell;
@@ -15,7 +15,7 @@ pub struct Path {
 }
 
 impl Path {
-    /// A path through points, as long as its legs.
+    /// A path through points; its length is the sum of its legs.
     #[must_use]
     pub fn through(corners: Vec<Point2<f64>>) -> Self {
         let length = corners.windows(2).map(|leg| (leg[1] - leg[0]).norm()).sum();
@@ -25,7 +25,7 @@ impl Path {
 
 impl From<GridPath> for Path {
     fn from(path: GridPath) -> Self {
-        // Counted steps: exact, where a sum of legs would round.
+        // Counted steps are exact; a sum of legs would round.
         let length = path.length();
         let corners = path.corners.iter();
         Self {

@@ -1,4 +1,4 @@
-//! Searches on one bitmap. Which search runs, and on what memory?
+//! Searches on one bitmap. A query is dispatched to its planner, and the memory is reused by later searches.
 
 use nalgebra::Point2;
 use zenav_protocol::grid::Cell;
@@ -21,15 +21,16 @@ pub enum NotFound {
     StartBlocked,
     /// The goal is not free.
     GoalBlocked,
-    /// They are not connected.
+    /// Start and goal are not connected.
     NoPath,
     /// The budget ran out.
     TimedOut,
-    /// They may be connected, but only by a path that costs more than 32 bits count: 748,000 straight steps, fewer where clearance costs.
+    /// Start and goal may be connected, but only by a path whose cost overflows 32 bits: 748,000 straight steps, fewer where clearance
+    /// costs.
     TooLong,
 }
 
-/// What a search found, and what it took.
+/// Result and effort of a search.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Searched<W = Path> {
     /// The path, or why there is none.
@@ -39,7 +40,7 @@ pub struct Searched<W = Path> {
 }
 
 impl<W> Searched<W> {
-    /// No path, and nothing was looked at.
+    /// No path, without any expansion.
     pub(super) const fn failed(reason: NotFound) -> Self {
         Self {
             result: Err(reason),
@@ -57,7 +58,7 @@ impl From<Searched<GridPath>> for Searched {
     }
 }
 
-/// What is looked for.
+/// A query in cells.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Query {
     /// Where the path begins, in cells.
@@ -69,20 +70,20 @@ pub struct Query {
 }
 
 impl Query {
-    /// The cells that hold its ends, which [`Searcher::search`] has found to be on a grid.
+    /// The cells of its ends; [`Searcher::search`] has checked that the casts are valid.
     pub(super) fn cells(&self) -> (Cell, Cell) {
         let cell = |p: Point2<f64>| Cell::new(p.x as u32, p.y as u32);
         (cell(self.start), cell(self.goal))
     }
 
-    /// Whether both ends may lie on a grid.
+    /// Whether both ends are valid cell coordinates.
     fn is_on_a_grid(&self) -> bool {
         let on = |x: f64| x >= 0.0 && x < f64::from(u32::MAX);
         [self.start, self.goal].iter().all(|p| on(p.x) && on(p.y))
     }
 }
 
-/// One bitmap's grid graph, and memory for searches on it, one after the other.
+/// Grid graph of one bitmap, and memory for searches on it, one at a time.
 ///
 /// ```
 /// use nalgebra::Point2;
@@ -109,8 +110,8 @@ pub struct Searcher {
     pub sampling: SamplingSettings,
     /// Low and high corner of the box that samples are drawn from, cells; `None`: the whole map. Start and goal may lie outside.
     pub domain: Option<[Point2<f64>; 2]>,
-    /// Sampling planners know the map by the line of sight alone, as published: samples anywhere, no exits, no shortcuts. Slower; for
-    /// comparisons.
+    /// Sampling planners query the map through the line of sight only, as published: samples anywhere, no exits, no shortcuts. Slower;
+    /// for comparisons.
     pub black_box: bool,
 }
 
@@ -130,7 +131,7 @@ impl Searcher {
         })
     }
 
-    /// Takes over words of the bitmap that have changed (row and word): a few microseconds.
+    /// Copies changed words of the bitmap (row and word): a few microseconds.
     pub(super) fn update(&mut self, free: &BitGrid, words: &[(u32, usize)]) {
         for (y, word) in words {
             self.graph.update(free, *y, *word);
@@ -141,13 +142,13 @@ impl Searcher {
         &self.graph
     }
 
-    /// Where the last search by A* had been, and a little more.
+    /// Nodes touched by the last A* search, rounded up to cache lines.
     pub(super) fn reached(&self) -> Written {
         self.searches.astar.reached()
     }
 
-    /// A path between two points, in cells. Planners on the grid go from cell centre to cell centre without cutting corners; the others ask
-    /// `sight`, the space that the searcher's free cells belong to, and start and end exactly where they are asked to.
+    /// A path between two points, in cells. Grid planners go from cell centre to cell centre without cutting corners; the others check
+    /// `sight`, the space of the searcher's free cells, and start and end exactly at the given points.
     pub fn search(
         &mut self,
         planner: Planner,
@@ -169,7 +170,7 @@ impl Searcher {
         self.searches.search(planner, &map, query, budget)
     }
 
-    /// Edges of the trees that the last search grew, in cells, at most `limit` of them; none after a search without trees.
+    /// Edges of the trees of the last search, in cells, at most `limit` of them; empty after a search without trees.
     #[must_use]
     pub fn tree(&self, limit: usize) -> Vec<[Point2<f64>; 2]> {
         self.searches.edges(self.last, limit)

@@ -1,7 +1,7 @@
 //! Settings of planning: the section `[planning]` of a deployment file.
 
 zenav_protocol::settings! {
-    /// What can be tuned about planning.
+    /// Tuning of the planners.
     ///
     /// ```
     /// use zenav_planning::PlanningSettings;
@@ -19,21 +19,21 @@ zenav_protocol::settings! {
         pub max_samples: u64 = 1_000_000, "", 1..;
         /// How far paths keep from obstacles.
         pub clearance: ClearanceSettings;
-        /// How a robot leaves a place where it does not fit by the map.
+        /// How a robot leaves a place where, by the map, it does not fit.
         pub leaving: LeavingSettings;
         /// The search over positions and headings, for footprints that are longer than wide.
         pub se2: Se2Settings;
-        /// Planners that draw samples.
+        /// Sampling planners.
         pub sampling: SamplingSettings;
-        /// Paths past robots that go first.
+        /// Paths past robots that have right of way.
         pub space_time: SpaceTimeSettings;
-        /// What of an earlier answer is kept.
+        /// Reuse of an earlier answer.
         pub replanning: ReplanningSettings;
     }
 }
 
 zenav_protocol::settings! {
-    /// Distance from obstacles, for planners that keep clear of them (A*).
+    /// Distance from obstacles, for planners that take clearance into account (A*).
     pub struct ClearanceSettings {
         /// A path keeps this far from obstacles where there is room, beyond the robot's inscribed radius.
         pub distance: f64 = 0.4, "m", 0.0..=10.0;
@@ -43,11 +43,11 @@ zenav_protocol::settings! {
 }
 
 zenav_protocol::settings! {
-    /// How a robot leaves a place where it does not fit by the map.
+    /// How a robot leaves a place where, by the map, it does not fit.
     pub struct LeavingSettings {
-        /// How deep an obstacle may reach into a robot that stands: poses err, and mapped walls are some cells too thick.
+        /// How far a mapped obstacle may reach into the footprint at the start: poses err, and mapped walls are some cells too thick.
         pub depth: f64 = 0.075, "m", 0.0..=1.0;
-        /// How far such a robot may go for a free place.
+        /// How far such a robot may move to reach a free place.
         pub distance: f64 = 0.6, "m", 0.0..=10.0;
     }
 }
@@ -55,73 +55,73 @@ zenav_protocol::settings! {
 zenav_protocol::settings! {
     /// The search over positions and headings.
     pub struct Se2Settings {
-        /// What a turn to the next of sixteen headings costs, as metres of driving.
+        /// Cost of a turn to the next of sixteen headings, as metres of driving.
         pub turn_cost: f64 = 0.08, "m", 0.0..=10.0;
-        /// What a metre backwards costs, as metres forwards: most robots see less behind them.
+        /// Cost of a metre backwards, as metres forwards: most robots see less behind them.
         pub reverse_cost: f64 = 2.0, "", 1.0..=100.0;
-        /// What a change between forwards and backwards costs, as metres of driving.
+        /// Cost of a change between forwards and backwards, as metres of driving.
         pub cusp_cost: f64 = 0.5, "m", 0.0..=100.0;
-        /// How far a robot that cannot turn where it stands goes straight on, or straight back, to where it can.
+        /// How far a robot that cannot turn on the spot drives straight on, or straight back, to a place where it can.
         pub straight_on: f64 = 2.0, "m", 0.0..=20.0;
-        /// Weight of the cost to go: 1 finds the cheapest path, more finds one sooner that may cost this many times as much.
+        /// Weight of the cost-to-go: 1 finds the cheapest path; more finds a path sooner, at up to this many times the cost.
         pub heuristic_weight: f64 = 1.5, "", 1.0..=10.0;
-        /// Nodes that are expanded at most: some seconds.
+        /// Nodes that one search may expand: some seconds' worth.
         pub max_nodes: u64 = 2_000_000, "", 1..;
-        /// A path with room to turn everywhere is taken instead of the search when it is at most this many times as long as one for the
-        /// inscribed disc: it is found in milliseconds, where the search may take a thousand times as long.
+        /// A path with room to turn everywhere replaces the search if it is at most this many times as long as the inscribed disc's path:
+        /// it is found in milliseconds, the search may take a thousand times as long.
         pub detour: f64 = 1.1, "", 1.0..=10.0;
     }
 }
 
 zenav_protocol::settings! {
-    /// Planners that draw samples. Shares and counts hold on maps of any size.
+    /// Sampling planners. Shares and counts hold on maps of any size.
     pub struct SamplingSettings {
         /// Longest edge, as a share of the map's diagonal (OMPL's default).
         pub step: f64 = 0.2, "", 0.001..=1.0;
         /// Share of samples that are the goal, in a single tree (OMPL's default).
         pub goal_bias: f64 = 0.05, "", 0.0..=1.0;
-        /// Samples before trees are led out of what they have covered: a path across open ground is found sooner by chance alone.
+        /// Samples before trees are steered out of the region they cover: across open ground plain sampling finds a path sooner.
         pub patience: u64 = 64;
-        /// Exits that are drawn each time; the one nearest to the other tree is taken.
+        /// Exits drawn at a time; the one nearest to the other tree's root, or to the goal, is taken.
         pub exits: usize = 8, "", 1..=1000;
-        /// Share of samples at the corners of obstacles once a path is known: shortest paths bend nowhere else.
+        /// Share of samples at obstacle corners once a path is known: shortest paths bend nowhere else.
         pub corners: f64 = 0.5, "", 0.0..=1.0;
-        /// Samples with which a path is improved at most: some tenths of a second's worth, what more would gain is less than the wait
+        /// Largest number of samples spent on improving a path: some tenths of a second's worth; more would gain less than the wait
         /// costs.
         pub improving: u64 = 20_000;
     }
 }
 
 zenav_protocol::settings! {
-    /// Paths past robots that go first, in space and time.
+    /// Paths past robots that have right of way, in space and time.
     pub struct SpaceTimeSettings {
-        /// Spacing of the places that are searched.
+        /// Spacing of the search grid.
         pub cell: f64 = 0.2, "m", 0.05..=1.0;
-        /// Speed that is planned with, as a share of the robot's top speed: it also turns and speeds up.
+        /// Speed along the path, as a share of the robot's top speed: the rest allows for turning and accelerating.
         pub speed: f64 = 0.8, "", 0.1..=1.0;
-        /// Distance kept from another robot's disc; at least what the right of way on the robot asks for (0.3 m), or it waits all the same.
+        /// Distance kept between the discs of two robots. Below 0.3 m the robot's own right-of-way rule makes it wait all the same.
         pub clearance: f64 = 0.4, "m", 0.0..=2.0;
-        /// A place is left so long before another robot comes.
+        /// Time between leaving a place and the arrival of another robot there.
         pub before: f64 = 2.0, "s", 0.0..=20.0;
-        /// And entered so long after it has left.
+        /// Time between the departure of another robot and entering the place that it left.
         pub after: f64 = 1.0, "s", 0.0..=20.0;
-        /// What a second in another robot's way costs beyond itself, in seconds.
+        /// Extra cost of each second in the way of another robot.
         pub taken_cost: f64 = 8.0, "s", 0.0..=100.0;
-        /// Detours of up to this long are looked at.
+        /// Longest detour that is considered.
         pub slack: f64 = 15.0, "s", 0.0..=120.0;
-        /// Nodes that are expanded at most: some tenths of a second.
+        /// Most nodes that a search expands: some tenths of a second's worth.
         pub max_nodes: u64 = 200_000, "", 1..;
     }
 }
 
 zenav_protocol::settings! {
-    /// What of an earlier answer is kept when the map changes or the robot moves on.
+    /// Reuse of an earlier answer when the map changes or the robot moves on.
     pub struct ReplanningSettings {
-        /// A repaired path is taken when it is proven to cost at most this share more than the cheapest.
+        /// A repaired path is taken if it is proven to cost at most this share more than the cheapest.
         pub slack: f64 = 0.02, "", 0.0..=1.0;
-        /// Cells before and after a cut that are searched anew with it.
+        /// Cells before and after a cut that are searched again with it.
         pub around: usize = 24, "cells", 1..=1000;
-        /// Expansions that such a piece may take: about a millisecond's.
+        /// Expansions that the search for such a piece may take: about a millisecond's worth.
         pub max_expansions: u64 = 20_000, "", 1..;
     }
 }

@@ -1,21 +1,21 @@
-//! String pulling between cell centres. Which corners of a path are needed? Those that one sees past go, and the others move to where the path is
-//! shortest, as long as it stays in sight.
+//! String pulling between cell centres. Removes corners that a line of sight bypasses, and moves the others to where the path is shortest
+//! while it stays in sight.
 //!
-//! A descent: the path stays on its side of every obstacle, and gets no new corners.
+//! A local descent: it adds no corners and looks for no other way around an obstacle.
 
 use nalgebra::{Point2, Vector2};
 
 use zenav_space::LineOfSight;
 
-/// Longest step that a corner is moved by, cells; then steps are halved.
+/// Longest step by which a corner is moved, cells; it is halved from there.
 const LONGEST: f64 = 8.0;
-/// Corners that are looked for ahead of one.
+/// Number of corners ahead that are tested for sight.
 const AHEAD: usize = 16;
 /// Rounds over all corners: most paths are taut after a few.
 const ROUNDS: usize = 40;
 
-/// Shortens a path of which every leg is in sight, and stays so; its ends stay where they are. Corners move by `finest` cells at the least:
-/// by whole ones from centre to centre. Never longer than before; deterministic.
+/// Shortens a path whose legs are all in sight; they stay in sight, and the ends stay fixed. Corners move by at least `finest` cells; a
+/// `finest` of 1 keeps them at cell centres. The path never gets longer; deterministic.
 pub fn pull_string(sight: &impl LineOfSight, corners: &mut Vec<Point2<f64>>, finest: f64) {
     cut(sight, corners);
     let mut step = LONGEST.max(finest);
@@ -37,7 +37,7 @@ pub fn pull_string(sight: &impl LineOfSight, corners: &mut Vec<Point2<f64>>, fin
     }
 }
 
-/// Takes out the corners that one sees past.
+/// Removes the corners that a line of sight bypasses.
 fn cut(sight: &impl LineOfSight, corners: &mut Vec<Point2<f64>>) {
     let (mut at, mut kept) = (0, Vec::with_capacity(corners.len()));
     while let Some(from) = corners.get(at) {
@@ -48,11 +48,11 @@ fn cut(sight: &impl LineOfSight, corners: &mut Vec<Point2<f64>>) {
     *corners = kept;
 }
 
-/// A place a step from a corner, in any of eight directions, over which the path between its neighbours is shortest; `None` where none is
-/// shorter than the present one.
+/// The position one step from a corner, in any of eight directions, that makes the path between its neighbours shortest; `None` if none
+/// is shorter than the present one.
 fn better(sight: &impl LineOfSight, [before, corner, after]: [Point2<f64>; 3], step: f64) -> Option<Point2<f64>> {
     let length = |p: Point2<f64>| (p - before).norm() + (after - p).norm();
-    // What rounding makes of equal lengths is no gain.
+    // Rounding between equal lengths is no gain.
     let mut best = (length(corner) - 1e-9, None);
     for (x, y) in [
         (1.0, 0.0),

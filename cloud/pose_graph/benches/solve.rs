@@ -1,4 +1,4 @@
-//! How long do a solve, its certificate and robust closures take? Processor time of the thread, on graphs from files or on one of its own.
+//! Duration of a solve, its certificate and robust closures: processor time of the thread, on graphs from files or a generated one.
 //!
 //! `cargo bench -p zenav-pose-graph`; with `ZENAV_BENCH_GRAPHS=DIR` on each `*.g2o` of a folder, else on a seeded walk of 3,500 nodes.
 

@@ -1,4 +1,4 @@
-//! Which closures are false, and is the rest the global optimum? A seeded walk through a town of squares.
+//! Rejects false closures and certifies the global optimum, on a seeded walk through a town of square blocks.
 //!
 //! `cargo run -p zenav-pose-graph --example manhattan`
 

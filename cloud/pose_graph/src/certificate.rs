@@ -1,9 +1,9 @@
-//! Certificate of global optimality. Is there no better valley than that of a solution?
+//! Certificate of global optimality. Proves, if possible, that no other valley of the cost is better than that of a solution.
 //!
-//! The dual matrix `S = M - diag(0, λ)` of the isotropic companion (see [`crate`]) always has two null vectors where the cost is
-//! stationary: moving the whole map, and the solution itself. Both are left out with the rows and columns of the anchor, for a Hermitian
-//! matrix with a null vector `v` is positive semidefinite exactly where it is so without row and column `k`, if `vₖ` is not zero. What
-//! remains is counted by the signs of its pivots.
+//! The dual matrix `S = M - diag(0, λ)` of the isotropic companion (see [`crate`]) always has two null vectors at a stationary point of the
+//! cost: moving the whole map, and the solution itself. Both are removed with the rows and columns of the anchor: a Hermitian matrix with a
+//! null vector `v` is positive semidefinite exactly if it is so without row and column `k`, provided `vₖ` is not zero. The negative
+//! eigenvalues of the rest are counted by the signs of its pivots.
 
 use nalgebra::{Matrix2, Matrix4};
 use zenav_protocol::geometry::{Pose2, wrap_angle};
@@ -17,19 +17,19 @@ use crate::start::pattern;
 
 /// A gradient of the companion below this share of its terms is zero.
 const STATIONARY: f64 = 1e-6;
-/// Poses that lie this near to each other, m and rad, are the same solution.
+/// Poses this close to each other, m and rad, are the same solution.
 const SAME: f64 = 1e-4;
 
-/// What is known of a solution.
+/// Verdict on a solution.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Optimality {
-    /// Proven: with these weights no arrangement has a lower cost in the companion problem, and this is the solution that it leads to.
+    /// Proven: with these weights no arrangement has a lower cost in the companion problem, and that optimum leads to this solution.
     Certified,
-    /// The dual matrix has negative eigenvalues: in the wrong valley, or the measurements are so noisy that the proof does not exist.
+    /// The dual matrix has negative eigenvalues: the solution is in the wrong valley, or the measurements are too noisy for the proof.
     Refused,
-    /// Descending from the companion's optimum ends elsewhere: another valley of the full problem is no worse founded.
+    /// Descending from the companion's optimum ends elsewhere: another valley of the full problem is equally well founded.
     Elsewhere,
-    /// No stationary point was reached, or the graph does not hold together: nothing is said.
+    /// No stationary point was reached, or the graph is not connected: no verdict.
     Unknown,
 }
 
@@ -40,7 +40,7 @@ pub struct Certificate {
     pub optimality: Optimality,
     /// Pivots of the dual matrix that are not positive (each eigenvalue of the complex matrix counts twice).
     pub negative_pivots: usize,
-    /// Largest entry of the companion's gradient as a share of the terms that it is the sum of.
+    /// Largest entry of the companion's gradient, as a share of the terms that it sums.
     pub stationarity: f64,
     /// The companion's cost at its stationary point.
     pub companion_cost: f64,
@@ -50,7 +50,7 @@ pub struct Certificate {
     pub turn: f64,
 }
 
-/// Certifies poses (one for each node, the anchor where the graph has it) as the best for these weights (one for each edge, 0 to 1).
+/// Certifies poses (one for each node, the anchor where the graph has it) as optimal for these weights (one for each edge, 0 to 1).
 ///
 /// Costs three to eight factorisations: the companion's descent from `poses`, its dual matrix, and the descent back.
 ///
@@ -92,7 +92,7 @@ pub fn certify(graph: &PoseGraph, poses: &[Pose2], weights: &[f64]) -> Certifica
     }
 }
 
-/// Where nothing can be said.
+/// The certificate without a verdict.
 pub(crate) const UNKNOWN: Certificate = Certificate {
     optimality: Optimality::Unknown,
     negative_pivots: 0,
@@ -103,7 +103,7 @@ pub(crate) const UNKNOWN: Certificate = Certificate {
 };
 
 impl Certificate {
-    /// The same, with how far the companion's optimum lies from `poses`.
+    /// The same, with the distance of the companion's optimum from `poses`.
     pub(crate) fn with_distance(self, optimum: &[Pose2], poses: &[Pose2]) -> Self {
         let (distance, turn) = apart(optimum, poses);
         Self { distance, turn, ..self }
@@ -143,7 +143,7 @@ pub(crate) fn certify_companion(edges: &[Isotropic], pattern: &Pattern, poses: &
         let turned = [cos * edge.x - sin * edge.y, sin * edge.x + cos * edge.y];
         let (a, b) = (poses[edge.from], poses[edge.to]);
         let gap = [b.x - a.x - turned[0], b.y - a.y - turned[1]];
-        // exp(i δ) of what the yaws differ by beyond the measurement.
+        // exp(i δ) of the difference of the yaws beyond the measurement.
         let expected = [cos * edge.cos - sin * edge.sin, sin * edge.cos + cos * edge.sin];
         let turn = [
             expected[0] * to_cos + expected[1] * to_sin,

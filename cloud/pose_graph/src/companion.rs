@@ -1,4 +1,4 @@
-//! Isotropic companion. Which problem has a certificate, and where is its stationary point?
+//! Isotropic companion. The simplified problem for which optimality can be certified, and its stationary point.
 //!
 //! Cost `Σ κ |zⱼ - r zᵢ|² + τ |tⱼ - tᵢ - zᵢ p|²` with complex rotations `z`, positions `t`, measured rotation `r` and position `p`; `κ` is
 //! the information of the yaw, `τ` the harmonic mean of the information along the two axes of the plane (Rosen et al. 2019, section 6).
@@ -12,11 +12,11 @@ use crate::linear::{BlockSystem, Pattern};
 use crate::settings::DescentSettings;
 use crate::start::Positions;
 
-/// Smallest weight in the plane, as a share of the larger of the two: an edge that knows one direction alone.
+/// Smallest weight in the plane, as a share of the larger of the two, for an edge that constrains only one direction.
 const LEAST_SHARE: f64 = 1e-6;
-/// The descent ends where the next step would lower the cost by less than this share of it.
+/// The descent ends when the next step would lower the cost by less than this share of it.
 const TOLERANCE: f64 = 1e-15;
-/// Steps, at most.
+/// Most steps.
 const MAX_STEPS: u32 = 60;
 
 /// An edge with the same weight in each direction of the plane.
@@ -58,13 +58,13 @@ impl Isotropic {
     }
 }
 
-/// What one edge contributes at given poses.
+/// The terms of one edge at given poses.
 struct Terms {
     /// `zᵢ p`: the measured position, turned into the map's frame.
     turned: [f64; 2],
     /// `tⱼ - tᵢ - zᵢ p`.
     gap: [f64; 2],
-    /// Cosine and sine of the difference of yaws, beyond what was measured.
+    /// Cosine and sine of the difference of yaws, beyond the measurement.
     turn: [f64; 2],
 }
 
@@ -104,7 +104,7 @@ pub(crate) fn cost(edges: &[Isotropic], poses: &[Pose2]) -> f64 {
         .sum()
 }
 
-/// Half the gradient by node, and half the Hessian (of Gauss and Newton, or the exact one) into `system`, if any.
+/// Returns half the gradient by node, and puts half the Hessian (Gauss-Newton, or exact) into `system`, if given.
 fn linearise(
     edges: &[Isotropic],
     poses: &[Pose2],
@@ -150,7 +150,7 @@ fn linearise(
     gradient
 }
 
-/// The companion as a cost to be lowered.
+/// The companion's cost as an objective.
 struct Companion<'p> {
     edges: &'p [Isotropic],
     system: BlockSystem<'p, 3>,
@@ -167,7 +167,7 @@ impl Objective for Companion<'_> {
     }
 
     fn factorise(&mut self, poses: &[Pose2], damping: f64) -> bool {
-        // Far from a minimum the exact Hessian need not be positive.
+        // Far from a minimum the exact Hessian need not be positive definite.
         [true, false].into_iter().any(|is_exact| {
             linearise(self.edges, poses, is_exact, Some(&mut self.system));
             self.system.damp(damping);
@@ -179,7 +179,7 @@ impl Objective for Companion<'_> {
         self.system.solve(gradient);
     }
 
-    /// Turns the nodes, and puts each where it then agrees best: along a straight step a long chain that turns would be torn.
+    /// Turns the nodes, then moves each to its best position: a straight step would tear a long chain that turns.
     fn moved(&mut self, poses: &[Pose2], step: &[[f64; 3]]) -> Vec<Pose2> {
         let turned = moved(poses, step);
         let positions = self.positions.of(poses[0], self.edges, &headings(&turned));
@@ -188,8 +188,8 @@ impl Objective for Companion<'_> {
     }
 }
 
-/// The stationary point of the companion's cost that descending from `poses` leads to, or how far it came. `None` where the systems cannot
-/// be solved.
+/// The stationary point of the companion's cost that a descent from `poses` reaches, or its last poses. `None` if the systems cannot be
+/// solved.
 pub(crate) fn stationary(edges: &[Isotropic], pattern: &Pattern, poses: &[Pose2]) -> Option<Vec<Pose2>> {
     let mut companion = Companion {
         edges,
@@ -204,7 +204,7 @@ pub(crate) fn stationary(edges: &[Isotropic], pattern: &Pattern, poses: &[Pose2]
     (end.status != DescentStatus::Singular).then_some(end.poses)
 }
 
-/// The poses after a step against the direction given.
+/// The poses after a step against the given direction.
 pub(crate) fn moved(poses: &[Pose2], step: &[[f64; 3]]) -> Vec<Pose2> {
     let all = poses.iter().zip(step);
     all.map(|(pose, [x, y, yaw])| Pose2::new(pose.x - x, pose.y - y, pose.yaw - yaw))

@@ -1,8 +1,8 @@
-//! Pairwise consistency. Which loop closures agree with another one around a short cycle?
+//! Pairwise consistency. Finds loop closures that agree with another one around a short cycle.
 //!
-//! Two closures whose ends lie a few odometry steps apart make a cycle: there, along odometry, back, along odometry. Where both are true it
-//! ends where it began, but for noise: chi squared with three degrees of freedom (Mangelson et al., "Pairwise consistent measurement set
-//! maximization", ICRA 2018). A false closure seldom has such company.
+//! Two closures whose ends lie a few odometry steps apart form a cycle: there, along odometry, back, along odometry. If both are true, the
+//! cycle ends where it began, up to noise: chi squared with three degrees of freedom (Mangelson et al., "Pairwise consistent measurement
+//! set maximization", ICRA 2018). A false closure seldom has such support.
 
 use std::collections::BTreeMap;
 
@@ -10,7 +10,7 @@ use crate::graph::{Edge, EdgeKind, PoseGraph};
 use crate::settings::RobustSettings;
 use crate::uncertain::Uncertain;
 
-/// Whether each edge has support: odometry always, a closure where it agrees with odometry alone within the window, or with another closure
+/// Whether each edge has support: odometry always; a closure if it agrees with odometry alone within the window, or with another closure
 /// around a cycle of at most twice the window's odometry steps.
 ///
 /// Cost: closures x (window + closures in the window).
@@ -62,7 +62,7 @@ pub fn supported(graph: &PoseGraph, settings: &RobustSettings) -> Vec<bool> {
     is_supported
 }
 
-/// The nodes within `window` odometry steps of one, and their poses as seen from it.
+/// The nodes within `window` odometry steps of a node, and their poses relative to it.
 fn around(node: usize, edges: &[Edge], odometry: &[Vec<usize>], window: u32) -> BTreeMap<usize, Uncertain> {
     let mut reached = BTreeMap::from([(node, Uncertain::CERTAIN)]);
     let mut front = vec![node];

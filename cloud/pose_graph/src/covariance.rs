@@ -1,4 +1,4 @@
-//! Marginal covariance. How well is a node known, and how well one as seen from another?
+//! Marginal covariance. Uncertainty of a node, and of one node relative to another.
 
 use nalgebra::{DMatrix, Matrix3, Vector3};
 use zenav_protocol::geometry::Pose2;
@@ -8,11 +8,10 @@ use crate::graph::PoseGraph;
 use crate::linear::BlockSystem;
 use crate::start::pattern;
 
-/// Joint covariance of chosen nodes at a solution, given the anchor: 3k x 3k for k nodes, in their order, x, y (m², map frame) and yaw
-/// (rad²).
+/// Joint covariance of chosen nodes at a solution, given the anchor: 3k x 3k for k nodes, in order, x, y (m², map frame) and yaw (rad²).
 ///
-/// `poses`: one for each node; `weights`: one for each edge. `None` where a node does not exist or the graph leaves one free. The anchor's
-/// rows are zero. Cost: one factorisation, then three solves for each node.
+/// `poses`: one for each node; `weights`: one for each edge. `None` if a node does not exist or is not constrained by the graph. The
+/// anchor's rows are zero. Cost: one factorisation, then three solves for each node.
 #[must_use]
 pub fn marginal_covariance(
     graph: &PoseGraph,
@@ -47,8 +46,8 @@ pub(crate) fn joint(system: &mut BlockSystem<'_, 3>, count: usize, nodes: &[usiz
     covariance
 }
 
-/// Covariance of `to` as seen from `from`, x, y (m², in the frame of `from`) and yaw (rad²), out of their joint covariance of 6 x 6 (`from`
-/// first) as [`marginal_covariance`] gives it.
+/// Covariance of `to` relative to `from`, x, y (m², in the frame of `from`) and yaw (rad²), from their joint covariance of 6 x 6 (`from`
+/// first) as returned by [`marginal_covariance`].
 ///
 /// # Panics
 /// When `joint` is smaller than 6 x 6.
@@ -63,7 +62,7 @@ pub fn relative_covariance(joint: &DMatrix<f64>, from: Pose2, to: Pose2) -> Matr
     by_from * block(0, 0) * by_from.transpose() + by_to * block(3, 3) * by_to.transpose() + mixed + mixed.transpose()
 }
 
-/// Squared Mahalanobis distance of a vector; infinite where the covariance cannot be inverted.
+/// Squared Mahalanobis distance of a vector; infinite if the covariance cannot be inverted.
 pub(crate) fn mahalanobis(vector: &Vector3<f64>, covariance: &Matrix3<f64>) -> f64 {
     let solved = covariance.cholesky().map(|factor| factor.solve(vector));
     solved.map_or(f64::INFINITY, |solved| vector.dot(&solved))

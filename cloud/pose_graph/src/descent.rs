@@ -1,8 +1,8 @@
-//! Descent. How is the cost of the measurements brought down from a start?
+//! Descent. Minimises the cost of the measurements from a start.
 //!
-//! Gauss and Newton's steps; where one leads uphill, Levenberg and Marquardt's damping, which follows how much of what a step promised it
-//! kept (Nielsen, "Damping parameter in Marquardt's method", 1999). Near the minimum the factors of an earlier step serve for several: the
-//! gradient is always that of the place, so what they cost is speed, not accuracy.
+//! Gauss-Newton steps; when one leads uphill, Levenberg-Marquardt damping, adapted to the ratio of achieved and predicted decrease
+//! (Nielsen, "Damping parameter in Marquardt's method", 1999). Near the minimum one factorisation serves several steps: the gradient is
+//! always exact, so reuse costs speed, not accuracy.
 
 use nalgebra::{Matrix3, Vector3};
 use zenav_protocol::geometry::{Pose2, wrap_angle};
@@ -13,36 +13,36 @@ use crate::linear::{BlockSystem, Pattern};
 use crate::settings::DescentSettings;
 use crate::start::pattern;
 
-/// Damping of the first step that needs some, as a share of the diagonal.
+/// First damping, as a share of the diagonal.
 const FIRST_DAMPING: f64 = 1e-4;
-/// By how much damping grows, twice as much each time in a row, and how much of it is left at least after a step.
+/// Growth factor of the damping, doubled each time in a row, and the smallest factor by which a good step reduces it.
 const DAMPING_GROWS: f64 = 2.0;
 const DAMPING_LEFT: f64 = 0.1;
-/// Less damping is none: the longest waves of a graph of ten thousand nodes in a row are this stiff, against its diagonal.
+/// Smaller damping is zero: the longest waves of a chain of ten thousand nodes have this stiffness relative to the diagonal.
 const LEAST_DAMPING: f64 = 1e-9;
-/// From here on no step leads downhill but for rounding.
+/// Beyond this damping no step leads downhill except by rounding.
 const MOST_DAMPING: f64 = 1e10;
 /// Share of a cost that is rounding.
 const ROUNDING: f64 = 1e-14;
-/// Chi squared that nobody misses, where the cost is zero but for rounding.
+/// A negligible chi squared, for costs that are zero up to rounding.
 const NEGLIGIBLE: f64 = 1e-14;
-/// Largest turn of a step after which the factors of the step before are good enough, rad.
+/// Largest turn of a step after which the previous factors are good enough, rad.
 const SAME_FACTORS: f64 = 0.2;
-/// Steps with old factors promise at most this share of what the one before promised.
+/// Steps with old factors must predict at most this share of the previous step's decrease.
 const SHRINK: f64 = 0.1;
 
 /// How a descent ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DescentStatus {
-    /// The next step would change nothing that matters.
+    /// The next step would change nothing relevant.
     Converged,
-    /// Steps ran out: start nearer, or allow more.
+    /// Steps ran out: start closer, or allow more.
     OutOfIterations,
-    /// The graph does not hold together, or its numbers are too far apart: the start is handed back.
+    /// The graph is not connected, or its numbers differ too much in size: the start is returned.
     Singular,
 }
 
-/// A descent and where it ended.
+/// A descent and its end point.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Descent {
     /// `map_from_node` of each node.
@@ -55,7 +55,7 @@ pub struct Descent {
     pub status: DescentStatus,
 }
 
-/// An edge whose information is turned into the frame of its first node.
+/// An edge whose information is rotated into the frame of its first node.
 struct Factor {
     from: usize,
     to: usize,
@@ -94,7 +94,7 @@ impl Factor {
 /// Chi squared of one edge at given poses.
 ///
 /// # Panics
-/// When the edge names a pose that is not there.
+/// If a node of the edge has no pose.
 #[must_use]
 pub fn edge_chi_squared(edge: &Edge, poses: &[Pose2]) -> f64 {
     let factor = Factor::new(edge, 1.0);
@@ -112,7 +112,7 @@ pub fn chi_squared(graph: &PoseGraph, poses: &[Pose2], weights: &[f64]) -> f64 {
     all.map(|(edge, weight)| weight * edge_chi_squared(edge, poses)).sum()
 }
 
-/// Brings the cost down from `start` (one pose for each node) with the weights given (one for each edge). The anchor does not move.
+/// Minimises the cost from `start` (one pose for each node) with the given weights (one for each edge). The anchor does not move.
 #[must_use]
 pub fn descend(graph: &PoseGraph, start: &[Pose2], weights: &[f64], settings: &DescentSettings) -> Descent {
     let fitting = start.len() == graph.poses().len() && weights.len() == graph.edges().len();
@@ -128,14 +128,14 @@ pub fn descend(graph: &PoseGraph, start: &[Pose2], weights: &[f64], settings: &D
     }
 }
 
-/// The edges of some weight and the system that they make.
+/// The edges with a weight above zero, and their system.
 pub(crate) struct Problem<'p> {
     factors: Vec<Factor>,
     system: BlockSystem<'p, 3>,
 }
 
 impl<'p> Problem<'p> {
-    /// `pattern`: that of the same graph and weights.
+    /// `pattern`: of the same graph and weights.
     pub(crate) fn new(graph: &PoseGraph, weights: &[f64], pattern: &'p Pattern) -> Self {
         let used = graph.edges().iter().zip(weights).filter(|(_, weight)| **weight > 0.0);
         Self {
@@ -144,7 +144,7 @@ impl<'p> Problem<'p> {
         }
     }
 
-    /// Half the gradient by node, and with `is_full` the normal equations into the system.
+    /// Returns half the gradient by node; with `is_full`, puts the normal equations into the system.
     fn linearise(&mut self, poses: &[Pose2], is_full: bool) -> Vec<[f64; 3]> {
         let headings = crate::companion::headings(poses);
         let mut gradient = vec![[0.0; 3]; poses.len()];
@@ -176,33 +176,33 @@ impl<'p> Problem<'p> {
         gradient
     }
 
-    /// The factorised normal equations at given poses; `None` where the graph leaves a node free.
+    /// The factorised normal equations at given poses; `None` if the graph does not constrain a node.
     pub(crate) fn factorised(mut self, poses: &[Pose2]) -> Option<BlockSystem<'p, 3>> {
         self.linearise(poses, true);
         self.system.factorise().filter(|negative| *negative == 0)?;
         Some(self.system)
     }
 
-    /// Brings the cost down.
+    /// Minimises the cost.
     pub(crate) fn descend(&mut self, start: &[Pose2], settings: &DescentSettings) -> Descent {
         minimise(self, start, settings)
     }
 }
 
-/// A cost that poses can be moved to lower.
+/// A cost over poses, to be minimised.
 pub(crate) trait Objective {
     fn cost(&self, poses: &[Pose2]) -> f64;
 
     /// Half the gradient by node.
     fn gradient(&mut self, poses: &[Pose2]) -> Vec<[f64; 3]>;
 
-    /// Makes the factors of half the Hessian, or of what stands for it, with a share of its diagonal added; whether it is positive.
+    /// Factorises half the Hessian, or its approximation, with a share of its diagonal added; returns whether it is positive definite.
     fn factorise(&mut self, poses: &[Pose2], damping: f64) -> bool;
 
-    /// The step of a gradient with these factors.
+    /// Solves for the step of a gradient with these factors.
     fn solve(&mut self, gradient: &mut [[f64; 3]]);
 
-    /// The poses after a step against the direction given.
+    /// The poses after a step against the given direction.
     fn moved(&mut self, poses: &[Pose2], step: &[[f64; 3]]) -> Vec<Pose2> {
         moved(poses, step)
     }
@@ -230,7 +230,7 @@ impl Objective for Problem<'_> {
     }
 }
 
-/// Brings a cost down from `start`.
+/// Minimises a cost from `start`.
 pub(crate) fn minimise(objective: &mut impl Objective, start: &[Pose2], settings: &DescentSettings) -> Descent {
     let mut poses = start.to_vec();
     let mut cost = objective.cost(&poses);
@@ -257,7 +257,7 @@ pub(crate) fn minimise(objective: &mut impl Objective, start: &[Pose2], settings
         objective.solve(&mut step);
         let promise = dot(&gradient, &step);
         if promise <= (settings.tolerance * cost).max(NEGLIGIBLE) {
-            // Damped steps promise little wherever they are: that counts where longer ones lead uphill.
+            // Damped steps predict little anywhere: that counts as converged only if longer ones lead uphill.
             if damping.share == 0.0 || is_uphill {
                 let poses = objective.moved(&poses, &step);
                 return ended(poses, cost, iterations, DescentStatus::Converged);
@@ -290,11 +290,11 @@ pub(crate) fn minimise(objective: &mut impl Objective, start: &[Pose2], settings
     ended(poses, cost, iterations, DescentStatus::OutOfIterations)
 }
 
-/// How much shorter steps are made than Gauss and Newton's.
+/// Damping of the Gauss-Newton steps.
 struct Damping {
-    /// Of the diagonal, what is added to it.
+    /// Share of the diagonal that is added to it.
     share: f64,
-    /// The next share, where there is none.
+    /// The next share after zero.
     first: f64,
     /// The factor of the next growth.
     grows: f64,
@@ -307,7 +307,7 @@ impl Damping {
         grows: DAMPING_GROWS,
     };
 
-    /// After a step uphill.
+    /// Updates after a step uphill.
     fn grow(&mut self) {
         if self.share == 0.0 {
             self.share = self.first;
@@ -317,7 +317,7 @@ impl Damping {
         }
     }
 
-    /// After a step downhill that kept this share of what it promised.
+    /// Updates after a step downhill that achieved this share of the predicted decrease.
     fn shrink(&mut self, kept: f64) {
         self.share *= (1.0 - (2.0 * kept - 1.0).powi(3)).max(DAMPING_LEFT);
         self.grows = DAMPING_GROWS;

@@ -1,8 +1,8 @@
-//! g2o files. How is a graph of poses in the plane written to a file, and read?
+//! g2o files. Reads and writes pose graphs in the plane.
 //!
 //! The text format of g2o (Kuemmerle et al. 2011): `VERTEX_SE2 id x y yaw`, `EDGE_SE2 from to x y yaw I11 I12 I13 I22 I23 I33` with the
-//! upper triangle of the information matrix, row by row; `FIX id` and comments (`#`) are passed over. Lengths are metres, angles radians.
-//! The format does not say which edges are loop closures: an edge between ids that differ by 1 is odometry, any other a closure.
+//! upper triangle of the information matrix, row by row; `FIX id` and comments (`#`) are skipped. Lengths are metres, angles radians. The
+//! format does not mark loop closures: an edge between ids that differ by 1 is odometry, any other a closure.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -14,7 +14,7 @@ use zenav_protocol::geometry::Pose2;
 use crate::graph::{Edge, EdgeKind, GraphError, PoseGraph};
 use crate::start::odometry_start;
 
-/// A graph, and the file's names of its nodes.
+/// A graph, and the ids of its nodes in the file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Document {
     /// The graph; nodes in the order of their ids, so that the lowest id is the anchor.
@@ -23,10 +23,10 @@ pub struct Document {
     pub ids: Vec<u64>,
 }
 
-/// Why a file is no graph.
+/// Why a file is not a graph.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum G2oError {
-    /// A field is malformed: mend the line.
+    /// A field is malformed: correct the line.
     #[error("line {line}, field {field}: {what}")]
     Field {
         /// Number of the line, from 1.
@@ -36,17 +36,17 @@ pub enum G2oError {
         /// What was expected, and what was found.
         what: String,
     },
-    /// The line is well formed, but what it says cannot be.
+    /// The line is well formed, but its content is invalid.
     #[error("line {line}: {source}")]
     Graph {
         /// Number of the line, from 1.
         line: usize,
-        /// Why it cannot be.
+        /// Why it is invalid.
         source: GraphError,
     },
 }
 
-/// Where an edge stands in a file, its ends by id, and the rest of it.
+/// An edge's line in a file, its ends by id, and its data.
 struct EdgeLine {
     line: usize,
     from: u64,
@@ -55,7 +55,7 @@ struct EdgeLine {
     information: Matrix3<f64>,
 }
 
-/// Reads the text of a file. Nodes that only edges name start where odometry leads them.
+/// Reads the text of a file. Nodes that only edges name start at their pose by odometry.
 ///
 /// ```
 /// let text = "EDGE_SE2 3 4 1 0 0 100 0 0 100 0 400\nEDGE_SE2 4 5 1 0 1.57 100 0 0 100 0 400\n";
@@ -66,7 +66,7 @@ struct EdgeLine {
 /// ```
 ///
 /// # Errors
-/// The first line and field that is malformed or of another kind (3D, landmarks), the first edge that cannot be, with its line.
+/// The first line and field that is malformed or of another kind (3D, landmarks), or the line of the first invalid edge.
 pub fn read(text: &str) -> Result<Document, G2oError> {
     let mut vertices: BTreeMap<u64, Option<Pose2>> = BTreeMap::new();
     let mut lines: Vec<EdgeLine> = Vec::new();
@@ -98,7 +98,7 @@ pub fn read(text: &str) -> Result<Document, G2oError> {
     }
     let mut graph = PoseGraph::new();
     for pose in vertices.values() {
-        // Both kinds of numbers were checked where they were read.
+        // All numbers were checked when read.
         graph
             .add_node(pose.unwrap_or_default())
             .map_err(|source| G2oError::Graph { line: 0, source })?;
@@ -132,8 +132,8 @@ pub fn read(text: &str) -> Result<Document, G2oError> {
     Ok(Document { graph, ids })
 }
 
-/// The text of a file: vertices, the anchor as `FIX`, edges. [`read`] gives the same graph back, bit for bit; where ids differ by more
-/// than 1 along odometry its kind is lost, as the format has no word for it.
+/// Writes the text of a file: vertices, the anchor as `FIX`, edges. [`read`] returns the same graph, bit for bit; but odometry between ids
+/// that differ by more than 1 becomes a closure, since the format cannot mark it.
 ///
 /// A node without an id in `ids` gets its index.
 #[must_use]

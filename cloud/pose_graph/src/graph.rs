@@ -1,4 +1,4 @@
-//! Pose graph. What is known: which nodes, and which measurements between them?
+//! Pose graph. Nodes, and measurements between them.
 
 use nalgebra::Matrix3;
 use thiserror::Error;
@@ -7,54 +7,54 @@ use zenav_protocol::geometry::Pose2;
 /// Negative eigenvalues of an information matrix down to this share of the largest are rounding.
 const SEMIDEFINITE: f64 = 1e-6;
 
-/// Where a measurement comes from.
+/// Origin of a measurement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EdgeKind {
-    /// Odometry or a match between neighbours: trusted.
+    /// Odometry, or a match between neighbours: trusted.
     Odometry,
-    /// A place seen again: may be false.
+    /// A recognised place: may be false.
     Closure,
 }
 
 /// A relative measurement.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Edge {
-    /// Index of the node from which is measured.
+    /// Index of the node from which the measurement is taken.
     pub from: usize,
-    /// Index of the node that is measured.
+    /// Index of the measured node.
     pub to: usize,
     /// `from_from_to`: pose of `to` in the frame of `from`, m and rad.
     pub measurement: Pose2,
-    /// Information of x, y, yaw in the frame of the measured pose, 1/m², 1/(m rad), 1/rad²: symmetric, no negative eigenvalue, some in yaw
-    /// and in each direction of the plane over all edges together.
+    /// Information of x, y, yaw in the frame of the measured pose, 1/m², 1/(m rad), 1/rad²: symmetric, without negative eigenvalues; all
+    /// edges together must constrain the yaw and each direction of the plane.
     pub information: Matrix3<f64>,
-    /// May it be false?
+    /// Whether it may be false.
     pub kind: EdgeKind,
 }
 
-/// Why something is no part of a graph.
+/// Why a node or edge cannot be added to a graph.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum GraphError {
-    /// The edge names a node that was not added: add nodes first.
+    /// The edge refers to a node that was not added: add nodes first.
     #[error("node {node} of {nodes} does not exist")]
     NoSuchNode {
         /// The index.
         node: usize,
-        /// How many there are.
+        /// Number of nodes.
         nodes: usize,
     },
-    /// Both ends are one node.
+    /// Both ends are the same node.
     #[error("an edge from node {0} to itself measures nothing")]
     Loop(usize),
-    /// A pose or measurement has a number that is none.
+    /// A number of a pose or measurement is not finite.
     #[error("a number of {0} is not finite")]
     NotFinite(&'static str),
-    /// The information matrix is not symmetric, or has a negative eigenvalue: it is the inverse of no covariance.
+    /// The information matrix is not symmetric, or has a negative eigenvalue: it is not the inverse of a covariance.
     #[error("the information matrix is not symmetric and positive semidefinite")]
     Information,
 }
 
-/// Nodes, and measurements between them. Indices count from 0 in the order of adding.
+/// Nodes, and measurements between them. Indices count from 0 in order of insertion.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PoseGraph {
     poses: Vec<Pose2>,
@@ -68,7 +68,7 @@ impl PoseGraph {
         Self::default()
     }
 
-    /// Adds a node at a first guess `map_from_node`; returns its index. The first node is the anchor: it never moves.
+    /// Adds a node at an initial guess `map_from_node`; returns its index. The first node is the anchor, which never moves.
     ///
     /// # Errors
     /// [`GraphError::NotFinite`].
@@ -83,7 +83,7 @@ impl PoseGraph {
     /// Adds a measurement; returns its index.
     ///
     /// # Errors
-    /// An end that does not exist, both ends the same, a number that is not finite, an information matrix that is none.
+    /// An end that does not exist, identical ends, a number that is not finite, an invalid information matrix.
     pub fn add_edge(&mut self, edge: Edge) -> Result<usize, GraphError> {
         let nodes = self.poses.len();
         for node in [edge.from, edge.to] {
@@ -107,7 +107,7 @@ impl PoseGraph {
     /// Moves all nodes.
     ///
     /// # Errors
-    /// [`GraphError::NoSuchNode`] where the count differs, [`GraphError::NotFinite`].
+    /// [`GraphError::NoSuchNode`] if the number of poses differs, [`GraphError::NotFinite`].
     pub fn set_poses(&mut self, poses: &[Pose2]) -> Result<(), GraphError> {
         if poses.len() != self.poses.len() {
             return Err(GraphError::NoSuchNode {
@@ -122,7 +122,7 @@ impl PoseGraph {
         Ok(())
     }
 
-    /// `map_from_node` of each node: first guesses, or what was set since.
+    /// `map_from_node` of each node: the initial guesses, or as set since.
     #[must_use]
     pub fn poses(&self) -> &[Pose2] {
         &self.poses
@@ -134,7 +134,7 @@ impl PoseGraph {
         &self.edges
     }
 
-    /// The first node that no chain of edges of a weight above zero joins to the anchor.
+    /// The first node that is not connected to the anchor by edges with a weight above zero.
     pub(crate) fn disconnected(&self, weights: &[f64]) -> Option<usize> {
         let mut parent: Vec<usize> = (0..self.poses.len()).collect();
         fn root(parent: &mut [usize], mut node: usize) -> usize {

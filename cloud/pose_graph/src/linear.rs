@@ -1,25 +1,25 @@
-//! Sparse blocks. How is a symmetric system of small blocks, one for each node, solved?
+//! Sparse blocks. Solves a symmetric system of small blocks, one for each node.
 //!
-//! The blocks are ordered by approximate minimum degree (Amestoy et al. 1996), the numbers in them stay together, and the matrix is
+//! The blocks are ordered by approximate minimum degree (Amestoy et al. 1996), the entries of a block stay together, and the matrix is
 //! factorised as `L D Lᵀ` without pivoting; the signs of `D` are the inertia of the matrix.
 
 use clarabel::algebra::CscMatrix;
 use clarabel::qdldl::{QDLDLFactorisation, QDLDLSettings};
 use nalgebra::SMatrix;
 
-/// Where each node stands in the elimination, and which pairs of nodes are joined.
+/// The elimination order of the nodes, and the pairs of connected nodes.
 #[derive(Clone, Debug)]
 pub(crate) struct Pattern {
     /// Position of a node in the elimination; the anchor has none.
     position: Vec<Option<usize>>,
-    /// For each position, the positions before it that it is joined to, ascending.
+    /// For each position, the earlier positions connected to it, ascending.
     above: Vec<Vec<usize>>,
-    /// For each pair asked for: position of the column, place in `above`, and whether the pair runs downwards. `None` with the anchor.
+    /// For each requested pair: position of the column, place in `above`, and whether the pair runs downwards. `None` for the anchor.
     slots: Vec<Option<(usize, usize, bool)>>,
 }
 
 impl Pattern {
-    /// The pattern of `nodes` nodes, of which node 0 is left out, joined by `pairs`. `None` where the ordering fails, which it does not.
+    /// The pattern of `nodes` nodes, without node 0, connected by `pairs`. `None` if the ordering fails, which does not occur.
     pub(crate) fn new(nodes: usize, pairs: &[(usize, usize)]) -> Option<Self> {
         let free = nodes.saturating_sub(1);
         let mut columns: Vec<Vec<usize>> = (0..free).map(|node| vec![node]).collect();
@@ -98,7 +98,7 @@ impl<'p, const B: usize> BlockSystem<'p, B> {
         self.matrix.nzval.fill(0.0);
     }
 
-    /// Adds to the block of one node with itself, of which the upper triangle counts.
+    /// Adds to the diagonal block of a node; only the upper triangle counts.
     pub(crate) fn add_node(&mut self, node: usize, block: &SMatrix<f64, B, B>) {
         let Some(position) = self.pattern.position[node] else {
             return;
@@ -129,7 +129,7 @@ impl<'p, const B: usize> BlockSystem<'p, B> {
         }
     }
 
-    /// Adds a share of it to the diagonal, and a little besides.
+    /// Adds a share of the diagonal to it, and a minimal amount.
     pub(crate) fn damp(&mut self, share: f64) {
         for column in 0..self.matrix.n {
             let at = self.matrix.colptr[column + 1] - 1;
@@ -137,7 +137,7 @@ impl<'p, const B: usize> BlockSystem<'p, B> {
         }
     }
 
-    /// Factorises; returns how many pivots are not positive, `None` where one is zero or no number.
+    /// Factorises; returns the number of pivots that are not positive, `None` if one is zero or not finite.
     pub(crate) fn factorise(&mut self) -> Option<usize> {
         if self.matrix.n == 0 {
             return Some(0);
@@ -162,7 +162,7 @@ impl<'p, const B: usize> BlockSystem<'p, B> {
         is_finite.then(|| self.matrix.n - factors.positive_inertia())
     }
 
-    /// Solves with the factors made last: `nodes` blocks in, `nodes` blocks out, by node; the anchor's is zero. Zero without factors.
+    /// Solves with the latest factors: `nodes` blocks in, `nodes` blocks out, by node; the anchor's is zero. All zero without factors.
     pub(crate) fn solve(&mut self, by_node: &mut [[f64; B]]) {
         let mut ordered = vec![0.0; self.matrix.n];
         for (block, position) in by_node.iter().zip(&self.pattern.position) {

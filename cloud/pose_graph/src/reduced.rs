@@ -1,25 +1,26 @@
-//! Reduced graph. What is still known when nodes are dropped?
+//! Reduced graph. Replaces dropped nodes by composed edges between the remaining ones.
 //!
-//! Dropped nodes that hang together are one patch. What went through it is replaced: from the best known of the kept nodes around it to one
-//! node of each other group there leads an edge, its measurement where the nodes lie now, its covariance summed along the best known way
-//! through the patch. These edges were all held to be true when they were composed: they are trusted. Two of them that share a part of their
-//! way are taken for independent, and what a patch knew of two nodes of one group is lost: less is known than before, in no direction more.
+//! Connected dropped nodes form a patch. The connections through a patch are replaced by edges from its best-connected kept neighbour to
+//! one node of each other group. The measurement of such an edge is the present relative pose; its covariance is summed along the most
+//! certain path through the patch. All edges composed here were held to be true, so the result is trusted. Two of them that share a part of
+//! their path are treated as independent, and a patch's information on two nodes of one group is lost: the result is less certain than
+//! before, in no direction more.
 
 use std::collections::{BTreeMap, BinaryHeap};
 
 use crate::graph::{Edge, EdgeKind, GraphError, PoseGraph};
 use crate::uncertain::Uncertain;
 
-/// Edges that replace dropped nodes, between those that are left.
+/// Edges that replace dropped nodes, between the remaining ones.
 ///
-/// `groups`: for each node `None` where it is dropped, or the group that it belongs to, whose nodes are held together by trusted edges
-/// without the dropped ones; `weights`: one for each edge; edges of weight 0 lead nowhere. Indices are those of `graph`.
+/// `groups`: for each node `None` if it is dropped, otherwise its group, whose nodes are held together by trusted edges without the dropped
+/// ones; `weights`: one for each edge; edges of weight 0 are ignored. Indices are those of `graph`.
 ///
 /// Cost: for each patch, its edges times the logarithm of its nodes.
 ///
 /// # Errors
-/// [`GraphError::Information`] where a covariance along a way cannot be inverted, [`GraphError::NoSuchNode`] where `groups` or `weights` are
-/// too few.
+/// [`GraphError::Information`] if a covariance along a path cannot be inverted, [`GraphError::NoSuchNode`] if `groups` or `weights` have
+/// the wrong length.
 pub fn composed_edges(graph: &PoseGraph, weights: &[f64], groups: &[Option<usize>]) -> Result<Vec<Edge>, GraphError> {
     let (poses, edges) = (graph.poses(), graph.edges());
     if groups.len() != poses.len() || weights.len() != edges.len() {
@@ -43,7 +44,7 @@ pub fn composed_edges(graph: &PoseGraph, weights: &[f64], groups: &[Option<usize
         if std::mem::replace(&mut is_done[first], true) {
             continue;
         }
-        // The kept nodes around the patch, with how many edges lead into it.
+        // The kept nodes around the patch, with the number of edges that lead into it.
         let (mut patch, mut around) = (vec![first], BTreeMap::<usize, usize>::new());
         while let Some(node) = patch.pop() {
             for index in &edges_of[node] {
@@ -82,7 +83,7 @@ pub fn composed_edges(graph: &PoseGraph, weights: &[f64], groups: &[Option<usize
     Ok(composed)
 }
 
-/// A node that is reached, the best known first.
+/// A reached node; the most certain first.
 #[derive(PartialEq)]
 struct Reached(f64, usize);
 
@@ -100,7 +101,7 @@ impl PartialOrd for Reached {
     }
 }
 
-/// The best known ways from a kept node through dropped ones (Dijkstra, by the trace of the covariance), where the nodes lie now.
+/// The most certain paths from a kept node through dropped ones (Dijkstra, by the trace of the covariance), at the present poses.
 fn ways_through(
     hub: usize,
     graph: &PoseGraph,
@@ -112,7 +113,7 @@ fn ways_through(
     let mut heap = BinaryHeap::from([Reached(0.0, hub)]);
     while let Some(Reached(length, node)) = heap.pop() {
         let here = ways[&node];
-        // Ways do not go on from kept nodes.
+        // Paths end at kept nodes.
         if length > here.covariance.trace() || (groups[node].is_some() && node != hub) {
             continue;
         }

@@ -1,8 +1,9 @@
-//! Robust closures. Which loop closures are false, and which poses agree with the others?
+//! Robust closures. Separates false loop closures from true ones, and finds the poses that agree with the true ones.
 //!
-//! Truncated least squares: a closure counts with its chi squared, or with a constant where it is false. The cost has many valleys, so it
-//! begins nearly convex and becomes what is wanted in rounds (Yang et al., "Graduated non-convexity for robust spatial perception", RA-L
-//! 2020), with the closures that have support. A closure without any is taken where it agrees with what these say, its covariance included.
+//! Truncated least squares: a true closure costs its chi squared, a false one a constant. This cost has many valleys, so the solver starts
+//! with a nearly convex cost and approaches the truncated one in rounds (Yang et al., "Graduated non-convexity for robust spatial
+//! perception", RA-L 2020), using the closures that have support. A closure without support is accepted if it agrees with the resulting
+//! poses, within their covariance.
 
 use nalgebra::{Matrix3, Rotation2, Vector3};
 use zenav_protocol::geometry::{Pose2, wrap_angle};
@@ -15,29 +16,29 @@ use crate::settings::{DescentSettings, RobustSettings};
 use crate::solver::{Solution, SolveError, solve_weighted};
 use crate::start::{chordal_start, pattern};
 
-/// A descent between two rounds need not be finished.
+/// A descent between two rounds need not converge fully.
 const BETWEEN_ROUNDS: DescentSettings = DescentSettings {
     max_iterations: 6,
     tolerance: 1e-4,
 };
-/// Rounds in which closures still change sides, at most.
+/// Most rounds in which closures still change sides.
 const SETTLING_ROUNDS: usize = 20;
 
-/// The best poses with the closures that are kept.
+/// The best poses with the accepted closures.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RobustSolution {
     /// The poses, their cost with these weights, and the certificate for these weights.
     pub solution: Solution,
-    /// One for each edge: 1 where it counts, 0 for a closure that is false.
+    /// One for each edge: 1 if it counts, 0 for a false closure.
     pub weights: Vec<f64>,
     /// Rounds of growing non-convexity.
     pub rounds: u32,
 }
 
-/// Finds the poses that agree best with odometry and with the closures that are true, and which those are.
+/// Finds the poses that agree best with odometry and with the true closures, and which closures are true.
 ///
-/// Odometry edges are trusted and must hold the graph together. What cannot be told: a lone closure that odometry's own uncertainty allows,
-/// and false closures that agree with each other better than the true ones do.
+/// Odometry edges are trusted and must connect the graph. Undecidable cases: a lone closure within odometry's own uncertainty, and false
+/// closures that agree with each other better than the true ones do.
 ///
 /// # Errors
 /// See [`SolveError`]: each variant says what to do.
@@ -74,7 +75,7 @@ pub fn solve_robust(
             weights[*index] = f64::from(u8::from(is_true(index, &poses)));
         }
         if weights == before {
-            // Everything else is settled: ask those of which odometry and the others allow that they are true.
+            // Everything else is settled: try those that may be true given odometry and the other closures.
             for index in plausible(graph, &poses, &weights, &closures, settings) {
                 weights[index] = 1.0;
                 let trial = descend(graph, &poses, &weights, descent);
@@ -98,7 +99,7 @@ pub fn solve_robust(
     })
 }
 
-/// Rounds from nearly convex to truncated; returns how many. Poses and weights end as the last round leaves them.
+/// Rounds from nearly convex to truncated; returns their number. Poses and weights end as the last round leaves them.
 fn graduate(
     graph: &PoseGraph,
     poses: &mut Vec<Pose2>,
@@ -148,15 +149,15 @@ fn truncated_weight(chi_squared: f64, limit: f64, control: f64) -> f64 {
     }
 }
 
-/// By how much poses miss a measurement, m, m, rad, in the frame of its first node.
+/// Difference between the poses and a measurement, m, m, rad, in the frame of its first node.
 fn gap(edge: &Edge, poses: &[Pose2]) -> Vector3<f64> {
     let seen = poses[edge.from].inverse() * poses[edge.to];
     let Pose2 { x, y, yaw } = edge.measurement;
     Vector3::new(seen.x - x, seen.y - y, wrap_angle(seen.yaw - yaw))
 }
 
-/// The closures of weight 0 that agree with the others once the covariance between their ends counts, the smallest gap first: chi squared
-/// would put precise measurements last.
+/// The closures of weight 0 that agree with the others within the covariance between their ends, smallest gap first: chi squared would put
+/// precise measurements last.
 fn plausible(
     graph: &PoseGraph,
     poses: &[Pose2],

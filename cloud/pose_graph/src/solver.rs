@@ -1,4 +1,4 @@
-//! Solver. Which poses agree best with all measurements, and is that certain?
+//! Solver. Finds and certifies the poses that agree best with all measurements.
 
 use thiserror::Error;
 use zenav_protocol::geometry::Pose2;
@@ -11,7 +11,7 @@ use crate::linear::Pattern;
 use crate::settings::DescentSettings;
 use crate::start::{chordal, pattern};
 
-/// The best poses, and what is known of them.
+/// The best poses, with their certificate.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Solution {
     /// `map_from_node` of each node; the anchor is where the graph has it.
@@ -20,9 +20,9 @@ pub struct Solution {
     pub chi_squared: f64,
     /// Steps of the last descent.
     pub iterations: u32,
-    /// Whether it ended at a minimum; otherwise the poses are the best that were reached, and nothing is certified.
+    /// Whether the descent ended at a minimum; otherwise the poses are the best that were reached, and nothing is certified.
     pub is_minimum: bool,
-    /// Is there no better valley?
+    /// Whether there is no better valley.
     pub certificate: Certificate,
 }
 
@@ -32,32 +32,33 @@ pub enum SolveError {
     /// There is no node.
     #[error("the graph has no nodes")]
     Empty,
-    /// No chain of measurements (for robust solving: of odometry) leads from the anchor to a node: solve the parts apart.
+    /// No chain of measurements (for robust solving: of odometry) connects a node to the anchor: solve the parts separately.
     #[error("node {node} is not joined to the anchor")]
     Disconnected {
         /// Index of the first such node.
         node: usize,
     },
-    /// Information matrices leave a direction of a node free, or are too far apart for the arithmetic.
+    /// Information matrices do not constrain a direction of a node, or differ too much in size for the arithmetic.
     #[error("the measurements leave a node free, or their information matrices lie too far apart")]
     Singular,
 }
 
-/// Why nothing is known of how good a solution is.
+/// Why a solution has no verdict.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum Unknown {
     /// Steps ran out: raise `max_iterations`.
     #[error("no minimum within {0} iterations: the poses are the best that were reached")]
     NoMinimum(u32),
-    /// The companion has no stationary point near enough for the proof: its gradient as a share of its terms.
+    /// The companion has no stationary point accurate enough for the proof: its gradient as a share of its terms.
     #[error("the companion problem is not stationary: {0:e}")]
     NotStationary(f64),
 }
 
 /// Finds the poses that agree best with all edges, each with weight 1, and certifies them.
 ///
-/// Where steps run out the best poses are returned all the same: [`Solution::unknown_because`]. Starts from the chordal relaxation, and where that ends without a certificate from the graph's own poses too; the certified or else the
-/// cheaper of the two is returned. Cost: about six sparse factorisations.
+/// If steps run out, the best poses are returned nevertheless: see [`Solution::unknown_because`]. Starts from the chordal relaxation and,
+/// if that ends without a certificate, also from the graph's own poses; returns the certified or else the cheaper of the two. Cost: about
+/// six sparse factorisations.
 ///
 /// # Errors
 /// See [`SolveError`]: each variant says what to do.
@@ -100,7 +101,7 @@ pub(crate) fn solve_weighted(
     }
 }
 
-/// Companion, certificate, descent, from one start.
+/// Companion, certificate and descent from one start.
 fn solve_from(
     problem: &mut Problem<'_>,
     edges: &[Isotropic],
@@ -135,7 +136,7 @@ fn solve_from(
 }
 
 impl Solution {
-    /// Why nothing is known of how good the solution is, where that is so.
+    /// Why the solution has no verdict, if so.
     #[must_use]
     pub fn unknown_because(&self) -> Option<Unknown> {
         match self.certificate.optimality {

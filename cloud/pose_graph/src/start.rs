@@ -1,4 +1,4 @@
-//! Start. Where does the descent begin?
+//! Start. Initial poses of the descent.
 
 use std::collections::VecDeque;
 
@@ -9,8 +9,8 @@ use crate::companion::Isotropic;
 use crate::graph::{EdgeKind, PoseGraph};
 use crate::linear::{BlockSystem, Pattern};
 
-/// Poses along a tree of edges, odometry before closures, from the nodes that are `known` (and node 0), which stay. Others stay where they
-/// are too when no edge leads to them.
+/// Poses along a tree of edges, odometry before closures, from the `known` nodes (and node 0), which stay. Nodes that no edge reaches stay,
+/// too.
 ///
 /// `known`: one for each node.
 #[must_use]
@@ -25,7 +25,7 @@ pub fn odometry_start(graph: &PoseGraph, known: &[bool]) -> Vec<Pose2> {
         edges_of[edge.to].push(index);
     }
     let mut front: VecDeque<usize> = (0..poses.len()).filter(|node| reached[*node]).collect();
-    // Closures wait until odometry leads no further.
+    // Closures are used only once odometry leads no further.
     let mut waiting: VecDeque<usize> = VecDeque::new();
     loop {
         let (node, kind) = match (front.pop_front(), waiting.front().copied()) {
@@ -60,8 +60,8 @@ pub fn odometry_start(graph: &PoseGraph, known: &[bool]) -> Vec<Pose2> {
 /// Poses from two linear problems: rotations as free 2-vectors that are normalised afterwards, then positions with these rotations. The
 /// anchor stays.
 ///
-/// Needs no guess. Source: Carlone et al., "Initialization techniques for 3D SLAM", ICRA 2015. `None` where the graph does not hold
-/// together. `weights`: one for each edge, from 0 to 1.
+/// Needs no guess. Source: Carlone et al., "Initialization techniques for 3D SLAM", ICRA 2015. `None` if the graph is not connected.
+/// `weights`: one for each edge, from 0 to 1.
 #[must_use]
 pub fn chordal_start(graph: &PoseGraph, weights: &[f64]) -> Option<Vec<Pose2>> {
     if graph.disconnected(weights).is_some() || graph.poses().is_empty() {
@@ -71,14 +71,14 @@ pub fn chordal_start(graph: &PoseGraph, weights: &[f64]) -> Option<Vec<Pose2>> {
     chordal(graph.poses(), &edges, &pattern(graph, weights)?)
 }
 
-/// The pairs that edges of some weight join.
+/// The pairs connected by edges with a weight above zero.
 pub(crate) fn pattern(graph: &PoseGraph, weights: &[f64]) -> Option<Pattern> {
     let used = graph.edges().iter().zip(weights).filter(|(_, weight)| **weight > 0.0);
     let pairs: Vec<(usize, usize)> = used.map(|(edge, _)| (edge.from, edge.to)).collect();
     Pattern::new(graph.poses().len(), &pairs)
 }
 
-/// [`chordal_start`] with what it needs.
+/// [`chordal_start`] from prepared data.
 pub(crate) fn chordal(poses: &[Pose2], edges: &[Isotropic], pattern: &Pattern) -> Option<Vec<Pose2>> {
     let anchor = poses[0];
     let mut rotations = BlockSystem::<2>::new(pattern);
@@ -117,11 +117,11 @@ pub(crate) fn chordal(poses: &[Pose2], edges: &[Isotropic], pattern: &Pattern) -
     Some(start)
 }
 
-/// The positions that agree best once rotations are known: a linear problem whose matrix is always the same.
+/// The optimal positions for given rotations: a linear problem whose matrix is always the same.
 pub(crate) struct Positions<'p>(BlockSystem<'p, 1>);
 
 impl<'p> Positions<'p> {
-    /// `None` where the graph does not hold together.
+    /// `None` if the graph is not connected.
     pub(crate) fn new(edges: &[Isotropic], pattern: &'p Pattern) -> Option<Self> {
         let mut system = BlockSystem::new(pattern);
         for (pair, edge) in edges.iter().enumerate() {

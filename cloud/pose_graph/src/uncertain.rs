@@ -1,4 +1,4 @@
-//! Uncertain poses. How well is one pose known as seen from another, along a chain of measurements?
+//! Uncertain poses. Uncertainty of one pose relative to another along a chain of measurements.
 //!
 //! First order, on the tangent space at the far end: Smith, Self and Cheeseman, "Estimating uncertain spatial relationships in robotics",
 //! UAI 1986 (compounding and inversion).
@@ -9,7 +9,7 @@ use zenav_protocol::geometry::Pose2;
 use crate::covariance::mahalanobis;
 use crate::graph::Edge;
 
-/// Added to information matrices before they are inverted, as a share of the largest entry: directions that an edge does not know.
+/// Added to information matrices before they are inverted, as a share of the largest entry, for directions that an edge does not constrain.
 const LEAST_INFORMATION: f64 = 1e-9;
 
 /// A relative pose `near_from_far` and its covariance.
@@ -21,20 +21,20 @@ pub struct Uncertain {
     pub covariance: Matrix3<f64>,
 }
 
-/// What turns a small motion at the far end of `pose` into one at its near end.
+/// Maps a small motion at the far end of `pose` to one at its near end.
 fn adjoint(pose: Pose2) -> Matrix3<f64> {
     let (sin, cos) = pose.yaw.sin_cos();
     Matrix3::new(cos, -sin, pose.y, sin, cos, -pose.x, 0.0, 0.0, 1.0)
 }
 
 impl Uncertain {
-    /// A pose as seen from itself.
+    /// The pose of something relative to itself.
     pub const CERTAIN: Self = Self {
         pose: Pose2::IDENTITY,
         covariance: Matrix3::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
     };
 
-    /// What an edge says of its far end.
+    /// The far end of an edge, by its measurement.
     #[must_use]
     pub fn of(edge: &Edge) -> Self {
         let least = Matrix3::identity() * (LEAST_INFORMATION * edge.information.amax());
@@ -44,7 +44,7 @@ impl Uncertain {
         }
     }
 
-    /// The near end as seen from the far one.
+    /// The near end relative to the far one.
     #[must_use]
     pub fn inverse(&self) -> Self {
         let turn = adjoint(self.pose);
@@ -64,7 +64,7 @@ impl Uncertain {
         }
     }
 
-    /// Squared Mahalanobis distance from no motion at all: chi squared with three degrees of freedom.
+    /// Squared Mahalanobis distance from the identity: chi squared with three degrees of freedom.
     #[must_use]
     pub fn chi_squared(&self) -> f64 {
         let Pose2 { x, y, yaw } = self.pose;

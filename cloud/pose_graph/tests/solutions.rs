@@ -1,4 +1,4 @@
-//! Are solutions the best there are, and do false closures and wrong valleys leave no trace in them?
+//! Tests of solutions: they are optimal, and neither false closures nor wrong valleys affect them.
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
@@ -26,7 +26,7 @@ fn apart(a: &[Pose2], b: &[Pose2]) -> f64 {
         .fold(0.0, f64::max)
 }
 
-/// A ring of `nodes` without noise, its nodes where they belong.
+/// A ring of `nodes` without noise, with its nodes at their true poses.
 fn ring(nodes: usize) -> PoseGraph {
     let step = Pose2::new(1.0, 0.0, std::f64::consts::TAU / nodes as f64);
     let mut graph = PoseGraph::new();
@@ -52,7 +52,7 @@ fn ring(nodes: usize) -> PoseGraph {
     graph
 }
 
-/// The same ring, wound once more than it should be: a stationary point of the cost that is no optimum.
+/// The same ring, wound once too often: a stationary point of the cost that is not the optimum.
 fn wound(graph: &PoseGraph) -> Vec<Pose2> {
     let nodes = graph.poses().len();
     let turn = 2.0 * std::f64::consts::TAU / nodes as f64;
@@ -94,7 +94,7 @@ fn the_wrong_valley_is_refused() {
     assert_eq!(right.certificate.optimality, Optimality::Certified);
 }
 
-/// A walk whose steps and closures turn by more than they should, with what that leaves of their information.
+/// A walk whose steps and closures have additional noise in yaw, with information reduced accordingly.
 fn dizzy(nodes: usize, seed: u64, sigma: f64) -> PoseGraph {
     let (walked, _) = walk(nodes, seed);
     let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(seed);
@@ -128,7 +128,7 @@ fn headings_that_are_hardly_known_and_long_chains_are_solved_to_the_minimum() {
             assert!(is_certified || sigma > 0.1, "{seed}: {:?}", solution.certificate);
         }
     }
-    // Twenty rounds of a spiral of 500 nodes, each round seen from the next: the softest waves are as long as all of it.
+    // Twenty rounds of a spiral of 500 nodes, each round connected to the next: the softest modes extend over all of it.
     let graph = spiral(20, 500);
     let solution = solve(&graph, &DescentSettings::default()).unwrap();
     assert_eq!(
@@ -139,7 +139,7 @@ fn headings_that_are_hardly_known_and_long_chains_are_solved_to_the_minimum() {
     );
 }
 
-/// Rounds on one circle with noise, each place seen from where it was passed the round before, every fortieth node.
+/// Rounds on one circle with noise; every fortieth node has a closure to the same place in the previous round.
 fn spiral(rounds: usize, nodes: usize) -> PoseGraph {
     let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(1);
     let mut noisy = |pose: Pose2| {
@@ -224,7 +224,7 @@ fn a_lone_true_closure_is_taken_and_a_lone_false_one_is_not() {
     for (offset, is_true) in [(0.0, true), (25.0, false)] {
         let mut graph = graph.clone();
         graph.add_edge(closure(seen * Pose2::new(offset, 0.0, 0.0))).unwrap();
-        // Another one with support, so that the lone one has to ask.
+        // Another closure with support, so that the lone one is not a candidate from the start.
         let near = truth[20].inverse() * truth[24];
         graph
             .add_edge(Edge {
@@ -335,7 +335,7 @@ fn the_covariance_of_a_chain_grows_as_the_steps_add_up() {
     let joint = marginal_covariance(&graph, graph.poses(), &ones(&graph), &[2, 4]).unwrap();
     let [x, _, yaw] = manhattan::SIGMA.map(|sigma| sigma * sigma);
     assert!((joint[(0, 0)] - 2.0 * x).abs() < 1e-12 && (joint[(5, 5)] - 4.0 * yaw).abs() < 1e-12);
-    // Seen from node 2, node 4 is two steps away; across, the first turn of the two counts.
+    // From node 2, node 4 is two steps away; across, the first turn of the two counts.
     let seen = relative_covariance(&joint, graph.poses()[2], graph.poses()[4]);
     assert!((seen[(0, 0)] - 2.0 * x).abs() < 1e-12);
     assert!((seen[(1, 1)] - (2.0 * x + yaw)).abs() < 1e-12, "{seen}");

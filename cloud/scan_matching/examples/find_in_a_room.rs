@@ -1,4 +1,4 @@
-//! Where in a room was a scan taken? Nothing is known but the map.
+//! Finds where in a room a scan was taken, knowing only the map.
 //!
 //! `cargo run -p zenav-scan-matching --example find_in_a_room`
 

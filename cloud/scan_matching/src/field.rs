@@ -1,7 +1,7 @@
-//! Likelihood field. How near is a point to what is known?
+//! Likelihood field. Closeness of a point to the nearest known surface.
 //!
 //! Each cell holds `exp(-d² / 2σ²)` of the distance `d` from its centre to the nearest known point, as a byte (Thrun et al., Probabilistic
-//! Robotics, section 6.4). Points are added one by one, each in the time of its own surroundings.
+//! Robotics, section 6.4). Points are added one by one; the cost of each is that of its surroundings.
 
 use nalgebra::{Point2, Vector2};
 use zenav_protocol::geometry::Pose2;
@@ -13,12 +13,12 @@ use crate::settings::FieldSettings;
 const REACH: f64 = 3.0;
 /// Most cells that a point reaches across: with a larger sigma its reach is cut.
 const MAX_WIDTH: usize = 256;
-/// What a field grows by beyond a point outside it, cells.
+/// Margin by which a field grows beyond a point outside it, cells.
 const MARGIN: i64 = 64;
 /// A point further from the first one than this share of the largest grid is left out.
 const LARGEST: i64 = (MAX_SIDE / 4) as i64;
 
-/// How likely a surface is seen in each cell, 0 to 255.
+/// Likelihood of seeing a surface in each cell, 0 to 255.
 #[derive(Clone, Debug)]
 pub struct LikelihoodField {
     spec: GridSpec,
@@ -27,7 +27,7 @@ pub struct LikelihoodField {
 }
 
 impl LikelihoodField {
-    /// A field that knows nothing.
+    /// An empty field.
     #[must_use]
     pub fn new(settings: &FieldSettings) -> Self {
         let spec = GridSpec {
@@ -61,7 +61,7 @@ impl LikelihoodField {
         field
     }
 
-    /// A field of values that were made elsewhere, row by row from the lower left; `None` where they are not as many as cells.
+    /// A field with given values, row by row from the lower left; `None` if their number differs from that of the cells.
     #[must_use]
     pub fn from_values(spec: GridSpec, values: Vec<u8>) -> Option<Self> {
         (values.len() == spec.len()).then_some(Self {
@@ -90,7 +90,7 @@ impl LikelihoodField {
         }
     }
 
-    /// Where the field lies, and how fine it is.
+    /// Position, size and resolution of the field.
     #[must_use]
     pub fn spec(&self) -> &GridSpec {
         &self.spec
@@ -166,7 +166,7 @@ impl LikelihoodField {
             let high = (middle + reach - 0.5).floor().min(f64::from(side) - 1.0);
             low..if high < 0.0 { low } else { high as usize + 1 }
         };
-        // The bell over two axes is the product of those over each.
+        // The two-dimensional bell is the product of the bells over each axis.
         let bell = |cell: usize, middle: f64| (scale * (cell as f64 + 0.5 - middle).powi(2)).exp();
         let mut across = [0.0_f32; MAX_WIDTH];
         let columns = range(at.x, self.spec.width);
@@ -183,12 +183,12 @@ impl LikelihoodField {
         }
     }
 
-    /// Grows so that points between two corners and their surroundings lie inside, as far as a grid may reach.
+    /// Grows so that points between two corners and their surroundings lie inside, up to the largest grid.
     fn make_room(&mut self, low: Point2<f64>, high: Point2<f64>) {
         let resolution = self.spec.resolution;
         let reach = (REACH * self.sigma / resolution).ceil() as i64 + 1;
         if self.values.is_empty() {
-            // The middle of the first points: on whole cells, so that all fields of a resolution share their corners.
+            // Near the first points, on whole cells, so that all fields of a resolution share their cell corners.
             self.spec.origin = Point2::from((low.coords / resolution).map(f64::floor) * resolution);
         }
         let cells = |point: Point2<f64>, away: i64| {

@@ -1,4 +1,4 @@
-//! Headings. Which headings of a window are tried, and where do the points of a scan fall from each?
+//! Headings. The headings of a window, and the cells of a scan's points at each of them.
 
 use std::cell::OnceCell;
 use std::collections::BTreeMap;
@@ -11,33 +11,33 @@ use crate::field::placed;
 use crate::pyramid::{Pyramid, Spots, Squares};
 use crate::search::Window;
 
-/// Into so many parts points are divided: after each it is asked whether the rest can still make a block good enough.
+/// Number of parts into which points are divided; after each part the search checks whether the rest can still make a block good enough.
 pub(crate) const PARTS: usize = 6;
-/// Points of a part, about: more where there are more points.
+/// Approximate number of points of a part; more when there are more points.
 const PART: usize = 12;
-/// Points farther out than two to this power levers count as so far out: no table reaches over their spread.
+/// Points farther out than two to this power levers count as that far out: no table covers their spread.
 const LAST_CLASS: f64 = 16.0;
-/// Cells farther away count as so far.
+/// Cells farther away than this count as this far.
 pub(crate) const FARTHEST: i32 = 1 << 28;
 /// Finest and coarsest step of headings, rad.
 const STEPS: (f64, f64) = (1e-3, 0.2);
-/// Headings are grouped so that at least so many groups remain.
+/// Headings are grouped such that at least this many groups remain.
 const FEWEST_GROUPS: u32 = 24;
 /// Headings are grouped by at most two to this power.
 const MOST_GROUPED: u32 = 6;
 
-/// The step of headings by which the farthest point moves a cell, rad.
+/// The step of headings that moves the farthest point by one cell, rad.
 #[must_use]
 pub fn heading_step(points: &[Point2<f64>], resolution: f64) -> f64 {
     let farthest = points.iter().map(|point| point.coords.norm()).fold(0.0, f64::max);
     (resolution / farthest.max(f64::MIN_POSITIVE)).clamp(STEPS.0, STEPS.1)
 }
 
-/// The headings of a window, and where the points fall from each and from the middle of each group of them.
+/// The headings of a window, and where the points fall at each of them and at the middle of each group of them.
 pub(crate) struct Headings<'a> {
     spec: GridSpec,
     center: Pose2,
-    /// How far the window reaches to each side, cells.
+    /// Half size of the window, cells.
     reach: (i32, i32),
     count: u32,
     first: f64,
@@ -48,23 +48,23 @@ pub(crate) struct Headings<'a> {
     levels: Vec<Level<'a>>,
 }
 
-/// Points that are about as far out.
+/// Points at similar distances.
 struct Group {
-    /// Zero for those within the lever, one for those within twice as much, and so on.
+    /// Zero for points within the lever, one for those within twice the lever, and so on.
     class: u32,
     points: Vec<Point2<f64>>,
 }
 
-/// Blocks of a size.
+/// Blocks of one size.
 struct Level<'a> {
-    /// What each group of points can meet there; those beyond all tables can meet anything.
+    /// The squares that bound each group of points; `None` for points beyond all tables, which have no bound.
     squares: Vec<Option<Squares<'a>>>,
-    /// For each group of headings, once it is asked for, where each group of points falls.
+    /// For each group of headings, computed on demand: where each group of points falls.
     spots: Vec<OnceCell<Vec<Spots>>>,
 }
 
 impl<'a> Headings<'a> {
-    /// The headings of a window that reaches so many cells to each side, for blocks up to a level.
+    /// The headings of a window that reaches this many cells to each side, for blocks up to a level.
     pub(crate) fn new(
         pyramid: &'a Pyramid,
         points: &[Point2<f64>],
@@ -78,7 +78,7 @@ impl<'a> Headings<'a> {
         let step = (spec.resolution / lever).clamp(STEPS.0, STEPS.1);
         let turns = (window.turn.clamp(0.0, std::f64::consts::PI) / step).floor();
         let count = 2 * turns as u32 + 1;
-        // With steps that move a point by more than a cell a group's bound would not hold.
+        // With steps that move a point by more than a cell, a group's bound would not hold.
         let is_fine = lever * step <= spec.resolution * (1.0 + 1e-9);
         let grouped = if is_fine {
             (count / FEWEST_GROUPS).checked_ilog2().unwrap_or(0).min(MOST_GROUPED)
@@ -106,13 +106,13 @@ impl<'a> Headings<'a> {
         headings
     }
 
-    /// Over so many cells the headings of a block spread a point of a class, less one.
+    /// The number of cells, less one, over which the headings of a block spread a point of a class.
     fn spread(&self, level: u32, class: u32) -> u32 {
         ((1 << self.span(level)) - 1) << class
     }
 
-    /// Where the points fall from the group of headings that begins with one: the lower left corner of where it spreads them, while the block lies
-    /// at the lower left of the window.
+    /// Where the points fall for the group of headings that begins at `first`: the lower-left corner of each point's spread, for a block at
+    /// the lower left of the window.
     fn spots(&self, level: u32, first: u32) -> &[Spots] {
         let Level { squares, spots } = &self.levels[level as usize];
         let middle = f64::from(first) + 0.5 * f64::from((1 << self.span(level)) - 1);
@@ -133,12 +133,12 @@ impl<'a> Headings<'a> {
         spots[(first >> self.span(level)) as usize].get_or_init(all)
     }
 
-    /// How many.
+    /// Number of headings.
     pub(crate) fn count(&self) -> u32 {
         self.count
     }
 
-    /// What each part of the points scores at most.
+    /// Largest possible score of each part of the points.
     pub(crate) fn most(&self) -> [u32; PARTS] {
         let mut most = [0; PARTS];
         for (number, group) in self.points.iter().enumerate() {
@@ -147,19 +147,19 @@ impl<'a> Headings<'a> {
         most
     }
 
-    /// Two to this power headings are in a block of a level.
+    /// A block of a level spans two to this power headings.
     pub(crate) fn span(&self, level: u32) -> u32 {
         level.saturating_sub(1).min(self.grouped)
     }
 
-    /// A heading beside the middle of the window, rad.
+    /// Offset of a heading from the middle of the window, rad.
     pub(crate) fn turn(&self, heading: u32) -> f64 {
         self.first + f64::from(heading) * self.step
     }
 
-    /// What each part of the points scores at most in four blocks of a level, in the order of [`corners`](crate::pyramid::corners): the first
-    /// one begins at a heading, and so many cells from the lower left of the window. `most`: what it scores at most for all that is known.
-    /// Nothing where none of them can reach `least`.
+    /// Upper bounds on the score of each part of the points in four blocks of a level, in the order of
+    /// [`corners`](crate::pyramid::corners). The first block begins at a heading and at an offset in cells from the lower left of the
+    /// window. `most`: bounds known so far. `None` if none of the blocks can reach `least`.
     pub(crate) fn bounds(
         &self,
         level: u32,
@@ -194,8 +194,8 @@ impl<'a> Headings<'a> {
     }
 }
 
-/// Points in groups, those within the lever first. Neighbouring beams tell the same: each group has points from all around, so that few show that a
-/// block is too bad.
+/// Groups points, those within the lever first. Neighbouring beams carry the same information, so each group has points from all around: a
+/// few of them then suffice to reject a block.
 fn grouped_points(points: &[Point2<f64>], lever: f64) -> Vec<Group> {
     let class = |point: &Point2<f64>| (point.coords.norm() / lever * (1.0 - 1e-9)).log2().ceil();
     let mut classes: BTreeMap<u32, Vec<Point2<f64>>> = BTreeMap::new();

@@ -1,4 +1,4 @@
-//! Information. How well is a step of odometry known, how well a match, and how is either seen from another frame?
+//! Information. Certainty of a step of odometry and of a match, and its change of frame.
 
 use nalgebra::{Matrix3, Vector3};
 use zenav_protocol::geometry::{Pose2, wrap_angle};
@@ -6,10 +6,10 @@ use zenav_protocol::geometry::{Pose2, wrap_angle};
 use crate::refine::Prior;
 use crate::settings::OdometrySettings;
 
-/// Added to an information before it is inverted, 1/m² and 1/rad²: directions that a match does not know.
+/// Added to an information before it is inverted, 1/m² and 1/rad², for directions that a match does not constrain.
 const LEAST_INFORMATION: f64 = 1e-3;
 
-/// Information of a step of odometry, frame of its end.
+/// Information of a step of odometry, in the frame of its end.
 #[must_use]
 pub fn odometry_information(step: Pose2, settings: &OdometrySettings) -> Matrix3<f64> {
     let (way, turn) = (step.x.hypot(step.y), step.yaw.abs());
@@ -18,7 +18,7 @@ pub fn odometry_information(step: Pose2, settings: &OdometrySettings) -> Matrix3
     Matrix3::from_diagonal(&Vector3::new(position.powi(-2), position.powi(-2), heading.powi(-2)))
 }
 
-/// Information of a match whose map is not exact: in no direction better than the floor.
+/// Information of a match with an inexact map: in no direction better than the floor.
 #[must_use]
 pub fn floored(information: &Matrix3<f64>, floor: f64, floor_turn: f64) -> Matrix3<f64> {
     let known = information + Matrix3::identity() * LEAST_INFORMATION;
@@ -28,7 +28,7 @@ pub fn floored(information: &Matrix3<f64>, floor: f64, floor_turn: f64) -> Matri
     (information + information.transpose()) * 0.5
 }
 
-/// A symmetric matrix over x, y and yaw, its axes turned: from those of a frame to those in which the frame's heading is `yaw`, rad.
+/// Rotates a symmetric matrix over x, y and yaw from the axes of a frame to those in which the frame's heading is `yaw`, rad.
 #[must_use]
 pub fn turned(matrix: &Matrix3<f64>, yaw: f64) -> Matrix3<f64> {
     let (sin, cos) = yaw.sin_cos();
@@ -37,7 +37,7 @@ pub fn turned(matrix: &Matrix3<f64>, yaw: f64) -> Matrix3<f64> {
 }
 
 impl Prior {
-    /// What odometry says: `field_from_scan` as expected, and the information of the step in the frame of its end.
+    /// The prior by odometry: `field_from_scan` as expected, and the information of the step in the frame of its end.
     #[must_use]
     pub fn of_odometry(field_from_scan: Pose2, information: &Matrix3<f64>) -> Self {
         Self {
@@ -46,7 +46,7 @@ impl Prior {
         }
     }
 
-    /// How unlikely it takes a pose for: chi squared with three degrees of freedom.
+    /// Chi squared of a pose under the prior, three degrees of freedom.
     #[must_use]
     pub fn chi_squared(&self, field_from_scan: Pose2) -> f64 {
         let (expected, pose) = (self.pose, field_from_scan);

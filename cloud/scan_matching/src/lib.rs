@@ -1,4 +1,4 @@
-//! Scan matching in the plane. Where was a laser scan taken, how well is that known, and does it fit at all?
+//! Scan matching in the plane. Finds where a laser scan was taken, how certain that is, and whether the scan fits at all.
 //!
 //! # The problem
 //!
@@ -9,12 +9,13 @@
 //! maximises   (1/n) Σ m(T pᵢ)      within a window of poses
 //! ```
 //!
-//! and by how much it is better than any other place. It is solved in three steps:
+//! and its margin over any other place. It is solved in three steps:
 //!
-//! 1. **search** ([`search()`]): exact branch and bound over cells and headings, with bounds from a [`Pyramid`]; the best of the window,
-//!    and the second best place.
-//! 2. **refinement** ([`refine()`]): Gauss-Newton beyond cells, with a prior; the information matrix of the scan alone, and a direction in
-//!    which it says nothing (a corridor). Where the map was drawn of scans, [`Surfels`] make it exact ([`Refinable::polish`]).
+//! 1. **search** ([`search()`]): exact branch and bound over cells and headings, with bounds from a [`Pyramid`]; yields the best pose of
+//!    the window, and the second-best place.
+//! 2. **refinement** ([`refine()`]): Gauss-Newton beyond cells, with a prior; yields the information matrix of the scan alone, and a
+//!    direction that the scan does not constrain (a corridor). If the map was drawn from scans, [`Surfels`] make it exact
+//!    ([`Refinable::polish`]).
 //! 3. **verdict** ([`judge()`]): the share of the points that the map explains, and of the beams that pass through its walls.
 //!
 //! Frames: `field` is the map's, `scan` that of the points. Metres, radians, yaw counter-clockwise.
@@ -26,16 +27,16 @@
 //! | file | answers |
 //! |---|---|
 //! | `points` | which points did a scan see? |
-//! | `field` | how near is a point to what is known? |
+//! | `field` | how near is a point to a known surface? |
 //! | `pyramid` | what can a block of positions score at most? |
-//! | `headings` | which headings are tried, and where do points fall from each? |
+//! | `headings` | which headings are tried, and where do points fall at each? |
 //! | `search` | which pose of a window fits best, and by how much? |
-//! | `refine` | where exactly, and how well is that known? |
-//! | `normals` | which way does a surface look? |
+//! | `refine` | where exactly, and how certain is that? |
+//! | `normals` | what is the normal of the surface at a point? |
 //! | `surfels` | where exactly is the surface that a point was seen on? |
-//! | `verdict` | does it fit? |
-//! | `information` | how well are odometry and matches known? |
-//! | `odometry` | how good is odometry, as far as matches have shown? |
+//! | `verdict` | does the scan fit? |
+//! | `information` | how certain are odometry and matches? |
+//! | `odometry` | how good is odometry, as shown by matches? |
 //! | `settings` | what can be tuned? |
 
 mod field;

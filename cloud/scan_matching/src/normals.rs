@@ -1,35 +1,35 @@
-//! Normals. Which way does the surface look that a point lies on, as far as its neighbours in the scan tell?
+//! Normals. Normal of the surface at each point, estimated from its neighbours in the scan.
 //!
-//! A straight surface is a line through the neighbours, a round one a parabola: both to within the noise that the scan itself shows. Where
-//! neither fits, as about a corner, the neighbours on one side may tell: a door's jamb is shorter than the stretch that is looked at, and tells
-//! more of the way along a corridor than all of its walls. Else nobody knows.
+//! A straight surface is fitted by a line through the neighbours, a round one by a parabola, both to within the noise of the scan itself.
+//! Where neither fits, as around a corner, the neighbours on one side may suffice: a door jamb is shorter than the stretch used otherwise,
+//! and constrains the position along a corridor more than all its walls. Elsewhere the normal is unknown.
 
 use nalgebra::{Matrix3, Point2, Vector2, Vector3};
 
-/// Neighbours on one surface are at most this far apart, m and rad as seen from the base, or this near to one another, m. What only distance
-/// joins is no round surface: points about the corners of a door next to the robot would seem to lie on one.
+/// Neighbours on one surface are at most this far apart, m and rad as seen from the base, or this close to each other, m. Neighbours joined
+/// by distance alone never form a round surface: points around the corners of a door next to the robot would seem to lie on one.
 const FARTHEST: f64 = 1.0;
 const NEIGHBOURS: f64 = 0.03;
 const NEAR: f64 = 0.1;
-/// Neighbours up to this distance to each side, and the first beyond, tell the direction of a surface, m.
+/// The direction of a surface is taken from neighbours up to this distance to each side, and the first beyond, m.
 const STRETCH: f64 = 0.2;
-/// They lie on it to within so many standard deviations of the noise, which is at least and at most this, m.
+/// They lie on it to within this many standard deviations of the noise, which is clamped to these bounds, m.
 const DEVIATIONS: f64 = 1.8;
 const NOISE: [f64; 2] = [0.0035, 0.017];
-/// On a straight surface their variance across it is at most this share of that along it.
+/// On a straight surface the variance across it is at most this share of that along it.
 const FLAT: f64 = 0.05;
-/// On one side of a point a surface is at least so long, m, and its variance across it is at most this share of what it may be on both sides.
+/// On one side of a point a surface is at least this long, m, and its variance across it is at most this share of the limit for both sides.
 const SHORTEST: f64 = 0.05;
 const SURER: f64 = 0.5;
-/// A round surface has at least so many points, and its curvature is at most this, 1/m.
+/// A round surface has at least this many points, and its curvature is at most this, 1/m.
 const ROUND: usize = 5;
 const CURVATURE: f64 = 6.0;
-/// Three points in a row show noise where the outer ones are nearer than this, m.
+/// Three points in a row are used to measure noise if the outer ones are closer than this, m.
 const CHORD: f64 = 0.4;
 /// Median distance of the middle of three points from the chord of the others, in standard deviations of a point.
 const MEDIAN: f64 = 0.6745 * 1.2247;
 
-/// The unit normals of the surfaces that points lie on, towards the `laser` that saw them.
+/// The unit normals of the surfaces at points, towards the `laser` that saw them.
 pub(crate) fn normals(laser: Point2<f64>, points: &[Point2<f64>]) -> Vec<Option<Vector2<f64>>> {
     let joins = |pair: &[Point2<f64>]| {
         let [a, b] = [pair[0].coords, pair[1].coords];
@@ -37,7 +37,7 @@ pub(crate) fn normals(laser: Point2<f64>, points: &[Point2<f64>]) -> Vec<Option<
         let by_angle = apart <= FARTHEST * FARTHEST && a.perp(&b).abs() <= NEIGHBOURS.tan() * a.dot(&b);
         (by_angle || apart <= NEAR * NEAR).then_some(by_angle)
     };
-    // Whether a point and the one after it lie on one surface, and whether the angle between them says so.
+    // Whether a point and the next one lie on one surface, and whether by the angle between them.
     let joined: Vec<Option<bool>> = points.windows(2).map(joins).collect();
     let variance = (DEVIATIONS * noise(points).clamp(NOISE[0], NOISE[1])).powi(2);
     let of = |number: usize| {
@@ -55,7 +55,7 @@ pub(crate) fn normals(laser: Point2<f64>, points: &[Point2<f64>]) -> Vec<Option<
             None => {
                 let by_angle = joined[first..last].iter().all(|by_angle| *by_angle == Some(true));
                 match by_angle.then(|| round(around, points[number], variance)).flatten() {
-                    // At the end of a round surface nobody knows.
+                    // At the end of a round surface the normal is unknown.
                     Some(normal) => (first < number && number < last).then_some(normal)?,
                     None => beside(&points[first..=number], &points[number..=last], variance)?,
                 }
@@ -70,10 +70,10 @@ pub(crate) fn normals(laser: Point2<f64>, points: &[Point2<f64>]) -> Vec<Option<
     (0..points.len()).map(of).collect()
 }
 
-/// The normal that the neighbours on one side of a point tell, where they lie on a straight surface with it: of both sides the longer one.
+/// The normal from the neighbours on one side of a point, if they lie on a straight surface with it; of both sides, the longer one.
 fn beside(before: &[Point2<f64>], after: &[Point2<f64>], variance: f64) -> Option<Vector2<f64>> {
     let holds = |line: &Line| line.holds(SURER * variance) && 12.0 * line.along >= SHORTEST * SHORTEST;
-    // The longest stretch from the point on, as far as all shorter ones hold, too.
+    // The longest stretch from the point on for which all shorter ones hold, too.
     let longest = |stretches: &mut dyn Iterator<Item = &[Point2<f64>]>| {
         let lines = stretches.filter_map(Line::through);
         lines
@@ -112,7 +112,7 @@ struct Line {
 }
 
 impl Line {
-    /// The best one through three points and more.
+    /// The best line through at least three points.
     fn through(points: &[Point2<f64>]) -> Option<Self> {
         if points.len() < 3 {
             return None;
@@ -139,7 +139,7 @@ impl Line {
     }
 }
 
-/// The normal at one of the points of the parabola over their chord on which they lie with at most this variance, m², if they do.
+/// The normal at one of the points, from a parabola over their chord, if they lie on it with at most this variance, m².
 fn round(points: &[Point2<f64>], at: Point2<f64>, variance: f64) -> Option<Vector2<f64>> {
     let [first, .., last] = points else { return None };
     let along = (last - first).try_normalize(f64::EPSILON)?;
@@ -162,7 +162,7 @@ fn round(points: &[Point2<f64>], at: Point2<f64>, variance: f64) -> Option<Vecto
 mod tests {
     use super::*;
 
-    /// Points seen from the origin at these ranges, a degree apart about straight ahead, each off by up to 4 mm.
+    /// Points seen from the origin at these ranges, a degree apart, centred straight ahead, each off by up to 4 mm.
     fn seen(range: impl Fn(f64) -> f64) -> Vec<Point2<f64>> {
         let of = |beam: i32| {
             let angle = f64::from(beam).to_radians();
@@ -182,7 +182,7 @@ mod tests {
 
     #[test]
     fn a_pillar_looks_away_from_its_middle() {
-        // Of 0.3 m radius, 2 m away.
+        // A radius of 0.3 m, 2 m away.
         let range = |angle: f64| 2.0 * angle.cos() - (0.09 - (2.0 * angle.sin()).powi(2)).max(0.0).sqrt();
         let points: Vec<_> = seen(range).into_iter().filter(|point| point.y.abs() < 0.25).collect();
         let normals = normals(Point2::origin(), &points);

@@ -1,11 +1,11 @@
-//! Odometry filter. How good is odometry, as far as matches have shown, and how well is the pose known that it leads to?
+//! Odometry filter. Learns the quality of odometry from matches, and predicts the certainty of the pose it leads to.
 //!
-//! The settings say what any robot's odometry may be like. How this one's is shows as it drives: a wheel that is larger than stated makes
-//! every step shorter by the same share, and steps that matches confirm to a millimetre need not be doubted by a centimetre. Both are
-//! learned from matches that know the direction in question; what nothing shows stays as the settings have it.
+//! The settings bound the odometry of any robot. The odometry of this robot shows while driving: a wheel larger than stated makes every
+//! step shorter by the same share, and steps that matches confirm to a millimetre need not be doubted by a centimetre. Both are learned
+//! from matches that constrain the direction in question; whatever is not observed stays as set.
 //!
-//! A Kalman filter over the pose in the map around it and the scale: where scans tell little of a direction, the error of odometry adds up
-//! until they do, and is then theirs to correct.
+//! A Kalman filter over the scale and the pose in the surrounding map: where scans do not constrain a direction, the error of odometry
+//! accumulates until they do, and they then correct it.
 
 use nalgebra::{Matrix2, Matrix3, Matrix4, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
@@ -14,37 +14,37 @@ use zenav_protocol::geometry::Pose2;
 use crate::information::odometry_information;
 use crate::settings::OdometrySettings;
 
-/// Steps over which is averaged.
+/// Number of steps averaged over.
 const MEMORY: f64 = 200.0;
-/// Odometry is never trusted more than this times what the settings say, in variance.
+/// Lower bound on the learned variance, as a share of that in the settings.
 const LEAST: f64 = 0.01;
-/// A correction of more than this many standard deviations, squared, is a slip or a wrong match: it shows no scale.
+/// A correction of more than this many standard deviations, squared, is a slip or a wrong match: the scale is not learned from it.
 const OUTLIER: f64 = 9.0;
-/// Standard deviation of the scale before anything was seen, and what it never falls below: tyres and floors change.
+/// Standard deviation of the scale at the start, and its lower bound: tyres and floors change.
 const SCALE: [f64; 2] = [0.05, 0.001];
-/// The scale shows after so many matches in a row that told all directions: the first scans of a corridor seem to.
+/// The scale is learned after this many matches in a row that constrain all directions: the first scans of a corridor seem to.
 const TOLD: u32 = 2;
-/// No wheel is smaller or larger than stated by more.
+/// Bounds on the scale of the wheels.
 const SCALES: [f64; 2] = [0.8, 1.25];
 /// Added to a covariance before it is inverted, m² and rad².
 const LEAST_VARIANCE: f64 = 1e-12;
 
-/// Pose in the map and scale of odometry, as far as matches told them.
+/// Pose in the map and scale of odometry, as learned from matches.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct OdometryFilter {
     /// How much longer a step is than stated, as a factor.
     scale: f64,
-    /// Variance against that of the settings: of the position, of the heading.
+    /// Variance relative to the settings: of the position, of the heading.
     variance: [f64; 2],
-    /// Steps, by how much their matches knew, that these rest on.
+    /// Number of steps behind these, weighted by how much their matches knew.
     seen: [f64; 2],
-    /// Matches in a row whose scans told all directions.
+    /// Matches in a row whose scans constrained all directions.
     told: u32,
-    /// Covariance of the pose at the last match in the map around it, in its own frame (m, m, rad), and of the scale.
+    /// Covariance of the pose at the last match in the surrounding map, in its own frame (m, m, rad), and of the scale.
     known: [[f64; 4]; 4],
 }
 
-/// What odometry says of where a step from the last match led: the covariance of pose and scale.
+/// The prediction of odometry for a step from the last match: the covariance of pose and scale.
 #[derive(Clone, Copy, Debug)]
 pub struct ExpectedStep {
     known: Matrix4<f64>,
@@ -61,7 +61,7 @@ impl OdometryFilter {
         known: [[0.0; 4], [0.0; 4], [0.0; 4], [0.0, 0.0, 0.0, SCALE[0] * SCALE[0]]],
     };
 
-    /// This, where all of it can be.
+    /// Returns the filter if all its numbers are valid.
     #[must_use]
     pub fn checked(self) -> Option<Self> {
         let positive = [self.variance, self.seen].concat();
@@ -71,13 +71,13 @@ impl OdometryFilter {
         is_sane.then_some(self)
     }
 
-    /// A step as it was in truth, as far as is known.
+    /// A step, corrected by the learned scale.
     #[must_use]
     pub fn corrected(&self, step: Pose2) -> Pose2 {
         Pose2::new(step.x * self.scale, step.y * self.scale, step.yaw)
     }
 
-    /// Information of a step, frame of its end.
+    /// Information of a step, in the frame of its end.
     #[must_use]
     pub fn information(&self, step: Pose2, settings: &OdometrySettings) -> Matrix3<f64> {
         let [position, heading] = self.variance.map(f64::sqrt).map(f64::recip);
@@ -85,7 +85,7 @@ impl OdometryFilter {
         trust * odometry_information(step, settings) * trust
     }
 
-    /// How well the end of a step from the last match is known.
+    /// The certainty of the end of a step from the last match.
     #[must_use]
     pub fn expected(&self, step: Pose2, settings: &OdometrySettings) -> ExpectedStep {
         let (sin, cos) = step.yaw.sin_cos();
@@ -106,14 +106,14 @@ impl OdometryFilter {
         ExpectedStep { known }
     }
 
-    /// Goes on without a match.
+    /// Continues without a match.
     pub fn go_on(&mut self, expected: &ExpectedStep) {
         self.told = 0;
         self.known = expected.known.transpose().into();
     }
 
-    /// Learns from a match, `off` from where it was expected, in the frame of the scan; `scan`: the information of the scan alone, and
-    /// whether it tells all directions.
+    /// Learns from a match, `off` from the expected pose, in the frame of the scan; `scan`: the information of the scan alone; `tells_all`:
+    /// whether it constrains all directions.
     pub fn learn(&mut self, expected: &ExpectedStep, off: Pose2, scan: &Matrix3<f64>, tells_all: bool) {
         let last = *self;
         let before = expected.pose();
@@ -134,7 +134,7 @@ impl OdometryFilter {
             self.variance[which] *= 1.0 + rate * (ratio - 1.0);
             self.variance[which] = self.variance[which].clamp(LEAST, 1.0);
         }
-        // The scale goes with the pose as far as the two hang together.
+        // The scale is corrected with the pose as far as the two are correlated.
         let mixed = expected.known.fixed_view::<1, 3>(3, 0).into_owned();
         let along = mixed * gain;
         let mut spread = expected.known[(3, 3)];
@@ -150,11 +150,11 @@ impl OdometryFilter {
         known.fixed_view_mut::<3, 1>(0, 3).copy_from(&mixed.transpose());
         known[(3, 3)] = spread.max(SCALE[1] * SCALE[1]);
         self.known = known.transpose().into();
-        // Odometry of 1e200 m, too, is a number.
+        // Odometry of 1e200 m is a finite number, too: the filter keeps its last valid state.
         *self = self.checked().unwrap_or(last);
     }
 
-    /// The pose is known by a match alone.
+    /// Restarts with a pose that is known by a match alone.
     pub fn begin_anew(&mut self, scan: &Matrix3<f64>) {
         self.told = 0;
         let pose = (scan + Matrix3::identity())
@@ -172,7 +172,7 @@ impl ExpectedStep {
         self.known.fixed_view::<3, 3>(0, 0) + Matrix3::identity() * LEAST_VARIANCE
     }
 
-    /// Standard deviation of the position in the direction in which it is known least, m.
+    /// Standard deviation of the position in its least certain direction, m.
     #[must_use]
     pub fn deviation(&self) -> f64 {
         let [[xx, xy], [_, yy]] = self.known.fixed_view::<2, 2>(0, 0).into_owned().into();
@@ -190,7 +190,8 @@ impl ExpectedStep {
 mod tests {
     use super::*;
 
-    /// Drives straight on in steps of 10 cm by wheels that are 5 % larger than stated; some scans tell all to a centimetre, the others nothing.
+    /// Drives straight on in steps of 10 cm with wheels 5 % larger than stated; some scans constrain everything to a centimetre, the others
+    /// nothing.
     fn driven(steps: u32, tells: impl Fn(u32) -> bool) -> OdometryFilter {
         let settings = OdometrySettings::default();
         let scan = Matrix3::from_diagonal(&Vector3::new(1e4, 1e4, 1e6));
@@ -217,7 +218,7 @@ mod tests {
 
     #[test]
     fn they_show_where_scans_tell_now_and_then() {
-        // Of every three metres two tell nothing.
+        // Two of every three metres without information.
         let odometry = driven(300, |step| step % 30 < 10);
         assert!((odometry.scale - 1.05).abs() < 0.01, "{}", odometry.scale);
     }

@@ -1,4 +1,4 @@
-//! Points. Which points did a scan see, in the frame of the robot's base?
+//! Points. The points of a scan in the frame of the robot's base.
 
 use nalgebra::{Point2, Vector2};
 use zenav_protocol::geometry::Pose2;
@@ -6,17 +6,17 @@ use zenav_protocol::messages::Scan;
 
 use crate::settings::ScanSettings;
 
-/// Neighbouring returns that are farther apart than this lie on two surfaces, m.
+/// Neighbouring returns farther apart than this lie on two surfaces, m.
 const JUMP: f64 = 0.1;
 
-/// Returns that become one point.
+/// Returns that are merged into one point.
 #[derive(Default)]
 struct Group {
     sum: Vector2<f64>,
     count: u32,
-    /// Beam and place of the last one.
+    /// Beam and position of the last one.
     last: Option<(usize, Point2<f64>)>,
-    /// What their beams span at their ranges, m.
+    /// Arc that their beams span at their ranges, m.
     arc: f64,
 }
 
@@ -33,12 +33,12 @@ impl Group {
     }
 }
 
-/// Points of a scan in the frame of the base at its stamp, thinned: neighbouring returns become their mean as long as all lie within
-/// `spacing` of the first by their beams' directions. Which returns belong together must not depend on their noise: points that were taken
-/// for being far from the last one would all be off to one side, and turn the map.
+/// Points of a scan in the frame of the base at its stamp, thinned: neighbouring returns are averaged as long as all lie within `spacing`
+/// of the first by the directions of their beams. The grouping must not depend on noise: points selected for being far from the last one
+/// would all be off to one side, and turn the map.
 ///
-/// `step`: how the base moved in the `elapsed` seconds before the stamp, by odometry, as `before_from_now`. With a sweep's duration the
-/// points are moved to where they would have been seen at the stamp.
+/// `step`: how the base moved in the `elapsed` seconds before the stamp, by odometry, as `before_from_now`. With a sweep's duration set,
+/// the points are moved to where they would have been seen at the stamp.
 #[must_use]
 pub fn points(scan: &Scan, step: Pose2, elapsed: f64, settings: &ScanSettings) -> Vec<Point2<f64>> {
     let range_max = scan.range_max.min(settings.max_range);
@@ -59,7 +59,7 @@ pub fn points(scan: &Scan, step: Pose2, elapsed: f64, settings: &ScanSettings) -
             .base_from_laser
             .transform_point(Point2::new(length * cos, length * sin));
         if share > 0.0 {
-            // The base stood where a share of the step, backwards, leads to.
+            // The base was at this share of the step, backwards.
             let back = share * (1.0 - number as f64 / count);
             point = Pose2::IDENTITY
                 .interpolate(&step.inverse(), back.min(1.0))
@@ -84,7 +84,7 @@ mod tests {
     use super::*;
     use zenav_protocol::time::Stamp;
 
-    /// Two walls at 1 m to the left and to the right, each range off by up to so much.
+    /// Two walls 1 m to the left and to the right, each range off by `noise`.
     fn corridor(noise: impl Fn(usize) -> f64) -> Scan {
         let (count, from) = (480, -0.5 * std::f64::consts::PI - 0.5);
         let increment = -2.0 * from / f64::from(count - 1);

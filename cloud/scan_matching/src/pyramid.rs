@@ -1,12 +1,12 @@
-//! Bounded pyramid. What can a point meet at most that may lie in any cell of a square?
+//! Bounded pyramid. Upper bounds on the likelihood of a point that may lie in any cell of a square.
 //!
-//! A table holds the largest value over squares of so many cells, one square for each cell or, for large squares, for every quarter of a side:
-//! a block of positions, and the cells over which a group of headings spreads a point, fit closely into one of them. Squares of twice the
-//! side follow from those before. All tables together take about four times the memory of the field.
+//! A table holds the largest value over squares of one size, one square for each cell or, for large squares, for every quarter of a side. A
+//! block of positions, together with the cells over which a group of headings spreads a point, fits closely into one of them. Squares of
+//! twice the side are computed from the previous ones. All tables together take about four times the memory of the field.
 
 use crate::field::LikelihoodField;
 
-/// Sides of the first squares, cells; those after them are twice as large as the ones before the last.
+/// Sides of the first squares, cells; each later one is twice as large as the one before the last.
 const FIRST: [u32; 3] = [2, 4, 6];
 
 /// Largest values over growing squares of a field.
@@ -17,21 +17,21 @@ pub struct Pyramid {
     tables: Vec<Table>,
 }
 
-/// The largest values over all squares of a size.
+/// The largest values over all squares of one size.
 #[derive(Clone, Debug)]
 struct Table {
-    /// Any square of so many cells each way lies within what one value covers.
+    /// Any square of this many cells each way lies within the area that one value covers.
     side: u32,
-    /// There is a value for every two to this power cells, each way.
+    /// There is one value for every two to this power cells, each way.
     shift: u32,
-    /// So many cells to the left of the field, and below it, is the first square: whole steps.
+    /// Offset of the first square to the left of the field and below it, cells: whole steps.
     pad: i32,
     width: u32,
     height: u32,
     values: Vec<u8>,
 }
 
-/// The same to look at, the field itself among them as squares of one cell.
+/// A view of a table; the field itself counts as squares of one cell.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Squares<'a> {
     shift: u32,
@@ -48,13 +48,13 @@ pub(crate) struct Spots {
     /// Column and row of the lower left of all squares, and of the upper right.
     low: (i32, i32),
     high: (i32, i32),
-    /// From the lower left one to each, in values; none where they reach farther than the table.
+    /// Offsets of the squares from the lower-left one, in values; empty if they reach farther than the table.
     offsets: Vec<u32>,
 }
 
 impl Pyramid {
-    /// The pyramid of a field, with squares for blocks of `2^highest` cells and groups of headings that spread a point by half as many. Cost:
-    /// some looks a cell.
+    /// The pyramid of a field, with squares for blocks of `2^highest` cells and groups of headings that spread a point by half as many.
+    /// Cost: a few operations per cell.
     #[must_use]
     pub fn new(field: LikelihoodField, highest: u32) -> Self {
         let highest = highest.min(16);
@@ -82,7 +82,7 @@ impl Pyramid {
         Self { field, highest, tables }
     }
 
-    /// The field at its foot.
+    /// The underlying field.
     #[must_use]
     pub fn field(&self) -> &LikelihoodField {
         &self.field
@@ -94,14 +94,14 @@ impl Pyramid {
         self.highest
     }
 
-    /// What a point can meet at most in the `side` cells each way from the cell `(x, y)` on, up and right, counted from the field's lower left. With a
-    /// side of one it is the value of the cell itself; one that is larger than all squares tells nothing.
+    /// Upper bound on the value in the `side` cells each way from the cell `(x, y)` on, up and right, counted from the field's lower left.
+    /// With a side of one it is the value of the cell itself; a side larger than all squares has no bound.
     #[must_use]
     pub fn bound(&self, side: u32, x: i32, y: i32) -> u8 {
         self.squares(side).map_or(u8::MAX, |squares| squares.at(x, y))
     }
 
-    /// The squares of a side, or the smallest ones that hold them; `None` where all are smaller.
+    /// The squares of a side, or the smallest ones that contain them; `None` if all are smaller.
     pub(crate) fn squares(&self, side: u32) -> Option<Squares<'_>> {
         if side <= 1 {
             let spec = self.field.spec();
@@ -127,7 +127,7 @@ impl Pyramid {
 impl Squares<'_> {
     #[inline]
     fn at(&self, x: i32, y: i32) -> u8 {
-        // What is negative wraps to something too large.
+        // Negative numbers wrap to something too large.
         let (column, row) = (self.line(x) as u32, self.line(y) as u32);
         if column < self.width && row < self.height {
             self.values[row as usize * self.width as usize + column as usize]
@@ -136,13 +136,13 @@ impl Squares<'_> {
         }
     }
 
-    /// The column of a cell's square, or its row.
+    /// The column, or row, of a cell's square.
     fn line(&self, cell: i32) -> i32 {
         cell.wrapping_add(self.pad) >> self.shift
     }
 
-    /// Adds up what points can meet at most in each of four blocks, `half` cells wide: one moved by `(x, y)`, whole halves, and those to its
-    /// right, above it, and above and to the right.
+    /// Adds up the bounds of points in each of four blocks, `half` cells wide: one moved by `(x, y)`, whole halves, and those to its right,
+    /// above it, and above and to the right.
     #[inline]
     pub(crate) fn add(&self, spots: &Spots, x: i32, y: i32, half: i32, sums: &mut [u32; 4]) {
         let (column, row, step) = (x >> self.shift, y >> self.shift, half >> self.shift);
@@ -176,7 +176,7 @@ impl Squares<'_> {
 }
 
 impl Spots {
-    /// The spots of cells; without squares there is no bound on what is met there.
+    /// The spots of cells; without squares they have no bound.
     pub(crate) fn new(cells: Vec<(i32, i32)>, squares: Option<&Squares>) -> Self {
         let Some(table) = squares else {
             return Self {
@@ -202,19 +202,20 @@ impl Spots {
         }
     }
 
-    /// What they score at most.
+    /// Their largest possible score.
     pub(crate) fn most(&self) -> u32 {
         self.cells.len() as u32 * u32::from(u8::MAX)
     }
 }
 
-/// Where four blocks begin that are so many cells wide and lie two by two.
+/// Corners of four blocks of this side that lie two by two.
 pub(crate) fn corners(side: i32) -> [(i32, i32); 4] {
     [(0, 0), (side, 0), (0, side), (side, side)]
 }
 
 impl Table {
-    /// The table for squares of a larger side, of those of one that is at least half as large; `shift`: its own, at most one above.
+    /// The table for squares of a larger side, from one whose side is at least half as large; `shift`: of the new table, at most one above
+    /// this one's.
     fn widened(&self, side: u32, shift: u32, field: &LikelihoodField) -> Self {
         let step = 1_u32 << shift;
         // A value covers every square that begins within its step.
@@ -223,8 +224,8 @@ impl Table {
         let pad = (covered - 1).next_multiple_of(step);
         let count = |length: u32| (length + pad).div_ceil(step);
         let (width, height) = (count(field.spec().width), count(field.spec().height));
-        // Where the squares of this table begin that together cover one of the new table, of the first one: the last ends with it. From one to the
-        // next it is as many values as there are for a step.
+        // Where the squares of this table begin that together cover the first one of the new table; the last of them ends with it. From one
+        // to the next there are as many values as in a step.
         let offsets = [0, self.side.min(covered - own), covered - own];
         let starts = offsets.map(|offset| (offset as i32 + self.pad - pad as i32) >> self.shift);
         let stride = 1_usize << (shift - self.shift);
@@ -262,7 +263,7 @@ impl Table {
     }
 }
 
-/// Each value becomes the larger of it and another one.
+/// Replaces each value by the larger of it and another one.
 fn raise(values: &mut [u8], others: &[u8]) {
     raise_by(values, others.iter());
 }

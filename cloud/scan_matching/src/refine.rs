@@ -1,13 +1,12 @@
-//! Refinement. Where exactly does a scan fit, how well is that known, and in which direction is it not?
+//! Refinement. Refines a scan's pose beyond cells, with its certainty and the direction that it does not constrain.
 //!
 //! Minimises `Σ σ² (1 - m(p))` over the points, `m = exp(-d² / 2σ²)` the smooth likelihood field, and a prior. Near a surface that is half
-//! the squared distance, far from it a constant: Gauss and Newton's steps with weights `m` (Welsch's robust kernel), along the normals of
+//! the squared distance, far from it a constant: Gauss-Newton steps with weights `m` (Welsch's robust kernel), along the normals of
 //! surfaces. The information returned is that of these distances, and counts neighbouring points as one: it does not grow with the number
 //! of beams alone.
 //!
-//! A field is as sharp as its `σ` and as the noise of the scans in it. Where [surfels](Surfels) are at hand, [`Refinable::polish`] goes on
-//! from there: points whose neighbours show a surface are drawn to the surfels, along the mean of both normals; the others to
-//! the field.
+//! A field is only as sharp as its `σ` and the noise of the scans in it. If [surfels](Surfels) are available, [`Refinable::polish`]
+//! continues from there: points with a known normal are drawn to the surfels, along the mean of both normals, the others to the field.
 
 use nalgebra::{Matrix2, Matrix3, Point2, Rotation2, Vector2, Vector3};
 use zenav_protocol::geometry::{Pose2, wrap_angle};
@@ -17,28 +16,29 @@ use crate::normals::normals;
 use crate::settings::RefineSettings;
 use crate::surfels::Surfels;
 
-/// Points with a likelihood below this do not pull: nothing known is near.
+/// Points with a likelihood below this have no pull: no known surface is near.
 const NEAR: f64 = 0.02;
-/// A scan is not believed to know the heading otherwise by more than this, rad.
+/// Largest correction of the heading by the scan alone, rad.
 const FARTHEST_TURN: f64 = 0.03;
-/// A parabola about a match on surfels is trusted so far, m.
+/// Range in which the parabola around a match on surfels is valid, m.
 const FARTHEST_STEP: f64 = 0.04;
-/// Surfels that would have a scan farther off than this, m and rad, are others.
+/// If surfels would move a scan farther than this, m and rad, they are the wrong ones.
 const ELSEWHERE: (f64, f64) = (0.1, 0.05);
-/// Points on surfels from which these count.
+/// Least number of points on surfels for these to count.
 const FEWEST: usize = 20;
-/// Points without a normal count in polishing from this likelihood on: farther away lies another surface, as the other side of a wall.
+/// Points without a normal count in polishing from this likelihood on: a surface farther away is a different one, such as the other side of
+/// a wall.
 const SURE: f64 = 0.8;
-/// Normals of a wall are off by as much, rad: a direction in which a scan says no more than that of the one across is not told.
+/// Error of a wall's normals, rad: a direction in which the scan has no more information than this error causes counts as unconstrained.
 const TILT: f64 = 0.1;
-/// Standard deviation of a point about its surfel, m: farther off it pulls less.
+/// Standard deviation of a point around its surfel, m: farther off it pulls less.
 const TOUCHING: f64 = 0.05;
-/// Added to the diagonal, so that a scan without any point near stays where the prior is.
+/// Added to the diagonal, so that a scan without any point near a surface stays at the prior.
 const LEAST_INFORMATION: f64 = 1e-9;
-/// Added where a direction was left out, and rounding must not bring it back: known to 30 m or rad.
+/// Added where a direction was left out, so that rounding does not bring it back: known to 30 m or rad.
 const UNKNOWN: f64 = 1e-3;
 
-/// What is known of the pose without the scan: odometry.
+/// Knowledge of the pose without the scan: odometry.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Prior {
     /// `field_from_scan` as expected.
@@ -52,20 +52,21 @@ pub struct Prior {
 pub struct Refined {
     /// `field_from_scan`.
     pub pose: Pose2,
-    /// From the pose to the one that the scan alone would have, without the prior: half a field's width (on surfels 0.04 m) and 0.03 rad away
-    /// at most, and not along `degenerate`.
+    /// Transform from the pose to the pose by the scan alone, without the prior: at most half a field's width (on surfels 0.04 m) and 0.03
+    /// rad, and not along `degenerate`.
     pub by_scan: Pose2,
-    /// What the scan alone says: information of x, y (1/m², frame of the scan's pose) and yaw (1/rad²). The prior is not in it.
+    /// Information of the scan alone, without the prior: x, y (1/m², frame of the scan's pose) and yaw (1/rad²).
     pub information: Matrix3<f64>,
     /// Mean likelihood of the points, 0 to 1.
     pub score: f64,
-    /// Unit vector in the frame of the field along which the scan alone does not know the position, if there is one; with two, the worse.
+    /// Unit vector in the frame of the field along which the scan alone does not constrain the position, if there is one; of two, the
+    /// worse.
     pub degenerate: Option<Vector2<f64>>,
 }
 
 impl Refined {
-    /// This match, along `degenerate` where it was expected. What the
-    /// scan says there is not only little but wrong: along a corridor the ends of what is seen of the walls come with the robot. After Zhang, Kaess and Singh, "On degeneracy of optimization-based state
+    /// Moves this match along `degenerate` to the expected pose. The scan's information there is not only weak but wrong: along a corridor
+    /// the visible ends of the walls move with the robot. After Zhang, Kaess and Singh, "On degeneracy of optimization-based state
     /// estimation problems", ICRA 2016.
     #[must_use]
     pub fn expected_where_degenerate(self, expected: Pose2) -> Self {
@@ -84,13 +85,13 @@ impl Refined {
     }
 }
 
-/// A direction that a scan hardly tells. What it says of the position along it is noise, and so is how that hangs together with the rest: of
-/// the rest counts what holds wherever along it the robot is.
+/// A direction that a scan hardly constrains. Its information along that direction is noise, and so is the correlation with the rest: only
+/// what holds for every position along the direction counts.
 #[derive(Clone, Copy, Debug)]
 struct Untold {
     /// Unit vector: x, y, and no turn.
     along: Vector3<f64>,
-    /// What the scan says of the position along it: information with all of the pose, and its own.
+    /// The scan's information along it: mixed with the whole pose, and its own.
     mixed: Vector3<f64>,
     own: f64,
 }
@@ -106,12 +107,12 @@ impl Untold {
         }
     }
 
-    /// Information of all else: that of the marginal distribution.
+    /// Information of the rest: that of the marginal distribution.
     fn without(&self, information: &Matrix3<f64>) -> Matrix3<f64> {
         information - self.mixed * self.mixed.transpose() / self.own
     }
 
-    /// A gradient of all else.
+    /// A gradient of the rest.
     fn across(&self, gradient: Vector3<f64>) -> Vector3<f64> {
         gradient - self.mixed * (self.along.dot(&gradient) / self.own)
     }
@@ -129,11 +130,11 @@ pub fn refine(
     Refinable::new(points).refine(field, start, prior, settings)
 }
 
-/// A scan that is refined from several poses: what takes longest is the same for all of them.
+/// A scan to be refined from several poses; the expensive preparation is shared by all of them.
 #[derive(Clone, Debug)]
 pub struct Refinable<'a> {
     points: &'a [Point2<f64>],
-    /// Of the surfaces that the points lie on.
+    /// Normals of the surfaces at the points.
     normals: Vec<Option<Vector2<f64>>>,
 }
 
@@ -144,7 +145,7 @@ impl<'a> Refinable<'a> {
         Self::seen_from(Point2::origin(), points)
     }
 
-    /// The same of a scan whose beams begin at `laser`, in its frame, m: surfaces look there.
+    /// The same for a scan whose beams begin at `laser`, in its frame, m: normals point towards it.
     #[must_use]
     pub fn seen_from(laser: Point2<f64>, points: &'a [Point2<f64>]) -> Self {
         Self {
@@ -162,7 +163,7 @@ impl<'a> Refinable<'a> {
         prior: Option<&Prior>,
         settings: &RefineSettings,
     ) -> Refined {
-        // A step is short against the width of the field: surfaces keep their direction. Further away the field bends.
+        // Steps are short compared with the width of the field, so surfaces keep their direction. Further away the field bends.
         let surfaces = surfaces(field, self.points, &self.normals, start, Pull::Anywhere);
         let at = |pose| Some(sums(field, self.points, &surfaces, pose, settings));
         let pose = descend(start, prior, field.sigma(), settings, at).unwrap_or(start);
@@ -177,14 +178,14 @@ impl<'a> Refinable<'a> {
         self.points
     }
 
-    /// The normals of the surfaces that the points lie on, towards where they were seen from, where their neighbours show them.
+    /// The normals of the surfaces at the points, towards the laser, where their neighbours determine them.
     #[must_use]
     pub fn normals(&self) -> &[Option<Vector2<f64>>] {
         &self.normals
     }
 
-    /// A match that was [refined](Self::refine) in a field made exact on the surfels that go with it; `None` where few points lie on any, or
-    /// these would have the scan elsewhere.
+    /// Makes a match that was [refined](Self::refine) in a field exact on the surfels that belong to it; `None` if few points lie on
+    /// surfels, or if these would move the scan elsewhere.
     #[must_use]
     pub fn polish(
         &self,
@@ -206,8 +207,8 @@ impl<'a> Refinable<'a> {
         })
     }
 
-    /// Sums over the points at a pose: those with a normal on surfels, the others in the field; `None` where few lie on a surfel. A point with a
-    /// normal and without a surfel is new: in the field it would be drawn to the end of what was known.
+    /// Sums over the points at a pose: those with a normal on surfels, the others in the field; `None` if few lie on a surfel. A point with
+    /// a normal but without a surfel is new: in the field it would be drawn to the end of the known surface.
     fn touches(
         &self,
         field: &LikelihoodField,
@@ -240,7 +241,7 @@ impl<'a> Refinable<'a> {
     }
 }
 
-/// Steps of Gauss and Newton to the minimum of what `at` and a prior say, none longer than `farthest`, m; `None` where `at` says nothing.
+/// Gauss-Newton steps to the minimum of `at` and a prior, none longer than `farthest`, m; `None` where `at` has no value.
 fn descend(
     start: Pose2,
     prior: Option<&Prior>,
@@ -282,8 +283,8 @@ fn descend(
 }
 
 impl Refined {
-    /// Of what a scan alone says at a pose. `farthest`: how far a parabola is trusted, m; a direction known worse than `degenerate_sigma`, m, is
-    /// degenerate.
+    /// From the sums of a scan alone at a pose. `farthest`: range in which the parabola is valid, m; a direction known worse than
+    /// `degenerate_sigma`, m, is degenerate.
     fn new(pose: Pose2, sums: &Sums, farthest: f64, degenerate_sigma: f64) -> Self {
         let information = sums.information;
         let degenerate = degenerate(&information, degenerate_sigma);
@@ -303,7 +304,7 @@ impl Refined {
     }
 }
 
-/// Where the minimum of a parabola with this Hessian and gradient lies, as far as a parabola can be trusted.
+/// The step to the minimum of a parabola with this Hessian and gradient, limited to its range of validity.
 fn newton_step(hessian: &Matrix3<f64>, gradient: Vector3<f64>, farthest: f64) -> Vector3<f64> {
     let known = hessian + Matrix3::identity() * UNKNOWN;
     let step = known
@@ -313,27 +314,27 @@ fn newton_step(hessian: &Matrix3<f64>, gradient: Vector3<f64>, farthest: f64) ->
     step / too_far.max(1.0)
 }
 
-/// Where a point pulls whose surface the field alone shows.
+/// Direction of pull of a point whose surface only the field shows.
 #[derive(Clone, Copy, Debug)]
 enum Pull {
-    /// To the nearest that is known.
+    /// To the nearest known surface point.
     Anywhere,
     /// Across the surface.
     Across,
 }
 
-/// How a point pulls.
+/// The pull of a point.
 #[derive(Clone, Copy, Debug)]
 struct Surface {
-    /// `n nᵀ` of the normal of the surface that it lies on; shorter where that has no one direction.
+    /// `n nᵀ` of the normal of its surface; shorter if the surface has no single direction.
     plane: Matrix2<f64>,
-    /// In which directions it pulls.
+    /// The directions in which it pulls.
     pull: Matrix2<f64>,
 }
 
-/// The surface of each point. Where neighbours in the scan show its direction, it pulls across it alone: the end of what is seen of a wall
-/// moves along it with the robot, and would draw the scan back to where it ended before. Elsewhere the slopes of the field around the point
-/// tell its direction.
+/// The surface of each point. Where the neighbours in the scan determine its normal, the point pulls only across the surface: the visible
+/// end of a wall moves along it with the robot, and would draw the scan back to where it ended before. Elsewhere the slopes of the field
+/// around the point give the direction.
 fn surfaces(
     field: &LikelihoodField,
     points: &[Point2<f64>],
@@ -365,7 +366,7 @@ fn surfaces(
     placed(pose, points).into_iter().zip(normals).map(of).collect()
 }
 
-/// What the points of a scan say at a pose.
+/// Sums over the points of a scan at a pose.
 #[derive(Clone, Copy, Debug, Default)]
 struct Sums {
     /// Of the pose, axes of the field.
@@ -377,7 +378,7 @@ struct Sums {
 }
 
 impl Sums {
-    /// A point with the information of its place, and where it is drawn to, m.
+    /// Adds a point with the information of its position, and its displacement, m.
     fn add(&mut self, point: Point2<f64>, plane: &Matrix2<f64>, drawn: Vector2<f64>, pose: Pose2) {
         let lever = Vector2::new(pose.y - point.y, point.x - pose.x);
         self.gradient -= Vector3::new(drawn.x, drawn.y, drawn.dot(&lever));
@@ -395,7 +396,7 @@ impl Sums {
         );
     }
 
-    /// A point that the field draws across its surface, if its likelihood is at least `least`.
+    /// Adds a point that the field draws across its surface, if its likelihood is at least `least`.
     fn add_likely(&mut self, field: &LikelihoodField, point: Point2<f64>, surface: &Surface, pose: Pose2, least: f64) {
         let (likelihood, slope) = field.likelihood(point);
         self.score += likelihood;
@@ -405,7 +406,7 @@ impl Sums {
         }
     }
 
-    /// These over so many points, each known to a standard deviation, m.
+    /// Scales the sums over this many points, each with a standard deviation `sigma`, m.
     fn of(self, points: usize, sigma: f64, settings: &RefineSettings) -> Self {
         let per_point = sigma.powi(-2) / settings.points_per_independent;
         Self {
@@ -431,7 +432,7 @@ fn sums(
     sums.of(points.len(), settings.point_sigma, settings)
 }
 
-/// The direction in which the position is known worst, where that is too little. The heading is unknown too, as far as the scan goes.
+/// The least certain direction of the position, if it is too uncertain, with the heading unknown, too.
 fn degenerate(information: &Matrix3<f64>, degenerate_sigma: f64) -> Option<Vector2<f64>> {
     let plane: Matrix2<f64> = information.fixed_view::<2, 2>(0, 0).into_owned();
     let mixed = Vector2::new(information.m13, information.m23);

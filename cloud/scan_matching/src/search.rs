@@ -1,16 +1,16 @@
-//! Correlative search. Which pose of a window fits best, and by how much better than any other place?
+//! Correlative search. The best-fitting pose of a window, and its margin over any other place.
 //!
-//! The score of a pose is the mean likelihood of the cells that the points fall into (Olson 2009). Headings are tried on a step by which
-//! the farthest point moves a cell. Blocks of positions and, where the window is wide, of headings are bounded by the pyramid, and the block
-//! with the highest bound is split next (branch and bound, best first; Hess et al. 2016). What comes out first is the best of all, not a
-//! good one.
+//! The score of a pose is the mean likelihood of the cells that the points fall into (Olson 2009). The step of the headings moves the
+//! farthest point by one cell. Blocks of positions and, in wide windows, of headings are bounded by the pyramid, and the block with the
+//! highest bound is split next (branch and bound, best first; Hess et al. 2016). The first result is the global optimum, not just a good
+//! pose.
 //!
-//! A block of `2^k` positions each way and `s` headings is bounded from its middle heading: its points lie within `(s - 1) / 2` cells of where
-//! that puts them, so that a square of `2^k + s - 1` cells holds them all. Points beyond the window's [lever](Window::lever) move by twice as
-//! much, by four times as much, and so on.
+//! A block of `2^k` positions each way and `s` headings is bounded from its middle heading: its points lie within `(s - 1) / 2` cells of
+//! their positions there, so that a square of `2^k + s - 1` cells contains them all. Points beyond the window's [lever](Window::lever) move
+//! by twice as much, by four times as much, and so on.
 //!
-//! A block is split into four of half its side, which are scored together. What a part of the points scores in the whole block is the most that
-//! it can score in each of them: mostly a few points tell that none of the four is good enough.
+//! A block is split into four of half its side, which are scored together. The score of a part of the points in the whole block bounds its
+//! score in each of them: mostly a few points suffice to reject all four.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
@@ -20,34 +20,34 @@ use crate::pyramid::{Pyramid, corners};
 use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, wrap_angle};
 
-/// Most poses that are kept while more are looked for.
+/// Most poses kept while the search continues.
 const MOST_KEPT: usize = 400;
 
-/// Where is searched, and for how long.
+/// Search window, and the effort allowed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Window {
     /// Middle of the window, `field_from_scan`.
     pub center: Pose2,
-    /// To each side along x of the field, m.
+    /// Half width along x of the field, m.
     pub reach: f64,
-    /// To each side along y of the field, m.
+    /// Half width along y of the field, m.
     pub across: f64,
-    /// To each side in heading, rad; pi is all around.
+    /// Half width in heading, rad; pi is the full circle.
     pub turn: f64,
-    /// Headings are tried on steps by which points so far out move a cell, m; those farther out move by more. Without a limit it is the
+    /// The step of the headings moves points this far out by one cell, m; those farther out move by more. Without a limit it is the
     /// farthest point.
     pub lever: f64,
-    /// Poses that score less are of no interest, 0 to 1.
+    /// Poses that score less are ignored, 0 to 1.
     pub min_score: f64,
-    /// Poses that score this much less than the best one are of no interest either, 0 to 1.
+    /// Poses that score this much less than the best one are ignored, too, 0 to 1.
     pub within: f64,
-    /// How many distinct poses are wanted, best first.
+    /// Number of distinct poses to return, best first.
     pub count: usize,
-    /// Poses nearer than this, m, and turned by less than [`Self::apart_turn`] are the same place.
+    /// Poses closer than this, m, and turned by less than [`Self::apart_turn`] count as the same place.
     pub apart: f64,
     /// See [`Self::apart`], rad.
     pub apart_turn: f64,
-    /// Blocks that are scored, at most: the work. Some 30 ns each for 60 points.
+    /// Most blocks scored: the effort. Some 30 ns each for 60 points.
     pub budget: usize,
 }
 
@@ -60,19 +60,19 @@ pub struct Candidate {
     pub score: f64,
 }
 
-/// What a search found.
+/// Result of a search.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Search {
-    /// Distinct poses, best first; none where nothing scores enough.
+    /// Distinct poses, best first; empty if nothing scores enough.
     pub found: Vec<Candidate>,
-    /// Whether nothing in the window can score higher than what is said here: the budget sufficed.
+    /// Whether the budget sufficed, so that nothing else in the window can score higher.
     pub is_exact: bool,
     /// Blocks that were scored.
     pub scored: usize,
 }
 
 impl Search {
-    /// By how much the best pose scores higher than the second best place; its own score where there is no second.
+    /// Score margin of the best pose over the second-best place; its own score if there is no second.
     #[must_use]
     pub fn margin(&self) -> Option<f64> {
         let best = self.found.first()?.score;
@@ -80,7 +80,7 @@ impl Search {
     }
 }
 
-/// A block of positions, counted in cells from the lower left of the window, and of headings from the one it names on.
+/// A block of positions, counted in cells from the lower left of the window, and of headings starting at the one it names.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Block {
     bound: u32,
@@ -93,7 +93,8 @@ struct Block {
 }
 
 impl Ord for Block {
-    /// The highest bound first; among equals the finer block, then the order of headings and positions: the result is the same each time.
+    /// The highest bound first; among equals the finer block, then the order of headings and positions, so that the result is
+    /// deterministic.
     fn cmp(&self, other: &Self) -> Ordering {
         let order = |block: &Self| (block.heading, block.y, block.x);
         self.bound
@@ -111,7 +112,7 @@ impl PartialOrd for Block {
 
 /// The best poses of a window, best first.
 ///
-/// Poses are those on the steps of cells and headings about the middle of the window. `points`: of the scan, in its frame, m.
+/// Poses lie on a grid of cells and headings around the middle of the window. `points`: of the scan, in its frame, m.
 ///
 /// ```
 /// use nalgebra::Point2;
@@ -130,7 +131,7 @@ pub fn search(pyramid: &Pyramid, points: &[Point2<f64>], window: &Window) -> Sea
     search_among(pyramid, None, points, window)
 }
 
-/// As [`search`], for a scan that was taken where `places` is above zero: a pyramid over the same cells as `pyramid`.
+/// As [`search`], for a scan that was taken where `places` is above zero; `places` is a pyramid over the same cells as `pyramid`.
 #[must_use]
 pub fn search_among(pyramid: &Pyramid, places: Option<&Pyramid>, points: &[Point2<f64>], window: &Window) -> Search {
     let nothing = Search {
@@ -157,8 +158,8 @@ pub fn search_among(pyramid: &Pyramid, places: Option<&Pyramid>, points: &[Point
     let is_place = |block: &Block| {
         places.is_none_or(|places| places.bound(1 << block.level, corner.0 + block.x, corner.1 + block.y) > 0)
     };
-    // Scores four blocks of a size, two by two, and keeps those that may count. Told is the first of them, with the bounds of a block that
-    // holds them all.
+    // Scores four blocks of one size, two by two, and keeps those that may count. `first` is the first of them, with the bounds of a block
+    // that contains them all.
     let score_four = |first: Block, least: u32, kept: &mut Vec<Block>| -> usize {
         let Block {
             level,
@@ -220,7 +221,7 @@ pub fn search_among(pyramid: &Pyramid, places: Option<&Pyramid>, points: &[Point
         if block.bound < least {
             continue;
         }
-        // A block that lies within the surroundings of a pose that was found, and is no better, is that pose.
+        // A block that lies within the surroundings of a known pose, and is no better, is that pose.
         let side = (1 << block.level) - 1;
         let first = pose_of(block.heading, block.x, block.y);
         let last = pose_of(
@@ -277,8 +278,8 @@ pub fn search_among(pyramid: &Pyramid, places: Option<&Pyramid>, points: &[Point
     }
 }
 
-/// Blocks that are still to be split. The one with the highest bound comes next; where all places are wanted that are about as good as the
-/// best, everything above a bound is looked at anyway, and the newest comes first: that needs no memory.
+/// Blocks still to be split. Normally the block with the highest bound comes next. If all places about as good as the best are wanted,
+/// everything above a bound is examined anyway, so the newest block comes first, which needs little memory.
 #[derive(Default)]
 struct Frontier {
     is_deep: bool,
@@ -305,7 +306,7 @@ impl Frontier {
     }
 }
 
-/// Keeps a pose, best first, unless a better one is the same place; those that are the same place and worse go.
+/// Keeps a pose, best first, unless a better one is the same place; worse ones at the same place are dropped.
 fn keep(found: &mut Vec<(u32, Candidate)>, score: u32, candidate: Candidate, window: &Window) {
     let is_same = |known: &Candidate| {
         known.pose.distance(&candidate.pose) < window.apart
@@ -320,7 +321,7 @@ fn keep(found: &mut Vec<(u32, Candidate)>, score: u32, candidate: Candidate, win
     found.truncate(MOST_KEPT.max(window.count));
 }
 
-/// Whether every pose of a block, from its first to its last one, is the same place as one that is known.
+/// Whether every pose of a block, from its first to its last, is the same place as a known one.
 fn is_around(known: &Candidate, first: Pose2, last: Pose2, window: &Window) -> bool {
     let known = known.pose;
     let farthest = |first: f64, known: f64, last: f64| (known - first).max(last - known);
@@ -330,7 +331,7 @@ fn is_around(known: &Candidate, first: Pose2, last: Pose2, window: &Window) -> b
 }
 
 impl Window {
-    /// A window that asks for the best pose alone, of any score, with a budget of a million blocks.
+    /// A window that asks for the single best pose, of any score, with a budget of a million blocks.
     #[must_use]
     pub fn around(center: Pose2, reach: f64, turn: f64) -> Self {
         Self {

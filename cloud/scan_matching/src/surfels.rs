@@ -1,8 +1,8 @@
-//! Surfels. Where exactly is the surface that a point was seen on?
+//! Surfels. Exact positions of the surfaces that points were seen on.
 //!
-//! A likelihood field keeps the best of all points: where many scans saw a wall, each with its noise, its ridge is as wide and flat as that
-//! noise, and a scan may lie anywhere on it. A surfel is their mean: of the points in a cell whose surfaces look the same way, as a place
-//! and a normal.
+//! A likelihood field keeps the best of all points. Where many scans saw a wall, each with its noise, its ridge is as wide and flat as that
+//! noise, and a scan may lie anywhere on it. A surfel is the mean of the points in a cell whose surfaces have similar normals, as a
+//! position and a normal.
 
 use nalgebra::{Point2, Rotation2, Vector2};
 use rustc_hash::FxHashMap;
@@ -12,13 +12,13 @@ use crate::field::placed;
 
 /// Side of a cell, m.
 const SIDE: f64 = 0.2;
-/// Cosine of the angle between two normals that look the same way.
+/// Cosine of the largest angle between two similar normals.
 const ALIKE: f64 = 0.8;
 /// A point belongs to a surfel at most this far across it, m.
 const ACROSS: f64 = 0.15;
-/// A point is taken into a surfel whose middle is at most this far away, m.
+/// A point is added to a surfel whose middle is at most this far away, m.
 const WITHIN: f64 = 0.75 * SIDE;
-/// Scans after which a surfel stays as it is: with a mean that goes on, the map would follow the drift of those who draw it.
+/// Scans after which a surfel is fixed: with a running mean, the map would follow the drift of the scans that draw it.
 const SETTLED: u32 = 12;
 
 /// Column and row of a cell.
@@ -32,33 +32,33 @@ struct Surfel {
     /// Sum of their normals.
     normal: Vector2<f64>,
     count: f64,
-    /// Scans that they are of, and the last of these.
+    /// Number of scans that they come from, and the last of these.
     scans: u32,
     last: u32,
 }
 
-/// What a point lies on.
+/// The surface that a point lies on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Touch {
     /// Unit vector across the surface.
     pub(crate) normal: Vector2<f64>,
     /// Distance of the point from the surface along it, m.
     pub(crate) distance: f64,
-    /// How much the point tells, 0 to 1, against one on a surface without an error of its own.
+    /// Weight of the point, 0 to 1, relative to one on a surface without an error of its own.
     pub(crate) trust: f64,
 }
 
-/// The surfaces that some scans saw.
+/// The surfaces seen by some scans.
 #[derive(Clone, Debug, Default)]
 pub struct Surfels {
     cells: FxHashMap<Key, Vec<Surfel>>,
-    /// Scans so far.
+    /// Number of scans so far.
     scans: u32,
 }
 
 impl Surfels {
-    /// Adds the points of a scan seen from a pose: `map_from_scan`; points, m, and their surfaces' normals, towards where they were seen
-    /// from, in the scan's frame. Those without a normal are left out.
+    /// Adds the points of a scan seen from a pose: `map_from_scan`; points, m, and the normals of their surfaces, towards the laser, in the
+    /// scan's frame. Points without a normal are left out.
     pub fn insert(&mut self, map_from_scan: Pose2, points: &[Point2<f64>], normals: &[Option<Vector2<f64>>]) {
         let turn = Rotation2::new(map_from_scan.yaw);
         self.scans += 1;
@@ -66,7 +66,7 @@ impl Surfels {
             let Some(normal) = normal.map(|normal| turn * normal) else {
                 continue;
             };
-            // A wall on the border of two cells is one all the same.
+            // A wall on the border of two cells stays one surfel.
             let known = self
                 .nearest(point, normal)
                 .filter(|(_, _, surfel)| (point - surfel.at).norm() <= WITHIN);
@@ -85,13 +85,13 @@ impl Surfels {
         }
     }
 
-    /// What a point on a surface with this normal lies on: of the surfels around it that look the same way, the nearest.
+    /// The surface under a point with this normal: the nearest of the surrounding surfels with a similar normal.
     pub(crate) fn touched(&self, point: Point2<f64>, normal: Vector2<f64>) -> Option<Touch> {
         let (_, _, surfel) = self.nearest(point, normal)?;
         Some(surfel.touch(point, normal))
     }
 
-    /// The cell, the number and the nearest surfel itself, in a point's cell and those beside it along a normal, that looks the same way.
+    /// The nearest surfel with a similar normal, in a point's cell and those beside it along the normal, with its cell and number.
     fn nearest(&self, point: Point2<f64>, normal: Vector2<f64>) -> Option<(Key, usize, &Surfel)> {
         let [here, above, below] = [0.0, SIDE, -SIDE].map(|away| cell(point + normal * away));
         let others = [above, below].into_iter().filter(|cell| *cell != here);
@@ -127,8 +127,8 @@ impl Surfel {
         }
     }
 
-    /// Along the middle of both normals two points of a circle have no distance: pillars are round. After Rusinkiewicz, "A symmetric objective
-    /// function for ICP", 2019.
+    /// Along the mean of both normals two points of a circle have no distance: pillars are round. After Rusinkiewicz, "A symmetric
+    /// objective function for ICP", 2019.
     fn touch(&self, point: Point2<f64>, normal: Vector2<f64>) -> Touch {
         let normal = (self.normal.normalize() + normal).normalize();
         Touch {
@@ -148,7 +148,7 @@ fn cell(point: Point2<f64>) -> Key {
 mod tests {
     use super::*;
 
-    /// A wall along x at y = 2, seen from below, each point off by up to a centimetre to one side or the other.
+    /// A wall along x at y = 2, seen from below, each point off by a centimetre to one side or the other.
     fn wall(sign: f64) -> (Vec<Point2<f64>>, Vec<Option<Vector2<f64>>>) {
         let of = |number: i32| {
             let off = if number % 2 == 0 { 0.01 } else { -0.01 };

@@ -1,6 +1,6 @@
-//! Verdict. Does a scan fit where it was put?
+//! Verdict. Decides whether a scan fits at its pose.
 //!
-//! Two numbers that a covariance does not have: the share of the points that something known explains, and the share of the beams that go
+//! Two numbers that a covariance does not have: the share of the points explained by a known surface, and the share of the beams that go
 //! through a wall (as emcl2 does). A pose in the wrong room can score well on the first; seldom on both.
 
 use nalgebra::Point2;
@@ -9,18 +9,18 @@ use zenav_protocol::geometry::Pose2;
 use crate::field::{LikelihoodField, placed};
 use crate::settings::VerdictSettings;
 
-/// How well a scan fits.
+/// The verdict on a scan at a pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Verdict {
-    /// Share of the points that lie on something known, 0 to 1.
+    /// Share of the points that lie on a known surface, 0 to 1.
     pub explained: f64,
-    /// Share of the beams that pass something known well before their end, 0 to 1.
+    /// Share of the beams that pass a known surface well before their end, 0 to 1.
     pub through_walls: f64,
 }
 
 /// Judges a pose `field_from_scan`. `origin`: where the beams begin, `points`: where they end, both in the frame of the scan, m.
 ///
-/// Cost: a look a cell along each beam.
+/// Cost: one lookup per cell along each beam.
 #[must_use]
 pub fn judge(
     field: &LikelihoodField,

@@ -1,4 +1,4 @@
-//! Is the best pose found, each time, and is it said where there is none?
+//! Tests of matching: the best pose is found every time, and a missing one is reported.
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
@@ -36,7 +36,7 @@ fn field_of(points: &[Point2<f64>]) -> LikelihoodField {
     field
 }
 
-/// The score of each pose of a window, by the definition.
+/// The best score in a window, by trying every pose.
 fn brute_force(field: &LikelihoodField, points: &[Point2<f64>], window: &Window) -> f64 {
     let resolution = field.spec().resolution;
     let farthest = points.iter().map(|point| point.coords.norm()).fold(0.0, f64::max);
@@ -96,7 +96,7 @@ proptest! {
         prop_assert!((result.found[0].score - best).abs() < 1e-12, "{} {best}", result.found[0].score);
     }
 
-    /// Headings enough to be grouped, and points beyond the lever.
+    /// Enough headings to be grouped, and points beyond the lever.
     #[test]
     fn groups_of_headings_and_points_far_out_are_bounded_too(
         map in points(), scan in points(), center in pose(2.0), reach in 0.0..0.3, turn in 0.4..1.2, lever in 0.5..5.0, highest in 1u32..6,
@@ -193,7 +193,7 @@ fn a_corridor_is_known_across_and_not_along() {
 
 #[test]
 fn a_pillar_alone_tells_no_heading() {
-    // Seen from 3.3 m beside it: who drives on and turns back sees the same.
+    // Seen from 3.3 m beside it: a robot that drives on and turns back sees the same.
     let pillar: Vec<Point2<f64>> = (0..15)
         .map(|step| 0.06 * f64::from(step) - 0.42 - std::f64::consts::FRAC_PI_2)
         .map(|angle| Point2::new(0.3 * angle.cos(), 3.3 + 0.3 * angle.sin()))
@@ -208,7 +208,7 @@ fn a_pillar_alone_tells_no_heading() {
     assert!(refined.degenerate.is_some(), "{refined:?}");
     let expected = Pose2::new(0.05, 0.0, 0.01);
     let followed = refined.expected_where_degenerate(expected);
-    // Of x, y and yaw each, where the others are not known.
+    // Of x, y and yaw each, with the others unknown.
     let covariance = (followed.information + Matrix3::identity() * 1e-9)
         .try_inverse()
         .unwrap();
@@ -315,7 +315,8 @@ fn an_occupancy_grid_makes_a_field() {
     assert_eq!(field.at(Point2::new(9.0, 9.0)), 0.0);
 }
 
-/// What a lidar in the middle of a box of 4 m by 3 m sees from a pose, each range off by up to a centimetre and a half; `scan`: of which scan.
+/// The points of a lidar in a box of 4 m by 3 m, seen from a pose, each range off by up to a centimetre and a half; `scan`: number of the
+/// scan.
 fn boxed(map_from_scan: Pose2, scan: u32) -> Vec<Point2<f64>> {
     let seen = |beam: u32| {
         let angle = map_from_scan.yaw + (0.5 * f64::from(beam)).to_radians();

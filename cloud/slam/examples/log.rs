@@ -1,4 +1,4 @@
-//! How near do the poses of a log come to the truth? A simulated house, or a CARMEN log beside reference relations.
+//! Accuracy of a log's poses: a simulated house, or a CARMEN log with reference relations.
 //!
 //! `cargo run --release -p zenav-slam --example log [-- LOG [RELATIONS [setting=value …]]]`
 

@@ -1,4 +1,4 @@
-//! Do two halves of a log become one map again? Merged as maps of two robots, and with the second half as a session of an unknown start.
+//! Joins two halves of a log into one map: merged as the maps of two robots, and with the second half as a session of unknown start.
 //!
 //! `cargo run --release -p zenav-slam --example sessions -- LOG [RELATIONS]`
 

@@ -1,4 +1,4 @@
-//! Back end. Which poses agree best with all odometry and all matches so far?
+//! Back end. The poses that agree best with all odometry and all matches so far.
 
 use std::collections::BTreeMap;
 
@@ -12,7 +12,7 @@ use crate::drift::Drift;
 use crate::settings::FrontSettings;
 use crate::step::SlamError;
 
-/// Rounds in which closures change sides, at most, each time the graph is settled.
+/// Most rounds of switching closures on or off each time the graph is settled.
 const ROUNDS: usize = 4;
 
 /// The graph of all inserted scans.
@@ -20,7 +20,7 @@ const ROUNDS: usize = 4;
 pub(crate) struct BackEnd {
     graph: PoseGraph,
     weights: Vec<f64>,
-    /// Which edges are matches of a finish: the next one makes its own.
+    /// Which edges are matches of a finish: the next finish replaces them.
     is_final: Vec<bool>,
     drift: Drift,
 }
@@ -34,7 +34,7 @@ impl BackEnd {
         self.add_weighted(edge, 1.0, false)
     }
 
-    /// An edge of a weight; `is_final`: a match of a finish.
+    /// Adds an edge with a weight; `is_final`: a match of a finish.
     pub(crate) fn add_weighted(&mut self, edge: Edge, weight: f64, is_final: bool) -> Result<(), GraphError> {
         self.graph.add_edge(edge)?;
         self.weights.push(weight);
@@ -62,8 +62,8 @@ impl BackEnd {
         self.graph.poses()
     }
 
-    /// The last node as seen from submaps that begin at `anchors`, `anchor_from_node`, where its position is known to within a standard
-    /// deviation of `limit`, m.
+    /// The last node relative to the submaps that begin at `anchors`, `anchor_from_node`, for those in which its position is known to
+    /// within a standard deviation of `limit`, m.
     pub(crate) fn as_seen_from(
         &mut self,
         anchors: &[usize],
@@ -75,7 +75,7 @@ impl BackEnd {
         self.drift.of_last_node(&self.weights, limit)
     }
 
-    /// Moves the nodes, and has every measurement agree with where they lie then.
+    /// Moves the nodes and sets every measurement to agree with the new poses.
     pub(crate) fn bend(&mut self, bend: impl Fn(Pose2) -> Pose2) -> Result<(), GraphError> {
         let poses: Vec<Pose2> = self.graph.poses().iter().map(|pose| bend(*pose)).collect();
         let mut graph = PoseGraph::new();
@@ -105,7 +105,7 @@ impl BackEnd {
         Ok(())
     }
 
-    /// Moves the nodes to where they agree best, and closures that do not fit out of the sum or back into it.
+    /// Moves the nodes to their optimum; switches closures off that do not fit, and back on if they do.
     pub(crate) fn settle(&mut self, descent: &DescentSettings, robust: &RobustSettings) -> Result<(), GraphError> {
         for _ in 0..ROUNDS {
             let end = descend(&self.graph, self.graph.poses(), &self.weights, descent);
@@ -131,7 +131,7 @@ impl BackEnd {
         Ok(())
     }
 
-    /// Decides on all closures anew, from the beginning, and moves the nodes.
+    /// Decides on all closures again, from scratch, and moves the nodes.
     pub(crate) fn solve(
         &mut self,
         descent: &DescentSettings,
@@ -143,7 +143,7 @@ impl BackEnd {
         Ok(solved)
     }
 
-    /// The certificate of where the nodes lie now, with the weights as they are.
+    /// Certifies the present poses with the present weights.
     pub(crate) fn solved(&self, descent: &DescentSettings) -> Result<RobustSolution, SolveError> {
         let end = descend(&self.graph, self.graph.poses(), &self.weights, descent);
         if end.status == DescentStatus::Singular {

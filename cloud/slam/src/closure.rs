@@ -1,8 +1,8 @@
-//! Loop closure. Was the robot here before?
+//! Loop closure. Finds a scan again in older submaps.
 //!
-//! How far about a node is searched follows from how well it is known as seen from the old submap ([`drift`](crate::drift)). A wide window is
-//! searched as much more rarely as it is larger, so that the work for each scan stays the same. A match far from where the node was
-//! expected is taken only where a second scan, from a few metres before, is found on the same place.
+//! The search window of a node follows from its uncertainty relative to the old submap ([`drift`](crate::drift)). A wider window is
+//! searched proportionally less often, so the work per scan stays constant. A match far from the expected pose is accepted only if a second
+//! scan, from a few metres before, is found at the same place.
 
 use nalgebra::Point2;
 use zenav_pose_graph::{Edge, EdgeKind, GraphError, Uncertain};
@@ -14,44 +14,45 @@ use crate::settings::{ClosureSettings, SlamSettings};
 use crate::slam::Slam;
 use crate::submap::{SEARCH_POINTS, Submap, thinned};
 
-/// A place that scores less below the best one is as good: the closure is ambiguous.
+/// A second place within this much of the best score is as good: the closure is ambiguous.
 const AMBIGUOUS: f64 = 0.03;
-/// The same for a match far from where it was expected: along a row of equal doors the place that is seen whole beats the true one by some.
+/// The same for a match far from its expected pose: along a row of equal doors, a fully visible wrong place outscores the true one by a
+/// little.
 const FAR_AMBIGUOUS: f64 = 0.1;
-/// Places nearer than this, m and rad, are one.
+/// Places closer than this, m and rad, count as one.
 const APART: (f64, f64) = (0.5, 0.3);
-/// A closure is known this much less well than a match with a submap that grows: its submap moved since.
+/// The floor of a closure's standard deviation is this multiple of that in a growing submap: the old submap may have moved since.
 pub(crate) const DOUBT: f64 = 2.0;
-/// Standard deviations that a window reaches to each side.
+/// Half width of a window, standard deviations.
 const DEVIATIONS: f64 = 3.0;
-/// No window reaches farther than this many times [`ClosureSettings::near`].
+/// Largest half width, as a multiple of [`ClosureSettings::near`].
 const WIDEST: f64 = 10.0;
-/// A window is as large as so many usual ones, at most.
+/// Largest size of a window, in usual windows.
 const LARGEST: f64 = 100.0;
-/// Scans that may confirm a match lie at least this far from it and from each other, m: each sees something else.
+/// Scans that may confirm a match lie at least this far from it and from each other, m, so that each sees something else.
 const WITNESS: f64 = 3.0;
-/// How many are asked, at most: a person, or a door that was open then, hides the place from one.
+/// Most such scans tried: a person, or a door that was open then, can hide the place from one scan.
 const WITNESSES: usize = 4;
-/// They are searched for in submaps so many before or after that of the match: how these lie to each other is well known.
+/// They are searched for in this many submaps before and after the match's: the relative poses of these are well known.
 const NEIGHBOURS: usize = 3;
 
-/// Where a node is searched for.
+/// A submap in which a node is searched for.
 #[derive(Clone, Copy, Debug)]
 struct Place {
     submap: usize,
     /// From the node to the middle of the submap, m.
     distance: f64,
     around: Around,
-    /// A search takes about so many times as long as a usual one: bounds leave most of the plane out, work grows with its width alone.
+    /// Duration of the search relative to a usual one: bounds prune most of the plane, so the work grows only with the window's width.
     size: u64,
 }
 
-/// A window about where a scan is expected.
+/// A window around a scan's expected pose.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Around {
-    /// To each side, m.
+    /// Half width, m.
     pub(crate) reach: f64,
-    /// To each side, rad.
+    /// Half width of the headings, rad.
     pub(crate) turn: f64,
     /// Blocks that the search may score.
     pub(crate) budget: usize,
@@ -60,18 +61,18 @@ pub(crate) struct Around {
 /// A node, the submap in which it was found, and its pose there.
 type Match = (usize, usize, Refined);
 
-/// What a search says.
+/// Result of a search.
 pub(crate) enum Seen {
-    /// Nothing fits well, or another place about as well.
+    /// Nothing fits well, or a second place fits about as well.
     No,
-    /// The budget was spent before that was known.
+    /// The budget ran out first.
     Cut,
-    /// The scan's pose in the submap, and by how much it scores higher than any other place.
+    /// The scan's pose in the submap, and its score margin over any other place.
     At(Refined, f64),
 }
 
-/// Searches a node's scan in older submaps, and adds what is found to the graph; returns how many closures that is. `laser`: where the
-/// beams begin, in the frame of the base.
+/// Searches for a node's scan in older submaps and adds closures to the graph; returns their number. `laser`: origin of the beams in the
+/// base frame.
 pub(crate) fn close(slam: &mut Slam, node: usize, laser: Point2<f64>) -> Result<usize, GraphError> {
     let mut count = 0;
     for place in places(slam, node) {
@@ -86,7 +87,8 @@ pub(crate) fn close(slam: &mut Slam, node: usize, laser: Point2<f64>) -> Result<
     Ok(count)
 }
 
-/// The match of a node in a place, and where it lies far off the one that confirms it: nodes, each with its submap and its pose there.
+/// The match of a node in a place, and, if it lies far from the expected pose, its confirmation: nodes, each with its submap and its pose
+/// there.
 fn matches(slam: &mut Slam, node: usize, place: &Place, laser: Point2<f64>) -> Vec<Match> {
     let Some((refined, margin)) = searched(slam, node, place.submap, place.around, laser) else {
         return Vec::new();
@@ -117,7 +119,7 @@ fn places(slam: &mut Slam, node: usize) -> Vec<Place> {
         .map(|(submap, anchor_from_node)| place(slam, node, *submap, anchor_from_node))
         .filter(|place| place.distance <= limits.near + place.around.reach && turn.is_multiple_of(place.size))
         .collect();
-    // A large window that has its turn goes first: the others have theirs each time.
+    // A large window whose turn it is goes first: the others get theirs every time.
     places.sort_by(|a, b| {
         (a.size == 1)
             .cmp(&(b.size == 1))
@@ -147,13 +149,13 @@ fn place(slam: &Slam, node: usize, submap: usize, anchor_from_node: &Uncertain) 
     }
 }
 
-/// Whether a submap was left behind long ago: what another session saw always was.
+/// Whether a submap was left long enough ago; submaps of other sessions always are.
 fn is_left(slam: &Slam, submap: usize, node: usize) -> bool {
     let end = slam.submaps[submap].end();
     end <= slam.session_start() || end + slam.settings.closure.gap as usize <= node
 }
 
-/// A node's scan in a submap, about where it is expected.
+/// Searches for a node's scan in a submap, around its expected pose.
 fn searched(slam: &mut Slam, node: usize, submap: usize, around: Around, laser: Point2<f64>) -> Option<(Refined, f64)> {
     slam.counts.searched += 1;
     let poses = slam.back_end.poses();
@@ -169,13 +171,13 @@ fn searched(slam: &mut Slam, node: usize, submap: usize, around: Around, laser: 
     }
 }
 
-/// How far from where it was expected, m, a node lies in a submap.
+/// How far a node's pose in a submap lies from the expected one, m.
 fn distance(slam: &Slam, node: usize, submap: usize, anchor_from_node: Pose2) -> f64 {
     let poses = slam.back_end.poses();
     (poses[slam.submaps[submap].anchor] * anchor_from_node).distance(&poses[node])
 }
 
-/// The match of a node a few metres before, searched for in as large a window, that puts it where the match of this one says.
+/// A second match, of a node a few metres before, found in an equally large window at the place that the first match predicts.
 fn witness(slam: &mut Slam, node: usize, place: &Place, refined: &Refined, laser: Point2<f64>) -> Option<Match> {
     let poses = slam.back_end.poses();
     let new_from_old = poses[slam.submaps[place.submap].anchor] * refined.pose * poses[node].inverse();
@@ -196,7 +198,7 @@ fn witness(slam: &mut Slam, node: usize, place: &Place, refined: &Refined, laser
     None
 }
 
-/// Of the submaps about one, those that a node left behind, the one whose middle lies nearest to a pose in the map.
+/// Of the submaps around one that a node has left behind, the one whose middle is nearest to a pose in the map.
 fn neighbour(slam: &Slam, node: usize, submap: usize, pose: Pose2) -> Option<usize> {
     let distance = |submap: &usize| slam.back_end.poses()[slam.submaps[*submap].middle()].distance(&pose);
     let about = submap.saturating_sub(NEIGHBOURS)..(submap + NEIGHBOURS + 1).min(slam.submaps.len());
@@ -204,7 +206,7 @@ fn neighbour(slam: &Slam, node: usize, submap: usize, pose: Pose2) -> Option<usi
     left.min_by(|a, b| distance(a).total_cmp(&distance(b)))
 }
 
-/// A scan's pose in a submap, about where it is expected, `anchor_from_base`. `laser`: where the beams begin, in the frame of the base.
+/// Finds a scan's pose in a submap, around its expected pose, `anchor_from_base`. `laser`: origin of the beams in the base frame.
 pub(crate) fn seen_again(
     submap: &mut Submap,
     expected: Pose2,
@@ -224,7 +226,7 @@ pub(crate) fn seen_again(
     };
     let found = search(submap.pyramid(), &thinned(scan, SEARCH_POINTS), &window);
     if !found.is_exact {
-        // The second best place is not known.
+        // The second-best place is not known.
         return Seen::Cut;
     }
     let Some(best) = found.found.first() else {
@@ -241,7 +243,7 @@ pub(crate) fn seen_again(
 }
 
 impl Around {
-    /// No farther than a scan is trusted alone.
+    /// The window within which a single scan is trusted.
     pub(crate) fn near(limits: &ClosureSettings) -> Self {
         Self {
             reach: limits.reach,
@@ -251,7 +253,7 @@ impl Around {
     }
 }
 
-/// The measurement of a node in the submap of another time.
+/// The measurement of a node in a submap of another time.
 pub(crate) fn closure(anchor: usize, node: usize, refined: &Refined, settings: &SlamSettings) -> Edge {
     let front = &settings.front;
     Edge {

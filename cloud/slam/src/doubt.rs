@@ -1,26 +1,26 @@
-//! Doubt. Is the robot where the map says? If its scans say no: is it elsewhere, or has the world changed?
+//! Doubt. Decides from the scans whether the robot is where the map says, elsewhere, or in a changed world.
 //!
-//! A scan that fits badly is a new sight, a changed one, or one of another place. New sights go on, so a node waits for some of them in a row.
-//! A scan whose beams go through known walls contradicts the map, and becomes no node: it would confirm the next one. After some of these
-//! the robot is lost, until a scan fits, or somebody says that the world has changed.
+//! A badly fitting scan shows something new, something changed, or another place. New sights continue, so a node waits for several such
+//! scans in a row. A scan whose beams go through known walls contradicts the map and becomes no node, since it would confirm the next one.
+//! After several of these the robot is lost, until a scan fits or the world is declared changed.
 
 use serde::{Deserialize, Serialize};
 
-/// Scans that contradict the map, and none between them that fits, before the robot is lost.
+/// Scans that contradict the map, with no fitting scan between them, before the robot is lost.
 const LOST: u32 = 5;
-/// Scans in a row that fit badly, before one becomes a node all the same.
+/// Badly fitting scans in a row before one becomes a node anyway.
 const POOR: u32 = 5;
-/// A scan of fewer points says nothing.
+/// A scan with fewer points is no evidence.
 const LEAST_POINTS: usize = 40;
 
-/// What the last scans say of the robot's place.
+/// Evidence of the last scans on the robot's place.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Doubt {
-    /// Scans that contradict the map since one fitted.
+    /// Contradicting scans since the last fitting one.
     contradictions: u32,
-    /// Scans in a row that fit badly.
+    /// Badly fitting scans in a row.
     poor: u32,
-    /// Whether the world has changed: nothing contradicts the map until a scan fits well.
+    /// Whether the world has changed: until a scan fits well, nothing contradicts the map.
     accepts: bool,
 }
 
@@ -29,22 +29,22 @@ impl Doubt {
         self.contradictions >= LOST
     }
 
-    /// Whether nothing contradicts the map, for the world has changed.
+    /// Whether the world has changed, so that nothing contradicts the map.
     pub(crate) fn accepts(&self) -> bool {
         self.accepts
     }
 
-    /// Whether a scan of so many points is evidence against the map where its beams go through walls.
+    /// Whether beams through walls count as evidence for a scan of this many points.
     pub(crate) fn heeds(&self, points: usize) -> bool {
         points >= LEAST_POINTS && !self.accepts
     }
 
-    /// Whether a node of a scan that fits badly has to wait.
+    /// Whether a badly fitting scan must wait before it becomes a node.
     pub(crate) fn waits(&self, points: usize) -> bool {
         self.heeds(points) && self.poor < POOR
     }
 
-    /// A scan of so many points was matched, well or badly.
+    /// Takes in how well a scan of this many points was matched.
     pub(crate) fn match_well(&mut self, is_well: bool, points: usize) {
         if is_well {
             (self.poor, self.accepts) = (0, false);
@@ -53,7 +53,7 @@ impl Doubt {
         }
     }
 
-    /// A scan fits the map, or contradicts it, or neither.
+    /// Takes in whether a scan fits the map, contradicts it, or neither.
     pub(crate) fn take(&mut self, fits: bool, contradicts: bool) {
         if fits {
             self.contradictions = 0;
@@ -62,12 +62,12 @@ impl Doubt {
         }
     }
 
-    /// The robot is where it is held to be: the world has changed.
+    /// Declares the robot's place right and the world changed.
     pub(crate) fn accept(&mut self) {
         (self.contradictions, self.accepts) = (0, true);
     }
 
-    /// Nobody knows where the robot is.
+    /// Declares the robot lost.
     pub(crate) fn lose(&mut self) {
         (self.contradictions, self.accepts) = (LOST, false);
     }

@@ -1,12 +1,11 @@
-//! Drift. How well is a node known as seen from a submap of another time?
+//! Drift. Uncertainty of a node relative to a submap of another time.
 //!
-//! A closure says nothing of places that it does not lead to: what counts is the covariance between this node and that submap. It adds up
-//! along any chain of measurements between the two, and the best chain bounds it from above. The chain is found as by Bosse et al.,
-//! "Simultaneous localization and map building in large-scale cyclic environments using the Atlas framework", IJRR 2004: Dijkstra's
-//! algorithm over submaps, in which a path is as long as the covariance composed along it is large. Cost: submaps and closures times a
-//! logarithm; nodes do not count.
+//! What counts for a closure is the covariance between this node and that submap; closures elsewhere do not reduce it. It adds up along any
+//! chain of measurements between the two, so the best chain is an upper bound. The chain is found as in Bosse et al., "Simultaneous
+//! localization and map building in large-scale cyclic environments using the Atlas framework", IJRR 2004: Dijkstra's algorithm over
+//! submaps, with the composed covariance as path length. Cost: submaps and closures times a logarithm, independent of the number of nodes.
 //!
-//! All of this follows from the measurements of the graph and from where submaps begin: there is nothing to be saved.
+//! Everything follows from the graph's measurements and the submaps' anchors, so nothing needs to be saved.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
@@ -16,17 +15,16 @@ use zenav_pose_graph::{Edge, EdgeKind, Uncertain};
 
 use crate::settings::FrontSettings;
 
-/// A map that is drawn while its matches are made of it drifts by a match's least deviation for each such stretch of the way, m: about as
-/// far as a scan sees of what others drew.
+/// A growing submap drifts by a match's floor deviation per this length of drive, m: about how far a scan overlaps what earlier scans drew.
 const STRETCH: f64 = 4.0;
 
-/// A submap that still grew when a node was inserted, `anchor_from_node`.
+/// A submap that was still growing when a node was inserted, `anchor_from_node`.
 #[derive(Clone, Copy, Debug)]
 struct Growing {
     submap: usize,
     /// By odometry and matches.
     matched: Uncertain,
-    /// What the submap itself drifted by.
+    /// Drift of the submap itself.
     drawn: Uncertain,
 }
 
@@ -39,7 +37,7 @@ impl Growing {
         }
     }
 
-    /// Goes on with a step of odometry.
+    /// Advances by a step of odometry.
     fn step(&mut self, step: &Edge, front: &FrontSettings) {
         let way = step.measurement.x.hypot(step.measurement.y);
         let [floor, turn] = [front.floor, front.floor_turn].map(|sigma| sigma * sigma * way / STRETCH);
@@ -51,7 +49,7 @@ impl Growing {
         self.drawn = self.drawn.then(&drift);
     }
 
-    /// Takes in a match with the submap.
+    /// Fuses a match with the submap.
     fn fuse(&mut self, edge: &Edge) {
         let by_odometry = self.matched.covariance.try_inverse().unwrap_or_else(Matrix3::zeros);
         self.matched = match (by_odometry + edge.information).try_inverse() {
@@ -71,24 +69,24 @@ impl Growing {
     }
 }
 
-/// What joins two submaps, `near_from_far`.
+/// A relation between two submaps, `near_from_far`.
 #[derive(Clone, Debug)]
 struct Link {
     near: usize,
     far: usize,
     near_from_far: Uncertain,
-    /// The edge that it rests on, where that may be held to be false.
+    /// The edge it is based on, if that edge may turn out false.
     edge: Option<usize>,
 }
 
-/// How the submaps hang together.
+/// The graph of submaps.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Drift {
-    /// Edges that were taken in.
+    /// Number of edges taken in.
     edges: usize,
-    /// The submap of each node, the older where there are two, and the node as seen from its anchor.
+    /// The submap of each node, the older of two, and the node's pose in it.
     homes: Vec<Option<(usize, Uncertain)>>,
-    /// Submaps that grew when the last node was inserted, the older first.
+    /// Submaps that were growing when the last node was inserted, older first.
     growing: Vec<Growing>,
     links: Vec<Link>,
     /// Links of each submap.
@@ -96,8 +94,8 @@ pub(crate) struct Drift {
 }
 
 impl Drift {
-    /// Takes in nodes and edges that are new. `anchors`: the node at which each submap begins; `edges`: all of the graph, each with whether it
-    /// is a match of a finish, which says nothing of drift; `nodes`: how many there are.
+    /// Takes in new nodes and edges. `anchors`: first node of each submap; `edges`: all edges of the graph, each with whether it is a match
+    /// of a finish, which says nothing about drift; `nodes`: number of nodes.
     pub(crate) fn update<'e>(
         &mut self,
         edges: impl ExactSizeIterator<Item = (&'e Edge, bool)>,
@@ -130,8 +128,8 @@ impl Drift {
         }
     }
 
-    /// Adds a node with the trusted edges that lead to it; `submap`: the one that begins there. Returns the edges that lead there from
-    /// elsewhere than the node before and the submaps that grow.
+    /// Adds a node with the trusted edges that lead to it; `submap`: the submap that begins there. Returns the edges from elsewhere than
+    /// the previous node and the growing submaps.
     fn add_node<'e>(
         &mut self,
         node: usize,
@@ -190,8 +188,8 @@ impl Drift {
         });
     }
 
-    /// The node that was inserted last as seen from the submaps, `anchor_from_node`, where its position is known to within a standard
-    /// deviation of `limit`, m. `weights`: of the edges, 0 for a closure that is held to be false.
+    /// The last node relative to the submaps, `anchor_from_node`, for those in which its position is known to within a standard deviation
+    /// of `limit`, m. `weights`: of the edges, 0 for a closure held to be false.
     pub(crate) fn of_last_node(&self, weights: &[f64], limit: f64) -> BTreeMap<usize, Uncertain> {
         let mut reached = BTreeMap::new();
         let mut found: Vec<(usize, Uncertain)> = Vec::new();
@@ -204,7 +202,7 @@ impl Drift {
             for (submap, node_from_anchor) in next.drain(..) {
                 let spread = spread(&node_from_anchor);
                 if spread <= limit && !reached.contains_key(&submap) {
-                    // The bits of numbers that are not negative sort as the numbers do.
+                    // Bit patterns of non-negative floats sort like their values.
                     frontier.push(Reverse((spread.to_bits(), found.len())));
                     found.push((submap, node_from_anchor));
                 }
@@ -238,7 +236,7 @@ impl Drift {
     }
 }
 
-/// Standard deviation of a position along the direction in which it is known worst, m.
+/// Standard deviation of a position along its least certain direction, m.
 pub(crate) fn spread(uncertain: &Uncertain) -> f64 {
     let covariance = uncertain.covariance.fixed_view::<2, 2>(0, 0);
     let [a, b, d] = [covariance[(0, 0)], covariance[(0, 1)], covariance[(1, 1)]];

@@ -1,4 +1,4 @@
-//! Finish. Where does each scan lie once all of them are known?
+//! Finish. The final poses, once all scans are known.
 
 use nalgebra::Vector3;
 use zenav_pose_graph::{Edge, EdgeKind, GraphError, RobustSolution};
@@ -10,10 +10,10 @@ use crate::slam::Slam;
 use crate::step::SlamError;
 use crate::submap::Submap;
 
-/// Information with which a scan is held along a direction, 1/m².
+/// Information that holds a scan in place along a direction, 1/m².
 const HELD: f64 = 1e6;
 
-/// Decides on closures, then in rounds: submaps anew from where scans lie now, each scan matched to those of others around it, solved.
+/// Decides on the closures, then in rounds: redraws submaps at the present poses, matches each scan to nearby submaps, and solves.
 pub(crate) fn finish(slam: &mut Slam) -> Result<RobustSolution, SlamError> {
     let settings = slam.settings;
     let points = slam.scans.clone();
@@ -28,7 +28,7 @@ pub(crate) fn finish(slam: &mut Slam) -> Result<RobustSolution, SlamError> {
     let mut solved = slam.back_end.solve(&settings.descent, &settings.robust)?;
     for _ in 0..settings.finish.rounds {
         redraw(slam, &scans);
-        // Matches of the round before belong to other submaps: they go.
+        // Matches of the previous round belong to other submaps.
         slam.back_end.drop_final()?;
         for (node, scan) in scans.iter().enumerate() {
             rematch(slam, node, scan)?;
@@ -43,7 +43,7 @@ pub(crate) fn finish(slam: &mut Slam) -> Result<RobustSolution, SlamError> {
     Ok(solved)
 }
 
-/// Draws all submaps anew.
+/// Redraws all submaps.
 fn redraw(slam: &mut Slam, scans: &[Refinable<'_>]) {
     let poses = slam.back_end.poses().to_vec();
     let field = slam.settings.field;
@@ -56,7 +56,7 @@ fn redraw(slam: &mut Slam, scans: &[Refinable<'_>]) {
     }
 }
 
-/// Matches a scan to the nearest submaps that it is not in.
+/// Matches a scan to the nearest submaps that it is not part of.
 fn rematch(slam: &mut Slam, node: usize, scan: &Refinable<'_>) -> Result<(), GraphError> {
     let settings = slam.settings;
     let here = slam.back_end.poses()[node];
@@ -92,7 +92,7 @@ fn rematch(slam: &mut Slam, node: usize, scan: &Refinable<'_>) -> Result<(), Gra
     Ok(())
 }
 
-/// Matches the scans that are no nodes to their submaps.
+/// Matches scans that are not nodes to their submaps.
 fn replace(slam: &mut Slam) {
     let settings = slam.settings;
     let Slam {
@@ -114,8 +114,8 @@ fn replace(slam: &mut Slam) {
     }
 }
 
-/// Matches a scan about where it lies. Along a direction that it does not tell there it stays: elsewhere the ends of what was seen may fit
-/// on one another, and look as if they told it.
+/// Matches a scan around its present pose. Along a direction that the scan does not constrain there, the pose is held: elsewhere the ends
+/// of the visible walls may fit each other and seem to constrain it.
 fn refine_here(submap: &Submap, scan: &Refinable<'_>, here: Pose2, settings: &RefineSettings) -> Refined {
     let unmoved = RefineSettings {
         max_iterations: 0,

@@ -1,7 +1,7 @@
-//! Relations. How far is a trajectory from reference relations?
+//! Relations. Error of a trajectory against reference relations.
 //!
 //! The metric of Kuemmerle et al., "On measuring the accuracy of SLAM algorithms" (Autonomous Robots 27, 2009): for pairs of times with a
-//! known relative pose, the difference to the estimated one, translation and rotation apart. Independent of where the map lies.
+//! known relative pose, the difference to the estimated one, translation and rotation apart. Independent of the map's frame.
 
 use thiserror::Error;
 use zenav_protocol::geometry::Pose2;
@@ -29,7 +29,7 @@ pub struct Spread {
 /// Errors over all relations.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RelationErrors {
-    /// How many relations there were.
+    /// Number of relations.
     pub count: usize,
     /// Of the translation, m.
     pub translation: Spread,
@@ -37,7 +37,7 @@ pub struct RelationErrors {
     pub rotation: Spread,
 }
 
-/// A line that is no relation.
+/// A malformed line.
 #[derive(Clone, Debug, PartialEq, Error)]
 #[error("line {line}: expected `t1 t2 x y z roll pitch yaw`, found `{found}`")]
 pub struct RelationError {
@@ -50,7 +50,7 @@ pub struct RelationError {
 /// Reads lines `t1 t2 x y z roll pitch yaw`; empty lines and comments (`#`) are passed over.
 ///
 /// # Errors
-/// The first line that is none.
+/// The first malformed line.
 pub fn read_relations(text: &str) -> Result<Vec<Relation>, RelationError> {
     let mut relations = Vec::new();
     for (line, text) in (1..).zip(text.lines().map(str::trim)) {
@@ -76,8 +76,8 @@ pub fn read_relations(text: &str) -> Result<Vec<Relation>, RelationError> {
     Ok(relations)
 }
 
-/// The errors of a trajectory, poses `map_from_base` by ascending time, s. Between two poses it is interpolated, beyond its ends held.
-/// `None` for an empty trajectory or no relations.
+/// The errors of a trajectory, poses `map_from_base` by ascending time, s. It is interpolated between poses and held constant beyond its
+/// ends. `None` for an empty trajectory or no relations.
 #[must_use]
 pub fn relation_errors(trajectory: &[(f64, Pose2)], relations: &[Relation]) -> Option<RelationErrors> {
     if trajectory.is_empty() || relations.is_empty() {

@@ -1,18 +1,18 @@
-//! Order. Which scans of a log come one after the other?
+//! Order. Sorts out the scans of a log whose stamps go back in time.
 //!
-//! Clocks are set, and recorders write what arrives late. A scan whose stamp goes back has no place on the way; the others still have.
+//! Clocks are set, and recorders write late arrivals. A scan whose stamp goes back has no place in the drive; the others still have.
 
 use thiserror::Error;
 use zenav_protocol::messages::Scan;
 
-/// A log in the order of its time, scans with equal stamps included.
+/// A log in time order; equal stamps are allowed.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Ordered {
-    /// The scans that follow one another.
+    /// The scans in time order.
     pub scans: Vec<Scan>,
-    /// How many others were skipped.
+    /// Number of skipped scans.
     pub skipped: usize,
-    /// Number, from 1, and stamp, s, of the first that was.
+    /// Number, from 1, and stamp, s, of the first skipped scan.
     pub first_skipped: Option<(usize, f64)>,
 }
 
@@ -32,12 +32,12 @@ pub struct Disorder {
     pub stamp: f64,
 }
 
-/// Skips the fewest scans of a log without which no stamp goes back; of two that could go, the later one in the log.
+/// Skips the fewest scans such that no stamp goes back; of two candidates, the later one in the log.
 ///
-/// One stamp far ahead is itself skipped, not all that follow it. Cost: n log n.
+/// A single stamp far ahead is itself skipped, not all that follow it. Cost: n log n.
 ///
 /// # Errors
-/// [`Disorder`] where fewer than half of the scans would be left.
+/// [`Disorder`] if fewer than half of the scans would be left.
 pub fn in_order(log: Vec<Scan>) -> Result<Ordered, Disorder> {
     let is_kept = longest_order(&log);
     let all = log.len();
@@ -62,9 +62,9 @@ pub fn in_order(log: Vec<Scan>) -> Result<Ordered, Disorder> {
     }
 }
 
-/// Which scans make the longest row whose stamps do not go back: patience sorting, from the end of the log.
+/// Marks the longest sequence whose stamps do not go back: patience sorting, from the end of the log.
 fn longest_order(log: &[Scan]) -> Vec<bool> {
-    // The latest first scan of a row of each length, and the scan that follows each.
+    // For each length, the first scan of the sequence that starts latest; and the successor of each scan.
     let (mut heads, mut next) = (Vec::<usize>::new(), vec![None; log.len()]);
     for index in (0..log.len()).rev() {
         let length = heads.partition_point(|head| log[*head].stamp >= log[index].stamp);

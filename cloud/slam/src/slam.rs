@@ -1,4 +1,4 @@
-//! SLAM. Where is the robot, and what does the world look like, from scans and odometry alone?
+//! SLAM. Localises the robot and builds the map from scans and odometry alone.
 
 use std::sync::Arc;
 
@@ -18,22 +18,22 @@ use crate::settings::SlamSettings;
 use crate::step::{Counts, Effects, SlamError};
 use crate::submap::{SEARCH_POINTS, Submap, thinned};
 
-/// Share of a new score in the usual one.
+/// Weight of a new score in the usual one.
 const USUAL: f64 = 0.05;
-/// A correction of odometry that is less likely than this (half of chi squared, three degrees of freedom) makes a match doubtful.
+/// A correction of odometry less likely than this (half of chi squared, three degrees of freedom) makes a match doubtful.
 const DOUBTFUL_CORRECTION: f64 = 8.0;
-/// What a point of a scan that fits better by its whole likelihood says for a match (half of chi squared): neighbours share their errors.
+/// Evidence of one fully better-fitting scan point for a match (half of chi squared): neighbouring points share their errors.
 const EVIDENCE: f64 = 1.5;
-/// No correction of odometry is less likely than this (half of chi squared): wheels slip.
+/// Upper bound on how unlikely a correction of odometry is (half of chi squared): wheels slip.
 const SLIPPED: f64 = 25.0;
 
-/// While scans come in, the graph need not be at the very bottom.
+/// While scans arrive, the graph need not be fully converged.
 const BETWEEN: DescentSettings = DescentSettings {
     max_iterations: 4,
     tolerance: 1e-4,
 };
 
-/// Where a scan stands: its time, s, a node, and the pose in that node's frame; its points, where it is no node itself.
+/// Pose of a scan: its time, s, a node, and the pose in that node's frame; its points, if it is not a node itself.
 #[derive(Clone, Debug)]
 pub(crate) struct Stand {
     pub(crate) stamp: f64,
@@ -42,45 +42,45 @@ pub(crate) struct Stand {
     pub(crate) points: Vec<Point2<f64>>,
 }
 
-/// A map in the making.
+/// A map under construction.
 #[derive(Clone, Debug)]
 pub struct Slam {
     pub(crate) settings: SlamSettings,
     pub(crate) back_end: BackEnd,
-    /// Points of each node's scan, shared with whoever makes the map bytes.
+    /// Points of each node's scan, shared with snapshots.
     pub(crate) scans: Vec<Arc<Vec<Point2<f64>>>>,
     pub(crate) submaps: Vec<Submap>,
     pub(crate) stands: Vec<Stand>,
-    /// The sessions, each with its nodes in a row; the last one goes on.
+    /// The sessions, each with consecutive nodes; the last one is the present one.
     pub(crate) sessions: Vec<Session>,
-    /// The map of earlier sessions, while this one was not found in it yet.
+    /// The map of earlier sessions, while the present one has not been found in it yet.
     pub(crate) older: Option<Box<Older>>,
     /// Time, s, and odometry of the last scan.
     pub(crate) last: Option<(f64, Pose2)>,
     pub(crate) last_node_odometry: Pose2,
     pub(crate) odometry: OdometryFilter,
-    /// Whether odometry begins anew with the next scan.
+    /// Whether odometry restarts with the next scan.
     pub(crate) is_interrupted: bool,
     /// Whether the next match is searched for widely, however well it scores.
     pub(crate) is_doubted: bool,
-    /// Whether odometry began anew after the last node: the step from it is not known.
+    /// Whether odometry restarted after the last node, so that the step from it is unknown.
     pub(crate) is_apart: bool,
-    /// For how many nodes the robot may have gone on unseen before odometry began anew.
+    /// Number of nodes that the robot may have driven unseen before odometry restarted.
     pub(crate) unseen: u32,
     /// Whether every scan is kept for the end of a log; beside a robot only nodes are.
     pub(crate) keeps_all: bool,
     pub(crate) start: Pose2,
     /// Running mean of the scores of matches.
     pub(crate) usual: f64,
-    /// Whether the robot is where the map says.
+    /// Evidence on whether the robot is where the map says.
     pub(crate) doubt: Doubt,
-    /// Whether closures came since the graph was settled.
+    /// Whether closures were added since the graph was settled.
     pub(crate) is_dirty: bool,
     pub(crate) counts: Counts,
 }
 
 impl Slam {
-    /// A map of nothing.
+    /// An empty map.
     #[must_use]
     pub fn new(settings: SlamSettings) -> Self {
         Self {
@@ -107,8 +107,7 @@ impl Slam {
         }
     }
 
-    /// A map of nothing, made beside a robot that stands at `start` in it: the map goes on without an end, and of the scans only nodes
-    /// are kept.
+    /// An empty map beside a robot that stands at `start` in it: the map grows without an end, and only the scans of nodes are kept.
     #[must_use]
     pub fn beside_a_robot(settings: SlamSettings, start: Pose2) -> Self {
         Self {
@@ -118,19 +117,19 @@ impl Slam {
         }
     }
 
-    /// The first node of the session that goes on.
+    /// The first node of the present session.
     pub(crate) fn session_start(&self) -> usize {
         self.scans.len() - self.sessions.last().map_or(0, |session| session.nodes)
     }
 
-    /// The older of the two submaps that grow.
+    /// The older of the two growing submaps.
     fn active(&self) -> usize {
         let session = self.session_start();
         let first = self.submaps.partition_point(|submap| submap.anchor < session);
         self.submaps.len().saturating_sub(2).max(first)
     }
 
-    /// Keeps a scan as that of a new node.
+    /// Stores a scan as that of a new node.
     fn keep(&mut self, seen: Arc<Vec<Point2<f64>>>, laser: Point2<f64>) {
         self.scans.push(seen);
         if let Some(session) = self.sessions.last_mut() {
@@ -139,17 +138,18 @@ impl Slam {
         }
     }
 
-    /// The odometry of the scans to come begins anew: the robot was restarted. It is looked for about where it was last, as far as it can have
-    /// come with `unseen` nodes that this map has not heard of. Until a scan fits, no scan has a score; one that does becomes a node, at rest too.
+    /// Odometry restarts with the next scan, because the robot was restarted. The robot is searched for around its last place, as far as it
+    /// may have driven within `unseen` nodes unknown to this map. Until a scan fits, no scan has a score; the first one that fits becomes a
+    /// node, even at rest.
     pub fn interrupt(&mut self, unseen: u32) {
         self.is_interrupted = !self.scans.is_empty();
         self.unseen = self.unseen.saturating_add(unseen);
     }
 
-    /// Takes in one scan; its `odom_from_base` is the odometry at its stamp, its `map_from_odom` is not looked at.
+    /// Takes in one scan; its `odom_from_base` is the odometry at its stamp, its `map_from_odom` is ignored.
     ///
     /// # Errors
-    /// See [`SlamError`]; after a scan that is malformed or late the map is as it was.
+    /// See [`SlamError`]; after a malformed or late scan the map is unchanged.
     pub fn step(&mut self, scan: &Scan) -> Result<Effects, SlamError> {
         let stamp = scan.stamp.as_secs();
         let odometry = scan.odom_from_base;
@@ -188,26 +188,27 @@ impl Slam {
         if self.is_lost() {
             self.doubt_place();
             if self.keeps_all {
-                // A log has nobody who looks for the robot: what comes after is a part of its own, as far as closures do not join it.
+                // In a log nobody searches for the robot: what follows is a separate part unless closures join it.
                 self.doubt.accept();
             }
         }
         Ok(effects)
     }
 
-    /// From now on the robot is looked for more widely than odometry errs, which knows nothing of how it came there.
+    /// Widens the search for the robot beyond the error of odometry, which does not explain how it got there.
     fn doubt_place(&mut self) {
         (self.is_doubted, self.is_apart) = (true, true);
     }
 
-    /// Whether the robot is elsewhere than the map says: five scans contradict it, and none between them fits. Beside a robot nothing is inserted
-    /// until one does, the robot [goes on elsewhere](Self::go_on_at), or the [world has changed](Self::accept_change).
+    /// Whether the robot is elsewhere than the map says: five scans contradict it, with no fitting scan between them. Beside a robot
+    /// nothing is inserted until a scan fits, the robot [continues elsewhere](Self::go_on_at), or the [world has
+    /// changed](Self::accept_change).
     #[must_use]
     pub fn is_lost(&self) -> bool {
         self.doubt.is_lost()
     }
 
-    /// The robot is lost, somebody says: the next scan is searched for widely.
+    /// Declares the robot lost: the next scan is searched for widely.
     pub fn lose(&mut self) {
         if !self.scans.is_empty() {
             self.doubt.lose();
@@ -215,13 +216,13 @@ impl Slam {
         }
     }
 
-    /// The robot is where it is held to be, and its surroundings have changed: until a scan fits well again, each is inserted.
+    /// Declares the robot's place right and its surroundings changed: until a scan fits well again, each is inserted.
     pub fn accept_change(&mut self) {
         self.doubt.accept();
         (self.is_doubted, self.is_apart) = (false, false);
     }
 
-    /// A scan near the last node is matched, but makes no node of its own.
+    /// Matches a scan near the last node, without making it a node.
     fn track(&mut self, stamp: f64, step: Pose2, seen: Vec<Point2<f64>>, laser: Point2<f64>) -> Effects {
         let settings = &self.settings;
         let poses = self.back_end.poses();
@@ -264,7 +265,7 @@ impl Slam {
         effects
     }
 
-    /// Whether the beams of a scan say that it was not made at a pose in a submap.
+    /// Whether a scan's beams rule out a pose in a submap.
     fn goes_through_walls(
         &self,
         submap: &Submap,
@@ -284,7 +285,7 @@ impl Slam {
         Some(turned(&information.try_inverse()?, map_from_base.yaw))
     }
 
-    /// Notes where a scan stands, and the points of one that is no node.
+    /// Records a scan's pose, and the points of one that is not a node.
     fn stand(&mut self, stamp: f64, node: usize, node_from_base: Pose2, points: Vec<Point2<f64>>) {
         if self.keeps_all {
             self.stands.push(Stand {
@@ -319,7 +320,7 @@ impl Slam {
         self.located(false, effects)
     }
 
-    /// What a step did, the session's being found in the older map included.
+    /// The effects of a step, including the session's being found in the older map.
     fn located(&mut self, is_half: bool, effects: Effects) -> Result<Effects, SlamError> {
         let Some(older_from_session) = locate(self, is_half)? else {
             return Ok(effects);
@@ -336,8 +337,8 @@ impl Slam {
         })
     }
 
-    /// A scan becomes a node, unless it contradicts the map; one that `is_near` the last node, or made by a robot that is lost, only where it
-    /// fits.
+    /// Makes a scan a node, unless it contradicts the map. A scan that `is_near` the last node, or of a lost robot, becomes a node only if
+    /// it fits.
     fn insert(
         &mut self,
         stamp: f64,
@@ -356,7 +357,7 @@ impl Slam {
         let prior = if was_doubted { nothing } else { known.information() };
         let information = if self.is_apart { nothing } else { by_odometry };
         let corrected = self.odometry.corrected(step);
-        // The older of the two submaps that grow has seen more.
+        // The older of the two growing submaps has seen more.
         let half = (settings.front.submap_scans / 2).max(1) as usize;
         let active = self.active();
         let mut effects = Effects {
@@ -450,7 +451,7 @@ impl Slam {
         self.located(is_half, effects)
     }
 
-    /// How far to each side a doubtful match is searched for, m and rad.
+    /// Half widths of the search window of a doubtful match, m and rad.
     fn window(&self) -> (f64, f64) {
         let front = &self.settings.front;
         let unseen = f64::from(self.unseen);
@@ -458,7 +459,7 @@ impl Slam {
         (front.reach + unseen * front.distance, turn.min(std::f64::consts::PI))
     }
 
-    /// The scan matched to a submap that grows, where that says more than odometry.
+    /// Matches a scan to a growing submap; `None` if the match says no more than odometry.
     fn matched(
         &mut self,
         active: usize,
@@ -487,7 +488,7 @@ impl Slam {
             let found = search(submap.pyramid(), &thinned(scan.points(), SEARCH_POINTS), &window);
             if let Some(candidate) = found.found.first() {
                 let wide = submap.refine(scan, candidate.pose, None, &settings.refine);
-                // How much likelier the scan is from there, against how much less likely odometry is: few points overrule nothing.
+                // The gain in the scan's likelihood against the loss in odometry's: few points overrule nothing.
                 let gain = EVIDENCE * scan.points().len() as f64 * (wide.score - best.score);
                 if gain > (unlikely(&prior, wide.pose) - unlikely(&prior, best.pose)).max(0.0) {
                     best = wide;
@@ -496,7 +497,7 @@ impl Slam {
         }
         let is_far = self.unseen > 0 && best.pose.distance(&expected) > settings.front.reach;
         let least = if is_far || self.is_lost() {
-            // The farther is looked, the more there is that fits by chance.
+            // The wider the search, the more fits by chance.
             settings.front.min_score.max(settings.front.doubtful * self.usual)
         } else {
             settings.front.min_score
@@ -508,7 +509,7 @@ impl Slam {
             return None;
         }
         if !is_well {
-            // Much of a map explains much of any scan: what it does not goes through walls where the robot is elsewhere.
+            // Much of a map explains much of any scan; if the robot is elsewhere, the rest goes through walls.
             effects.contradicts = self.goes_through_walls(&self.submaps[active], best.pose, laser, scan.points());
             if effects.contradicts || self.doubt.waits(points) {
                 return None;
@@ -523,10 +524,10 @@ impl Slam {
         Some(best)
     }
 
-    /// Ends a log: decides on all closures anew, matches every scan to the submaps around it, and solves, in rounds.
+    /// Ends a log: decides on all closures again, matches every scan to the submaps around it, and solves, in rounds.
     ///
     /// # Errors
-    /// [`SlamError::Solve`], without a scan among others.
+    /// [`SlamError::Solve`], for instance without any scan.
     pub fn finish(&mut self) -> Result<RobustSolution, SlamError> {
         finish::finish(self)
     }
@@ -547,30 +548,30 @@ impl Slam {
         self.back_end.graph()
     }
 
-    /// The weight of each edge of the graph: 0 for a closure that is held to be false.
+    /// The weight of each edge of the graph: 0 for a closure held to be false.
     #[must_use]
     pub fn weights(&self) -> &[f64] {
         self.back_end.weights()
     }
 
-    /// `map_from_node` of all inserted scans, in their order.
+    /// `map_from_node` of all inserted scans, in order.
     #[must_use]
     pub fn nodes(&self) -> &[Pose2] {
         self.back_end.poses()
     }
 
-    /// Where each submap lies, `map_from_submap`, in the order in which they were begun: the parts of the map that closures move.
+    /// Pose of each submap, `map_from_submap`, in order of creation: the parts of the map that closures move.
     #[must_use]
     pub fn parts(&self) -> Vec<Pose2> {
         let poses = self.back_end.poses();
         self.submaps.iter().map(|submap| poses[submap.anchor]).collect()
     }
 
-    /// Bends the map, as a closure does that shows all of it to lie elsewhere: each node goes where `bend` says, and everything measured so
-    /// far agrees with that. For trials of what hears of a closure. Returns how the surroundings of the last node moved, `new_from_old`.
+    /// Bends the map like a closure that moves all of it: each node goes where `bend` says, and all measurements are adjusted to agree. For
+    /// tests of the components that follow closures. Returns how the surroundings of the last node moved, `new_from_old`.
     ///
     /// # Errors
-    /// [`SlamError::Graph`] where `bend` gives a pose that is not finite.
+    /// [`SlamError::Graph`] if `bend` returns a pose that is not finite.
     pub fn bend(&mut self, bend: impl Fn(Pose2) -> Pose2) -> Result<Pose2, SlamError> {
         let last = self.back_end.poses().last().copied().unwrap_or_default();
         self.back_end.bend(&bend)?;
@@ -583,20 +584,20 @@ impl Slam {
         self.scans.get(node).map(|scan| scan.as_slice())
     }
 
-    /// What was counted.
+    /// Counters of the run.
     #[must_use]
     pub fn counts(&self) -> Counts {
         self.counts
     }
 
-    /// How many submaps there are.
+    /// Number of submaps.
     #[must_use]
     pub fn submaps(&self) -> usize {
         self.submaps.len()
     }
 }
 
-/// Half of chi squared of a pose that odometry did not expect.
+/// Half of chi squared of a pose against odometry, bounded.
 fn unlikely(odometry: &Prior, pose: Pose2) -> f64 {
     (0.5 * odometry.chi_squared(pose)).min(SLIPPED)
 }

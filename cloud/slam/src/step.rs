@@ -1,4 +1,4 @@
-//! Step. What did a scan do to the map, or why could it do nothing?
+//! Step. The effects of a scan on the map, or why it had none.
 
 use nalgebra::Matrix3;
 use serde::{Deserialize, Serialize};
@@ -30,35 +30,35 @@ pub struct Effects {
     pub pose: Pose2,
     /// Whether the scan became a node.
     pub is_inserted: bool,
-    /// Score of the match, 0 to 1, where there was one that counts.
+    /// Score of the match, 0 to 1, if a match counts.
     pub score: Option<f64>,
-    /// Whether the scan agrees with the map around it, if only well enough for a node.
+    /// Whether the scan agrees with the surrounding map, at least well enough for a node.
     pub fits: bool,
-    /// Whether it says that the robot is elsewhere: it fits badly, and its beams go through walls, or nobody knows where it was switched
-    /// on. Who stands around the robot hides the map, and contradicts nothing. A scan that contradicts is not inserted: it would confirm the
-    /// next one.
+    /// Whether the scan says that the robot is elsewhere: it fits badly, and its beams go through walls or the robot's place was unknown
+    /// before. People around the robot hide the map and contradict nothing. A contradicting scan is not inserted, since it would confirm
+    /// the next one.
     pub contradicts: bool,
-    /// Points that the scan saw.
+    /// Number of points of the scan.
     pub points: usize,
     /// Whether a wide search was needed.
     pub is_searched: bool,
-    /// Direction in the map, rad, along which the scan does not know the position.
+    /// Direction in the map, rad, along which the scan does not constrain the position.
     pub degenerate: Option<f64>,
     /// Loop closures found.
     pub closures: usize,
-    /// How well the pose is known within the map around it: covariance of x, y (m²) and yaw (rad²) along the map's axes; without a
-    /// match that counts, nothing new is known.
+    /// Uncertainty of the pose within the surrounding map: covariance of x, y (m²) and yaw (rad²) along the map's axes; `None` without a
+    /// match that counts.
     pub covariance: Option<Matrix3<f64>>,
-    /// From the pose, which odometry has a say in, to the one that the scan alone would have: what `covariance` is of.
+    /// Transform from the pose, which includes odometry, to the pose by the scan alone; `covariance` refers to the latter.
     pub by_scan: Pose2,
-    /// How the surroundings moved in the map as the graph was settled: `new_from_old`, for places about the robot.
+    /// How the surroundings moved in the map when the graph was settled: `new_from_old`, valid near the robot.
     pub moved: Option<Pose2>,
 }
 
 /// Counts over a run.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Counts {
-    /// Scans given.
+    /// Scans taken in.
     pub scans: usize,
     /// Wide searches of the front end.
     pub wide_searches: usize,
@@ -66,7 +66,7 @@ pub struct Counts {
     pub unmatched: usize,
     /// Submaps searched for a closure.
     pub searched: usize,
-    /// Of these, searches that spent their budget before anything was known: in vain.
+    /// Of these, searches whose budget ran out before a result.
     pub cut: usize,
     /// Closures found.
     pub found: usize,

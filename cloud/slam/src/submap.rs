@@ -1,4 +1,4 @@
-//! Submap. What does a short stretch of the way look like, as seen from its first scan?
+//! Submap. The scans of a short stretch of the drive, in the frame of the first.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -11,22 +11,22 @@ use zenav_scan_matching::{
 
 use crate::session::{Session, laser_of};
 
-/// The match in the field ends at so many times the tolerance: polishing goes on from there.
+/// The match in the field ends at this multiple of the tolerance; polishing takes over from there.
 const ROUGH: f64 = 20.0;
 
 /// Levels of the pyramid: blocks of 32 cells.
 const LEVELS: u32 = 5;
 
-/// The scans of a stretch of the way in one field, in the frame of the first of them.
+/// The scans of a stretch of the drive in one field, in the frame of the first of them.
 #[derive(Clone, Debug)]
 pub(crate) struct Submap {
-    /// Node of the first scan, whose frame this is.
+    /// Node of the first scan; its frame is the submap's.
     pub(crate) anchor: usize,
-    /// Where the scans that are in it were inserted, `anchor_from_scan`: of the anchor and the nodes that follow it.
+    /// Poses at which its scans were inserted, `anchor_from_scan`: of the anchor and the nodes that follow it.
     pub(crate) inserted: Vec<Pose2>,
     pub(crate) field: LikelihoodField,
     pub(crate) surfels: Surfels,
-    /// Made when a place is searched for in it.
+    /// Built when a place is searched for in it.
     pyramid: Option<Pyramid>,
 }
 
@@ -48,7 +48,7 @@ impl Submap {
         self.pyramid = None;
     }
 
-    /// The same stretch in a field of other settings; `scans`: the points of all nodes.
+    /// The same stretch in a field with other settings; `scans`: the points of all nodes.
     pub(crate) fn redrawn(
         &self,
         sessions: &[Session],
@@ -63,7 +63,7 @@ impl Submap {
         redrawn
     }
 
-    /// The node in the middle of it.
+    /// Its middle node.
     pub(crate) fn middle(&self) -> usize {
         self.anchor + self.inserted.len() / 2
     }
@@ -78,7 +78,7 @@ impl Submap {
         self.anchor..self.end()
     }
 
-    /// A scan matched to this about a pose, `anchor_from_scan`.
+    /// Matches a scan to this submap around a pose, `anchor_from_scan`.
     pub(crate) fn refine(
         &self,
         scan: &Refinable<'_>,
@@ -101,10 +101,10 @@ impl Submap {
     }
 }
 
-/// Points that a search uses, at most: more take longer and find the same.
+/// Most points of a search: more take longer and find the same.
 pub(crate) const SEARCH_POINTS: usize = 120;
 
-/// At most `count`, evenly out of all.
+/// At most `count` points, picked evenly.
 pub(crate) fn thinned(points: &[Point2<f64>], count: usize) -> Vec<Point2<f64>> {
     let step = points.len().div_ceil(count).max(1);
     points.iter().copied().step_by(step).collect()

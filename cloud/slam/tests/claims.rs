@@ -1,4 +1,4 @@
-//! Does a log become a map whose poses are right, and does it say so when they are not?
+//! Tests of mapping a log: the poses are right, and errors are reported.
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
@@ -41,7 +41,7 @@ fn a_drive_through_a_house_is_mapped_closed_and_certified() {
     assert_eq!(solved.solution.certificate.optimality, Optimality::Certified);
     assert_eq!(slam.trajectory().len(), scans.len());
     assert_eq!(slam.counts().scans, scans.len());
-    // Odometry and matches are measurements of their own.
+    // Odometry and matches are separate measurements.
     let trusted = slam
         .graph()
         .edges()
@@ -92,7 +92,7 @@ fn of_a_log_the_fewest_scans_are_skipped_that_go_back() {
         scans.iter().map(|scan| scan.stamp.as_secs()).collect()
     };
     assert_eq!(kept(&[1.0, 1.0, 2.0]), [1.0, 1.0, 2.0]);
-    // The later of two that were swapped; a clock that was far ahead once; one that was set back for a while.
+    // The later of two swapped scans; a clock that was far ahead once; a clock that was set back for a while.
     assert_eq!(kept(&[1.0, 3.0, 2.0, 4.0]), [1.0, 3.0, 4.0]);
     assert_eq!(kept(&[1.0, 900.0, 2.0, 3.0]), [1.0, 2.0, 3.0]);
     assert_eq!(kept(&[5.0, 6.0, 1.0, 2.0, 7.0, 8.0]), [5.0, 6.0, 7.0, 8.0]);
@@ -105,7 +105,7 @@ fn of_a_log_the_fewest_scans_are_skipped_that_go_back() {
     );
     assert_eq!(in_order(Vec::new()).unwrap().skipped, 0);
 
-    // What is left is a map like any other.
+    // The rest is a map like any other.
     let mut stamps: Vec<f64> = scans.iter().map(|scan| scan.stamp.as_secs()).collect();
     for index in (10..stamps.len()).step_by(25) {
         stamps[index] -= 0.7;
@@ -147,7 +147,7 @@ fn along_a_corridor_odometry_leads_and_the_ends_of_what_is_seen_of_its_walls_do_
         for range in scan.ranges.iter_mut().filter(|range| **range > 3.5) {
             *range = f32::INFINITY;
         }
-        // Somebody walks ahead.
+        // A person walks ahead.
         scan.moving = vec![[54, 66]];
         is_flagged |= slam.step(scan).unwrap().degenerate.is_some();
     }
@@ -165,7 +165,7 @@ fn along_a_corridor_odometry_leads_and_the_ends_of_what_is_seen_of_its_walls_do_
 
 #[test]
 fn a_sweep_is_straightened_by_odometry() {
-    // A robot that turns by 0.2 rad while the beams of a sweep look at a wall 2 m ahead.
+    // A robot that turns by 0.2 rad while the beams of a sweep hit a wall 2 m ahead.
     let settings = ScanSettings {
         sweep: 0.1,
         spacing: 0.0,
@@ -193,7 +193,7 @@ fn a_sweep_is_straightened_by_odometry() {
     let straight = points(&scan, step, 0.1, &settings);
     assert_eq!(straight.len(), count);
     for point in &straight {
-        // In the frame of the last heading, which the wall is square to.
+        // In the frame of the last heading, which is perpendicular to the wall.
         assert!((point.x - 2.0).abs() < 1e-3, "{point}");
     }
     let sheared = points(&scan, step, 0.1, &ScanSettings { sweep: 0.0, ..settings });

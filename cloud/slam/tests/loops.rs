@@ -1,4 +1,4 @@
-//! Is a long loop closed after a drift of metres, and is none closed where places look alike?
+//! Tests of long loops: closed after metres of drift, and not closed where places look alike.
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
@@ -16,20 +16,20 @@ mod house;
 
 use house::House;
 
-/// The lidar sees no farther, m: never from corner to corner.
+/// Range of the lidar, m: never from corner to corner.
 const RANGE: f64 = 8.0;
-/// Way between two scans, m.
+/// Distance between two scans, m.
 const STEP: f64 = 0.2;
-/// Standard deviation of the odometry's heading, rad, each step.
+/// Standard deviation of the odometry's heading in each step, rad.
 const HEADING: f64 = 0.012;
-/// Scans of a stretch of glass, 12 m: nothing is seen.
+/// Scans along 12 m of glass: nothing is seen.
 const GLASS: std::ops::Range<usize> = 150..210;
 
-/// Where furniture stands along the first corridor.
+/// Furniture along the first corridor.
 #[derive(Clone, Copy, PartialEq)]
 enum Furniture {
     Irregular,
-    /// The same every two metres.
+    /// The same piece every two metres.
     Alike,
 }
 
@@ -63,7 +63,7 @@ fn corridors(first: Furniture) -> House {
     House::of(walls)
 }
 
-/// Once around, from the middle of the first corridor, and 10 m on from there.
+/// Once around, from the middle of the first corridor, and 10 m beyond the start.
 fn around() -> Vec<Pose2> {
     let mut truth = vec![Pose2::new(15.0, 1.2, 0.0)];
     let mut go = |count: usize, step: Pose2| {
@@ -76,7 +76,7 @@ fn around() -> Vec<Pose2> {
     truth
 }
 
-/// What is seen on the way, with odometry whose heading drifts.
+/// The scans along the drive, with odometry whose heading drifts.
 fn log(house: &House, truth: &[Pose2], seed: u64) -> Vec<Scan> {
     let mut random = Pcg64Mcg::seed_from_u64(seed);
     let mut scans = house.log(truth, seed);
@@ -99,13 +99,13 @@ fn log(house: &House, truth: &[Pose2], seed: u64) -> Vec<Scan> {
     scans
 }
 
-/// How far the last pose is from the truth, as seen from the first, m.
+/// Distance of the last pose from the truth, relative to the first, m.
 fn off(slam: &Slam, truth: &[Pose2]) -> f64 {
     let (_, pose) = *slam.trajectory().last().unwrap();
     pose.distance(&(truth[0].inverse() * truth[slam.trajectory().len() - 1]))
 }
 
-/// Kept closures between nodes that lie elsewhere in truth than they say, and how many closures are kept in all. `truth`: of the nodes.
+/// Number of accepted closures that contradict the truth, and of all accepted closures. `truth`: poses of the nodes.
 fn wrong(slam: &Slam, truth: &[Pose2]) -> (usize, usize) {
     let kept = slam.graph().edges().iter().zip(slam.weights());
     let kept: Vec<_> = kept

@@ -1,4 +1,4 @@
-//! Does SLAM find a robot that was restarted, and does it leave one in peace that waits?
+//! Tests of SLAM for a robot that was restarted, is surrounded by people, or waits.
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
@@ -12,7 +12,7 @@ mod house;
 
 use house::{House, lap};
 
-/// A map of the first two sides of the house, and where the robot is at its end: in truth, and in the map.
+/// A map of the first two sides of the house, and the robot's pose at its end: the true one, and in the map.
 fn driven() -> (Slam, Pose2, Pose2) {
     let truth = lap(0, 2);
     let mut slam = Slam::beside_a_robot(SlamSettings::default(), truth[0]);
@@ -23,7 +23,7 @@ fn driven() -> (Slam, Pose2, Pose2) {
     (slam, *truth.last().unwrap(), pose)
 }
 
-/// Scans of a robot that stands, its odometry at zero.
+/// Scans of a standing robot whose odometry is zero.
 fn standing(at: Pose2, count: usize) -> Vec<Scan> {
     let mut scans = House::usual().log(&vec![at; count], 5);
     for (index, scan) in scans.iter_mut().enumerate() {
@@ -82,7 +82,7 @@ fn a_scan_at_rest_that_would_do_for_a_node_contradicts_nothing() {
     slam.interrupt(0);
     let mut between = 0;
     for (index, mut scan) in standing(truth, 10).into_iter().enumerate() {
-        // Somebody stands beside the robot, before a third of its beams.
+        // A person beside the robot hides a part of its beams.
         if index > 0 {
             for range in &mut scan.ranges[..50] {
                 *range = range.min(0.6);

@@ -1,4 +1,4 @@
-//! Does a map live on: saved and loaded, continued on another day, merged with another robot's, and without growing for ever?
+//! Tests of a map's life: saved and loaded, continued on another day, merged with another robot's, and bounded in size.
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
@@ -29,7 +29,7 @@ fn new() -> Slam {
     Slam::new(SlamSettings::default())
 }
 
-/// Mean and largest distance, m, of a session's trajectory to the truth, in a map whose frame is the base at `origin`.
+/// Mean and largest distance, m, between a session's trajectory and the truth, in a map whose frame is the base at `origin`.
 fn errors(trajectory: &[(f64, Pose2)], truth: &[Pose2], origin: Pose2) -> (f64, f64) {
     assert_eq!(trajectory.len(), truth.len());
     let distances = trajectory
@@ -41,7 +41,7 @@ fn errors(trajectory: &[(f64, Pose2)], truth: &[Pose2], origin: Pose2) -> (f64, 
     (mean, distances.into_iter().fold(0.0, f64::max))
 }
 
-/// Where the frame of a map lies, by least squares over a trajectory in it: its heading is as uncertain as that of its first scan.
+/// The frame of a map, by least squares over a trajectory in it: its heading is as uncertain as that of its first scan.
 fn frame(trajectory: &[(f64, Pose2)], truth: &[Pose2]) -> Pose2 {
     let count = truth.len() as f64;
     let pairs = || {
@@ -141,7 +141,7 @@ fn a_start_that_is_given_is_believed_where_the_scan_fits_and_mended_where_it_doe
     let slam = stepped(old.clone().begin_session(Some(near)), &scans[..1]);
     assert!(slam.is_located());
     assert!(slam.trajectory().last().unwrap().1.distance(&truth) < 0.05);
-    // The other end of the house: searched for in vain, and then everywhere.
+    // At the other end of the house: the search there fails, then the whole map is searched.
     let far = truth * Pose2::new(5.0, -3.0, 0.0);
     let slam = stepped(old.begin_session(Some(far)), &scans);
     assert!(slam.is_located());
@@ -173,7 +173,7 @@ fn maps_of_two_houses_are_not_merged() {
 
 #[test]
 fn ten_sessions_of_a_house_in_which_furniture_moves_are_no_larger_than_three() {
-    // Its walls alone tell its corners apart.
+    // The walls alone make its corners distinct.
     let house = House::another();
     let mut slam = new();
     let mut nodes = Vec::new();

@@ -1,15 +1,15 @@
-//! How long does smoothing take, how often does a curve come out, and is every trajectory sound? `cargo bench -p zenav-cloud --bench smoothing`
+//! Smoothing: time, share of smooth curves, soundness of every trajectory. `cargo bench -p zenav-smoothing --bench smoothing`
 //!
-//! Pairs of places are drawn on a map; for each shipped robot the paths between them are planned and smoothed. Times are thread CPU time, the
-//! least of a few runs a path. Every trajectory is then looked at by other means than the smoother's own: the true footprint every
-//! millimetre, every limit every millisecond; and its duration beside that of stop, turn and go along the same path. A collision or a
-//! limit that is not kept ends the bench.
+//! Pairs of places are drawn on a map; for each robot the paths between them are planned and smoothed. Times are thread CPU time, the
+//! least of a few runs per path. Every trajectory is then checked independently of the smoother: the true footprint every millimetre,
+//! every limit every millisecond; its duration is compared with that of stop, turn and go along the same path. A collision or a violated
+//! limit ends the bench.
 //!
 //! | variable | does |
 //! |---|---|
 //! | `ZENAV_BENCH_MAP=FILE` | this map instead of a generated house (`.yaml`, `.pgm`, `.png`, `.map`) |
-//! | `ZENAV_BENCH_ONLY=NAME` | only robots whose name holds this |
-//! | `ZENAV_BENCH_WAYS=N` | so many paths, 200 without |
+//! | `ZENAV_BENCH_ONLY=NAME` | only robots whose name contains this |
+//! | `ZENAV_BENCH_WAYS=N` | number of paths, by default 200 |
 
 #![allow(missing_docs, reason = "a bench has no users")]
 #![allow(
@@ -36,14 +36,14 @@ use zenav_smoothing::{Limits, UNRESTRICTED};
 use zenav_smoothing::{SmoothQuery, Smoothed, SmoothingSettings, smooth};
 use zenav_space::{ConfigurationSpace, UnknownPolicy};
 
-/// Robots, and what is close to each of them.
+/// Robots that are measured.
 const ROBOTS: [&str; 4] = ["tiago", "neato", "turtlebot3_waffle", "jackal"];
 const SEED: u64 = 1;
-/// Runs of each path, of which the least time counts.
+/// Runs of each path; the least time counts.
 const RUNS: usize = 3;
-/// A long path, m.
+/// Length of the long path, m.
 const TOUR: f64 = 113.0;
-/// Limits are kept to within this.
+/// Tolerance of the limits.
 const ROUNDING: f64 = 1e-6;
 
 fn main() {
@@ -70,7 +70,7 @@ fn main() {
     }
 }
 
-/// 12 polygons by 9 of 4 m with doors of 1 m and a piece of furniture each.
+/// 12 by 9 rooms of 4 m with doors of 1 m and a piece of furniture each.
 fn house() -> OccupancyGrid {
     const ROOM: u32 = 80;
     let spec = GridSpec {
@@ -98,10 +98,10 @@ fn house() -> OccupancyGrid {
     grid
 }
 
-/// A path, and where a robot at rest starts on it: along its first leg.
+/// A path, and the start pose of a robot at rest on it: along its first leg.
 type PlannedPath = (Vec<Point2<f64>>, Pose2);
 
-/// Paths between drawn places where the robot can turn; `is_tour`: each from where the last one ends.
+/// Paths between drawn places where the robot can turn; with `is_tour` each starts where the last one ends.
 fn drawn(space: &ConfigurationSpace, count: usize, is_tour: bool) -> Vec<PlannedPath> {
     let spec = *space.spec();
     let mut random = Pcg64Mcg::seed_from_u64(SEED);
@@ -154,7 +154,7 @@ fn tour(space: &ConfigurationSpace, length: f64) -> Option<PlannedPath> {
     None
 }
 
-/// The fastest run, and how long stop, turn and go would take.
+/// The fastest run, and the duration of stop, turn and go.
 fn measured(space: &ConfigurationSpace, model: &RobotModel, path: &[Point2<f64>], start: Pose2) -> (Smoothed, f64) {
     let query = SmoothQuery {
         path,

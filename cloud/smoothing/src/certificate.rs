@@ -1,6 +1,5 @@
-//! Certificate. May a trajectory be trusted? The true footprint's sweep along it, against the map, and the largest use of every limit of
-//! the drive, both
-//! from the trajectory itself and not from what any solver said, before it leaves the house.
+//! Certificate. Checks a trajectory before it is sent: the true footprint's sweep against the map, and the largest use of every limit of
+//! the drive, both computed from the trajectory itself and not from what a solver reported.
 
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::{Certificate, CorridorFigures, LimitUse, SolverFigures};
@@ -15,15 +14,15 @@ use zenav_space::ConfigurationSpace;
 const STEP: f64 = 0.03;
 const TURN: f64 = 0.08;
 
-/// The trajectory touches an obstacle, or leads where nobody has looked.
+/// The trajectory touches an obstacle, or enters unknown cells that the policy forbids.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("collision")]
 pub struct Collision;
 
-/// Least distance (m) of the true footprint to an obstacle along a trajectory; `None` when there is nothing within the space's reach.
+/// Least distance (m) of the true footprint to an obstacle along a trajectory; `None` if nothing is within the space's reach.
 ///
-/// The first `exempt` metres around the start are no reason to refuse: a robot that stands where it should not has to leave. They
-/// count in the clearance that is told.
+/// Collisions within the first `exempt` metres around the start are no reason to refuse: a robot that stands in an obstacle has to leave
+/// it. These metres count in the reported clearance.
 ///
 /// # Errors
 /// [`Collision`].
@@ -68,10 +67,10 @@ pub fn clearance(
     Ok((least < space.reach()).then_some(least))
 }
 
-/// Poses that are measured together.
+/// Number of poses that are measured together.
 const CHUNK: usize = 16;
 
-/// As [`ConfigurationSpace::sweep_min_clearance`], but the distance field tells first where it is worth looking.
+/// Like [`ConfigurationSpace::sweep_min_clearance`], but the distance field first tells which poses are worth measuring.
 fn sweep(space: &ConfigurationSpace, poses: &[Pose2]) -> f64 {
     let radius = space.footprint().circumscribed_radius();
     let bound = |pose: &Pose2| {
@@ -80,7 +79,7 @@ fn sweep(space: &ConfigurationSpace, poses: &[Pose2]) -> f64 {
         };
         space.field().distance(cell) - (space.spec().center(cell) - pose.position()).norm() - radius
     };
-    // Between two poses that both count, no place is farther from the nearer one than half a step.
+    // Between two such poses no point is farther from the nearer one than half a step.
     let bounds = (0..poses.len()).step_by(CHUNK).map(|begin| {
         let chunk = &poses[begin..(begin + CHUNK + 1).min(poses.len())];
         (
@@ -100,7 +99,7 @@ fn sweep(space: &ConfigurationSpace, poses: &[Pose2]) -> f64 {
     least
 }
 
-/// How the parts of a curve came about; one part after the other is added.
+/// Corridor and solver figures of a curve, added part by part.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Evidence {
     corridor: Option<CorridorFigures>,
@@ -158,7 +157,7 @@ fn width(polygon: &FreePolygon) -> f64 {
     reach(across) + reach(-across)
 }
 
-/// The certificate of a trajectory: what its parts told, and what the trajectory itself shows.
+/// The certificate of a trajectory, from the evidence of its parts and from the trajectory itself.
 #[must_use]
 pub fn certify(
     trajectory: &PiecewiseTrajectory,
@@ -188,7 +187,7 @@ pub fn certify(
     }
 }
 
-/// Acceleration that differs by less where two pieces of a trajectory meet does not jump, m/s².
+/// An acceleration that differs by less than this where two pieces of a trajectory meet is continuous, m/s².
 const SAME_ACCELERATION: f64 = 1e-6;
 
 /// Largest use of each limit along a trajectory.
@@ -212,7 +211,7 @@ pub fn largest_use(trajectory: &PiecewiseTrajectory, drive: &Drive) -> LimitUse 
             .lateral_acceleration
             .max((v * w).abs() / drive.max_lateral_acceleration);
         most.yaw_rate = most.yaw_rate.max(w.abs() / drive.top_yaw_rate());
-        // On the spot there is no base that moves: a wheel's.
+        // In a turn on the spot the base does not move: the acceleration is a wheel's.
         let acceleration = if v == 0.0 && rates.a == 0.0 {
             half * rates.alpha
         } else {

@@ -1,10 +1,10 @@
-//! Corridor. How much room is there around a path? A chain of overlapping convex polygons, each free for the robot's centre.
+//! Corridor. A chain of overlapping convex polygons around a path, each free for the robot's centre.
 //!
-//! Around a straight piece of the path every obstacle nearby is cut off by a line at right angles to the shortest connection between the
-//! two, the nearest obstacle first; obstacles that a line has cut off already need none of their own. A line keeps what the robot reaches
-//! towards it (a disc its radius, a polygon what it has there with headings near the piece's), and on top of it a clearance,
-//! but no more than half of what the piece itself has: the other half is for the curve. A polygon is convex, so that a curve whose control
-//! points lie inside does not leave it: free between samples too.
+//! Around a straight piece of the path every nearby obstacle is cut off by a line at right angles to the shortest connection between the
+//! two, the nearest obstacle first; obstacles that are already cut off need no line of their own. A line keeps the extent of the robot
+//! towards it (a disc: its radius; a polygon: its extent with headings near the piece's) plus a clearance, but no more than half of the
+//! room that the piece itself has: the other half is for the curve. A polygon is convex, so a curve whose control points lie inside does
+//! not leave it, also between samples.
 //!
 //! Source: Liu, Watterson, Mohta, Sun, Bhattacharya, Taylor and Kumar, "Planning Dynamically Feasible Trajectories for Quadrotors Using
 //! Safe Flight Corridors in 3-D Complex Environments", RA-L 2017; with squares in place of points, and without the ellipsoid.
@@ -21,9 +21,9 @@ use zenav_space::{ConfigurationSpace, UnknownPolicy};
 /// `normal · p <= offset`, with a normal of length one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HalfPlane {
-    /// Outwards.
+    /// Outward normal.
     pub normal: Vector2<f64>,
-    /// m.
+    /// Offset, m.
     pub offset: f64,
 }
 
@@ -68,13 +68,13 @@ impl FreePolygon {
     }
 }
 
-/// Share of what a piece has beyond the robot that is kept clear.
+/// Share of the room beyond the robot's own extent that is kept clear.
 const SHARE: f64 = 0.5;
 
-/// How far a polygon's heading may differ from the piece's, rad, before anything is known about the curve.
+/// How far a polygonal robot's heading may differ from the piece's, rad, before the curve is known.
 pub const SPREAD: f64 = 0.1;
 
-/// The polygons along a path (corner points, map frame), in order; neighbours share the point where the path goes from one to the next.
+/// The polygons along a path (corner points, map frame), in order; neighbours share the point where the path passes from one to the next.
 #[must_use]
 pub fn corridor(space: &ConfigurationSpace, path: &[Point2<f64>], size: &CorridorSettings) -> Vec<FreePolygon> {
     let points = split(path, size.length);
@@ -85,7 +85,7 @@ pub fn corridor(space: &ConfigurationSpace, path: &[Point2<f64>], size: &Corrido
         let mut polygon = free_polygon(space, points[at], points[at + 1], size, SPREAD);
         let along = points[at + 1] - points[at];
         at += 1;
-        // Short pieces that fit into the same polygon make one piece; a polygon must go the same path in all of them.
+        // Short pieces that fit into the same polygon are merged; a polygonal robot must keep its direction in all of them.
         while let Some(next) = points.get(at + 1) {
             let leg = next - points[at];
             let longer = polygon.length + leg.norm();
@@ -100,12 +100,13 @@ pub fn corridor(space: &ConfigurationSpace, path: &[Point2<f64>], size: &Corrido
     polygons
 }
 
-/// The path with points between its corners: pieces of at most `length` at the ends of a leg, where the path bends, and twice that between.
+/// The path with points between its corners: pieces of at most `length` at the ends of a leg, where the path bends, and of twice that
+/// between.
 fn split(path: &[Point2<f64>], length: f64) -> Vec<Point2<f64>> {
     let mut points: Vec<Point2<f64>> = path.first().copied().into_iter().collect();
     for pair in path.windows(2) {
         let leg = pair[1] - pair[0];
-        // In lengths of a piece at an end.
+        // In units of `length`.
         let total = leg.norm() / length;
         if total > 1.0 {
             let end = (total / 3.0).min(1.0);
@@ -127,10 +128,10 @@ fn split(path: &[Point2<f64>], length: f64) -> Vec<Point2<f64>> {
     points
 }
 
-/// How far the robot reaches from its base, m, with headings near a piece's.
+/// Extent of the robot from its base, m, with headings near a piece's.
 enum Shape {
     Disc(f64),
-    /// Each corner's distance, and where it is at the lowest and at the highest heading.
+    /// Each corner's distance, and its position at the lowest and at the highest heading.
     Polygon(Vec<(f64, Vector2<f64>, Vector2<f64>)>),
 }
 
@@ -148,13 +149,13 @@ impl Shape {
         }
     }
 
-    /// In a direction (length one).
+    /// Extent in a direction (unit vector).
     fn towards(&self, direction: Vector2<f64>) -> f64 {
         match self {
             Self::Disc(radius) => *radius,
             Self::Polygon(corners) => {
                 let reach = |(radius, low, high): &(f64, Vector2<f64>, Vector2<f64>)| {
-                    // In between a corner turns through the direction itself.
+                    // Between these headings the corner passes through the direction itself.
                     if low.perp(&direction) >= 0.0 && direction.perp(high) >= 0.0 {
                         *radius
                     } else {
@@ -177,9 +178,9 @@ impl Shape {
 /// An obstacle's square near a piece of the path, m.
 struct Square {
     center: Point2<f64>,
-    /// Nobody has looked there: the robot's centre alone stays off.
+    /// An unknown cell: only the robot's centre must stay off.
     is_unknown: bool,
-    /// What it is ordered by: not more than its distance beyond what is to be kept clear.
+    /// Sort key: a lower bound of its distance beyond what is to be kept clear.
     slack: f64,
     connection: Option<Connection>,
 }
@@ -191,12 +192,12 @@ struct Connection {
     nearest: Point2<f64>,
     outwards: Vector2<f64>,
     distance: f64,
-    /// What is to be kept clear: at least, and better.
+    /// Distance to be kept clear: at least, and wanted.
     least: f64,
     wanted: f64,
 }
 
-/// The polygon around a straight piece of a path. A polygon's heading may differ by `spread` (rad) from the piece's.
+/// The polygon around a straight piece of a path. The heading of a polygonal robot may differ by `spread` (rad) from the piece's.
 #[must_use]
 pub fn free_polygon(
     space: &ConfigurationSpace,
@@ -210,7 +211,7 @@ pub fn free_polygon(
     let clearance = size.clearance.max(0.0);
     let mut sides = frame(space, from, to, size.reach);
     let half = 0.5 * space.spec().resolution;
-    // Nothing beyond this has a say in the polygon.
+    // Nothing beyond this affects the polygon.
     let wide = frame_corners(from, to, size.reach + shape.most() + HAIR + clearance);
     let mut squares = Vec::new();
     for is_unknown in [false, true] {
@@ -237,7 +238,7 @@ pub fn free_polygon(
             let connection = connect(piece, square, &shape, clearance, half);
             match connection {
                 Some(found) => (square.slack, square.connection) = (found.distance - found.wanted, connection),
-                // No line parts the piece from a square that it touches: a robot that leaves a place where it should not be does that.
+                // No line separates the piece from a square that it touches, as when a robot leaves a place where it should not be.
                 None => drop(squares.swap_remove(first)),
             }
             continue;
@@ -284,7 +285,7 @@ fn frame_corners(from: Point2<f64>, to: Point2<f64>, reach: f64) -> [Point2<f64>
     ]
 }
 
-/// Its sides, each from a corner on; then those of the map, where the robot may not leave it.
+/// Its sides, each starting at a corner; then the map's borders, if the robot may not leave the map.
 fn frame(space: &ConfigurationSpace, from: Point2<f64>, to: Point2<f64>, reach: f64) -> Vec<HalfPlane> {
     let along = (to - from).try_normalize(0.0).unwrap_or(Vector2::x());
     let left = Vector2::new(-along.y, along.x);
@@ -306,7 +307,7 @@ fn frame(space: &ConfigurationSpace, from: Point2<f64>, to: Point2<f64>, reach: 
     sides
 }
 
-/// The shortest connection to a square; `None` where the piece touches it.
+/// The shortest connection to a square; `None` if the piece touches it.
 fn connect(
     piece: (Point2<f64>, Point2<f64>),
     square: &Square,
@@ -366,7 +367,7 @@ fn closest((a, b): (Point2<f64>, Point2<f64>), center: Point2<f64>, half: f64) -
     best
 }
 
-/// The half planes that make an edge of their common polygon; the first four are those of the rectangle with the corners `frame`.
+/// The half planes that contribute an edge to their intersection; the first four are those of the rectangle with the corners `frame`.
 fn needed(sides: &[HalfPlane], frame: &[Point2<f64>; 4]) -> Vec<HalfPlane> {
     // Each corner carries the side of the edge that leaves it, counter-clockwise.
     let mut corners: Vec<(Point2<f64>, usize)> = frame.iter().copied().zip(0..4).collect();
@@ -386,7 +387,7 @@ fn needed(sides: &[HalfPlane], frame: &[Point2<f64>; 4]) -> Vec<HalfPlane> {
         corners = clipped;
     }
     if corners.len() < 3 {
-        // No area, as where the path itself touches on both sides: nothing can be left out.
+        // No area, for example where obstacles touch the path on both sides: nothing can be left out.
         return sides.to_vec();
     }
     let mut kept: Vec<usize> = corners.into_iter().map(|(_, edge)| edge).collect();

@@ -1,11 +1,11 @@
-//! Cost. What does a curve cost? The quadratic form of its length, curvature and change of curvature, over places and derivatives at its joints.
+//! Cost. The quadratic form of a curve's length, curvature and change of curvature, over the positions and derivatives at its joints.
 
 use clarabel::algebra::CscMatrix;
 use nalgebra::{Matrix6, Vector6};
 
 use super::corridor::FreePolygon;
 
-/// Variables a joint: `px py vx vy ax ay`.
+/// Variables per joint: `px py vx vy ax ay`.
 pub(super) const JOINT: usize = 6;
 
 /// Control points of a piece as sums of (joint 0 or 1, order of the derivative, factor).
@@ -27,7 +27,7 @@ pub(super) fn cost(polygons: &[FreePolygon], turning_length: f64) -> CscMatrix<f
     let units = unit_costs();
     let weights = [1.0, turning_length.powi(2), turning_length.powi(4)];
     let block = |polygon: &FreePolygon| {
-        // Derivatives by the share of the piece, not by its length: each order has the length once more.
+        // Derivatives are by the share of the piece, not by its length: each order has one more factor of the length.
         let length = polygon.length;
         let scale = Vector6::new(1.0, length, length * length, 1.0, length, length * length);
         let weights = [0, 1, 2].map(|order| weights[order] * length.powi(-1 - 2 * order as i32));
@@ -66,7 +66,7 @@ fn unit_costs() -> [Matrix6<f64>; 3] {
             derivative[(i, 3 * joint + order)] += factor;
         }
     }
-    // Differences of neighbouring control points are the control points of the derivative, but for a factor.
+    // Differences of neighbouring control points are the control points of the derivative, up to a factor.
     [4, 3, 2].map(|degree| {
         for i in 0..=degree {
             let difference = (derivative.row(i + 1) - derivative.row(i)) * (degree + 1) as f64;
@@ -94,7 +94,7 @@ mod tests {
 
     #[test]
     fn the_unit_costs_are_the_integrals_of_known_polynomials() {
-        // u, u^2 and u^3 over 0 to 1, by place, first and second derivative at both ends.
+        // u, u^2 and u^3 over 0 to 1, by position, first and second derivative at both ends.
         let line = Vector6::new(0.0, 1.0, 0.0, 1.0, 1.0, 0.0);
         let square = Vector6::new(0.0, 0.0, 2.0, 1.0, 2.0, 2.0);
         let cube = Vector6::new(0.0, 0.0, 0.0, 1.0, 3.0, 6.0);

@@ -1,17 +1,17 @@
-//! Bezier curve. Where does a curve run? Bezier pieces of degree five, one after the other, and samples along them.
+//! Bezier curve. A chain of Bezier pieces of degree five, and samples along it.
 
 use nalgebra::{Point2, Vector2};
 use zenav_protocol::geometry::wrap_angle;
 
 use super::timing::{GeometricPath, PathPoint};
 
-/// A curve, and how the solver ended.
+/// A curve, with the result of the solver.
 #[derive(Clone, Debug)]
 pub struct Curve {
     pieces: Vec<[Point2<f64>; 6]>,
     /// The solver's status.
     pub solver: String,
-    /// Iterations it took.
+    /// Iterations of the solver.
     pub iterations: u32,
     /// Its relative duality gap.
     pub gap: f64,
@@ -39,11 +39,11 @@ pub struct Sampled {
 
 /// Largest turn from one sample to the next, rad.
 const FINE_TURN: f64 = 0.04;
-/// A turn from one sample to the next that halving does not make finer is a cusp, rad.
+/// A turn between samples that stays above this at the finest sampling is a cusp, rad.
 const CUSP: f64 = 0.5;
-/// Curvature of a turn on the spot in all but name, 1/m.
+/// Curvature from which on a curve is practically a turn on the spot, 1/m.
 const SHARPEST: f64 = 500.0;
-/// Most samples of a piece.
+/// Largest number of samples of a piece.
 const MOST_SAMPLES: usize = 1024;
 
 impl Curve {
@@ -65,7 +65,7 @@ impl Curve {
     /// Samples at most about `step` metres apart, closer where the curve turns.
     ///
     /// # Errors
-    /// [`CurveError::Cusp`] where the curve has no heading.
+    /// [`CurveError::Cusp`] if the curve has no heading somewhere.
     pub fn sampled(&self, step: f64) -> Result<Sampled, CurveError> {
         let mut points: Vec<PathPoint> = Vec::new();
         let mut ends = Vec::with_capacity(self.pieces.len());
@@ -90,7 +90,7 @@ impl Curve {
     }
 }
 
-/// A piece by powers of its parameter, 0 to 1.
+/// A piece as a polynomial of its parameter, 0 to 1.
 struct Polynomial {
     start: Point2<f64>,
     end: Point2<f64>,
@@ -99,7 +99,7 @@ struct Polynomial {
 
 impl Polynomial {
     fn new(piece: &[Point2<f64>; 6]) -> Self {
-        // Differences of the control points, then of those: times a binomial coefficient, they are the factors.
+        // Repeated differences of the control points, times binomial coefficients, are the coefficients.
         let mut differences: Vec<Vector2<f64>> = piece.windows(2).map(|pair| pair[1] - pair[0]).collect();
         let mut powers = [Vector2::zeros(); 5];
         for (power, binomial) in powers.iter_mut().zip([5.0, 10.0, 10.0, 5.0, 1.0]) {
@@ -128,19 +128,19 @@ impl Polynomial {
         b * 2.0 + (c * 6.0 + (d * 12.0 + e * (20.0 * u)) * u) * u
     }
 
-    /// Appends samples; the largest turn between two of them. `None` where there is no heading.
+    /// Appends samples; returns the largest turn between two of them, or `None` where there is no heading.
     fn append(&self, samples: usize, with_first: bool, points: &mut Vec<PathPoint>) -> Option<f64> {
         let mut largest = 0.0_f64;
         let speed = |u: f64| self.first(u).norm();
         let step = 1.0 / samples as f64;
         for i in usize::from(!with_first)..=samples {
             let u = i as f64 * step;
-            // The end to the last digit.
+            // The end is taken exactly.
             let place = if i == samples { self.end } else { self.place(u) };
             let (first, second) = (self.first(u), self.second(u));
             let rate = first.norm();
             let k = first.perp(&second) / (rate * rate * rate);
-            // Without speed the curvature is not a number: that is a cusp as well.
+            // Without speed the curvature is NaN: a cusp as well.
             if rate <= 1e-6 || k.is_nan() || k.abs() >= SHARPEST {
                 return None;
             }
@@ -155,7 +155,7 @@ impl Polynomial {
                 let turn = wrap_angle(point.yaw - last.yaw);
                 largest = largest.max(turn.abs());
                 point.yaw = last.yaw + turn;
-                // Gauss and Legendre, three points.
+                // Gauss-Legendre quadrature with three points.
                 let (middle, reach) = (u - 0.5 * step, 0.5 * step * 0.6_f64.sqrt());
                 point.s = last.s
                     + step / 18.0 * (5.0 * speed(middle - reach) + 8.0 * speed(middle) + 5.0 * speed(middle + reach));
@@ -174,7 +174,7 @@ mod tests {
     #[test]
     fn samples_lie_on_the_curve_and_the_last_one_of_a_piece_at_its_end() {
         let first = [0.0, 0.4, 0.9, 1.3, 1.8, 2.0].map(|x: f64| Point2::new(x, 0.5 * (x * 3.0).sin()));
-        // The same turned by half about the first one's end.
+        // The same piece rotated by half a turn about the first one's end.
         let mut second = first.map(|p| Point2::new(2.0 * first[5].x - p.x, 2.0 * first[5].y - p.y));
         second.reverse();
         let curve = Curve::new(vec![first, second], String::new(), 0, 0.0);

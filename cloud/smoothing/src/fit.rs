@@ -1,13 +1,13 @@
-//! Curve fitting. Which curve through a corridor bends least? Bezier pieces of degree five whose control points lie in their polygons.
+//! Curve fitting. The curve through a corridor that bends least: Bezier pieces of degree five whose control points lie in their polygons.
 //!
-//! With `p`, `v`, `a` (place, first and second derivative by a parameter that runs as fast as the path's length) at every joint, a piece of
-//! length `T` has the control points `p`, `p + vT/5`, `p + 2vT/5 + aT²/20` and the same from its end: joints are C² by construction. The
-//! curve minimises `∫ |p'|² + l² |p''|² + l⁴ |p'''|²` (length, curvature, change of curvature; `l` is the length over which the robot
-//! likes to turn) under `normal · control <= offset` for every side of the piece's polygon. A Bezier curve lies in the convex hull of its
-//! control points, so it does not leave the polygon. The path itself is always such a curve.
+//! With `p`, `v`, `a` (position, first and second derivative by a parameter that runs as fast as the path's length) at every joint, a
+//! piece of length `T` has the control points `p`, `p + vT/5`, `p + 2vT/5 + aT²/20` and the same from its end: joints are C² by
+//! construction. The curve minimises `∫ |p'|² + l² |p''|² + l⁴ |p'''|²` (length, curvature, change of curvature; `l` is the preferred
+//! turning length) subject to `normal · control <= offset` for every side of the piece's polygon. A Bezier curve lies in the convex hull
+//! of its control points, so it does not leave the polygon. The path itself is always such a curve.
 //!
-//! The quadratic program is solved by the interior point method of Clarabel. Of some two thousand sides and control points fewer than a
-//! tenth matter in the end: only those near the path are asked for at first, then those that the curve has crossed.
+//! The quadratic programme is solved by Clarabel's interior-point method. Of some two thousand pairs of a side and a control point fewer
+//! than a tenth matter in the end: at first only those near the path are imposed, then those that the curve violates.
 //!
 //! Sources: Gao, Wu, Lin and Shen, "Online Safe Trajectory Generation for Quadrotors Using Fast Marching Method and Bernstein Basis
 //! Polynomial", ICRA 2018; Goulart and Chen, "Clarabel: An interior-point solver for conic programs with quadratic objectives", 2024;
@@ -26,29 +26,30 @@ use super::curve::{Curve, CurveError};
 /// Heading and curvature that an end of the curve must have.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EndTangent {
-    /// Length one.
+    /// Unit vector.
     pub direction: Vector2<f64>,
-    /// Curvature, 1/m; free without.
+    /// Curvature, 1/m; `None`: free.
     pub curvature: Option<f64>,
 }
 
-/// What a curve is asked to be.
+/// Tangents required at the ends of a curve.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Ends {
-    /// At the start; free without.
+    /// At the start; `None`: free.
     pub start: Option<EndTangent>,
-    /// At the end; free without.
+    /// At the end; `None`: free.
     pub end: Option<EndTangent>,
 }
 
-/// Sides this near to the path are asked for at first, in turning lengths.
+/// Sides this close to the path are imposed from the beginning, in turning lengths.
 const NEAR: f64 = 2.0;
-/// A control point may lie so far outside of its polygon, m: a fifth of the hair that polygons keep.
+/// A control point may lie this far outside its polygon, m: a fifth of the margin that polygons keep.
 const OUTSIDE: f64 = 1e-4;
-/// Solutions with some of the sides only; then all are asked for.
+/// Rounds with only some of the sides; after that all are imposed.
 const ROUNDS: usize = 4;
 
-/// The best curve through polygons, from the first polygon's `from` to the last one's `to`. `turning_length` in m, `max_iterations` of the solver.
+/// The best curve through polygons, from the first polygon's `from` to the last one's `to`. `turning_length` in m, `max_iterations` of
+/// the solver.
 ///
 /// # Errors
 /// [`CurveError::Solver`]: the polygons do not admit the ends' tangents, or the solver failed.
@@ -81,7 +82,7 @@ pub fn fit(
     Ok(program.curve(solved, iterations))
 }
 
-/// A sum of six variables with factors, and what it may be at most.
+/// A sum of six variables with factors, and its bound.
 struct Row {
     terms: [(usize, f64); 6],
     bound: f64,
@@ -93,7 +94,7 @@ impl Row {
         self.bound - sum
     }
 
-    /// One or two variables.
+    /// A row of one or two variables.
     fn short(terms: &[(usize, f64)], bound: f64) -> Self {
         let mut row = Self {
             terms: [(0, 0.0); 6],
@@ -106,14 +107,14 @@ impl Row {
     }
 }
 
-/// The quadratic program. Places are relative to the first one.
+/// The quadratic programme. Positions are relative to the first one.
 struct Program<'a> {
     polygons: &'a [FreePolygon],
     origin: Point2<f64>,
     cost: CscMatrix<f64>,
-    /// What holds exactly: both ends.
+    /// Equalities: both ends.
     given: Vec<Row>,
-    /// What holds at most: every control point of a piece, but for the ends, on every side of its polygon.
+    /// Inequalities: every control point of a piece, except the ends, against every side of its polygon.
     walls: Vec<Row>,
 }
 
@@ -148,7 +149,7 @@ impl<'a> Program<'a> {
             given.push(Row::short(&[(joint + 2, 1.0)], direction.x));
             given.push(Row::short(&[(joint + 3, 1.0)], direction.y));
             if let Some(k) = curvature {
-                // At a speed of one along the parameter, curvature is the second derivative across.
+                // With unit speed along the parameter, curvature is the second derivative across.
                 given.push(Row::short(&[(joint + 4, -direction.y), (joint + 5, direction.x)], k));
             }
         }
@@ -176,7 +177,7 @@ impl<'a> Program<'a> {
         })
     }
 
-    /// Which walls are nearer than `near` (m) to where their control points would lie on the path itself.
+    /// Which walls are nearer than `near` (m) to the place of their control points on the path itself.
     fn near(&self, near: f64) -> Vec<bool> {
         let mut asked = Vec::with_capacity(self.walls.len());
         for (i, polygon) in self.polygons.iter().enumerate() {
@@ -189,7 +190,7 @@ impl<'a> Program<'a> {
         asked
     }
 
-    /// Asks for all walls that a solution has crossed; by how much at most, m.
+    /// Imposes all walls that a solution violates; returns the largest violation, m.
     fn ask_for_crossed(&self, x: &[f64], asked: &mut [bool]) -> f64 {
         let mut most = 0.0_f64;
         for (wall, asked) in self.walls.iter().zip(asked) {
@@ -232,7 +233,7 @@ impl<'a> Program<'a> {
     }
 
     fn curve(&self, mut solved: Solved, iterations: u32) -> Curve {
-        // What was asked for holds to the last digit, not to the solver's tolerance.
+        // Equalities are made exact, beyond the solver's tolerance.
         for row in &self.given {
             let slack = row.slack(&solved.x);
             let squared: f64 = row.terms.iter().map(|(_, factor)| factor * factor).sum();
@@ -257,12 +258,12 @@ impl<'a> Program<'a> {
     }
 }
 
-/// Control points of a piece that are not the curve's own ends: those lie where they lie.
+/// Control points of a piece without the curve's own ends, which are fixed.
 fn inner(piece: usize, pieces: usize) -> std::ops::Range<usize> {
     usize::from(piece == 0)..if piece + 1 == pieces { 5 } else { 6 }
 }
 
-/// To a hundredth of a millimetre; `careful` asks for what the solver can do.
+/// Tolerances of a hundredth of a millimetre; `careful` uses the solver's own.
 fn settings(max_iterations: u32, careful: bool) -> Result<DefaultSettings<f64>, CurveError> {
     let mut builder = DefaultSettingsBuilder::default();
     builder.verbose(false).max_iter(max_iterations).presolve_enable(false);
@@ -278,7 +279,7 @@ fn settings(max_iterations: u32, careful: bool) -> Result<DefaultSettings<f64>, 
     builder.build().map_err(|error| CurveError::Solver(error.to_string()))
 }
 
-/// Rows as the solver wants them: by columns.
+/// The rows in the solver's format: by columns.
 fn matrix(rows: &[&Row], variables: usize) -> (CscMatrix<f64>, Vec<f64>) {
     let terms = || {
         rows.iter().enumerate().flat_map(|(i, row)| {

@@ -1,13 +1,13 @@
-//! Trajectory smoothing. Which collision-free trajectory does a path become, within the limits of a differential drive?
+//! Trajectory smoothing. Turns a path into a collision-free trajectory within the limits of a differential drive.
 //!
 //! # The problem
 //!
-//! Given corner points `q₀ … qₙ` in a configuration space, a pose and velocity at the start, and the limits of a drive with half the wheel
-//! separation `h`; wanted is a curve `p(s)` with curvature `k(s)`, and a time law `s(t)`, to rest at `qₙ`. It is solved in three phases,
-//! timed under these names:
+//! Given corner points `q₀ … qₙ` in a configuration space, a pose and velocity at the start, and the limits of a drive with half the
+//! wheel separation `h`, find a curve `p(s)` with curvature `k(s)` and a time law `s(t)` that ends at rest at `qₙ`. The problem is solved
+//! in three phases, timed under these names:
 //!
-//! 1. **corridor**: cut needless corners; around each piece `i` of what is left a convex polygon `Aᵢ x ≤ bᵢ` that is free for the
-//!    robot's centre ([`corridor()`]).
+//! 1. **corridor**: needless corners are cut; each remaining piece `i` gets a convex polygon `Aᵢ x ≤ bᵢ` that is free for the robot's
+//!    centre ([`corridor()`]).
 //! 2. **geometry**: quintic Bezier curves, C² where they meet, with control points `c`:
 //!
 //!    ```text
@@ -15,8 +15,8 @@
 //!    subject to Aᵢ c ≤ bᵢ for each control point of piece i;   p, p' (and k) as given at both ends
 //!    ```
 //!
-//!    a sparse convex quadratic programme ([`fit()`]). A curve lies in the convex hull of its control points: it does not leave the
-//!    corridor. A long robot's footprint is swept along the curve, and the polygons that it leaves are tightened for its headings.
+//!    a sparse convex quadratic programme ([`fit()`]). A curve lies in the convex hull of its control points, so it does not leave the
+//!    corridor. A long robot's footprint is swept along the curve; where it collides, the polygon is tightened for the headings there.
 //! 3. **timing**: with `b = v²` the limits are linear in `b` and `a = b'/2`:
 //!
 //!    ```text
@@ -24,30 +24,30 @@
 //!    subject to v (1 ± k h) ≤ v_wheel,   |a (1 ± k h) ± h k' b| ≤ a_wheel,   |k| b ≤ a_lateral,   |k| v ≤ w_max
 //!    ```
 //!
-//!    two sweeps are exact for the samples ([`fastest()`]); with a limit of the jerk `|a'| √b ≤ J` a few quadratic programmes follow
-//!    ([`jerk_limited()`]); for the least energy a search over two limits (`timing/economy`).
+//!    two sweeps are exact for the samples ([`fastest()`]); with a jerk limit `|a'| √b ≤ J` a few quadratic programmes follow
+//!    ([`jerk_limited()`]); for the least energy there is a search over two limits (`timing/economy`).
 //!
-//! What comes out is checked by other means (`certificate`): the footprint swept along the trajectory, and the largest use of each
-//! limit. Where a phase fails, the path itself goes out as stop, turn and go ([`stop_turn_go()`]); [`Outcome`] says why.
+//! The result is checked independently (`certificate`): the footprint is swept along the trajectory, and the largest use of each limit is
+//! computed. If a phase fails, the path itself is sent as stop, turn and go ([`stop_turn_go()`]); [`Outcome`] says why.
 //!
 //! # Use
 //!
-//! [`smooth()`] does all of it; [`unsmoothed()`] only the last resort. `cargo run -p zenav-smoothing --example around_a_corner` prints a
+//! [`smooth()`] runs all phases; [`unsmoothed()`] is only the fallback. `cargo run -p zenav-smoothing --example around_a_corner` prints a
 //! trajectory and its certificate.
 //!
 //! | file | answers |
 //! |---|---|
 //! | `smoother` | which trajectory does a path become? |
 //! | `shortcut` | which corners of a path are needed? |
-//! | `corridor` | how much room is there around it? |
+//! | `corridor` | how much room is there around a path? |
 //! | `fit`, `cost` | which curve through that room bends least, and what does a curve cost? |
-//! | `curve` | where does a curve run? |
+//! | `curve` | how is a curve represented and sampled? |
 //! | `segment` | which curve leads from one stop to the next, for the true footprint? |
-//! | `trajectory_builder` | where does the robot brake, stop and turn, and on which curves does it go between? |
+//! | `trajectory_builder` | where does the robot brake, stop and turn, and which curves connect these places? |
 //! | `timing` | when is the robot where? |
 //! | `certificate` | is the trajectory free, and within the limits? |
-//! | `unsmoothed` | what goes out where nobody smooths? |
-//! | `settings`, `outcome`, `phases` | what can be tuned, what came out, how long did it take? |
+//! | `unsmoothed` | what is sent without smoothing? |
+//! | `settings`, `outcome`, `phases` | what can be tuned, what was the result, how long did it take? |
 
 mod certificate;
 mod corridor;

@@ -1,16 +1,16 @@
-//! Outcome. Which trajectory came out of smoothing, and why was it not the smooth one?
+//! Outcome. The result of smoothing, and why it is not a smooth trajectory.
 
 use std::fmt;
 
 use super::curve::CurveError;
 
-/// What came out.
+/// Result of smoothing.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Outcome {
     /// A trajectory along a smooth curve.
     #[default]
     Smoothed,
-    /// The path itself as stop, turn and go; nothing at all where even that is not free.
+    /// The path itself as stop, turn and go; nothing at all if even that is not free.
     Unsmoothed(Fallback),
 }
 
@@ -27,7 +27,7 @@ impl fmt::Display for Outcome {
 /// Why the smooth curve is not driven.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Fallback {
-    /// Nobody tried: the caller asked for the path itself.
+    /// Smoothing was not tried: the caller asked for the path itself.
     #[error("not_tried")]
     NotTried,
     /// The start has numbers that are not finite.
@@ -36,16 +36,16 @@ pub enum Fallback {
     /// The path itself is not free; nothing is driven.
     #[error("path_blocked")]
     PathBlocked,
-    /// The footprint touches something along every curve found.
+    /// The footprint collides along every curve found.
     #[error("collision")]
     Collision,
     /// No curve was found.
     #[error("{0}")]
     Curve(CurveError),
-    /// No time law keeps the limits from the speed at the start on.
+    /// No time law keeps the limits from the start's speed on.
     #[error("too_fast")]
     TooFast,
-    /// Stop, turn and go is done sooner.
+    /// Stop, turn and go is faster.
     #[error("slower")]
     Slower,
     /// Time was up.

@@ -1,4 +1,4 @@
-//! Phases. How long did corridor, geometry and time law take, and is time up?
+//! Phases. Times of corridor, geometry and time law, and the cancel flag.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -25,17 +25,17 @@ impl<'a> Phases<'a> {
         }
     }
 
-    /// Whether the caller wants an answer now.
+    /// Whether the caller has cancelled smoothing.
     pub(crate) fn is_over(&self) -> bool {
         self.cancel.is_some_and(|cancel| cancel.load(Ordering::Relaxed))
     }
 
-    /// The flag that says so.
+    /// The cancel flag.
     pub(crate) fn cancel(&self) -> Option<&'a AtomicBool> {
         self.cancel
     }
 
-    /// Does a phase's work and adds up its time.
+    /// Runs a phase's work and adds up its time.
     pub(crate) fn measure<T>(&mut self, phase: fn(&mut Self) -> &mut f64, work: impl FnOnce() -> T) -> T {
         let begin = (self.clock)();
         let result = work();

@@ -1,8 +1,9 @@
-//! Segment. Which curve leads from one stop to the next? The best one through the corridor, which is tightened where the true footprint does not fit.
+//! Segment. The curve from one stop to the next: the best one through the corridor, which is tightened where the true footprint does not
+//! fit.
 //!
-//! A disc needs no more than its polygons. What a longer robot needs depends on its heading, which nobody knows before there is a curve: polygons
-//! are first made for headings near each piece's own; the footprint is then swept along the curve, and where it touches something the polygon
-//! is made anew for the headings that it had there.
+//! For a disc the polygons are enough. The extent of a longer robot depends on its heading, which is unknown before there is a curve:
+//! polygons are first built for headings near each piece's own; the footprint is then swept along the curve, and where it collides, the
+//! polygon is rebuilt for the headings there.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -18,29 +19,29 @@ use super::settings::SmoothingSettings;
 use super::timing::GeometricPath;
 use zenav_space::ConfigurationSpace;
 
-/// A curve that is free all along.
+/// A curve that is free throughout.
 #[derive(Clone, Debug)]
 pub(super) struct Segment {
     pub(super) geometry: GeometricPath,
     pub(super) polygons: Vec<FreePolygon>,
-    /// The curve; none where the path is one straight line.
+    /// The curve; `None` if the path is one straight line.
     pub(super) curve: Option<Curve>,
 }
 
 /// Why there is no such curve.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum NoSegment {
-    /// None at all.
+    /// No curve was found.
     Curve(CurveError),
-    /// The footprint touches something at these places, m.
+    /// The footprint collides at these places, m.
     Collides(Vec<Point2<f64>>),
     /// Time was up.
     TimedOut,
 }
 
-/// Times that a corridor is tightened.
+/// Largest number of times that a corridor is tightened.
 const TIGHTENED: usize = 5;
-/// A polygon is made for headings so much farther off than those that the curve had, rad, and for so many times more than before.
+/// A polygon is rebuilt for headings this much farther off than those of the curve, rad, and at least this many times its last spread.
 const MARGIN: f64 = 0.05;
 const GROWTH: f64 = 1.5;
 
@@ -122,7 +123,7 @@ pub(super) fn segment(
     Err(NoSegment::Collides(places))
 }
 
-/// One straight line, where that is what the ends ask for.
+/// One straight line, if the ends admit it.
 fn straight(path: &[Point2<f64>], ends: &Ends, step: f64) -> Option<GeometricPath> {
     let [from, to] = path else { return None };
     let along = to - from;
@@ -133,7 +134,7 @@ fn straight(path: &[Point2<f64>], ends: &Ends, step: f64) -> Option<GeometricPat
     admits.then(|| GeometricPath::straight(*from, *to, step)).flatten()
 }
 
-/// Samples after which the footprint touches something before the next one.
+/// Samples after which the footprint collides before the next one.
 fn collisions(space: &ConfigurationSpace, geometry: &GeometricPath) -> Vec<usize> {
     let pose = |i: usize| {
         let point = geometry.points()[i];
@@ -148,7 +149,7 @@ fn collisions(space: &ConfigurationSpace, geometry: &GeometricPath) -> Vec<usize
         .collect()
 }
 
-/// Notes for which headings polygons are to be made; says which polygons change.
+/// Widens the headings of the polygons in which there are collisions; returns the polygons that change.
 fn widen(spreads: &mut [f64], polygons: &[FreePolygon], sampled: &Sampled, hits: &[usize]) -> Vec<usize> {
     let before = spreads.to_vec();
     for hit in hits {
@@ -170,7 +171,7 @@ mod tests {
     use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy};
     use zenav_space::UnknownPolicy;
 
-    /// A corner to the left between two halls of 0.8 m, for a robot of 0.8 m by 0.3 m with its base in front.
+    /// A left turn between two halls of 0.8 m, for a robot of 0.8 m by 0.3 m with its base in front.
     #[test]
     fn a_corridor_is_tightened_until_a_long_robot_fits_round_its_corner() {
         let spec = GridSpec {

@@ -1,8 +1,8 @@
-//! Shortcut. Which corners of a path are needed? Straight cuts across it, each as far from obstacles as what it replaces.
+//! Shortcut. Straight cuts across a path, each as far from obstacles as the part that it replaces.
 //!
-//! A search on a grid knows eight directions; a robot knows all. A cut is made where the robot's true shape fits along it, and where it is
-//! not led closer to obstacles than the path itself went, up to a clearance: what the search paid for is kept. A robot that is
-//! longer than wide must be able to turn at both ends of a cut.
+//! A search on a grid knows eight directions; a robot knows all. A cut is made if the robot's true shape fits along it, and if it leads
+//! no closer to obstacles than the path itself, up to a clearance: the clearance that the search paid for is kept. A robot that is longer
+//! than wide must be able to turn at both ends of a cut.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -11,14 +11,14 @@ use zenav_protocol::robot::Footprint;
 
 use zenav_space::ConfigurationSpace;
 
-/// Points at which a path may be cut, at most this far from one another, m.
+/// Largest distance between the points at which a path may be cut, m.
 const SPACING: f64 = 0.75;
-/// Times that the cut path is cut again.
+/// Number of passes over the path.
 const PASSES: usize = 2;
-/// Kept clear on top of the robot's own shape, m: the rounding of whatever comes later stays free.
+/// Margin on top of the robot's own shape, m: later rounding stays free.
 pub const HAIR: f64 = 5e-4;
 
-/// Whether the inscribed disc moves freely from `a` to `b`, and its centre stays where the policy for unknown cells lets it be.
+/// Whether a disc of `radius` (m) moves freely from `a` to `b`, and its centre stays where the policy for unknown cells permits.
 #[must_use]
 pub fn is_clear(space: &ConfigurationSpace, a: Point2<f64>, b: Point2<f64>, radius: f64) -> bool {
     space.disc_passes(a, b, radius) && space.is_permitted_between(a, b)
@@ -38,9 +38,8 @@ pub fn has_leg(space: &ConfigurationSpace, a: Point2<f64>, b: Point2<f64>, kept:
     fits && space.is_permitted_between(a, b)
 }
 
-/// The path with fewer corners; its ends stay. Once `cancel` is set it stays as it is. `comfort` (m) is what may be asked for beyond the
-/// robot's shape; `heading` (rad) is where the
-/// robot stands at first, where that matters.
+/// The path with fewer corners; its ends stay. Once `cancel` is set, it is returned as it is. `clearance` (m) is what cuts keep beyond
+/// the robot's shape, as far as the path does; `heading` (rad) is the robot's heading at the start, if it matters.
 #[must_use]
 pub fn shortcut(
     space: &ConfigurationSpace,
@@ -61,7 +60,7 @@ pub fn shortcut(
     path
 }
 
-/// The path cut once; `None` when time is up.
+/// The path after one pass of cuts; `None` once cancelled.
 fn pass(
     space: &ConfigurationSpace,
     path: &[Point2<f64>],
@@ -85,13 +84,13 @@ fn pass(
         }
         cut.push(*from);
         let last = points.len() - 1;
-        // At both ends a robot that is longer than wide turns: from where it comes, and to where the path goes on.
+        // A robot that is longer than wide turns at both ends: from its last heading, and into the path's next direction.
         let turns = |to: usize| {
             let along = direction(at, to);
             let goes_on = to == last || space.turn_is_free(points[to], along, direction(to, to + 1));
             goes_on && heading.is_none_or(|heading| space.turn_is_free(*from, heading, along))
         };
-        // Twice as far each time while it can be seen, then halving: whatever is seen is a cut, the farthest found is taken.
+        // The step doubles while the target is in sight, then it is halved; the farthest point found in sight ends the cut.
         let sees = |to: usize| {
             let kept = clearances[at..to].iter().copied().fold(wanted, f64::min) - 1e-9;
             has_leg(space, *from, points[to], kept.max(1e-9)) && (!is_long || turns(to))

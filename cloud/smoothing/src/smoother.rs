@@ -1,7 +1,7 @@
-//! Smoother. Which trajectory does a path become? Shortcut, corridor, curve, time law, check; and what is always safe where that fails.
+//! Smoother. Turns a path into a trajectory: shortcut, corridor, curve, time law, check; and a safe fallback if one of them fails.
 //!
-//! Smoothing never fails a plan: the unsmoothed path goes out with a safe time law, and says why ([`Fallback`]). It knows no time: a clock
-//! for the statistics and a flag that ends it early are the caller's.
+//! Smoothing never fails a plan: if it does not succeed, the unsmoothed path is sent with a safe time law and a reason ([`Fallback`]). It
+//! reads no clock: a clock for the statistics and a flag that ends it early come from the caller.
 
 use std::f64::consts::PI;
 use std::sync::atomic::AtomicBool;
@@ -23,14 +23,14 @@ use super::timing::stop_turn_go::corners_from;
 use super::timing::{Limits, PiecewiseTrajectory, UNRESTRICTED};
 use super::trajectory_builder::{Checked, TrajectoryBuilder};
 
-/// A leg this near to the way that the robot looks needs no turn, rad.
+/// A leg this close to the robot's heading needs no turn, rad.
 const STRAIGHT: f64 = 0.02;
-/// Places nearer than this are one, m.
+/// Places closer together than this are the same, m.
 const ROUNDING: f64 = 1e-6;
-/// Time between two points of a trajectory that goes out, s.
+/// Time between two points of a trajectory that is sent, s.
 pub const SAMPLE_PERIOD: f64 = 0.05;
 
-/// What is to be smoothed.
+/// Input of smoothing.
 #[derive(Clone, Copy, Debug)]
 pub struct SmoothQuery<'a> {
     /// Corner points, map frame, m; the start included or not.
@@ -39,32 +39,32 @@ pub struct SmoothQuery<'a> {
     pub start: Pose2,
     /// Velocity at the start.
     pub start_velocity: Twist2,
-    /// Heading wanted at the end, rad; the path's own without.
+    /// Heading wanted at the end, rad; `None`: the path's own.
     pub goal_yaw: Option<f64>,
-    /// What the trajectory is to be good at.
+    /// Objective of the trajectory.
     pub profile: DrivingProfile,
 }
 
-/// A trajectory and how it came about.
+/// A trajectory, its outcome and its statistics.
 #[derive(Clone, Debug, Default)]
 pub struct Smoothed {
-    /// What came out.
+    /// Result of smoothing.
     pub outcome: Outcome,
-    /// In closed form; empty when there is nothing to drive, and when the path itself is blocked.
+    /// In closed form; empty if there is nothing to drive, and if the path itself is blocked.
     pub trajectory: PiecewiseTrajectory,
-    /// The outcome as `status`, the solver's, times of the phases, length, duration, least clearance, certificate; planner and search are
-    /// the caller's.
+    /// The outcome as `status`, the solver's status, times of the phases, length, duration, least clearance and certificate; the caller
+    /// fills in planner and search.
     pub statistics: PlanStatistics,
 }
 
 impl Smoothed {
-    /// Points at most `period` seconds apart, as they go to the robot.
+    /// Points at most `period` seconds apart, as they are sent to the robot.
     #[must_use]
     pub fn sampled(&self, period: f64) -> Trajectory {
         self.trajectory.sampled(period)
     }
 
-    /// Whether the smooth curve came out, rather than the unsmoothed path.
+    /// Whether the trajectory follows the smooth curve rather than the unsmoothed path.
     #[must_use]
     pub fn is_smooth(&self) -> bool {
         self.outcome == Outcome::Smoothed
@@ -73,10 +73,10 @@ impl Smoothed {
 
 /// The trajectory along a path, from the start's pose and velocity to rest at the path's end.
 ///
-/// `model` has the footprint that `space` was made for. `clock` (s) tells the times of the phases, and nothing else depends on it;
-/// once `cancel` is set the safe trajectory comes out soon. Deterministic but for these two.
+/// `model` has the footprint that `space` was built for. `clock` (s) is only used for the times of the phases; once `cancel` is set, the
+/// safe trajectory is returned soon. Deterministic except for these two.
 ///
-/// Cost: most of it is the quadratic programme's; `cargo bench -p zenav-smoothing` measures it.
+/// Cost: mostly that of the quadratic programme; `cargo bench -p zenav-smoothing` measures it.
 ///
 /// ```
 /// use nalgebra::Point2;
@@ -153,7 +153,7 @@ pub fn smooth(
     }
 }
 
-/// Why there is no curve, and what is safe instead.
+/// Why there is no curve, and the safe alternative.
 type Failed = (Fallback, Option<Box<Checked>>);
 
 fn smoothed_or_safe(
@@ -184,7 +184,7 @@ fn smoothed_or_safe(
             UNRESTRICTED
         },
     };
-    // A path that comes back to where it was is cut there.
+    // A path that returns to an earlier place is cut there.
     let cancel = phases.cancel();
     let short = phases.measure(
         |p| &mut p.corridor,
@@ -200,7 +200,7 @@ fn smoothed_or_safe(
         )
     };
     if short.len() < 2 {
-        // Nothing to drive: braking and turning is all there is.
+        // Nothing to drive: only braking and turning remain.
         return safe(phases).ok_or((Fallback::Collision, None));
     }
     let unsmoothed = phases.measure(|p| &mut p.timing, || builder.unchecked_stop_turn_go(&short).duration());
@@ -216,8 +216,8 @@ fn smoothed_or_safe(
     }
 }
 
-/// How far a body that stands with a part of its outline in an obstacle drives straight on, the way that it looks, until it stands free, m; zero
-/// for one that stands free, that would turn first, or that does not get free on the first leg.
+/// How far a robot with part of its outline in an obstacle drives straight ahead until it is free, m; zero if it is free already, if it
+/// would turn first, and if it does not get free on the first leg.
 fn straight_out(space: &ConfigurationSpace, start: Pose2, path: &[Point2<f64>]) -> f64 {
     let [from, to, ..] = path else { return 0.0 };
     let (leg, heading) = (to - from, start.heading());
@@ -230,11 +230,12 @@ fn straight_out(space: &ConfigurationSpace, start: Pose2, path: &[Point2<f64>]) 
         let place = start.position() + heading * off;
         space.footprint_clearance(Pose2::new(place.x, place.y, start.yaw)) > 0.0
     };
-    // A turn there is looked at.
+    // A turn at that place is still checked.
     along.find(|off| stands_free(*off)).map_or(0.0, |off| off - ROUNDING)
 }
 
-/// Metres around the start that the robot has to leave whatever the map says there; `None` where the path itself is blocked.
+/// Metres around the start that are not checked, because the robot has to leave an obstacle of the map; `None` if the path itself is
+/// blocked.
 fn exempt(space: &ConfigurationSpace, start: Pose2, path: &[Point2<f64>]) -> Option<f64> {
     let radius = space.radius();
     let mut exempt = straight_out(space, start, path);
@@ -249,8 +250,8 @@ fn exempt(space: &ConfigurationSpace, start: Pose2, path: &[Point2<f64>]) -> Opt
     Some(exempt)
 }
 
-/// How far along a leg a robot gets clear of what it stands too near to, or in, m; `None` where it comes nearer first, and where the rest of
-/// the leg is not clear.
+/// How far along a leg a robot gets clear of an obstacle that it stands in or too close to, m; `None` if it gets closer first, and if the
+/// rest of the leg is not clear.
 fn left_after(space: &ConfigurationSpace, [from, to]: [Point2<f64>; 2], radius: f64) -> Option<f64> {
     let (leg, step) = (to - from, 0.5 * space.spec().resolution);
     let (length, yaw) = (leg.norm(), leg.y.atan2(leg.x));

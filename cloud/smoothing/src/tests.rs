@@ -1,4 +1,4 @@
-//! Claims about what comes out of the smoother, checked by other means than the smoother's own.
+//! Tests of the smoother's results, checked independently of the smoother.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::sync::Arc;
@@ -63,10 +63,10 @@ fn smoothed(space: &ConfigurationSpace, query: &SmoothQuery<'_>, model: &RobotMo
     smooth(space, query, model, &SmoothingSettings::default(), None, &mut || 0.0)
 }
 
-/// At every millisecond: free by the true footprint, within 95 % of every limit, going where the velocity says.
+/// At every millisecond: free by the true footprint, within 95 % of every limit, and moving as the velocity says.
 ///
-/// Poses are compared with the trapezoid of two velocities: where the acceleration jumps by `j` between the two, as
-/// at the peak of a turn on the spot, that is off by up to `j dt^2 / 8`.
+/// Poses are compared with the trapezoid of two velocities. Where the acceleration jumps by `j` between the two, as at the peak of a turn
+/// on the spot, the trapezoid is off by up to `j dt^2 / 8`.
 fn assert_sound(result: &Smoothed, space: &ConfigurationSpace, model: &RobotModel) {
     let drive = &model.drive;
     let half = 0.5 * drive.wheel_separation;
@@ -116,7 +116,7 @@ fn assert_sound(result: &Smoothed, space: &ConfigurationSpace, model: &RobotMode
     }
 }
 
-/// Whether a footprint overlaps a square, by separating axes; the configuration space has no part in it.
+/// Whether a footprint overlaps a square, by separating axes, independent of the configuration space.
 fn overlaps(footprint: &Footprint, pose: Pose2, center: Point2<f64>, half: f64) -> bool {
     match footprint {
         Footprint::Radius(radius) => {
@@ -251,7 +251,7 @@ fn a_motion_stays_out_of_closed_zones_and_is_slow_in_speed_zones() {
             .fold(f64::INFINITY, f64::min);
         assert!(apart > model.footprint.inscribed_radius() && !contains(&corners, position));
         fastest = fastest.max(state.point.v);
-        // Where exactly the border is crossed depends on the path's samples.
+        // The exact place where the border is crossed depends on the path's samples.
         if (2.05..5.95).contains(&position.x) {
             within += 1;
             assert!(state.point.v <= 0.25 + 1e-6, "{:?}", state.point);
@@ -410,7 +410,7 @@ fn a_blocked_way_is_not_driven() {
     let model = robot("tiago");
     let wall = (80, 0, 3, 120);
     let start = Pose2::new(1.02, 1.02, 0.0);
-    // Nor by a robot that stands on something, or too near to it, and may leave that.
+    // Neither is it driven by a robot that stands in an obstacle, or too near to one, and may leave it.
     for before in [None, Some((20, 20, 1, 1)), Some((20, 24, 1, 1))] {
         let boxes: Vec<_> = before.into_iter().chain([wall]).collect();
         let space = space(&cluttered(&boxes), &model);
@@ -498,7 +498,7 @@ proptest! {
         let grid = cluttered(&boxes);
         let space = space(&grid, &model);
         let [start, goal] = ends.map(|(x, y)| Pose2::new(x, y, yaw));
-        // Room to turn at both ends: a robot that stands wedged in is another matter.
+        // Room to turn at both ends: a robot that is wedged in is not tested here.
         let reach = model.footprint.circumscribed_radius() + 0.02;
         prop_assume!(space.clearance(start.position()) > reach && space.clearance(goal.position()) > reach);
         let options = if shortest { PlanOptions::shortest(Planner::AStar) } else { PlanOptions::default() };

@@ -1,7 +1,8 @@
-//! Trajectory builder. How is a path driven from beginning to end? Where the robot brakes, stops and turns, and on which curves it goes between.
+//! Trajectory builder. Where the robot brakes, stops and turns on a path, and which curves lead from stop to stop.
 //!
-//! A robot at rest begins along its heading or turns on the spot first; one that moves goes on along its arc or brakes first. In between it
-//! stops and turns only at corners too sharp for a curve, and at corners where no curve has polygon: everything else is one curve.
+//! A robot at rest starts along its heading or turns on the spot first; a moving robot continues along its arc or brakes first. In
+//! between it stops and turns only at corners that are too sharp for a curve, and at corners for which no curve was found: everything
+//! else is one curve.
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
@@ -21,12 +22,12 @@ use super::timing::sweep::SweepError;
 use super::timing::{GeometricPath, Limits, PiecewiseTrajectory, SpeedLimit};
 use zenav_space::ConfigurationSpace;
 
-/// Slower than this a robot is at rest, m/s and rad/s at the wheels.
+/// A robot whose wheels are slower than this is at rest, m/s.
 const AT_REST: f64 = 0.02;
-/// Times that stops are added one by one; then a part without a curve is driven as stop, turn and go.
+/// Rounds in which stops are added one by one; after that a part without a curve is driven as stop, turn and go.
 const ADDED: usize = 8;
 
-/// A trajectory that was checked, and how it came about.
+/// A trajectory that was checked, with its evidence.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Checked {
     pub(super) trajectory: PiecewiseTrajectory,
@@ -35,9 +36,9 @@ pub(super) struct Checked {
     pub(super) least: Option<f64>,
 }
 
-/// How a trajectory begins.
+/// How a trajectory starts.
 enum Beginning {
-    /// On along the arc that the robot is on.
+    /// Continues along the robot's present arc.
     Moving,
     /// From rest, along the heading.
     Aligned,
@@ -45,14 +46,14 @@ enum Beginning {
     Turned,
 }
 
-/// A trajectory in the making, and where it ends so far.
+/// A trajectory under construction, and where it ends so far.
 #[derive(Clone)]
 struct Partial {
     trajectory: PiecewiseTrajectory,
     at: Pose2,
 }
 
-/// What leads along a path.
+/// Builds trajectories along a path.
 pub(super) struct TrajectoryBuilder<'a> {
     pub(super) space: &'a ConfigurationSpace,
     pub(super) query: &'a SmoothQuery<'a>,
@@ -64,7 +65,7 @@ pub(super) struct TrajectoryBuilder<'a> {
 }
 
 impl TrajectoryBuilder<'_> {
-    /// The heading of a robot at rest.
+    /// The heading of a robot at rest; `None` while it moves.
     pub(super) fn heading(&self) -> Option<f64> {
         (!self.moves()).then_some(self.query.start.yaw)
     }
@@ -89,7 +90,7 @@ impl TrajectoryBuilder<'_> {
         stop_turn_go(path, start, start_velocity, goal_yaw, self.limits, self.speed_limit)
     }
 
-    /// Stop, turn, go: checked. A robot that is moving brakes and goes on from where it has come to, or from where it was.
+    /// Stop, turn, go: checked. A moving robot brakes, and continues from where it stopped, or returns to where it was.
     pub(super) fn stop_turn_go(&self, path: &[Point2<f64>]) -> Option<Checked> {
         self.checked(self.unchecked_stop_turn_go(path), Evidence::default())
             .ok()
@@ -109,7 +110,8 @@ impl TrajectoryBuilder<'_> {
             })
     }
 
-    /// The first beginning and end that give a free curve in less than `enough` seconds, else the fastest one; the last reason when none does.
+    /// The first beginning and end that give a free curve of at most `enough` seconds, else the fastest one; the last reason if there is
+    /// none.
     pub(super) fn smooth(
         &self,
         path: &[Point2<f64>],
@@ -146,7 +148,7 @@ impl TrajectoryBuilder<'_> {
         let turn = wrap_angle(leg.y.atan2(leg.x) - start.yaw).abs();
         let mut beginnings = Vec::new();
         if self.exempt > 0.0 {
-            // A place that has to be left is left straight.
+            // A robot that has to leave an obstacle goes straight first.
         } else if self.moves() {
             if v > AT_REST && turn < self.settings.stops.ahead && w.abs() <= self.settings.stops.sharpest_arc * v {
                 beginnings.push(Beginning::Moving);
@@ -158,7 +160,7 @@ impl TrajectoryBuilder<'_> {
         beginnings
     }
 
-    /// Whether the wanted heading is near enough to the path's last leg to be arrived with.
+    /// Whether the goal heading is close enough to the path's last leg to be reached by the curve.
     fn can_arrive(&self, path: &[Point2<f64>]) -> bool {
         let [.., before, last] = path else { return false };
         let leg = last - before;
@@ -237,7 +239,7 @@ impl TrajectoryBuilder<'_> {
         phases.measure(|p| &mut p.geometry, || self.arrived(partial, evidence))
     }
 
-    /// Curves along a path, from stop to stop; where there is none, another stop.
+    /// Curves along a path, from stop to stop; where there is no curve, stops are added.
     fn parts(&self, path: &[Point2<f64>], ends: &Ends, phases: &mut Phases<'_>) -> Result<Vec<Segment>, Fallback> {
         let is_sharp =
             |i: usize| (path[i] - path[i - 1]).angle(&(path[i + 1] - path[i])) > self.settings.stops.sharp_corner;
@@ -286,7 +288,7 @@ impl TrajectoryBuilder<'_> {
             if !missing {
                 let is_curved = parts.iter().any(|(_, _, part)| part.curve.is_some());
                 return match first_reason {
-                    // Nothing but stop, turn and go is left.
+                    // Only stop, turn and go is left.
                     Some(reason) if !is_curved => Err(reason),
                     _ => Ok(parts.into_iter().map(|(_, _, part)| part).collect()),
                 };
@@ -296,7 +298,7 @@ impl TrajectoryBuilder<'_> {
         }
     }
 
-    /// Where a long robot has no room to turn freely, it goes along the path's own leg.
+    /// Where a long robot has no room to turn freely, its curve is tangent to the path's own leg.
     fn tight(&self, path: &[Point2<f64>], from: usize, to: usize) -> Option<EndTangent> {
         let around = self.space.footprint().circumscribed_radius();
         let is_tight = |i: usize| self.space.clearance(path[i]) <= around + 1e-3;
@@ -307,14 +309,14 @@ impl TrajectoryBuilder<'_> {
         })
     }
 
-    /// The robot at rest, where it comes to rest.
+    /// The braking trajectory of a moving robot, and the pose where it comes to rest.
     fn braked(&self) -> Partial {
         let mut trajectory = PiecewiseTrajectory::new();
         let at = trajectory.brake(self.query.start, self.query.start_velocity, self.limits);
         Partial { trajectory, at }
     }
 
-    /// Turns towards a place and goes there straight.
+    /// Turns towards a place and drives there straight.
     fn straight(&self, from: Point2<f64>, to: Point2<f64>, partial: &mut Partial) -> Result<(), Fallback> {
         match GeometricPath::straight(from, to, self.settings.step) {
             Some(geometry) => self.follow(geometry, 0.0, partial),
@@ -322,7 +324,7 @@ impl TrajectoryBuilder<'_> {
         }
     }
 
-    /// Turns into a path's direction, where the robot is at rest and not in it, and follows the path.
+    /// Turns into a path's direction if the robot is at rest, and follows the path.
     fn follow(&self, geometry: GeometricPath, speed: f64, partial: &mut Partial) -> Result<(), Fallback> {
         let (first, last) = (geometry.points()[0], geometry.points()[geometry.points().len() - 1]);
         if speed == 0.0 {
@@ -338,7 +340,7 @@ impl TrajectoryBuilder<'_> {
         Ok(())
     }
 
-    /// The last turn, and the check of all of it.
+    /// Adds the last turn, and checks the whole trajectory.
     fn arrived(&self, mut partial: Partial, evidence: Evidence) -> Result<Checked, Fallback> {
         if let Some(yaw) = self.goal_yaw() {
             partial
@@ -358,7 +360,7 @@ impl TrajectoryBuilder<'_> {
         })
     }
 
-    /// The path of a moving robot: a little on along its heading, then to the farthest corner in sight.
+    /// The path of a moving robot: a short lead along its heading, then to the farthest corner in sight.
     fn led_in(&self, path: &[Point2<f64>], speed: f64) -> Vec<Point2<f64>> {
         let start = self.query.start;
         let mut lead = (0.6 * speed).clamp(0.1, 0.6).min(0.4 * (path[1] - path[0]).norm());
@@ -373,7 +375,7 @@ impl TrajectoryBuilder<'_> {
         path.to_vec()
     }
 
-    /// The path of a robot that came to rest beside it: to the farthest corner in sight, else back to the nearest point.
+    /// The path of a robot that stopped beside it: to the farthest corner in sight, else back to the nearest point.
     fn joined(&self, at: Point2<f64>, path: &[Point2<f64>]) -> Vec<Point2<f64>> {
         match path
             .get(1..)
@@ -397,7 +399,8 @@ fn reason(error: &NoSegment) -> Fallback {
     }
 }
 
-/// Adds stops at inner corners of a part that has no curve: the ones nearest to where it collides, or else the sharpest; or all of them.
+/// Adds stops at inner corners of a part without a curve: at those nearest to the collisions, or else at the sharpest one; or at all of
+/// them.
 fn stop_at(stops: &mut [bool], path: &[Point2<f64>], error: &NoSegment, all: bool) {
     let corner = |i: usize| path[i + 1];
     match error {

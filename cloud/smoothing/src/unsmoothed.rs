@@ -1,4 +1,4 @@
-//! Unsmoothed path. What goes out where nobody smooths? The path itself as stop, turn and go, certified like any other trajectory.
+//! Unsmoothed path. The path itself as stop, turn and go without smoothing, certified like any other trajectory.
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2};
@@ -13,7 +13,7 @@ use super::timing::{Limits, UNRESTRICTED};
 
 /// The unsmoothed path (corner points, map frame, the start included or not) from a pose and velocity, to rest at a heading.
 ///
-/// It needs neither map nor solver; `status` is the caller's to tell.
+/// It needs neither map nor solver; the caller may replace `status`.
 #[must_use]
 pub fn unsmoothed(
     path: &[Point2<f64>],

@@ -1,4 +1,4 @@
-//! Is the sweep's law the fastest? On any path it is as fast as the same law as a linear program, and keeps every limit.
+//! Optimality of the sweep. On any path it is as fast as the same law as a linear programme, and keeps every limit.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 #[path = "../benches/timing/lp.rs"]
@@ -32,7 +32,7 @@ proptest! {
         let sweep = TimeLaw::steady(&path, &fastest(&path, &LIMITS, 0.0).unwrap()).duration();
         let squared = lp::fastest(&path, &LIMITS).unwrap();
         let program = TimeLaw::steady(&path, &squared).duration();
-        // The solver's tolerance is that of squared speeds, and next to rest time goes with their roots.
+        // The solver's tolerance is on squared speeds, and near rest the time depends on their roots.
         prop_assert!(sweep <= program * (1.0 + 1e-5) + 1e-4, "{} s against {} s", sweep, program);
         prop_assert!(program <= sweep * (1.0 + 1e-3) + 1e-3, "{} s against {} s", sweep, program);
     }

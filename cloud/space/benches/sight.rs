@@ -1,5 +1,5 @@
-//! How many straight paths are checked a second? Segments of several lengths on one map, against a walk from cell to cell and the exact
-//! measure of a moved disc.
+//! Line-of-sight checks per second. Segments of several lengths on one map, compared with a walk from cell to cell and the exact
+//! measurement of a moved disc.
 //!
 //! `cargo bench -p zenav-space --bench sight`, on a house made from a seed; `ZENAV_BENCH_MAP=file` takes a map (.yaml, .pgm, .png, .map).
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, reason = "a bench")]
@@ -15,10 +15,10 @@ use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::robot::Footprint;
 use zenav_space::{BitGrid, ConfigurationSpace, LineOfSight, PointLineOfSight, UnknownPolicy};
 
-/// Segments of each length.
+/// Segments per length.
 const SEGMENTS: usize = 1000;
 
-/// Rooms of 4 m with doors, and a box in most of them.
+/// Rooms of 4 m with doors, most of them with a box.
 fn house() -> OccupancyGrid {
     let spec = GridSpec {
         origin: Point2::origin(),
@@ -53,7 +53,7 @@ fn map() -> OccupancyGrid {
     }
 }
 
-/// Segments of a length that start where one may be and end inside the grid.
+/// Segments of a length that start at a free point and end inside the grid.
 fn segments(sight: &impl LineOfSight, length: f64) -> Vec<[Point2<f64>; 2]> {
     let [width, height] = sight.size().map(f64::from);
     let mut random = Pcg64Mcg::seed_from_u64(1);
@@ -69,7 +69,7 @@ fn segments(sight: &impl LineOfSight, length: f64) -> Vec<[Point2<f64>; 2]> {
     segments
 }
 
-/// From cell to cell, both cells beside a corner asked: what planners do that know a map by its cells only.
+/// A walk from cell to cell that tests both cells beside a corner, as planners do that know a map only by its cells.
 fn walk(free: &[bool], width: i64, height: i64, a: Point2<f64>, b: Point2<f64>) -> bool {
     let is_free = |x: i64, y: i64| x >= 0 && y >= 0 && x < width && y < height && free[(y * width + x) as usize];
     let (mut x, mut y) = (a.x as i64, a.y as i64);

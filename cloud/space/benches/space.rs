@@ -1,9 +1,9 @@
-//! How fast is the configuration space made and kept up to date? `cargo bench -p zenav-space --bench space`
+//! Time to build and to update the configuration space. `cargo bench -p zenav-space --bench space`
 //!
-//! Like stands beside like, written plainly, on the same map in the same run: beside the truncated transform the truncated one of the textbook
-//! (Saito and Toriwaki, 1994: two passes down the columns, a window along the rows, 16 bits a cell), beside the unbounded one the unbounded one
-//! (Felzenszwalb and Huttenlocher, "Distance Transforms of Sampled Functions", 2012: 32 bits a cell, as ours). Times are the thread's own,
-//! whatever else the machine does.
+//! Each transform is compared with a plain textbook version on the same map in the same run: the truncated one with the textbook's
+//! truncated one (Saito and Toriwaki, 1994: two passes down the columns, a window along the rows, 16 bits a cell), the unbounded one with
+//! the textbook's unbounded one (Felzenszwalb and Huttenlocher, "Distance Transforms of Sampled Functions", 2012: 32 bits a cell, as
+//! ours). Times are the thread's own CPU time, independent of other load.
 
 #![allow(missing_docs, reason = "criterion's macros")]
 #![allow(
@@ -28,7 +28,7 @@ use zenav_protocol::time::Stamp;
 use zenav_space::{BitGrid, ConfigurationSpace, DistanceField, SpaceCache, UnknownPolicy, squared_distances};
 
 const SIDES: [u32; 2] = [1000, 4000];
-/// Cells.
+/// Reach, cells.
 const REACH: u32 = 10;
 
 fn spec(side: u32) -> GridSpec {
@@ -40,7 +40,7 @@ fn spec(side: u32) -> GridSpec {
     }
 }
 
-/// Rooms of 5 m by 4 m with doors of 0.9 m, corridors, and something in every room.
+/// Rooms of 5 m by 4 m with doors of 0.9 m, corridors, and tables in most rooms.
 fn office(side: u32) -> BitGrid {
     BitGrid::from_fn(side, side, |Cell { x, y }| {
         let (u, v) = (x % 100, y % 110);
@@ -95,7 +95,7 @@ mod textbook {
         }
     }
 
-    /// Up to a reach, cells; its square stands for everything farther.
+    /// Distances up to a reach, cells; its square stands for everything farther.
     pub fn truncated(obstacles: &BitGrid, reach: u16) -> Vec<u16> {
         let (width, height) = (obstacles.width() as usize, obstacles.height() as usize);
         let cell = |x: usize, y: usize| Cell::new(x as u32, y as u32);
@@ -132,7 +132,7 @@ mod textbook {
         out
     }
 
-    /// At any distance.
+    /// Distances without a limit.
     pub fn squared_distances(obstacles: &BitGrid) -> Vec<f32> {
         let (width, height) = (obstacles.width() as usize, obstacles.height() as usize);
         let cell = |i: usize| Cell::new((i % width) as u32, (i / width) as u32);
@@ -188,7 +188,7 @@ fn distance(c: &mut Criterion<ThreadTime>) {
     }
 }
 
-/// The largest map that is asked for: offices in a corner of it, the rest open; and offices everywhere.
+/// The largest map that is required: offices in a corner of it and the rest open; then offices everywhere.
 fn largest(c: &mut Criterion<ThreadTime>) {
     const SIDE: u32 = 16_384;
     let mut group = c.benchmark_group(format!("space {SIDE}x{SIDE}, radius 0.25 m"));
@@ -211,7 +211,7 @@ fn largest(c: &mut Criterion<ThreadTime>) {
     }
 }
 
-/// A map of offices, its copy at revision 1, and patches of one tile to and fro.
+/// A map of offices, its replica at revision 1, and two patches of one tile, there and back.
 fn mirrored(side: u32) -> (MapReplica, [MapPatch; 2]) {
     let spec = spec(side);
     let office = office(side);
@@ -262,7 +262,7 @@ fn mirrored(side: u32) -> (MapReplica, [MapPatch; 2]) {
     (mirror, [patch(1, tile(7)), patch(2, tile(0))])
 }
 
-/// A map's revision with one changed tile of 64 by 64 cells.
+/// Update of the space for a revision with one changed tile of 64 by 64 cells.
 fn update(c: &mut Criterion<ThreadTime>) {
     let mut group = c.benchmark_group("space 1000x1000, radius 0.25 m");
     let footprint = Footprint::Radius(0.25);

@@ -1,4 +1,4 @@
-//! Where does a robot fit that is longer than wide? A map of clearances, and some exact answers.
+//! Where a robot that is longer than wide fits: a map of poses, and some exact clearances.
 //!
 //! `cargo run -p zenav-space --example clearance`
 
@@ -29,7 +29,7 @@ fn main() {
     let footprint = Footprint::Polygon(corners.map(|(x, y)| Point2::new(x, y)).to_vec());
     let space = ConfigurationSpace::new(&map, &footprint, UnknownPolicy::Blocked, 0.0);
 
-    // What the footprint has around it at each cell: `-` it fits with heading 0, `|` upright, `+` with both, a blank with neither.
+    // Where the footprint fits: `-` with heading 0, `|` upright, `+` with both, a blank with neither.
     for y in (0..spec.height).rev().step_by(2) {
         let character = |x| {
             let at = spec.center(Cell::new(x, y));

@@ -1,4 +1,4 @@
-//! Bitmaps. Which cells of a grid have a property? One bit a cell, so that 64 cells are looked at in one step.
+//! Bitmaps. One bit per cell of a grid, so that 64 cells are tested in one step.
 
 use zenav_protocol::grid::Cell;
 
@@ -12,7 +12,7 @@ pub struct BitGrid {
 }
 
 impl BitGrid {
-    /// No bit set.
+    /// All bits clear.
     #[must_use]
     pub fn new(width: u32, height: u32) -> Self {
         let stride = (width as usize).div_ceil(64);
@@ -24,7 +24,7 @@ impl BitGrid {
         }
     }
 
-    /// Sets a bit wherever `is_set` says so.
+    /// Sets the bits of all cells for which `is_set` is true.
     ///
     /// ```
     /// use zenav_protocol::grid::Cell;
@@ -61,7 +61,7 @@ impl BitGrid {
         self.height
     }
 
-    /// Words a row.
+    /// Words per row.
     #[must_use]
     #[inline]
     pub fn stride(&self) -> usize {
@@ -113,7 +113,7 @@ impl BitGrid {
         }
     }
 
-    /// Rows become columns: bit (x, y) goes to (y, x). Linear in the words.
+    /// Transpose: bit (x, y) goes to (y, x). Linear in the words.
     #[must_use]
     pub fn transposed(&self) -> Self {
         let mut turned = Self::new(self.height, self.width);
@@ -135,7 +135,7 @@ impl BitGrid {
         turned
     }
 
-    /// How many bits are set.
+    /// Number of set bits.
     #[must_use]
     pub fn count(&self) -> u64 {
         self.words.iter().map(|word| u64::from(word.count_ones())).sum()
@@ -157,7 +157,7 @@ impl BitGrid {
         row[first] & head | row[last] & tail != 0 || row[first + 1..last].iter().any(|word| *word != 0)
     }
 
-    /// What is not set.
+    /// The inverted bitmap.
     #[must_use]
     pub fn complement(&self) -> Self {
         let mut bits = self.clone();
@@ -234,7 +234,7 @@ impl BitGrid {
     }
 }
 
-/// For which of 64 values something is true, the first one in the lowest bit.
+/// A predicate of 64 values as bits, the first value in the lowest bit.
 #[inline]
 #[allow(
     clippy::needless_range_loop,
@@ -253,7 +253,7 @@ pub(super) fn pack<T: Copy>(values: &[T; 64], is: impl Fn(T) -> bool) -> u64 {
     word
 }
 
-/// Turns over 64 by 64 bits: halves are swapped across the diagonal, then halves of halves (Warren, "Hacker's Delight", 7-3).
+/// Transposes 64 by 64 bits: halves are swapped across the diagonal, then halves of halves (Warren, "Hacker's Delight", 7-3).
 fn transpose(block: &mut [u64; 64]) {
     let (mut size, mut mask) = (32, u64::from(u32::MAX));
     while size > 0 {

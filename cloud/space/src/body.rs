@@ -1,8 +1,8 @@
-//! Motions of the footprint. Has it room to drive straight, to turn on the spot, to move a little?
+//! Motions of the footprint. Whether there is room to drive straight, to turn on the spot, or to move a little.
 //!
-//! A convex footprint that drives straight along its heading sweeps the convex hull of its first and its last outline: legs are measured
-//! exactly, however long. Turns and small motions are bisected: between two poses no point of the footprint moves farther than the centre
-//! and the circumscribed radius tell.
+//! A convex footprint that drives straight along its heading sweeps the convex hull of its first and its last outline, so legs of any
+//! length are measured exactly. Turns and small motions are bisected: the motion of the centre and the circumscribed radius bound how far
+//! any point of the footprint moves.
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, wrap_angle};
@@ -12,17 +12,17 @@ use zenav_protocol::robot::Footprint;
 use super::configuration::ConfigurationSpace;
 use super::shapes::{capsule_clearance, outer_squares, polygon_clearance, polygon_touches};
 
-/// Length of what is measured exactly where there is no room to hop, cells.
+/// Length of a piece that is measured exactly where there is no room to hop, cells.
 const PIECE: f64 = 4.0;
 
-/// A motion in which no point of the footprint moves farther is not bisected further, m: less room than that counts as none.
+/// Motions in which no point of the footprint moves farther are not bisected further, m: less room than that counts as none.
 const CERTAIN: f64 = 5e-4;
-/// Most bisections of a motion: a turn in a narrow place takes a few hundred.
+/// Largest number of bisections of a motion: a turn in a narrow place takes a few hundred.
 const BISECTIONS: usize = 10_000;
 
 impl ConfigurationSpace {
-    /// Least distance (m) of the true footprint to an obstacle while it drives straight from `a` to `b`, heading along; at most `limit`,
-    /// zero where it collides. Without length there is no heading: what the inscribed disc has.
+    /// Least distance (m) of the true footprint to an obstacle while it drives straight from `a` to `b`, heading along the leg; at most
+    /// `limit`, zero if it collides. A leg without length has no heading: the clearance of the inscribed disc.
     ///
     /// ```
     /// # use nalgebra::Point2;
@@ -43,7 +43,7 @@ impl ConfigurationSpace {
         let along = b - a;
         match &self.footprint {
             Footprint::Polygon(corners) if along.norm_squared() > 0.0 => {
-                // What the disc around the footprint has, the footprint has.
+                // The footprint has at least the clearance of its circumscribed disc.
                 if self.segment_is_free(a, b, limit + self.footprint.circumscribed_radius()) {
                     return limit;
                 }
@@ -70,8 +70,8 @@ impl ConfigurationSpace {
         self.motion_is_free(pose(from), pose(from + wrap_angle(to - from)))
     }
 
-    /// Whether the true footprint touches nothing while position and heading change evenly from one pose to another (the heading as it
-    /// stands, not the shorter way round). Never true where it collides; `false` with less than half a millimetre to spare.
+    /// Whether the true footprint touches nothing while position and heading change linearly from one pose to another (the heading as
+    /// given, not the shorter way round). Never true for a collision; `false` with less than half a millimetre to spare.
     #[must_use]
     pub fn motion_is_free(&self, from: Pose2, to: Pose2) -> bool {
         if !(from.is_finite() && to.is_finite()) {
@@ -94,7 +94,7 @@ impl ConfigurationSpace {
                 y: 0.5 * (from.y + to.y),
                 yaw: 0.5 * (from.yaw + to.yaw),
             };
-            // Nothing is farther from the middle than half of the motion.
+            // No point of the footprint is farther from its place in the middle than this.
             let motion = 0.5 * (from.distance(&to) + (to.yaw - from.yaw).abs() * around);
             let clearance = self.footprint_clearance_within(middle, motion + CERTAIN);
             if clearance > motion {
@@ -108,8 +108,8 @@ impl ConfigurationSpace {
         false
     }
 
-    /// Whether a disc of `radius` (m) moves freely from `a` to `b`: as [`segment_is_free`](Self::segment_is_free), but in hops as long as
-    /// the distance field says that there is room for (Hart, "Sphere Tracing", 1996); only what comes close is measured.
+    /// Whether a disc of `radius` (m) moves freely from `a` to `b`: like [`segment_is_free`](Self::segment_is_free), but in hops as long
+    /// as the room that the distance field shows (Hart, "Sphere Tracing", 1996); only close stretches are measured.
     #[must_use]
     pub fn disc_passes(&self, a: Point2<f64>, b: Point2<f64>, radius: f64) -> bool {
         let resolution = self.spec.resolution;
@@ -126,7 +126,7 @@ impl ConfigurationSpace {
             let Some(cell) = self.spec.cell_at(p) else {
                 return self.segment_is_free(p, b, radius);
             };
-            // No distance changes by more than one moves: the centre's bounds the point's.
+            // Distance changes by at most the distance moved: the centre's value bounds the point's.
             let room = self.field().distance(cell) - (p - self.spec.center(cell)).norm() - radius;
             if room > 0.5 * resolution {
                 at += room - 1e-9 * resolution;
@@ -141,8 +141,8 @@ impl ConfigurationSpace {
         }
     }
 
-    /// Calls with the centre of every obstacle, or of every forbidden cell, that a convex outline (m) touches; those that are surrounded
-    /// by others are left out.
+    /// Visits the centre of every obstacle, or of every forbidden cell, that a convex outline (m) touches, except those that are
+    /// surrounded by others.
     pub fn outer_cells(&self, outline: &[Point2<f64>], forbidden: bool, mut visit: impl FnMut(Point2<f64>)) {
         let bits = if forbidden { self.forbidden() } else { self.obstacles() };
         let outline: Vec<_> = outline.iter().map(|p| self.spec.to_cells(*p)).collect();
@@ -155,7 +155,7 @@ impl ConfigurationSpace {
     }
 }
 
-/// Corners of the footprint at a pose and, with the same heading, at another place.
+/// Corners of the footprint at a pose, and at another position with the same heading.
 pub fn swept_corners(corners: &[Point2<f64>], from: Pose2, to: Point2<f64>) -> Vec<Point2<f64>> {
     let there = Pose2::new(to.x, to.y, from.yaw);
     [from, there]
@@ -216,7 +216,7 @@ mod tests {
         height: 60,
     };
 
-    /// A robot whose base is not in the middle of it.
+    /// A robot whose base is off its middle.
     fn space(occupied: &[(u32, u32)]) -> ConfigurationSpace {
         let grid = zenav_fixtures::map_with_occupied(SPEC, occupied);
         let outline = [(-0.4, -0.15), (0.1, -0.18), (0.2, 0.0), (0.1, 0.18), (-0.4, 0.15)];

@@ -1,4 +1,4 @@
-//! Cache of configuration spaces. Which one belongs to a map, a robot and a policy? It is made once, and from then on follows the map's tiles.
+//! Cache of configuration spaces. One space per map, robot and policy, built once and then updated with the map's tiles.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -11,34 +11,34 @@ use zenav_protocol::robot::Footprint;
 use super::{ConfigurationSpace, UnknownPolicy, Zones};
 use zenav_protocol::map_replica::MapReplica;
 
-/// By how much walls of a map are too thick on average, in cells: a surface lies anywhere in the cell that is occupied for it. In tight places
-/// the footprint is smaller by as much on all sides …
+/// Average excess thickness of mapped walls, in cells: a surface lies anywhere in its occupied cell. In tight places the footprint is
+/// shrunk by as much on all sides …
 const THICKENING: f64 = 0.5;
-/// … and by no more than this, m: what the robot's own eyes take for free is left to its collision monitor.
+/// … and by no more than this, m: whether the robot fits by its own sensors is left to its collision monitor.
 const MOST_THICKENING: f64 = 0.0125;
 
-/// How closely a robot may pass by what stands on the map.
+/// How closely a robot may pass mapped obstacles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fit {
-    /// The footprint as it is, and walls as thick as their cells.
+    /// The full footprint, with walls as thick as their cells.
     Roomy,
-    /// The footprint without what walls are too thick in cells: where it does not fit otherwise.
+    /// The footprint shrunk by the excess thickness of walls: for places where it does not fit otherwise.
     Tight,
 }
 
-/// Spaces that are kept.
+/// Number of spaces that are kept.
 const KEPT: usize = 8;
 
-/// The latest spaces.
+/// The most recently used spaces.
 #[derive(Clone, Debug, Default)]
 pub struct SpaceCache {
-    /// The one asked for last comes first; each with the state of the map that it stands for.
+    /// The last one requested comes first; each with the state of the map that it belongs to.
     kept: VecDeque<(MapRef, Arc<ConfigurationSpace>)>,
     zones: Arc<Zones>,
 }
 
 impl SpaceCache {
-    /// None yet; they will be of maps with these zones.
+    /// Empty, for maps with these zones.
     #[must_use]
     pub fn new(zones: Arc<Zones>) -> Self {
         Self {
@@ -47,14 +47,14 @@ impl SpaceCache {
         }
     }
 
-    /// From now on spaces are of maps with these zones.
+    /// Sets the zones of the spaces from now on.
     pub fn set_zones(&mut self, zones: Arc<Zones>) {
         self.zones = zones;
     }
 
-    /// The space of a map's present state: the very same one (`Arc::ptr_eq`) as long as no cell means anything else.
+    /// The space of a map's present state; the same `Arc` (`Arc::ptr_eq`) while no cell changes its meaning.
     ///
-    /// Whoever still holds an older one keeps it as it was; otherwise it is changed in place.
+    /// An older space that is still held elsewhere stays unchanged; otherwise it is updated in place.
     pub fn get(
         &mut self,
         map: &MapReplica,
@@ -79,7 +79,7 @@ impl SpaceCache {
         space
     }
 
-    /// The space of a map as if what stands at these points (map frame, m) had left; it is not kept. Cost: every cell.
+    /// The space of a map without the obstacles at these points (map frame, m); it is not kept. Cost: every cell.
     #[must_use]
     pub fn cleared(
         &self,
@@ -97,7 +97,7 @@ impl SpaceCache {
         ConfigurationSpace::with_zones(&grid, footprint, unknown, 0.0, &self.zones)
     }
 
-    /// The space of a map as if these discs (center and radius, map frame, m) were occupied; it is not kept. Cost: every cell.
+    /// The space of a map with these discs (center and radius, map frame, m) marked as occupied; it is not cached. Cost: every cell.
     #[must_use]
     pub fn with_discs(
         &self,
@@ -127,7 +127,7 @@ impl SpaceCache {
         ConfigurationSpace::with_zones(&grid, &fitted(map, footprint, fit), unknown, 0.0, &self.zones)
     }
 
-    /// The space of a revision brought to the map's present one; `None` where it has to be built anew.
+    /// The space of a revision, updated to the map's present one; `None` if it has to be rebuilt.
     fn brought_up(
         mut space: Arc<ConfigurationSpace>,
         revision: u64,
@@ -160,7 +160,7 @@ mod tests {
     use super::*;
     use zenav_protocol::map_replica::PatchResult;
 
-    /// A patch of a map of so many tiles, with one occupied cell in each tile given.
+    /// A patch of a map with `columns` by 2 tiles, with one occupied cell in each given tile.
     fn patch(base_revision: u64, columns: u32, tiles: &[(u32, u32, usize)]) -> MapPatch {
         let tile = |(x, y, at): &(u32, u32, usize)| {
             let mut values = vec![0; (TILE * TILE) as usize];

@@ -1,4 +1,4 @@
-//! Configuration space. Which cells admit the robot, and how far is any point from an obstacle?
+//! Configuration space. The cells that admit the robot, and the distance of any point to the nearest obstacle.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -15,37 +15,37 @@ use super::sweep::Banded;
 use super::update::Marks;
 use super::zones::Zones;
 
-/// What cells that nobody has seen mean for a robot. Everything outside the grid counts as unknown too.
+/// Meaning of unknown cells for a robot. Everything outside the grid counts as unknown too.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum UnknownPolicy {
-    /// They are driven through like free ones.
+    /// Driven through like free cells.
     Free,
-    /// The robot's centre stays off them; its body may reach over their border (as Nav2 with `allow_unknown: false`).
+    /// The robot's centre stays off them; its body may reach over their border (like Nav2 with `allow_unknown: false`).
     #[default]
     Blocked,
-    /// They are obstacles like occupied ones, and no part of the robot touches them.
+    /// Obstacles like occupied cells: no part of the robot touches them.
     Obstacle,
 }
 
 impl UnknownPolicy {
-    /// That of whoever may drive through cells that nobody has seen, or not.
+    /// The policy of a robot that may, or may not, drive through unknown cells.
     #[must_use]
     pub const fn of(unknown_is_free: bool) -> Self {
         if unknown_is_free { Self::Free } else { Self::Blocked }
     }
 }
 
-/// Distances are known at least this far, m, as far as the field's reach in cells allows.
+/// Least reach of the distance field, m, as far as its limit in cells allows.
 const USUAL_REACH: f64 = 1.0;
 
-/// The cells whose centre admits a robot, the distances that say so, and the obstacles themselves.
+/// The free cells of a robot, the distances that decide them, and the obstacles themselves.
 ///
-/// A cell is free here when a disc of the footprint's inscribed radius plus the margin fits at its centre with so much to
-/// spare that it also fits everywhere on the straight step to each free neighbour, diagonals included: a path from centre
-/// to centre is exactly collision-free for the disc. (The least distance to a convex obstacle on a step of length `l`
-/// between two points at distance `d` is at least `sqrt(d^2 - l^2/4)`.) A point robot asks only for cells that are not occupied.
+/// A cell is free if a disc of the footprint's inscribed radius plus the margin fits at its centre with enough room to also fit
+/// everywhere on the straight step to each free neighbour, diagonals included: a path from centre to centre is exactly collision-free for
+/// the disc. (The least distance to a convex obstacle on a step of length `l` between two points at distance `d` is at least
+/// `sqrt(d^2 - l^2/4)`.) For a point robot every unoccupied cell is free.
 ///
-/// A copy shares with its original whatever does not differ.
+/// A copy shares all unchanged parts with its original.
 #[derive(Clone, Debug)]
 pub struct ConfigurationSpace {
     pub(super) spec: GridSpec,
@@ -53,22 +53,22 @@ pub struct ConfigurationSpace {
     pub(super) unknown_policy: UnknownPolicy,
     margin: f64,
     zones: Arc<Zones>,
-    /// What the zones keep the robot out of.
+    /// Cells of the keep-out zones.
     pub(super) keep_out: Option<Arc<CellMask>>,
     /// Occupied cells and those of keep-out zones; under [`UnknownPolicy::Obstacle`] unknown ones as well.
     pub(super) obstacles: Arc<Banded>,
-    /// Under [`UnknownPolicy::Blocked`] the unknown cells, else without any cell.
+    /// Under [`UnknownPolicy::Blocked`] the unknown cells, else empty.
     pub(super) forbidden: Arc<Banded>,
     pub(super) field: DistanceField,
     pub(super) free: Arc<BitGrid>,
-    /// Squared half cells that a free cell's distance exceeds.
+    /// Squared half cells that the distance of a free cell exceeds.
     threshold: i64,
 }
 
 impl ConfigurationSpace {
     /// Builds the space of a robot on a map.
     ///
-    /// `margin` (m) is kept clear around the footprint's inscribed disc, on top of it; negative or non-finite counts as none.
+    /// `margin` (m) is kept clear around the footprint's inscribed disc; negative or non-finite counts as none.
     ///
     /// ```
     /// # use nalgebra::Point2;
@@ -87,7 +87,7 @@ impl ConfigurationSpace {
         Self::with_zones(grid, footprint, unknown, margin, &Arc::default())
     }
 
-    /// As [`new`](Self::new), on a map with zones: keep-out zones are obstacles.
+    /// Like [`new`](Self::new), on a map with zones: keep-out zones are obstacles.
     #[must_use]
     pub fn with_zones(
         grid: &OccupancyGrid,
@@ -135,7 +135,7 @@ impl ConfigurationSpace {
     }
 
     /// The same map for a disc of `radius` (m), with the same margin and policy: obstacles and distances are shared, only the free cells
-    /// are decided anew (one pass over the distances, or over the whole transform where they do not reach that far).
+    /// are recomputed (one pass over the distances, or a full distance transform if they do not reach that far).
     ///
     /// ```
     /// # use nalgebra::Point2;
@@ -162,7 +162,7 @@ impl ConfigurationSpace {
         space
     }
 
-    /// The same map for the same robot that takes its rear for its front; everything is shared.
+    /// The same map for the same robot with its rear as its front; everything is shared.
     #[must_use]
     pub fn turned(&self) -> Self {
         Self {
@@ -171,12 +171,12 @@ impl ConfigurationSpace {
         }
     }
 
-    /// Whether the robot is larger than the field reaches: what is free is then told by the whole transform.
+    /// Whether the robot is larger than the field's reach: the free cells then come from a full distance transform.
     pub(super) fn is_beyond_the_field(&self) -> bool {
         self.threshold >= 4 * i64::from(self.field.reach_cells()).pow(2)
     }
 
-    /// Decides which cells of a window are free, from their distances.
+    /// Decides from the distances which cells of a window are free.
     pub(super) fn admit(&mut self, words: Range<usize>, rows: Range<u32>) {
         let (obstacles, forbidden, field) = (self.obstacles.bits(), self.forbidden.bits(), &self.field);
         let free = Arc::make_mut(&mut self.free);
@@ -220,7 +220,7 @@ impl ConfigurationSpace {
         &self.footprint
     }
 
-    /// What unknown cells mean here.
+    /// Policy for unknown cells.
     #[must_use]
     pub fn unknown_policy(&self) -> UnknownPolicy {
         self.unknown_policy
@@ -232,13 +232,13 @@ impl ConfigurationSpace {
         &self.zones
     }
 
-    /// Kept clear around the inscribed disc, m.
+    /// Margin kept clear around the inscribed disc, m.
     #[must_use]
     pub fn margin(&self) -> f64 {
         self.margin
     }
 
-    /// Radius that free cells are made for, m: the footprint's inscribed radius and the margin.
+    /// Radius used for the free cells, m: the footprint's inscribed radius plus the margin.
     #[must_use]
     pub fn radius(&self) -> f64 {
         self.footprint.inscribed_radius() + self.margin
@@ -256,7 +256,7 @@ impl ConfigurationSpace {
         self.obstacles.bits()
     }
 
-    /// Cells that the robot's centre stays off under [`UnknownPolicy::Blocked`]; without any cell under the other policies.
+    /// Cells that the robot's centre stays off under [`UnknownPolicy::Blocked`]; empty under the other policies.
     #[must_use]
     pub fn forbidden(&self) -> &BitGrid {
         self.forbidden.bits()
@@ -268,7 +268,7 @@ impl ConfigurationSpace {
         &self.field
     }
 
-    /// Memory of the bitmaps and distances, bytes, with those that copies of the space share.
+    /// Memory of the bitmaps and distances, bytes, including those shared with copies of the space.
     #[must_use]
     pub fn bytes(&self) -> usize {
         self.obstacles.bytes() + self.forbidden.bytes() + size_of_val(self.free.words()) + self.field.bytes()
@@ -280,7 +280,7 @@ impl ConfigurationSpace {
         self.free.get(cell)
     }
 
-    /// Farthest distance that [`clearance`](Self::clearance) tells apart, m.
+    /// Largest distance that [`clearance`](Self::clearance) resolves, m.
     #[must_use]
     pub fn reach(&self) -> f64 {
         self.field.reach()
@@ -289,7 +289,7 @@ impl ConfigurationSpace {
     /// Exact distance from any point, inside the grid or not, to the nearest obstacle's closed square, m; at most
     /// [`reach`](Self::reach), zero on an obstacle and for a non-finite point.
     ///
-    /// Cost: two bit scans a row within that distance, some hundred nanoseconds.
+    /// Cost: two bit scans per row within that distance, some hundred nanoseconds.
     ///
     /// ```
     /// # use nalgebra::Point2;
@@ -307,14 +307,14 @@ impl ConfigurationSpace {
     pub fn clearance(&self, point: Point2<f64>) -> f64 {
         let mut limit = self.reach();
         if let Some(cell) = self.spec.cell_at(point) {
-            // Distances change at most as fast as one moves: the centre's bounds the point's.
+            // Distance changes by at most the distance moved: the centre's value bounds the point's.
             let bound = self.field.distance(cell) + (point - self.spec.center(cell)).norm();
             limit = limit.min(bound);
         }
         super::shapes::disc_clearance(self.obstacles.bits(), &self.spec, point, limit)
     }
 
-    /// The free cell centre nearest to a point, m; `None` when no cell is free or the point is not finite.
+    /// The free cell centre nearest to a point, m; `None` if no cell is free or the point is not finite.
     ///
     /// ```
     /// # use nalgebra::Point2;

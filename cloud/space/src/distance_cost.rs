@@ -1,19 +1,19 @@
-//! Distance costs. What does it cost to be near obstacles?
+//! Distance costs. The cost of a cell by its distance to the nearest obstacle.
 
 use zenav_protocol::grid::Cell;
 
 use super::distance::DistanceField;
 
-/// A cost that depends on the distance from a cell's centre to the nearest obstacle alone.
+/// A cost that depends only on the distance from a cell's centre to the nearest obstacle.
 #[derive(Clone, Debug)]
 pub struct DistanceCost<'a> {
     field: &'a DistanceField,
-    /// By squared half cells; the last one stands for everything at least the reach away.
+    /// Indexed by squared half cells; the last entry stands for everything at least the reach away.
     by_squared: Vec<u8>,
 }
 
 impl<'a> DistanceCost<'a> {
-    /// `cost` tells the cost of each distance, m. What is at least the field's reach away costs nothing.
+    /// `cost` gives the cost of each distance, m. Distances of at least the field's reach cost nothing.
     #[must_use]
     pub fn new(field: &'a DistanceField, cost: impl Fn(f64) -> u8) -> Self {
         let far = 4 * field.reach_cells().pow(2);
@@ -25,7 +25,7 @@ impl<'a> DistanceCost<'a> {
         Self { field, by_squared }
     }
 
-    /// The cost of being at a cell; that of an obstacle outside the grid.
+    /// The cost of being at a cell; outside the grid, the cost of being at an obstacle.
     #[must_use]
     pub fn at(&self, cell: Cell) -> u8 {
         self.by_squared
@@ -55,7 +55,7 @@ mod tests {
         let field = DistanceField::new(spec, &obstacles, 8);
         let costs = DistanceCost::new(&field, |metres| (100.0 - 10.0 * metres) as u8);
         let at = |x| costs.at(Cell::new(x, 0));
-        // Centres are half a cell farther from the obstacle's face than their number says.
+        // A cell's centre is half a cell nearer to the obstacle's face than its number of cells.
         assert_eq!((at(0), at(1), at(5)), (100, 97, 77));
         assert_eq!((at(9), at(11)), (0, 0), "beyond the reach of the field");
         assert_eq!(costs.at(Cell::new(0, 1)), 100, "outside the grid");

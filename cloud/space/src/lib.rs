@@ -1,13 +1,13 @@
-//! The configuration space of a mobile robot on an occupancy grid. Where may the robot be?
+//! The configuration space of a mobile robot on an occupancy grid. Which poses are valid, and how far the robot is from obstacles there.
 //!
-//! For a robot with footprint `A` on a map whose occupied cells are closed squares `O`, a pose `q` is valid when `A(q)` and `O` do not
-//! meet, and clearance is the distance from `A(q)` to `O`. This library answers both exactly, for poses, straight legs, turns on the spot and
-//! sweeps between poses: against the squares themselves, in closed form, so that nothing depends on a sampling step and a single occupied
-//! cell is never missed. A disc that only touches a square collides with it.
+//! For a robot with footprint `A` on a map whose occupied cells are closed squares `O`, a pose `q` is valid if `A(q)` and `O` do not
+//! meet, and clearance is the distance from `A(q)` to `O`. This library computes both exactly, for poses, straight legs, turns on the
+//! spot and sweeps between poses: in closed form, against the squares themselves, so that nothing depends on a sampling step and a single
+//! occupied cell is never missed. A disc that only touches a square collides with it.
 //!
-//! For searches it keeps one bit a cell of where the inscribed disc fits ([`ConfigurationSpace::free`]), decided by an exact Euclidean
-//! distance field ([`DistanceField`]), and a line of sight between any two points ([`LineOfSight`]). Both follow a map that changes tile by
-//! tile, and the result equals one that is built anew.
+//! For searches it keeps one bit per cell, set where the inscribed disc fits ([`ConfigurationSpace::free`]) by an exact Euclidean
+//! distance field ([`DistanceField`]), and a line of sight between any two points ([`LineOfSight`]). Both are updated tile by tile when
+//! the map changes, and the result equals a new build.
 //!
 //! ```
 //! use nalgebra::Point2;
@@ -37,17 +37,17 @@
 //! |---|---|
 //! | `configuration` | which cells admit the robot, and how far is any point from an obstacle? |
 //! | `validity` | does the true footprint fit at a pose, along a segment, along a sweep of poses? |
-//! | `body` | has the true footprint room to drive straight, to turn on the spot, to move a little? |
-//! | `line_of_sight` | can one go straight from here to there? |
+//! | `body` | does the true footprint have room to drive straight, to turn on the spot, to move a little? |
+//! | `line_of_sight` | is the straight path between two points free? |
 //! | `distance` | how far is each cell's centre from the nearest occupied square, up to a reach? |
-//! | `distance::{truncated, encoding}` | how are truncated distances found fast, and how are they written down? |
-//! | `distance::{exact, lower_envelope}` | how far is it at any distance? |
+//! | `distance::{truncated, encoding}` | how are truncated distances computed fast, and how are they encoded? |
+//! | `distance::{exact, lower_envelope}` | how far is it without a limit? |
 //! | `distance_cost` | what does it cost to be near obstacles? |
-//! | [`reach`] | which places can be got to at all? |
-//! | `zones`, `raster` | where may the robot not be, where must it be slow, and which cells does that touch? |
-//! | `cache`, `update` | which space belongs to a map, a robot and a policy, and what of it changes with the map? |
+//! | [`reach`] | which places are reachable at all? |
+//! | `zones`, `raster` | where must the robot not be, where must it be slow, and which cells does that touch? |
+//! | `cache`, `update` | which space belongs to a map, a robot and a policy, and what changes with the map? |
 //! | `bits` | which cells of a grid have a property, 64 to a word? |
-//! | `shapes`, `sweep` | how far is a shape from a square, and which columns of a row does a moved one meet? |
+//! | `shapes`, `sweep` | how far is a shape from a square, and which columns of a row does a moved shape meet? |
 
 mod bits;
 mod body;

@@ -1,7 +1,7 @@
-//! Line of sight. Can one go straight from here to there? Any-angle and sampling planners ask this, in cells of a grid.
+//! Line of sight. Whether the straight path between two points is free, for any-angle and sampling planners, in cells of a grid.
 //!
-//! The answer is exact against closed squares: one span of columns for each row that the path crosses, 64 cells looked at in one step.
-//! What is prepared beforehand (rows in bands, columns as rows, distances) only spares most of the looks.
+//! The answer is exact against closed squares: one span of columns per row that the path crosses, tested 64 cells at a time. The prepared
+//! data (rows in bands, columns as rows, distances) only saves most of the tests.
 
 use nalgebra::Point2;
 use zenav_protocol::grid::Cell;
@@ -15,21 +15,21 @@ pub trait LineOfSight {
     /// Columns and rows.
     fn size(&self) -> [u32; 2];
 
-    /// Whether one may go straight from `a` to `b`: no blocked square is touched, however small the corner. `false` where an end lies
+    /// Whether the straight path from `a` to `b` is free: no blocked square is touched, not even at a corner. `false` if an end lies
     /// outside the grid or is not finite.
     fn sees(&self, a: Point2<f64>, b: Point2<f64>) -> bool;
 
-    /// Whether one may be at a point.
+    /// Whether a point is free.
     fn admits(&self, p: Point2<f64>) -> bool {
         self.sees(p, p)
     }
 }
 
-/// A point among free cells: all others are closed squares, and so is everything outside.
+/// Line of sight of a point among free cells: all other cells are closed squares, and so is everything outside.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PointLineOfSight {
     rows: Banded,
-    /// The same turned over, for steep paths: spans are then along columns.
+    /// The bitmap transposed, for steep paths: spans then run along columns.
     columns: Banded,
 }
 
@@ -76,7 +76,7 @@ impl LineOfSight for PointLineOfSight {
     }
 }
 
-/// The inscribed disc of a robot with its margin; its centre stays where the policy for unknown cells lets it be.
+/// Line of sight of the robot's inscribed disc with its margin; its centre stays where the policy for unknown cells permits.
 impl LineOfSight for ConfigurationSpace {
     fn size(&self) -> [u32; 2] {
         [self.spec.width, self.spec.height]
@@ -99,7 +99,7 @@ fn disc_passes(space: &ConfigurationSpace, a: Point2<f64>, b: Point2<f64>) -> bo
     if half + radius + 1.0 < reach {
         let middle = nalgebra::center(&a, &b);
         let cell = Cell::new(whole(middle.x), whole(middle.y));
-        // No distance changes by more than one moves: that of one cell's centre bounds all of a short path's.
+        // Distance changes by at most the distance moved: the value of one cell's centre bounds all values on a short path.
         let off = (middle - Point2::new(f64::from(cell.x) + 0.5, f64::from(cell.y) + 0.5)).norm();
         let distance = 0.5 * f64::from(space.field().squared(cell)).sqrt();
         if distance > radius + half + off + EPSILON {
@@ -184,7 +184,7 @@ mod tests {
         }
     }
 
-    /// Cells of 10 cm; every ninth occupied square stands in the unknown.
+    /// Cells of 10 cm; every ninth of the occupied squares is unknown instead.
     fn space(occupied: &[(i64, i64)], radius: f64, policy: UnknownPolicy) -> ConfigurationSpace {
         let spec = GridSpec {
             origin: Point2::new(-1.0, 2.0),

@@ -1,7 +1,7 @@
-//! Polygon rasterisation. Which cells does a closed polygon touch? No cell is missed, and none is farther than a millionth of a cell.
+//! Polygon rasterisation. The cells that a closed polygon touches: none is missed, and none is farther away than a millionth of a cell.
 //!
-//! A cell that no edge touches lies inside or outside as a whole, and its centre says which: edges are walked row by row, and centres are
-//! told by how many edges they have on their left (an even-odd scan conversion).
+//! A cell that no edge touches lies wholly inside or outside, as its centre does. Edges are walked row by row; a centre is inside if the
+//! number of edges on its left is odd (an even-odd scan conversion).
 
 use nalgebra::Point2;
 use zenav_protocol::grid::{Cell, GridSpec};
@@ -10,17 +10,17 @@ use zenav_protocol::polygon::edges;
 /// Cells this near to a polygon count as touched, cells: rounding never loses one.
 const EPSILON: f64 = 1e-6;
 
-/// Marked cells of a grid, kept for the part of it that has any.
+/// Marked cells of a grid, stored for the window that contains marks.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct CellMask {
     first_row: usize,
     first_word: usize,
-    /// Words a row.
+    /// Words per row.
     stride: usize,
     words: Vec<u64>,
 }
 
-/// Columns and rows that a polygon reaches, the first and the last.
+/// First and last column and row that a polygon reaches.
 #[derive(Clone, Copy)]
 struct Span {
     columns: (usize, usize),
@@ -28,7 +28,7 @@ struct Span {
 }
 
 impl Span {
-    /// Of a polygon in cells; `None` beside the grid.
+    /// The span of a polygon in cells; `None` if it lies beside the grid.
     fn of(corners: &[Point2<f64>], spec: &GridSpec) -> Option<Self> {
         let along = |pick: fn(&Point2<f64>) -> f64, cells: u32| {
             let (low, high) = corners
@@ -47,7 +47,7 @@ impl Span {
 }
 
 impl CellMask {
-    /// The cells of a grid that any of some simple polygons (m, map frame) touches; `None` for none.
+    /// The cells of a grid that any of some simple polygons (m, map frame) touches; `None` if there are none.
     #[must_use]
     pub fn of<'a>(polygons: impl IntoIterator<Item = &'a [Point2<f64>]>, spec: &GridSpec) -> Option<Self> {
         let polygons: Vec<Vec<Point2<f64>>> = polygons
@@ -60,7 +60,7 @@ impl CellMask {
             rows: (a.rows.0.min(b.rows.0), a.rows.1.max(b.rows.1)),
         })?;
         let mut all = Self::empty(span);
-        // One after the other: many large ones are not held at the same time.
+        // One at a time, so that large masks are not all held at once.
         for mask in polygons.iter().filter_map(|corners| Self::of_one(corners, spec)) {
             for (row, words) in mask.words.chunks_exact(mask.stride).enumerate() {
                 let start = (mask.first_row + row - all.first_row) * all.stride + mask.first_word - all.first_word;
@@ -109,7 +109,7 @@ impl CellMask {
     fn of_one(corners: &[Point2<f64>], spec: &GridSpec) -> Option<Self> {
         let span = Span::of(corners, spec)?;
         let mut mask = Self::empty(span);
-        // Bits where what is inside begins or ends along a row.
+        // Bits where the inside begins or ends along a row.
         let mut turns = mask.clone();
         for edge in edges(corners) {
             let (a, b) = if edge.a.y <= edge.b.y {
@@ -163,7 +163,7 @@ impl CellMask {
         }
     }
 
-    /// Notes that an edge crosses the line through a row's centres: for all centres on its right inside and outside change.
+    /// Records that an edge crosses the line through a row's centres: inside and outside swap for all centres on its right.
     fn turn(&mut self, y: usize, x: f64, width: u32) {
         let column = (x - 0.5).ceil().max((self.first_word * 64) as f64);
         if column < f64::from(width) {
@@ -174,7 +174,7 @@ impl CellMask {
         }
     }
 
-    /// Marks what lies inside.
+    /// Marks the cells inside.
     fn fill(&mut self, turns: &Self, columns: (usize, usize)) {
         let rows = self
             .words
@@ -183,7 +183,7 @@ impl CellMask {
         for (row, turns) in rows {
             let mut inside = 0;
             for (word, (bits, turns)) in row.iter_mut().zip(turns).enumerate() {
-                // Every bit becomes the parity of those up to it.
+                // Every bit becomes the parity of the bits up to it.
                 let mut parity = *turns;
                 for shift in [1, 2, 4, 8, 16, 32] {
                     parity ^= parity << shift;
@@ -198,7 +198,7 @@ impl CellMask {
     }
 }
 
-/// The cells that a closed interval touches, first and last, of so many; `None` for none of them, and for what is not a number.
+/// First and last of `cells` cells that a closed interval touches; `None` if there are none, or for NaN.
 fn touched(low: f64, high: f64, cells: u32) -> Option<(usize, usize)> {
     let first = ((low - EPSILON).ceil() - 1.0).max(0.0);
     let last = (high + EPSILON).floor().min(f64::from(cells) - 1.0);
@@ -237,7 +237,7 @@ mod tests {
         radii.iter().enumerate().map(corner).collect()
     }
 
-    /// Whether a closed polygon touches the closed square of a cell, with as much room as the hair.
+    /// Whether a closed polygon touches the closed square of a cell, with a tolerance like that of the mask.
     fn touches(corners: &[Point2<f64>], x: f64, y: f64) -> bool {
         let at = |x: f64, y: f64| grid().from_cells(Point2::new(x, y));
         let square = [at(x, y), at(x + 1.0, y), at(x + 1.0, y + 1.0), at(x, y + 1.0)];

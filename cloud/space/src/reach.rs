@@ -1,4 +1,4 @@
-//! Reachability. Which places can be got to at all? A flood fill over free cells, four neighbours each.
+//! Reachability. The free cells connected to a point: a flood fill over four neighbours.
 
 use std::collections::VecDeque;
 
@@ -7,10 +7,10 @@ use zenav_protocol::grid::Cell;
 
 use super::{BitGrid, ConfigurationSpace};
 
-/// Cells within this many of a point stand for it: a robot may stand a little inside its own margin.
+/// Range of the search around a point, cells: a robot may stand slightly inside its own margin.
 const NEARBY: i64 = 6;
 
-/// The free cells connected to a point; `None` when no free cell is near it.
+/// The free cells connected to a point; `None` if no free cell is near it.
 ///
 /// Cost: linear in the cells reached.
 #[must_use]
@@ -44,7 +44,7 @@ pub fn flood(space: &ConfigurationSpace, from: Point2<f64>) -> Option<BitGrid> {
     Some(reached)
 }
 
-/// Whether a point lies in or beside a reached cell.
+/// Whether a reached cell lies near a point, with no obstacle between them.
 #[must_use]
 pub fn is_reached(space: &ConfigurationSpace, reached: &BitGrid, point: Point2<f64>) -> bool {
     let spec = space.spec();

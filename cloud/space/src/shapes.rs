@@ -1,4 +1,4 @@
-//! Shape clearance. How far is a shape from the nearest occupied square? Discs, moved discs and convex polygons, in closed form.
+//! Shape clearance. The distance of discs, moved discs and convex polygons to the nearest occupied square, in closed form.
 //!
 //! Candidates come from bit scans of the rows that the shape can reach; each is measured exactly.
 
@@ -16,7 +16,7 @@ pub(super) fn disc_clearance(obstacles: &BitGrid, spec: &GridSpec, point: Point2
     let height = i64::from(obstacles.height());
     let beyond = |at: f64, end: u32| (-at).max(at - f64::from(end)).max(0.0);
     if beyond(p.x, obstacles.width()).hypot(beyond(p.y, obstacles.height())) * spec.resolution >= limit {
-        // Nothing of the grid is near; below, numbers are of a grid's size.
+        // No cell of the grid is near; below, all numbers are of a grid's size.
         return limit;
     }
     // A hair more than the limit, so that an obstacle exactly at a bound is still found.
@@ -52,8 +52,8 @@ pub(super) fn disc_clearance(obstacles: &BitGrid, spec: &GridSpec, point: Point2
     (least * spec.resolution).min(limit)
 }
 
-/// Least distance from a segment to an obstacle, both in cells, when it is at most `limit`, else something greater. Minus one
-/// for a non-finite segment.
+/// Least distance from a segment to an obstacle, both in cells, if it is at most `limit`, else some greater value. Minus one for a
+/// non-finite segment.
 pub(super) fn capsule_clearance(obstacles: &BitGrid, a: Point2<f64>, b: Point2<f64>, limit: f64) -> f64 {
     let d = b - a;
     if !(d.x.is_finite() && d.y.is_finite() && a.x.is_finite() && a.y.is_finite() && limit.is_finite()) {
@@ -89,7 +89,7 @@ pub(super) fn capsule_clearance(obstacles: &BitGrid, a: Point2<f64>, b: Point2<f
     least
 }
 
-/// The column or row that a coordinate in cells lies in; far outside any grid it is just far outside.
+/// The column or row of a coordinate in cells; far outside any grid it is clamped.
 fn column(at: f64) -> i64 {
     at.floor().clamp(-1e12, 1e12) as i64
 }
@@ -111,7 +111,7 @@ fn segment_to_square(a: Point2<f64>, b: Point2<f64>, x: u32, y: u32) -> f64 {
     if segment_meets_box(a, b, low, high) {
         return 0.0;
     }
-    // Apart, so the nearest pair has an end of the segment or a corner of the square.
+    // They do not meet, so the nearest pair contains an end of the segment or a corner of the square.
     let point_to_box = |p: Point2<f64>| {
         let (dx, dy) = (
             (low.x - p.x).max(p.x - high.x).max(0.0),
@@ -165,7 +165,7 @@ pub(super) fn polygon_clearance(obstacles: &BitGrid, outline: &[Point2<f64>], li
     );
     let mut least = limit;
     for y in rows_within(obstacles, low - limit, high + limit) {
-        // Rows are convex obstacles as well: one that is farther away than the best so far has nothing to add.
+        // A row is a convex obstacle too: one farther away than the best so far adds nothing.
         if f64::from(y) - high > least || low - f64::from(y) - 1.0 > least {
             continue;
         }
@@ -184,14 +184,14 @@ pub(super) fn polygon_clearance(obstacles: &BitGrid, outline: &[Point2<f64>], li
     least
 }
 
-/// The range of x over the part of a convex polygon whose y lies between two values; `None` where it has none.
+/// The range of x over the part of a convex polygon whose y lies between two values; `None` if there is no such part.
 fn columns_between(outline: &[Point2<f64>], (low, high): (f64, f64)) -> Option<(f64, f64)> {
     let (mut left, mut right) = (f64::INFINITY, f64::NEG_INFINITY);
     let mut last = outline.last()?;
     for point in outline {
         let (below, above) = if point.y < last.y { (point, last) } else { (last, point) };
         if below.y <= high && above.y >= low {
-            // A level edge has no slope: its ends are all there is.
+            // A level edge has no slope; only its ends count.
             let slope = (above.x - below.x) / (above.y - below.y).max(f64::MIN_POSITIVE);
             let enter = if below.y < low {
                 below.x + (low - below.y) * slope
@@ -211,7 +211,7 @@ fn columns_between(outline: &[Point2<f64>], (low, high): (f64, f64)) -> Option<(
     (left <= right).then_some((left, right))
 }
 
-/// Whether a convex polygon, in cells, touches the closed square of an obstacle, or comes nearer to one than rounding tells apart.
+/// Whether a convex polygon, in cells, touches the closed square of an obstacle, to within rounding.
 pub(super) fn polygon_touches(obstacles: &BitGrid, outline: &[Point2<f64>]) -> bool {
     let (low, high) = outline
         .iter()
@@ -228,8 +228,8 @@ pub(super) fn polygon_touches(obstacles: &BitGrid, outline: &[Point2<f64>]) -> b
     })
 }
 
-/// Calls with every set cell that a convex polygon, in cells, touches, but for those with four set neighbours: whatever comes near one
-/// of those comes near another one first.
+/// Visits every set cell that a convex polygon, in cells, touches, except those with four set neighbours: anything close to one of those
+/// is closer to another.
 pub(super) fn outer_squares(bits: &BitGrid, outline: &[Point2<f64>], mut visit: impl FnMut(u32, u32)) {
     let (low, high) = outline
         .iter()
@@ -248,7 +248,7 @@ pub(super) fn outer_squares(bits: &BitGrid, outline: &[Point2<f64>], mut visit: 
         });
     let words = word(left)..=word(right);
     for y in rows_within(bits, low, high) {
-        // Most rows have nothing near.
+        // Most rows are empty here.
         if bits.row(y)[words.clone()].iter().all(|word| *word == 0) {
             continue;
         }
@@ -274,7 +274,7 @@ pub(super) fn outer_squares(bits: &BitGrid, outline: &[Point2<f64>], mut visit: 
             if here == 0 {
                 continue;
             }
-            // At a word's ends neighbours count as unset: a few squares too many.
+            // At a word's ends neighbours count as unset, which adds a few squares.
             here &= !(here << 1 & here >> 1 & beside(y.checked_sub(1), word) & beside(Some(y + 1), word));
             while here != 0 {
                 let x = word as u32 * 64 + here.trailing_zeros();
@@ -287,7 +287,7 @@ pub(super) fn outer_squares(bits: &BitGrid, outline: &[Point2<f64>], mut visit: 
     }
 }
 
-/// Nothing is nearer to an obstacle than this without touching it, cells.
+/// Anything nearer to an obstacle than this touches it, cells.
 const ROUNDING: f64 = 1e-9;
 
 /// Exact distance from a convex polygon (counter-clockwise) to the closed square of a cell, cells.

@@ -1,16 +1,17 @@
-//! Swept shapes on bitmaps. Which columns of a row does a moved shape meet? Points, square windows and discs on straight paths, in cells of a grid.
+//! Swept shapes on bitmaps. The columns of a row that a moved shape meets: points, square windows and discs on straight paths, in cells
+//! of a grid.
 //!
-//! A convex shape moved straight is convex, so that in each row it meets one span of columns: that span is told in closed form, and 64
-//! cells of it are looked at in one step. Squares are closed: to touch one is to meet it.
+//! A convex shape moved straight sweeps a convex area, which meets one span of columns in each row. The span is computed in closed form,
+//! and 64 of its cells are tested in one step. Squares are closed: touching one is meeting it.
 
 use nalgebra::{Point2, Vector2};
 
 use super::bits::BitGrid;
 
-/// Shapes are larger by this all around, cells: rounding (some 1e-11 on the largest grids) never loses a square that is touched.
+/// Shapes are grown by this all around, cells: rounding (some 1e-11 on the largest grids) never loses a square that is touched.
 pub(super) const EPSILON: f64 = 1e-9;
 
-/// Set cells, also by bands of rows: most of what is empty is passed over in one look.
+/// Set cells, also summarised by bands of rows: one test skips most of the empty space.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Banded {
     bits: BitGrid,
@@ -18,7 +19,7 @@ pub(super) struct Banded {
     bands: BitGrid,
 }
 
-/// Rows of a band.
+/// Rows per band.
 const BAND: u32 = 8;
 
 impl Banded {
@@ -55,8 +56,8 @@ impl Banded {
         self.bands.row_mut(band)[word] = rows.fold(0, |any, y| any | self.bits.row(y)[word]);
     }
 
-    /// Whether a square window that reaches `half` cells to each side, moved from `a` to `b`, touches the square of a set cell; what lies
-    /// outside the grid is not asked. Numbers that are not finite touch.
+    /// Whether a square window that reaches `half` cells to each side, moved from `a` to `b`, touches the square of a set cell.
+    /// Everything outside the grid is ignored. Non-finite numbers count as touching.
     pub(super) fn is_touched_by_window(&self, a: Point2<f64>, b: Point2<f64>, half: f64) -> bool {
         let reach = half + EPSILON;
         self.any_row(a, b, reach, |left, right| {
@@ -65,8 +66,8 @@ impl Banded {
         })
     }
 
-    /// Whether a disc, moved from `a` to `b`, touches the square of a set cell; what lies outside the grid is not asked. Numbers that are
-    /// not finite touch.
+    /// Whether a disc, moved from `a` to `b`, touches the square of a set cell. Everything outside the grid is ignored. Non-finite
+    /// numbers count as touching.
     pub(super) fn is_touched_by_disc(&self, a: Point2<f64>, b: Point2<f64>, radius: f64) -> bool {
         let reach = radius + EPSILON;
         self.any_row(a, b, reach, |left, right| {
@@ -78,7 +79,7 @@ impl Banded {
         })
     }
 
-    /// Whether any row within `reach` has a set cell among the columns that are told for it by what `of(left, right)` makes; they lie
+    /// Whether any row within `reach` has a set cell in its span of columns. `of(left, right)` makes the function that gives the spans,
     /// between `left` and `right`.
     #[inline]
     fn any_row<F: Fn(u32, u32) -> (u32, u32)>(
@@ -98,13 +99,13 @@ impl Banded {
         if right < 0.0 || left >= width || high < 0.0 || low >= height {
             return false;
         }
-        // From here on numbers are of a grid's size.
+        // From here on all numbers are of a grid's size.
         let (left, right) = (left.max(0.0), right.min(width.next_down()));
         let (low, high) = (low.max(0.0), high.min(height.next_down()));
         self.any(whole(low), whole(high), of(left, right))
     }
 
-    /// Whether any of the rows `low` to `high` has a set cell among the columns told for it; `columns` tells them for a range of rows.
+    /// Whether any of the rows `low` to `high` has a set cell in its span; `columns` gives the span for a range of rows.
     #[inline(always)]
     fn any(&self, low: u32, high: u32, columns: impl Fn(u32, u32) -> (u32, u32)) -> bool {
         let is_set = |bits: &BitGrid, row, (first, last)| first <= last && bits.any_set(row, first, last);
@@ -131,7 +132,7 @@ impl Banded {
         let (low, high) = (whole(less(a.y, b.y) - EPSILON), whole(greater(a.y, b.y) + EPSILON));
         let (first, last) = (low / BAND, high / BAND);
         if last - first <= 1 {
-            // Short paths in the open need no more than a look at the box around them.
+            // A short path in the open only needs a test of the box around it.
             let is_set = |band| self.bands.any_set(band, whole(left), whole(right));
             if !is_set(first) && !is_set(last) {
                 return false;
@@ -142,10 +143,10 @@ impl Banded {
     }
 }
 
-/// The columns of a span as far as they lie between `left` and `right`; the first is greater where there are none.
+/// The part of a span between `left` and `right`; the first column is greater if there is none.
 #[inline(always)]
 fn columns(first: f64, last: f64, left: f64, right: f64) -> (u32, u32) {
-    // What is not a number loses.
+    // NaN loses the comparisons.
     let (first, last) = (greater(first, left), less(last, right));
     if last >= left {
         (whole(first), whole(last))
@@ -157,17 +158,17 @@ fn columns(first: f64, last: f64, left: f64, right: f64) -> (u32, u32) {
 /// A square window moved straight over a grid.
 struct Strip {
     from: Point2<f64>,
-    /// Columns a row; infinite or not a number for level paths.
+    /// Columns per row; infinite or NaN for level paths.
     slope: f64,
-    /// How far the window reaches beyond where its centre crosses a row's border.
+    /// How far the window reaches beyond the point where its centre crosses a row's border.
     beside: f64,
     left: f64,
     right: f64,
 }
 
 impl Strip {
-    /// A window that reaches `reach` cells to each side, between two points; columns are told between `left` and `right` only, which are
-    /// not negative.
+    /// A window that reaches `reach` cells to each side, between two points; columns are clipped to `left` and `right`, which are not
+    /// negative.
     #[inline(always)]
     fn new(a: Point2<f64>, b: Point2<f64>, reach: f64, left: f64, right: f64) -> Self {
         let slope = (b.x - a.x) / (b.y - a.y);
@@ -180,12 +181,12 @@ impl Strip {
         }
     }
 
-    /// The first and the last column that it meets in rows `low` to `high`; the first is greater where it meets none.
+    /// First and last column that it meets in rows `low` to `high`; the first is greater if it meets none.
     #[inline(always)]
     fn columns(&self, low: u32, high: u32) -> (u32, u32) {
         let at = |y: f64| self.from.x + (y - self.from.y) * self.slope;
         let (below, above) = (at(f64::from(low)), at(f64::from(high) + 1.0));
-        // A level path's are not numbers: it meets all of its columns.
+        // For a level path they are NaN: it meets all of its columns.
         let (near, far) = if self.slope >= 0.0 {
             (below, above)
         } else {
@@ -195,12 +196,12 @@ impl Strip {
     }
 }
 
-/// A disc moved straight over a grid. Its borders to the left and to the right are each an arc, a line and an arc.
+/// A disc moved straight over a grid. Its left and right borders each consist of an arc, a line and an arc.
 struct Capsule {
     /// The lower end and the upper one.
     ends: [Point2<f64>; 2],
     radius: f64,
-    /// From the lower end to the upper one, of length one.
+    /// Unit vector from the lower end to the upper one.
     path: Vector2<f64>,
     slope: f64,
 }
@@ -217,7 +218,7 @@ impl Capsule {
         }
     }
 
-    /// From where to where it reaches between two heights.
+    /// Its horizontal extent between two heights.
     #[inline(always)]
     fn span(&self, bottom: f64, top: f64) -> (f64, f64) {
         let [low, high] = self.ends;
@@ -232,7 +233,7 @@ impl Capsule {
         )
     }
 
-    /// Where its border lies at a height: the right one for `side` 1, the left one for -1.
+    /// Its border at a height: the right one for `side` 1, the left one for -1.
     #[inline]
     fn border(&self, y: f64, side: f64) -> f64 {
         let [low, high] = self.ends;
@@ -249,19 +250,19 @@ impl Capsule {
     }
 }
 
-/// The lesser; `b` where `a` is not a number.
+/// The lesser; `b` if `a` is NaN.
 #[inline(always)]
 fn less(a: f64, b: f64) -> f64 {
     if a < b { a } else { b }
 }
 
-/// The greater; `b` where `a` is not a number.
+/// The greater; `b` if `a` is NaN.
 #[inline(always)]
 fn greater(a: f64, b: f64) -> f64 {
     if a > b { a } else { b }
 }
 
-/// The column or row of a coordinate that is not negative. (To `i32` the processor converts in one step.)
+/// The column or row of a non-negative coordinate. (The conversion to `i32` is one instruction.)
 #[inline(always)]
 pub(super) fn whole(at: f64) -> u32 {
     (at as i32).cast_unsigned()
@@ -329,7 +330,7 @@ pub(super) mod tests {
         fn a_moved_disc_touches_what_its_path_comes_as_close_to(occupied in occupied(), a in around(), b in around(), radius in prop::sample::select(vec![0.0, 0.25, 1.0, 2.3, 5.0, 40.0])) {
             let (bits, a, b) = (bits(&occupied), quarters(a), quarters(b));
             let clearance = capsule_clearance(&bits, a, b, radius + 1.0);
-            // Whole numbers touch exactly.
+            // Exact contact counts.
             prop_assume!(clearance == radius || (clearance - radius).abs() > 1e-8);
             prop_assert_eq!(Banded::new(bits).is_touched_by_disc(a, b, radius), clearance <= radius);
         }

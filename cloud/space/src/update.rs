@@ -1,6 +1,5 @@
-//! Incremental update. What of a configuration space changes when tiles of its map change? Only what lies within reach of a cell that means
-//! something else
-//! now, and the result equals a space that is built anew.
+//! Incremental update. When tiles of the map change, only the part of a configuration space within reach of changed cells is recomputed;
+//! the result equals a new build.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -14,24 +13,24 @@ use super::bits::pack;
 use super::configuration::{ConfigurationSpace, UnknownPolicy};
 use super::raster::CellMask;
 
-/// Side of a map's tile, cells: a word of a bitmap and a tile of the distance field as well.
+/// Side of a map's tile, cells; a word of a bitmap and a tile of the distance field are as wide.
 const SIDE: usize = 64;
 const _: () = assert!(
     TILE as usize == SIDE,
     "words of bitmaps and tiles of maps must coincide"
 );
 
-/// The map has grown or moved: a space of it is to be built anew.
+/// The map has grown or moved: its space has to be rebuilt.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 #[error("the map's grid is not the space's any more")]
 pub struct GridChanged;
 
-/// What 64 cells of a row mean.
+/// Meaning of 64 cells of a row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Marks {
-    /// No part of the robot may touch these.
+    /// Cells that no part of the robot may touch.
     pub obstacles: u64,
-    /// The robot's centre stays off these.
+    /// Cells that the robot's centre stays off.
     pub forbidden: u64,
 }
 
@@ -74,7 +73,7 @@ impl Marks {
     }
 }
 
-/// Rows of one word column in which cells mean something else now.
+/// Rows of one word column in which the meaning of cells has changed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Difference {
     word: usize,
@@ -82,20 +81,20 @@ pub(super) struct Difference {
 }
 
 impl ConfigurationSpace {
-    /// Takes over tiles of a map that may have changed (column and row of each, [`TILE`] cells a side); the map's grid is still the same.
-    /// The result equals a space that is built anew. Returns whether anything has changed.
+    /// Updates tiles of the map that may have changed (column and row of each, [`TILE`] cells a side); the map's grid must be the same.
+    /// The result equals a new build. Returns whether anything has changed.
     ///
-    /// Cost: some microseconds a changed tile and those around it, and a copy of the bitmaps where others hold them too.
+    /// Cost: some microseconds per changed tile and its surroundings, and a copy of the bitmaps if they are shared.
     ///
     /// # Errors
-    /// [`GridChanged`] when the map's grid is another one: build the space anew.
+    /// [`GridChanged`] if the map has another grid: rebuild the space.
     pub fn update(&mut self, grid: &OccupancyGrid, tiles: &[(u32, u32)]) -> Result<bool, GridChanged> {
         let differences = self.differences(grid, tiles)?;
         self.apply(grid, &differences);
         Ok(!differences.is_empty())
     }
 
-    /// Where tiles of a map mean something else than in this space.
+    /// Differences between tiles of a map and this space.
     pub(super) fn differences(
         &self,
         grid: &OccupancyGrid,
@@ -125,7 +124,7 @@ impl ConfigurationSpace {
         Ok(differences)
     }
 
-    /// What a word means in this space.
+    /// Meaning of a word in this space.
     fn marks(&self, y: u32, word: usize) -> Marks {
         Marks {
             obstacles: self.obstacles().row(y)[word],
@@ -136,7 +135,7 @@ impl ConfigurationSpace {
         }
     }
 
-    /// Takes the differences over.
+    /// Applies the differences.
     pub(super) fn apply(&mut self, grid: &OccupancyGrid, differences: &[Difference]) {
         if differences.is_empty() {
             return;
@@ -166,10 +165,10 @@ impl ConfigurationSpace {
         }
     }
 
-    /// Windows of words and rows that hold everything within reach of the differences, none twice.
+    /// Windows of words and rows that cover everything within reach of the differences, without overlap.
     fn around(&self, differences: &[Difference]) -> Vec<(Range<usize>, Range<u32>)> {
         let reach = self.field.reach_cells();
-        // By row and column of tiles: the rows of each that are to be told anew. The reach is less than a word.
+        // Keyed by row and column of tiles: the rows of each tile to be recomputed. The reach is less than a word.
         let mut tiles: BTreeMap<(u32, usize), Range<u32>> = BTreeMap::new();
         for Difference { word, rows } in differences {
             let rows = rows.start.saturating_sub(reach)..(rows.end + reach).min(self.spec.height);
@@ -244,7 +243,7 @@ mod tests {
                 prop_assert_eq!(space.field(), anew.field());
                 prop_assert_eq!(space.obstacles(), anew.obstacles());
                 prop_assert_eq!(space.forbidden(), anew.forbidden());
-                // What the copy shares with its original is not touched.
+                // The parts that the copy shares with its original stay unchanged.
                 let before = ConfigurationSpace::with_zones(&grid(width, height, &before), &footprint, policy, 0.0, &zones);
                 prop_assert_eq!(original.free(), before.free());
                 prop_assert_eq!(original.field(), before.field());

@@ -1,7 +1,7 @@
-//! State validity. Does the true footprint fit at a pose, along a segment, along a sweep of poses?
+//! State validity. Whether the true footprint fits at a pose, along a segment, or along a sweep of poses.
 //!
-//! Every check is exact against the closed squares of occupied cells: candidates come from bit scans of the rows that the
-//! shape can reach, each candidate is measured in closed form. No step size is involved.
+//! Every check is exact against the closed squares of occupied cells: candidates come from bit scans of the rows that the shape can
+//! reach, and each candidate is measured in closed form. There is no step size.
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, wrap_angle};
@@ -10,15 +10,15 @@ use zenav_protocol::robot::Footprint;
 use super::configuration::{ConfigurationSpace, UnknownPolicy};
 use super::shapes::{capsule_clearance, disc_clearance, polygon_clearance};
 
-/// Sweeps are bisected until they are certain to within this, m.
+/// Sweeps are bisected until their clearance is certain to within this, m.
 const SWEEP_TOLERANCE: f64 = 1e-3;
 
-/// Most bisections of one sweep, and more for each pose: no numbers from outside keep it busy.
+/// Largest number of bisections of one sweep, plus some for each pose: no input keeps it busy for long.
 const SWEEP_BISECTIONS: usize = 10_000;
 
 impl ConfigurationSpace {
-    /// Whether the robot may stand at a pose: its true footprint touches no obstacle, and its centre stands on a cell that
-    /// the policy for unknown cells allows.
+    /// Whether the robot may stand at a pose: its true footprint touches no obstacle, and its centre is on a cell that the policy for
+    /// unknown cells permits.
     ///
     /// ```
     /// # use nalgebra::Point2;
@@ -40,7 +40,7 @@ impl ConfigurationSpace {
         let enough = self.footprint.circumscribed_radius() + self.spec.resolution;
         let clearance = disc_clearance(self.obstacles(), &self.spec, pose.position(), enough);
         if clearance <= self.footprint.inscribed_radius() {
-            // A disc that touches collides; a point collides only on the obstacle itself, closed as well.
+            // A disc that touches an obstacle collides; a point collides only on the obstacle's closed square.
             return false;
         }
         if matches!(self.footprint, Footprint::Radius(_)) || clearance > self.footprint.circumscribed_radius() {
@@ -58,7 +58,7 @@ impl ConfigurationSpace {
         }
     }
 
-    /// Whether the policy for unknown cells lets the robot's centre go straight from `a` to `b`: it touches no square that it stays off.
+    /// Whether the policy for unknown cells lets the robot's centre go straight from `a` to `b`: it touches no forbidden square.
     #[must_use]
     pub fn is_permitted_between(&self, a: Point2<f64>, b: Point2<f64>) -> bool {
         let on_squares = || {
@@ -75,7 +75,7 @@ impl ConfigurationSpace {
         self.footprint_clearance_within(pose, self.reach())
     }
 
-    /// As [`footprint_clearance`](Self::footprint_clearance), but at most `limit` (m): the less, the faster.
+    /// Like [`footprint_clearance`](Self::footprint_clearance), but at most `limit` (m): the smaller, the faster.
     #[must_use]
     pub fn footprint_clearance_within(&self, pose: Pose2, limit: f64) -> f64 {
         if !pose.is_finite() {
@@ -88,7 +88,7 @@ impl ConfigurationSpace {
                 return (disc_clearance(self.obstacles(), &self.spec, at, limit + radius) - radius).max(0.0);
             }
         };
-        // What the disc around the footprint has, the footprint has.
+        // The footprint has at least the clearance of its circumscribed disc.
         let beside = |cell| self.field.distance(cell) - (self.spec.center(cell) - at).norm();
         let around = self.footprint.circumscribed_radius();
         if self.spec.cell_at(at).is_some_and(|cell| beside(cell) >= around + limit) {
@@ -134,11 +134,11 @@ impl ConfigurationSpace {
             * self.spec.resolution
     }
 
-    /// Least distance of the true footprint to an obstacle while it moves through the poses, m; at most
-    /// [`reach`](Self::reach). Between two poses position and heading (the shorter way round) change evenly.
+    /// Least distance of the true footprint to an obstacle while it moves through the poses, m; at most [`reach`](Self::reach). Between
+    /// two poses position and heading (the shorter way round) change linearly.
     ///
-    /// Never above the truth, and at most a millimetre below it (for steps that a robot makes; after ten thousand bisections
-    /// a safe bound is returned): zero means a collision or less than a millimetre to spare.
+    /// Never above the true value, and at most a millimetre below it (for steps that a robot makes; after ten thousand bisections a safe
+    /// bound is returned): zero means a collision or less than a millimetre to spare.
     ///
     /// ```
     /// # use nalgebra::Point2;
@@ -158,7 +158,7 @@ impl ConfigurationSpace {
         self.sweep_clearance_within(poses, self.reach())
     }
 
-    /// As [`sweep_min_clearance`](Self::sweep_min_clearance), but at most `limit` (m): the less, the faster.
+    /// Like [`sweep_min_clearance`](Self::sweep_min_clearance), but at most `limit` (m): the smaller, the faster.
     #[must_use]
     pub fn sweep_clearance_within(&self, poses: &[Pose2], limit: f64) -> f64 {
         let mut least = limit.min(self.reach());
@@ -177,7 +177,7 @@ impl ConfigurationSpace {
         }
         let around = self.footprint.circumscribed_radius();
         let moved = |a: &Pose2, b: &Pose2| a.distance(b) + wrap_angle(b.yaw - a.yaw).abs() * around;
-        // With more than this beyond the least there is nothing to be found half a step away.
+        // A clearance of the least plus this rules out a lower one half a step away.
         let step = poses
             .windows(2)
             .map(|pair| moved(&pair[0], &pair[1]))
@@ -202,7 +202,7 @@ impl ConfigurationSpace {
             if bound >= certain {
                 continue;
             }
-            // Written so that a motion that is not a number ends here as well.
+            // Written so that a motion that is NaN ends here as well.
             if !(motion > SWEEP_TOLERANCE && bound < least - SWEEP_TOLERANCE && budget > 0) {
                 certain = if bound.is_nan() { 0.0 } else { certain.min(bound) };
                 continue;
@@ -253,7 +253,7 @@ mod tests {
         ])
     }
 
-    /// Distance from a point to every occupied square, the least.
+    /// Least distance from a point to the occupied squares.
     fn brute(occupied: &[(u32, u32)], p: Point2<f64>) -> f64 {
         let squares = occupied.iter().map(|(x, y)| {
             let corner =

@@ -1,4 +1,4 @@
-//! Zones. Where may the robot not be, and where must it be slow? Polygons in the map frame, drawn in a TOML file.
+//! Zones. Keep-out zones and speed limits: polygons in the map frame, drawn in a TOML file.
 //!
 //! ```toml
 //! [[keep_out]]                 # no part of a robot enters
@@ -20,9 +20,9 @@ use zenav_protocol::polygon::{contains, simple};
 
 use super::raster::CellMask;
 
-/// Most zones of a kind.
+/// Largest number of zones of a kind.
 const MAX_ZONES: usize = 1000;
-/// Most corners of a zone.
+/// Largest number of corners of a zone.
 const MAX_CORNERS: usize = 1000;
 /// Coordinates lie within this, m.
 const MAX_COORDINATE: f64 = 100_000.0;
@@ -40,7 +40,7 @@ pub enum ZonesError {
         /// What and where.
         source: Box<toml::de::Error>,
     },
-    /// A value that no zone has.
+    /// A value that no zone may have.
     #[error("{file}:{line}: `{key}`: {problem}")]
     Value {
         /// The file.
@@ -54,7 +54,7 @@ pub enum ZonesError {
     },
 }
 
-/// Why zones that came over the network were refused.
+/// Why zones received over the network were refused.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error("zone `{zone}`: {problem}")]
 pub struct ZoneError {
@@ -67,7 +67,7 @@ pub struct ZoneError {
 /// An area of the map frame.
 #[derive(Clone, Debug, PartialEq)]
 struct Area {
-    /// What it is called, for people.
+    /// Its name, for people.
     name: Option<String>,
     /// A simple polygon, m.
     corners: Vec<Point2<f64>>,
@@ -76,7 +76,7 @@ struct Area {
 }
 
 impl Area {
-    /// A simple polygon of these corners; says what is wrong with others.
+    /// A simple polygon of these corners; the error says what is wrong with them.
     fn new(name: Option<String>, points: &[[f64; 2]]) -> Result<Self, String> {
         let count = points.len();
         if !(3..=MAX_CORNERS).contains(&count) {
@@ -164,10 +164,10 @@ impl Zones {
         Ok(Self { keep_out, speed_limits })
     }
 
-    /// The zones of a message, checked as those of a file are.
+    /// The zones of a message, with the checks of a file.
     ///
     /// # Errors
-    /// [`ZoneError`] names the first zone that cannot be.
+    /// [`ZoneError`] names the first invalid zone.
     ///
     /// ```
     /// use nalgebra::Point2;
@@ -203,7 +203,7 @@ impl Zones {
         Ok(all)
     }
 
-    /// The zones as a message has them; those without a name are called after their place in the file.
+    /// The zones as messages; a zone without a name is named after its position in the file.
     #[must_use]
     pub fn to_messages(&self) -> Vec<Zone> {
         let zone = |(at, area, rule, kind): (usize, &Area, ZoneRule, &str)| Zone {
@@ -229,21 +229,21 @@ impl Zones {
         !self.speed_limits.is_empty()
     }
 
-    /// Largest speed of a robot whose centre is at a point, m/s; `None` outside all speed zones. Where zones overlap, the least.
+    /// Speed limit of a robot whose centre is at a point, m/s; `None` outside all speed zones. Where zones overlap, the lowest.
     #[must_use]
     pub fn speed_limit(&self, point: Point2<f64>) -> Option<f64> {
         let here = self.speed_limits.iter().filter(|(area, _)| area.contains(point));
         here.map(|(_, speed)| *speed).reduce(f64::min)
     }
 
-    /// The keep-out zone that a point lies in: its name, or `keep-out zone`.
+    /// Name of the keep-out zone that contains a point, or `keep-out zone` if it has no name.
     #[must_use]
     pub fn keep_out(&self, point: Point2<f64>) -> Option<&str> {
         let here = self.keep_out.iter().find(|area| area.contains(point))?;
         Some(here.name.as_deref().unwrap_or("keep-out zone"))
     }
 
-    /// The cells of a grid that a keep-out zone touches; `None` for none.
+    /// The cells of a grid that a keep-out zone touches; `None` if there are none.
     #[must_use]
     pub fn keep_out_cells(&self, spec: &GridSpec) -> Option<CellMask> {
         CellMask::of(self.keep_out.iter().map(|area| area.corners.as_slice()), spec)
@@ -274,7 +274,7 @@ struct SpeedLimitTable {
     max_speed: Spanned<f64>,
 }
 
-/// The text, to turn places in it into lines.
+/// The text of a file, to convert byte positions into lines.
 #[derive(Clone, Copy)]
 struct Source<'a> {
     text: &'a str,
@@ -302,7 +302,7 @@ impl Source<'_> {
     }
 }
 
-/// Says what is wrong with a speed that no zone has.
+/// Checks a zone's speed; the error says what is wrong.
 fn check_speed(speed: f64) -> Result<(), String> {
     if speed.is_finite() && speed > 0.0 {
         Ok(())

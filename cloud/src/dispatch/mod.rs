@@ -1,7 +1,7 @@
-//! Dispatch. Which robot of a group gets a goal? The nearest idle one; where none is idle, the one with the shortest queue.
+//! Dispatch. A group's goal goes to the nearest idle robot; when none is idle, to the robot with the shortest queue.
 //!
-//! Nothing is stored here: a goal's id is looked up among the robots' goals first, so that a goal sent again goes to the robot that has it,
-//! also after a restart. [`service`] asks the robots' missions and forwards the goal.
+//! Nothing is stored here. A goal's id is looked up among the robots' goals first, so a resent goal reaches the robot that already has it,
+//! even after a restart. [`service`] asks the robots' missions and forwards the goal.
 
 pub mod service;
 
@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use nalgebra::Point2;
 use zenav_protocol::messages::{GoalPoint, GoalRequest, OnBusy, Refusal};
 
-/// A robot that may get a goal.
+/// A robot that can be assigned a goal.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Candidate {
     /// Its id.
@@ -21,7 +21,7 @@ pub struct Candidate {
     pub outstanding: usize,
 }
 
-/// Chooses the robot for a goal, which may have a place.
+/// Chooses the robot for a goal; the goal's position may be unknown.
 ///
 /// # Errors
 /// [`Refusal::Rejected`] without a candidate, or when none is idle and the goal must not be queued.
@@ -41,7 +41,7 @@ pub fn choose(candidates: &[Candidate], at: Option<Point2<f64>>, on_busy: OnBusy
     Ok(best)
 }
 
-/// A goal's first place, if it has one.
+/// First position of a goal, if it has one.
 #[must_use]
 pub fn place_of(request: &GoalRequest, places: &BTreeMap<String, GoalPoint>) -> Option<Point2<f64>> {
     let named = request.place.as_ref().and_then(|name| places.get(name));

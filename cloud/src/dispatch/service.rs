@@ -1,8 +1,8 @@
-//! Dispatch service. How does a group's goal reach its robot? The missions list their goals, the chosen one stores the new goal; its answer is
-//! the group's. Where several processes serve a group, one of them accepts goals and the others are standbys.
+//! Dispatch service. Asks the missions for their goals, forwards a group's goal to the chosen robot and returns that robot's answer. When
+//! several processes serve a group, one accepts goals and the others are standbys.
 //!
-//! A goal sent again goes to the robot that has it: the missions list it, or this process remembers. A process that has just started does not
-//! know earlier assignments, so all missions must answer then.
+//! A resent goal goes to the robot that has it: its mission lists the goal, or this process remembers the assignment. A freshly started
+//! process does not know earlier assignments, so for a while it assigns only when every mission answers.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
@@ -18,23 +18,23 @@ use zenav_protocol::topics;
 
 use super::{Candidate, choose, place_of};
 
-/// Wall time for the missions to list their goals.
+/// Deadline for the missions to list their goals, wall time.
 const ROLL_CALL: Duration = Duration::from_millis(500);
-/// Wall time for the chosen mission to store the goal.
+/// Deadline for the chosen mission to store the goal, wall time.
 const STORED: Duration = Duration::from_secs(5);
 /// For this long after its start a process assigns no goal while a mission is silent.
 const SETTLING: Duration = Duration::from_secs(10);
-/// A process suspended for longer between a request and its answer assigns nothing: another may have.
+/// A process suspended for longer than this between request and assignment assigns nothing: another process may have taken over.
 const HELD_UP: Duration = Duration::from_secs(2);
-/// Assignments that are remembered.
+/// Number of remembered assignments.
 const MAX_ASSIGNED: usize = 1000;
 
-/// What this process knows of the group.
+/// What this process knows about the group.
 struct Group {
     poses: BTreeMap<String, Latest<PoseEstimate>>,
-    /// Places that were added at run time, in the map that all robots share.
+    /// Places added at run time, in the map that all robots share.
     annotations: Vec<Latest<Annotations>>,
-    /// Which robot got which goal, in order.
+    /// Pairs of goal and robot, oldest first.
     assigned: VecDeque<(String, String)>,
     since: Instant,
 }
@@ -65,7 +65,7 @@ pub async fn run(
             .annotations
             .push(bus.latest(&topics::ANNOTATIONS, &[robot.as_str()])?);
     }
-    // Of several orchestrators with this group the first by name takes its goals, so that no goal goes to two robots.
+    // Of several orchestrators of this group, the first by name accepts goals; otherwise a goal could go to two robots.
     let service = format!("group-{group}");
     let place = |worker: &str| topics::alive_key(topics::ALIVE_WORKER, &[&service, worker]);
     let own = place(&bus.zid());
@@ -89,7 +89,7 @@ pub async fn run(
             continue;
         }
         if !std::mem::replace(&mut was_first, true) {
-            // What the one before it assigned is known to the robots alone: those that are silent may have it.
+            // The previous leader's assignments are known only to the robots, and a silent robot may have one.
             known.since = Instant::now();
         }
         let added = known
@@ -178,9 +178,9 @@ async fn assign(
             robot: Some(robot),
             ..reply
         }),
-        // A standby answers where its leader does not, which may have stored the goal; who is busy may have it from before.
+        // A standby may answer in place of a leader that has stored the goal; a busy mission may have it from an earlier attempt.
         Err(AskError::Refused(refusal)) if !matches!(refusal, Refusal::NotLeader | Refusal::Busy { .. }) => {
-            // It was not accepted: another robot may get it.
+            // The goal was not accepted: another robot may get it.
             group.assigned.pop_back();
             Err(refusal)
         }
@@ -190,7 +190,7 @@ async fn assign(
     }
 }
 
-/// How many such goals each answering robot has.
+/// Number of matching goals of each robot that answers.
 async fn goals(bus: &Bus, request: GoalsRequest) -> BTreeMap<String, usize> {
     let answers = bus.ask_all(&topics::GOALS, &["*"], &request, ROLL_CALL).await;
     let counted = answers.unwrap_or_default().into_iter().filter_map(|answer| {

@@ -1,5 +1,4 @@
-//! Asks. How does what people want reach the robots? Each ask in a task of its own, with a deadline, so that it goes on when the browser that
-//! made it is gone.
+//! Asks. Each request from a browser runs in its own task, with a deadline, so it completes even after the browser is gone.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -23,12 +22,12 @@ use crate::operator;
 
 /// Longest wait for an answer.
 const ASK_WITHIN: Duration = Duration::from_secs(8);
-/// Longest wait for a robot to confirm its stop: the page tries again.
+/// Longest wait for a robot to confirm its stop; the page retries.
 const STOP_WITHIN: Duration = Duration::from_secs(3);
-/// Most asks under way at the same time; a stop is not counted.
+/// Most requests in flight; stops do not count.
 const MAX_ASKS: usize = 64;
 
-/// Asks over the bus.
+/// Sends requests over the bus.
 #[derive(Debug)]
 pub(super) struct BusOperator {
     bus: Bus,
@@ -45,7 +44,7 @@ impl BusOperator {
         }
     }
 
-    /// Asks, unless too much is asked already.
+    /// Sends a request unless too many are in flight.
     fn ask<Q, R>(&self, ask: &'static Ask<Q, R>, robot: &str, request: Q) -> Answer<R>
     where
         Q: Serialize + Send + Sync + 'static,
@@ -54,7 +53,7 @@ impl BusOperator {
         self.admit(|| self.ask_at_once(ask, robot, request, ASK_WITHIN))
     }
 
-    /// Begins something, unless too much is under way already.
+    /// Starts a request unless too many are in flight.
     fn admit<R: Send + 'static>(&self, begin: impl FnOnce() -> Answer<R>) -> Answer<R> {
         match Arc::clone(&self.room).try_acquire_owned() {
             Ok(room) => {
@@ -80,7 +79,7 @@ impl BusOperator {
     }
 }
 
-/// Carried out in a task of its own.
+/// Runs a request in its own task.
 fn spawned<R: Send + 'static>(asking: impl Future<Output = Result<R, AskError>> + Send + 'static) -> Answer<R> {
     let task = tokio::spawn(asking);
     Box::pin(async move {
@@ -93,7 +92,7 @@ fn spawned<R: Send + 'static>(asking: impl Future<Output = Result<R, AskError>> 
     })
 }
 
-/// Changes the annotations under the lease in force: a robot that drives goes on.
+/// Changes the annotations under the lease in force; a driving robot keeps driving.
 async fn annotate(bus: Bus, robot: String, action: AnnotateAction) -> Result<Annotations, AskError> {
     let is_read = action == AnnotateAction::Get;
     let request = AnnotateRequest {
@@ -115,7 +114,7 @@ async fn annotate(bus: Bus, robot: String, action: AnnotateAction) -> Result<Ann
     operator::in_force(bus, robot, ASK_WITHIN, ask).await
 }
 
-/// Tells the robot where it is, under an operator's lease of its own: it must not drive meanwhile.
+/// Sets the robot's pose under a temporary operator lease, so that the robot stands still meanwhile.
 async fn set_pose(bus: Bus, robot: String, pose: Pose2, by: String) -> Result<LocaliseReply, AskError> {
     let (bus, robot) = (&bus, robot.as_str());
     let ask = |epoch| async move {
@@ -129,7 +128,7 @@ async fn set_pose(bus: Bus, robot: String, pose: Pose2, by: String) -> Result<Lo
     operator::at_rest(bus, robot, &by, ASK_WITHIN, ask).await
 }
 
-/// What an error of the bus is to a browser.
+/// Translates a bus error for a browser.
 pub(super) fn failure(error: AskError) -> AskFailure {
     match error {
         AskError::Refused(refusal) => AskFailure::Refused(refusal),

@@ -1,7 +1,7 @@
-//! Details. What is heard of a robot only while somebody watches it?
+//! Details. Topics of a robot that are subscribed to only while a browser watches it.
 //!
-//! Its mission, goals, scans, plan, markers, moving obstacles, search tree and map, each by a subscription that ends with the last watcher; its model, asked
-//! for once; and its round trip, asked for every two seconds.
+//! Mission, goals, scans, plan, markers, moving obstacles, search tree and map: each subscription ends with the last watcher. The model is
+//! asked for once, the round trip is measured every two seconds.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -16,18 +16,18 @@ use zenav_protocol::topics::{
     EDGE_INFO, GOAL_STATE, LIDAR_SCAN, MAP, MAP_PATCH, MARKER, MISSION, MODE, OBSTACLES, PLAN, SCAN, TREE,
 };
 
-/// Most patches of a map that wait; when more arrive at once the whole map is asked for.
+/// Most queued map patches; when more arrive at once, the whole map is requested.
 const PATCHES: usize = 128;
-/// Longest wait for the map, the model.
+/// Longest wait for the map or the model.
 const ASK_WITHIN: Duration = Duration::from_secs(5);
-/// Pause between two attempts to get the map.
+/// Pause between two requests for the map.
 const AGAIN: Duration = Duration::from_millis(500);
-/// Pause between two measurements of the round trip.
+/// Interval between two round-trip measurements.
 const TRIP_EVERY: Duration = Duration::from_secs(2);
-/// A round trip that takes longer is lost.
+/// A slower round trip counts as lost.
 const TRIP_WITHIN: Duration = Duration::from_secs(1);
 
-/// Follows the robots that somebody watches until shutdown.
+/// Follows all watched robots until shutdown.
 pub(super) async fn follow(bus: Bus, hub: Arc<Hub>, shutdown: Shutdown) {
     let mut watched = hub.watched();
     let mut tasks: BTreeMap<String, Vec<AbortHandle>> = BTreeMap::new();
@@ -66,10 +66,10 @@ fn start(bus: &Bus, hub: &Arc<Hub>, robot: &str) -> Vec<AbortHandle> {
     vec![listening.abort_handle(), asking.abort_handle()]
 }
 
-/// The newest of each topic, `live_hz` times a second.
+/// Takes the newest message of each topic, `live_hz` times a second.
 async fn listen(bus: Bus, hub: &Hub, robot: &str) -> Result<(), BusError> {
     let chunks = [robot];
-    // Patches first: what changes while the whole map is asked for is not missed.
+    // Patches first: changes made while the whole map is being requested are not missed.
     let mut patches = bus.subscribe(&MAP_PATCH, &chunks, PATCHES)?;
     let mut scans = bus.latest(&SCAN, &chunks)?;
     let mut further_scans = bus.latest(&LIDAR_SCAN, &[robot, "*"])?;
@@ -114,7 +114,7 @@ async fn listen(bus: Bus, hub: &Hub, robot: &str) -> Result<(), BusError> {
     }
 }
 
-/// Asks for the map whenever it is wanted whole, once for the model, and for the round trip.
+/// Requests the map whenever the view needs all of it, the model once, and measures the round trip.
 async fn ask(bus: &Bus, hub: &Hub, robot: &str) {
     let model = async {
         while let Err(AskError::Timeout { .. }) = ask_model(bus, hub, robot).await {

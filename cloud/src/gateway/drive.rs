@@ -1,7 +1,7 @@
-//! Hand control. How does a browser drive a robot? Under an operator's lease of its own, by twists that echo the newest stamp of the robot.
+//! Hand control. A browser drives a robot under its own operator lease, by twists that echo the robot's newest stamp.
 //!
-//! Two dead man's switches: a command acts for 0.3 s after the browser sent it ([`zenav_gateway::Hold`]), and the robot lets a twist act until
-//! the stamp that it echoes is 0.3 s old. When the browser lets go of the drive the robot is at rest and the lease is given back.
+//! Two dead-man's switches: a command acts for 0.3 s after the browser sent it ([`zenav_gateway::Hold`]), and the robot applies a twist
+//! until the stamp it echoes is 0.3 s old. When the browser releases the drive, the robot is stopped and the lease released.
 
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -18,18 +18,18 @@ use zenav_protocol::topics::{HEARTBEAT, ODOMETRY, STATE, TELEOP};
 use super::asks::failure;
 use crate::operator::ask_lease;
 
-/// Twists and heartbeats a second.
+/// Period of twists and heartbeats.
 const PERIOD: Duration = Duration::from_millis(50);
 /// Longest wait for the lease.
 const TAKE_WITHIN: Duration = Duration::from_secs(2);
-/// Giving back is a courtesy: the lease ends by itself.
+/// Releasing is a courtesy: the lease expires by itself.
 const GIVE_WITHIN: Duration = Duration::from_millis(800);
-/// A robot that says for longer that another one holds the lease has taken it away.
+/// A robot that reports another lease holder for longer than this has revoked our lease.
 const LOST_AFTER: Duration = Duration::from_millis(400);
 
-/// Takes the operator's lease and drives until the [`Drive`] is dropped, or the robot gives the lease to another.
+/// Acquires the operator lease and drives until the [`Drive`] is dropped or the robot grants the lease to another holder.
 pub(super) async fn begin(bus: Bus, hub: Arc<Hub>, robot: String, by: String) -> Result<Drive, AskFailure> {
-    // A name of its own: two browsers that drive one robot take the lease from each other, and see it.
+    // A unique holder name: when two browsers drive one robot, each sees that the other has taken the lease.
     let unique = Id::unique().to_string();
     let holder = format!("{by}-{}", unique.get(..8).unwrap_or(&unique));
     let grant = ask_lease(&bus, &robot, &holder, LeaseAction::Acquire, TAKE_WITHIN)
@@ -60,7 +60,7 @@ pub(super) async fn begin(bus: Bus, hub: Arc<Hub>, robot: String, by: String) ->
     tokio::spawn(async move {
         let why = hand.run().await;
         if why.is_none() {
-            // It ends by itself when nobody renews it.
+            // Without renewal the lease expires by itself.
             let _ = ask_lease(&bus, &robot, &holder, LeaseAction::Release, GIVE_WITHIN).await;
         }
         end.send_replace(why);
@@ -68,23 +68,23 @@ pub(super) async fn begin(bus: Bus, hub: Arc<Hub>, robot: String, by: String) ->
     Ok(Drive { commands, ended })
 }
 
-/// What drives.
+/// A hand-control session.
 struct Hand {
     states: Latest<EdgeState>,
-    /// For its stamps: they come every tick of the robot, five times as often as its state.
+    /// For its stamps: odometry comes every tick of the robot, five times as often as the state.
     odometry: Latest<Odometry>,
     teleop: Publisher<Teleop>,
     heartbeats: Publisher<Heartbeat>,
     heartbeat: Heartbeat,
     echo: Option<zenav_protocol::time::Stamp>,
-    /// Since when the robot says that another one commands it.
+    /// Since when the robot has reported another holder.
     foreign: Option<Instant>,
     hub: Arc<Hub>,
     asked: watch::Receiver<Option<Hold>>,
 }
 
 impl Hand {
-    /// Drives until the browser lets go (`None`), or says why it cannot go on.
+    /// Drives until the browser releases the drive (`None`); otherwise returns why it cannot go on.
     async fn run(mut self) -> Option<String> {
         let mut pace = interval(PERIOD);
         pace.set_missed_tick_behavior(MissedTickBehavior::Skip);
@@ -94,7 +94,7 @@ impl Hand {
                 .asked
                 .borrow()
                 .map_or(Twist2::ZERO, |hold| hold.twist(self.hub.now()));
-            // Dropped by the browser's session: nobody holds the key.
+            // Dropped by the browser's session: no key is held.
             let let_go = self.asked.has_changed().is_err();
             if let Some(why) = self.hear() {
                 return Some(why);
@@ -114,7 +114,7 @@ impl Hand {
         }
     }
 
-    /// Takes in what the robot says: its word counts on who commands.
+    /// Takes in the robot's state, which is authoritative for the lease. Returns a reason if another holder commands the robot.
     fn hear(&mut self) -> Option<String> {
         let odometry = self.odometry.take().map(|odometry| odometry.stamp);
         let state = self.states.take();

@@ -1,4 +1,4 @@
-//! Feed. How do the topics of all robots reach the view? The newest of each, decoded `live_hz` times a second and not more often.
+//! Feed. Passes the newest message of each topic of all robots to the view, decoded at most `live_hz` times a second.
 
 use std::time::Duration;
 
@@ -7,11 +7,11 @@ use zenav_gateway::{Hub, Update};
 use zenav_protocol::bus::{Bus, BusError, Shutdown};
 use zenav_protocol::topics::{ALIVE_COMPONENT, ANNOTATIONS, EVENT, POSE, STATE, alive_chunks, alive_key};
 
-/// Most events that wait to be read.
+/// Most queued events.
 const EVENTS: usize = 1024;
-/// A robot without a living component that was silent for longer is dropped, s.
+/// A robot without a live component is dropped after this much silence, s.
 const FORGET: f64 = 600.0;
-/// How often it is looked whether there is a router.
+/// Interval of the check for a router.
 const LOOK: Duration = Duration::from_secs(1);
 
 /// Feeds the view until shutdown.
@@ -36,7 +36,7 @@ pub(super) async fn run(bus: Bus, hub: &Hub, shutdown: &Shutdown) -> Result<(), 
             _ = pace.tick() => {}
         }
         while let Some((key, is_up)) = alive.try_next() {
-            // `svc` is no robot.
+            // `svc` is not a robot.
             if let Some([robot, component]) = alive_chunks(ALIVE_COMPONENT, &key).as_deref()
                 && *robot != "svc"
             {
@@ -66,7 +66,7 @@ pub(super) async fn run(bus: Bus, hub: &Hub, shutdown: &Shutdown) -> Result<(), 
     }
 }
 
-/// Takes in a message of the robot that the key names first.
+/// Passes on a message of the robot that the key's first chunk names.
 fn take(hub: &Hub, chunks: &[String], update: Update) {
     if let Some(robot) = chunks.first() {
         hub.take(robot, update);

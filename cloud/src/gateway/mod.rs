@@ -1,13 +1,13 @@
-//! Gateway service. How do robots on the bus reach browsers, and what people want reach the robots?
+//! Gateway service. Feeds the browser view from the bus and carries operators' requests to the robots.
 //!
-//! Thin: [`Hub`] keeps the view and serves it, this feeds it and carries asks out. What every browser shows (state, pose, events) is taken
-//! from all robots; what only a close look needs (mission, goals, scans, plan, map, search tree) from those that somebody watches.
+//! Thin: [`Hub`] keeps and serves the view; this module feeds it and forwards requests. What every browser shows (state, pose, events) is
+//! taken from all robots; details (mission, goals, scans, plan, map, search tree) only from robots that a browser watches.
 //!
 //! | file | subject |
 //! |---|---|
 //! | `feed` | topics of all robots into the view, `live_hz` times a second |
-//! | `detail` | topics of a watched robot, its map, its round trip |
-//! | `asks` | goals, stop, resume: asks with deadlines |
+//! | `detail` | topics, map and round trip of a watched robot |
+//! | `asks` | goals, stop, resume: requests with deadlines |
 //! | `drive` | hand control under an operator's lease |
 
 mod asks;
@@ -32,7 +32,7 @@ use zenav_protocol::settings::Settings as _;
 
 use asks::BusOperator;
 
-/// Time for open connections to end.
+/// Time for open connections to close.
 const DRAIN: Duration = Duration::from_secs(2);
 /// Largest token file that is read, bytes.
 const MAX_TOKEN: u64 = 4096;
@@ -42,36 +42,36 @@ const MAX_TOKEN: u64 = 4096;
 pub struct GatewayConfig {
     /// Address, access, limits.
     pub settings: GatewaySettings,
-    /// Named places, for everybody to see and to go to.
+    /// Named places, shown to everybody as goals.
     pub places: BTreeMap<String, GoalPoint>,
 }
 
-/// Why the gateway does not run.
+/// Why the gateway cannot run.
 #[derive(Debug, Error)]
 pub enum GatewayError {
     /// A setting is out of bounds.
     #[error("gateway: {0}")]
     Settings(#[from] OutOfBounds),
-    /// The address and the token do not fit.
+    /// The address needs a token that is missing, or the token cannot be used.
     #[error("gateway: {0}")]
     Access(String),
-    /// Nobody can listen there.
+    /// The address cannot be listened on.
     #[error("gateway: cannot listen on {address}: {error}")]
     Listen {
-        /// The address that was wanted.
+        /// The requested address.
         address: String,
-        /// The system's own words.
+        /// The error of the operating system.
         error: std::io::Error,
     },
     /// The bus was closed, or a key could not be declared.
     #[error(transparent)]
     Bus(#[from] BusError),
-    /// Connections cannot be taken any more.
+    /// Connections can no longer be accepted.
     #[error("gateway: {0}")]
     Serve(std::io::Error),
 }
 
-/// A gateway that has its address but serves nobody yet.
+/// A gateway that is bound to its address but does not serve yet.
 #[derive(Debug)]
 pub struct Gateway {
     listener: TcpListener,
@@ -81,11 +81,11 @@ pub struct Gateway {
 }
 
 impl Gateway {
-    /// Takes the address of the settings, after checking that it may be used: port 0 is a free one.
+    /// Binds the address of the settings after checking that it is allowed; port 0 picks a free port.
     ///
     /// # Errors
-    /// [`GatewayError`] for settings out of bounds, a token file that cannot be read, an address that other machines reach without a token,
-    /// or one that is taken.
+    /// [`GatewayError`] for settings out of bounds, an unreadable token file, an address that other machines reach without a token, or an
+    /// address in use.
     pub async fn bind(config: GatewayConfig) -> Result<Self, GatewayError> {
         let settings = config.settings;
         settings.check()?;
@@ -113,7 +113,7 @@ impl Gateway {
     /// Serves until shutdown, or until the bus is closed.
     ///
     /// # Errors
-    /// [`GatewayError`] when a key cannot be declared, or connections cannot be taken.
+    /// [`GatewayError`] when a key cannot be declared or connections cannot be accepted.
     pub async fn run(self, bus: Bus, shutdown: Shutdown) -> Result<(), GatewayError> {
         let operator = Arc::new(BusOperator::new(bus.clone(), Arc::clone(&self.hub)));
         let router = zenav_gateway::router(Arc::clone(&self.hub), operator, self.access);
@@ -137,14 +137,14 @@ impl Gateway {
         };
         self.hub.end();
         details.abort();
-        // A browser that does not let go is left.
+        // Connections that browsers keep open are aborted.
         if !serving.is_finished() && tokio::time::timeout(DRAIN, &mut serving).await.is_err() {
             serving.abort();
         }
         fed
     }
 
-    /// Waits until a robot was heard.
+    /// Waits until the first message of a robot.
     pub fn first_robot(&self) -> impl Future<Output = ()> + Send + 'static {
         let hub = Arc::clone(&self.hub);
         async move { hub.first_robot().await }

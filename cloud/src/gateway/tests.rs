@@ -1,4 +1,4 @@
-//! What does the gateway promise on the network?
+//! Tests of the gateway on the network.
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
@@ -24,7 +24,7 @@ fn state() -> EdgeState {
     .unwrap()
 }
 
-/// One request on a connection of its own: status line and body.
+/// One request on its own connection: status line and body.
 async fn http(address: &str, method: &str, path: &str, body: &str) -> (String, String) {
     let host = address.trim_start_matches("http://").trim_end_matches('/');
     let mut stream = TcpStream::connect(host).await.unwrap();
@@ -74,7 +74,7 @@ async fn a_robot_s_state_is_served_and_goals_and_stops_reach_it() {
 
     let heard = tokio::time::timeout(DEADLINE, async {
         loop {
-            // The way to the gateway may not be declared yet: a robot sends again and again.
+            // The route to the gateway may not be declared yet: send repeatedly, as a robot does.
             states.put(&state());
             let (_, body) = http(&address, "GET", "/api/v1/robots", "").await;
             if body.contains(r#""mode":"follow""#) {

@@ -1,10 +1,10 @@
-//! Annotations. Which places and zones does a robot's map have, and how do they change?
+//! Annotations. Places and zones of a robot's map, and how they change.
 //!
-//! Those of the world and the deployment are the base; what people change is kept in a file as an overlay, so that a base that is edited
-//! later still counts. A change is on disk before it is published or acknowledged.
+//! The base comes from the world and the deployment. Operators' changes are kept in a file as an overlay, so later edits of the base still
+//! take effect. A change is on disk before it is published or acknowledged.
 //!
-//! Numbers belong to a frame of the map. The file says to which; those of the base are as somebody wrote them. Where both lie in the frame of
-//! SLAM's session is kept with that ([`Carried`]): a session that goes on has its places and zones where it had carried them.
+//! Coordinates belong to a frame of the map. The file names its frame; the base's coordinates are as configured. [`Carried`] is kept with
+//! SLAM's session and holds both in the session's frame: a resumed session has its places and zones where the last run had moved them.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -27,16 +27,16 @@ const MAX_FILE: u64 = 4 << 20;
 const MAX_NAME: usize = 64;
 /// Most places.
 const MAX_PLACES: usize = 1000;
-/// Most corners of all zones: what is published stays within its key's limit.
+/// Most corners of all zones: the published message stays within its key's limit.
 const MAX_CORNERS: usize = 20_000;
 
-/// What people changed; `None` stands for a place or zone of the base that they removed.
+/// Changes by operators; `None` marks a place or zone of the base as removed.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Overlay {
     #[serde(default)]
     revision: u64,
-    /// The frame of the map that its numbers are in.
+    /// Map frame of its coordinates.
     #[serde(default)]
     frame: u64,
     #[serde(default)]
@@ -45,7 +45,7 @@ struct Overlay {
     zones: BTreeMap<String, Option<Zone>>,
 }
 
-/// Where places and zones lie in the frame of a session that lie elsewhere than they were given, by name: as given, and there.
+/// Places and zones that a frame change has moved: name, coordinates as given, and coordinates in the session's frame.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct Carried {
     places: Vec<(String, GoalPoint, GoalPoint)>,
@@ -54,7 +54,7 @@ pub(super) struct Carried {
     changed_zones: Vec<(String, Zone, Zone)>,
 }
 
-/// Which of these lie elsewhere than they were given, both in the same order.
+/// The items that differ from how they were given; both iterators have the same order.
 fn carried<'a, T: Clone + PartialEq + 'a>(
     given: impl Iterator<Item = (&'a String, &'a T)>,
     now: impl Iterator<Item = &'a T>,
@@ -65,7 +65,7 @@ fn carried<'a, T: Clone + PartialEq + 'a>(
         .collect()
 }
 
-/// Puts what is as it was given to where it was carried; what somebody has changed since stays as it is.
+/// Moves an item to where it was carried if it is still as given; an item edited since stays as it is.
 fn carry<T: Clone + PartialEq>(carried: &[(String, T, T)], name: &str, item: &mut T) {
     let known = carried.iter().find(|(known, given, _)| known == name && given == item);
     if let Some((_, _, now)) = known {
@@ -74,14 +74,14 @@ fn carry<T: Clone + PartialEq>(carried: &[(String, T, T)], name: &str, item: &mu
 }
 
 impl Overlay {
-    /// The places that it has.
+    /// Its places.
     fn places(&self) -> impl Iterator<Item = (&String, &GoalPoint)> {
         self.places
             .iter()
             .filter_map(|(name, place)| Some((name, place.as_ref()?)))
     }
 
-    /// The zones that it has.
+    /// Its zones.
     fn zones(&self) -> impl Iterator<Item = (&String, &Zone)> {
         self.zones
             .iter()
@@ -94,17 +94,17 @@ impl Overlay {
 pub(super) struct AnnotationBook {
     base: Annotations,
     overlay: Overlay,
-    /// Both as they were given: by world and deployment, and in the file.
+    /// Base and overlay as given: by world and deployment, and in the file.
     given: (Annotations, Overlay),
     file: Option<PathBuf>,
     now: Annotations,
 }
 
 impl AnnotationBook {
-    /// The base, with what was changed in earlier runs.
+    /// The base, overlaid with the changes of earlier runs.
     ///
     /// # Errors
-    /// [`MappingError::Annotations`] for a file that cannot be read: a keep-out zone must not vanish without a word.
+    /// [`MappingError::Annotations`] for an unreadable file: a keep-out zone must not vanish silently.
     pub(super) fn open(
         places: BTreeMap<String, GoalPoint>,
         zones: &Zones,
@@ -134,7 +134,7 @@ impl AnnotationBook {
         })
     }
 
-    /// Goes on in a frame of the map, with places and zones where they were carried.
+    /// Resumes in a frame of the map, with places and zones where the session had carried them.
     pub(super) fn go_on(&mut self, carried: &Carried, frame: u64) {
         for (name, place) in &mut self.base.places {
             carry(&carried.places, name, place);
@@ -143,7 +143,7 @@ impl AnnotationBook {
             let name = zone.name.clone();
             carry(&carried.zones, &name, zone);
         }
-        // What people changed in this very frame has its numbers.
+        // An overlay written in this frame already has the right coordinates.
         if self.overlay.frame != frame {
             for (name, place) in &mut self.overlay.places {
                 if let Some(place) = place {
@@ -159,7 +159,7 @@ impl AnnotationBook {
         self.are_in(frame);
     }
 
-    /// Where places and zones were carried, for a session that is kept.
+    /// Where places and zones were carried, for the stored session.
     pub(super) fn carried(&self) -> Carried {
         let (base, overlay) = &self.given;
         let zones = base.zones.iter().map(|zone| (&zone.name, zone));
@@ -171,7 +171,7 @@ impl AnnotationBook {
         }
     }
 
-    /// All numbers are in this frame from now on.
+    /// Sets the frame of all coordinates.
     fn are_in(&mut self, frame: u64) {
         self.base.frame = frame;
         self.overlay.frame = frame;
@@ -183,7 +183,7 @@ impl AnnotationBook {
         &self.now
     }
 
-    /// Places and zones stay where they are in the building: each moves with the part of the map that it belongs to, a zone as a rigid body.
+    /// Keeps places and zones fixed in the building: each moves with the part of the map that it belongs to, a zone as a rigid body.
     pub(super) fn carry_over(&mut self, before: &MapFrame, after: &MapFrame) {
         let is_same = before.map.id == after.map.id;
         let moved = |x: f64, y: f64| is_same.then(|| before.moved_at(x, y, after)).flatten();
@@ -211,7 +211,7 @@ impl AnnotationBook {
         self.are_in(after.map.frame);
     }
 
-    /// Carries out a change and stores it; says whether there was one.
+    /// Carries out a change and stores it; returns whether anything changed.
     async fn change(&mut self, action: AnnotateAction) -> Result<bool, Refusal> {
         let Some(overlay) = self.changed(action)? else {
             return Ok(false);
@@ -233,7 +233,7 @@ impl AnnotationBook {
         Ok(true)
     }
 
-    /// The overlay after a change; `None` where nothing changes.
+    /// The overlay after a change; `None` if nothing changes.
     fn changed(&self, action: AnnotateAction) -> Result<Option<Overlay>, Refusal> {
         let mut overlay = self.overlay.clone();
         match action {
@@ -265,7 +265,7 @@ impl AnnotationBook {
                 overlay.zones = self.base.zones.iter().map(|zone| (zone.name.clone(), None)).collect();
             }
         }
-        // What is neither in the base nor added need not be known as removed.
+        // The removal of an item that the base does not have need not be recorded.
         let base = &self.base;
         overlay
             .places
@@ -319,7 +319,7 @@ fn laid_over(base: &Annotations, overlay: &Overlay) -> Annotations {
     }
 }
 
-/// Zones of a file may share a name; here each has its own.
+/// Zones of a file may share a name; here each gets its own.
 fn with_own_names(zones: Vec<Zone>) -> Vec<Zone> {
     let mut named: Vec<Zone> = Vec::with_capacity(zones.len());
     for mut zone in zones {
@@ -497,7 +497,7 @@ mod tests {
         assert!(names(&book).1.is_empty());
     }
 
-    /// A map of one part at the origin that lies elsewhere in each frame.
+    /// A map of one part, which lies elsewhere in each frame.
     fn frame(number: u64, part: Pose2) -> MapFrame {
         let mut frame = MapFrame {
             parts: vec![part],
@@ -525,7 +525,7 @@ mod tests {
         assert_eq!(again.now(), first.now());
         assert_eq!(again.carried(), carried);
 
-        // What is told in the new frame is in the file with its numbers, all of them.
+        // An item added in the new frame is in the file with its coordinates, like all others.
         first.change(add("oven", 4.0)).await.unwrap();
         let mut again = book(folder.path());
         again.go_on(&carried, 1);
@@ -538,7 +538,7 @@ mod tests {
         assert_eq!(third.now(), again.now());
         assert_eq!((third.now().places["sink"].y, third.now().places["oven"].y), (5.0, 2.0));
 
-        // A place of the deployment that somebody has edited meanwhile is where that says.
+        // A place of the deployment that was edited meanwhile is where the edit puts it.
         let sinks = [("sink".to_owned(), at(1.5))].into();
         let mut edited = AnnotationBook::open(sinks, &Zones::default(), Some(folder.path())).unwrap();
         edited.go_on(&again.carried(), 2);

@@ -1,24 +1,24 @@
-//! Command authority. May this request change the map?
+//! Command authority. Decides whether a request may change the map.
 //!
-//! While somebody holds the robot's lease, only requests that carry the lease's epoch may: a map must not be reset under a mission that
-//! drives by it. Without a live lease anybody may.
+//! While the robot's lease is held, only requests with its epoch may: a map must not be reset under a mission that drives by it. Without a
+//! live lease any request may.
 
 use std::time::Duration;
 
 use zenav_protocol::messages::{LeaseRole, LeaseState, Refusal};
 use zenav_protocol::time::Stamp;
 
-/// A robot that is silent for longer (the link is then lost) is taken to be gone, and its lease with it.
+/// A robot silent for longer than this (link lost) counts as gone, and its lease with it.
 const SILENCE: Duration = Duration::from_secs(3);
 
-/// The robot's latest word on its lease.
+/// The robot's last reported lease.
 #[derive(Debug, Default)]
 pub(super) struct Authority {
     heard: Option<(Stamp, LeaseState)>,
 }
 
 impl Authority {
-    /// Takes the robot's word.
+    /// Takes the lease that the robot reports.
     pub(super) fn hear(&mut self, now: Stamp, lease: LeaseState) {
         self.heard = Some((now, lease));
     }

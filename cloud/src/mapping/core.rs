@@ -1,4 +1,4 @@
-//! Mapping core. From which pose is a scan drawn into the map, and what is the robot told of where it is? No network, no clock.
+//! Mapping core. Chooses the pose from which a scan is drawn into the map, and the corrections sent to the robot. No network, no clock.
 
 use nalgebra::{Matrix3, Point2};
 use serde::{Deserialize, Serialize};
@@ -14,26 +14,26 @@ use super::localised_poses::LocalisedPoses;
 use super::slam_poses::SlamPoses;
 use super::slam_session::{Kept, OnDisk, Stored};
 
-/// A correction goes out after so much way, m, and turning, rad, and not more often than in so many seconds at rest: errors of one place
-/// against one map are the same each time, and sending them again would make the robot too sure.
+/// A correction is sent after this much travel, m, this much turning, rad, or this long at rest, s. Matches at one place share one error:
+/// sending them more often would make the robot overconfident.
 const PACE: (f64, f64, f64) = (0.2, 0.17, 10.0);
-/// Standard deviation of the map itself, m and rad: matches against it share its error.
+/// Standard deviation of the map itself, m and rad: all matches against it share this error.
 const MAP_FLOOR: (f64, f64) = (0.01, 0.003);
-/// A robot is told no place farther than this outside its map, m: the map would grow all the way there.
+/// A pose farther than this outside the map is refused, m: the map would grow all the way there.
 const FARTHEST_OUTSIDE: f64 = 30.0;
-/// Variance of a place that somebody told, m² and rad².
+/// Variance of a pose given by an operator, m² and rad².
 const TOLD: [f64; 3] = [0.04, 0.04, 0.02];
 
-/// Whose poses scans are drawn from.
+/// Source of the poses from which scans are drawn.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PoseSource {
-    /// The robot's own estimate, by wheels, gyro, and what else it has: GPS, compass.
+    /// The robot's own estimate, from wheels, gyro, and whatever else it has: GPS, compass.
     #[default]
     Edge,
-    /// SLAM from scans and odometry alone; the robot's estimate is corrected by it.
+    /// SLAM from scans and odometry alone; it corrects the robot's estimate.
     Slam,
-    /// Localisation in the map that mapping began with; the robot's estimate is corrected by it.
+    /// Localisation in the map that mapping started with; it corrects the robot's estimate.
     Localise,
 }
 
@@ -50,10 +50,10 @@ impl std::str::FromStr for PoseSource {
     }
 }
 
-/// Which source of poses, with its settings.
+/// Source of the poses, with its settings.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PoseSettings {
-    /// Which one.
+    /// The source.
     pub source: PoseSource,
     /// SLAM.
     pub slam: SlamSettings,
@@ -66,11 +66,11 @@ pub struct PoseSettings {
 pub(super) struct Measured {
     pub(super) map_from_base: Pose2,
     pub(super) covariance: Matrix3<f64>,
-    /// Found by a search of the whole map: it has nothing to do with what was believed before.
+    /// Found by a search of the whole map: independent of the previous estimate.
     pub(super) is_found_anew: bool,
 }
 
-/// What a source of poses makes of a scan.
+/// Result of a scan from a pose source.
 #[derive(Clone, Debug)]
 pub(super) struct Posed {
     pub(super) insertion: Insertion,
@@ -88,12 +88,12 @@ impl Posed {
     }
 }
 
-/// When was the robot told last, and where was it then?
+/// When the last correction was sent, and the robot's pose then.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Pace(Option<(Stamp, Pose2)>);
 
 impl Pace {
-    /// Whether it is time to tell again; it then counts as told.
+    /// Whether a correction is due; it then counts as sent.
     pub(super) fn is_due(&mut self, now: Stamp, map_from_base: Pose2) -> bool {
         let is_due = self.0.is_none_or(|(then, last)| {
             last.distance(&map_from_base) >= PACE.0
@@ -107,7 +107,7 @@ impl Pace {
         is_due
     }
 
-    /// Whether the robot was told longer ago than so many seconds.
+    /// Whether the last correction is at least this old, s; it then counts as sent now.
     pub(super) fn is_older(&mut self, now: Stamp, secs: f64) -> bool {
         let Some((then, last)) = self.0 else { return true };
         let is_older = now.secs_since(then) >= secs;
@@ -118,15 +118,15 @@ impl Pace {
     }
 }
 
-/// The health is told again after this time, s, however it is.
+/// The health is repeated after this time, s, even if unchanged.
 const STATED_AGAIN: f64 = 1.0;
 
-/// When was the health stated last, and how was it then?
+/// When the health was last reported, and its value then.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Statements(Option<(Stamp, Health)>);
 
 impl Statements {
-    /// Whether the health is another than was stated last, or it is time to state it again; it then counts as stated.
+    /// Whether the health has changed since the last report, or a repetition is due; it then counts as reported.
     pub(super) fn is_due(&mut self, now: Stamp, health: &Health) -> bool {
         let is_due = self.0.as_ref().is_none_or(|(then, last)| {
             std::mem::discriminant(last) != std::mem::discriminant(health)
@@ -148,7 +148,7 @@ enum Poses {
 }
 
 impl Poses {
-    /// `map`: the one to be found in; `frame`: that of the robot.
+    /// `map`: the map to localise in; `frame`: the robot's frame.
     fn new(settings: &PoseSettings, map: &OccupancyGrid, frame: u64) -> Self {
         match settings.source {
             PoseSource::Edge => Self::Edge,
@@ -158,7 +158,7 @@ impl Poses {
     }
 }
 
-/// The map of a robot, and where its poses come from.
+/// The map of a robot, and the source of its poses.
 #[derive(Clone, Debug)]
 pub struct MappingCore {
     /// The map.
@@ -167,25 +167,25 @@ pub struct MappingCore {
     settings: PoseSettings,
     /// Stamp and boot of the newest scan.
     last: Option<(Stamp, String)>,
-    /// The frame that the robot is in, as it says.
+    /// The frame that the robot reports.
     robot_frame: u64,
 }
 
-/// What became of a scan.
+/// Result of a scan.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mapped {
-    /// Whether it is in the map.
+    /// Whether it was drawn into the map.
     pub insertion: Insertion,
-    /// What the robot is to be told.
+    /// Correction to send to the robot.
     pub correction: Option<Correction>,
-    /// How well it is localised, where that changed or is due.
+    /// Localisation health, if it changed or is due.
     pub localisation: Option<Localisation>,
-    /// The frame of the map and where its parts lie, where that changed. It is told before the map itself.
+    /// The frame of the map and the poses of its parts, if they changed. To be published before the map itself.
     pub frame: Option<MapFrame>,
 }
 
 impl MappingCore {
-    /// A map, and the source of the poses from which scans will be drawn into it.
+    /// A map, and the source of the poses from which scans are drawn into it.
     #[must_use]
     pub fn new(mapper: Mapper, settings: &PoseSettings) -> Self {
         let poses = Poses::new(settings, &mapper.grid(), 0);
@@ -198,7 +198,7 @@ impl MappingCore {
         }
     }
 
-    /// Goes on with a session of SLAM that was kept; its map is drawn into the present one, which is empty.
+    /// Resumes a stored SLAM session; its map is drawn into the present, empty one.
     #[must_use]
     pub(super) fn going_on(mut self, stored: Stored) -> Self {
         let PoseSettings { slam, localisation, .. } = self.settings;
@@ -206,12 +206,13 @@ impl MappingCore {
         self
     }
 
-    /// Whether something of SLAM is to be on disk before anything more is published; where something is new, also `anyway`.
+    /// Whether SLAM's session must be on disk before anything more is published; with `anyway`, also whether there is anything new to
+    /// store.
     pub(super) fn is_keep_due(&self, anyway: bool) -> bool {
         matches!(&self.poses, Poses::Slam(slam) if slam.is_keep_due(anyway))
     }
 
-    /// What of SLAM is to be on disk. One thing at a time: the next only after [`Self::was_kept`] or [`Self::was_not_kept`].
+    /// The SLAM session to store. One at a time: call again only after [`Self::was_kept`] or [`Self::was_not_kept`].
     pub(super) fn kept(&mut self) -> Result<Option<Kept>, SessionError> {
         match &mut self.poses {
             Poses::Slam(slam) => slam.kept(),
@@ -219,21 +220,21 @@ impl MappingCore {
         }
     }
 
-    /// What [`Self::kept`] handed out is on disk.
+    /// The session from [`Self::kept`] is on disk.
     pub(super) fn was_kept(&mut self, on_disk: OnDisk) {
         if let Poses::Slam(slam) = &mut self.poses {
             slam.was_kept(on_disk);
         }
     }
 
-    /// What [`Self::kept`] handed out is not on disk; `is_changed`: neither is what went there before.
+    /// The session from [`Self::kept`] could not be stored; `is_changed`: what was stored before has been altered, too.
     pub(super) fn was_not_kept(&mut self, is_changed: bool) {
         if let Poses::Slam(slam) = &mut self.poses {
             slam.was_not_kept(is_changed);
         }
     }
 
-    /// The frame of the map and where its parts lie, where a session went on, or the robot was in a later one.
+    /// The frame of the map and the poses of its parts, if a session was resumed or the robot was in a later frame.
     pub(super) fn untold_frame(&mut self, stamp: Stamp) -> Option<MapFrame> {
         match &mut self.poses {
             Poses::Slam(slam) => slam.untold(&self.mapper, stamp),
@@ -241,8 +242,8 @@ impl MappingCore {
         }
     }
 
-    /// Takes in which frame of the map the robot is, as its newest state says. Of SLAM that is a later one than any that began here where an
-    /// earlier run made it, and the map goes on in it. Where no map moves it is the map's, whichever it is.
+    /// Takes the map frame from the robot's newest state. With SLAM, a robot frame later than the map's stems from an earlier run, and the
+    /// numbering of frames continues from it. With other sources the map never moves, and it takes the robot's frame.
     pub fn hear_frame(&mut self, robot_frame: u64) {
         self.robot_frame = robot_frame;
         let frame = match &mut self.poses {
@@ -253,14 +254,14 @@ impl MappingCore {
         self.mapper.set_frame(frame);
     }
 
-    /// Bends the map that SLAM makes, as a loop closure does: a node at each pose goes where `bend` says. For trials of what hears of it.
+    /// Bends SLAM's map as a loop closure does: a node at each pose goes where `bend` says. For tests of the components that follow frames.
     pub fn bend(&mut self, bend: impl Fn(Pose2) -> Pose2) {
         if let Poses::Slam(slam) = &mut self.poses {
             slam.bend(&self.mapper, bend);
         }
     }
 
-    /// Draws a scan of the main lidar, made by the robot in its `boot_id`.
+    /// Draws a scan of the main lidar, taken in the robot's boot `boot_id`.
     pub fn insert(&mut self, scan: &Scan, boot_id: &str) -> Mapped {
         self.last = Some((scan.stamp, boot_id.to_owned()));
         let posed = match &mut self.poses {
@@ -281,7 +282,7 @@ impl MappingCore {
         }
     }
 
-    /// Draws a scan of a further lidar, made by the robot in its `boot_id`.
+    /// Draws a scan of a further lidar, taken in the robot's boot `boot_id`.
     pub fn insert_further(&mut self, scan: &Scan, boot_id: &str) -> Insertion {
         match &self.poses {
             Poses::Edge => self.mapper.insert(scan),
@@ -293,7 +294,7 @@ impl MappingCore {
         }
     }
 
-    /// Replaces the map: localisation begins anew in it, SLAM with the next scan.
+    /// Replaces the map: localisation starts over in it; SLAM starts with the next scan.
     pub fn load(&mut self, map: MapRef, grid: &OccupancyGrid, trajectory: Vec<Point2<f64>>, scans: u64) {
         self.mapper.load(map, grid, trajectory, scans);
         self.poses = Poses::new(&self.settings, grid, self.mapper.map().frame);
@@ -307,10 +308,11 @@ impl MappingCore {
         }
     }
 
-    /// The robot's place is told, `map_from_base` at its last scan. Returns what the robot is to be told.
+    /// Sets the robot's pose, `map_from_base` at its last scan. Returns the correction to send to the robot.
     ///
     /// # Errors
-    /// [`Refusal::Rejected`] before the first scan, for a place far outside the map, and by SLAM for one that the scan does not agree with.
+    /// [`Refusal::Rejected`] before the first scan, for a place far outside the map, and with SLAM for a place where the scan does not
+    /// match.
     pub fn place(&mut self, map_from_base: Pose2) -> Result<Correction, Refusal> {
         let Some((stamp, boot_id)) = self.last.clone() else {
             return Err(Refusal::rejected("the robot has sent no scan yet"));
@@ -339,10 +341,10 @@ impl MappingCore {
         Ok(self.correction(stamp, &boot_id, &measured))
     }
 
-    /// Has the robot looked for in the whole map.
+    /// Starts a search of the whole map for the robot.
     ///
     /// # Errors
-    /// [`Refusal::Rejected`] where the robot's own pose is drawn from.
+    /// [`Refusal::Rejected`] if scans are drawn from the robot's own pose.
     pub fn look_everywhere(&mut self) -> Result<(), Refusal> {
         match &mut self.poses {
             Poses::Localised(localised) => localised.look_everywhere(),
@@ -356,7 +358,7 @@ impl MappingCore {
         Ok(())
     }
 
-    /// Whether the robot's place is trusted.
+    /// Whether the robot's pose is trusted.
     #[must_use]
     pub fn health(&self) -> Health {
         match &self.poses {
@@ -372,7 +374,7 @@ impl MappingCore {
         let covariance = measured.covariance + floor;
         let (frame, moves, is_too_old) = match &self.poses {
             Poses::Slam(slam) => slam.frame(self.robot_frame),
-            // Here no map moves: the robot stays in its frame.
+            // These maps do not move: the robot stays in its frame.
             Poses::Edge | Poses::Localised(_) => (self.robot_frame, Vec::new(), false),
         };
         Correction {

@@ -1,6 +1,6 @@
-//! Encodings. In which form is the whole map handed out?
+//! Encodings. The forms in which the whole map is handed out.
 //!
-//! Encoding a large map takes longer than a scan may wait: it runs on Tokio's blocking threads, from a snapshot.
+//! Encoding a large map takes longer than a scan may wait, so it runs on Tokio's blocking threads, from a snapshot.
 
 use zenav_mapping::map_image;
 use zenav_mapping::map_yaml::MapMode;
@@ -10,7 +10,7 @@ use zenav_protocol::messages::{MapReply, MapRequest, Refusal};
 
 use super::Service;
 
-/// Most whole maps that are encoded at the same time; further clients are told to come back.
+/// Most whole maps encoded at the same time; further clients are told to come back.
 const MAX_ENCODING: usize = 4;
 
 impl Service {
@@ -22,7 +22,7 @@ impl Service {
             });
             return;
         }
-        // Those that begin with `_` are Zenoh's own.
+        // Parameters that begin with `_` are Zenoh's own.
         let unknown = request
             .parameters
             .keys()

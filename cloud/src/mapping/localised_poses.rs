@@ -1,7 +1,7 @@
-//! Poses by localisation. Where is the robot in the map that mapping began with, and what is it told of it?
+//! Poses by localisation. Localises the robot in the map that mapping started with, and corrects its pose.
 //!
-//! The map to be found in is the one at the start: what is drawn into the map since moves nothing, so that an error of a pose cannot confirm
-//! itself. Scans are drawn only while the place is trusted.
+//! Scans are matched against the map as it was at the start. What is drawn since has no influence, so a pose error cannot confirm itself.
+//! Scans are drawn only while the pose is trusted.
 
 use zenav_localisation::{LocalisationSettings, Localiser, Located};
 use zenav_mapping::{Insertion, Mapper};
@@ -11,12 +11,12 @@ use zenav_protocol::messages::{Health, Localisation, Scan};
 
 use super::core::{Measured, Pace, Posed, Statements};
 
-/// Localisation beside a robot.
+/// Localisation of one robot.
 #[derive(Clone, Debug)]
 pub(super) struct LocalisedPoses {
     localiser: Localiser,
     boot_id: String,
-    /// The correction of that boot's odometry, by the last scan of the main lidar since the place was told.
+    /// Correction of that boot's odometry by the last scan of the main lidar; `None` after the pose was set.
     map_from_odom: Option<Pose2>,
     pace: Pace,
     statements: Statements,
@@ -36,7 +36,7 @@ impl LocalisedPoses {
     /// Takes in a scan of the main lidar.
     pub(super) fn insert(&mut self, mapper: &mut Mapper, scan: &Scan, boot_id: &str) -> Posed {
         if self.boot_id != boot_id {
-            // The robot was restarted: it may stand anywhere.
+            // The robot was restarted and may stand anywhere.
             if !self.boot_id.is_empty() {
                 self.localiser.lose();
             }
@@ -59,7 +59,7 @@ impl LocalisedPoses {
         }
     }
 
-    /// The scan from where the robot was found.
+    /// The scan at the localised pose.
     pub(super) fn placed(&self, scan: &Scan) -> Scan {
         Scan {
             map_from_odom: self.map_from_odom.unwrap_or(scan.map_from_odom),
@@ -67,8 +67,8 @@ impl LocalisedPoses {
         }
     }
 
-    /// Whether a scan of a further lidar, made in a boot of the robot, is drawn: not before one of the main lidar has said where that boot's
-    /// odometry lies, and not while the robot is lost.
+    /// Whether a scan of a further lidar, taken in a boot of the robot, is drawn: only after the main lidar has localised that boot's
+    /// odometry, and while the robot is not lost.
     pub(super) fn draws_further(&self, boot_id: &str) -> bool {
         self.map_from_odom.is_some() && self.boot_id == boot_id && self.localiser.health().is_trusted()
     }
@@ -99,7 +99,7 @@ impl LocalisedPoses {
         })
     }
 
-    /// The statement of health, where it changed or is due.
+    /// The health report, if it changed or is due.
     fn localisation(&mut self, scan: &Scan, located: &Located) -> Option<Localisation> {
         self.statements
             .is_due(scan.stamp, &located.health)

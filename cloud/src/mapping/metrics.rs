@@ -1,4 +1,4 @@
-//! Mapping metrics. How old are scans when they come, how long does drawing them take, and how large is the map?
+//! Mapping metrics. Age of scans on arrival, time to draw them, and size of the map.
 
 use std::time::Instant;
 
@@ -41,14 +41,15 @@ impl MappingMetrics {
         }
     }
 
-    /// A scan of this stamp is taken at `now`, by a clock that follows the robot's, maybe a message behind; one that nobody moves tells nothing.
+    /// A scan of this stamp was received at `now`. The clock follows the robot's, at most a message behind; while it does not run, no age
+    /// is recorded.
     pub(super) fn took(&self, stamp: Stamp, now: Stamp) {
         if now != Stamp::ZERO {
             self.age.observe(now.secs_since(stamp).max(0.0));
         }
     }
 
-    /// The scan that was begun then has been dealt with.
+    /// Handling of the scan that began then is complete.
     pub(super) fn drew(&self, began: Instant, insertion: Insertion) {
         self.insertion.observe(began.elapsed().as_secs_f64());
         match insertion {
@@ -58,12 +59,12 @@ impl MappingMetrics {
         }
     }
 
-    /// A patch that was begun then went out.
+    /// The patch begun then was published.
     pub(super) fn published(&self, began: Instant) {
         self.publish.observe(began.elapsed().as_secs_f64());
     }
 
-    /// How the map is now.
+    /// Records the size of the map.
     pub(super) fn map(&self, info: &MapInfo) {
         self.free.set(info.free as f64);
         self.occupied.set(info.occupied as f64);

@@ -1,16 +1,16 @@
-//! Mapping service. How does mapping live on the network?
+//! Mapping service. Scans in; map description, patches and answers out.
 //!
-//! Scans in; map description, patches and answers out. Thin: [`MappingCore`] decides what the map is.
+//! Thin: [`MappingCore`] decides what the map is.
 //!
 //! | file | subject |
 //! |---|---|
-//! | `annotations` | which places and zones does the map have? |
-//! | `core` | from which poses are scans drawn, and what is the robot told? |
-//! | `slam_search` | where in the whole of SLAM's map does the robot stand? |
-//! | `slam_poses`, `localised_poses` | the same by SLAM, by localisation in a known map |
-//! | `slam_session` | what of SLAM outlives its process? |
+//! | `annotations` | places and zones of the map |
+//! | `core` | poses from which scans are drawn, and corrections for the robot |
+//! | `slam_search` | search of SLAM's whole map for the robot |
+//! | `slam_poses`, `localised_poses` | poses by SLAM, by localisation in a known map |
+//! | `slam_session` | the SLAM state that outlives the process |
 //! | `authority` | may this request change the map? |
-//! | `requests` | answers, each change once |
+//! | `requests` | answers; each change is carried out once |
 //! | `encodings` | the map as JSON, CBOR, PNG, PGM or YAML |
 //! | `storage` | the map at the start, storing and loading |
 //! | `metrics` | ages, durations and sizes |
@@ -71,11 +71,11 @@ pub struct MappingConfig {
     pub robot: String,
     /// How scans become a map.
     pub settings: MappingSettings,
-    /// From which poses scans are drawn.
+    /// Source of the poses from which scans are drawn.
     pub poses: PoseSettings,
     /// Folder in which the map is stored as `map.pgm`, `map.yaml` and `map.json`; without it, nothing is stored.
     pub folder: Option<PathBuf>,
-    /// Map to begin with, instead of the stored one.
+    /// Map to start with, instead of the stored one.
     pub known: Option<KnownMap>,
     /// Named goals that every map of the robot has, map frame.
     pub places: BTreeMap<String, GoalPoint>,
@@ -83,12 +83,12 @@ pub struct MappingConfig {
     pub zones: Arc<Zones>,
 }
 
-/// A map that mapping begins with.
+/// A map that mapping starts with.
 #[derive(Clone, Debug, PartialEq)]
 pub struct KnownMap {
     /// Occupancy of every cell.
     pub grid: Arc<OccupancyGrid>,
-    /// Whether scans are inserted into it; otherwise it is held.
+    /// Whether scans are inserted into it; otherwise the map is held.
     pub live: bool,
 }
 
@@ -120,20 +120,20 @@ pub enum MappingError {
     /// The stored map to localise in cannot be read.
     #[error("mapping: the map stored in {}: {problem}; mend it, move it away, or store another one", folder.display())]
     StoredMap {
-        /// Where it lies.
+        /// Its folder.
         folder: PathBuf,
         /// What is wrong.
         problem: String,
     },
-    /// The session of SLAM is there, but cannot be had.
+    /// The session of SLAM exists, but cannot be read or set aside.
     #[error("mapping: the session of SLAM in {}: {problem}; mend it or move it away: it is not dropped silently", folder.display())]
     Session {
-        /// Where it lies.
+        /// Its folder.
         folder: PathBuf,
         /// What is wrong.
         problem: String,
     },
-    /// What people drew on the map cannot be read.
+    /// The stored places and zones cannot be read.
     #[error("{}: {problem}; mend the file or remove it: the places and zones in it are not dropped silently", file.display())]
     Annotations {
         /// The file.
@@ -141,7 +141,7 @@ pub enum MappingError {
         /// What is wrong with it.
         problem: String,
     },
-    /// Somebody else maps into the same folder.
+    /// Another mapping service uses the folder.
     #[error("{}: in use by another mapping service; expected one for each robot and folder", .0.display())]
     InUse(PathBuf),
     /// The bus was closed, or a key could not be declared.
@@ -151,13 +151,13 @@ pub enum MappingError {
 
 /// Time limit of each request for the robot's footprint.
 const FOOTPRINT_DEADLINE: Duration = Duration::from_secs(30);
-/// Pause before a robot of another schema is asked again: it may have been replaced.
+/// Pause before a robot with another schema is asked again: it may have been replaced.
 const FOREIGN: Duration = Duration::from_secs(5);
 
 /// Maps for one robot until shutdown, or until the bus is closed.
 ///
-/// A stored map is loaded and held: it is published, but not changed before a `resume` or `reset`. A stored map that cannot be read is
-/// reported and left alone, and a new one is begun. SLAM goes on with the session that it has kept, if there is one.
+/// A stored map is loaded and held: it is published, but not changed before a `resume` or `reset`. An unreadable stored map is reported and
+/// left alone, and a new one is started. SLAM resumes its stored session, if there is one.
 ///
 /// # Errors
 /// [`MappingError`] for settings out of bounds, annotations or a session of SLAM that cannot be read, a folder that is in use, and when a key
@@ -197,7 +197,7 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
             ..frame
         };
         frame.map.frame = stored.head.frame;
-        // The whole map is drawn.
+        // Draws the whole map, so off the async threads.
         let drawn = tokio::task::spawn_blocking(move || core.going_on(stored)).await;
         core = drawn.map_err(|error| MappingError::Session {
             folder: config.folder.clone().unwrap_or_default(),
@@ -253,7 +253,7 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
     loop {
         let due = service.published + service.period;
         tokio::select! {
-            // The lease before requests: who may change the map is decided by the newest word of the robot.
+            // The robot's state before requests: the newest lease decides who may change the map.
             biased;
             () = shutdown.wait() => break,
             state = states.next() => match state {
@@ -295,22 +295,22 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
     }
     service.publish(clock.now());
     let _ = service.keep(clock.now(), true).await;
-    // Replies that are being encoded are still sent; the deadline for the whole exit is the caller's.
+    // Replies still being encoded are sent; the caller sets the deadline for the whole exit.
     while service.encoding.join_next().await.is_some() {}
     Ok(())
 }
 
-/// What a robot has said of its body.
+/// The robot's answer about its body.
 enum Body {
     /// Its outline.
     Known(Footprint),
-    /// It speaks another schema.
+    /// Another message schema.
     Foreign,
-    /// It does not say.
+    /// No answer on its outline.
     Unknown,
 }
 
-/// Asks the robot for its body, after a while, until it answers.
+/// Asks for the robot's body, after a delay, until it answers.
 async fn ask_body(bus: &Bus, robot: &str, after: Duration) -> Body {
     tokio::time::sleep(after).await;
     loop {
@@ -341,22 +341,22 @@ async fn ask_body(bus: &Bus, robot: &str, after: Duration) -> Body {
 struct Service {
     config: MappingConfig,
     core: MappingCore,
-    /// The session of SLAM that is being written.
+    /// The SLAM session being written.
     keeping: Option<JoinHandle<Result<(u64, OnDisk), KeepError>>>,
-    /// Whether the one on disk is of this map, and not of a run that this one did not go on with.
+    /// Whether the session on disk belongs to this map, and not to an earlier run that was not resumed.
     owns_session: bool,
-    /// The frame of the one on disk.
+    /// Frame of the session on disk.
     kept_frame: u64,
-    /// When it could not be written.
+    /// When writing the session last failed.
     not_kept: Option<Stamp>,
     /// The robot's present boot.
     boot_id: String,
-    /// Whether the robot speaks another schema: its scans may not mean what they seem to.
+    /// Whether the robot speaks another schema: its scans may mean something else.
     is_foreign: bool,
     info: Publisher<MapInfo>,
     patches: Publisher<MapPatch>,
     frames: Publisher<MapFrame>,
-    /// As it was told last.
+    /// As last published.
     frame: MapFrame,
     corrections: Publisher<Correction>,
     localisation: Publisher<Localisation>,
@@ -400,7 +400,7 @@ impl Service {
         if let Some(frame) = &mapped.frame {
             self.carry_over(frame);
         }
-        // Whoever comes after this process must know every frame that anybody was told of.
+        // A successor of this process must know every frame that was ever published.
         let _ = self.keep(now, false).await;
         if let Some(frame) = mapped.frame {
             self.tell_frame(frame, now);
@@ -414,14 +414,14 @@ impl Service {
         self.drawn(mapped.insertion, now);
     }
 
-    /// Takes places and zones along into a new frame, which nobody was told of yet.
+    /// Moves places and zones into a new frame that is not published yet.
     fn carry_over(&mut self, frame: &MapFrame) {
         if self.frame.map.frame != frame.map.frame {
             self.annotations.carry_over(&self.frame, frame);
         }
     }
 
-    /// Tells where the parts of the map lie now. A new frame goes out with all that is in it at once: places, zones, and the map.
+    /// Publishes the poses of the map's parts. A new frame is published together with everything in it: places, zones, and the map.
     fn tell_frame(&mut self, frame: MapFrame, now: Stamp) {
         let before = std::mem::replace(&mut self.frame, frame);
         self.frames.put(&self.frame);
@@ -440,7 +440,7 @@ impl Service {
         self.drawn(insertion, now);
     }
 
-    /// Draws a scan, and observes it.
+    /// Draws a scan, with metrics and trace.
     fn draw<R>(
         &mut self,
         scan: &Scan,
@@ -453,7 +453,7 @@ impl Service {
         let span = trace.and_then(|trace| trace::child(&trace, &self.part(), "scan inserted"));
         let (insertion, done) = insert(&mut self.core);
         self.metrics.drew(began, insertion);
-        // A process that writes no spans passes the trace on as it came.
+        // A process that writes no spans passes the trace on unchanged.
         self.trace = span.as_ref().map(trace::Span::context).or(trace).or(self.trace);
         if let Some(span) = span {
             span.end();
@@ -479,7 +479,7 @@ impl Service {
         self.published = now;
         let began = Instant::now();
         let patch = self.core.mapper.take_patch();
-        // A map of many tiles goes out in several patches, one each period.
+        // A map of many tiles is published in several patches, one each period.
         self.pending = patch.is_some() && self.core.mapper.has_changes();
         if let Some(patch) = patch {
             let trace = self.trace.take();
@@ -494,7 +494,7 @@ impl Service {
         }
     }
 
-    /// What it takes to draw the same map of the same scans again.
+    /// The settings needed to draw the same map from the same scans again.
     fn settings(&self) -> BTreeMap<String, Value> {
         [
             ("mapping", serde_json::to_value(&self.config.settings)),
@@ -510,7 +510,7 @@ impl Service {
         format!("mapping-{}", self.config.robot)
     }
 
-    /// Publishes what the map is now.
+    /// Publishes the description of the map.
     fn tell_info(&self) {
         let info = self.core.mapper.info();
         self.metrics.map(&info);

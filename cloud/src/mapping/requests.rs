@@ -1,4 +1,4 @@
-//! Requests. What does mapping answer, and how is a repeated request carried out only once?
+//! Requests. Answers of the mapping service; a repeated request is carried out only once.
 
 use std::collections::VecDeque;
 
@@ -11,7 +11,7 @@ use zenav_protocol::time::Stamp;
 
 use super::{Service, storage};
 
-/// Most answers that are kept for repeated requests.
+/// Most answers kept for repeated requests.
 const MAX_ANSWERS: usize = 64;
 
 type Answer = Result<MapReply, Refusal>;
@@ -20,7 +20,7 @@ type Answer = Result<MapReply, Refusal>;
 #[derive(Debug)]
 pub(super) struct FirstAnswers<R>(VecDeque<(String, Result<R, Refusal>)>);
 
-// Not derived: that would ask `R: Default`.
+// Not derived: the derive would require `R: Default`.
 impl<R> Default for FirstAnswers<R> {
     fn default() -> Self {
         Self(VecDeque::new())
@@ -56,7 +56,7 @@ impl Service {
         let id = request.body.request_id.clone();
         let answer = match self.answered.get(id.as_deref()) {
             Some(first) => first,
-            // A refusal for want of authority changed nothing: it is not kept, and the same request may succeed later.
+            // A refusal for lack of authority changed nothing: it is not kept, and the same request may succeed later.
             None => match self.authority.admit(now, request.body.epoch) {
                 Err(refusal) => Err(refusal),
                 Ok(()) => {
@@ -72,7 +72,7 @@ impl Service {
         }
     }
 
-    /// Answers how well the robot is localised, after it was told or is looked for.
+    /// Answers with the localisation health, after setting the pose or starting a search if requested.
     pub(super) fn answer_place(&mut self, request: Request<LocaliseRequest, LocaliseReply>, now: Stamp) {
         let LocaliseRequest { action, pose, epoch } = request.body.clone();
         let done = match action {

@@ -1,9 +1,9 @@
-//! Poses by SLAM. From which poses are a robot's scans drawn, when scans and odometry alone say so, and what is the robot told of it?
+//! Poses by SLAM. Poses for drawing a robot's scans from scans and odometry alone, and corrections for the robot.
 //!
-//! [`Slam`] gives each scan a pose. A loop closure moves older scans too: the map is then drawn anew beside the old one, some scans with
-//! each scan that comes, and takes its place when it is complete. Until then everything stays in the old map: nobody sees half of either.
-//! With the new map the next **frame** begins: the robot is told how its surroundings moved, all others where each part of the map lies now.
-//! A process that comes after this one goes on with what was [kept](SlamPoses::kept), in the same frame.
+//! [`Slam`] gives each scan a pose. A loop closure moves older scans too. The map is then redrawn beside the old one, a batch of scans with
+//! each new scan, and replaces it when complete. Until then everything stays in the old map, so no half-drawn map is published. The new map
+//! starts the next **frame**: the robot is sent the move of its surroundings, everybody else the new pose of each part of the map. A
+//! successor of this process resumes the [stored session](SlamPoses::kept) in the same frame.
 
 use std::collections::VecDeque;
 
@@ -20,75 +20,76 @@ use super::localised_poses::LocalisedPoses;
 use super::slam_search::{Search, Whereabouts};
 use super::slam_session::{Head, Kept, OnDisk, Stored};
 
-/// Scans of the old map that are drawn anew with each new scan.
+/// Old scans redrawn with each new scan.
 const REDRAWN_A_STEP: usize = 200;
-/// A move of the surroundings that is shorter, m, and turns less, rad, leaves the map as it is.
+/// A shorter move of the surroundings, m, with less turn, rad, leaves the map as it is.
 const SMALLEST_MOVE: (f64, f64) = (0.01, 0.002);
 
-/// A robot that has not heard of the frame in force is told again after this time, s.
+/// A robot that has not adopted the frame in force is sent it again after this time, s.
 const TOLD_AGAIN: f64 = 0.3;
-/// The session is kept after so many new nodes: a robot that was restarted meanwhile is looked for as far as it comes with these.
+/// The session is stored after this many new nodes. A robot that was restarted meanwhile is searched for within the distance of as many
+/// nodes.
 const KEPT_AFTER: u32 = 20;
 
-/// The map drawn anew, so far.
+/// A redraw of the map in progress.
 #[derive(Clone, Debug)]
 struct Redraw {
     mapper: Mapper,
-    /// How many scans are in it.
+    /// Number of scans drawn so far.
     drawn: usize,
-    /// Where the parts of the map lay when it was begun.
+    /// Poses of the map's parts when the redraw began.
     parts: Vec<Pose2>,
 }
 
-/// SLAM beside a robot.
+/// SLAM for one robot.
 #[derive(Clone, Debug)]
 pub(super) struct SlamPoses {
     settings: SlamSettings,
     slam: Option<Slam>,
-    /// The scans of all nodes, in their order.
+    /// The scans of all nodes, in node order.
     scans: Vec<Scan>,
     redraw: Option<Redraw>,
-    /// From the map as it is drawn to the one that is being drawn.
+    /// Transform from the drawn map to the map being drawn.
     new_from_drawn: Pose2,
-    /// The correction of odometry by the last scan, in the drawn map.
+    /// Correction of odometry by the last scan, in the drawn map.
     map_from_odom: Pose2,
     /// The robot's boot that odometry belongs to.
     boot_id: String,
-    /// Whether the robot was restarted or lost, and was not found since.
+    /// Whether the robot was restarted or lost, and its new pose has not been sent yet.
     is_astray: bool,
-    /// Whether nothing says that it is where it was: it was restarted, or somebody has it looked for, and it was not found since.
+    /// Whether nothing ties the robot to its old place: it was restarted, or a search was requested, and no scan has fitted since.
     is_uprooted: bool,
-    /// Looks for the robot in the whole map.
+    /// Searches the whole map for the robot.
     search: Search,
-    /// Follows the robot in the map while that is held.
+    /// Localises the robot in the map while the map is held.
     held: Option<Box<LocalisedPoses>>,
-    /// The last scan of the main lidar, where it made sense.
+    /// The last scan of the main lidar, if it was sane.
     last: Option<Scan>,
-    /// Whether it contradicts the map.
+    /// Whether that scan contradicts the map.
     contradicts: bool,
-    /// For how many nodes the robot may have gone on before the process that had the session before ended.
+    /// How many nodes the robot may have driven after the last store, before the previous process ended.
     unseen: u32,
     pace: Pace,
     /// The frame of the map as it is drawn.
     frame: u64,
-    /// The moves into the last frames, the one into this frame last.
+    /// The moves into the last frames, newest last.
     moves: VecDeque<Pose2>,
-    /// Where the parts of the map lie as it is drawn.
+    /// Poses of the map's parts in the drawn map.
     parts: Vec<Pose2>,
-    /// Whether frame or parts are others than was told.
+    /// Whether frame or parts differ from the last published ones.
     is_untold: bool,
     /// What is on disk.
     on_disk: OnDisk,
-    /// How many of the scans were handed out to be kept.
+    /// Number of scans handed out for storing.
     handed: usize,
-    /// Whether what was handed out last is not on disk, or is of an older frame or another map.
+    /// Whether the session must be stored again: the last attempt failed, or was of an older frame or another map.
     is_overdue: bool,
     health: Health,
     statements: Statements,
 }
 
 impl SlamPoses {
-    /// Begins a map in a frame.
+    /// Starts a map in a frame.
     pub(super) fn new(settings: SlamSettings, localisation: LocalisationSettings, frame: u64) -> Self {
         Self {
             frame,
@@ -118,8 +119,8 @@ impl SlamPoses {
         }
     }
 
-    /// Goes on with a session that was kept, and draws its map into an empty one. Where a closure had moved the map, and it was not drawn
-    /// anew yet, the next frame begins.
+    /// Resumes a stored session and draws its map into an empty one. If a closure had moved the map before it was redrawn, the next frame
+    /// begins.
     pub(super) fn go_on(
         settings: SlamSettings,
         localisation: LocalisationSettings,
@@ -143,7 +144,7 @@ impl SlamPoses {
         let mut poses = Self {
             parts: slam.parts(),
             moves: head.moves.into(),
-            // The map is drawn anew before the first scan.
+            // The map is redrawn before the first scan.
             map_from_odom: head.new_from_drawn * head.map_from_odom,
             is_astray: slam.is_lost(),
             health: if slam.is_lost() { Health::Lost } else { Health::Tracking },
@@ -172,13 +173,13 @@ impl SlamPoses {
         poses
     }
 
-    /// Whether something is to be on disk before anything more is published; where something is new, also `anyway`.
+    /// Whether the session must be on disk before anything more is published; with `anyway`, also whether there is anything new to store.
     pub(super) fn is_keep_due(&self, anyway: bool) -> bool {
         let new = self.scans.len() - self.handed;
         self.slam.is_some() && (self.is_overdue || new >= KEPT_AFTER as usize || anyway && new > 0)
     }
 
-    /// What is to be on disk. Until it [was kept](Self::was_kept), or was not, nothing more is handed out.
+    /// The session to store. Nothing more is handed out until it [was kept](Self::was_kept), or was not.
     pub(super) fn kept(&mut self) -> Result<Option<Kept>, SessionError> {
         let Some(slam) = &self.slam else { return Ok(None) };
         let session = slam.snapshot()?;
@@ -193,7 +194,7 @@ impl SlamPoses {
                 boot_id: self.boot_id.clone(),
                 scans: self.scans.len(),
                 parts: self.parts.clone(),
-                // They are the service's to add.
+                // Added by the service.
                 annotations: Carried::default(),
             },
             session,
@@ -202,13 +203,13 @@ impl SlamPoses {
         }))
     }
 
-    /// Begins anew: the next scan is the first.
+    /// Starts over: the next scan is the first.
     pub(super) fn reset(&mut self) {
         *self = Self::new(self.settings, *self.search.settings(), self.frame);
     }
 
-    /// Takes in a scan of the main lidar. While the robot's boot is not known, nobody knows which odometry the scan comes with: it is left out.
-    /// In a map that is held the robot is localised; SLAM goes on from there.
+    /// Takes in a scan of the main lidar. Without the robot's boot id, the scan's odometry cannot be attributed: the scan is left out. In a
+    /// held map the robot is localised; SLAM continues from there.
     pub(super) fn insert(&mut self, mapper: &mut Mapper, scan: &Scan, boot_id: &str, robot_frame: u64) -> Posed {
         self.last = scan.is_sane().then(|| scan.clone());
         if self.last.is_none() {
@@ -238,13 +239,13 @@ impl SlamPoses {
         }
     }
 
-    /// Whether nobody knows where the robot is in a map that was held, and that SLAM has not made: it cannot go on there.
+    /// Whether the robot is not localised in a held map that SLAM did not make: SLAM cannot start there.
     fn is_followed_in_vain(&self, boot_id: &str) -> bool {
         let held = self.held.as_ref();
         held.is_some_and(|held| !held.draws_further(boot_id))
     }
 
-    /// Follows the robot in a map that is held, from where SLAM had it.
+    /// Localises the robot in a held map, starting from SLAM's pose.
     fn follow(&mut self, mapper: &mut Mapper, scan: &Scan, boot_id: &str) -> Posed {
         let is_ours = self.slam.is_some() && self.boot_id == boot_id;
         let scan = if is_ours { &self.placed(scan) } else { scan };
@@ -258,7 +259,7 @@ impl SlamPoses {
         held.insert(mapper, scan, boot_id)
     }
 
-    /// Goes on where the robot was localised while the map was held, or begins there in a map that SLAM has not made.
+    /// Continues where the robot was localised while the map was held, or starts there in a map that SLAM did not make.
     fn go_on_after_hold(&mut self, mapper: &Mapper, scan: &Scan, boot_id: &str) -> Option<Effects> {
         let held = self.held.take()?;
         let place = held.placed(scan).map_from_odom * scan.odom_from_base;
@@ -273,7 +274,7 @@ impl SlamPoses {
             self.search.ask();
             (self.health, self.is_astray) = (Health::Lost, true);
         }
-        // Where odometry leads there too, SLAM goes on by itself.
+        // Where odometry leads to the same place, SLAM continues by itself.
         let by_odometry = self.map_from_odom * scan.odom_from_base;
         if !is_known || is_same_boot && self.search.is_one_place(by_odometry, place) {
             return None;
@@ -283,13 +284,13 @@ impl SlamPoses {
         Some(effects)
     }
 
-    /// A step of SLAM, and a look at the whole map where that is due; `None` for a scan that SLAM leaves out.
+    /// A step of SLAM, and a search of the whole map if due; `None` for a scan that SLAM leaves out.
     fn step(&mut self, mapper: &Mapper, scan: &Scan, boot_id: &str) -> Option<Effects> {
         let slam = self
             .slam
             .get_or_insert_with(|| Slam::beside_a_robot(self.settings, scan.map_from_odom * scan.odom_from_base));
         if self.boot_id != boot_id {
-            // The first boot that is heard of is the one that odometry began with.
+            // The first known boot is the one whose odometry the map began with.
             if !self.boot_id.is_empty() {
                 slam.interrupt(self.unseen);
                 (self.is_astray, self.is_uprooted) = (true, true);
@@ -315,13 +316,13 @@ impl SlamPoses {
         Some(found.unwrap_or(effects))
     }
 
-    /// Takes in what a scan did.
+    /// Takes in the effects of a scan.
     fn take_in(&mut self, mapper: &Mapper, scan: &Scan, effects: &Effects) {
         let Some(slam) = &self.slam else { return };
         if effects.is_inserted {
             self.scans.push(scan.clone());
         }
-        // Where a part that is new to a map being drawn anew lies in it.
+        // Pose, in the redraw, of parts added since it began.
         if let Some(redraw) = &mut self.redraw
             && redraw.parts.len() < slam.submaps()
         {
@@ -337,7 +338,7 @@ impl SlamPoses {
         self.judge(effects);
     }
 
-    /// Looks for the robot in the whole map, and goes on where it is found, if that is elsewhere than it is held to be.
+    /// Searches the whole map for the robot, and continues at the pose found if that is another place.
     fn look_everywhere(&mut self, mapper: &Mapper, scan: &Scan, contradicts: bool) -> Option<Effects> {
         let here = self.map_from_odom * scan.odom_from_base;
         let is_lost = !self.health.is_trusted();
@@ -354,10 +355,10 @@ impl SlamPoses {
         }
     }
 
-    /// Goes on where the robot was carried to, `map_from_base` at a scan in the map as it is drawn, if the scan says so too.
+    /// Continues where the robot was carried to, `map_from_base` at a scan in the drawn map, if the scan agrees.
     fn go_on_at(&mut self, mapper: &Mapper, map_from_base: Pose2, scan: &Scan) -> Option<Effects> {
         let slam = self.slam.as_ref()?;
-        // Each part of the map moves by itself until it is drawn anew.
+        // Until the redraw, each part of the map has its own move.
         let parts = self.parts.iter().zip(slam.parts());
         let nearest = parts.min_by(|(a, _), (b, _)| a.distance(&map_from_base).total_cmp(&b.distance(&map_from_base)));
         let new_from_drawn = nearest.map_or(self.new_from_drawn, |(drawn, new)| new * drawn.inverse());
@@ -375,10 +376,10 @@ impl SlamPoses {
         Some(effects)
     }
 
-    /// The robot's place is told, `map_from_base` at its last scan. Returns its pose there by that scan.
+    /// Sets the robot's pose, `map_from_base` at its last scan. Returns its pose there by that scan.
     ///
     /// # Errors
-    /// [`Refusal::Rejected`] where the scan does not agree: a map is not drawn from a place that nothing but a word says.
+    /// [`Refusal::Rejected`] where the scan does not agree: no map is drawn from a pose that only an operator vouches for.
     pub(super) fn place(&mut self, mapper: &Mapper, map_from_base: Pose2) -> Result<Pose2, Refusal> {
         if let Some(held) = &mut self.held {
             held.place(map_from_base);
@@ -405,7 +406,7 @@ impl SlamPoses {
         Ok(self.map_from_odom * scan.odom_from_base)
     }
 
-    /// Has the robot looked for in the whole map with the next scan, however well the last one fits: until then it is lost.
+    /// Searches the whole map with the next scan, however well the last one fits; until then the robot counts as lost.
     pub(super) fn look_everywhere_next(&mut self) {
         match &mut self.held {
             Some(held) => held.look_everywhere(),
@@ -425,12 +426,12 @@ impl SlamPoses {
         self.held.as_ref().map_or(&self.health, |held| held.health())
     }
 
-    /// What a scan says of the robot's health. One that sees little says nothing: then odometry alone counts, as along a corridor.
+    /// Derives the health from a scan. A scan that sees little changes nothing: odometry alone counts then, as along a corridor.
     fn judge(&mut self, effects: &Effects) {
         let is_lost = self.slam.as_ref().is_some_and(Slam::is_lost);
         self.is_astray |= is_lost;
         self.is_uprooted &= !effects.fits;
-        // Whoever comes after this process must know that, too.
+        // A successor of this process must know the loss, too.
         self.is_overdue |= is_lost == self.health.is_trusted();
         self.health = match effects.degenerate {
             _ if is_lost => self.search.health(),
@@ -441,7 +442,7 @@ impl SlamPoses {
         };
     }
 
-    /// The statement of health, where it changed or is due.
+    /// The health report, if it changed or is due.
     fn localisation(&mut self, scan: &Scan, effects: &Effects) -> Option<Localisation> {
         self.statements.is_due(scan.stamp, &self.health).then(|| Localisation {
             stamp: scan.stamp,
@@ -453,13 +454,13 @@ impl SlamPoses {
         })
     }
 
-    /// Whether a scan of a further lidar, made in a boot of the robot, is drawn: not before one of the main lidar has said where that boot's
-    /// odometry lies, and not while the robot is lost, or may be elsewhere.
+    /// Whether a scan of a further lidar, taken in a boot of the robot, is drawn: only after the main lidar has localised that boot's
+    /// odometry, and while the robot is neither lost nor possibly elsewhere.
     pub(super) fn draws_further(&self, boot_id: &str) -> bool {
         self.slam.is_some() && self.boot_id == boot_id && self.health.is_trusted() && !self.contradicts
     }
 
-    /// The scan from the pose that SLAM gives the robot: those of further lidars, too.
+    /// The scan at SLAM's pose of the robot; also for further lidars.
     pub(super) fn placed(&self, scan: &Scan) -> Scan {
         Scan {
             map_from_odom: self.map_from_odom,
@@ -467,14 +468,15 @@ impl SlamPoses {
         }
     }
 
-    /// The frame in force, its moves, and whether the robot, in `robot_frame`, can no longer be told how to get there.
+    /// The frame in force, its moves, and whether the robot's `robot_frame` is too old for these moves to lead from it to the frame in
+    /// force.
     pub(super) fn frame(&self, robot_frame: u64) -> (u64, Vec<Pose2>, bool) {
         let is_too_old = robot_frame + (self.moves.len() as u64) < self.frame;
         (self.frame, self.moves.iter().copied().collect(), is_too_old)
     }
 
-    /// The robot is in a later frame than any that began here: a map that has not begun does so in that one. A map that goes on is another than the
-    /// robot's: it has the frame after it, into which no move leads. Returns the frame.
+    /// Renumbers frames for a robot in a later frame than any begun here. A map without scans takes the robot's frame. A map in progress is
+    /// not the robot's: it takes the next frame, and no move leads into it. Returns the frame.
     pub(super) fn number_from(&mut self, robot_frame: u64) -> u64 {
         self.frame = robot_frame + u64::from(self.slam.is_some());
         self.moves.clear();
@@ -483,13 +485,13 @@ impl SlamPoses {
         self.frame
     }
 
-    /// What was handed out last is on disk.
+    /// The session handed out last is on disk.
     pub(super) fn was_kept(&mut self, on_disk: OnDisk) {
         self.on_disk = on_disk;
     }
 
-    /// What was handed out last is not on disk: the next time it goes there with what is new. `is_changed`: what went there before is not what
-    /// it was, and all of it goes there again.
+    /// Storing the session handed out last failed: the next attempt includes it. `is_changed`: the file no longer holds what was written
+    /// before, so everything is written again.
     pub(super) fn was_not_kept(&mut self, is_changed: bool) {
         self.is_overdue = true;
         if is_changed {
@@ -497,7 +499,7 @@ impl SlamPoses {
         }
     }
 
-    /// Frame and parts, where they are others than was told.
+    /// Frame and parts, if they differ from the published ones.
     pub(super) fn untold(&mut self, mapper: &Mapper, stamp: Stamp) -> Option<MapFrame> {
         (std::mem::take(&mut self.is_untold) && !self.parts.is_empty()).then(|| MapFrame {
             stamp,
@@ -507,7 +509,7 @@ impl SlamPoses {
         })
     }
 
-    /// Bends the map as a closure does.
+    /// Bends the map as a loop closure does.
     pub(super) fn bend(&mut self, mapper: &Mapper, bend: impl Fn(Pose2) -> Pose2) {
         match self.slam.as_mut().map(|slam| slam.bend(bend)) {
             Some(Ok(moved)) => self.surroundings_moved(moved, mapper),
@@ -516,7 +518,7 @@ impl SlamPoses {
         }
     }
 
-    /// New parts lie in the map as it is drawn.
+    /// Adds the poses of new parts, in the drawn map.
     fn note_new_parts(&mut self) {
         let Some(slam) = &self.slam else { return };
         if slam.submaps() > self.parts.len() && self.redraw.is_none() {
@@ -530,7 +532,7 @@ impl SlamPoses {
     fn surroundings_moved(&mut self, moved: Pose2, mapper: &Mapper) {
         self.new_from_drawn = moved * self.new_from_drawn;
         let parts = self.slam.as_ref().map(Slam::parts).unwrap_or_default();
-        // A map that is being drawn anew is begun anew only where it would not be right: else a robot that drives on never gets it.
+        // A redraw in progress restarts only if its result would be wrong; otherwise a robot that keeps driving would never get its map.
         let drawn = self.redraw.as_ref().map_or(&self.parts, |redraw| &redraw.parts);
         let has_moved = drawn.iter().zip(&parts).any(|(drawn, new)| {
             drawn.distance(new) > SMALLEST_MOVE.0 || wrap_angle(new.yaw - drawn.yaw).abs() > SMALLEST_MOVE.1
@@ -544,7 +546,7 @@ impl SlamPoses {
         }
     }
 
-    /// Draws some more scans anew; true when the new map has just taken the place of the old one.
+    /// Continues the redraw; returns true when the new map has just replaced the old one.
     fn draw_on(&mut self, mapper: &mut Mapper) -> bool {
         if self.redraw.is_none() || self.draw_some() {
             return false;
@@ -555,7 +557,7 @@ impl SlamPoses {
         true
     }
 
-    /// Draws some more scans into the new map; whether there are more.
+    /// Draws a batch of scans into the new map; returns whether there are more.
     fn draw_some(&mut self) -> bool {
         let (Some(redraw), Some(slam)) = (&mut self.redraw, &self.slam) else {
             return false;
@@ -572,7 +574,7 @@ impl SlamPoses {
         end < self.scans.len()
     }
 
-    /// The new map takes the place of the old one.
+    /// Replaces the old map by the new one.
     fn swap(&mut self, mapper: &mut Mapper) {
         if let Some(Redraw { mapper: new, parts, .. }) = self.redraw.take() {
             *mapper = new.succeed(mapper);
@@ -581,7 +583,7 @@ impl SlamPoses {
         self.is_untold = true;
     }
 
-    /// The frame of a map that was drawn anew begins.
+    /// Begins the frame of a redrawn map.
     fn begin_frame(&mut self, mapper: &mut Mapper) {
         self.frame += 1;
         if self.moves.len() == MOST_MOVES {
@@ -597,19 +599,19 @@ impl SlamPoses {
     fn measured(&mut self, scan: &Scan, effects: &Effects, was_redrawn: bool, robot_frame: u64) -> Option<Measured> {
         let covariance = effects.covariance.filter(|_| self.health.is_trusted())?;
         let map_from_base = self.map_from_odom * scan.odom_from_base;
-        // The edge begins where its file says, and would take the place for an outlier.
+        // The edge starts at its configured pose and would reject the correction as an outlier.
         let is_found_anew = self.is_astray && effects.fits;
         if was_redrawn || is_found_anew {
             self.pace = Pace::default();
         }
-        // A robot that has not heard of the frame is told of it again.
+        // A robot still in an older frame is sent the new one again.
         let is_behind = robot_frame < self.frame && self.pace.is_older(scan.stamp, TOLD_AGAIN);
         let is_due = self.pace.is_due(scan.stamp, map_from_base) || is_behind;
         if is_due {
             self.is_astray &= !is_found_anew;
         }
         is_due.then_some(Measured {
-            // The robot has its odometry itself.
+            // The scan's own estimate: the robot fuses odometry itself.
             map_from_base: map_from_base * effects.by_scan,
             covariance,
             is_found_anew,

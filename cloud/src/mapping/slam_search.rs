@@ -1,8 +1,8 @@
-//! Search of SLAM's map. Where in the whole of it does the robot stand, if not where SLAM holds it to be?
+//! Search of SLAM's map. Finds the robot in the whole map when it is not where SLAM holds it to be.
 //!
-//! The search is that of localisation in a known map ([`find`]), in the map as it is drawn. A robot that is lost is looked for all the time; one
-//! whose scans fit badly now and then, for it may have been carried to where the same walls stand: there another place must explain the scan
-//! clearly better than the one where it is held to be.
+//! The search is that of localisation in a known map ([`find`]), on the drawn map. A lost robot is searched for continuously. A robot whose
+//! scans fit badly is searched for now and then, since it may have been carried to a place with similar walls: another place must then
+//! explain the scan clearly better than the current one.
 
 use zenav_localisation::{Found, Hypothesis, KnownMap, LocalisationSettings, evidence, find, is_one_place};
 use zenav_mapping::Mapper;
@@ -11,41 +11,41 @@ use zenav_protocol::messages::{Health, MapRef, Scan};
 use zenav_protocol::time::Stamp;
 use zenav_scan_matching::points;
 
-/// Time between two searches for a robot that is lost, s.
+/// Interval between searches for a lost robot, s.
 const PERIOD: f64 = 0.5;
-/// Scans in a row that fit badly before the whole map is looked at.
+/// Badly fitting scans in a row before the whole map is searched.
 const DOUBTS: u32 = 3;
-/// Searches in a row that find the robot where it is held to be, before its surroundings count as changed.
+/// Searches in a row that confirm the current place before its surroundings count as changed.
 const SURE: u32 = 3;
-/// Time until it is looked at again while they do: it doubles from the first to the second, s.
+/// Pause between searches while scans keep fitting badly; it doubles from the first to the second value, s.
 const PAUSE: (f64, f64) = (0.5, 30.0);
 
-/// What a search says of the robot's place, `map_from_base` in the map as it is drawn.
+/// Result of a search: the robot's pose, `map_from_base` in the drawn map.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Whereabouts {
-    /// Another place than where it is held to be explains the scan.
+    /// Another place than the current one explains the scan.
     Elsewhere(Pose2),
-    /// It is where it is held to be, and its surroundings have changed.
+    /// The robot is where it is held to be, and its surroundings have changed.
     Here,
-    /// Nothing.
+    /// No conclusion.
     Unknown,
 }
 
-/// Looks for the robot where it is lost, or may be elsewhere, or when somebody asks.
+/// Searches for the robot when it is lost, may be elsewhere, or on request.
 #[derive(Clone, Debug)]
 pub(super) struct Search {
     settings: LocalisationSettings,
-    /// The map in which the robot is looked for; nothing while its place is not in doubt.
+    /// The map to search; `None` while the robot's place is not in doubt.
     map: Option<(MapRef, KnownMap)>,
     searched_at: Option<Stamp>,
-    /// Scans in a row that fit badly.
+    /// Badly fitting scans in a row.
     doubts: u32,
-    /// How long the last search keeps the next one away, s.
+    /// Pause before the next search, s.
     pause: f64,
     is_asked: bool,
-    /// Searches in a row that found the robot where it is held to be.
+    /// Searches in a row that confirmed the current place.
     here: u32,
-    /// Places that explain the last scan of a robot that is lost about as well, in the map as it is drawn.
+    /// Places that explain the last scan of a lost robot about equally well, in the drawn map.
     hypotheses: Vec<Pose2>,
 }
 
@@ -67,12 +67,12 @@ impl Search {
         &self.settings
     }
 
-    /// The next scan is searched for.
+    /// Requests a search with the next scan.
     pub(super) fn ask(&mut self) {
         self.is_asked = true;
     }
 
-    /// Whether a scan is to be searched for. `fits`: as well as scans do that say where the robot is.
+    /// Whether a search is due with this scan. `fits`: the scan fits as well as scans that determine the robot's place.
     pub(super) fn is_due(&mut self, is_lost: bool, fits: bool, now: Stamp) -> bool {
         self.doubts = if fits { 0 } else { self.doubts.saturating_add(1) };
         if !is_lost {
@@ -94,8 +94,7 @@ impl Search {
         is_due
     }
 
-    /// Looks for the place of a scan in the whole map as it is drawn. `here`: where the robot is held to be, `is_lost`: though its scans say
-    /// that it is not.
+    /// Searches the whole drawn map for the place of a scan. `here`: the current place; `is_lost`: the scans contradict it.
     pub(super) fn find(&mut self, mapper: &Mapper, scan: &Scan, here: Pose2, is_lost: bool) -> Whereabouts {
         let settings = &self.settings;
         if self.map.as_ref().is_none_or(|(known, _)| known != mapper.map()) {
@@ -105,7 +104,7 @@ impl Search {
         let Some((_, map)) = &self.map else {
             return Whereabouts::Unknown;
         };
-        // How the robot moved since the last scan is not known: its sweeps are straightened where they are made.
+        // The motion since the last scan is unknown here; sweeps are straightened where they are made.
         let seen = points(scan, Pose2::IDENTITY, 0.0, &settings.scan);
         let laser = scan.base_from_laser.position();
         let weighed = evidence(map, laser, &seen, here, &settings.evidence);
@@ -119,7 +118,7 @@ impl Search {
         self.hypotheses.clear();
         let is_here = |place: &Hypothesis| is_one_place(here, place.pose, settings);
         let is_better = |place: &Hypothesis| place.evidence.agreeing >= weighed.agreeing + settings.tracking.elsewhere;
-        // Where much agrees, and no other place explains the scan as well, the building has changed.
+        // If much agrees here and no other place explains the scan as well, the building has changed.
         let may_be_here = says_much && weighed.agreeing >= settings.tracking.doubtful;
         let found = find(map, laser, &seen, settings);
         let is_here = match &found {
@@ -142,12 +141,12 @@ impl Search {
         Whereabouts::Here
     }
 
-    /// Whether a pose is one place with another, to a search.
+    /// Whether the search counts two poses as one place.
     pub(super) fn is_one_place(&self, a: Pose2, b: Pose2) -> bool {
         is_one_place(a, b, &self.settings)
     }
 
-    /// The health of a robot that is looked for.
+    /// The health while the robot is searched for.
     pub(super) fn health(&self) -> Health {
         if self.hypotheses.is_empty() {
             return Health::Lost;

@@ -1,9 +1,9 @@
-//! Session of SLAM. What of SLAM beside a robot outlives its process?
+//! Session of SLAM. The SLAM state of a robot that outlives its process.
 //!
-//! Two files in the robot's folder. `slam.scans`: the scan of each node, a line of JSON each, in the order of the nodes; it only grows. `slam.session`:
-//! a line of JSON with the frame and what belongs to it, then the bytes of [`Slam::save`]; it is replaced at once or not at all, after the
-//! scans that it counts on are on disk. What follows them in `slam.scans` belongs to nothing, and is written over. So whatever fails, the
-//! session that was kept before stays whole.
+//! Two files in the robot's folder. `slam.scans`: the scan of each node, one line of JSON each, in node order; it only grows.
+//! `slam.session`: one line of JSON with the frame and its data, then the bytes of [`Slam::save`]; it is replaced atomically, after the
+//! scans it refers to are on disk. Later scans in `slam.scans` belong to no session and are overwritten. So whatever fails, the previously
+//! stored session stays whole.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufRead, BufReader, Read, Seek, Write};
@@ -24,22 +24,22 @@ const SESSION: &str = "slam.session";
 /// Scans of the nodes.
 const SCANS: &str = "slam.scans";
 
-/// What belongs to a map by SLAM beside its poses and measurements.
+/// Data of a SLAM map besides its poses and measurements.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct Head {
-    /// The frame of the map as it was drawn.
+    /// The frame of the drawn map.
     pub(super) frame: u64,
-    /// The moves into the last frames, the one into this frame last.
+    /// The moves into the last frames, newest last.
     pub(super) moves: Vec<Pose2>,
     /// How the robot's surroundings have moved since the map was drawn.
     pub(super) new_from_drawn: Pose2,
-    /// The correction of odometry by the last scan, in the drawn map.
+    /// Correction of odometry by the last scan, in the drawn map.
     pub(super) map_from_odom: Pose2,
     /// The robot's boot that odometry belongs to.
     pub(super) boot_id: String,
-    /// How many scans belong to it: one for each node.
+    /// Number of scans of the session: one for each node.
     pub(super) scans: usize,
-    /// Where the parts of the map lie as it was drawn.
+    /// Poses of the map's parts in the drawn map.
     #[serde(default)]
     pub(super) parts: Vec<Pose2>,
     /// Where places and zones lie in the frame.
@@ -47,7 +47,7 @@ pub(super) struct Head {
     pub(super) annotations: Carried,
 }
 
-/// How much of `slam.scans` belongs to the session that was kept last.
+/// How much of `slam.scans` belongs to the last stored session.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct OnDisk {
     /// Scans.
@@ -56,7 +56,7 @@ pub(super) struct OnDisk {
     pub(super) bytes: u64,
 }
 
-/// What is to be kept: a session, and of its scans those that come after the ones on disk.
+/// A session to store, with those of its scans that are not on disk yet.
 #[derive(Debug)]
 pub(super) struct Kept {
     pub(super) head: Head,
@@ -65,7 +65,7 @@ pub(super) struct Kept {
     pub(super) scans: Vec<Scan>,
 }
 
-/// A session as it was read.
+/// A session as read from disk.
 #[derive(Debug)]
 pub(super) struct Stored {
     pub(super) head: Head,
@@ -74,7 +74,7 @@ pub(super) struct Stored {
     pub(super) on_disk: OnDisk,
 }
 
-/// Why a session cannot be kept, or gone on with.
+/// Why a session cannot be stored or resumed.
 #[derive(Debug, Error)]
 pub(super) enum KeepError {
     /// A file cannot be read or written.
@@ -83,34 +83,34 @@ pub(super) enum KeepError {
     /// A file cannot be replaced.
     #[error(transparent)]
     File(#[from] MapFileError),
-    /// What is written there cannot be understood.
+    /// The file's content cannot be parsed.
     #[error(transparent)]
     Json(#[from] serde_json::Error),
-    /// Writing broke off.
+    /// The writing task failed.
     #[error(transparent)]
     Task(#[from] tokio::task::JoinError),
-    /// The map is none.
+    /// The session cannot be encoded or decoded.
     #[error(transparent)]
     Session(#[from] SessionError),
     /// Scans are missing, or do not belong to the session.
     #[error("expected {expected} scans in `{SCANS}`, found {found}")]
     Scans {
-        /// As many as the session has nodes.
+        /// Number of nodes of the session.
         expected: usize,
-        /// What there is.
+        /// Number of scans found.
         found: usize,
     },
-    /// The scans on disk are not those that were written: all of them are to be written again.
+    /// The scans on disk are not those that were written: all must be written again.
     #[error("expected {expected} bytes of scans in `{SCANS}`, found {found}: somebody else changed the file")]
     Changed {
-        /// As many as were written, bytes.
+        /// Bytes written so far.
         expected: u64,
-        /// What there is, bytes.
+        /// Bytes found.
         found: u64,
     },
 }
 
-/// Keeps a session in a folder; it is on disk when this returns what of `slam.scans` belongs to it.
+/// Stores a session in a folder. When this returns, the session is on disk; the result says how much of `slam.scans` belongs to it.
 pub(super) fn write(folder: &Path, kept: Kept) -> Result<OnDisk, KeepError> {
     fs::create_dir_all(folder)?;
     let mut lines = Vec::new();
@@ -134,7 +134,7 @@ pub(super) fn write(folder: &Path, kept: Kept) -> Result<OnDisk, KeepError> {
     })
 }
 
-/// Writes lines after the first `end` bytes of a file, whatever was there.
+/// Writes lines after the first `end` bytes of a file, overwriting anything there.
 fn append(path: &Path, end: u64, lines: &[u8]) -> Result<(), KeepError> {
     let mut file = match OpenOptions::new().read(true).write(true).open(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => {
@@ -158,7 +158,7 @@ fn append(path: &Path, end: u64, lines: &[u8]) -> Result<(), KeepError> {
     Ok(())
 }
 
-/// The session of a folder; `None` where there is none.
+/// Reads the session of a folder; `None` if there is none.
 pub(super) fn read(folder: &Path) -> Result<Option<Stored>, KeepError> {
     let bytes = match fs::read(folder.join(SESSION)) {
         Ok(bytes) => bytes,
@@ -198,9 +198,9 @@ pub(super) fn read(folder: &Path) -> Result<Option<Stored>, KeepError> {
     }))
 }
 
-/// Forgets the session of a folder.
+/// Deletes the session of a folder.
 pub(super) fn remove(folder: &Path) -> io::Result<()> {
-    // Without the session the scans are nothing: it goes first.
+    // The session goes first: without it the scans mean nothing.
     for name in [SESSION, SCANS] {
         match fs::remove_file(folder.join(name)) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
@@ -210,8 +210,8 @@ pub(super) fn remove(folder: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// Takes a session out of the way, under names that nothing has yet: `slam.session.KIND`, or with a number behind it. Returns the one of the
-/// session; `None` where there is none.
+/// Moves a session out of the way, to unused names: `slam.session.KIND`, or the same with a number appended. Returns the session's new
+/// path; `None` if there is none.
 pub(super) fn set_aside(folder: &Path, kind: &str) -> io::Result<Option<PathBuf>> {
     if !folder.join(SESSION).try_exists()? {
         return Ok(None);
@@ -229,7 +229,7 @@ pub(super) fn set_aside(folder: &Path, kind: &str) -> io::Result<Option<PathBuf>
         }
         number += 1;
     };
-    // A session without its scans is still seen to be one; scans alone would be written over.
+    // Scans first: a session left without scans is still recognised, while scans left alone would be overwritten.
     for (name, aside) in [SCANS, SESSION].into_iter().zip(&aside) {
         match fs::rename(folder.join(name), aside) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
@@ -241,7 +241,7 @@ pub(super) fn set_aside(folder: &Path, kind: &str) -> io::Result<Option<PathBuf>
 }
 
 impl KeepError {
-    /// Whether a file could not be read, which says nothing of what is in it.
+    /// Whether a file could not be read, which does not mean that its content is bad.
     pub(super) fn is_transient(&self) -> bool {
         matches!(self, Self::Io(_))
     }

@@ -1,7 +1,7 @@
-//! Storage. With which map does mapping begin, and how are maps stored and loaded?
+//! Storage. The map that mapping starts with, and storing and loading of maps.
 //!
-//! The robot's own map lies in its folder and is the one that the next start begins with; maps with names lie in `maps/NAME` below it. Where
-//! SLAM makes the map, its session is kept beside it while it grows, and the next start goes on with that.
+//! The robot's own map lies in its folder, and the next start uses it; named maps lie in `maps/NAME` below it. With SLAM, the session is
+//! stored beside the map as it grows, and the next start resumes it.
 
 use std::fs::{File, TryLockError};
 use std::io;
@@ -18,24 +18,24 @@ use zenav_protocol::time::Stamp;
 use super::slam_session::{self, KeepError, Stored};
 use super::{KnownMap, MappingConfig, MappingError, PoseSource, Service};
 
-/// Folder of the maps with names, in a robot's folder.
+/// Folder of named maps, in a robot's folder.
 const MAPS: &str = "maps";
 
-/// File that one mapping service holds, in a robot's folder.
+/// Lock file of the mapping service, in a robot's folder.
 const LOCK: &str = "mapping.lock";
 
-/// Pause after a session could not be kept, s.
+/// Pause after a failed attempt to store the session, s.
 const KEEP_AGAIN: f64 = 10.0;
 
-/// What became of a session that is in the way of another.
+/// Suffix of a session set aside for another one.
 const BEFORE: &str = "before";
-/// And of one that cannot be read.
+/// Suffix of a session that cannot be decoded.
 const UNREADABLE: &str = "unreadable";
 
-/// Keeps other mapping services out of a robot's folder as long as the file lives; `None` where the folder takes no file, or knows no locks.
+/// Locks a robot's folder against other mapping services as long as the file lives; `None` if the folder is not writable or has no locks.
 ///
 /// # Errors
-/// [`MappingError::InUse`] where another one has it.
+/// [`MappingError::InUse`] if another service holds the lock.
 pub(super) fn lock(folder: &Path) -> Result<Option<File>, MappingError> {
     let made = std::fs::create_dir_all(folder).and_then(|()| File::create(folder.join(LOCK)));
     let Ok(file) = made else { return Ok(None) };
@@ -46,10 +46,10 @@ pub(super) fn lock(folder: &Path) -> Result<Option<File>, MappingError> {
     }
 }
 
-/// The session of SLAM that goes on, where there is one. One that cannot be decoded is set aside for a person.
+/// The SLAM session to resume, if there is one. A session that cannot be decoded is set aside for inspection.
 ///
 /// # Errors
-/// [`MappingError::Session`] where the disk does not give it, or it cannot be set aside: a session that may be whole does not make room for another.
+/// [`MappingError::Session`] if it cannot be read from disk or set aside: a session that may be intact is never replaced.
 pub(super) async fn session(config: &MappingConfig) -> Result<Option<Stored>, MappingError> {
     let goes_on = config.poses.source == PoseSource::Slam && config.known.is_none();
     let Some(folder) = config.folder.clone().filter(|_| goes_on) else {
@@ -90,15 +90,15 @@ pub(super) async fn session(config: &MappingConfig) -> Result<Option<Stored>, Ma
     }
 }
 
-/// An empty map, for a session that goes on.
+/// An empty map, for a resumed session.
 pub(super) fn empty(config: &MappingConfig) -> Mapper {
     Mapper::new(config.settings.clone(), new_map_id(&config.robot))
 }
 
-/// The map that was given, or the stored map, or a new one.
+/// The given map, or the stored map, or a new one.
 ///
 /// # Errors
-/// [`MappingError::StoredMap`] where the robot is to be found in a map that cannot be read; elsewhere a new one is begun.
+/// [`MappingError::StoredMap`] for an unreadable map that the robot is to be localised in; otherwise a new map is started.
 pub(super) async fn begin(config: &MappingConfig) -> Result<Mapper, MappingError> {
     let robot = &config.robot;
     if let Some(KnownMap { grid, live }) = &config.known {
@@ -139,7 +139,7 @@ pub(super) async fn begin(config: &MappingConfig) -> Result<Mapper, MappingError
     Ok(empty(config))
 }
 
-/// A map that none was before.
+/// A new map.
 fn new_map(robot: &str) -> MapRef {
     MapRef {
         id: new_map_id(robot),
@@ -148,12 +148,12 @@ fn new_map(robot: &str) -> MapRef {
     }
 }
 
-/// An id that no map had before.
+/// A new, unique map id.
 pub(super) fn new_map_id(robot: &str) -> String {
     format!("{robot}-{}", Id::unique())
 }
 
-/// Takes a session out of the way that another run has left, and this one did not go on with.
+/// Sets aside a session of an earlier run that this run did not resume.
 fn make_room(robot: &str, folder: &Path) -> io::Result<()> {
     if let Some(aside) = slam_session::set_aside(folder, BEFORE)? {
         tracing::warn!(
@@ -166,17 +166,17 @@ fn make_room(robot: &str, folder: &Path) -> io::Result<()> {
 }
 
 impl Service {
-    /// Keeps the session of SLAM where that is due. A session of a new frame, and what is kept `anyway`, is on disk when this returns; otherwise
-    /// it is written beside what goes on here.
+    /// Stores the session of SLAM if due. A session of a new frame, or one requested by `anyway`, is on disk when this returns; otherwise
+    /// it is written in the background.
     ///
     /// # Errors
-    /// Where what was asked for `anyway` is not on disk; everything else is tried again after a while.
+    /// If a session requested by `anyway` is not on disk; other failures are retried after a while.
     pub(super) async fn keep(&mut self, now: Stamp, anyway: bool) -> Result<(), Refusal> {
         let Some(folder) = self.config.folder.clone() else {
             return Ok(());
         };
         if anyway || self.keeping.as_ref().is_some_and(JoinHandle::is_finished) {
-            // What failed is due again.
+            // A failed write is due again.
             let _ = self.was_kept(now).await;
         }
         if self.rests(now) && !anyway || !self.core.is_keep_due(anyway) {
@@ -208,13 +208,13 @@ impl Service {
         if anyway { kept } else { Ok(()) }
     }
 
-    /// Whether nothing is kept for a while, as the last attempt failed.
+    /// Whether storing pauses because the last attempt failed.
     fn rests(&self, now: Stamp) -> bool {
         let since = |then: Stamp| now.secs_since(then) < KEEP_AGAIN && now >= then;
         self.not_kept.is_some_and(since)
     }
 
-    /// Waits until what is being kept is on disk.
+    /// Waits until the session being written is on disk.
     async fn was_kept(&mut self, now: Stamp) -> Result<(), Refusal> {
         let Some(keeping) = self.keeping.take() else {
             return Ok(());
@@ -242,8 +242,8 @@ impl Service {
         Err(Refusal::internal(format!("the session of SLAM is not kept: {error}")))
     }
 
-    /// Forgets the session of SLAM: another map is to begin. One that this SLAM did not go on with is set aside; where it makes no map, there is
-    /// nothing to be forgotten.
+    /// Deletes the session of SLAM because another map is to start. A session that this run did not resume is set aside; with other pose
+    /// sources there is nothing to delete.
     pub(super) async fn forget_session(&mut self, now: Stamp) -> Result<(), Refusal> {
         let _ = self.was_kept(now).await;
         let is_slam = self.config.poses.source == PoseSource::Slam;
@@ -262,7 +262,7 @@ impl Service {
         removed.map_err(|error| Refusal::internal(KeepError::from(error)))
     }
 
-    /// The folder of a stored map: the robot's own, or the one of this name.
+    /// Folder of a stored map: the robot's own, or the named one.
     fn folder(&self, name: Option<&str>) -> Result<PathBuf, Refusal> {
         let Some(folder) = &self.config.folder else {
             return Err(Refusal::rejected(
@@ -306,7 +306,7 @@ impl Service {
         }
     }
 
-    /// Replaces the map by the one of a request, or by a stored one; scans wait meanwhile.
+    /// Replaces the map by the one in the request, or by a stored one; scans wait meanwhile.
     pub(super) async fn load(&mut self, request: &MapRequest, now: Stamp) -> Result<(), Refusal> {
         let (grid, record) = match (&request.name, &request.map) {
             (Some(_), Some(_)) => return Err(Refusal::bad_request("expected `name` or `map`, not both")),
@@ -347,7 +347,7 @@ impl Service {
         Ok(())
     }
 
-    /// The maps with names.
+    /// The named maps.
     pub(super) async fn stored_maps(&self) -> Result<Vec<StoredMapInfo>, Refusal> {
         let Ok(folder) = self.folder(None) else {
             return Ok(Vec::new());

@@ -1,4 +1,4 @@
-//! What does mapping promise on the network?
+//! Tests of the mapping service on the network.
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
@@ -42,7 +42,7 @@ fn request(action: MapAction, id: &str, epoch: Option<u64>) -> MapRequest {
     }
 }
 
-/// State of a robot whose lease a mission holds under this epoch, or has let lapse.
+/// State of a robot whose lease a mission holds under this epoch (`live`), or has let lapse.
 fn state(epoch: u64, live: bool) -> EdgeState {
     let lease = LeaseState {
         holder: Some("mission-a".into()),
@@ -71,7 +71,7 @@ fn a_map_that_does_not_move_is_in_the_frame_of_its_robot_whatever_that_was_befor
         replica.map().frame
     };
     assert_eq!(take(&mut core), 0);
-    // An earlier run's SLAM left the robot in frame 2; then the robot begins again.
+    // An earlier run's SLAM left the robot in frame 2; then the robot restarts.
     for frame in [2, 0] {
         core.hear_frame(frame);
         assert!(core.mapper.has_changes(), "not one cell is another, and yet it is news");
@@ -111,7 +111,7 @@ async fn a_scan_becomes_a_patch_and_a_saved_map_is_there_after_a_restart() {
         .await;
     assert!(refused.is_err());
 
-    // The scan's way to the service may not be declared yet: a robot sends again and again.
+    // The route to the service may not be declared yet: send repeatedly, as a robot does.
     let mut replica = MapReplica::new();
     let mut stamp = 0;
     while !replica.has_map() {
@@ -192,13 +192,13 @@ async fn a_mission_s_map_is_changed_under_its_epoch_only_and_once() {
         .unwrap()
     };
 
-    // While the mission holds the lease, a request typed by somebody is refused, and the refusal says what is missing.
+    // While the mission holds the lease, an operator's request is refused, and the refusal says what is missing.
     let refused = until(7, true, Result::is_err).await.unwrap_err();
     assert!(refused.to_string().contains("expected `epoch`"), "{refused}");
     states.put(&state(7, true));
     let wrong = ask(request(MapAction::Reset, "a", Some(6))).await.unwrap_err();
     assert_eq!(wrong, AskError::Refused(Refusal::WrongEpoch { got: 6, current: 7 }));
-    // The same request under the right epoch succeeds, and when it is repeated nothing is reset again.
+    // The same request under the right epoch succeeds; repeating it does not reset again.
     states.put(&state(7, true));
     let first = ask(request(MapAction::Reset, "a", Some(7))).await.unwrap();
     assert_eq!(ask(request(MapAction::Reset, "a", Some(7))).await.unwrap(), first);
@@ -331,7 +331,7 @@ async fn annotations_are_published_to_late_joiners_and_changed_under_the_epoch_i
         epoch,
     };
     let ask = async |request: &AnnotateRequest| client.ask(&ANNOTATE, &chunks, request, DEADLINE).await;
-    // Once mapping has heard that a mission commands the robot.
+    // Wait until mapping has heard that a mission commands the robot.
     tokio::time::timeout(DEADLINE, async {
         let mut count = 0;
         loop {

@@ -1,5 +1,5 @@
-//! Standby. What does it do, and when may it lead? It applies its leader's journal; when the lease has lapsed and the robot lists it
-//! among the stores that have caught up, it requests to lead.
+//! Standby. Applies its leader's journal. When the lease has lapsed and the robot lists this store among those that have caught up, it
+//! requests to lead.
 
 use std::time::Duration;
 
@@ -15,15 +15,15 @@ use zenav_mission::records::Leadership;
 use zenav_mission::standby::{JournalPosition, Verdict, judge, may_lead};
 use zenav_mission::store::StoreError;
 
-/// A leader that is silent for longer is joined again.
+/// After this much silence of the leader, the standby joins it again.
 const SILENCE: Duration = Duration::from_secs(1);
 /// Longest time between two attempts to join while they fail.
 const LONGEST_SILENCE: Duration = Duration::from_secs(30);
 /// Deadline of a join request.
 const PATIENCE: Duration = Duration::from_secs(1);
-/// The robot publishes a grant within this time.
+/// Time within which the robot publishes a grant.
 const WORD: Duration = Duration::from_millis(250);
-/// A mission that led does not request to lead again before.
+/// A mission that led waits this long before it requests to lead again.
 const REST: Duration = Duration::from_millis(500);
 
 /// Follows until shutdown, or until this mission may request to lead.

@@ -1,5 +1,4 @@
-//! Leading mission. How is it stepped? Everything that has arrived goes in; its effects are persisted, here and with the standbys, then
-//! published.
+//! Leading mission. Each step takes everything that has arrived; its effects are persisted, here and with the standbys, then published.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -24,7 +23,7 @@ use zenav_mission::membership::HELD_UP;
 use zenav_mission::orchestrator::Mission;
 use zenav_mission::records::{Leadership, Record};
 
-/// Time between two steps.
+/// Period of the steps.
 const PERIOD: Duration = Duration::from_millis(50);
 /// Answers queued for the next step.
 const MAX_ANSWERS: usize = 512;
@@ -32,13 +31,13 @@ const MAX_ANSWERS: usize = 512;
 const MAX_WAITING: usize = 512;
 /// Goals whose last state is kept for late joiners.
 const MAX_KEPT_GOALS: usize = 64;
-/// A step that takes longer loses the lease: this mission hangs, and a standby may take over.
+/// A step that takes longer than this loses the lease: this mission hangs, and a standby may take over.
 const LONGEST_STEP: Duration = Duration::from_secs(20);
-/// Time between two heartbeats during a step or a write.
+/// Interval between heartbeats during a step or a write.
 const BEAT: Duration = Duration::from_millis(100);
 /// Time for other missions to answer.
 const ROLL_CALL: Duration = Duration::from_millis(300);
-/// Time between two checks whether this process was suspended.
+/// Interval between checks whether this process was suspended.
 const PULSE: Duration = Duration::from_millis(200);
 
 /// Leads, or requests to, until shutdown or until another mission leads.
@@ -51,12 +50,12 @@ pub(super) async fn lead(service: &mut Service) -> Result<Turn, MissionError> {
     }
     tracing::info!(robot = %service.config.robot, store = service.store.name(), incarnation = restored.incarnation, goals = restored.goals.len(), "mission begins");
     let mut shell = Shell::open(service, restored.leadership, restored.incarnation)?;
-    // In a box: it goes to a thread of its own and back for every step.
+    // Boxed: it moves to another thread and back for every step.
     let mut mission = Box::new(Mission::new(service.config.clone(), restored));
     metrics::leads(&shell.robot, true);
     service.role.met();
     let mut ticks = service.clock.interval(PERIOD);
-    // The robot's clock may stand still; this one does not.
+    // The robot's clock may stop; this one does not.
     let mut pulse = tokio::time::interval(PULSE);
     pulse.set_missed_tick_behavior(MissedTickBehavior::Skip);
     let mut last = Instant::now();
@@ -76,7 +75,7 @@ pub(super) async fn lead(service: &mut Service) -> Result<Turn, MissionError> {
                 None => return Err(BusError::Closed.into()),
             },
             entry = service.journal.next() => match entry {
-                // A leader that replicates to a leader has been deposed, and will hear it from the robot.
+                // A leader that replicates to a leader has been deposed; the robot will tell it.
                 Some(entry) => entry.refuse(&Refusal::NotLeader),
                 None => return Err(BusError::Closed.into()),
             },
@@ -109,18 +108,18 @@ pub(super) async fn lead(service: &mut Service) -> Result<Turn, MissionError> {
     }
 }
 
-/// Whether a mission whose store never led yields to another one. Without the robot's confirmation one of several new missions leads,
-/// the first by its store's name.
+/// Whether a mission whose store never led yields to another one. Until the robot confirms a leader, the first of several new missions by
+/// store name leads.
 async fn another_leads(service: &mut Service) -> bool {
     let (bus, robot) = (service.bus.clone(), service.config.robot.to_string());
     let chunks = [robot.as_str()];
-    // Twice: one that started at the same time may have missed the first call.
+    // Two calls: a mission that started at the same time may have missed the first.
     for _ in 0..2 {
         let all = bus.ask_all(&topics::CLOUD_INFO, &chunks, &InfoRequest {}, ROLL_CALL);
         let (all, end) = (async { all.await.unwrap_or_default() }, tokio::time::sleep(ROLL_CALL));
         let called = async { tokio::join!(all, end).0 };
         tokio::pin!(called);
-        // Other new missions call too, and must get an answer.
+        // Other new missions call too and must get an answer.
         let others = loop {
             tokio::select! {
                 others = &mut called => break others,
@@ -138,12 +137,12 @@ async fn another_leads(service: &mut Service) -> bool {
     false
 }
 
-/// Heartbeats: the mission's own, and more while it computes a step or waits for its disk or standbys.
+/// Heartbeats: the mission's own, plus extra ones while it computes a step or waits for its disk or standbys.
 struct Pulse {
     publisher: Publisher<Heartbeat>,
-    /// The newest.
+    /// The newest heartbeat.
     beats: Option<Heartbeat>,
-    /// How many were sent besides the mission's own: each is newer than the one before.
+    /// Number of extra heartbeats sent, added to the counter so that it keeps growing.
     more: u64,
 }
 
@@ -158,7 +157,7 @@ impl Pulse {
         if let Some(heartbeat) = &mut self.beats {
             self.more += 1;
             heartbeat.counter += 1;
-            // It tells nothing of the link: it waited here.
+            // No echo: it waited here, so it would misstate the link's delay.
             heartbeat.echo = None;
             self.publisher.put(heartbeat);
         }
@@ -240,9 +239,8 @@ impl Shell {
         self.clients.insert(client, pending);
     }
 
-    /// Steps the mission on a blocking thread. Configuration spaces, floods and tree files may take a while; heartbeats go
-    /// out meanwhile, for [`LONGEST_STEP`] at most, so that a huge map or goal does not cost the lease. `last` is when this
-    /// process was last known to run.
+    /// Steps the mission on a blocking thread. Configuration spaces, floods and tree files may take a while; heartbeats are sent meanwhile,
+    /// for [`LONGEST_STEP`] at most, so that a huge map or goal does not cost the lease. `last` is when this process was last known to run.
     async fn step(
         &mut self,
         mut mission: Box<Mission>,
@@ -373,7 +371,7 @@ impl Shell {
         Ok(())
     }
 
-    /// Persists here and with the standbys; a slow disk or link does not cost the lease.
+    /// Persists here and with the standbys; heartbeats continue, so a slow disk or link does not cost the lease.
     async fn store(&mut self, records: Vec<Record>) -> Result<(), End> {
         let Self {
             standbys,

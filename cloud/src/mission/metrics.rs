@@ -1,4 +1,4 @@
-//! Mission metrics. How long do goals, steps, writes and plans take, and how many goals wait, drive and end?
+//! Mission metrics. Durations of goals, steps, writes and plans, and counts of queued, driven and ended goals.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -12,7 +12,7 @@ use zenav_observability::metrics::{
 use zenav_observability::{Gauge, Histogram};
 use zenav_protocol::messages::{Event, EventKind, GoalPhase, Plan};
 
-/// New plans whose acceptance is waited for; one that is never accepted is forgotten.
+/// New plans awaiting acceptance; the oldest are dropped.
 const MAX_PLANS: usize = 32;
 
 /// Phases of goals that have not ended, and their names.
@@ -35,13 +35,13 @@ fn name(phase: GoalPhase) -> &'static str {
     }
 }
 
-/// Says whether a mission leads or stands by. Who stands by counts neither goals nor workers.
+/// Records whether a mission leads or stands by. A standby counts neither goals nor workers.
 pub(super) fn leads(robot: &str, leads: bool) {
     MISSION_LEADS
         .with_label_values(&[robot])
         .set(f64::from(u8::from(leads)));
     if !leads {
-        // What was never counted cannot be taken back, and need not.
+        // Removing a label that was never set fails, which does not matter.
         let _ = WORKERS.remove_label_values(&[robot]);
         for (_, state) in OPEN {
             let _ = GOALS.remove_label_values(&[robot, state]);
@@ -49,7 +49,7 @@ pub(super) fn leads(robot: &str, leads: bool) {
     }
 }
 
-/// Counts of a mission that leads.
+/// Counts of a leading mission.
 pub(super) struct MissionMetrics {
     robot: String,
     acceptance: Histogram,
@@ -58,18 +58,18 @@ pub(super) struct MissionMetrics {
     plan_acceptance: Histogram,
     workers: Gauge,
     open: [Gauge; 3],
-    /// When goals were asked for.
+    /// When goals were requested.
     asked: BTreeMap<Client, Instant>,
-    /// Trajectories that went out, and when.
+    /// Published trajectories, and when.
     plans: VecDeque<(u64, Instant)>,
-    /// What the log said last of a goal.
+    /// The goal state logged last.
     said: Option<(String, GoalPhase)>,
 }
 
 impl MissionMetrics {
     pub(super) fn new(robot: &str) -> Self {
         for state in ["succeeded", "aborted", "canceled", "rejected"] {
-            // All of them show from the start.
+            // All end states show from the start.
             let _ = GOALS_ENDED.with_label_values(&[robot, state]);
         }
         Self {
@@ -86,12 +86,12 @@ impl MissionMetrics {
         }
     }
 
-    /// A goal is asked for.
+    /// A goal was requested.
     pub(super) fn asked(&mut self, client: Client) {
         self.asked.insert(client, Instant::now());
     }
 
-    /// A client is answered.
+    /// A client was answered.
     pub(super) fn answered(&mut self, client: Client, is_accepted: bool) {
         if let Some(asked) = self.asked.remove(&client)
             && is_accepted
@@ -100,12 +100,12 @@ impl MissionMetrics {
         }
     }
 
-    /// What is stored: each change of a goal stands in the log, each end in a counter.
+    /// Records were stored: logs each change of a goal, counts each end.
     pub(super) fn stored(&mut self, records: &[Record]) {
         for record in records {
             let Record::Goal(goal) = record else { continue };
             let (goal, state) = (&goal.state, name(goal.state.state));
-            // Progress is stored, too.
+            // Progress is stored, too, but not logged.
             let said = (goal.id.clone(), goal.state);
             if self.said.as_ref() == Some(&said) {
                 continue;
@@ -118,7 +118,7 @@ impl MissionMetrics {
         }
     }
 
-    /// How many goals there are, and workers.
+    /// Sets the numbers of goals and workers.
     pub(super) fn observe(&self, mission: &Mission, workers: usize) {
         for ((phase, _), gauge) in OPEN.iter().zip(&self.open) {
             gauge.set(mission.open_goals().filter(|open| open == phase).count() as f64);
@@ -126,7 +126,7 @@ impl MissionMetrics {
         self.workers.set(workers as f64);
     }
 
-    /// A plan goes out. Returns whether its trajectory is new: a renewal goes on with one that is known.
+    /// A plan was published. Returns whether its trajectory is new: a renewal continues a known one.
     pub(super) fn published(&mut self, plan: &Plan) -> bool {
         if self.plans.iter().any(|(known, _)| *known == plan.trajectory_id) {
             return false;
@@ -144,7 +144,7 @@ impl MissionMetrics {
         true
     }
 
-    /// The robot says what it accepted.
+    /// Takes the robot's events: which plans were accepted.
     pub(super) fn heard(&mut self, events: &[Event]) {
         for event in events {
             if let EventKind::PlanAccepted { trajectory_id, .. } = &event.kind {

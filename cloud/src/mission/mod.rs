@@ -1,4 +1,4 @@
-//! Mission service. How is a mission fed from the bus, and how are its effects carried out?
+//! Mission service. Feeds a mission from the bus and carries out its effects.
 //!
 //! Of several missions for one robot, each with its own store, one leads and the others are standbys; the robot decides which.
 //!
@@ -8,11 +8,11 @@
 //! | `standbys`, `replication` | how is the leader's journal replicated before it acknowledges anything? |
 //! | `follow` | what does a standby do, and when may it lead? |
 //! | `requests` | where do clients' requests arrive? |
-//! | `workers` | who answers the mission's own requests? |
+//! | `workers` | which service answers the mission's own requests? |
 //! | `worker_pool` | which of several motion workers is asked, and when is a second one asked as well? |
 //! | `trace` | which scan does a plan come from? |
 //! | `metrics` | how long do goals, steps, writes and plans take? |
-//! | `no_room` | what does a mission do whose disk stores nothing? |
+//! | `no_room` | what does a mission do when its disk is full? |
 
 mod follow;
 mod lead;
@@ -45,7 +45,7 @@ use zenav_mission::store::{Store, StoreError};
 /// Why a mission ended on its own.
 #[derive(Debug, Error)]
 pub enum MissionError {
-    /// The bus.
+    /// Bus error.
     #[error(transparent)]
     Bus(#[from] BusError),
     /// The store failed for good: nothing more can be acknowledged.
@@ -56,7 +56,7 @@ pub enum MissionError {
     Step(String),
 }
 
-/// What comes after leading or following.
+/// What follows after leading or following.
 enum Turn {
     /// This process ends.
     Over,
@@ -80,7 +80,7 @@ impl<E: Into<MissionError>> From<E> for End {
     }
 }
 
-/// What the service has while it leads and while it follows.
+/// Shared by leading and following.
 struct Service {
     bus: Bus,
     clock: Clock,
@@ -92,7 +92,7 @@ struct Service {
     /// Offset of the last leader's time to this clock, ns.
     ahead: Option<i64>,
     shutdown: Shutdown,
-    /// Whether it leads or stands by is known: goals are taken, here or there.
+    /// Met once the role is known: goals are then accepted, here or by another mission.
     role: Condition,
 }
 
@@ -118,8 +118,8 @@ impl Service {
 /// Runs one robot's mission until `shutdown`, or until it fails.
 ///
 /// # Errors
-/// [`MissionError`]; [`StoreError::Locked`] at once when another process has the store, [`StoreError::Foreign`] when its file is not whole.
-/// A full disk is no error: the mission waits for room.
+/// [`MissionError`]; [`StoreError::Locked`] at once when another process has the store, [`StoreError::Foreign`] when its file is damaged. A
+/// full disk is no error: the mission waits for room.
 pub async fn run(bus: Bus, clock: Clock, config: MissionConfig, shutdown: Shutdown) -> Result<(), MissionError> {
     let opened = bus.expects(&format!("the store of {} is open", config.robot));
     let role = bus.expects(&format!("the mission of {} leads, or stands by", config.robot));

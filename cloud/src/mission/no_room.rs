@@ -1,8 +1,8 @@
-//! Full disk. What does a mission do whose disk stores nothing?
+//! Full disk. A mission that cannot store anything refuses requests and waits for room.
 //!
-//! It says so to whoever asks, and acknowledges nothing: what was in memory only is given up, as in a crash, so that nobody is told what is
-//! not stored. Its heartbeats end, so a standby whose disk has room may lead; else the robot is at rest by its plan's expiry. Once there is
-//! room the mission goes on from what is stored.
+//! Nothing is acknowledged, and requests are refused with the reason. State that was only in memory is given up, as in a crash, so nothing
+//! is ever reported that is not stored. The heartbeats stop, so a standby whose disk has room may lead; otherwise the robot is at rest by
+//! its plan's expiry. Once there is room, the mission continues from what is stored.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -17,10 +17,10 @@ use zenav_protocol::topics::MissionRequest;
 use super::requests::Pending;
 use super::{MissionError, Service, Turn, blocking, metrics};
 
-/// Time between two attempts to store something.
+/// Interval between attempts to store something.
 const AGAIN: Duration = Duration::from_secs(1);
 
-/// Opens the store, once there is room for it; `None` after the shutdown.
+/// Opens the store once there is room for it; `None` after a shutdown.
 pub(super) async fn open(config: &MissionConfig, shutdown: &Shutdown) -> Result<Option<Arc<Store>>, MissionError> {
     let mut said = false;
     loop {

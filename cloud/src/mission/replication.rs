@@ -1,4 +1,4 @@
-//! Replication to one standby. How do the leader's store and its batches of writes get there, in order and in pieces?
+//! Replication to one standby. Sends the leader's store and its batches of writes, in order and in pieces.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -11,11 +11,11 @@ use zenav_protocol::topics;
 
 use super::standbys::PATIENCE;
 
-/// Deadline of a piece of the initial transfer, which blocks nothing.
+/// Deadline of a piece of the initial transfer, which blocks nothing else.
 const PIECE: Duration = Duration::from_secs(4);
-/// Size of a piece, bytes: a link carries it well within the TTL of the lease.
+/// Size of a piece, bytes: the link carries it well within the TTL of the lease.
 const PIECE_BYTES: usize = 64 * 1024;
-/// A standby hears from its leader at least this often.
+/// Longest interval between messages to a standby.
 const KEEP_ALIVE: Duration = Duration::from_millis(400);
 
 /// Writes that belong together.
@@ -33,12 +33,12 @@ pub(super) struct Replication {
     pub(super) standby: String,
     pub(super) leader: String,
     pub(super) session: String,
-    /// Number of the newest entry in the session.
+    /// Number of the newest entry of the session.
     pub(super) position: u64,
 }
 
 impl Replication {
-    /// Until the standby does not answer in time, or another one takes this one's place.
+    /// Runs until the standby does not answer in time, or another replication replaces this one.
     pub(super) async fn run(
         mut self,
         whole: Batch,
@@ -71,7 +71,7 @@ impl Replication {
                     if next.is_none() {
                         return Ok(());
                     }
-                    // Whatever has come meanwhile goes with it.
+                    // Batches that have arrived meanwhile are sent along.
                     while let Some(batch) = next {
                         (number, epoch, now) = (batch.number, batch.epoch, batch.now);
                         writes.extend(batch.writes.iter().cloned());
@@ -106,7 +106,7 @@ impl Replication {
     }
 }
 
-/// Writes in pieces that are carried one by one; at least one.
+/// Splits writes into pieces that are sent one by one; at least one piece.
 fn pieces(writes: Vec<JournalWrite>) -> Vec<Vec<JournalWrite>> {
     let (mut pieces, mut bytes) = (vec![Vec::new()], 0);
     for write in writes {

@@ -1,24 +1,24 @@
-//! Requests. Where do requests of clients and of other missions arrive? In one queue, fed by a server for each key.
+//! Requests. One queue for the requests of clients and other missions, fed by a server for each key.
 
 use tokio::sync::mpsc;
 use tokio::task::JoinSet;
 use zenav_protocol::bus::{Bus, BusError, Call};
 use zenav_protocol::topics::MissionRequest;
 
-/// A client's request, and the way back.
+/// A client's request, with the channel for its answer.
 pub(super) type Pending = Call<MissionRequest>;
 
-/// Requests of all asks, in turn.
+/// Requests on all keys, in turn.
 pub(super) struct Requests {
     calls: mpsc::Receiver<Pending>,
-    /// Serve as long as this lives.
+    /// The servers run as long as this lives.
     _servers: JoinSet<()>,
 }
 
 impl Requests {
-    /// Serves a robot's mission asks.
+    /// Serves the mission requests of a robot.
     pub(super) fn open(bus: &Bus, robot: &str) -> Result<Self, BusError> {
-        // One place: whichever server waits longest puts its next request there, so none starves another.
+        // Capacity one: the server that waits longest puts its request next, so none starves another.
         let (sender, calls) = mpsc::channel(1);
         let mut servers = JoinSet::new();
         for mut server in bus.serve_part(&[robot])? {

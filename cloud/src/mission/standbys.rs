@@ -1,8 +1,8 @@
-//! Replication. How do standbys hold what the leader acknowledges, before it does?
+//! Replication. Standbys store what the leader acknowledges, before it does.
 //!
-//! A standby that joins is sent the leader's whole store, in pieces, then every batch of writes. Once it has caught up, the leader has the
-//! robot list it, and waits for it from then on. A standby that does not answer in time is first taken off the robot's list; then the leader
-//! continues without it. So every store on the robot's list holds everything that was acknowledged.
+//! A joining standby is sent the leader's whole store, in pieces, then every batch of writes. Once it has caught up, the leader has the
+//! robot list it, and from then on waits for it. A standby that does not answer in time is first taken off the robot's list; then the
+//! leader continues without it. So every store on the robot's list holds everything that was acknowledged.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -22,9 +22,9 @@ use zenav_mission::membership::Membership;
 use zenav_mission::records::Leadership;
 use zenav_mission::store::{Store, StoreError};
 
-/// A standby that has not stored a batch by then is dropped. Well below the TTL of the lease.
+/// A standby that has not stored a batch within this time is dropped. Well below the TTL of the lease.
 pub(super) const PATIENCE: Duration = Duration::from_millis(400);
-/// Time between two attempts to update the robot's list, while nothing waits for it.
+/// Interval between attempts to update the robot's list while nothing waits for it.
 const RETRY: Duration = Duration::from_millis(500);
 /// Batches in flight to one standby.
 const MAX_BATCHES: usize = 1024;
@@ -49,7 +49,7 @@ pub(super) struct Standbys {
 struct Replicator {
     session: String,
     batches: mpsc::Sender<Arc<Batch>>,
-    /// The newest batch that is on its disk; closed when it does not answer.
+    /// The newest batch on the standby's disk; closed when the standby does not answer.
     stored: watch::Receiver<Option<u64>>,
 }
 
@@ -60,7 +60,7 @@ impl Replicator {
 }
 
 impl Standbys {
-    /// None yet.
+    /// Starts without standbys.
     pub(super) fn new(
         bus: &Bus,
         config: &MissionConfig,
@@ -86,35 +86,36 @@ impl Standbys {
         Arc::clone(&self.store)
     }
 
-    /// Whether any other store may hold all that this leader has acknowledged.
+    /// Whether another store may hold everything that this leader has acknowledged.
     pub(super) fn are_any(&self) -> bool {
         self.membership.is_shared()
     }
 
-    /// Whether a leader that last ran then, or began something then, is to say nothing more.
+    /// Whether a leader that last ran, or began something, at `since` must stay silent.
     pub(super) fn is_held_up(&self, since: Instant) -> bool {
         self.membership.is_held_up(since.elapsed())
     }
 
-    /// The stores that do for sure.
+    /// The stores that certainly hold everything acknowledged.
     pub(super) fn names(&self) -> Vec<String> {
         let members = self.membership.members().iter();
         members.filter(|_| self.membership.is_settled()).cloned().collect()
     }
 
-    /// Takes the epoch under which the robot lets this mission lead.
+    /// Takes the epoch under which the robot has this mission lead.
     pub(super) async fn lead(&mut self, term: Option<u64>, now: Stamp) -> Result<(), StoreError> {
         self.now = now;
         if !self.membership.lead(term) {
             return Ok(());
         }
         self.next_try = Instant::now();
-        // Those who follow are to know the new epoch.
+        // Standbys must learn the new epoch.
         self.send_to_all(Vec::new());
         self.record_leadership(self.membership.is_shared()).await
     }
 
-    /// Takes the robot's word on who leads. A report that this leader has not made was made by a stranger in its name: it reports anew.
+    /// Takes the robot's report on the leader. If this leader did not send the list in it, a stranger sent it in its name, and the leader
+    /// reports again.
     pub(super) fn hear(&mut self, leader: Option<&Leader>) {
         if let Some(leader) = leader
             && self.membership.hear(leader)
@@ -146,7 +147,7 @@ impl Standbys {
         {
             return Ok(());
         }
-        // It begins anew: while it is handed everything it holds nothing whole.
+        // The standby starts over: until the transfer is complete it holds nothing whole.
         if self.membership.members().contains(&request.store) {
             self.drop_standbys(std::slice::from_ref(&request.store));
         }
@@ -192,12 +193,12 @@ impl Standbys {
             now: self.now,
             writes,
         });
-        // One that is too far behind ends.
+        // A standby too far behind is dropped.
         self.replicators
             .retain(|_, replicator| replicator.batches.try_send(Arc::clone(&batch)).is_ok());
     }
 
-    /// Returns once every listed standby has stored the batch, or is off the robot's list.
+    /// Returns once every listed standby has stored the batch or is off the robot's list.
     pub(super) async fn replicate(&mut self, writes: Vec<JournalWrite>) -> Result<(), End> {
         let begun = Instant::now();
         self.membership.next_batch();
@@ -240,7 +241,7 @@ impl Standbys {
         }
     }
 
-    /// Updates the robot's list: who has caught up, and who has been lost.
+    /// Updates the robot's list: adds standbys that have caught up, removes lost ones.
     pub(super) async fn maintain(&mut self) -> Result<(), End> {
         let is_alive = |name: &String| self.replicators.get(name).is_some_and(Replicator::is_alive);
         let members = self.membership.members().iter();
@@ -255,7 +256,7 @@ impl Standbys {
         let new: Vec<String> = ready.map(|(name, _)| name.clone()).collect();
         if !new.is_empty() {
             if !self.membership.is_shared() {
-                // On disk before the robot may let another lead.
+                // On disk before the robot may let another mission lead.
                 self.record_leadership(true).await?;
             }
             self.membership.admit(new);

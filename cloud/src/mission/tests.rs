@@ -1,4 +1,4 @@
-//! Claims about the service on a bus.
+//! Tests of the mission service on a bus.
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
@@ -31,7 +31,7 @@ fn to(id: &str) -> GoalRequest {
     }
 }
 
-/// Keeps the mission's thread busy for longer than a lease lives.
+/// Keeps the mission's thread busy for longer than the TTL of a lease.
 struct Ponder;
 
 impl Leaf<Context> for Ponder {
@@ -41,7 +41,7 @@ impl Leaf<Context> for Ponder {
     }
 }
 
-/// A router, and where it listens.
+/// A router, and its endpoint.
 async fn router() -> (Router, String) {
     // Before any of these tests builds a tree.
     static LEAVES: std::sync::Once = std::sync::Once::new();
@@ -125,7 +125,7 @@ async fn a_goal_is_answered_kept_over_a_restart_and_told_to_whoever_listens() {
     router.close().await;
 }
 
-/// A robot that grants leases and says so, and nothing else.
+/// A robot that grants and reports leases, and nothing else.
 async fn arbiter(bus: Bus, shutdown: Shutdown) {
     let mut book = LeaseArbiter::new(Duration::from_secs(1), 0, None);
     let mut server = bus.serve(&topics::LEASE, &["tiago"]).unwrap();
@@ -181,7 +181,7 @@ fn state() -> EdgeState {
     }
 }
 
-/// A mission as a process has it: its end leaves nothing but its store.
+/// A mission as a process has it: when it ends, only its store remains.
 struct Member {
     store: std::path::PathBuf,
     bus: Bus,
@@ -196,7 +196,7 @@ impl Member {
         Self { store, bus, task }
     }
 
-    /// Ends it in the midst of whatever it does.
+    /// Aborts it in the middle of whatever it does.
     async fn kill(self) -> std::path::PathBuf {
         self.task.abort();
         let _ = self.task.await;
@@ -252,7 +252,7 @@ async fn what_one_mission_has_acknowledged_another_goes_on_with_and_only_one_tha
     .await;
     submit("second").await.unwrap();
 
-    // The leader dies: the other has all goals, also the one from before it came.
+    // The leader dies: the other mission has all goals, including the one from before it joined.
     let a = a.kill().await;
     let took_over = until(&mut status, "the second leads", |status| {
         status.leads && status.epoch > led.epoch
@@ -262,7 +262,7 @@ async fn what_one_mission_has_acknowledged_another_goes_on_with_and_only_one_tha
     known(&["second", "first"]).await;
     submit("third").await.unwrap();
 
-    // Nobody who has missed something leads.
+    // A mission that has missed something does not lead.
     let b = b.kill().await;
     let a = Member::start(&endpoint, a).await;
     let refused = client
@@ -270,7 +270,7 @@ async fn what_one_mission_has_acknowledged_another_goes_on_with_and_only_one_tha
         .await;
     assert_eq!(refused, Err(AskError::Refused(Refusal::NotLeader)));
 
-    // Once it has caught up it may.
+    // Once it has caught up, it may lead.
     let b = Member::start(&endpoint, b).await;
     until(&mut status, "the first has caught up", |status| {
         !status.standbys.is_empty()
@@ -358,7 +358,7 @@ async fn while_no_robot_is_there_one_of_two_new_missions_takes_goals_and_the_oth
     let taken = answers.iter().filter(|answer| answer.result.is_ok()).count();
     assert_eq!((taken, answers.len()), (1, 2), "{answers:?}");
 
-    // The robot comes, and one of them has caught up with the other: no goal is lost, whoever leads.
+    // The robot appears, and one mission has caught up with the other: no goal is lost, whichever leads.
     let shutdown = Shutdown::new();
     let bus = Bus::open(BusConfig::service("edge", &endpoint)).await.unwrap();
     let robot = tokio::spawn(arbiter(bus, shutdown.clone()));

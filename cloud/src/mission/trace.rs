@@ -1,5 +1,5 @@
-//! Mission trace. Which scan does a plan come from? The newest map patch that carries a trace goes on into the next motion request, and its answer
-//! into the plan.
+//! Mission trace. Links a plan to the scan it comes from: the newest traced map patch continues into the next motion request, and the
+//! answer's trace into the plan.
 
 use std::collections::BTreeMap;
 
@@ -7,10 +7,10 @@ use zenav_mission::io::{Answer, NoAnswer, Ticket};
 use zenav_observability::trace::{self, Context, Span};
 use zenav_protocol::messages::MotionReply;
 
-/// Motion requests that are followed at once.
+/// Most motion requests traced at once.
 const MAX_ASKED: usize = 16;
 
-/// What is followed through the mission.
+/// The traces in progress.
 #[derive(Debug)]
 pub(super) struct MissionTrace {
     part: String,
@@ -29,12 +29,12 @@ impl MissionTrace {
         }
     }
 
-    /// A map patch has come.
+    /// A map patch has arrived.
     pub(super) fn heard(&mut self, patch: Option<Context>) {
         self.patch = patch.or(self.patch);
     }
 
-    /// A motion is asked for.
+    /// A motion request is sent.
     pub(super) fn asked(&mut self, ticket: Ticket) {
         let span = self
             .patch
@@ -47,7 +47,7 @@ impl MissionTrace {
         }
     }
 
-    /// Requests are answered.
+    /// Requests have been answered.
     pub(super) fn answers(&mut self, answers: &[(Ticket, Result<Answer, NoAnswer>)]) {
         for (ticket, answer) in answers {
             let Some(mut span) = self.asked.remove(ticket) else {
@@ -67,7 +67,7 @@ impl MissionTrace {
         }
     }
 
-    /// A new plan goes out: what it carries on.
+    /// A new plan is published. Returns the trace to publish it under.
     pub(super) fn planned(&mut self, goal: &str, trajectory: u64) -> Option<Context> {
         let answered = self.answered.take()?;
         let span = trace::child(&answered, &self.part, "plan published")?

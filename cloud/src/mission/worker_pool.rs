@@ -1,8 +1,8 @@
-//! Worker pool. Which of several workers is asked, and when is a second one asked as well?
+//! Worker pool. Chooses which of several workers is asked, and when a second one is asked as well.
 //!
-//! - **Affinity.** A robot's requests go to the same worker as long as that one answers, because it holds a copy of the robot's map and its
-//!   configuration space. Rendezvous hashing (Thaler and Ravishankar, "Using name-based mappings to increase hit rates", IEEE/ACM ToN 1998)
-//!   spreads robots evenly over workers, and moves few of them when a worker comes or goes.
+//! - **Affinity.** A robot's requests go to the same worker as long as that worker answers, because it holds a copy of the robot's map and
+//!   its configuration space. Rendezvous hashing (Thaler and Ravishankar, "Using name-based mappings to increase hit rates", IEEE/ACM ToN
+//!   1998) spreads robots evenly over workers, and moves few of them when a worker joins or leaves.
 //! - **Hedging.** When an answer takes longer than 95 % of the recent ones, a second worker is asked as well, and the first answer counts
 //!   (Dean and Barroso, "The tail at scale", CACM 2013). So a dead, frozen or slow worker costs little, and no goal.
 //! - **Back-off.** A worker that failed, or lost to the second one, is asked after all others for a while that doubles.
@@ -10,18 +10,18 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
-/// Answers whose times are remembered, and the least number that tell a p95.
+/// Number of recent answer times kept, and the least number for a p95.
 const RECENT: usize = 128;
 const ENOUGH: usize = 8;
-/// A second worker is asked no sooner than this: below it, a hiccup of the network looks like a slow worker.
+/// A second worker is asked no sooner than this: below it, network jitter looks like a slow worker.
 const SOONEST: Duration = Duration::from_millis(30);
-/// And after this time while too few answers are known.
+/// And after this time while too few answer times are known.
 const UNKNOWN: Duration = Duration::from_millis(500);
-/// How long a worker is avoided after its first failure, and at most.
+/// Back-off of a worker after its first failure, and at most.
 const FIRST_BACK_OFF: Duration = Duration::from_secs(1);
 const LONGEST_BACK_OFF: Duration = Duration::from_secs(60);
 
-/// A worker that is there.
+/// A live worker.
 #[derive(Clone, Copy, Debug, Default)]
 struct Worker {
     /// Failures since its last answer.
@@ -29,7 +29,7 @@ struct Worker {
     avoided_until: Duration,
 }
 
-/// The workers of a service, as one of its clients knows them. Times are since any one instant.
+/// The workers of a service, as seen by one of its clients. All times count from one fixed instant.
 #[derive(Debug, Default)]
 pub(super) struct WorkerPool {
     workers: BTreeMap<String, Worker>,
@@ -37,7 +37,7 @@ pub(super) struct WorkerPool {
 }
 
 impl WorkerPool {
-    /// A worker came, or left. One that was started anew begins with a clean record.
+    /// A worker joined or left. A restarted worker starts with a clean record.
     pub(super) fn set_live(&mut self, worker: &str, is_live: bool) {
         if is_live {
             self.workers.insert(worker.to_owned(), Worker::default());
@@ -46,12 +46,12 @@ impl WorkerPool {
         }
     }
 
-    /// How many there are.
+    /// Number of workers.
     pub(super) fn len(&self) -> usize {
         self.workers.len()
     }
 
-    /// Whom to ask for a robot, none of those that were tried: its own worker, or the next one where that one is avoided.
+    /// The worker to ask for a robot, none of those tried already: the robot's own, or the next one while that is backed off.
     pub(super) fn choose(&self, robot: &str, tried: &BTreeSet<String>, now: Duration) -> Option<&str> {
         let others = self.workers.iter().filter(|(name, _)| !tried.contains(*name));
         let (name, _) = others.max_by_key(|(name, worker)| (worker.avoided_until <= now, weight(robot, name)))?;
@@ -80,7 +80,7 @@ impl WorkerPool {
         }
     }
 
-    /// A worker gave no answer, or gave it after another one.
+    /// A worker did not answer, or answered later than another.
     pub(super) fn failed(&mut self, worker: &str, now: Duration) {
         if let Some(worker) = self.workers.get_mut(worker) {
             let doubled = FIRST_BACK_OFF.saturating_mul(1 << worker.failures.min(6));

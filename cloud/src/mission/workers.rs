@@ -1,5 +1,5 @@
-//! Workers. Who answers the mission's own requests? The robot, mapping, and of several workers the one that
-//! [`WorkerPool`] chooses, until one answers.
+//! Workers. Sends the mission's own requests: to the robot, to mapping, and to the motion workers that [`WorkerPool`] chooses, until one
+//! answers.
 
 use std::collections::BTreeSet;
 use std::fmt;
@@ -16,11 +16,11 @@ use zenav_protocol::topics;
 
 use super::worker_pool::WorkerPool;
 
-/// What a worker's answer may take beyond its budget.
+/// Time allowed for a worker's answer beyond its budget.
 const ANSWERED: Duration = Duration::from_millis(500);
-/// Workers that are asked the same at once, at most.
+/// Most workers asked the same request at once.
 const AT_ONCE: usize = 2;
-/// Pause before workers are looked for again.
+/// Pause before workers are tried again.
 const NO_WORKER: Duration = Duration::from_millis(100);
 
 /// Sends one request to its server.
@@ -73,7 +73,7 @@ pub(super) async fn carry(bus: &Bus, robot: &str, workers: &Workers, ask: Ask) -
     }
 }
 
-/// What an error tells the mission.
+/// Translates a bus error for the mission.
 fn no(error: AskError) -> NoAnswer {
     match error {
         AskError::Refused(refusal @ (Refusal::Busy { .. } | Refusal::NotLeader)) => {
@@ -84,7 +84,7 @@ fn no(error: AskError) -> NoAnswer {
     }
 }
 
-/// The live workers of a service, as one of its clients knows them.
+/// The live workers of a service, as seen by one of its clients.
 #[derive(Clone)]
 pub struct Workers {
     watch: Arc<Mutex<AliveWatch>>,
@@ -92,7 +92,7 @@ pub struct Workers {
     began: Instant,
 }
 
-/// One worker's answer, or none, and how long it took.
+/// One worker's answer or failure, and how long it took.
 struct Answered {
     worker: String,
     took: Duration,
@@ -106,7 +106,7 @@ impl fmt::Debug for Workers {
 }
 
 impl Workers {
-    /// Watches them come and go.
+    /// Watches workers join and leave.
     ///
     /// # Errors
     /// [`BusError::Closed`].
@@ -123,7 +123,7 @@ impl Workers {
         self.pool.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// How many there are.
+    /// Number of workers.
     pub(super) fn count(&self) -> usize {
         self.pool().len()
     }
@@ -139,10 +139,11 @@ impl Workers {
         }
     }
 
-    /// Asks for a robot's motion: one worker after another, and two at once where the first takes long, until one answers or time is up.
+    /// Asks for a robot's motion: one worker after another, a second one in parallel when the first takes long, until one answers or time
+    /// is up.
     ///
     /// # Errors
-    /// What a worker refused, or why none answered.
+    /// A worker's refusal, or why none answered.
     pub async fn ask(
         &self,
         bus: &Bus,
@@ -153,7 +154,7 @@ impl Workers {
         let each = request.budget() + ANSWERED;
         let end = Instant::now() + patience;
         let mut last = NoAnswer::Silent("no motion worker is there".to_owned());
-        // When this ends, those that are still asked are asked no longer.
+        // Dropping this cancels the requests that are still open.
         let mut asked = JoinSet::new();
         let (mut tried, mut running) = (BTreeSet::new(), BTreeSet::new());
         loop {
@@ -182,10 +183,10 @@ impl Workers {
                     });
                     running.len() < AT_ONCE
                 }
-                // Each that is there broke down over it.
+                // Every live worker has failed, the last one with an internal error.
                 None if running.is_empty() && matches!(last, NoAnswer::Refused(_)) => return Err(last),
                 None if running.is_empty() => {
-                    // All have failed, or there is none: after a pause they all get another chance.
+                    // All have failed, or there is none: after a pause all are tried again.
                     tried.clear();
                     tokio::time::sleep(NO_WORKER.min(left)).await;
                     continue;
@@ -207,7 +208,7 @@ impl Workers {
                 Ok(reply) => {
                     let mut pool = self.pool();
                     pool.answered(&answered.worker, answered.took);
-                    // Who was asked first and is still at it is slow, or frozen.
+                    // A worker asked earlier that still has not answered is slow or frozen.
                     running
                         .iter()
                         .for_each(|worker| pool.failed(worker, self.began.elapsed()));

@@ -1,4 +1,4 @@
-//! Request host. How is one request worked on, away from the async threads and within its budget?
+//! Request host. Runs one request away from the async threads and within its budget.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -9,8 +9,8 @@ use zenav_protocol::messages::Refusal;
 
 use super::worker::Cancel;
 
-/// Runs `work` on a thread that may block. Searches are ended after the first budget, smoothing after the second, both by a shutdown; the
-/// work itself then ends soon. It is given a clock, s.
+/// Runs `work` on a thread that may block. Searches are cancelled after the first budget, smoothing after the second, both by a shutdown;
+/// the work then ends soon. `work` is given a clock, s.
 ///
 /// # Errors
 /// [`Refusal::Internal`] when the work panics.

@@ -1,11 +1,11 @@
-//! Motion service. How does a motion worker live on the network? Requests in; paths, trajectories and search trees out.
+//! Motion service. A motion worker on the network: requests in; paths, trajectories and search trees out.
 //!
 //! | file | answers |
 //! |---|---|
 //! | [`worker`] | which path can the robot drive, and what is its trajectory? Pure |
-//! | `via` | how is a path with stops on its way smoothed? |
-//! | `shown` | what do others see of its work? |
-//! | `host` | how is one request worked on, away from the async threads and within its budget? |
+//! | `via` | how is a path with stops smoothed? |
+//! | `shown` | which results are published for others? |
+//! | `host` | how is one request run, away from the async threads and within its budget? |
 
 mod host;
 mod shown;
@@ -36,16 +36,16 @@ use crate::map_subscriber::MapSubscriber;
 
 /// Name of the service, as in its workers' alive tokens.
 pub const SERVICE: &str = "motion";
-/// How long the whole map may take to come.
+/// Longest wait for the whole map.
 const MAP_DEADLINE: Duration = Duration::from_millis(1500);
-/// A request that has waited for longer is refused: its asker has given up or asks again, and others wait.
+/// A request queued for longer than this is refused: its client has given up or asks again, and other requests wait.
 const STALE: Duration = Duration::from_secs(2);
-/// Most requests that wait; further ones are refused.
+/// Most queued requests; further ones are refused.
 const MAX_WAITING: usize = 256;
-/// Most robots whose zones are kept; those of further ones are refused.
+/// Most robots whose zones are kept; zones of further robots are ignored.
 const MAX_ROBOTS: usize = 16_384;
 
-/// How far beyond the map its copy must reach for a request; `None` where no unknown cell may be driven through.
+/// How far beyond the map its copy must reach for a request; `None` if unknown cells may not be driven through.
 #[must_use]
 pub fn padding(request: &MotionRequest) -> Option<Extent> {
     match request {
@@ -61,7 +61,8 @@ pub fn padding(request: &MotionRequest) -> Option<Extent> {
     }
 }
 
-/// Answers motion requests, on maps with these zones where a robot's own are not known, under a worker's name until shutdown, or until the bus is closed.
+/// Answers motion requests under a worker's name until shutdown, or until the bus is closed. `zones` apply to robots whose own zones are
+/// not known.
 ///
 /// # Errors
 /// [`BusError`] when a key cannot be declared.
@@ -138,7 +139,7 @@ pub async fn run(
     }
 }
 
-/// What became of requests, and how long their phases took.
+/// Outcomes of requests, and durations of their phases.
 struct MotionMetrics {
     search: Histogram,
     smoothing: Histogram,
@@ -147,7 +148,7 @@ struct MotionMetrics {
 impl MotionMetrics {
     fn new() -> Self {
         for outcome in ["found", "no_path", "timed_out", "refused"] {
-            // All of them show from the start.
+            // All outcomes show from the start.
             let _ = MOTION_REQUESTS.with_label_values(&[outcome]);
         }
         Self {
@@ -174,7 +175,7 @@ impl MotionMetrics {
         }
         let outcome = match (answer, plan.map(|plan| &plan.outcome)) {
             (None, _) => "refused",
-            // A path that nobody can drive.
+            // A path that cannot be driven.
             (Some(_), None | Some(PlanOutcome::Found { .. })) if smooth.is_some_and(|it| it.trajectory.is_empty()) => {
                 "no_path"
             }
@@ -186,10 +187,10 @@ impl MotionMetrics {
     }
 }
 
-/// Requests in the order of their arrival; those that have waited too long are refused.
+/// Queue of requests in order of arrival; those queued too long are refused.
 struct Arrivals {
     waiting: mpsc::Receiver<(Instant, Request<MotionRequest, MotionReply>)>,
-    /// Notes when each came, as long as this lives.
+    /// Timestamps arrivals as long as this lives.
     _intake: JoinSet<()>,
 }
 
@@ -234,7 +235,7 @@ fn busy() -> Refusal {
 struct RobotZones {
     annotations: Latest<Annotations>,
     robots: BTreeMap<String, Arc<Zones>>,
-    /// Of robots whose annotations have not come.
+    /// For robots whose annotations have not arrived.
     others: Arc<Zones>,
 }
 
@@ -246,7 +247,7 @@ impl RobotZones {
                 continue;
             };
             match Zones::new(&received.message.zones) {
-                // As long as they are the same the spaces that were made with them are.
+                // Keeping an equal value keeps the spaces that were built with it.
                 Ok(zones) if self.robots.get(&robot).is_some_and(|known| **known == zones) => {}
                 Ok(_) if self.robots.len() >= MAX_ROBOTS && !self.robots.contains_key(&robot) => {
                     tracing::error!(
@@ -280,7 +281,7 @@ mod tests {
 
     const DEADLINE: Duration = Duration::from_secs(20);
 
-    /// A hall of 6 m by 4 m with a wall across that leaves a door.
+    /// A hall of 6 m by 4 m with a wall across it and a door in the wall.
     fn map() -> MapReply {
         let spec = GridSpec {
             origin: Point2::origin(),
@@ -367,8 +368,8 @@ mod tests {
         let PlanOutcome::Found { path, .. } = found.outcome else {
             panic!("no path")
         };
-        // A new publisher tells its first message before it knows of whoever listens, and may miss them with the next
-        // ones. From the first of a record's later ones on none is missed.
+        // A new publisher's first messages may be lost because it does not know its subscribers yet. Once a later record has arrived, none
+        // is missed.
         let shown = tokio::time::timeout(DEADLINE, async {
             let (mut tree, mut first) = (None, None);
             while tree.is_none() || first.is_none() {
@@ -434,7 +435,7 @@ mod tests {
             Ok(MotionReply::Plan(reply)) if reply.outcome == PlanOutcome::OutOfMap
         ));
 
-        // Whoever listens hears what was asked and answered, in order, refusals too.
+        // Subscribers get every request and answer in order, refusals included.
         let mut numbers = vec![first];
         let record = loop {
             let record = tokio::time::timeout(DEADLINE, records.next())

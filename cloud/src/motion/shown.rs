@@ -1,4 +1,4 @@
-//! Shown. What do others see of a worker's work? The search's tree, and each request with its answer.
+//! Shown. Publishes a worker's search tree, and each request with its answer.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -14,12 +14,12 @@ use zenav_space::Zones;
 
 use super::worker::MotionWorker;
 
-/// Robots whose motions are shown at once; beyond it the first by name goes.
+/// Most robots whose motions are published at once; beyond that the first by name is dropped.
 const MAX_SHOWN: usize = 64;
-/// Most edges of a tree that are shown: the first ones, which reach out farthest.
+/// Most published edges of a tree: the first ones, which reach farthest.
 const MAX_EDGES: usize = 20_000;
 
-/// A request that was worked on.
+/// A completed request.
 pub(super) struct Work {
     pub(super) map: Option<MapRef>,
     pub(super) zones: Arc<Zones>,
@@ -28,11 +28,11 @@ pub(super) struct Work {
     pub(super) cut_short: bool,
 }
 
-/// Publishes what was worked on, to whoever looks.
+/// Publishes completed requests to whoever subscribes.
 pub(super) struct Shown {
     clock: Clock,
     worker: Id,
-    /// Requests that were worked on since the start.
+    /// Number of requests since the start.
     number: u64,
     trees: Watched<SearchTree>,
     records: Watched<MotionRecord>,
@@ -49,12 +49,13 @@ impl Shown {
         }
     }
 
-    /// Counts a request. One whose work failed is counted and not shown: what the worker kept is lost with it, and the missing number tells.
+    /// Counts a request. A request whose work failed is counted but not published, since the worker's state is lost with it; the gap in the
+    /// numbers shows it.
     pub(super) fn begin(&mut self) {
         self.number += 1;
     }
 
-    /// Shows the request that was counted last.
+    /// Publishes the request counted last.
     pub(super) fn show(&mut self, worker: &MotionWorker, work: Work) {
         let robot = work.request.map().0.to_owned();
         let stamp = self.clock.now();
@@ -82,7 +83,7 @@ impl Shown {
     }
 }
 
-/// The path that was searched for, empty where there is none; `None` where no path was asked for.
+/// The path found by a search, empty if there is none; `None` for a request without a search.
 fn searched(answer: &Result<MotionReply, Refusal>) -> Option<Vec<nalgebra::Point2<f64>>> {
     let Ok(
         MotionReply::Plan(PlanReply { outcome, .. })
@@ -100,7 +101,7 @@ fn searched(answer: &Result<MotionReply, Refusal>) -> Option<Vec<nalgebra::Point
     })
 }
 
-/// A topic of every robot that few look at.
+/// A per-robot topic with few subscribers.
 struct Watched<T> {
     bus: Bus,
     topic: Topic<T>,
@@ -116,7 +117,7 @@ impl<T: Serialize> Watched<T> {
         }
     }
 
-    /// The robot's publisher, where somebody may look. One that is new cannot know yet.
+    /// The robot's publisher, if there may be subscribers. A new publisher cannot know yet.
     fn publisher(&mut self, robot: &str) -> Option<&Publisher<T>> {
         if !self.publishers.contains_key(robot) {
             if self.publishers.len() >= MAX_SHOWN {

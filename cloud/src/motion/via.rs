@@ -1,10 +1,10 @@
-//! Poses to stop at. How is a path with stops on its way, and with pieces driven backwards, smoothed piece by piece?
+//! Poses to stop at. Smooths a path with stops, and with pieces driven backwards, piece by piece.
 
 use nalgebra::Point2;
 use zenav_protocol::messages::{Certificate, CorridorFigures, LimitUse, PlanStatistics, SolverFigures};
 use zenav_smoothing::Outcome;
 
-/// A path passes a point that is so near to it, m.
+/// A path passes a point if it is this close to it, m.
 const PASSED: f64 = 0.05;
 
 /// A piece of a path, from rest to rest.
@@ -14,12 +14,12 @@ pub(super) struct Piece {
     pub(super) path: Vec<Point2<f64>>,
     /// Whether it is driven backwards.
     pub(super) backwards: bool,
-    /// Whether the next piece goes the other way.
+    /// Whether the next piece goes the opposite way.
     pub(super) ends_in_cusp: bool,
 }
 
 impl Piece {
-    /// The heading to end with, rad: where the next piece goes the other way, that of the last leg. Elsewhere any will do.
+    /// Required final heading, rad: before a cusp, that of the last leg; otherwise any.
     pub(super) fn end_yaw(&self) -> Option<f64> {
         let [.., from, to] = self.path[..] else { return None };
         let along = if self.backwards { from - to } else { to - from };
@@ -27,8 +27,7 @@ impl Piece {
     }
 }
 
-/// A path cut where it changes between forwards and backwards (legs are numbered by the corner that they begin at), and at the points to stop
-/// at.
+/// Cuts a path where it changes between forwards and backwards (legs are numbered by their first corner), and at the points to stop at.
 pub(super) fn pieces(path: &[Point2<f64>], backwards: &[usize], via: &[Point2<f64>]) -> Vec<Piece> {
     let mut is_back = vec![false; path.len()];
     for leg in backwards {
@@ -57,7 +56,7 @@ pub(super) fn pieces(path: &[Point2<f64>], backwards: &[usize], via: &[Point2<f6
     pieces
 }
 
-/// A path cut at the points to stop at. One that the path does not pass, and one at its beginning or end, is left out.
+/// Cuts a path at the points to stop at. Points off the path, or at its beginning or end, are ignored.
 fn cut(path: &[Point2<f64>], via: &[Point2<f64>]) -> Vec<Vec<Point2<f64>>> {
     let mut pieces = Vec::new();
     let mut rest = path.to_vec();
@@ -83,8 +82,8 @@ fn cut(path: &[Point2<f64>], via: &[Point2<f64>]) -> Vec<Vec<Point2<f64>>> {
     pieces
 }
 
-/// Of one piece and the next: times, lengths and energies add up, the least clearance counts, the status of the first that is not smooth, and what
-/// the certificate says of both.
+/// Combines the statistics of consecutive pieces: times, lengths and energies add up; the least clearance counts; the status is the first
+/// that is not smooth; the certificate covers both.
 pub(super) fn sum(before: PlanStatistics, piece: PlanStatistics) -> PlanStatistics {
     if before.status.is_empty() {
         return piece;
@@ -114,7 +113,7 @@ pub(super) fn sum(before: PlanStatistics, piece: PlanStatistics) -> PlanStatisti
     }
 }
 
-/// What holds for both: the largest use of each limit, the narrowest corridor, the law and the solver that fell short.
+/// The certificate of both: the largest use of each limit, the narrowest corridor, the law and the solver that fell short.
 fn both(before: Certificate, piece: Certificate) -> Certificate {
     let corridor = |a: CorridorFigures, b: CorridorFigures| CorridorFigures {
         polygons: a.polygons + b.polygons,
@@ -154,7 +153,7 @@ fn both(before: Certificate, piece: Certificate) -> Certificate {
     }
 }
 
-/// The status that is told of two: that of the problem that was not solved.
+/// The status to report for two pieces: that of the problem that was not solved.
 fn worse(a: String, b: String) -> String {
     if b.is_empty() || !(a.is_empty() || a == "Solved") {
         a

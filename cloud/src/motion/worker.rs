@@ -1,6 +1,6 @@
-//! Motion worker. Which path can the robot drive, and what is its trajectory?
+//! Motion worker. Computes a path that the robot can drive, and its trajectory.
 //!
-//! Pure: a request, a copy of the map, a clock for the statistics, and flags that end a phase early, in; a reply out.
+//! Pure: a request, a copy of the map, a clock for the statistics, and flags that end a phase early go in; a reply comes out.
 
 use std::collections::VecDeque;
 use std::f64::consts::PI;
@@ -26,18 +26,18 @@ use zenav_space::{ConfigurationSpace, Fit, SpaceCache, UnknownPolicy, Zones};
 
 use super::via::{Piece, pieces, sum};
 
-/// Robots and maps that searches are kept for.
+/// Most robots and maps whose searches are kept.
 const MAX_REPLANNERS: usize = 4;
 /// Most corner points of a given path, and most poses to pass.
 const MAX_POINTS: usize = 100_000;
 const MAX_VIA: usize = 1000;
-/// Farthest that a robot may be told to leave an obstacle by, or to end beside its goal, m.
+/// Farthest that a robot may be told to move out of an obstacle, or to end beside its goal, m.
 const FARTHEST: f64 = 10.0;
-/// Room beside a path past other robots, m.
+/// Room kept free beside a path past other robots, m.
 const BESIDE: f64 = 0.05;
 /// Longest path that is smoothed, m.
 const LONGEST: f64 = 20_000.0;
-/// Wheels that run faster than so many times their top speed, and a bit (m/s), are mistaken.
+/// Wheel speeds above this multiple of the top speed, plus a margin (m/s), are taken for an error.
 const TOO_FAST: (f64, f64) = (2.0, 0.5);
 
 /// Settings of a motion worker's libraries.
@@ -50,12 +50,12 @@ pub struct MotionSettings {
     pub smoothing: SmoothingSettings,
 }
 
-/// Ends the phases of an answer early. The worker knows no time: whoever runs it sets these.
+/// Ends the phases of an answer early. The worker has no clock for this: its host sets the flags.
 #[derive(Debug, Default)]
 pub struct Cancel {
-    /// Ends searches: there is no path then.
+    /// Ends searches: the answer then has no path.
     pub search: AtomicBool,
-    /// Ends smoothing: the path goes out unsmoothed then.
+    /// Ends smoothing: the answer then has the path unsmoothed.
     pub smoothing: AtomicBool,
 }
 
@@ -66,7 +66,7 @@ impl Cancel {
         self.smoothing.store(true, Ordering::Relaxed);
     }
 
-    /// Whether a phase that this request has was ended, or would have been had it still run.
+    /// Whether a phase of this request was cancelled, or would have been if it were still running.
     #[must_use]
     pub fn has_cut_short(&self, request: &MotionRequest) -> bool {
         let searches = !matches!(request, MotionRequest::Smooth(_));
@@ -74,18 +74,18 @@ impl Cancel {
     }
 }
 
-/// Answers motion requests one after the other; keeps the configuration spaces and searches that it prepared.
+/// Answers motion requests one after the other; keeps the configuration spaces and searches it has prepared.
 #[derive(Debug, Default)]
 pub struct MotionWorker {
     spaces: SpaceCache,
     settings: MotionSettings,
-    /// The one used last comes first.
+    /// Most recently used first.
     replanners: VecDeque<Kept>,
-    /// Whether the last answer was searched for.
+    /// Whether the last answer came from a search.
     searched: bool,
 }
 
-/// What is kept of a map for a footprint.
+/// The search kept for a map and a footprint.
 #[derive(Debug)]
 struct Kept {
     map: String,
@@ -95,10 +95,10 @@ struct Kept {
     replanner: Replanner,
 }
 
-/// What an answer is worked out with.
+/// The inputs of an answer besides the request.
 struct Given<'a> {
     map: Option<&'a MapReplica>,
-    /// Where other robots are when this one passes them: center and radius of discs, map frame, m.
+    /// Discs that other robots occupy when this one passes them: center and radius, map frame, m.
     taken: Vec<(Point2<f64>, f64)>,
     clock: &'a mut dyn FnMut() -> f64,
     cancel: &'a Cancel,
@@ -115,23 +115,23 @@ impl MotionWorker {
         }
     }
 
-    /// From now on maps have these zones.
+    /// Sets the zones of all further maps.
     pub fn set_zones(&mut self, zones: Arc<Zones>) {
         self.spaces.set_zones(zones);
     }
 
-    /// Edges of the trees that the last search grew, map frame, m, at most `limit` of them; none after a search on the grid.
+    /// Edges of the trees grown by the last search, map frame, m, at most `limit` of them; none after a search on the grid.
     #[must_use]
     pub fn tree(&self, limit: usize) -> Vec<[Point2<f64>; 2]> {
         let last = self.replanners.front().filter(|_| self.searched);
         last.map(|kept| kept.replanner.tree(limit)).unwrap_or_default()
     }
 
-    /// Answers a request on a copy of the robot's map. `clock` (s) tells times for the statistics only.
+    /// Answers a request on a copy of the robot's map. `clock` (s) is used for the statistics only.
     ///
     /// # Errors
-    /// [`Refusal::BadRequest`] for numbers that are not finite, too many points, a robot that cannot be, and a planner that there is
-    /// not; [`Refusal::NotFound`] where a path is to be smoothed without a map.
+    /// [`Refusal::BadRequest`] for numbers that are not finite, too many points, an impossible robot, and an unknown planner;
+    /// [`Refusal::NotFound`] for smoothing without a map.
     pub fn answer(
         &mut self,
         map: Option<&MapReplica>,
@@ -159,8 +159,8 @@ impl MotionWorker {
         }
         let mut plan = self.plan(given, &request.plan)?;
         let mut smooth = self.smooth_found(given, request, &plan)?;
-        // The planner looks at straight legs and turns on the spot; in the end the goal's heading, or what the robot's speed asks of the
-        // start, may need more room than that: a path with room for a larger disc gives it.
+        // The planner checks straight legs and turns on the spot. The heading at the goal, or the robot's speed at the start, may need more
+        // room in the end; a path for a larger disc has it.
         for radius in larger_discs(&request.plan.model.footprint) {
             let is_late = given.cancel.smoothing.load(Ordering::Relaxed);
             if is_late || !smooth.as_ref().is_some_and(|reply| reply.trajectory.is_empty()) {
@@ -181,8 +181,8 @@ impl MotionWorker {
         })
     }
 
-    /// A path past the robots that go first, and its trajectory. `None` where there is nobody to give way to, where poses are to be passed, and
-    /// where the robot would have to pass a place without room to turn.
+    /// A path past the robots that have right of way, and its trajectory. `None` if there are none, if the request has poses to pass, or if
+    /// every path leads through a place without room to turn.
     fn past_others(
         &mut self,
         given: &mut Given<'_>,
@@ -250,7 +250,7 @@ impl MotionWorker {
         }))
     }
 
-    /// The trajectory along the path of an answer; `None` where there is no path.
+    /// The trajectory along the path of an answer; `None` if there is no path.
     fn smooth_found(
         &mut self,
         given: &mut Given<'_>,
@@ -266,7 +266,7 @@ impl MotionWorker {
         }
     }
 
-    /// A path through all poses that are to be passed.
+    /// A path through all requested poses.
     fn plan(&mut self, given: &mut Given<'_>, request: &PlanRequest) -> Result<PlanReply, Refusal> {
         let map = given.map;
         let planner: Planner = request.planner.parse().map_err(Refusal::bad_request)?;
@@ -307,7 +307,7 @@ impl MotionWorker {
         let began = (given.clock)();
         let (mut whole, mut total): (Vec<Point2<f64>>, f64) = (Vec::new(), 0.0);
         let policy = UnknownPolicy::of(request.unknown_is_free);
-        // Another map than the robot's: nothing of it is kept.
+        // A modified copy of the robot's map, so nothing of it is kept.
         let without = (!cleared.is_empty()).then(|| self.spaces.cleared(map, &model.footprint, policy, cleared));
         for (leg, ends) in poses.windows(2).enumerate() {
             let [start, goal] = [ends[0], ends[1]];
@@ -334,7 +334,7 @@ impl MotionWorker {
                 reply.search_ms = ((given.clock)() - began) * 1e3;
                 return Ok(reply);
             };
-            // One leg ends where the next begins.
+            // Each leg ends where the next begins.
             let before = whole.len().saturating_sub(1);
             reply
                 .backwards
@@ -350,7 +350,7 @@ impl MotionWorker {
         Ok(reply)
     }
 
-    /// A path between two poses: a tight one where there is no roomy one.
+    /// A path between two poses; a tight one if there is no roomy one.
     fn leg(
         &mut self,
         map: &MapReplica,
@@ -493,7 +493,7 @@ impl MotionWorker {
             } else {
                 piece.end_yaw()
             };
-            // Backwards is forwards for the robot that takes its rear for its front.
+            // Driving backwards is driving forwards for a robot turned by 180°.
             let query = SmoothQuery {
                 path,
                 start: if *backwards { start.turned() } else { start },
@@ -531,7 +531,8 @@ impl MotionWorker {
     }
 }
 
-/// Radii of the discs to plan for where the path of a polygon cannot be driven: halfway to the circumscribed one, and that one, m.
+/// Radii of the discs to plan for when a polygon's path cannot be driven: halfway to the circumscribed radius, then the circumscribed
+/// radius, m.
 fn larger_discs(footprint: &Footprint) -> Vec<f64> {
     match footprint {
         Footprint::Radius(_) => Vec::new(),

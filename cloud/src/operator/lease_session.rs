@@ -1,4 +1,4 @@
-//! Lease of an operator. How is it kept? By heartbeats until it is released; when they stop, it expires on the robot.
+//! Lease of an operator. Kept by heartbeats until it is released; when they stop, it expires on the robot.
 
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
@@ -9,15 +9,15 @@ use zenav_protocol::id::Id;
 use zenav_protocol::messages::{Heartbeat, LeaseAction, LeaseReply, LeaseRequest, LeaseRole};
 use zenav_protocol::topics;
 
-/// Heartbeats a second; the robot waits for one a second at most.
+/// Period of the heartbeats; the robot waits up to a second for one.
 const PERIOD: Duration = Duration::from_millis(50);
-/// Giving back is a courtesy: the lease ends by itself.
+/// Releasing is a courtesy: the lease expires by itself.
 const RELEASE_WITHIN: Duration = Duration::from_millis(800);
 
-/// Asks for the operator's lease, or gives it back.
+/// Acquires or releases the operator's lease.
 ///
 /// # Errors
-/// [`AskError::Refused`] where somebody else may not lose it; no answer within the time.
+/// [`AskError::Refused`] if the present holder keeps the lease; no answer in time.
 pub async fn ask_lease(
     bus: &Bus,
     robot: &str,
@@ -35,20 +35,20 @@ pub struct LeaseSession {
     bus: Bus,
     robot: String,
     holder: String,
-    /// What the robot granted.
+    /// The robot's grant.
     pub grant: LeaseReply,
     heartbeats: JoinHandle<()>,
 }
 
 impl LeaseSession {
-    /// Takes the lease and begins to renew it.
+    /// Acquires the lease and begins to renew it.
     ///
     /// # Errors
     /// As [`ask_lease`].
     pub async fn acquire(bus: &Bus, robot: &str, holder: &str, within: Duration) -> Result<Self, AskError> {
         let publisher = bus.publisher(&topics::HEARTBEAT, &[robot])?;
         let grant = ask_lease(bus, robot, holder, LeaseAction::Acquire, within).await?;
-        // A holder who asks again, from another process too, may get the same epoch: the count goes on above what was sent before.
+        // A holder that acquires again, maybe from another process, may get the same epoch: the counter must exceed all sent before.
         let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let mut heartbeat = Heartbeat {
             holder: holder.to_owned(),
@@ -74,10 +74,10 @@ impl LeaseSession {
         })
     }
 
-    /// Gives the lease back.
+    /// Releases the lease.
     ///
     /// # Errors
-    /// As [`ask_lease`]; the lease then ends by itself.
+    /// As [`ask_lease`]; the lease then expires by itself.
     pub async fn release(self) -> Result<(), AskError> {
         self.heartbeats.abort();
         let (bus, robot, holder) = (&self.bus, &self.robot, &self.holder);

@@ -1,8 +1,8 @@
-//! Operator. Under which epoch does a person's command change something of a robot?
+//! Operator. The epoch under which an operator's command changes a robot.
 //!
-//! What changes a robot, its map or what is drawn on it carries the epoch of the lease in force. What a robot that drives need not notice is
-//! changed under the epoch of whoever commands ([`in_force`]). What pulls the ground from under its plan is changed under the operator's own
-//! lease ([`at_rest`]): the robot is at rest then, and its mission plans anew once the lease is given back.
+//! Every change of a robot, its map or the annotations on it carries the epoch of the lease in force. A change that a driving robot need
+//! not notice is made under the present holder's epoch ([`in_force`]). A change that invalidates its plan is made under the operator's own
+//! lease ([`at_rest`]): the robot is then at rest, and its mission replans once the lease is released.
 //!
 //! | file | answers |
 //! |---|---|
@@ -19,24 +19,24 @@ use zenav_protocol::topics;
 
 pub use lease_session::{LeaseSession, ask_lease};
 
-/// A robot that is there publishes its state within this time.
+/// A robot that is present publishes its state within this time.
 const STATE_WITHIN: Duration = Duration::from_millis(1500);
-/// Pause before a refused epoch is tried again: others have not heard of the newest grant yet.
+/// Pause before a refused epoch is tried again: other parts may not know the newest grant yet.
 const AGAIN: Duration = Duration::from_millis(100);
 
-/// An epoch under which a robot may be commanded, and the lease where it is our own.
+/// An epoch under which a robot may be commanded, and our own lease if we hold it.
 #[derive(Debug)]
 pub struct Authority {
-    /// The epoch that requests carry; `None` while there is no robot that could be commanded.
+    /// The epoch for requests; `None` while there is no robot to command.
     pub epoch: Option<u64>,
     session: Option<LeaseSession>,
 }
 
 impl Authority {
-    /// The operator's lease: the one that `holder` has already, a new one otherwise.
+    /// The operator's lease: the one that `holder` already has, otherwise a new one.
     ///
     /// # Errors
-    /// When somebody else operates the robot, or it does not answer.
+    /// If another operator holds the robot, or it does not answer.
     pub async fn acquire(bus: &Bus, robot: &str, holder: &str, within: Duration) -> Result<Self, AskError> {
         let Some(state) = heard(bus, robot).await? else {
             return Ok(Self {
@@ -59,26 +59,26 @@ impl Authority {
         })
     }
 
-    /// Gives the lease back, where it was taken for this.
+    /// Releases the lease if it was acquired here.
     pub async fn release(self) {
         if let Some(session) = self.session {
-            // It ends by itself when nobody renews it.
+            // Without renewal the lease expires by itself.
             let _ = session.release().await;
         }
     }
 }
 
-/// The robot's newest state; `None` for a robot that is not there.
+/// The robot's newest state; `None` if the robot is absent.
 async fn heard(bus: &Bus, robot: &str) -> Result<Option<EdgeState>, AskError> {
     let mut states = bus.latest(&topics::STATE, &[robot])?;
     let next = timeout(STATE_WITHIN, states.next()).await;
     Ok(next.ok().flatten().map(|received| received.message))
 }
 
-/// Asks under the epoch of the lease in force, whoever holds it; again while that is changing.
+/// Makes a request under the epoch of the lease in force, whoever holds it; retries while the epoch is changing.
 ///
 /// # Errors
-/// The ask's own.
+/// Those of the request.
 pub async fn in_force<R, F>(
     bus: &Bus,
     robot: &str,
@@ -99,7 +99,7 @@ where
     }
 }
 
-/// As [`in_force`], for what the robot itself refuses without a lease: where nobody holds it, the operator's is taken for this.
+/// As [`in_force`], for changes that the robot itself refuses without a lease: if nobody holds it, the operator's lease is taken.
 ///
 /// # Errors
 /// As [`in_force`] and [`Authority::acquire`].
@@ -121,10 +121,10 @@ where
     }
 }
 
-/// Asks under the operator's lease, which is given back at once: the robot comes to rest for it.
+/// Makes a request under the operator's lease and releases it at once. The robot comes to rest for it.
 ///
 /// # Errors
-/// As [`Authority::acquire`], or the ask's own.
+/// As [`Authority::acquire`], or those of the request.
 pub async fn at_rest<R, F>(
     bus: &Bus,
     robot: &str,
@@ -139,7 +139,7 @@ where
     let until = Instant::now() + within;
     let answer = loop {
         match ask(authority.epoch).await {
-            // Whoever is asked has not heard of the grant yet.
+            // The recipient does not know the grant yet.
             Err(AskError::Refused(Refusal::WrongEpoch { .. })) if Instant::now() < until => sleep(AGAIN).await,
             answer => break answer,
         }

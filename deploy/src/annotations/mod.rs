@@ -1,5 +1,5 @@
-//! `zenav place` and `zenav zone`. What have people drawn on the map of a running robot, and how is it changed? By asking its mapping service,
-//! which stores it and tells missions, motion workers and the mission-control page.
+//! `zenav place` and `zenav zone`. Show and change the annotations on a running robot's map by asking its mapping service, which stores
+//! them and passes them to missions, motion workers and the mission-control page.
 //!
 //! | file | answers |
 //! |---|---|
@@ -28,7 +28,7 @@ pub(crate) async fn read(bus: &Bus, robot: &str, within: Duration) -> Result<Ann
     Ok(bus.ask(&topics::ANNOTATE, &[robot], &request, within).await?)
 }
 
-/// Changes them under the lease in force: a robot that drives goes on.
+/// Changes the annotations under the lease in force: a moving robot drives on.
 async fn change(bus: &Bus, robot: &str, within: Duration, action: AnnotateAction) -> Result<Annotations, Failure> {
     let request_id = Some(fresh_id("annotate"));
     let ask = async |epoch| {

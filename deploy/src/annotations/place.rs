@@ -1,4 +1,4 @@
-//! `zenav place`. Which named goals has the map of a robot?
+//! `zenav place`. Named goals on a robot's map.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -17,7 +17,7 @@ use crate::exit_code;
 use crate::failure::Outcome;
 use crate::output::{self, Format};
 
-/// Longest wait for map and robot, to look at a place in it.
+/// Longest wait for map and robot, to check a place against them.
 const LOOK_WITHIN: Duration = Duration::from_secs(2);
 
 /// Named places.
@@ -38,9 +38,9 @@ pub struct PlaceArgs {
 
 #[derive(Debug, clap::Subcommand)]
 enum PlaceCommand {
-    /// List the places that a goal may name
+    /// List the places that goals may name
     List,
-    /// Add a place, or move the one of this name
+    /// Add a place, or move the existing one of this name
     Add {
         /// Name of the place
         name: String,
@@ -50,11 +50,11 @@ enum PlaceCommand {
         /// Map y, m
         #[arg(value_parser = finite)]
         y: f64,
-        /// Heading of a robot that goes there, rad [default: any]
+        /// Heading of the robot at the place, rad [default: any]
         #[arg(value_parser = heading)]
         yaw: Option<f64>,
     },
-    /// Remove a place, also one of the world
+    /// Remove a place, including one that the world file defines
     Remove {
         /// Name of the place
         #[arg(add = completion::places())]
@@ -65,7 +65,7 @@ enum PlaceCommand {
 /// Lists, adds and removes places.
 ///
 /// # Errors
-/// [`exit_code::NOT_FOUND`] for an unknown place, [`exit_code::USAGE`] for a name or numbers that cannot be.
+/// [`exit_code::NOT_FOUND`] for an unknown place, [`exit_code::USAGE`] for an invalid name or number.
 pub fn place(args: &PlaceArgs) -> Outcome {
     let patience = args.robot.link.patience();
     connect::on_robot(&args.robot, async |bus, robot| {
@@ -110,7 +110,7 @@ pub fn place(args: &PlaceArgs) -> Outcome {
     })
 }
 
-/// What speaks against a goal at a point, if anything does; `None` where map or robot do not answer.
+/// Why a goal at this point would fail, if it would; outer `None` if map or robot do not answer.
 async fn doubt(bus: &Bus, robot: &str, at: Point2<f64>) -> Option<Option<&'static str>> {
     let map = bus
         .ask(&topics::MAP, &[robot], &MapRequest::default(), LOOK_WITHIN)
@@ -128,7 +128,7 @@ async fn doubt(bus: &Bus, robot: &str, at: Point2<f64>) -> Option<Option<&'stati
     Some((!fits).then_some("is where the robot does not fit"))
 }
 
-/// A name as a shell takes it for one word.
+/// A name quoted so that a shell takes it as one word.
 fn quoted(name: &str) -> Cow<'_, str> {
     let plain = |letter: char| letter.is_alphanumeric() || "-_.".contains(letter);
     match name.chars().all(plain) {

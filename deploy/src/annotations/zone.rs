@@ -1,4 +1,4 @@
-//! `zenav zone`. Where on the map of a robot may it not be, and where must it be slow?
+//! `zenav zone`. Zones of a robot's map that it must not enter, or must drive through slowly.
 
 use nalgebra::Point2;
 use zenav_protocol::messages::{AnnotateAction, Zone, ZoneRule};
@@ -30,9 +30,9 @@ pub struct ZoneArgs {
 enum ZoneCommand {
     /// List the zones
     List,
-    /// Add a zone, or replace the one of this name
+    /// Add a zone, or replace the existing one of this name
     Add(AddArgs),
-    /// Remove a zone, also one of the deployment's file
+    /// Remove a zone, including one from the deployment's file
     Remove {
         /// Name of the zone
         #[arg(add = completion::zones())]
@@ -47,7 +47,7 @@ enum ZoneCommand {
 struct AddArgs {
     /// Name of the zone
     name: String,
-    /// No part of a robot enters
+    /// Keep every part of a robot out of the zone
     #[arg(long)]
     keep_out: bool,
     /// Largest speed while the robot's centre is inside, m/s
@@ -61,7 +61,7 @@ struct AddArgs {
 /// Lists, adds and removes zones.
 ///
 /// # Errors
-/// [`exit_code::NOT_FOUND`] for an unknown zone, [`exit_code::USAGE`] for a polygon that cannot be.
+/// [`exit_code::NOT_FOUND`] for an unknown zone, [`exit_code::USAGE`] for an invalid polygon.
 pub fn zone(args: &ZoneArgs) -> Outcome {
     let patience = args.robot.link.patience();
     connect::on_robot(&args.robot, async |bus, robot| {
@@ -102,7 +102,7 @@ impl AddArgs {
             rule,
             points: pairs.iter().copied().map(Point2::from).collect(),
         };
-        // The same check as at the service, before anything is sent.
+        // The mapping service makes the same check; here it runs before anything is sent.
         zenav_space::Zones::new(std::slice::from_ref(&zone)).map_err(Failure::usage)?;
         Ok(zone)
     }

@@ -1,4 +1,4 @@
-//! The simulator's commands. How much can this machine simulate? Rays per second and real-time factor.
+//! The simulator's commands. Measures rays per second and the real-time factor, draws worlds, and serves one.
 
 use std::time::Duration;
 
@@ -13,7 +13,7 @@ use crate::files;
 use crate::output::{self, Format};
 use crate::world_server::{self, ServeArgs};
 
-/// Most robots in one world here.
+/// Most robots in one world.
 const MAX_ROBOTS: usize = zenav_sim::simulation::MAX_ROBOTS;
 
 /// The simulator.
@@ -28,29 +28,29 @@ pub struct SimArgs {
 
 #[derive(Debug, clap::Subcommand)]
 enum SimCommand {
-    /// Measure rays a second and the real-time factor
+    /// Measure rays per second and the real-time factor
     Bench(SimBenchArgs),
     /// Draw a world with its robots, movers and doors as a PNG
     Show(ShowArgs),
-    /// Hold one world for robots on several machines
+    /// Serve one world for robots on several machines
     Serve(ServeArgs),
 }
 
 #[derive(Debug, clap::Args)]
 struct SimBenchArgs {
-    /// World: a file or shipped name [default: a floor with room for all robots, and things to see]
+    /// World: a file or shipped name [default: a floor with space for all robots, and obstacles]
     #[arg(long, value_name = "W")]
     world: Option<String>,
     /// Robot: a file or shipped name
     #[arg(long, value_name = "R", default_value = "tiago")]
     robot: String,
-    /// Robots in the world, as far as there is room
+    /// Robots in the world, as many as fit
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = connect::whole::<usize>)]
     robots: usize,
     /// Beams of each lidar [default: the robot's own]
     #[arg(long, value_name = "B", value_parser = connect::whole::<usize>)]
     beams: Option<usize>,
-    /// Scans a second of each lidar
+    /// Scans per second of each lidar
     #[arg(long, value_name = "HZ", default_value_t = 10.0, value_parser = positive)]
     rate: f64,
     /// Simulated time, s
@@ -64,7 +64,7 @@ struct SimBenchArgs {
 /// Runs a command of the simulator.
 ///
 /// # Errors
-/// [`exit_code::USAGE`] for a world, robot or number that cannot be; a taken port.
+/// [`exit_code::USAGE`] for an invalid world, robot or number; a taken port.
 pub fn sim(args: &SimArgs) -> Outcome {
     match &args.command {
         SimCommand::Bench(args) => bench_simulator(args),

@@ -1,10 +1,10 @@
-//! Offline commands. What can be done in batches without a robot? Planning, smoothing, simulating.
+//! Offline commands. Batch planning and smoothing, and simulation, without a robot.
 //!
 //! | file | answers |
 //! |---|---|
-//! | `queries` | which paths are asked for? (lines of cells, or a Moving AI `.scen`) |
-//! | `watchdog` | how is a search ended in time? |
-//! | `plan` | `zenav plan`: searches alone |
+//! | `queries` | the queries of a batch (lines of cells, or a Moving AI `.scen`) |
+//! | `watchdog` | how is a search stopped at its time limit? |
+//! | `plan` | `zenav plan`: search only |
 //! | `smooth` | `zenav smooth`: search, corridor, geometry, time law |
 //! | `bench` | `zenav sim bench` |
 //! | `show` | `zenav sim show`: a picture of a world |
@@ -34,12 +34,12 @@ use zenav_protocol::grid::OccupancyGrid;
 use crate::failure::Failure;
 use crate::{files, output};
 
-/// A bar on a terminal, else nothing.
+/// A progress bar on a terminal, otherwise nothing.
 pub(crate) fn progress(length: usize) -> ProgressBar {
     output::progress(ProgressBar::new(length as u64), "{bar:40} {pos}/{len} {eta}")
 }
 
-/// The map, at the resolution asked for where its file does not say one.
+/// The map; `resolution` applies if its file gives none.
 fn read_map(path: &Path, resolution: Option<f64>) -> Result<OccupancyGrid, Failure> {
     match resolution {
         Some(resolution) if path.is_file() => map_file::read_map(path, resolution).map_err(Failure::usage),
@@ -47,13 +47,13 @@ fn read_map(path: &Path, resolution: Option<f64>) -> Result<OccupancyGrid, Failu
     }
 }
 
-/// A planner by name; the error names those that there are.
+/// A planner by name; the error lists the known ones.
 fn planner(name: &str) -> Result<Planner, String> {
     name.parse()
         .map_err(|error: zenav_planning::UnknownPlanner| error.to_string())
 }
 
-/// A file of results: written line by line, complete once [`Results::finish`] was called. `-` is stdout.
+/// A results file, written line by line; complete only after [`Results::finish`]. `-` is stdout.
 struct Results {
     path: PathBuf,
     out: Box<dyn Write>,
@@ -84,27 +84,27 @@ impl Results {
 
     fn written(&self, result: std::io::Result<()>) -> Result<(), Failure> {
         match result {
-            // Whoever reads stdout has seen enough (`zenav plan … | head`).
+            // The reader of stdout has closed it (`zenav plan … | head`).
             Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => std::process::exit(0),
             result => result.map_err(Failure::failed_at(&self.path)),
         }
     }
 }
 
-/// What this thread has computed so far: one core is timed, whatever else the machine does.
+/// Processor time of this thread: one core, independent of other load on the machine.
 pub(crate) fn thread_time() -> Duration {
     let time = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
     Duration::try_from(time).unwrap_or_default()
 }
 
-/// A folder for one file a query, made where it is missing.
+/// Creates the folder for one file per query, if missing.
 fn folder(path: Option<&Path>) -> Result<(), Failure> {
     path.map_or(Ok(()), |path| {
         std::fs::create_dir_all(path).map_err(Failure::failed_at(path))
     })
 }
 
-/// The value in the middle; NaN for none.
+/// The median; NaN for no values.
 pub(crate) fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied().unwrap_or(f64::NAN)

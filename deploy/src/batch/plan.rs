@@ -1,4 +1,4 @@
-//! `zenav plan`: a batch of planning queries on one map. How long did each search take, how long is its path, was one found?
+//! `zenav plan`: a batch of planning queries on one map. Reports for each whether a path was found, its length, and the search time.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -17,9 +17,9 @@ use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
 
-/// Samples with which a path is improved at most: about 100 MB.
+/// Most samples for improving a path: about 100 MB.
 const MOST_SAMPLES: u64 = 1_000_000;
-/// Relative difference up to which a path is as short as the optimum.
+/// Relative difference within which a path counts as optimal.
 const SAME: f64 = 1e-4;
 
 /// Offline planning.
@@ -56,15 +56,15 @@ pub struct PlanArgs {
     /// Seed of sampling-based planners
     #[arg(long, default_value_t = 1, value_parser = connect::whole::<u64>)]
     seed: u64,
-    /// Unknown cells may be driven through
+    /// Treat unknown cells as free
     #[arg(long)]
     unknown_is_free: bool,
-    /// Side of a cell where the map does not say, m
+    /// Side of a cell if the map does not give it, m
     #[arg(long, value_name = "M", value_parser = positive)]
     resolution: Option<f64>,
 }
 
-/// Answers all queries of a file.
+/// Runs all queries of a file.
 ///
 /// # Errors
 /// [`exit_code::NOT_FOUND`] for missing files, [`exit_code::USAGE`] for bad ones.
@@ -76,7 +76,7 @@ pub fn plan(args: &PlanArgs) -> Outcome {
     let spec = *grid.spec();
     drop(grid);
     let mut searcher = Searcher::new(ground.free()).map_err(Failure::usage_at(&args.map))?;
-    // Here the time limit ends a search, nobody waits for it.
+    // The time limit ends a search here, so the limit on samples can be large.
     searcher.sampling.improving = MOST_SAMPLES;
     let watchdog = args.time_limit_ms.and_then(Watchdog::of_millis);
     folder(args.paths.as_deref())?;
@@ -107,7 +107,7 @@ pub fn plan(args: &PlanArgs) -> Outcome {
     Ok(exit_code::OK)
 }
 
-/// Where a point, or a robot, may be.
+/// Space in which a point, or a robot, is planned.
 enum Ground {
     Point { free: BitGrid, sight: PointLineOfSight },
     Robot(Box<ConfigurationSpace>),
@@ -155,9 +155,9 @@ impl Ground {
     }
 }
 
-/// What one query gave.
+/// Result of one query.
 struct Answer {
-    /// Time around the search alone, µs.
+    /// Time of the search alone, µs.
     micros: f64,
     found: Option<zenav_planning::Path>,
     expansions: u64,
@@ -197,8 +197,8 @@ fn answer(
     }
 }
 
-/// The path in the map file's cells, rows from the top, whole numbers at centres: every cell that a straight or diagonal leg passes,
-/// the ends of any other leg. No line for a path that was not found.
+/// The path in cells of the map file, rows from the top, integers at cell centres: every cell on a straight or diagonal leg, the ends of
+/// any other leg. An empty file if no path was found.
 fn write_path(path: &Path, spec: &GridSpec, found: Option<&zenav_planning::Path>) -> Result<(), Failure> {
     let mut file = Results::create(path)?;
     for point in found.map(points).unwrap_or_default() {
@@ -223,7 +223,7 @@ fn points(found: &zenav_planning::Path) -> Vec<Point2<f64>> {
     points
 }
 
-/// What all queries gave.
+/// Results of all queries.
 #[derive(Default)]
 struct Tally {
     queries: usize,
@@ -325,7 +325,7 @@ mod tests {
     fn ways_lead_around_closed_zones_and_bad_zones_are_named() {
         let folder = tempfile::tempdir().unwrap();
         let zones = folder.path().join("z.toml").display().to_string();
-        // The map's cells are 1 m wide, its origin lies below its last row: the lower half of the second column.
+        // The map's cells are 1 m wide, its origin is below its last row: the zone is in the lower half of the second column.
         std::fs::write(&zones, "[[keep_out]]\npoints = [[1.2, 0.2], [1.8, 0.2], [1.5, 1.8]]\n").unwrap();
         let open = "type octile\nheight 4\nwidth 4\nmap\n....\n....\n....\n....\n";
         let (outcome, rows, _folder) = run(open, "0 3 2 3\n1 3 0 0\n", &["--zones", &zones]);

@@ -1,6 +1,5 @@
-//! Queries of a batch. Which starts and goals are asked for? Lines `sx sy gx gy [optimum]`, or a Moving AI scenario: columns and rows of
-//! the map file as it is written,
-//! rows from the top.
+//! Queries of a batch. Starts and goals as lines `sx sy gx gy [optimum]`, or as a Moving AI scenario: columns and rows of the map file,
+//! rows counted from the top.
 
 use std::path::Path;
 
@@ -10,26 +9,26 @@ use zenav_protocol::grid::{Cell, GridSpec};
 use crate::failure::Failure;
 use crate::files;
 
-/// One path asked for.
+/// A planning query.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Query {
     /// Column and row of the start, from the top left.
     pub(super) start: [i64; 2],
     /// Column and row of the goal.
     pub(super) goal: [i64; 2],
-    /// Length of the shortest path, cells, where it is known.
+    /// Length of the shortest path, cells, if known.
     pub(super) optimum: Option<f64>,
 }
 
 impl Query {
-    /// Start and goal as cells of the grid; `None` where one lies outside.
+    /// Start and goal as grid cells; `None` if one is outside.
     pub(super) fn cells(&self, spec: &GridSpec) -> Option<(Cell, Cell)> {
         let cell = |[x, y]: [i64; 2]| moving_ai::cell_from_top(spec, [u32::try_from(x).ok()?, u32::try_from(y).ok()?]);
         Some((cell(self.start)?, cell(self.goal)?))
     }
 }
 
-/// Reads queries; a file that ends in `.scen` is a Moving AI scenario.
+/// Reads queries; a file with the extension `.scen` is a Moving AI scenario.
 ///
 /// # Errors
 /// Exit code 3 for a missing file, 2 with the line for a bad one.

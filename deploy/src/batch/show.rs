@@ -1,4 +1,4 @@
-//! `zenav sim show`: a picture of a world. What is solid, what moves and on which path, where are the places, and what do robots see?
+//! `zenav sim show`: a picture of a world: solids, movers with their paths, places, and what the robots see.
 
 use std::path::PathBuf;
 
@@ -26,14 +26,14 @@ const MOVER: Color = [240, 150, 0];
 const PATH: Color = [250, 214, 150];
 const SEEN: Color = [215, 60, 40];
 
-/// Around the world's bounds, as a share of its longer side.
+/// Margin around the world's bounds, as a share of its longer side.
 const MARGIN: f64 = 0.03;
-/// Lines of the grid are this far apart, m.
+/// Spacing of grid lines, m.
 const METRE: f64 = 1.0;
-/// With more lines than this a grid only hides what it lies under.
+/// With more lines than this, the grid is left out: it would hide the world.
 const MOST_LINES: f64 = 100.0;
 
-/// Drawing a world.
+/// Draw a world.
 #[derive(Debug, clap::Args)]
 pub(super) struct ShowArgs {
     /// World: a file, a ROS map (`.yaml`) or a shipped name
@@ -45,16 +45,16 @@ pub(super) struct ShowArgs {
     /// Robot: a file or shipped name
     #[arg(long, value_name = "R", default_value = "tiago")]
     robot: String,
-    /// Robots: the first at the world's start, the others wherever there is room
+    /// Number of robots: the first at the world's start, the others at random free places
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = connect::whole::<usize>)]
     robots: usize,
     /// Simulated time at which movers and doors are shown, s
     #[arg(long, value_name = "SECS", default_value_t = 0.0, value_parser = connect::finite)]
     time: f64,
-    /// Seed of walkers and of the other robots' places
+    /// Seed of walkers and of the other robots' poses
     #[arg(long, default_value_t = 1, value_parser = connect::whole::<u64>)]
     seed: u64,
-    /// Pixels of the longer side
+    /// Length of the picture's longer side, px
     #[arg(long, value_name = "PX", default_value_t = 1200, value_parser = connect::whole_in(64..=8192_u32))]
     size: u32,
     /// Output format
@@ -62,7 +62,7 @@ pub(super) struct ShowArgs {
     output: Format,
 }
 
-/// What was drawn.
+/// Summary of what was drawn.
 #[derive(Debug, Serialize)]
 struct Shown {
     world: String,
@@ -81,7 +81,7 @@ struct Shown {
 /// Draws a world.
 ///
 /// # Errors
-/// [`exit_code::USAGE`] for a world, robot or time that cannot be; a file that cannot be written.
+/// [`exit_code::USAGE`] for an invalid world, robot or time; a file that cannot be written.
 pub(super) fn show(args: &ShowArgs) -> Outcome {
     if !(0.0..=86_400.0).contains(&args.time) {
         return Err(Failure::usage(format!("--time {}: expected 0 to 86400 s", args.time)));
@@ -143,10 +143,10 @@ pub(super) fn show(args: &ShowArgs) -> Outcome {
     Ok(exit_code::OK)
 }
 
-/// The world with its robots, at the time asked for.
+/// The world with its robots, at the requested time.
 fn simulation(args: &ShowArgs, world: &World) -> Result<Simulation, Failure> {
     let model = files::robot(&args.robot)?;
-    // Round the start there is no room for as many as this.
+    // The six extra candidates replace those too close to the start.
     let others = scatter(world, &model, args.robots.saturating_add(6), 0.1, args.seed);
     let apart = |pose: &Pose2| pose.distance(&world.start()) > 2.0 * model.footprint.circumscribed_radius();
     let others = others.into_iter().filter(apart);
@@ -162,7 +162,7 @@ fn simulation(args: &ShowArgs, world: &World) -> Result<Simulation, Failure> {
     let mut simulation = match Simulation::new(world, specs, args.seed) {
         Ok(simulation) => simulation,
         Err(error) => {
-            // A world is worth seeing above all where something is wrong with its start.
+            // A picture is most useful when something is wrong with the start.
             tracing::warn!("drawn without robots: {error}");
             Simulation::new(world, Vec::new(), args.seed).map_err(Failure::usage)?
         }
@@ -193,7 +193,7 @@ fn draw(world: &World, simulation: &Simulation, size: u32) -> Result<Canvas, Fai
     plane.finish()
 }
 
-/// What does not move in a world, and the paths of what does, `size` pixels on the longer side.
+/// The static parts of a world, and the paths of its movers, `size` pixels on the longer side.
 ///
 /// # Errors
 /// A world without extent.
@@ -252,7 +252,7 @@ fn grid(plane: &mut Plane, low: Point2<f64>, high: Point2<f64>) {
     }
 }
 
-/// A form at a place.
+/// The outline of a shape at a place.
 fn placed(shape: &Shape, at: Point2<f64>) -> Vec<Point2<f64>> {
     match shape {
         Shape::Disc(radius) => circle(at, *radius),
@@ -260,7 +260,7 @@ fn placed(shape: &Shape, at: Point2<f64>) -> Vec<Point2<f64>> {
     }
 }
 
-/// The path of a mover: its corners with its outline there, or the box that it walks in. A door's are shut and slid aside.
+/// The path of a mover: its corners with its outline there, or the box that it walks in; for a door, its closed and open positions.
 fn path(plane: &mut Plane, mover: &MoverModel) {
     match &mover.route {
         Route::Path(corners) => {

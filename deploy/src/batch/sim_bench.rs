@@ -1,6 +1,6 @@
-//! Capacity of the simulator. How many rays per second and which real-time factor does this machine hold?
+//! Capacity of the simulator. Rays per second and real-time factor on this machine.
 //!
-//! Time is that of a clock that is passed in.
+//! The clock is passed in.
 
 use std::time::Duration;
 
@@ -11,35 +11,35 @@ use zenav_sim::lidar::AngularBuffer;
 use zenav_sim::scatter::scatter;
 use zenav_sim::{RobotSpec, SimError, Simulation, World};
 
-/// Rounds of sweeps.
+/// Number of rounds of sweeps.
 const ROUNDS: usize = 10;
-/// Least time of each.
+/// Shortest time of a round.
 const ROUND: Duration = Duration::from_millis(50);
 
-/// What was measured.
+/// Results.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct BenchReport {
     /// Robots in the world.
     pub robots: usize,
     /// Beams of each lidar.
     pub beams: usize,
-    /// Scans a second of each, of simulated time.
+    /// Scans of each lidar per simulated second.
     pub rate_hz: f64,
-    /// Steps of the whole simulation that were timed.
+    /// Steps of the whole simulation that was timed.
     pub steps: u64,
-    /// Beams a second of exact sweeps alone, on one core, in the fastest round.
+    /// Beams per second of exact sweeps alone, on one core, in the fastest round.
     pub rays_per_s: f64,
-    /// Simulated time over the time that the whole simulation took on one core, everything included; robots see one another.
+    /// Simulated time over the time of the whole simulation on one core; robots see one another.
     pub real_time_factor: f64,
-    /// The same of a single one of these robots.
+    /// The same for a single one of these robots.
     pub single_real_time_factor: f64,
 }
 
-/// Times sweeps at random free poses, then a whole simulation of `robots` robots that turn in small circles, and of one alone.
-/// `clock` tells the time since any fixed moment.
+/// Times sweeps at random free poses, then a whole simulation of `robots` robots that turn in small circles, and of one alone. `clock`
+/// gives the time since any fixed moment.
 ///
 /// # Errors
-/// [`SimError`] when the robots cannot stand in the world.
+/// [`SimError`] if the robots do not fit into the world.
 pub fn run(
     world: &World,
     model: &RobotModel,
@@ -65,7 +65,7 @@ pub fn run(
     })
 }
 
-/// A whole simulation: how many robots had room, steps, and the real-time factor.
+/// A whole simulation: number of robots that fitted, steps, and real-time factor.
 fn whole(
     world: &World,
     model: &RobotModel,
@@ -98,7 +98,8 @@ fn whole(
     Ok((simulation.robots(), steps, simulation.now().as_secs() / took.max(1e-9)))
 }
 
-/// Exact sweeps from random free poses; beams a second in the fastest of ten rounds, because other programs only ever slow one down.
+/// Exact sweeps from random free poses; beams per second in the fastest of ten rounds, as other load on the machine only slows a round
+/// down.
 #[must_use]
 pub fn rays(world: &World, model: &RobotModel, clock: &dyn Fn() -> Duration) -> f64 {
     let poses = scatter(world, model, 100, 0.0, 2);
@@ -113,7 +114,7 @@ pub fn rays(world: &World, model: &RobotModel, clock: &dyn Fn() -> Duration) -> 
             for pose in &poses {
                 buffer.begin(*pose * lidar.mount);
                 buffer.scene(world.scene());
-                // The result is used, so that nothing of the work can be left out.
+                // The result is used, so that the compiler cannot remove any of the work.
                 seen += buffer.ranges().filter(|range| range.is_finite()).sum::<f64>();
             }
             sweeps += poses.len();

@@ -1,5 +1,5 @@
-//! `zenav smooth`: a batch of queries for one robot, from search to time law. Which trajectories result, how long does each phase take, is
-//! each collision-free?
+//! `zenav smooth`: a batch of queries for one robot, from search to time law. Reports for each the trajectory, the time of each phase, and
+//! whether it is free of collisions.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -21,7 +21,7 @@ use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
 
-/// Rows of a trajectory are at most this far apart, s.
+/// Largest time step between rows of a trajectory, s.
 const PERIOD: f64 = 0.01;
 
 /// Offline smoothing.
@@ -52,7 +52,7 @@ pub struct SmoothArgs {
     /// Planner
     #[arg(long, default_value = "astar", value_parser = planner, add = completion::planners())]
     planner: Planner,
-    /// Plan the shortest path, without preferring clearance from obstacles
+    /// Plan the shortest path, without a preference for clearance from obstacles
     #[arg(long)]
     shortest: bool,
     /// Time limit of a search, ms
@@ -61,13 +61,13 @@ pub struct SmoothArgs {
     /// Jerk limit along the path, m/s³ [default: the robot's, or unlimited]
     #[arg(long, value_name = "J", value_parser = positive)]
     jerk_limit: Option<f64>,
-    /// What the time law is to be good at, `fastest` or `economy`
+    /// Objective of the time law, `fastest` or `economy`
     #[arg(long, default_value = "fastest")]
     profile: DrivingProfile,
-    /// Unknown cells may be driven through
+    /// Treat unknown cells as free
     #[arg(long)]
     unknown_is_free: bool,
-    /// Side of a cell where the map does not say, m
+    /// Side of a cell if the map does not give it, m
     #[arg(long, value_name = "M", value_parser = positive)]
     resolution: Option<f64>,
 }
@@ -123,7 +123,7 @@ pub fn smooth(args: &SmoothArgs) -> Outcome {
     Ok(exit_code::OK)
 }
 
-/// One map, one robot, and what searches and smoothing need.
+/// One map, one robot, and the state of search and smoothing.
 struct Workshop {
     space: ConfigurationSpace,
     searcher: Searcher,
@@ -136,7 +136,7 @@ struct Workshop {
 }
 
 impl Workshop {
-    /// Time of the search, µs, and the trajectory; `None` without a path.
+    /// Search time, µs, and trajectory; `None` without a path.
     fn answer(&mut self, query: &Query) -> (f64, Option<Smoothed>) {
         let spec = *self.space.spec();
         let Some((from, to)) = query.cells(&spec) else {
@@ -153,12 +153,12 @@ impl Workshop {
         let PlanOutcome::Found { path, .. } = planned.outcome else {
             return (search_us, None);
         };
-        // A robot on its way may leave a place that is too narrow by the map; nobody asks for a way from inside an obstacle.
+        // On the road a robot may leave a place that the map says is too narrow; a query from inside an obstacle makes no sense.
         if self.space.clearance(start.position()) <= self.model.footprint.inscribed_radius() {
             return (search_us, None);
         }
         let settings = self.settings;
-        // A query has no heading: the robot stands as its path begins, without the grid's own corners.
+        // A query has no heading: the robot starts along its path, after removing the corners due to the grid.
         let corners = shortcut(&self.space, &path, settings.corridor.clearance, None, None);
         if let Some(along) = corners
             .iter()
@@ -210,7 +210,7 @@ fn write_trajectory(path: &Path, smoothed: Option<&Smoothed>) -> Result<(), Fail
     file.finish()
 }
 
-/// What all queries gave.
+/// Results of all queries.
 #[derive(Default)]
 struct Tally {
     queries: usize,
@@ -304,7 +304,7 @@ mod tests {
             .map(|row| row.split(',').map(|word| word.parse().unwrap()).collect())
             .collect();
         assert!(rows.windows(2).all(|pair| pair[1][0] - pair[0][0] <= PERIOD + 1e-12));
-        // Cell (20, 20) from the top of 60 rows is 39 from the bottom.
+        // Cell (20, 20) from the top of 60 rows is row 39 from the bottom.
         assert!(
             (rows[0][1] - 1.025).abs() < 1e-9 && (rows[0][2] - 1.975).abs() < 1e-9,
             "{:?}",

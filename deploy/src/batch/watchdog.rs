@@ -1,4 +1,4 @@
-//! Watchdog. How does a search end in time although it knows no clock? A thread sets its cancel flag.
+//! Watchdog. Ends a search at its time limit, although the search knows no clock: a thread sets its cancel flag.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use zenav_planning::Budget;
 
-/// Sets a flag some time after it was armed.
+/// Sets a flag at a time limit after being armed.
 pub(super) struct Watchdog {
     limit: Duration,
     shared: Arc<Shared>,
@@ -14,13 +14,13 @@ pub(super) struct Watchdog {
 
 struct Shared {
     cancel: AtomicBool,
-    /// When to cancel, and whether to end.
+    /// Deadline, and whether the thread must end.
     state: Mutex<(Option<Instant>, bool)>,
     changed: Condvar,
 }
 
 impl Watchdog {
-    /// Watches with this time limit.
+    /// A watchdog with this time limit.
     fn new(limit: Duration) -> Self {
         let shared = Arc::new(Shared {
             cancel: AtomicBool::new(false),
@@ -32,36 +32,36 @@ impl Watchdog {
         Self { limit, shared }
     }
 
-    /// Watches with a time limit in ms; `None` where that is longer than time goes.
+    /// A watchdog with a time limit in ms; `None` if the limit is too large to be represented.
     pub(super) fn of_millis(ms: f64) -> Option<Self> {
         Duration::try_from_secs_f64(ms * 1e-3).ok().map(Self::new)
     }
 
-    /// The flag.
+    /// The cancel flag.
     fn cancel(&self) -> &AtomicBool {
         &self.shared.cancel
     }
 
-    /// The time runs from now; whatever ran before is forgotten.
+    /// Starts the time limit now, and clears the flag.
     fn arm(&self) {
         self.set(Instant::now().checked_add(self.limit), false);
     }
 
-    /// The time does not run any more.
+    /// Stops the time limit.
     fn disarm(&self) {
         self.set(None, false);
     }
 
     fn set(&self, deadline: Option<Instant>, end: bool) {
         let mut state = self.shared.state.lock().unwrap_or_else(PoisonError::into_inner);
-        // Under the lock, so that an old deadline cannot set it again.
+        // Cleared under the lock, so that an old deadline cannot set it again.
         self.shared.cancel.store(false, Ordering::Relaxed);
         *state = (deadline, end);
         self.shared.changed.notify_one();
     }
 }
 
-/// Runs a search within the time limit, where there is one; returns its answer and the time around it alone, µs.
+/// Runs a search within the time limit, if there is one; returns its answer and its own time, µs.
 pub(super) fn timed<T>(watchdog: Option<&Watchdog>, search: impl FnOnce(Budget<'_>) -> T) -> (T, f64) {
     let budget = Budget {
         cancel: watchdog.map(Watchdog::cancel),

@@ -1,4 +1,4 @@
-//! The typed bus beside raw Zenoh, over plain TCP and over QUIC with certificates of both sides. What does each cost?
+//! Costs of the typed bus, compared with raw Zenoh, over plain TCP and over QUIC with certificates on both sides.
 
 use zenav_protocol::bus::{Security, overhead};
 
@@ -19,10 +19,10 @@ pub struct BusArgs {
     output: Format,
 }
 
-/// Measures it.
+/// Measures the bus.
 ///
 /// # Errors
-/// When this machine does not let it listen and connect.
+/// This machine does not allow listening or connecting.
 pub(super) fn bus(args: &BusArgs) -> Outcome {
     let samples = args.samples as usize;
     let folder = std::env::temp_dir().join(format!("zenav-bench-{}", std::process::id()));
@@ -34,7 +34,7 @@ pub(super) fn bus(args: &BusArgs) -> Outcome {
             Ok(rows)
         })
     });
-    // Keys of nobody.
+    // Throwaway keys.
     let _ = std::fs::remove_dir_all(&folder);
     let rows = rows?;
     output::values(args.output, &rows, |rows| {

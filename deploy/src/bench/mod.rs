@@ -1,11 +1,11 @@
-//! Benchmarks. How fast is the bus, and how well does the robot drive?
+//! Benchmarks. Costs of the bus, and driving quality.
 //!
 //! | module | answers |
 //! |---|---|
-//! | `bus` | what does the typed bus cost beside raw Zenoh? |
-//! | `drive` | `zenav bench drive`: how well does it drive, beside its anchors? |
-//! | `suites` | in which worlds? (made in code, from seeds) |
-//! | `anchors` | how do others drive there? (dynamic windows, and a planner that knows all) |
+//! | `bus` | what does the typed bus cost, compared with raw Zenoh? |
+//! | `drive` | `zenav bench drive`: how well does zenav drive, compared with anchors? |
+//! | `suites` | the worlds (generated in code, from seeds) |
+//! | `anchors` | reference planners (dynamic windows, ORCA, and a planner that knows the future) |
 
 mod anchors;
 mod bus;
@@ -27,16 +27,16 @@ pub struct BenchArgs {
 
 #[derive(Debug, clap::Subcommand)]
 enum BenchCommand {
-    /// The typed bus beside raw Zenoh: identical bytes, the same codec, taking turns
+    /// Measure the typed bus against raw Zenoh: identical bytes, the same codec, alternating
     Bus(BusArgs),
-    /// Driving in lockstep, judged by truth, beside anchors in the same worlds
+    /// Measure driving in lockstep, judged by ground truth, beside anchors in the same worlds
     Drive(DriveArgs),
 }
 
 /// Runs a bench.
 ///
 /// # Errors
-/// [`exit_code::USAGE`](crate::exit_code::USAGE) for wrong names; a bus that this machine does not allow.
+/// [`exit_code::USAGE`](crate::exit_code::USAGE) for unknown names; a bus that this machine does not allow.
 pub fn bench(args: &BenchArgs) -> Outcome {
     match &args.command {
         BenchCommand::Bus(args) => bus::bus(args),

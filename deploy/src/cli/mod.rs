@@ -1,4 +1,4 @@
-//! Command line. Which commands are there? One enum; each command's arguments and work live in its own module.
+//! Command line. One enum lists the commands; each command's arguments and work live in its own module.
 
 #[cfg(test)]
 mod reference;
@@ -15,7 +15,7 @@ use crate::{
     lockstep, netem, operator, output, record, slam, wall_following,
 };
 
-/// The commands in groups, as `--help` shows them: clap knows groups of options only.
+/// Command groups, in the order of `--help`: clap groups options only.
 const GROUPS: [(&str, &[&str]); 7] = [
     ("Run everything here", &["demo", "up", "run"]),
     (
@@ -43,7 +43,7 @@ const GROUPS: [(&str, &[&str]); 7] = [
 /// What is logged unless `RUST_LOG` says otherwise; logs go to stderr.
 const LOGGED: &str = "info,zenoh=off,zenoh_link=off,zenoh_transport=off";
 
-/// What stands below the commands.
+/// Footer of `--help`.
 const FOOTER: &str = "\
 Examples:
   zenav up                                   a simulated robot and its cloud on this machine
@@ -122,7 +122,7 @@ enum Command {
     Deploy(hosts::DeployArgs),
     /// Pass TCP connections on over a bad link: delay, jitter, rate, stalls, cuts
     Netem(netem::NetemArgs),
-    /// Make, list and revoke the certificates of a fleet
+    /// Proxy TCP connections over a bad link: delay, jitter, rate, stalls, cuts
     Keys(keys::KeysArgs),
     /// Run the robot side of a deployment
     Edge(launch::EdgeArgs),
@@ -130,7 +130,7 @@ enum Command {
     Cloud(launch::CloudArgs),
     /// Serve the mission-control page: live map, goals, stop and teleop in a browser
     Gateway(gateway::GatewayArgs),
-    /// Serve what goes over the bus to Foxglove, live
+    /// Serve live bus traffic to Foxglove
     View(record::ViewArgs),
     /// Submit, list, watch and cancel goals
     Goal(goal::GoalArgs),
@@ -140,11 +140,11 @@ enum Command {
     Resume(operator::StopArgs),
     /// Drive a robot from the keyboard
     Teleop(operator::TeleopArgs),
-    /// Show a robot's pose, tell it where it is, or have it looked for in the map
+    /// Show a robot's pose, set it, or search for it in the map
     Pose(operator::PoseArgs),
     /// Show, acquire or release the command lease of a robot
     Lease(operator::LeaseArgs),
-    /// Have a robot spin, drive straight, back up or wait
+    /// Make a robot spin, drive straight, back up or wait
     Do(operator::DoArgs),
     /// List, read and set the parameters of a running robot
     Param(operator::ParamArgs),
@@ -156,25 +156,25 @@ enum Command {
     Topic(inspect::TopicArgs),
     /// Show, save, load, store, convert and build maps
     Map(inspect::MapArgs),
-    /// Send a request by hand, and print the answer
+    /// Send a request by hand and print the answer
     Ask(inspect::AskArgs),
     /// Print the JSON Schema of a message
     Schema(inspect::SchemaArgs),
     /// Validate, show, watch and simulate behaviour trees; list their nodes
     Bt(inspect::BtArgs),
-    /// Record what goes over the bus into an MCAP file, which Foxglove opens
+    /// Record bus traffic into an MCAP file, which Foxglove opens
     Record(record::RecordArgs),
-    /// Play a record on a bus again, or compute its map again and compare
+    /// Replay a record on a bus, or recompute its map and compare
     Replay(record::ReplayArgs),
     /// Compare two records: goals, path, time, clearance, latencies, keys
     Diff(record::DiffArgs),
-    /// Tell a record as one page: map, path, speed, clearance, latencies, tree, events
+    /// Report on a record in one page: map, path, speed, clearance, latencies, tree, events
     Report(record::ReportArgs),
-    /// Make a moving picture of a record
+    /// Render a film of a record
     Film(record::FilmArgs),
     /// List the parts of a running deployment: hosts, versions, roles, load, clocks
     Ps(inspect::PsArgs),
-    /// Show what the parts of a running deployment logged last
+    /// Show the latest log lines of a running deployment's parts
     Logs(inspect::LogsArgs),
     /// Check a running deployment: what is wrong, and what to do
     Doctor(inspect::DoctorArgs),
@@ -184,7 +184,7 @@ enum Command {
     Smooth(batch::SmoothArgs),
     /// Map a log of scans and odometry, or solve and certify a pose graph, offline
     Slam(slam::SlamArgs),
-    /// Follow the robot that made a log through a map, offline, without a guess where need be
+    /// Localise a recorded robot in a map, offline; globally where no initial pose is given
     Localise(localise::LocaliseArgs),
     /// Tune gains in simulation; writes a robot file
     Tune(wall_following::TuneArgs),
@@ -208,7 +208,7 @@ fn command() -> clap::Command {
     signed(Cli::command())
 }
 
-/// Whatever takes a value takes a negative number, so that it is the value's check that refuses one.
+/// Arguments with a value accept negative numbers, so that the value's own check refuses them, not the parser.
 fn signed(command: clap::Command) -> clap::Command {
     command
         .mut_args(|arg| match arg.get_action().takes_values() {
@@ -218,7 +218,7 @@ fn signed(command: clap::Command) -> clap::Command {
         .mut_subcommands(signed)
 }
 
-/// The arguments of one command, as the whole command line would take them.
+/// Parses the arguments of one command the way the whole command line does.
 ///
 /// # Errors
 /// Wrong usage.
@@ -230,7 +230,7 @@ pub(crate) fn parsed<P: Parser>(words: &[&str]) -> Result<P, clap::Error> {
 /// Runs the command line of this process.
 pub(crate) fn main() -> ExitCode {
     completion::answer(command);
-    // clap exits by itself with 2 on wrong usage and 0 on help.
+    // clap itself exits: with 2 on wrong usage, with 0 on help.
     let cli = Cli::from_arg_matches(&command().get_matches()).unwrap_or_else(|error| error.exit());
     // A second initialisation (tests in one process) changes nothing.
     logging::init(cli.log_format, LOGGED, || output::LogWriter);
@@ -246,7 +246,7 @@ pub(crate) fn main() -> ExitCode {
     }
 }
 
-/// Whether a command's process may host parts, whose sessions need more of Zenoh's threads than by default.
+/// Whether the command's process may host parts: their sessions need more Zenoh threads than the default.
 const fn hosts_parts(command: &Command) -> bool {
     matches!(
         command,
@@ -305,7 +305,7 @@ fn run(command: Command) -> Outcome {
         Command::Bench(args) => bench::bench(&args),
         Command::Config(args) => config::run(&args),
         Command::Completions { shell } => {
-            // Into memory first: a closed pipe is no reason to panic.
+            // Written to memory first: a closed pipe must not cause a panic.
             let mut script = Vec::new();
             completion::register(shell, &mut script)?;
             crate::output::line(String::from_utf8_lossy(&script).trim_end());

@@ -1,9 +1,9 @@
-//! Reference of the command line. Which commands, arguments and options are there? A page of the docs, written from what is declared: what changes
-//! there is seen in it.
+//! Reference of the command line. A page of the docs, generated from the declared commands, arguments and options, so that every change to
+//! them shows in it.
 
 use clap::{Arg, Command};
 
-/// Options of every command, told once.
+/// Options of every command, described once.
 const EVERYWHERE: [&str; 3] = ["help", "version", "log_format"];
 
 /// The page.
@@ -31,7 +31,7 @@ fn describe(command: &Command, above: &str, level: usize, told_above: &[&str], t
     text.push_str(&format!("\n{marks} {name}\n\n{about}\n"));
     let own = |arg: &&Arg| {
         let id = arg.get_id().as_str();
-        // What is inherited stands with the command above.
+        // An inherited option is listed with the parent command.
         let is_inherited = arg.is_global_set() && told_above.contains(&id);
         !(arg.is_hide_set() || is_inherited || EVERYWHERE.contains(&id))
     };
@@ -58,7 +58,7 @@ fn row(arg: &Arg) -> String {
         .iter()
         .map(|value| format!("`{}`", value.to_string_lossy()))
         .collect();
-    // A switch has no value to default to.
+    // A switch takes no value, so it has no default.
     let default = if arg.get_action().takes_values() {
         default.join(" ")
     } else {

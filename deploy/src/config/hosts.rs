@@ -1,33 +1,33 @@
-//! Sections of a deployment of many hosts. Which machines are there, and what runs on each?
+//! Sections of a deployment of many hosts. Which machines there are, and what runs on each.
 
 use serde::{Deserialize, Serialize};
 use zenav_protocol::settings;
 
-/// What a host is for.
+/// Purpose of a host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Role {
-    /// On a robot: its edge.
+    /// On a robot: runs its edge.
     Robot,
-    /// At a site, near its robots: a router of the site, and services.
+    /// At a site, near its robots: runs the site's router, and services.
     EdgeSite,
-    /// Anywhere: the fleet's routers, and services.
+    /// Anywhere: runs the fleet's routers, and services.
     Cloud,
-    /// A person's machine.
+    /// An operator's machine.
     Operator,
 }
 
 settings! {
     /// A machine of the deployment.
     pub struct HostSection {
-        /// What it is for: `robot`, `edge_site`, `cloud` or `operator`.
+        /// Purpose: `robot`, `edge_site`, `cloud` or `operator`.
         pub role: Option<Role> = None;
-        /// Name or IP address at which the others reach it, without a port.
+        /// Name or IP address at which the other hosts reach it, without a port.
         pub address: String = String::new();
-        /// The parts that run there: `router`, `world`, `mapping`, `motion`, `mission`, `gateway`, `edge:ROBOT`; `mapping:ROBOT` and
+        /// Parts that run on it: `router`, `world`, `mapping`, `motion`, `mission`, `gateway`, `edge:ROBOT`; `mapping:ROBOT` and
         /// `mission:ROBOT` serve one robot only.
         pub runs: Vec<String> = Vec::new();
-        /// Hosts whose routers it dials; none: those of the cloud, or of the edge sites where the cloud has none.
+        /// Hosts whose routers it dials; empty: those of the cloud, or of the edge sites if there is no cloud host.
         pub connect: Vec<String> = Vec::new();
     }
 }

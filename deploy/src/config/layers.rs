@@ -1,5 +1,5 @@
-//! Layers of a deployment. Which value counts, and what is wrong with one? Later layers win: the defaults, a deployment file, environment
-//! variables `ZENAV_SECTION__KEY`; flags of commands come after.
+//! Layers of a deployment. The last layer that sets a key wins: defaults, deployment file, environment variables `ZENAV_SECTION__KEY`,
+//! then the flags of commands.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -15,11 +15,11 @@ use crate::failure::Failure;
 use crate::files;
 use crate::hosts;
 
-/// The origin of what nobody has set.
+/// Origin of a value that no layer sets.
 const DEFAULT: &str = "default";
-/// What environment variables that set values begin with.
+/// Prefix of environment variables that set values.
 const PREFIX: &str = "ZENAV_";
-/// Names that changed in a typo beyond this many letters are not guessed.
+/// Largest edit distance between an unknown key and the known one that is suggested for it.
 const SLIPS: usize = 2;
 
 /// Reads a deployment: defaults, then the file, then the environment.
@@ -30,21 +30,21 @@ pub fn load(file: Option<&Path>) -> Result<Deployment, Failure> {
     Ok(Layers::load(file)?.deployment)
 }
 
-/// A deployment, and what it was made from.
+/// A deployment and the layers it was built from.
 pub(crate) struct Layers {
     pub(crate) deployment: Deployment,
     file: Option<(PathBuf, String)>,
-    /// Keys that are set by the environment.
+    /// Keys that the environment sets.
     environment: BTreeMap<String, String>,
 }
 
 impl Layers {
-    /// As [`load`], with the origins.
+    /// Like [`load`], with the origins.
     pub(crate) fn load(file: Option<&Path>) -> Result<Self, Failure> {
         Self::read(file, std::env::vars())
     }
 
-    /// As [`load`], of a file alone, whatever the environment says.
+    /// Like [`load`], from a file alone: the environment is ignored.
     pub(crate) fn load_file(file: &Path) -> Result<Self, Failure> {
         Self::read(Some(file), std::iter::empty())
     }
@@ -66,7 +66,7 @@ impl Layers {
                 return Err(Failure::not_found(missing));
             }
             let text = files::text(path)?;
-            // By itself first: what is wrong with it is told with its line.
+            // Parsed on its own first, so that an error carries the line in this file.
             toml::from_str::<Deployment>(&text).map_err(|error| unreadable(path, &error))?;
             let own: Table = toml::from_str(&text).map_err(|error| unreadable(path, &error))?;
             if own.contains_key("robots") {
@@ -77,7 +77,7 @@ impl Layers {
         }
         let mut environment = BTreeMap::new();
         for (variable, text) in variables {
-            // Without a section it is a flag's variable, such as ZENAV_IDENTITY.
+            // Without a section it is the variable of a flag, such as ZENAV_IDENTITY.
             let Some(name) = variable.strip_prefix(PREFIX).filter(|name| name.contains("__")) else {
                 continue;
             };
@@ -124,11 +124,11 @@ impl Layers {
         Ok(())
     }
 
-    /// Whether the file is there that a key names, and the image that this file names: for a part that goes on to read it, as not every
-    /// host has it.
+    /// Checks that the file named by a key exists, and the image that this file names. Only a part that reads the file checks it: not
+    /// every host has it.
     ///
     /// # Errors
-    /// Exit code 3, with the key, where it is written, and the path that was looked for.
+    /// Exit code 3, with the key, its origin, and the path that was tried.
     pub(crate) fn check_file(&self, key: &str) -> Result<(), Failure> {
         let mut files = self.deployment.files().into_iter();
         let Some((_, Some(file))) = files.find(|(named, _)| *named == key) else {
@@ -148,10 +148,10 @@ impl Layers {
         )))
     }
 
-    /// The world that a flag names, or else the deployment.
+    /// The world named by a flag, otherwise the deployment's.
     ///
     /// # Errors
-    /// As [`files::world`], with where the deployment's is written.
+    /// As [`files::world`], with the origin of the deployment's value.
     pub(crate) fn world(&self, flag: Option<&str>) -> Result<World, Failure> {
         match flag {
             Some(name) => files::world(name),
@@ -159,10 +159,10 @@ impl Layers {
         }
     }
 
-    /// Whether the models of these robots can be had.
+    /// Checks that the models of these robots exist.
     ///
     /// # Errors
-    /// As [`files::robot`], with where the model is written.
+    /// As [`files::robot`], with the origin of the model.
     pub(crate) fn check_models<'r>(&self, robots: impl Iterator<Item = &'r String>) -> Result<(), Failure> {
         for name in robots {
             if let Some(robot) = self.deployment.robots.get(name) {
@@ -172,7 +172,7 @@ impl Layers {
         Ok(())
     }
 
-    /// Puts where a key is written before what is wrong with its value; for `map_err`.
+    /// Prefixes a failure with the origin of a key; for `map_err`.
     fn at(&self, key: &str) -> impl FnOnce(Failure) -> Failure + use<> {
         let origin = self.origin(key);
         move |failure| match origin.as_str() {
@@ -181,7 +181,7 @@ impl Layers {
         }
     }
 
-    /// Where a key is written, or else the section or the file that lacks it.
+    /// Origin of a key, or of the section or the file that lacks it.
     pub(crate) fn nearest_origin(&self, key: &str) -> String {
         let sections = std::iter::successors(Some(key), |key| Some(key.rsplit_once('.')?.0));
         let written = sections.map(|key| self.origin(key)).find(|origin| origin != DEFAULT);
@@ -189,7 +189,7 @@ impl Layers {
         written.or_else(file).unwrap_or_else(|| DEFAULT.to_owned())
     }
 
-    /// Where the value of a key came from.
+    /// Origin of a key's value.
     pub(crate) fn origin(&self, key: &str) -> String {
         if let Some(variable) = self.environment.get(key) {
             return format!("environment {variable}");
@@ -209,7 +209,7 @@ impl Layers {
     }
 }
 
-/// Puts the values of a table over those of another.
+/// Merges a table over another: the values of `over` win.
 fn merge(under: &mut Table, over: Table) {
     for (key, value) in over {
         match (under.get_mut(&key), value) {
@@ -221,7 +221,7 @@ fn merge(under: &mut Table, over: Table) {
     }
 }
 
-/// A value as it is written in the environment: as in a file, or bare where text is wanted.
+/// A value as written in the environment: TOML as in a file, or bare text for a text setting.
 fn parsed(key: &str, text: String) -> Value {
     let is_text = row_of(key).is_some_and(|row| row.default.is_string());
     let quoted = text.starts_with(['"', '\'']);
@@ -233,7 +233,7 @@ fn parsed(key: &str, text: String) -> Value {
         .unwrap_or(Value::String(text))
 }
 
-/// The setting of a key.
+/// The declaration of a key.
 fn row_of(key: &str) -> Option<Row> {
     let within = |section: &str| key.strip_prefix(section).and_then(|rest| rest.split_once('.'));
     let (rows, key) = match (within("robots."), within("hosts.")) {
@@ -248,7 +248,7 @@ fn unreadable(path: &Path, error: &toml::de::Error) -> Failure {
     Failure::usage(format!("{}: {}", path.display(), told(error)))
 }
 
-/// The error, and for an unknown key the one that may have been meant.
+/// The error text; for an unknown key with the most similar known one.
 fn told(error: &toml::de::Error) -> String {
     let text = error.to_string();
     let text = text.trim_end();

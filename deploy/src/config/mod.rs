@@ -1,8 +1,8 @@
-//! Deployment. What is it made of, and where did each value come from?
+//! Deployment. What it consists of, and where each value comes from.
 //!
 //! | file | answers |
 //! |---|---|
-//! | `mod` | which sections are there? Those of the libraries are their own settings |
+//! | `mod` | which sections are there? Those of the libraries are the libraries' own settings |
 //! | `security` | how are links protected? |
 //! | `hosts` | sections of a deployment of many hosts |
 //! | `layers` | defaults, a file, the environment: which value counts, and what is wrong with one? |
@@ -47,27 +47,27 @@ pub use service::Service;
 pub use show::{ConfigArgs, run};
 
 settings! {
-    /// Which parts run, where they meet, and their settings. The default is one simulated robot and every service on this machine.
+    /// Which parts run, how they connect, and their settings. The default is one simulated robot and every service on this machine.
     pub struct Deployment {
         /// The router.
         pub router: RouterSection;
-        /// How the parts reach the router.
+        /// How parts reach the router.
         pub bus: BusSection;
         /// How links are protected.
         pub security: SecuritySection;
         /// The simulated world.
         pub simulation: SimulationSection;
-        /// The robots, by id; a file that names any means those and no others.
+        /// Robots by id; a file that names any replaces the default robot.
         pub robots: BTreeMap<String, RobotSection> = one_robot();
-        /// The hosts by name, where the parts run on several machines.
+        /// Hosts by name, if the parts run on several machines.
         pub hosts: BTreeMap<String, HostSection> = BTreeMap::new();
-        /// Groups of robots by name: a goal for a group is done by the nearest of its robots that is free.
+        /// Groups of robots by name: the nearest free robot of a group takes a goal for the group.
         pub groups: BTreeMap<String, Vec<String>> = BTreeMap::new();
         /// The mapping service.
         pub mapping: Service<MappingSection, MappingSettings>;
-        /// Poses by SLAM, where `mapping.poses` asks for them.
+        /// Pose estimation by SLAM, if `mapping.poses` asks for it.
         pub slam: SlamSettings;
-        /// Poses by localisation, where `mapping.poses` asks for them.
+        /// Pose estimation by localisation, if `mapping.poses` asks for it.
         pub localisation: LocalisationSettings;
         /// Motion workers.
         pub planning: Service<PlanningSection, PlanningSettings>;
@@ -79,7 +79,7 @@ settings! {
         pub mission: Service<MissionSection, MissionSettings>;
         /// The mission-control page.
         pub gateway: Service<GatewaySection, GatewaySettings>;
-        /// What is kept on disk.
+        /// Data on disk.
         pub data: DataSection;
     }
     check = Deployment::fits;
@@ -90,21 +90,21 @@ settings! {
     pub struct RouterSection {
         /// Whether `zenav up` runs one.
         pub enabled: bool = true;
-        /// Endpoints that it listens on.
+        /// Endpoints to listen on.
         pub listen: Vec<String> = vec![DEFAULT_ENDPOINT.to_owned()];
         /// Other routers to link to.
         pub connect: Vec<String> = Vec::new();
-        /// Address of loopback where `GET /KEY` answers with a key's value; empty: none.
+        /// Loopback address that answers `GET /KEY` with a key's value; empty: none.
         pub rest: String = String::new();
     }
 }
 
 settings! {
-    /// How the parts reach the router.
+    /// How parts reach the router.
     pub struct BusSection {
-        /// The router's endpoint; of several, separated by commas, one is enough.
+        /// Endpoint of the router, or several separated by commas, of which one must be reachable.
         pub connect: String = DEFAULT_ENDPOINT.to_owned();
-        /// What Zenoh puts before every key, such as `site1`, so that two deployments on one router do not see one another; empty: nothing.
+        /// Prefix that Zenoh puts before every key, such as `site1`: separates two deployments on one router; empty: none.
         pub namespace: String = String::new();
     }
 }
@@ -116,7 +116,7 @@ settings! {
         pub world: String = "kitchen".to_owned();
         /// Seed of all noise.
         pub seed: u64 = 1;
-        /// Simulated time against wall time.
+        /// Simulated time relative to wall time.
         pub speed: f64 = 1.0, "", 0.001..=1000.0;
     }
 }
@@ -126,57 +126,57 @@ settings! {
     pub struct RobotSection {
         /// Robot file or shipped name.
         pub model: String = "tiago".to_owned();
-        /// The edge's own endpoint: works with router and cloud gone. Port 0 takes a free one.
+        /// The edge's own endpoint: works without router and cloud. Port 0 takes a free one.
         pub listen: String = "tcp/127.0.0.1:0".to_owned();
-        /// What to do when the lease has expired: `finish_horizon` (drive the accepted plan to its expiry), `stop`, and once the link is lost
-        /// `wall_follow` (follow walls) or `return_home` (drive back the way it came).
+        /// Behaviour after the lease expires: `finish_horizon` (drive the accepted plan to its expiry), `stop`, and after the link is lost
+        /// `wall_follow` (follow walls) or `return_home` (drive back along the path it came).
         pub on_lost: LostPolicy = LostPolicy::default();
-        /// Whether it is a robot of the world that `zenav sim serve` serves, instead of one simulated in the edge's process.
+        /// Whether the robot lives in the world that `zenav sim serve` serves; otherwise the edge's process simulates it.
         pub attach: bool = false;
-        /// Whether its body is a process of its own, which publishes `body/readings` and obeys `edge/wheels`: a driver of real motors.
+        /// Whether the body is a separate process, a driver of real motors, that publishes `body/readings` and obeys `edge/wheels`.
         pub driver: bool = false;
-        /// Pose in the world at the start; without it, the world's own.
+        /// Start pose in the world; without it, the world's own.
         pub start: Option<Pose2> = None;
-        /// Tunables of the robot's side: `[robots.NAME.edge.collision_monitor]` and so on.
+        /// Settings of the robot's side: `[robots.NAME.edge.collision_monitor]` and so on.
         pub edge: EdgeSettings;
     }
 }
 
 settings! {
-    /// How the mapping service is run.
+    /// How the mapping service runs.
     pub struct MappingSection {
         /// Whether it runs.
         pub enabled: bool = true;
-        /// From which poses scans are drawn: `edge` (the robot's own estimate, for robots with GPS and compass), `slam` (scans and
-        /// odometry alone) or `localise` (in the map that mapping begins with); the robot is then corrected.
+        /// Poses at which scans are inserted: `edge` (the robot's own estimate, for robots with GPS and compass), `slam` (scans and
+        /// odometry alone) or `localise` (in the map that mapping starts with); `slam` and `localise` also correct the robot's pose.
         pub poses: PoseSource = PoseSource::Edge;
-        /// Known map to begin with, a `map_server` description or an image; without it, the stored one.
+        /// Known map to start with, a `map_server` description or an image; without it, the stored one.
         pub map: Option<PathBuf> = None;
-        /// Whether scans are inserted into the known map; otherwise it is held.
+        /// Whether scans are inserted into the known map; otherwise it stays unchanged.
         pub live: bool = false;
     }
 }
 
 settings! {
-    /// How planning and smoothing workers are run.
+    /// How the motion workers (planning and smoothing) run.
     pub struct PlanningSection {
-        /// How many run.
+        /// Number of workers.
         pub workers: usize = 1, "", 1..=64;
-        /// Planner that missions ask for.
+        /// Planner that missions request.
         pub planner: String = "astar".to_owned();
     }
 }
 
 settings! {
-    /// Zones of the map, in which all robots are: each robot's map frame is the same.
+    /// Zones of the map. All robots share one map frame.
     pub struct ZonesSection {
-        /// A file of keep-out and speed zones; none without it.
+        /// File of keep-out and speed zones; without it, none.
         pub file: Option<PathBuf> = None;
     }
 }
 
 settings! {
-    /// How the mission orchestrator is run.
+    /// How the mission orchestrator runs.
     pub struct MissionSection {
         /// Whether it runs.
         pub enabled: bool = true;
@@ -186,7 +186,7 @@ settings! {
 }
 
 settings! {
-    /// How the mission-control page is run.
+    /// How the mission-control page is served.
     pub struct GatewaySection {
         /// Whether `zenav up` and `zenav demo` serve it.
         pub enabled: bool = true;
@@ -194,7 +194,7 @@ settings! {
 }
 
 settings! {
-    /// What is kept on disk.
+    /// Data on disk.
     pub struct DataSection {
         /// Folder for maps, goals, and the edges' epochs.
         pub dir: PathBuf = "zenav-data".into();
@@ -256,7 +256,7 @@ impl Deployment {
         Ok(())
     }
 
-    /// The source of poses of mapping.
+    /// Source of mapping's poses.
     #[must_use]
     pub fn poses(&self) -> PoseSettings {
         PoseSettings {
@@ -275,7 +275,7 @@ impl Deployment {
         }
     }
 
-    /// The files that its services read, by key.
+    /// Files that the deployment's services read, by key.
     pub(crate) fn files(&self) -> [(&'static str, Option<&Path>); 2] {
         [
             ("mapping.map", self.mapping.run.map.as_deref()),
@@ -304,8 +304,8 @@ impl Deployment {
             .collect()
     }
 
-    /// The groups' names and robots, checked. A part that looks after one robot has the others' sections no more: whether the deployment has
-    /// all of a group is looked at when its file is read.
+    /// Names and robots of the groups, each checked by itself. Whether every robot of a group has a section is checked when the file is
+    /// read: a part for one robot no longer has the other robots' sections.
     ///
     /// # Errors
     /// A usage failure that names the bad group.

@@ -1,4 +1,4 @@
-//! Section of security. How are links protected? By flags over the environment over the deployment file.
+//! Security section. How links are protected: flags win over the environment, the environment over the deployment file.
 
 use std::path::PathBuf;
 
@@ -14,26 +14,26 @@ use crate::failure::Failure;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Profile {
-    /// Neither encrypted nor authenticated: for loopback, and networks that are closed.
+    /// Neither encrypted nor authenticated: for loopback and closed networks.
     Open,
-    /// TLS over QUIC, with a certificate of each side.
+    /// TLS over QUIC, with a certificate on each side.
     Mtls,
 }
 
 settings! {
     /// How links are protected.
     pub struct SecuritySection {
-        /// `open` or `mtls`; not set: `mtls` where a deployment of many hosts is rendered, `open` on this machine.
+        /// `open` or `mtls`; unset: `mtls` when a deployment of many hosts is rendered, `open` on this machine.
         pub profile: Option<Profile> = None;
         /// Folder of this part's `ca.pem`, `cert.pem` and `key.pem`.
         pub identity: Option<PathBuf> = None;
     }
 }
 
-/// Who this process is in its fleet.
+/// Identity of this process in its fleet.
 #[derive(Clone, Debug, Default, Args)]
 pub struct IdentityArgs {
-    /// Folder of this process's identity, which `zenav keys issue` makes: links are encrypted then, with a certificate of each side
+    /// Folder of this process's identity, made by `zenav keys issue`; with it, links are encrypted and both sides present certificates
     #[arg(long, global = true, value_name = "FOLDER", env = "ZENAV_IDENTITY")]
     pub identity: Option<PathBuf>,
 }
@@ -43,13 +43,13 @@ pub struct IdentityArgs {
 pub(crate) struct SecurityArgs {
     #[command(flatten)]
     pub(crate) identity: IdentityArgs,
-    /// Listen to other machines without an identity: whoever reaches an endpoint commands every robot
+    /// Listen to other machines without an identity: anyone who reaches an endpoint can command every robot
     #[arg(long)]
     pub(crate) insecure: bool,
 }
 
 impl IdentityArgs {
-    /// How links are protected by this identity, or on this machine alone without one.
+    /// Link protection by this identity; without one, links on this machine only.
     ///
     /// # Errors
     /// A folder that holds no identity.
@@ -57,7 +57,7 @@ impl IdentityArgs {
         Ok(Security::of(self.identity.as_deref(), false)?)
     }
 
-    /// As [`Self::security`], with what a deployment says.
+    /// Like [`Self::security`], with the deployment's settings.
     ///
     /// # Errors
     /// As [`Self::security`]; a profile that does not fit.
@@ -71,7 +71,7 @@ impl IdentityArgs {
 }
 
 impl SecurityArgs {
-    /// How links are protected.
+    /// Link protection from these arguments.
     ///
     /// # Errors
     /// A folder that holds no identity.
@@ -79,7 +79,7 @@ impl SecurityArgs {
         Ok(Security::of(self.identity.identity.as_deref(), self.insecure)?)
     }
 
-    /// As [`Self::security`], with what a deployment says.
+    /// Like [`Self::security`], with the deployment's settings.
     ///
     /// # Errors
     /// As [`Self::security`]; a profile that does not fit.

@@ -1,4 +1,4 @@
-//! Section of a service. How a deployment runs it, and the settings of its library, side by side.
+//! Section of a service. How a deployment runs it, and its library's settings, side by side.
 
 use std::fmt;
 use std::marker::PhantomData;
@@ -9,10 +9,10 @@ use serde::{Deserialize, Serialize};
 use zenav_protocol::config_text::OutOfBounds;
 use zenav_protocol::settings::{Row, Settings};
 
-/// A section in which a deployment's own settings `R` stand beside a library's `S`.
+/// A section with the deployment's own settings `R` beside a library's `S`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Service<R, S> {
-    /// How it is run.
+    /// How it runs.
     #[serde(flatten)]
     pub run: R,
     /// The library's settings.
@@ -31,7 +31,7 @@ impl<R: Settings, S: Settings> Settings for Service<R, S> {
     }
 }
 
-/// By hand: serde's `flatten` would neither refuse unknown keys nor tell where they stand.
+/// Hand-written: serde's `flatten` would neither refuse unknown keys nor report where they are.
 impl<'de, R: Settings, S: Settings> Deserialize<'de> for Service<R, S> {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         deserializer.deserialize_map(Section(PhantomData))
@@ -60,12 +60,12 @@ impl<'de, R: Settings, S: Settings> Visitor<'de> for Section<R, S> {
     }
 }
 
-/// The entries of a section but for some keys, which are taken out.
+/// The entries of a section without the deployment's own keys, which are taken out.
 struct Others<'a, A, R> {
     map: A,
     keys: Vec<String>,
     taken: toml::Table,
-    /// Made of what was taken.
+    /// Built from the keys taken out.
     run: &'a mut R,
 }
 
@@ -95,7 +95,7 @@ impl<'de, A: MapAccess<'de>, R: Settings> MapAccess<'de> for Others<'_, A, R> {
     }
 }
 
-/// A key, read while its place in the text is known: whatever is wrong with it is told with that.
+/// A key, read while its position in the text is known, so that errors carry it.
 struct Key<'a, K> {
     keys: &'a [String],
     seed: &'a mut Option<K>,
@@ -122,7 +122,7 @@ impl<'de, K: DeserializeSeed<'de>> DeserializeSeed<'de> for Key<'_, K> {
     }
 }
 
-/// A value of a key that is taken out, read as a key is.
+/// The value of a key taken out, read while its position is known.
 struct Own<'a, R> {
     key: String,
     taken: &'a mut toml::Table,

@@ -29,7 +29,7 @@ enum ConfigCommand {
     Show {
         /// Deployment file; without it, the defaults
         file: Option<PathBuf>,
-        /// With unit, default, bounds and origin of each value
+        /// Add unit, default, bounds and origin of each value
         #[arg(long)]
         origin: bool,
         /// Output format
@@ -38,7 +38,7 @@ enum ConfigCommand {
     },
 }
 
-/// One value and where it came from.
+/// A value and its origin.
 #[derive(Debug, Serialize)]
 struct Origin {
     key: String,
@@ -63,7 +63,7 @@ pub fn run(args: &ConfigArgs) -> Outcome {
             table(&["KEY", "VALUE", "UNIT", "DEFAULT", "BOUNDS", "ORIGIN"], &cells)
         })?;
     } else {
-        // The deployment as a file that would make it.
+        // The deployment as a file that reproduces it.
         value(*output, &layers.deployment, |deployment| {
             toml::to_string(deployment).unwrap_or_default()
         })?;
@@ -101,7 +101,7 @@ fn origins(layers: &Layers) -> Result<Vec<Origin>, Failure> {
     Ok(origins)
 }
 
-/// The rows of one section, for a key that holds sections by name.
+/// The rows of one section, for a key that holds named sections.
 fn rows_of_each(key: &str) -> Option<Vec<Row>> {
     match key {
         "robots" => Some(RobotSection::rows()),
@@ -139,7 +139,7 @@ mod tests {
 
     use super::*;
 
-    /// `docs/settings.md`: what can be set, as it is declared.
+    /// `docs/settings.md`, generated from the declared settings.
     fn reference() -> String {
         let mut page = "# Settings\n\n\
             Every setting with its unit, default and bounds. The first part is what a deployment file sets (`zenav up FILE`), the second what a robot file\n\

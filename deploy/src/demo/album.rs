@@ -1,4 +1,4 @@
-//! Album. What did the robot know, plan and drive? A picture for every drive of a scenario, drawn beside the run.
+//! Album. One picture for every drive of a scenario: what the robot knew, planned and drove.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -14,7 +14,7 @@ use crate::drawing::scene::Scene;
 use crate::failure::Failure;
 use crate::files;
 
-/// Longest wait for the map, wall.
+/// Longest wait for the map, wall time.
 const MAP_DEADLINE: Duration = Duration::from_secs(5);
 
 /// Pictures of a run.
@@ -22,21 +22,21 @@ pub(super) struct Album {
     bus: Bus,
     robot: Id,
     folder: PathBuf,
-    /// What the planner shows.
+    /// Search trees published by the planner.
     pub trees: Latest<SearchTree>,
-    /// What the planner has shown first of the present drive.
+    /// First search tree of the present drive.
     tree: Option<SearchTree>,
     places: Vec<(String, Point2<f64>)>,
     pages: JoinSet<Result<PathBuf, Failure>>,
     count: usize,
 }
 
-/// Pixels of a picture's longer side, about.
+/// Approximate length of a picture's longer side, px.
 const SIZE: u32 = 1200;
 
 impl Album {
     /// # Errors
-    /// When the planner's trees cannot be subscribed to.
+    /// The planner's trees cannot be subscribed to.
     pub fn new(bus: &Bus, robot: &Id, folder: &Path, places: Vec<(String, Point2<f64>)>) -> Result<Self, Failure> {
         Ok(Self {
             bus: bus.clone(),
@@ -50,13 +50,13 @@ impl Album {
         })
     }
 
-    /// Takes in what the planner shows: of each drive its first path, the one that it set out on.
+    /// Takes in the planner's newest tree: for each drive the first one with a path is kept.
     pub fn see(&mut self) {
         let tree = self.trees.take().filter(|tree| !tree.path.is_empty());
         self.tree = self.tree.take().or(tree);
     }
 
-    /// Draws the end of a drive: `plan` is the one that it ended with, `trail` the true path since the start.
+    /// Draws the end of a drive: `plan` is its last plan, `trail` the true path since the start.
     pub fn page(&mut self, name: &str, goal: Option<GoalPoint>, plan: Vec<Point2<f64>>, trail: Vec<Point2<f64>>) {
         self.see();
         self.count += 1;
@@ -84,7 +84,7 @@ impl Album {
         });
     }
 
-    /// Waits for the last page; returns the files.
+    /// Waits for all pages; returns the files.
     ///
     /// # Errors
     /// A picture that could not be drawn or written.

@@ -1,5 +1,5 @@
-//! Film of a scenario. How did the map grow, and what did the robot see, plan and drive? Recorded beside the run as any client sees it, with the
-//! true pose of the robot; drawn when the run is over.
+//! Film of a scenario. The growing map, and what the robot saw, planned and drove; recorded during the run as any client sees it, with the
+//! robot's true pose, and drawn afterwards.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -24,17 +24,17 @@ use crate::drawing::scene::Scene;
 use crate::failure::Failure;
 use crate::files;
 
-/// Width of a film, and greatest height, px.
+/// Width and largest height of a film, px.
 const WIDTH: u32 = 640;
 const HEIGHT: f64 = 560.0;
-/// Pictures at most, and how long each is shown, hundredths of a second: twenty seconds.
+/// Most pictures, and how long each is shown, hundredths of a second: twenty seconds in total.
 const MOST: usize = 160;
 const SHOWN: u16 = 12;
 /// Simulated time between two recorded moments, s.
 const PERIOD: f64 = 0.2;
-/// Longest wait for a map, wall.
+/// Longest wait for a map, wall time.
 const MAP_WITHIN: Duration = Duration::from_secs(1);
-/// Around the world, m.
+/// Margin around the world, m.
 const MARGIN: f64 = 0.15;
 
 /// A world's places.
@@ -43,7 +43,7 @@ pub(super) fn places(world: &World) -> Vec<(String, Point2<f64>)> {
     world.places().iter().map(place).collect()
 }
 
-/// A film that is yet to be recorded.
+/// A film not yet recorded.
 pub(super) struct Film {
     file: PathBuf,
     title: String,
@@ -53,7 +53,7 @@ pub(super) struct Film {
     referee: Referee,
 }
 
-/// What there was to see at a moment.
+/// Contents of one picture.
 #[derive(Clone)]
 struct Moment {
     secs: f64,
@@ -65,7 +65,7 @@ struct Moment {
     step: String,
 }
 
-/// A film that is being recorded.
+/// A film being recorded.
 pub(super) struct Recording {
     film: Film,
     shutdown: Shutdown,
@@ -86,10 +86,10 @@ impl Film {
         }
     }
 
-    /// Records from now on.
+    /// Starts recording.
     ///
     /// # Errors
-    /// When something cannot be subscribed to.
+    /// A topic cannot be subscribed to.
     pub(super) fn start(self, bus: &Bus, id: &Id, speed: f64) -> Result<Recording, Failure> {
         let robot = [id.as_str()];
         let mut scans = bus.latest(&topics::SCAN, &robot)?;
@@ -131,7 +131,7 @@ impl Film {
                 if let Some(plan) = plans.take() {
                     let points = plan.trajectory.iter().map(|point| Point2::new(point.x, point.y));
                     let points: Vec<Point2<f64>> = points.collect();
-                    // A plan without a time law is its waypoints.
+                    // A plan without a time law has only waypoints.
                     moment.plan = Arc::new(if points.is_empty() { plan.waypoints } else { points });
                 }
                 while let Some(goal) = goals.take() {
@@ -170,7 +170,7 @@ impl Recording {
 }
 
 impl Film {
-    /// Draws the moments, at most so many of them, evenly.
+    /// Draws the moments; of more than [`MOST`], an even selection.
     fn develop(self, moments: &[Moment]) -> Result<PathBuf, Failure> {
         let footprint = files::robot(self.robot)?.footprint;
         let count = moments.len().min(MOST);
@@ -186,7 +186,7 @@ impl Film {
         Ok(self.file)
     }
 
-    /// The last of the moments so far, with the trail of all.
+    /// Draws the last of the moments, with the trail of all.
     fn picture(&self, moments: &[Moment], footprint: &Footprint) -> Result<crate::drawing::canvas::Canvas, Failure> {
         let Some(now) = moments.last() else {
             return Err(Failure::failed("nothing was recorded"));

@@ -1,5 +1,5 @@
-//! `zenav demo kidnapped`: a robot in a house whose map it has is carried into another room on its way. It notices, has itself looked for in
-//! the whole map, and reaches its goals all the same.
+//! `zenav demo kidnapped`: a robot with a map of the house is carried into another room during its drive. It detects this, has itself
+//! searched for in the whole map, and still reaches its goals.
 
 use zenav_cloud::mapping::PoseSource;
 use zenav_protocol::geometry::Pose2;

@@ -1,4 +1,4 @@
-//! `zenav demo kitchen`: map the kitchen while driving twice around its table, store the map, drive to the corner and to the sink.
+//! `zenav demo kitchen`: map the kitchen while driving around its table twice, store the map, drive to the corner and to the sink.
 
 use zenav_cloud::mapping::PoseSource;
 

@@ -1,16 +1,16 @@
-//! `zenav demo`. Does everything work on this machine? One scenario over real Zenoh sessions, to its end, with a report.
+//! `zenav demo`. Runs one scenario on this machine over real Zenoh sessions, to its end, with a report.
 //!
-//! The parts meet at a router on a free loopback port; the demo itself is one more client that submits the mission as one
-//! goal and watches. Clearance, contacts and errors come from the simulator's truth, which no part sees.
+//! The parts connect to a router on a free loopback port; the demo itself is another client, which submits the mission as one goal and
+//! watches. Clearance, contacts and errors come from the simulator's ground truth, which no part sees.
 //!
 //! | file | answers |
 //! |---|---|
-//! | `kitchen`, `online`, `slam`, `kidnapped` | what is each scenario made of? (a new one is a `Script` beside them) |
-//! | `wall_follow` | how does a robot follow walls by itself, without a cloud? |
-//! | `watch` | how did it go, as a client and the referee saw it? |
-//! | `refusals` | is a goal that nobody can reach refused, and with which words? |
-//! | `recorded` | what went over the bus, as a page and a file? |
-//! | `album`, `film` | what did the robot know, plan and drive? pictures, and a moving one |
+//! | `kitchen`, `online`, `slam`, `kidnapped` | the scenarios (add a new one as a `Script` beside them) |
+//! | `wall_follow` | how does a robot follow walls on its own, without a cloud? |
+//! | `watch` | how did the run go, from a client's and from the referee's view? |
+//! | `refusals` | are unreachable goals refused, and with which reasons? |
+//! | `recorded` | the bus traffic, as a page and as a file |
+//! | `album`, `film` | what did the robot know, plan and drive? pictures, and an animation |
 
 mod album;
 mod film;
@@ -57,60 +57,61 @@ use recorded::Recorder;
 use refusals::Impossible;
 use watch::Watch;
 
-/// Time for the parts to come up, wall.
+/// Time for the parts to start, wall time.
 const START_UP: Duration = Duration::from_secs(20);
 
-/// What a scenario is made of.
+/// Definition of a scenario.
 #[derive(Clone, Copy, Debug)]
 struct Script {
     /// Its name.
     name: &'static str,
     /// Its tree.
     tree: &'static str,
-    /// Where the poses of the map come from. A robot that has them from others than itself has neither GPS nor compass.
+    /// Source of the poses for mapping. With any source but the robot itself, the robot has neither GPS nor compass.
     poses: PoseSource,
-    /// The robot is carried away.
+    /// Kidnapping of the robot.
     carried: Option<Carried>,
     /// A shipped world.
     world: &'static str,
-    /// Name of the robot, and a shipped model.
+    /// Name of the robot, and its shipped model.
     robot: (&'static str, &'static str),
     /// Planner; `None` for the deployment's own.
     planner: Option<&'static str>,
-    /// Simulated time after which it has failed, s.
+    /// Time limit of the scenario, simulated, s.
     time_limit: f64,
-    /// A map from an earlier run is used.
+    /// Whether a map from an earlier run is used.
     uses_stored_map: bool,
-    /// Goals that must be refused once driving has begun.
+    /// Goals that must be refused after the first drive has started.
     impossible: &'static [Impossible],
-    /// Pictures are drawn at the end of every drive.
+    /// Whether a picture is drawn at the end of every drive.
     drawn: bool,
-    /// The robot follows walls by itself: there is no cloud and no goal.
+    /// Whether the robot follows walls on its own: no cloud and no goal.
     alone: bool,
 }
 
-/// Somebody carries the robot away.
+/// Kidnapping of the robot.
 #[derive(Clone, Copy, Debug)]
 struct Carried {
-    /// Once it has driven so far, m.
+    /// After this driven distance, m.
     after: f64,
-    /// Where to.
+    /// New pose.
     to: Pose2,
 }
 
 /// Scenarios.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Scenario {
-    /// Map a kitchen by SLAM, then drive to its corner and to the sink; a map of an earlier run in --out is localised in instead
+    /// Map a kitchen by SLAM, then drive to its corner and to the sink; with a map of an earlier run in --out, localise in that map
+    /// instead
     Kitchen,
     /// Follow the walls of a room for ten minutes, without a cloud
     #[value(name = "wall_follow", alias = "wall-follow")]
     WallFollow,
     /// Drive to four rooms of an unknown house, planning while the map grows
     Online,
-    /// As kitchen, but mapping anew in every run: a map in --out is never used
+    /// Like kitchen, but map anew in every run: a map in --out is never used
     Slam,
-    /// A robot that is carried away finds itself in its map
+    /// Carry a robot away: it finds itself in its map again
     Kidnapped,
 }
 
@@ -125,7 +126,7 @@ impl Scenario {
         }
     }
 
-    /// Whether its robot may have GPS and a compass.
+    /// Whether the scenario's robot may have GPS and a compass.
     const fn has_gps(self) -> bool {
         matches!(self, Self::Kitchen | Self::Online)
     }
@@ -137,16 +138,16 @@ impl Scenario {
     after_help = "Examples:\n  zenav demo kitchen                    a first mission, in a map that is made on the way\n  zenav demo online --speed 4\n  zenav demo kitchen --record run.mcap  for replay, diff, film and Foxglove"
 )]
 pub struct DemoArgs {
-    /// Which scenario
+    /// Scenario to run
     #[arg(value_enum, default_value = "kitchen")]
     scenario: Scenario,
-    /// Simulated time against wall time
+    /// Simulated time relative to wall time
     #[arg(long, default_value_t = 1.0, value_parser = connect::speed)]
     speed: f64,
     /// Seed of all noise
     #[arg(long, default_value_t = 1, value_parser = connect::whole::<u64>)]
     seed: u64,
-    /// The robot has GPS and a compass, and draws the map by its own poses (kitchen and online)
+    /// Give the robot GPS and a compass, and map with its own poses (kitchen and online)
     #[arg(long)]
     gps: bool,
     /// Planner, instead of the scenario's
@@ -155,17 +156,17 @@ pub struct DemoArgs {
     /// Driving profile, `fastest` or `economy`
     #[arg(long)]
     profile: Option<DrivingProfile>,
-    /// Folder for `report.json`, `report.html`, `map.pgm`, `map.yaml` and pictures; the kitchen uses a map that is there already [default:
-    /// zenav-out/SCENARIO]
+    /// Folder for `report.json`, `report.html`, `map.pgm`, `map.yaml` and pictures; the kitchen scenario uses a map that is already there
+    /// [default: zenav-out/SCENARIO]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Write a moving picture of the run (all but wall_follow)
+    /// Write an animation of the run (all but wall_follow)
     #[arg(long, value_name = "FILE.gif")]
     film: Option<PathBuf>,
-    /// Keep the record of the run as a file that must not exist yet
+    /// Keep the record of the run in this file; it must not exist yet
     #[arg(long, value_name = "FILE.mcap")]
     record: Option<PathBuf>,
-    /// Plain log lines instead of a live display
+    /// Print plain log lines instead of a live display
     #[arg(long)]
     no_ui: bool,
     #[command(flatten)]
@@ -182,7 +183,7 @@ pub struct DemoArgs {
 }
 
 impl DemoArgs {
-    /// Where files go.
+    /// Output folder.
     fn folder(&self) -> PathBuf {
         let own = || Path::new("zenav-out").join(self.scenario.script().name);
         self.out.clone().unwrap_or_else(own)
@@ -226,7 +227,7 @@ pub fn run(args: &DemoArgs) -> Outcome {
     })
 }
 
-/// The shipped deployment on free ports with the script's robot, its files in a folder of the run.
+/// The shipped deployment on free ports, with the script's robot and its files in a folder of this run.
 fn deployment(args: &DemoArgs, script: &Script, endpoint: &str, state: &Path) -> Result<Deployment, Failure> {
     let mut deployment = config::load(None)?;
     deployment.bus.connect = endpoint.to_owned();
@@ -251,7 +252,7 @@ fn deployment(args: &DemoArgs, script: &Script, endpoint: &str, state: &Path) ->
         ..RobotSection::default()
     };
     deployment.robots = [(id.to_owned(), robot)].into();
-    // Several demos may run on one machine.
+    // Several demos may run on one machine at once.
     if !args.page.names_address() {
         gateway::FREE_PORT.clone_into(&mut deployment.gateway.settings.listen);
     }
@@ -264,10 +265,10 @@ fn deployment(args: &DemoArgs, script: &Script, endpoint: &str, state: &Path) ->
     Ok(deployment)
 }
 
-/// The files of a stored map.
+/// Files of a stored map.
 const MAP_FILES: [&str; 3] = ["map.pgm", "map.yaml", "map.json"];
 
-/// Copies a stored map; returns the files that there were.
+/// Copies a stored map; returns the files found.
 fn copy_map(from: &Path, to: &Path) -> Result<Vec<PathBuf>, Failure> {
     std::fs::create_dir_all(to).map_err(Failure::failed_at(to))?;
     let mut copied = Vec::new();
@@ -284,7 +285,7 @@ fn copy_map(from: &Path, to: &Path) -> Result<Vec<PathBuf>, Failure> {
 async fn scenario(args: &DemoArgs) -> Result<DemoReport, Failure> {
     let began = Instant::now();
     let mut script = args.scenario.script();
-    // Goals and epochs of a demo are its own; the map alone outlives it.
+    // Goals and epochs belong to this run; only the map outlives it.
     let folder = args.folder();
     let state = folder.join(format!(".run-{}", std::process::id()));
     let robot_dir = state.join(script.robot.0);
@@ -317,7 +318,7 @@ async fn scenario(args: &DemoArgs) -> Result<DemoReport, Failure> {
             deployment.mapping.run.map = Some(file);
         }
         let mut parts = Parts::default();
-        // Before the parts: what they say first is in the record.
+        // Started before the parts, so that their first messages are recorded.
         let recorder = Recorder::begin(args, &script, &endpoint, &state).await?;
         let played = if script.alone {
             wall_follow::play(args, &script, &deployment, &world, &mut parts, &endpoint).await
@@ -428,7 +429,7 @@ async fn play(
     Ok(report)
 }
 
-/// A live display, where one is wanted and can be.
+/// A live display, if wanted and possible.
 fn live_display(args: &DemoArgs) -> Option<ProgressBar> {
     if args.no_ui { None } else { spinner() }
 }

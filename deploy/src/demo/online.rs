@@ -1,5 +1,5 @@
-//! `zenav demo online`: a small robot in a house that it has never seen drives to one room after the other, while the map grows and what
-//! has not been seen counts as free; meanwhile goals that nobody can reach are refused.
+//! `zenav demo online`: a small robot in an unknown house drives to one room after another while the map grows, and plans through unseen
+//! space as if free; meanwhile unreachable goals are refused.
 
 use zenav_cloud::mapping::PoseSource;
 

@@ -1,4 +1,4 @@
-//! Record of a demonstration. What went over its bus: kept for the page that tells the run, and as a file of its own where one is asked for.
+//! Record of a demonstration. The bus traffic, kept for the report page, and as a separate file on request.
 
 use std::path::{Path, PathBuf};
 
@@ -12,17 +12,17 @@ use crate::report::DemoReport;
 /// Name of the page, beside `report.json`.
 const PAGE: &str = "report.html";
 
-/// Records everything that goes over a demonstration's router.
+/// Records all traffic of a demonstration's router.
 pub(super) struct Recorder {
     bus: Bus,
     recording: Recording,
     page: PathBuf,
-    /// Whether the record itself was asked for.
+    /// Whether the user asked for the record.
     is_kept: bool,
 }
 
 impl Recorder {
-    /// Begins, in a file of `state` where none was named.
+    /// Starts recording, into a file in `state` if none was named.
     pub(super) async fn begin(args: &DemoArgs, script: &Script, endpoint: &str, state: &Path) -> Result<Self, Failure> {
         let file = args.record.clone().unwrap_or_else(|| state.join("run.mcap"));
         let is_kept = args.record.is_some();
@@ -30,7 +30,7 @@ impl Recorder {
         let title = format!("{}, seed {}, speed {}", script.name, args.seed, args.speed);
         let options = RecordOptions {
             about: [(record::TITLE_ENTRY.to_owned(), title)].into(),
-            // The page is made of the samples themselves.
+            // The page needs only the samples themselves.
             raw_only: !is_kept,
             ..RecordOptions::default()
         };
@@ -44,7 +44,8 @@ impl Recorder {
         })
     }
 
-    /// Ends, and adds page and record to the report. Without the page a run is as good; without the record that was asked for it has failed.
+    /// Ends the recording, and adds page and record to the report. A missing page is only noted; a missing record that was asked for is a
+    /// failure.
     pub(super) async fn end(self, played: Result<DemoReport, Failure>) -> Result<DemoReport, Failure> {
         let recorded = self.recording.finish().await;
         self.bus.close().await;

@@ -1,4 +1,4 @@
-//! Unreachable goals. Is one refused, and with which words? Asked while the robot drives, as any client might.
+//! Unreachable goals. Submits them while the robot drives, like any client, and checks that they are refused and with which reasons.
 
 use std::time::Duration;
 
@@ -9,10 +9,10 @@ use zenav_protocol::topics;
 
 use crate::report::RefusedGoal;
 
-/// Longest wait for the first drive to begin, and for an answer, wall.
+/// Longest wait for the first drive to start, and for an answer, wall time.
 const PATIENCE: Duration = Duration::from_secs(20);
 
-/// A place that no robot can be at.
+/// A place where no robot can be.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Impossible {
     pub name: &'static str,
@@ -22,10 +22,10 @@ pub(super) struct Impossible {
     pub y: f64,
 }
 
-/// Asks for each goal once the mission has begun to drive: then it knows the robot, and some of the map.
+/// Submits each goal once the mission has started to drive: by then it knows the robot, and some of the map.
 ///
 /// # Errors
-/// In words: a goal was accepted, or nobody answered.
+/// In words: a goal was accepted, or there was no answer.
 pub(super) async fn ask(
     bus: Bus,
     robot: Id,
@@ -45,7 +45,7 @@ pub(super) async fn ask(
             }
         }
     };
-    // Too late is soon enough for a report.
+    // On timeout the goals are submitted anyway: a late result is enough for a report.
     let _ = tokio::time::timeout(PATIENCE, begun).await;
     let mut refused = Vec::new();
     for goal in goals {

@@ -1,4 +1,4 @@
-//! `zenav demo slam`: the kitchen's errands by a robot without GPS and compass, in a map that SLAM makes on the way.
+//! `zenav demo slam`: the kitchen's drives by a robot without GPS and compass, in a map that SLAM makes during the run.
 
 use zenav_cloud::mapping::PoseSource;
 

@@ -1,5 +1,5 @@
-//! `zenav demo wall_follow`. How does a robot follow walls by itself? A Neato with 360 beams and a bumper, no cloud and no goal, follows
-//! the walls of a room with inner and outer corners for ten minutes.
+//! `zenav demo wall_follow`. A Neato with 360 beams and a bumper follows the walls of a room with inner and outer corners for ten minutes,
+//! without a cloud and without a goal.
 
 use std::collections::BTreeMap;
 use std::io::Write as _;
@@ -45,30 +45,30 @@ pub(super) const SCRIPT: Script = Script {
 
 /// Simulated time between two samples of the distance, s.
 const SAMPLE: f64 = 0.1;
-/// How often a plain log tells how it goes, wall.
+/// Period of progress lines in a plain log, wall time.
 const LOG_EVERY: Duration = Duration::from_secs(5);
-/// The 95th percentile of the distance error on straight walls that is allowed, m.
+/// Largest allowed 95th percentile of the distance error on straight walls, m.
 const ALLOWED: f64 = 0.03;
-/// Share of the time that the robot must spend along walls.
+/// Smallest share of the time that the robot must spend along walls.
 const FOLLOWING: f64 = 0.5;
 /// Pixels of the picture's longer side, and the colour of the path.
 const PICTURE: u32 = 1000;
 const DRIVEN: Color = [215, 60, 40];
-/// Time for the robot to come up, and for the last events to arrive, wall.
+/// Time for the robot to start, and for the last events to arrive, wall time.
 const PATIENCE: Duration = Duration::from_secs(20);
 const LAST_EVENTS: Duration = Duration::from_millis(500);
-/// How often events that the robot keeps are asked for while the first are missing, wall.
+/// Period of requesting the robot's retained events while the first ones are missing, wall time.
 const ASK_AGAIN: Duration = Duration::from_secs(3);
 
-/// What is seen of the run.
+/// Observations of the run.
 struct Watch<'a> {
     world: &'a World,
     target: f64,
     referee: Referee,
     states: Latest<EdgeState>,
     events: Subscription<Event>,
-    /// What the robot keeps of its events, asked for again while the first of them are missing: on a busy machine they may come before
-    /// the link does.
+    /// The robot's retained events, requested again while the first ones are missing: on a busy machine they may be published before the
+    /// link is up.
     kept: Option<Subscription<Event>>,
     bus: Bus,
     robot: Id,
@@ -77,9 +77,9 @@ struct Watch<'a> {
     errors: Errors,
     sampled: Stamp,
     following: f64,
-    /// Where the robot has been, map frame.
+    /// Driven path, map frame.
     driven: Vec<Point2<f64>>,
-    /// The run counts up to here.
+    /// End of the evaluated time.
     end: Stamp,
 }
 
@@ -136,7 +136,7 @@ pub(super) async fn play(
     Ok(report)
 }
 
-/// The event log, one event a line.
+/// Writes the event log, one event per line.
 fn write_log(args: &DemoArgs, log: &BTreeMap<u64, Event>) -> Result<(), Failure> {
     let file = args.folder().join("events.ndjson");
     let failed = |error: std::io::Error| Failure::failed(format!("{}: {error}", file.display()));
@@ -148,7 +148,7 @@ fn write_log(args: &DemoArgs, log: &BTreeMap<u64, Event>) -> Result<(), Failure>
     out.flush().map_err(failed)
 }
 
-/// The room and the path driven.
+/// Draws the room and the driven path.
 fn draw(args: &DemoArgs, world: &World, driven: &[Point2<f64>]) -> Result<(), Failure> {
     let mut plane = backdrop(world, PICTURE)?;
     plane.polyline(driven, DRIVEN, 2.0);
@@ -156,7 +156,7 @@ fn draw(args: &DemoArgs, world: &World, driven: &[Point2<f64>]) -> Result<(), Fa
     files::write(&args.folder().join("path.png"), plane.finish()?.png()?)
 }
 
-/// The next event of those that the robot keeps; for ever where none are asked for.
+/// The next retained event; waits for ever if none were requested.
 async fn kept(kept: &mut Option<Subscription<Event>>) -> Option<Event> {
     match kept {
         Some(kept) => kept.next().await.map(|event| event.message),
@@ -202,7 +202,7 @@ impl Watch<'_> {
                 }
             }
         }
-        // What happened last may still be under way.
+        // The last events may still be on their way.
         let end = tokio::time::sleep(LAST_EVENTS);
         tokio::pin!(end);
         loop {
@@ -217,7 +217,7 @@ impl Watch<'_> {
         Ok(())
     }
 
-    /// Whether events have come, but not the first one.
+    /// Whether there are events, but not the first one.
     fn lacks_first(&self) -> bool {
         self.log.keys().next().is_some_and(|first| *first > 1)
     }
@@ -260,7 +260,8 @@ impl Watch<'_> {
         )
     }
 
-    /// The follower's transitions, whether each began where the one before ended, and none of the boot's events is missing.
+    /// The follower's transitions with their counts, and whether they are complete: each starts where the previous one ended, and no event
+    /// of the boot is missing.
     fn transitions(&self) -> (BTreeMap<String, u64>, bool) {
         let mut counts = BTreeMap::new();
         let mut at = WallFollowerState::default().name();

@@ -1,4 +1,4 @@
-//! Observer of a run. How did it go? What any client sees and the simulator's truth, gathered into the report.
+//! Observer of a run. Combines what any client sees with the simulator's ground truth into the report.
 
 use std::time::{Duration, Instant};
 
@@ -19,25 +19,25 @@ use super::{DemoArgs, Script};
 use crate::failure::Failure;
 use crate::report::{DemoReport, GoalReport, Latency, Percentiles, REACHED, per_metre};
 
-/// How often truth is sampled, wall.
+/// Sampling period of the truth, wall time.
 const SAMPLE: Duration = Duration::from_millis(10);
-/// How often a plain log tells how it goes, wall.
+/// Period of progress lines in a plain log, wall time.
 const LOG_EVERY: Duration = Duration::from_secs(5);
 /// Faster than this counts as motion, m/s or rad/s.
 const MOVING: f64 = 0.02;
-/// At this speed and above wall-clock effects show.
+/// From this speed on, wall-clock effects are visible.
 const FAST: f64 = 4.0;
-/// A goal this near to a place has its name, m.
+/// A goal within this distance of a place gets its name, m.
 const SAME_PLACE: f64 = 0.01;
 
-/// Truth at a moment.
+/// Ground truth at a moment.
 #[derive(Clone, Copy)]
 struct Sample {
     now: Stamp,
     truth: Truth,
 }
 
-/// What the demo sees, as any client would, and the referee's truth.
+/// What the demo sees as a client, and the referee's ground truth.
 pub(super) struct Watch {
     referee: Referee,
     places: Vec<(String, Point2<f64>)>,
@@ -50,7 +50,7 @@ pub(super) struct Watch {
     samples: Vec<Sample>,
     /// Arrival of recent scans and poses, by their stamp.
     arrivals: Vec<(Stamp, Instant)>,
-    /// Scan that is the newest in each recent revision of the map.
+    /// Newest scan in each recent map revision.
     revisions: Vec<(MapRef, Stamp)>,
     scan_to_plan: Vec<f64>,
     goal_to_motion: Vec<f64>,
@@ -61,21 +61,21 @@ pub(super) struct Watch {
     state: Option<EdgeState>,
     told: String,
     last_log: Instant,
-    /// Drives that have ended.
+    /// Number of drives that have ended.
     ended: usize,
     /// The plan in force.
     planned: Vec<Point2<f64>>,
-    /// The robot is to be carried away.
+    /// Kidnapping still to come.
     pub carried: Option<super::Carried>,
-    /// A live display, where there is one.
+    /// Live display, if there is one.
     pub bar: Option<ProgressBar>,
-    /// Pictures, where they are wanted.
+    /// Album of pictures, if wanted.
     pub album: Option<Album>,
 }
 
 impl Watch {
     /// # Errors
-    /// When something cannot be subscribed to.
+    /// A topic cannot be subscribed to.
     pub fn new(bus: &Bus, id: &Id, referee: Referee, world: &World) -> Result<Self, Failure> {
         let robot = &[id.as_str()];
         Ok(Self {
@@ -107,7 +107,7 @@ impl Watch {
         })
     }
 
-    /// Watches until the goal ends or the limit of simulated time has passed; `None` for the latter.
+    /// Watches until the goal ends; `None` if the limit of simulated time passes first.
     pub async fn until_end(&mut self, goal_id: &str, limit_secs: f64) -> Option<GoalState> {
         let mut sampling = tokio::time::interval(SAMPLE);
         sampling.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Skip);
@@ -171,7 +171,7 @@ impl Watch {
         self.arrivals.drain(..excess);
     }
 
-    /// A new plan: what it is based on arrived some time before it.
+    /// Takes in a new plan, and measures the time since the arrival of the scan or pose that it is based on.
     fn see_plan(&mut self, plan: &Plan) {
         if self.seen_motion == Some(plan.trajectory_id) || (plan.trajectory.is_empty() && plan.waypoints.is_empty()) {
             return;
@@ -186,7 +186,7 @@ impl Watch {
                 .map(|point| Point2::new(point.x, point.y))
                 .collect()
         };
-        // The newest scan in the map it was checked on; where the map is not growing, the pose it starts from.
+        // The newest scan in the map revision that the plan was checked on; if the map is not growing, the pose that the plan starts from.
         let scan = self
             .revisions
             .iter()
@@ -213,7 +213,7 @@ impl Watch {
         self.goal = Some(goal.clone());
     }
 
-    /// A drive that has ended gets its picture.
+    /// Draws a picture for each drive that has ended.
     fn see_ends(&mut self, goal: &GoalState) {
         let ended = goal.legs.iter().filter(|leg| leg.ended.is_some()).count();
         let more = ended > self.ended;
@@ -241,7 +241,7 @@ impl Watch {
         self.state = Some(state);
     }
 
-    /// Tells a person how it goes: a live line, or log lines at every new step and now and then.
+    /// Shows the progress: a live line, or log lines at every new step and periodically.
     fn tell(&mut self) {
         let Some(goal) = &self.goal else { return };
         let step = goal.feedback.step.clone();
@@ -274,7 +274,7 @@ impl Watch {
         }
     }
 
-    /// The report: `end` is the mission's goal as it ended, `None` when it did not in time.
+    /// The report: `end` is the final state of the mission's goal, `None` if it did not end in time.
     pub fn report(&self, script: &Script, args: &DemoArgs, end: Option<GoalState>) -> DemoReport {
         let truth = self.referee.truth();
         let goal = end.clone().or_else(|| self.goal.clone());
@@ -349,7 +349,7 @@ impl Watch {
     }
 }
 
-/// A drive's name: that of its node, or of the place that it went to where the node has none of its own.
+/// A drive's name: that of its node, or if the node has none of its own, the place it went to.
 fn name_of(leg: &Leg, places: &[(String, Point2<f64>)]) -> String {
     let goal = leg.goal.filter(|_| leg.name == "FollowPath");
     let there = |goal: GoalPoint| {
@@ -359,7 +359,7 @@ fn name_of(leg: &Leg, places: &[(String, Point2<f64>)]) -> String {
     goal.and_then(there).unwrap_or_else(|| leg.name.clone())
 }
 
-/// Waits for a tree to look at; for ever where nobody looks.
+/// Waits for a search tree; for ever without an album.
 async fn trees(album: &mut Option<Album>) -> bool {
     match album {
         Some(album) => album.trees.changed().await,

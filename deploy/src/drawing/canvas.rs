@@ -1,4 +1,4 @@
-//! Canvas. How do shapes and words become pixels? Coordinates in pixels from the top left; what lies outside is cut off.
+//! Canvas. Draws shapes and text into pixels. Coordinates in pixels from the top left; anything outside is clipped.
 
 use std::sync::OnceLock;
 
@@ -14,22 +14,22 @@ pub type Color = [u8; 3];
 
 /// Text and thin lines.
 pub const INK: Color = [24, 28, 34];
-/// Lesser text.
+/// Secondary text.
 pub const GREY: Color = [110, 117, 126];
-/// Paper.
+/// Background.
 pub const WHITE: Color = [255, 255, 255];
 
 /// Most pixels of a picture.
 const MOST_PIXELS: u64 = 100_000_000;
-/// Points farther away than this are drawn here: the rasteriser's numbers are small.
+/// Coordinates beyond this are clamped: the rasteriser's number range is small.
 const FAR: f32 = 32_000.0;
-/// Height of a font's line against its size.
+/// Line height of a font relative to its size.
 const LINE_HEIGHT: f32 = 1.164;
 
 /// A point in pixels.
 pub type Pixel = [f32; 2];
 
-/// Which end of a text lies at its point.
+/// The end of a text that is at its point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Anchor {
     /// Its beginning.
@@ -40,7 +40,7 @@ pub enum Anchor {
     End,
 }
 
-/// Letters.
+/// Typeface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Face {
     /// Plain.
@@ -74,7 +74,7 @@ pub struct Canvas {
 }
 
 impl Canvas {
-    /// A canvas of one colour.
+    /// A canvas filled with one colour.
     ///
     /// # Errors
     /// No pixels, or too many.
@@ -88,7 +88,7 @@ impl Canvas {
         Ok(Self { pixmap })
     }
 
-    /// Two canvases side by side, as high as the higher.
+    /// Two canvases side by side, as high as the higher one.
     ///
     /// # Errors
     /// Too many pixels.
@@ -147,7 +147,7 @@ impl Canvas {
             .fill_path(path, &paint, FillRule::EvenOdd, Transform::identity(), None);
     }
 
-    /// Lines from point to point, and back to the first where they are `closed`; `width` in pixels.
+    /// Lines from point to point, and back to the first if `closed`; `width` in pixels.
     pub fn stroke(&mut self, points: &[Pixel], closed: bool, color: Color, width: f32) {
         let Some(path) = path(points, closed) else { return };
         self.stroke_path(&path, color, width);
@@ -247,7 +247,7 @@ impl Canvas {
 
     /// A PNG.
     ///
-    /// # Errors
+    /// A picture that cannot be encoded.
     /// A picture that cannot be encoded.
     pub fn png(&self) -> Result<Vec<u8>, Failure> {
         let failed = |error: png::EncodingError| Failure::failed(format!("a picture: {error}"));
@@ -279,7 +279,7 @@ fn paint(color: Color, opacity: u8) -> Paint<'static> {
     paint
 }
 
-/// `None` where there is nothing to draw. What is no number is left out.
+/// `None` if there is nothing to draw. Points that are not numbers are left out.
 fn path(points: &[Pixel], closed: bool) -> Option<Path> {
     let mut path = PathBuilder::new();
     let points = points.iter().filter(|[x, y]| !x.is_nan() && !y.is_nan());

@@ -1,20 +1,19 @@
-//! Film. How do pictures become an animated GIF? One palette for all; of each picture only what has changed since the one before.
+//! Film. Encodes pictures as an animated GIF: one palette for all, and of each picture only the changes since the previous one.
 
 use std::collections::HashMap;
 
 use super::canvas::{Canvas, Color};
 use crate::failure::Failure;
 
-/// Colours of a palette beside the transparent one.
+/// Colours of the palette besides the transparent one.
 const COLORS: usize = 255;
-/// Pictures between two that the palette is taken from.
+/// Every so many pictures one is sampled for the palette.
 const STRIDE: usize = 6;
 
-/// The last picture is shown so many times as long as the others.
+/// Factor by which the last picture is shown longer.
 const LAST: u16 = 20;
 
-/// Encodes `count` pictures, drawn one by one on demand and all of one size; each is shown for `hundredths` of a second, the last for
-/// longer.
+/// Encodes `count` pictures of one size, drawn one by one on demand; each is shown for `hundredths` of a second, the last one longer.
 ///
 /// # Errors
 /// No pictures, a picture that cannot be drawn, or one of another size.
@@ -65,7 +64,7 @@ pub fn encode(
     Ok(bytes)
 }
 
-/// The least rectangle that holds all changes; what has not changed in it is transparent.
+/// The smallest rectangle with all changes; unchanged pixels in it are transparent.
 struct Change {
     left: usize,
     top: usize,
@@ -102,7 +101,7 @@ impl Change {
     }
 }
 
-/// The colours that come most often; 0 is transparent.
+/// The most frequent colours; index 0 is transparent.
 #[derive(Default)]
 struct Palette {
     counts: HashMap<Color, u64>,
@@ -161,7 +160,7 @@ mod tests {
     fn every_picture_of_a_film_is_what_was_drawn() {
         let draw = |index: usize| {
             let mut canvas = Canvas::new(30, 20, [255; 3]).unwrap();
-            // The third picture is the second again.
+            // The third picture equals the second.
             let x = 3.0 * index.min(2) as f32;
             canvas.fill(
                 &[[x, 4.0], [x + 8.0, 4.0], [x + 8.0, 15.0], [x, 15.0]],

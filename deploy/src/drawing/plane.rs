@@ -1,4 +1,4 @@
-//! A part of the plane. How is it drawn? The plane on the left, metres as pixels; beside it a panel with title, notes, a legend and a scale bar.
+//! A part of the plane. The plane on the left, scaled to pixels; beside it a panel with title, notes, a legend and a scale bar.
 
 use nalgebra::{Point2, Vector2};
 use zenav_protocol::geometry::Pose2;
@@ -8,11 +8,11 @@ use zenav_protocol::robot::Footprint;
 use super::canvas::{Anchor, Canvas, Color, Face, GREY, INK, Pixel, WHITE, text_width};
 use crate::failure::Failure;
 
-/// What is free.
+/// Free space.
 pub const FREE: Color = WHITE;
-/// What has not been seen.
+/// Unknown space.
 pub const UNKNOWN: Color = [205, 208, 212];
-/// What is solid.
+/// Obstacles.
 pub const OCCUPIED: Color = [30, 34, 40];
 /// Named places.
 pub const PLACE: Color = [30, 130, 76];
@@ -21,18 +21,18 @@ pub const ROBOT: Color = [40, 110, 220];
 
 /// Width of the panel, px.
 pub const PANEL: u32 = 172;
-/// Least height of a picture: the panel's.
+/// Smallest height of a picture: that of the panel.
 const LEAST_HEIGHT: u32 = 320;
 const PAPER: Color = [247, 248, 250];
-/// Between the panel's edge and what stands in it, px.
+/// Margin inside the panel, px.
 const INSET: f32 = 12.0;
-/// Height of a line in the panel, and of its letters, px.
+/// Line height in the panel, and size of its letters, px.
 const LINE: f32 = 19.0;
 const LETTERS: f32 = 12.0;
-/// Shares of ten that a scale bar may be long.
+/// Leading digits of scale bar lengths.
 const ROUND: [f64; 3] = [5.0, 2.0, 1.0];
 
-/// How a thing of the legend is drawn.
+/// Symbol of a legend entry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mark {
     /// A line.
@@ -48,14 +48,14 @@ pub struct Plane {
     canvas: Canvas,
     panel: Canvas,
     low: Point2<f64>,
-    /// Pixels a metre.
+    /// Pixels per metre.
     scale: f64,
-    /// Where the panel's next line stands.
+    /// Position of the panel's next line.
     line: f32,
 }
 
 impl Plane {
-    /// The plane from `low` to `high` with `size` pixels on its longer side, on a background.
+    /// The plane from `low` to `high` with `size` pixels on its longer side, on a background colour.
     ///
     /// # Errors
     /// A part without extent.
@@ -88,7 +88,7 @@ impl Plane {
         self.canvas.beside(&self.panel, PAPER)
     }
 
-    /// Where a point lies, in pixels from the top left.
+    /// Position of a point, in pixels from the top left.
     fn pixel(&self, point: Point2<f64>) -> Pixel {
         let off = (point - self.low) * self.scale;
         [off.x as f32, (f64::from(self.canvas.height()) - off.y) as f32]
@@ -98,7 +98,7 @@ impl Plane {
         points.iter().map(|point| self.pixel(*point)).collect()
     }
 
-    /// A map, wherever it lies.
+    /// A map, at its own position.
     pub fn map(&mut self, map: &OccupancyGrid) {
         let (width, height) = (self.canvas.width(), self.canvas.height());
         for y in 0..height {
@@ -145,7 +145,7 @@ impl Plane {
         self.polygon(&circle(center, radius), color);
     }
 
-    /// A robot: its footprint, and a line from its middle to its front.
+    /// A robot: its footprint, and a line from its centre to its front.
     pub fn robot(&mut self, pose: Pose2, footprint: &Footprint) {
         let outline: Vec<Point2<f64>> = match footprint {
             Footprint::Radius(radius) => circle(pose.position(), *radius),
@@ -162,7 +162,7 @@ impl Plane {
         self.dot(at, PLACE, 4.0);
         let [x, y] = self.pixel(at);
         let width = text_width(name, 11.0, Face::Regular);
-        // Beside its dot, on the side that has room.
+        // Beside its dot, on the side with space.
         let left = if x + width + 12.0 > self.canvas.width() as f32 {
             x - width - 12.0
         } else {
@@ -200,19 +200,19 @@ impl Plane {
         self.word(text, LETTERS, INK, Face::Regular, 26.0);
     }
 
-    /// The legend of a map.
+    /// The legend entries of a map.
     pub fn map_legend(&mut self) {
         self.legend(Mark::Area, OCCUPIED, "occupied");
         self.legend(Mark::Area, FREE, "free");
         self.legend(Mark::Area, UNKNOWN, "unknown");
     }
 
-    /// Room between the panel's lines.
+    /// Vertical space in the panel.
     pub fn gap(&mut self) {
         self.line += 0.5 * LINE;
     }
 
-    /// Writes a line in the panel, cut to its width.
+    /// Writes a line in the panel, cut to the panel's width.
     fn word(&mut self, text: &str, size: f32, color: Color, face: Face, indent: f32) {
         let room = PANEL as f32 - 1.5 * INSET - indent;
         let mut text: String = text.chars().filter(|letter| !letter.is_control()).collect();
@@ -227,7 +227,7 @@ impl Plane {
         self.line += LINE;
     }
 
-    /// A bar that is a round number of metres long, at the panel's foot.
+    /// A bar of a round length in metres, at the bottom of the panel.
     fn scale_bar(&mut self) {
         let most = f64::from(PANEL) - 2.0 * f64::from(INSET);
         let metres = round_below(most / self.scale);
@@ -246,7 +246,7 @@ impl Plane {
     }
 }
 
-/// The greatest of …, 0.5, 1, 2, 5, 10, … that is not above a number.
+/// The largest of …, 0.5, 1, 2, 5, 10, … that does not exceed a number.
 fn round_below(number: f64) -> f64 {
     let exponent = number.log10().floor();
     let (exponent, number) = if exponent.is_finite() {
@@ -254,7 +254,7 @@ fn round_below(number: f64) -> f64 {
     } else {
         (0, 1.0)
     };
-    // Powers of ten from their text: 0.1, not 0.1000…01.
+    // Powers of ten parsed from text: 0.1, not 0.1000…01.
     let ten: f64 = format!("1e{exponent}").parse().unwrap_or(1.0);
     let share = ROUND.into_iter().find(|share| share * ten <= number * (1.0 + 1e-9));
     format!("{}e{exponent}", share.unwrap_or(1.0)).parse().unwrap_or(ten)

@@ -1,4 +1,4 @@
-//! Scene. What did a robot know, plan and drive? Map, places, search tree, scan, plan, trail and footprint in one picture, with a legend.
+//! Scene. What a robot knew, planned and drove: map, places, search tree, scan, plan, trail and footprint in one picture, with a legend.
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;
@@ -18,20 +18,20 @@ const SCAN: Color = [235, 120, 20];
 const GOAL: Color = [240, 150, 0];
 const START: Color = [120, 60, 170];
 
-/// What is drawn; what is `None` is left out, of the legend too.
+/// What to draw; a field that is `None` is left out, also from the legend.
 #[derive(Clone, Debug)]
 pub struct Scene<'a> {
-    /// Stands above the legend.
+    /// Title above the legend.
     pub title: String,
     /// Lines below the title.
     pub notes: Vec<String>,
     /// The map.
     pub map: &'a OccupancyGrid,
-    /// The part of the plane; the map's own where it is `None`.
+    /// The part of the plane; `None`: that of the map.
     pub area: Option<(Point2<f64>, Point2<f64>)>,
     /// Named places.
     pub places: &'a [(String, Point2<f64>)],
-    /// What the planner searched, and its path.
+    /// The planner's search tree, and its path.
     pub tree: Option<&'a SearchTree>,
     /// The returns of the newest scan.
     pub scan: Option<&'a [Point2<f64>]>,
@@ -41,12 +41,12 @@ pub struct Scene<'a> {
     pub trail: Option<&'a [Point2<f64>]>,
     /// The goal.
     pub goal: Option<Point2<f64>>,
-    /// The robot.
+    /// The robot's pose and footprint.
     pub robot: Option<(Pose2, &'a Footprint)>,
 }
 
 impl<'a> Scene<'a> {
-    /// A scene of a map alone.
+    /// A scene of a map only.
     #[must_use]
     pub fn new(title: &str, map: &'a OccupancyGrid) -> Self {
         Self {
@@ -64,7 +64,7 @@ impl<'a> Scene<'a> {
         }
     }
 
-    /// Draws it, the plane's longer side of about `size` pixels.
+    /// Draws the scene, with about `size` pixels on the longer side.
     ///
     /// # Errors
     /// A map without cells.
@@ -72,7 +72,7 @@ impl<'a> Scene<'a> {
         let spec = self.map.spec();
         let (low, high) = self.area.unwrap_or((spec.origin, spec.upper()));
         let longer = spec.width.max(spec.height).max(1);
-        // A map's cells are all of one size.
+        // All cells of a map get the same size.
         let size = match self.area {
             None => (size / longer).clamp(1, 8) * longer,
             Some(_) => size,

@@ -1,5 +1,5 @@
-//! Map in a terminal. How is it drawn? Half-block characters, two cells' heights to a row, scaled to a width; over it marks: robots as arrows,
-//! paths, scans, places. Pure, but for the terminal's size: text out of a grid.
+//! Map in a terminal. Half-block characters, two cells per row, scaled to the terminal; over it marks: robots as arrows, paths, scans,
+//! places. Pure except for the terminal's size: a grid in, text out.
 
 use std::collections::HashMap;
 use std::io::IsTerminal as _;
@@ -8,22 +8,22 @@ use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
 
-/// How to draw.
+/// Drawing options.
 #[derive(Clone, Copy, Debug)]
 pub struct Screen {
-    /// Columns at most.
+    /// Most columns.
     pub width: usize,
-    /// Rows at most; the map is scaled to fit both.
+    /// Most rows; the map is scaled to fit both.
     pub height: usize,
-    /// Whether the terminal shows colours.
+    /// Whether the terminal supports colours.
     pub colors: bool,
 }
 
 impl Screen {
-    /// The terminal that stdout is, some rows of it left free; `None` where it is none, or its size is not known.
+    /// The terminal on stdout, with some rows left free; `None` if stdout is no terminal or its size is unknown.
     pub fn of_terminal(free: u16) -> Option<Self> {
         let (columns, rows) = crossterm::terminal::size().ok()?;
-        // A window of no size is one whose size is not known.
+        // A window of size zero is one whose size is unknown.
         (std::io::stdout().is_terminal() && columns > 0 && rows > free + 1).then(|| Self {
             width: usize::from(columns),
             height: usize::from(rows - free),
@@ -40,16 +40,16 @@ const BLUE: Color = 27;
 const GREEN: Color = 28;
 const MAGENTA: Color = 164;
 
-/// Something to draw over a map, map frame; what comes later covers what came before.
+/// A mark over a map, map frame; later ones cover earlier ones.
 #[derive(Clone, Copy, Debug)]
 pub enum Mark<'a> {
     /// A path to drive.
     Path(&'a [Point2<f64>]),
-    /// Where the beams of a lidar ended.
+    /// End points of a lidar's beams.
     Scan(&'a [Point2<f64>]),
     /// A named place.
     Place(&'a str, Point2<f64>),
-    /// Where a robot is to go.
+    /// A robot's goal.
     Goal(Point2<f64>),
     /// A robot, as an arrow.
     Robot(Pose2),
@@ -57,10 +57,10 @@ pub enum Mark<'a> {
     OtherRobot(&'a str, Pose2),
 }
 
-/// Arrows from east, counter-clockwise.
+/// Arrows counter-clockwise from east.
 const ARROWS: [char; 8] = ['→', '↗', '↑', '↖', '←', '↙', '↓', '↘'];
 
-/// The known part of a map and its robots, highest row first, and a line that gives its place and scale.
+/// The known part of a map and its robots, highest row first, with a line for position and scale.
 pub fn map(grid: &OccupancyGrid, marks: &[Mark<'_>], screen: Screen) -> String {
     let robots = marks.iter().filter_map(|mark| match mark {
         Mark::Robot(pose) | Mark::OtherRobot(_, pose) => Some(pose.position()),
@@ -111,7 +111,7 @@ pub fn map(grid: &OccupancyGrid, marks: &[Mark<'_>], screen: Screen) -> String {
     text
 }
 
-/// The characters that marks put over the map, by column and row from below.
+/// Characters over the map, by column and row from below.
 fn signs(pixels: &GridSpec, marks: &[Mark<'_>]) -> HashMap<(u32, u32), (char, Color)> {
     let mut signs = HashMap::new();
     let at = |point: Point2<f64>| pixels.cell_at(point).map(|cell| (cell.x, cell.y / 2));
@@ -119,7 +119,7 @@ fn signs(pixels: &GridSpec, marks: &[Mark<'_>]) -> HashMap<(u32, u32), (char, Co
         match mark {
             Mark::Path(points) => {
                 for pair in points.windows(2) {
-                    // Two steps to a column leave no hole.
+                    // Two steps per column leave no gap.
                     let steps = ((pair[1] - pair[0]).norm() / (0.5 * pixels.resolution))
                         .ceil()
                         .clamp(1.0, 1e4);
@@ -143,7 +143,7 @@ fn signs(pixels: &GridSpec, marks: &[Mark<'_>]) -> HashMap<(u32, u32), (char, Co
     signs
 }
 
-/// A sign with a name to the right of it, as far as there is room.
+/// A sign with a name to its right, as far as it fits.
 fn label(
     signs: &mut HashMap<(u32, u32), (char, Color)>,
     at: Option<(u32, u32)>,
@@ -163,7 +163,7 @@ fn arrow(pose: Pose2) -> char {
     ARROWS[eighth.rem_euclid(8) as usize]
 }
 
-/// Without colours only obstacles have edges; between them half a cell of doubt is no news.
+/// Without colours only obstacles are drawn with half-cell edges; between free and unknown half a cell does not matter.
 fn plain(upper: Occupancy, lower: Occupancy) -> char {
     use Occupancy::{Free, Occupied};
     match (upper, lower) {
@@ -175,7 +175,7 @@ fn plain(upper: Occupancy, lower: Occupancy) -> char {
     }
 }
 
-/// A shade of the 256-colour palette, much like a map file's picture.
+/// A shade of the 256-colour palette, similar to a map file's picture.
 const fn shade(occupancy: Occupancy) -> u8 {
     match occupancy {
         Occupancy::Free => 255,
@@ -188,7 +188,7 @@ fn push_colored(text: &mut String, upper: Occupancy, lower: Occupancy) {
     text.push_str(&format!("\x1b[38;5;{};48;5;{}m▀", shade(upper), shade(lower)));
 }
 
-/// The part of a grid that is worth drawing, cells, ends excluded.
+/// The part of a grid to draw, cells, ends excluded.
 #[derive(Clone, Copy, Debug)]
 struct Window {
     x: (u32, u32),
@@ -215,7 +215,7 @@ impl Window {
                 y: (y.0.min(cell.y), y.1.max(cell.y + 1)),
             })
         });
-        // All is unknown: the whole of it.
+        // Nothing is known: the whole grid.
         bounds.or_else(|| {
             (!spec.is_empty()).then_some(Self {
                 x: (0, spec.width),
@@ -224,7 +224,7 @@ impl Window {
         })
     }
 
-    /// Cells to a column; a row shows twice as many.
+    /// Cells per column; a row shows twice as many.
     fn scale(&self, screen: Screen) -> u32 {
         let across = (self.x.1 - self.x.0).div_ceil(u32::try_from(screen.width.max(1)).unwrap_or(u32::MAX));
         let along = (self.y.1 - self.y.0).div_ceil(
@@ -235,7 +235,7 @@ impl Window {
         across.max(along).max(1)
     }
 
-    /// Blocks of cells as one: occupied wherever one is, free where one is and none is occupied.
+    /// Blocks of cells merged: occupied if any cell is, otherwise free if any cell is.
     fn pixels(&self, grid: &OccupancyGrid, scale: u32) -> Grid<Occupancy> {
         let from = grid.spec();
         let origin = Point2::new(

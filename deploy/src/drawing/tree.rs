@@ -1,6 +1,6 @@
-//! Picture of a behaviour tree. How does it look on paper? From left to right, a card a node, as SVG or PNG.
+//! Picture of a behaviour tree. From left to right, one card per node, as SVG or PNG.
 //!
-//! Leaves stand below one another, a parent beside the middle of its children; columns are as wide as their widest card.
+//! Leaves are below one another, a parent is level with the middle of its children; columns are as wide as their widest card.
 
 use std::fmt::Write as _;
 
@@ -12,19 +12,19 @@ use crate::failure::Failure;
 /// Height of a card, and of a row, px.
 const CARD: f32 = 24.0;
 const ROW: f32 = 32.0;
-/// Size of the letters, and what a card has beside its text, px.
+/// Size of the letters, and padding of a card around its text, px.
 const LETTERS: f32 = 12.0;
 const PADDING: f32 = 9.0;
-/// Between two columns, and around everything, px.
+/// Gap between two columns, and margin around everything, px.
 const GAP: f32 = 36.0;
 const MARGIN: f32 = 12.0;
-/// Letters shown of a name.
+/// Most letters of a name.
 const LONGEST: usize = 60;
-/// Dots of a PNG a pixel of the layout.
+/// PNG pixels per pixel of the layout.
 const ZOOM: f32 = 2.0;
 const LINE: Color = [120, 126, 134];
 
-/// Colours of the categories, as Groot2 tells them apart.
+/// Colours of the categories, as distinguished by Groot2.
 fn color(category: &str) -> Color {
     match category {
         "Action" => [205, 228, 205],
@@ -35,7 +35,7 @@ fn color(category: &str) -> Color {
     }
 }
 
-/// One node's card, upper left corner and width.
+/// Card of one node: upper left corner and width.
 #[derive(Debug)]
 struct Card {
     left: f32,
@@ -46,7 +46,7 @@ struct Card {
     parent: Option<usize>,
 }
 
-/// Every card, and the size of the picture.
+/// All cards, and the size of the picture.
 #[derive(Debug)]
 struct Layout {
     cards: Vec<Card>,
@@ -86,7 +86,7 @@ fn layout(nodes: &[NodeReport]) -> Layout {
     for column in &columns {
         lefts.push(lefts.last().copied().unwrap_or(MARGIN) + column + GAP);
     }
-    // Document order: a node is a leaf where the next one is no deeper. From the end every child is placed before its parent.
+    // In document order a node is a leaf if the next one is no deeper. Going backwards, children are placed before their parents.
     let next_depths = nodes.iter().skip(1).map(|node| node.depth).chain([0]);
     let leaves: Vec<bool> = nodes
         .iter()
@@ -170,7 +170,7 @@ pub fn svg(nodes: &[NodeReport]) -> String {
             hex(card.color),
             hex(LINE)
         );
-        // As wide as its letters are taken to be, whatever font there is.
+        // Stretched to the assumed width, whatever font is available.
         let _ = writeln!(
             text,
             "<text x=\"{}\" y=\"{}\" textLength=\"{}\" fill=\"{}\">{}</text>",
@@ -192,7 +192,7 @@ fn escaped(text: &str) -> String {
 /// A tree as PNG.
 ///
 /// # Errors
-/// A tree too large for a picture of dots.
+/// A tree too large for a bitmap.
 pub fn png(nodes: &[NodeReport]) -> Result<Vec<u8>, Failure> {
     let picture = layout(nodes);
     let dots = |length: f32| (length * ZOOM).ceil() as u32;

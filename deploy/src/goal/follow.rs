@@ -1,5 +1,5 @@
-//! Watching a goal. How does it proceed? Its state as the mission publishes it, and by asking now and then: a mission that was restarted,
-//! or a link that was cut, must not leave a watcher waiting for ever.
+//! Watching a goal. Follows the state that the mission publishes and also polls the mission: a restarted mission or a cut link must not
+//! leave a watcher waiting for ever.
 
 use std::time::Duration;
 
@@ -15,11 +15,11 @@ use crate::failure::{Failure, Outcome};
 use crate::live_map::{Drawing, LiveMap};
 use crate::output::{self, Format};
 
-/// How often the mission is asked besides.
+/// Period of polling the mission.
 const ASK_EVERY: Duration = Duration::from_secs(2);
-/// How long it may take to answer.
+/// Longest wait for its answer.
 const ANSWER_WITHIN: Duration = Duration::from_millis(1500);
-/// A mission that answers so often in a row that it knows no such goal will never know it: it began with another store.
+/// After so many answers in a row without the goal, the mission is taken to have another store: it will never know the goal.
 const MOST_UNKNOWN: u32 = 5;
 
 /// Watches one goal.
@@ -40,7 +40,7 @@ impl Watch {
         })
     }
 
-    /// Tells `changed` every new state until the goal ends, then prints it: the exit code tells how. Ctrl-C detaches.
+    /// Calls `changed` with every new state until the goal ends, then prints it; the exit code is the goal's end. Ctrl-C detaches.
     pub(super) async fn until_end(mut self, format: Format, mut changed: impl FnMut(&GoalState)) -> Outcome {
         let mut ask = tokio::time::interval(ASK_EVERY);
         ask.reset();
@@ -61,7 +61,7 @@ impl Watch {
                         state
                     }
                     Ok(None) if unknown >= MOST_UNKNOWN => return Err(no_goal(&self.robot, &self.id)),
-                    // Not an end: the mission may be away, its store may still be coming up.
+                    // Not an end: the mission may be away, or its store may still be loading.
                     answer => {
                         unknown = if answer.is_ok() { unknown + 1 } else { 0 };
                         if !silent {
@@ -81,7 +81,7 @@ impl Watch {
     }
 }
 
-/// The goal as the mission knows it; `None` when it knows no such goal.
+/// The goal as the mission knows it; `None` if the mission does not know it.
 async fn query(bus: &Bus, robot: &str, id: &str, within: Duration) -> Result<Option<GoalState>, Failure> {
     let request = GoalsRequest {
         id: Some(id.to_owned()),
@@ -111,7 +111,7 @@ pub(super) fn watch(robot: &RobotArgs, format: Format, id: &str) -> Outcome {
         watch
             .until_end(format, |state| match format {
                 Format::Ndjson if !state.state.is_end() => {
-                    // Every change is data here, not only the end.
+                    // Here every change is data, not only the end.
                     let _ = output::value(format, state, |_| String::new());
                 }
                 _ => progress.show(state),
@@ -120,7 +120,7 @@ pub(super) fn watch(robot: &RobotArgs, format: Format, id: &str) -> Outcome {
     })
 }
 
-/// A goal's progress on stderr: one living line on a terminal, else a line a step.
+/// A goal's progress on stderr: one updated line on a terminal, otherwise a line per step.
 pub(super) struct Progress {
     bar: Option<ProgressBar>,
     drawing: Option<Drawing>,

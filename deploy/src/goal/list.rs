@@ -1,4 +1,4 @@
-//! Goal list. Which goals are there, and how is one paused or cancelled?
+//! Goal list. Lists goals; pauses, resumes and cancels one.
 
 use serde::Serialize;
 use zenav_protocol::bus::AskError;
@@ -19,7 +19,7 @@ pub(super) struct ListArgs {
     /// Only goals in this state (accepted, active, paused, succeeded, aborted, canceled, rejected); may be repeated
     #[arg(long, value_name = "STATE", value_delimiter = ',', value_parser = phase)]
     state: Vec<GoalPhase>,
-    /// At most so many, newest first
+    /// Show at most this many, newest first
     #[arg(long, value_name = "N", value_parser = whole::<usize>)]
     limit: Option<usize>,
 }
@@ -32,16 +32,16 @@ fn phase(text: &str) -> Result<GoalPhase, String> {
         .ok_or_else(|| format!("expected one of {all:?}"))
 }
 
-/// A listed goal: as the mission has it, and its age.
+/// A listed goal: the mission's state and its age.
 #[derive(Debug, Serialize)]
 struct Listed {
     #[serde(flatten)]
     goal: GoalState,
-    /// Time since it was accepted, on the mission's clock, s; `None` for a mission that does not tell its time.
+    /// Time since it was accepted, on the mission's clock, s; `None` if the mission does not report its time.
     age_s: Option<f64>,
 }
 
-/// Lists the goals of one robot, or of all robots that have a mission.
+/// Lists the goals of one robot, or of all robots with a mission.
 pub(super) fn run(robot: &RobotArgs, format: Format, args: &ListArgs) -> Outcome {
     let patience = robot.link.patience();
     let request = GoalsRequest {
@@ -65,7 +65,7 @@ pub(super) fn run(robot: &RobotArgs, format: Format, args: &ListArgs) -> Outcome
                 Err(error) => failure = Some(Failure::new(exit_code::of_ask(&error), format!("{robot}: {error}"))),
             }
         }
-        // What some robots answered is printed also where others are silent.
+        // Answers are printed even if some robots do not answer.
         if failure.is_none() || !listed.is_empty() {
             output::values(format, &listed, |listed| table(listed, robots.len() > 1))?;
         }
@@ -104,7 +104,7 @@ fn table(goals: &[Listed], several_robots: bool) -> String {
     output::table(&header, &rows)
 }
 
-/// How a goal ended, or what is done for it now.
+/// How a goal ended, or its current activity.
 fn remark(goal: &GoalState) -> String {
     if let Some(reason) = &goal.reason {
         return reason.clone();
@@ -131,7 +131,7 @@ fn remark(goal: &GoalState) -> String {
     }
 }
 
-/// A time for people: seconds, minutes, hours, days.
+/// A human-readable time: seconds, minutes, hours, days.
 fn age(secs: f64) -> String {
     let whole = secs.max(0.0);
     match whole {
@@ -196,7 +196,7 @@ pub(super) fn pause(robot: &RobotArgs, format: Format, id: Option<String>, resum
     })
 }
 
-/// Why there is no answer: mostly, that the robot has no such goal.
+/// Reason for the refusal: usually, the robot has no such goal.
 fn not_there(robot: &str, id: Option<&str>, error: AskError) -> Failure {
     match (error, id) {
         (AskError::Refused(Refusal::NotFound { .. }), Some(id)) => super::no_goal(robot, id),
@@ -213,7 +213,7 @@ fn print(format: Format, robot: &str, reply: GoalReply) -> Outcome {
         &Report::new(robot, &reply.id, reply.state, reply.reason),
         Report::line,
     )?;
-    // The command did what it was to do, whatever became of the goal.
+    // The command succeeded, whatever the goal's state is.
     Ok(exit_code::OK)
 }
 

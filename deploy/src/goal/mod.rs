@@ -1,11 +1,11 @@
-//! `zenav goal`. How are goals submitted, watched, reordered and cancelled from anywhere?
+//! `zenav goal`. Submits, watches, reorders and cancels goals from anywhere.
 //!
 //! | file | answers |
 //! |---|---|
-//! | `submit` | what the command line asks for, as a request; sending it |
-//! | `follow` | how it goes, until it ends or the watcher leaves |
-//! | `list` | which goals there are; cancel, pause, resume |
-//! | `queue` | which goal waits at which place; another place for one |
+//! | `submit` | how is the command line turned into a request and sent? |
+//! | `follow` | how does a goal proceed, until it ends or the watcher detaches? |
+//! | `list` | which goals are there? cancel, pause, resume |
+//! | `queue` | which goals wait, in which order, and how is one moved? |
 
 mod follow;
 mod list;
@@ -43,13 +43,13 @@ enum GoalCommand {
     Submit(submit::SubmitArgs),
     /// List goals, newest first
     List(list::ListArgs),
-    /// Follow a goal until it ends; Ctrl-C only stops watching
+    /// Watch a goal until it ends; Ctrl-C only stops watching
     Watch {
-        /// Goal to follow
+        /// Goal to watch
         #[arg(add = completion::goals())]
         id: String,
     },
-    /// Move a goal that waits to another place in the queue, and show the new order
+    /// Move a queued goal to another place in the queue and show the new order
     Move(queue::MoveArgs),
     /// Cancel a goal; without an id, the running one
     Cancel {
@@ -87,12 +87,12 @@ pub fn run(args: &GoalArgs) -> Outcome {
     }
 }
 
-/// Of a goal that a robot does not have.
+/// Failure: the robot has no such goal.
 fn no_goal(robot: &str, id: &str) -> Failure {
     Failure::not_found(format!("robot {robot} has no goal `{id}`"))
 }
 
-/// Exit code for where a goal stands.
+/// Exit code for a goal's state.
 const fn phase_code(phase: GoalPhase) -> u8 {
     match phase {
         GoalPhase::Accepted | GoalPhase::Active | GoalPhase::Paused | GoalPhase::Succeeded => exit_code::OK,
@@ -102,7 +102,7 @@ const fn phase_code(phase: GoalPhase) -> u8 {
     }
 }
 
-/// What is printed of a goal: `id`, `state`, `reason`.
+/// Printed report of a goal: `id`, `state`, `reason`.
 #[derive(Debug, Serialize)]
 struct Report {
     id: String,

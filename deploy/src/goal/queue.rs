@@ -1,4 +1,4 @@
-//! Goal queue. Which goal waits at which place, and how is one put at another?
+//! Goal queue. Lists the queued goals in order, and moves one to another place.
 
 use serde::Serialize;
 use zenav_protocol::bus::Bus;
@@ -12,25 +12,25 @@ use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
 
-/// Which goal, and where to.
+/// The goal, and its new place.
 #[derive(Debug, clap::Args)]
 #[command(group(clap::ArgGroup::new("place").required(true).args(["before", "first", "last"])))]
 pub(super) struct MoveArgs {
     /// Goal to move
     #[arg(add = completion::goals())]
     id: String,
-    /// Put it before this goal, and give it that one's priority
+    /// Put it before this goal, with that goal's priority
     #[arg(long, value_name = "ID", add = completion::goals())]
     before: Option<String>,
-    /// Make it the next
+    /// Put it first: it runs next
     #[arg(long)]
     first: bool,
-    /// Make it the last
+    /// Put it last
     #[arg(long)]
     last: bool,
 }
 
-/// A goal that waits.
+/// A queued goal.
 #[derive(Debug, PartialEq, Serialize)]
 struct Waiting {
     /// 1 is next.
@@ -39,7 +39,7 @@ struct Waiting {
     goal: GoalState,
 }
 
-/// Moves a goal, and prints the queue as it is then.
+/// Moves a goal, then prints the new queue.
 pub(super) fn run(robot: &RobotArgs, format: Format, args: &MoveArgs) -> Outcome {
     let patience = robot.link.patience();
     connect::on_robot(robot, async |bus, robot| {
@@ -60,7 +60,7 @@ pub(super) fn run(robot: &RobotArgs, format: Format, args: &MoveArgs) -> Outcome
     })
 }
 
-/// The goals that wait, the next one first.
+/// The queued goals, next first.
 async fn queue(bus: &Bus, robot: &str, patience: std::time::Duration) -> Result<Vec<Waiting>, Failure> {
     let request = GoalsRequest {
         states: vec![GoalPhase::Accepted],

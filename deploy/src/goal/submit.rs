@@ -1,4 +1,4 @@
-//! Submitting a goal. What is the robot asked to do? The request, with its id made before it is first sent.
+//! Submitting a goal. Builds the request from the command line; its id is made before it is first sent.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -67,7 +67,7 @@ pub(super) struct SubmitArgs {
     /// Driving profile, `fastest` or `economy` [default: the deployment's choice]
     #[arg(long)]
     profile: Option<DrivingProfile>,
-    /// Wait for the end; Ctrl-C detaches (exit 130) and the robot goes on, `goal cancel` ends it
+    /// Wait for the end; Ctrl-C detaches (exit 130) and the robot drives on, `goal cancel` ends the goal
     #[arg(long)]
     wait: bool,
 }
@@ -75,12 +75,12 @@ pub(super) struct SubmitArgs {
 /// What to do while another goal is running.
 #[derive(Clone, Copy, Debug, Default, ValueEnum)]
 enum OnBusyArg {
-    /// Wait for its turn
+    /// Wait in the queue
     #[default]
     Queue,
     /// Cancel the running goal
     Preempt,
-    /// Refuse
+    /// Refuse the new goal
     Reject,
 }
 
@@ -134,7 +134,7 @@ impl SubmitArgs {
     }
 }
 
-/// A tree file's text with what it includes, or a name for the mission to know.
+/// The text of a tree file with its includes, or a name that the mission resolves.
 fn tree(text: &str) -> Result<String, Failure> {
     let path = Path::new(text);
     if path.is_file() {
@@ -155,8 +155,8 @@ fn tree(text: &str) -> Result<String, Failure> {
     }
 }
 
-/// What a mission says of a tree that came as text, with the name of its file before line and column. Lines of the file itself are where
-/// they were; what it includes follows them.
+/// A mission's error message for a tree sent as text, with the file name before line and column. Line numbers match the file itself;
+/// included trees follow it.
 fn in_file(file: &str, sent: &str, reason: &str) -> String {
     let is_whole = std::fs::read_to_string(file).is_ok_and(|text| text == sent);
     let name = if is_whole {
@@ -202,7 +202,7 @@ async fn submit(
                 crate::output::note(format_args!("zenav: {robot} takes goal {}", reply.id));
             }
             if args.wait && !reply.state.is_end() {
-                // The mission keeps the last state for those who come late: no end is missed.
+                // The mission keeps the last state for late subscribers: no end is missed.
                 return finish(bus, robot, &reply, format).await;
             }
             Report::new(robot, &reply.id, reply.state, reply.reason)

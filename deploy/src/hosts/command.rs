@@ -23,11 +23,11 @@ use crate::failure::{Failure, Outcome};
 use crate::keys;
 use crate::output::{self, Format};
 
-/// Which files were rendered, so that the next time those go that are no longer part of it.
+/// List of rendered files: the next rendering deletes those that no longer belong to it.
 const LIST: &str = "rendered.txt";
-/// Largest ConfigMap, bytes, less what its description takes.
+/// Largest contents of a ConfigMap, bytes; its metadata needs the rest.
 const MOST_IN_CONFIG_MAP: u64 = 1_000_000;
-/// How long one look at what is announced may take.
+/// Time limit of one query for liveliness tokens.
 const GLANCE: Duration = Duration::from_millis(1500);
 
 /// Arguments of `zenav deploy`.
@@ -45,25 +45,25 @@ enum DeployCommand {
     /// Write units, compose files and manifests for the hosts of a deployment
     #[command(after_help = "Example:\n  zenav deploy render fleet.toml --out rendered --target systemd")]
     Render {
-        /// Deployment file with its [hosts.NAME]
+        /// Deployment file with [hosts.NAME] sections
         #[arg(value_name = "DEPLOYMENT.toml")]
         file: PathBuf,
-        /// Folder to write into: a new one, or one that was rendered before
+        /// Folder to write into: a new one, or one written by an earlier rendering
         #[arg(long, value_name = "DIR")]
         out: PathBuf,
-        /// What to write for
+        /// What to render for
         #[arg(long, value_enum, default_value_t = Target::All)]
         target: Target,
     },
-    /// Check the hosts of a deployment, and with --against-bus what of it runs
+    /// Check the hosts of a deployment, and with --against-bus which of its parts run
     Check {
-        /// Deployment file with its [hosts.NAME]
+        /// Deployment file with [hosts.NAME] sections
         #[arg(value_name = "DEPLOYMENT.toml")]
         file: PathBuf,
-        /// Compare it with what runs: at its own routers, or where --connect says
+        /// Compare it with the running parts, seen from its own routers, or from --connect
         #[arg(long)]
         against_bus: bool,
-        /// Folder of the certificate authority, where the parts' keys are looked for
+        /// Folder of the certificate authority, where the parts' keys are checked
         #[arg(long, value_name = "DIR", default_value = "fleet-keys")]
         keys: PathBuf,
         #[command(flatten)]
@@ -72,10 +72,10 @@ enum DeployCommand {
         #[arg(short, long, value_enum, default_value_t)]
         output: Format,
     },
-    /// Ask a part of this machine whether it is ready, for the health checks of containers: exits with 0 when it is, 1 when it is not, 4
-    /// when nobody listens there, 5 when nobody answers within 2 s
+    /// Ask a part on this machine whether it is ready, for container health checks: exits with 0 if it is ready, 1 if not, 4 if nothing
+    /// listens there, 5 without an answer within 2 s
     Health {
-        /// Where the part serves its health
+        /// Address at which the part serves its health
         #[arg(value_name = "ADDRESS:PORT", default_value = "127.0.0.1:9464", value_parser = socket)]
         address: SocketAddr,
     },
@@ -89,7 +89,7 @@ fn socket(text: &str) -> Result<SocketAddr, String> {
 /// `zenav deploy`.
 ///
 /// # Errors
-/// Bad files, each problem with its line; a part that is missing; a part that is not ready.
+/// Bad files, each problem with its line; a missing part; a part that is not ready.
 pub fn deploy(args: &DeployArgs) -> Outcome {
     match &args.command {
         DeployCommand::Render { file, out, target } => render(file, out, *target),
@@ -115,10 +115,10 @@ pub fn deploy(args: &DeployArgs) -> Outcome {
     }
 }
 
-/// What is wrong with a deployment.
+/// A problem with a deployment.
 #[derive(Serialize)]
 struct Problem {
-    /// Where it is written, or what lacks it.
+    /// Where it is in the file, or the section that lacks it.
     #[serde(skip_serializing_if = "Option::is_none")]
     at: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -135,7 +135,7 @@ impl Problem {
         }
     }
 
-    /// One that is told with its place.
+    /// A problem without a key.
     fn said(problem: impl Display) -> Self {
         Self {
             at: None,
@@ -157,7 +157,7 @@ impl Display for Problem {
     }
 }
 
-/// All problems, one a line; as JSON on stdout too, for a program.
+/// All problems, one per line; with JSON output also on stdout, for programs.
 fn refused(problems: &[Problem], format: Format, code: u8) -> Failure {
     let lines: Vec<String> = problems.iter().map(Problem::to_string).collect();
     let printed = match format {
@@ -167,10 +167,10 @@ fn refused(problems: &[Problem], format: Format, code: u8) -> Failure {
     printed.err().unwrap_or_else(|| Failure::new(code, lines.join("\n")))
 }
 
-/// The deployment on its hosts, and the files that it names.
+/// The deployment's layout on its hosts, and the files that it names.
 ///
 /// # Errors
-/// All problems of the file, each with the line that it is on.
+/// All problems of the file, each with its line.
 fn laid_out<'l>(layers: &'l Layers, file: &Path, format: Format) -> Result<(Layout<'l>, Vec<String>), Failure> {
     let told = |errors: Vec<OutOfBounds>| {
         let problems: Vec<Problem> = errors.iter().map(|error| Problem::of(layers, error)).collect();
@@ -186,7 +186,7 @@ fn folder_of(file: &Path) -> PathBuf {
 }
 
 fn render(file: &Path, out: &Path, target: Target) -> Outcome {
-    // What is written depends on the file alone: its parts read it again, without this shell's variables.
+    // The rendered files depend on the file alone: the parts read it again, without this shell's variables.
     let layers = Layers::load_file(file)?;
     let (layout, named) = laid_out(&layers, file, Format::Table)?;
     let config = [vec!["deployment.toml".to_owned()], named.clone()].concat();
@@ -226,10 +226,10 @@ fn render(file: &Path, out: &Path, target: Target) -> Outcome {
     Ok(exit_code::OK)
 }
 
-/// Whether the files fit into a ConfigMap of Kubernetes, which holds 1 MiB, under keys of letters, digits, `-`, `_` and `.`.
+/// Checks that the files fit into a Kubernetes ConfigMap: at most 1 MiB, under keys of letters, digits, `-`, `_` and `.`.
 ///
 /// # Errors
-/// The name that will not do, or the sum of their sizes.
+/// The invalid name, or the total size.
 fn fit_a_config_map(folder: &Path, deployment: &Path, names: &[String]) -> Result<(), Failure> {
     let instead =
         "for a larger map, render with `--target systemd` or `compose`, or serve it from a host outside the cluster";
@@ -259,7 +259,7 @@ fn fit_a_config_map(folder: &Path, deployment: &Path, names: &[String]) -> Resul
     Ok(())
 }
 
-/// The files that were rendered into a folder before; none for a new one.
+/// Files that an earlier rendering wrote into a folder; none for a new one.
 fn rendered_before(out: &Path) -> Result<BTreeSet<String>, Failure> {
     let is_new = match std::fs::read_dir(out) {
         Ok(mut entries) => entries.next().is_none(),
@@ -284,7 +284,7 @@ fn rendered_before(out: &Path) -> Result<BTreeSet<String>, Failure> {
     Ok(paths.filter(|path| out.join(path).is_file()).collect())
 }
 
-/// Identities that nobody has issued, or that will not do.
+/// Identities that were not issued, or are not usable.
 fn key_problems(layout: &Layout<'_>, folder: &Path) -> Vec<Problem> {
     if layout.profile == Profile::Open {
         return Vec::new();
@@ -297,7 +297,7 @@ fn key_problems(layout: &Layout<'_>, folder: &Path) -> Vec<Problem> {
     };
     let problem = |(identity, names): (String, Vec<String>)| {
         if has_all(&identity) {
-            // By its name only containers of one network dial it.
+            // Dialling by name happens only between containers of one network, so only addresses are checked.
             let is_address = |name: &String| layout.hosts.iter().any(|host| host.address == *name);
             let addresses: Vec<String> = names.into_iter().filter(is_address).collect();
             let why = keys::unusable(folder, &identity, &addresses)?;
@@ -351,7 +351,7 @@ fn compare(layout: &Layout<'_>, link: &LinkArgs, format: Format) -> Outcome {
     Ok(if is_well { exit_code::OK } else { exit_code::FAILED })
 }
 
-/// What is seen from the deployment's own routers, or from the endpoints that were named.
+/// Observes the bus from the deployment's own routers, or from the given endpoints.
 async fn look(layout: &Layout<'_>, link: &LinkArgs) -> Result<Seen, Failure> {
     let mut seen = Seen::default();
     let mut bus: Option<Bus> = None;
@@ -377,7 +377,7 @@ async fn look(layout: &Layout<'_>, link: &LinkArgs) -> Result<Seen, Failure> {
         };
         match connect::open(&link).await {
             Ok(opened) => {
-                // Where one endpoint was named it stands for all routers.
+                // Given endpoints stand for all routers.
                 let named: Vec<String> = match host {
                     Some(host) => vec![host],
                     None => layout

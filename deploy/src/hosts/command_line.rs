@@ -1,6 +1,6 @@
-//! Command line of a part. What is `zenav` started with on a host, in a container, in a pod? Pure.
+//! Command line of a part. The `zenav` arguments on a host, in a container, in a pod. Pure.
 //!
-//! Settings come from the deployment file, which is the same everywhere; what differs from host to host is said by flags.
+//! Settings come from the deployment file, which is the same everywhere; flags hold what differs between hosts.
 
 use std::net::IpAddr;
 
@@ -8,26 +8,27 @@ use super::layout::{Host, Layout, METRICS_PORT, host_of};
 use super::part::Part;
 use crate::config::Profile;
 
-/// Folder of the deployment file and of the files that it names.
+/// Folder of the deployment file and the files that it names.
 pub(super) const CONFIG: &str = "/etc/zenav";
-/// Folder of what a part keeps, in a container.
+/// Data folder of a part in a container.
 pub(super) const DATA: &str = "/var/lib/zenav";
-/// Folder of a part's identity, in a container; of all identities, on a host. Not in that of the deployment file, which every container sees.
+/// Folder of a part's identity in a container, or of all identities on a host. Separate from that of the deployment file, which every
+/// container sees.
 pub(super) const IDENTITY: &str = "/etc/zenav-identity";
 
-/// The token of the page, in a container.
+/// File of the page's token in a container.
 pub(super) const TOKEN: &str = "/etc/zenav-page/token";
 
-/// Where a part is started.
+/// Where a part runs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Place {
-    /// How others are dialled.
+    /// How it dials other parts.
     pub(super) addresses: Addresses,
-    /// Folder of what it keeps.
+    /// Its data folder.
     pub(super) data: String,
     /// Folder of its identity.
     pub(super) identity: String,
-    /// File of the page's token, where it asks for one.
+    /// File of the page's token, if the page requires one.
     pub(super) token: String,
     /// Address and port of its health and metrics.
     pub(super) metrics: String,
@@ -35,17 +36,17 @@ pub(super) struct Place {
     pub(super) worker: String,
 }
 
-/// How a part is dialled.
+/// How parts are dialled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Addresses {
     /// By the address of its host.
     Hosts,
-    /// By the name of its container or service: each has an address of its own.
+    /// By the name of the container or service: each has its own address.
     Names,
 }
 
 impl Place {
-    /// In a container or pod of its own, which is called `name` there.
+    /// A separate container or pod called `name`.
     pub(super) fn container(name: &str) -> Self {
         Self {
             addresses: Addresses::Names,
@@ -58,7 +59,7 @@ impl Place {
     }
 }
 
-/// Name of a part among all of a deployment: of its container, service or pod.
+/// Unique name of a part in a deployment, for its container, service or pod.
 pub(super) fn name(host: &Host, part: &Part) -> String {
     format!("{}-{}", host.name, part.name())
 }
@@ -67,7 +68,7 @@ pub(super) fn name(host: &Host, part: &Part) -> String {
 pub(super) fn arguments(layout: &Layout<'_>, host: &Host, part: &Part, place: &Place) -> Vec<String> {
     let mut line = Line(Vec::new());
     let own_host = match (part, place.addresses) {
-        // A robot may listen at one of its host's addresses alone.
+        // A robot may listen on one of its host's addresses only.
         (Part::Edge(robot), Addresses::Hosts) => layout
             .deployment
             .robots

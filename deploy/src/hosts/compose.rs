@@ -1,5 +1,5 @@
-//! Compose files. How do the parts run as containers? All of a deployment on one engine, each part with an address of its own; or those of
-//! one host on that host's network.
+//! Compose files. The parts as containers: all parts of a deployment on one engine, each with its own address, or the parts of one host on
+//! that host's network.
 
 use serde_json::{Map, Value, json};
 
@@ -10,10 +10,11 @@ use crate::config::Profile;
 
 /// The image of all parts.
 pub(super) const IMAGE: &str = concat!("zenav:", env!("CARGO_PKG_VERSION"));
-/// The user that it runs as.
+/// User of the processes in it.
 pub(super) const USER: u32 = 65532;
 
-/// All parts of a deployment on one engine. Robots in a served world have a second network for their bodies: it stays when the fleet's is cut.
+/// All parts of a deployment on one engine. Robots in a served world have a second network for their bodies, which keeps working when the
+/// fleet's is cut.
 pub(super) fn whole(layout: &Layout<'_>) -> Value {
     let mut services = Map::new();
     let mut volumes = Map::new();
@@ -27,7 +28,7 @@ pub(super) fn whole(layout: &Layout<'_>) -> Value {
         service.insert("networks".to_owned(), json!(networks));
         service.insert("hostname".to_owned(), json!(name));
         if let Some(port) = layout.page_port().filter(|_| *part == Part::Gateway) {
-            // At a free port of this machine: `docker compose port` says which.
+            // On a free port of this machine: `docker compose port` prints it.
             service.insert("ports".to_owned(), json!([port.to_string()]));
         }
         keep(&mut service, &mut volumes, &name, part);
@@ -40,7 +41,7 @@ pub(super) fn whole(layout: &Layout<'_>) -> Value {
     json!({ "services": services, "networks": networks, "volumes": volumes })
 }
 
-/// The parts of one host, on its own network.
+/// The parts of one host, on the host's network.
 pub(super) fn of_host(layout: &Layout<'_>, host: &Host) -> Value {
     let mut services = Map::new();
     let mut volumes = Map::new();
@@ -68,7 +69,7 @@ fn is_in_the_world(layout: &Layout<'_>, part: &Part) -> bool {
     }
 }
 
-/// A container: nothing can be written but its volume, and it has no privilege.
+/// A container without privileges, read-only but for its volume.
 fn service(layout: &Layout<'_>, host: &Host, part: &Part, place: &Place, config: &str) -> Map<String, Value> {
     let port = match place.addresses {
         Addresses::Names => METRICS_PORT,
@@ -77,7 +78,7 @@ fn service(layout: &Layout<'_>, host: &Host, part: &Part, place: &Place, config:
     let mut mounts = vec![format!("{config}:{CONFIG}:ro")];
     if layout.profile == Profile::Mtls {
         let keys = match place.addresses {
-            // The certificate authority's own folder, on the machine that rehearses a deployment.
+            // The certificate authority's own folder, on the machine that rehearses the deployment.
             Addresses::Names => "${ZENAV_KEYS:-./fleet-keys}/issued",
             Addresses::Hosts => IDENTITY,
         };
@@ -115,7 +116,7 @@ fn service(layout: &Layout<'_>, host: &Host, part: &Part, place: &Place, config:
     }
 }
 
-/// A volume for what the part keeps.
+/// Adds a volume for the part's data.
 fn keep(service: &mut Map<String, Value>, volumes: &mut Map<String, Value>, name: &str, part: &Part) {
     if !matches!(part, Part::Edge(_) | Part::Mapping(_) | Part::Mission(_)) {
         return;

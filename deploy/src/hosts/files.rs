@@ -1,4 +1,4 @@
-//! Rendered files. Which files does a deployment of many hosts consist of? Pure: a layout in, paths and texts out.
+//! Rendered files. The files of a deployment of many hosts. Pure: a layout in, paths and texts out.
 //!
 //! ```text
 //! README.md                       what to do with the rest
@@ -17,7 +17,7 @@ use super::layout::Layout;
 use super::{compose, kubernetes, readme, systemd};
 use crate::config::Role;
 
-/// What is written for.
+/// What to render for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Target {
     /// Units of systemd for each host
@@ -30,13 +30,13 @@ pub enum Target {
     All,
 }
 
-/// A file by its path within the folder.
+/// File contents by path within the folder.
 pub type Files = BTreeMap<String, String>;
 
-/// Renders a deployment. `etc` names the deployment file and the files that it names, which are copied as they are.
+/// Renders a deployment. `etc` lists the deployment file and the files that it names, which are copied unchanged.
 ///
 /// # Errors
-/// What cannot be written as YAML: nothing that is rendered.
+/// A document that cannot be written as YAML; never one of those rendered here.
 pub fn render(layout: &Layout<'_>, etc: &[String], target: Target) -> Result<Files, String> {
     let wanted = |one: Target| target == Target::All || target == one;
     let mut files = Files::new();

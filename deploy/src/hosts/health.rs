@@ -1,4 +1,4 @@
-//! Health of a part on this machine. Is it ready? What a container's engine asks, by the binary itself: there is no shell in its image.
+//! Health of a part on this machine. The readiness check of a container engine, done by the binary itself: its image has no shell.
 
 use std::io::{Error, ErrorKind, Read as _, Write as _};
 use std::net::{SocketAddr, TcpStream};
@@ -9,13 +9,13 @@ use crate::failure::Failure;
 
 /// Longest wait for a connection, and for each piece of the answer.
 const PATIENCE: Duration = Duration::from_secs(2);
-/// Most of an answer that is read, bytes.
+/// Most bytes read of an answer.
 const MOST: u64 = 4096;
 
-/// Asks `GET /readyz`; the answer's text.
+/// Asks `GET /readyz`; returns the answer's text.
 ///
 /// # Errors
-/// Exit code 4 where nobody listens, 5 without an answer in time, 1 where the part says that it is not ready, or another listens.
+/// Exit code 4 if nothing listens, 5 without an answer in time, 1 if the part is not ready or another program listens.
 pub(super) fn ready(address: SocketAddr) -> Result<String, Failure> {
     let failed = |error: Error| {
         let code = match error.kind() {

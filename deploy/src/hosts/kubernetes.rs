@@ -1,8 +1,8 @@
-//! Kubernetes manifests. How do the parts of cloud and edge sites run in a cluster? A kustomize base: one workload a part, with probes,
-//! resources, disruption budgets, policies of the network, and more motion workers under load.
+//! Kubernetes manifests. The parts of cloud and edge sites in a cluster: a kustomize base with one workload per part, probes, resources,
+//! disruption budgets, network policies, and autoscaled motion workers.
 //!
-//! Robots and operators are outside: they reach the routers' services. What differs from cluster to cluster (number of workers, classes of
-//! storage, how the page is exposed) is laid over the base by kustomize itself.
+//! Robots and operators are outside the cluster and reach the routers' services. Differences between clusters (number of workers, storage
+//! classes, exposing the page) are overlays on the base in kustomize.
 
 use std::collections::BTreeSet;
 
@@ -14,20 +14,20 @@ use super::layout::{Host, Layout, METRICS_PORT, ROUTER_PORT, WORLD_PORT};
 use super::part::Part;
 use crate::config::{Profile, Role};
 
-/// Label of what belongs to zenav.
+/// Label of everything that belongs to zenav.
 const APP: &str = "app.kubernetes.io/name";
 /// Label of a part's kind.
 const COMPONENT: &str = "app.kubernetes.io/component";
-/// Label of the one part.
+/// Label of one part.
 const INSTANCE: &str = "app.kubernetes.io/instance";
 /// Secret with the page's token.
 pub(super) const PAGE_SECRET: &str = "zenav-page";
-/// Most motion workers of a host under load.
+/// Most motion workers of a host.
 const MOST_WORKERS: u32 = 8;
-/// Load at which another motion worker is started, percent of the processor time that one asks for.
+/// Load that starts another motion worker, percent of a worker's requested processor time.
 const BUSY: u32 = 70;
 
-/// The files of the base by name; `config` are the files that are mounted where a part runs.
+/// Files of the base by name; `config` are the files mounted into every part.
 pub(super) fn base(layout: &Layout<'_>, config: &[String]) -> Vec<(String, Value)> {
     let hosts = layout
         .hosts
@@ -59,7 +59,7 @@ pub(super) fn base(layout: &Layout<'_>, config: &[String]) -> Vec<(String, Value
     files
 }
 
-/// What a part is given, and the most that it may take: (processor, memory, most memory).
+/// Requested processor and memory of a part, and its memory limit.
 fn resources(part: &Part) -> (&'static str, &'static str, &'static str) {
     match part {
         Part::Router => ("100m", "64Mi", "512Mi"),
@@ -75,7 +75,7 @@ fn labels(instance: &str, part: &Part) -> Value {
     json!({ APP: "zenav", COMPONENT: part.kind(), INSTANCE: instance })
 }
 
-/// Workload, service and autoscaler of a part.
+/// Workload, service and autoscaler for a part.
 fn of_part(layout: &Layout<'_>, host: &Host, part: &Part) -> Vec<Value> {
     let name = name(host, part);
     let keeps = matches!(part, Part::Edge(_) | Part::Mapping(_) | Part::Mission(_));
@@ -87,7 +87,7 @@ fn of_part(layout: &Layout<'_>, host: &Host, part: &Part) -> Vec<Value> {
         },
     });
     if *part != Part::Motion {
-        // Those are the autoscaler's to count.
+        // Motion replicas are controlled by the autoscaler.
         spec["replicas"] = json!(1);
     }
     let kind = if keeps {
@@ -99,7 +99,7 @@ fn of_part(layout: &Layout<'_>, host: &Host, part: &Part) -> Vec<Value> {
         "StatefulSet"
     } else {
         spec["strategy"] = match part {
-            // A second one under the same name would be another router, or another world.
+            // Two at once under one name would be two routers, or two worlds.
             Part::Router | Part::World => json!({ "type": "Recreate" }),
             _ => json!({ "type": "RollingUpdate", "rollingUpdate": { "maxSurge": 1, "maxUnavailable": 0 } }),
         };
@@ -142,7 +142,7 @@ fn service(name: &str, part: &Part, mut spec: Value) -> Value {
     })
 }
 
-/// Ports at which others reach a part.
+/// Ports at which other parts reach a part.
 fn service_ports(layout: &Layout<'_>, part: &Part) -> Option<Value> {
     let port = match part {
         Part::Router => ROUTER_PORT,
@@ -161,7 +161,7 @@ fn service_ports(layout: &Layout<'_>, part: &Part) -> Option<Value> {
 
 fn pod(layout: &Layout<'_>, host: &Host, part: &Part, name: &str) -> Value {
     let mut place = Place::container(name);
-    // Set by the variable of that name in the container.
+    // Replaced with the container's variable of that name.
     place.worker = "$(POD_NAME)".to_owned();
     let mut ports = vec![json!({ "name": "metrics", "containerPort": METRICS_PORT })];
     if let Some(own) = service_ports(layout, part) {
@@ -251,7 +251,7 @@ fn autoscaler(name: &str, part: &Part) -> Value {
     })
 }
 
-/// Whether a robot of the served world runs on a machine of its own, outside the cluster.
+/// Whether a robot of the served world runs on its own machine, outside the cluster.
 fn has_robots_outside(layout: &Layout<'_>) -> bool {
     let robots = &layout.deployment.robots;
     layout.parts().any(|(host, part)| match part {
@@ -260,7 +260,7 @@ fn has_robots_outside(layout: &Layout<'_>) -> bool {
     })
 }
 
-/// At most one of a kind is away by intent: the other router, worker or orchestrator goes on meanwhile.
+/// At most one pod of a kind is evicted at a time: the other router, worker or orchestrator keeps running.
 fn disruption_budgets(kinds: &BTreeSet<&str>) -> Value {
     let budget = |kind: &&str| {
         json!({
@@ -276,8 +276,8 @@ fn disruption_budgets(kinds: &BTreeSet<&str>) -> Value {
     Value::Array(kinds.iter().map(budget).collect())
 }
 
-/// Nobody reaches a pod but: routers from anywhere, the world from its robots, the page from anywhere (it asks for a token), health and
-/// metrics from the cluster. Where robots of the world run outside it, the world from anywhere, too.
+/// Allowed traffic to pods: routers from anywhere, the world from its robots, the page from anywhere (it requires a token), health and
+/// metrics from the cluster. If robots of the world run outside the cluster, the world from anywhere too.
 fn network_policies(layout: &Layout<'_>, kinds: &BTreeSet<&str>) -> Value {
     let policy = |name: &str, selected: Value, ingress: Value| {
         json!({

@@ -1,7 +1,7 @@
-//! Layout. Which part runs on which host, where does it listen, and whom does it dial? Pure: made of a deployment alone.
+//! Layout. Which part runs on which host, where it listens, and what it dials. Pure: computed from a deployment alone.
 //!
-//! Robots dial out, to the routers of the cloud (or of their site); nobody dials a robot but to stop it. A part beside a router dials that
-//! one first, and the others when it is gone. Of two routers of one role the second by name dials the first.
+//! Robots dial out, to the routers of the cloud (or of their site); a robot is dialled only to stop it. A part beside a router dials that
+//! router first, and the others when it is gone. Of two routers with one role the second by name dials the first.
 
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
@@ -12,16 +12,16 @@ use super::part::Part;
 use super::problems;
 use crate::config::{Deployment, Profile, Role};
 
-/// Zenoh's own port, where routers listen.
+/// Zenoh's default port, where routers listen.
 pub const ROUTER_PORT: u16 = 7447;
-/// Where a served world listens for the robots in it.
+/// Port of a served world, for the robots in it.
 pub const WORLD_PORT: u16 = 7446;
-/// Where the first robot of a host listens itself; further ones take the next ports.
+/// Port of the own endpoint of a host's first robot; further robots take the next ports.
 pub const EDGE_PORT: u16 = 7450;
-/// Where the first part of a host serves its health and metrics; further ones take the next ports.
+/// Port of the health endpoint of a host's first part; further parts take the next ports.
 pub const METRICS_PORT: u16 = 9464;
 
-/// A deployment on its hosts.
+/// A deployment laid out on its hosts.
 #[derive(Clone, Debug)]
 pub struct Layout<'d> {
     /// The deployment.
@@ -35,26 +35,26 @@ pub struct Layout<'d> {
 /// A host.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Host {
-    /// Its name.
+    /// Name of the host.
     pub name: String,
-    /// What it is for.
+    /// Purpose of the host.
     pub role: Role,
-    /// Name or address at which others reach it.
+    /// Name or address at which other hosts reach it.
     pub address: String,
-    /// What runs there, in the order of the file.
+    /// Parts that run on it, in the order of the file.
     pub parts: Vec<Part>,
-    /// Hosts whose routers its parts dial, the one to try first before the others.
+    /// Hosts whose routers its parts dial, the preferred one first.
     pub routers: Vec<String>,
 }
 
 impl Host {
-    /// Whether a part runs there.
+    /// Whether a part of this kind runs on it.
     #[must_use]
     pub fn runs(&self, kind: &str) -> bool {
         self.parts.iter().any(|part| part.kind() == kind)
     }
 
-    /// Its own port for a part of it that listens: Zenoh's link.
+    /// Port of this host for a part's Zenoh link, if the part listens.
     #[must_use]
     pub fn port(&self, deployment: &Deployment, part: &Part) -> Option<u16> {
         match part {
@@ -73,7 +73,7 @@ impl Host {
         }
     }
 
-    /// Its own port for the health of a part.
+    /// Port of this host for a part's health endpoint.
     #[must_use]
     pub fn metrics_port(&self, part: &Part) -> u16 {
         let place = self.parts.iter().take_while(|other| *other != part).count();
@@ -81,7 +81,7 @@ impl Host {
     }
 }
 
-/// Whether an endpoint is of loopback alone.
+/// Whether an endpoint is on loopback.
 pub(super) fn is_loopback(endpoint: &str) -> bool {
     let host = host_of(endpoint);
     host == "localhost" || host.parse::<IpAddr>().is_ok_and(|address| address.is_loopback())
@@ -94,17 +94,17 @@ pub(super) fn host_of(endpoint: &str) -> &str {
     host.trim_start_matches('[').trim_end_matches(']')
 }
 
-/// The port of an endpoint, but for 0.
+/// The port of an endpoint; `None` for port 0.
 pub(super) fn port_of(endpoint: &str) -> Option<u16> {
     let (_, port) = endpoint.rsplit_once(':')?;
     port.parse().ok().filter(|port| *port != 0)
 }
 
 impl<'d> Layout<'d> {
-    /// Lays a deployment out.
+    /// Lays out a deployment.
     ///
     /// # Errors
-    /// All that is wrong with its hosts, by key.
+    /// All problems with its hosts, by key.
     pub fn of(deployment: &'d Deployment) -> Result<Self, Vec<OutOfBounds>> {
         let problems = problems::of(deployment);
         if !problems.is_empty() {
@@ -133,7 +133,7 @@ impl<'d> Layout<'d> {
             .flat_map(|host| host.parts.iter().map(move |part| (host, part)))
     }
 
-    /// A host by name.
+    /// The host with this name.
     #[must_use]
     pub fn host(&self, name: &str) -> Option<&Host> {
         self.hosts.iter().find(|host| host.name == name)
@@ -145,7 +145,7 @@ impl<'d> Layout<'d> {
         self.hosts.iter().find(|host| host.runs("world"))
     }
 
-    /// Whose routers a router dials itself: both ends of a link dialling one another would make it twice.
+    /// Hosts whose routers a host's router dials: if both ends of a link dialled each other, it would be made twice.
     #[must_use]
     pub fn dialled_by_router<'h>(&'h self, host: &'h Host) -> Vec<&'h Host> {
         let others = host.routers.iter().filter(|name| **name != host.name);
@@ -155,12 +155,12 @@ impl<'d> Layout<'d> {
             .collect()
     }
 
-    /// What a certificate must say of a part: its common name.
+    /// Common name required in a part's certificate.
     #[must_use]
     pub fn identity(&self, host: &Host, part: &Part) -> String {
         match part {
             Part::Router | Part::World => format!("router.{}", host.name),
-            // A robot that is simulated in its own process gives everybody the time, which no robot may.
+            // A robot simulated in its own process publishes the simulated time to everybody, which no robot role may.
             Part::Edge(robot) if self.is_simulated(robot.as_str()) => format!("router.{}", host.name),
             Part::Edge(robot) => format!("robot.{robot}"),
             Part::Gateway => format!("operator.{}", host.name),
@@ -168,13 +168,13 @@ impl<'d> Layout<'d> {
         }
     }
 
-    /// Whether a robot's body is simulated in its own process.
+    /// Whether the edge's own process simulates the robot's body.
     fn is_simulated(&self, robot: &str) -> bool {
         let robot = self.deployment.robots.get(robot);
         robot.is_some_and(|robot| !robot.attach && !robot.driver)
     }
 
-    /// The files of a part's identity: who is dialled must know who belongs to the fleet.
+    /// Files of a part's identity; a part that is dialled also needs the list of members.
     #[must_use]
     pub fn identity_files(&self, host: &Host, part: &Part) -> Vec<&'static str> {
         let mut files = vec!["ca.pem", "cert.pem", "key.pem"];
@@ -184,21 +184,21 @@ impl<'d> Layout<'d> {
         files
     }
 
-    /// Where a host keeps the token that the page asks for.
+    /// File of the page's token on a host.
     #[must_use]
     pub fn token_file(&self) -> Option<PathBuf> {
         let file = self.deployment.gateway.settings.token_file.as_ref();
         file.map(|file| Path::new(super::command_line::CONFIG).join(file))
     }
 
-    /// The port of the page where other machines reach it.
+    /// Port of the page, if other machines can reach it.
     #[must_use]
     pub fn page_port(&self) -> Option<u16> {
         let listen = &self.deployment.gateway.settings.listen;
         port_of(listen).filter(|_| self.token_file().is_some() && !is_loopback(listen))
     }
 
-    /// The transport below Zenoh's links, as Kubernetes names it.
+    /// Transport protocol of Zenoh's links, by its Kubernetes name.
     #[must_use]
     pub fn transport(&self) -> &'static str {
         match self.profile {

@@ -1,18 +1,18 @@
-//! `zenav deploy`: how does a deployment of many hosts get onto them, and does it run as it was meant?
+//! `zenav deploy`: renders a deployment of many hosts, and checks whether it runs as intended.
 //!
 //! | file | answers |
 //! |---|---|
 //! | `part` | what can run on a host? |
-//! | `layout` | which part runs where, listens where, dials whom? |
+//! | `layout` | which part runs where, where does it listen, and what does it dial? |
 //! | `problems` | what is wrong with the hosts of a deployment? |
-//! | `command_line` | what is `zenav` started with for a part? |
+//! | `command_line` | with which arguments is `zenav` started for a part? |
 //! | `systemd`, `compose`, `kubernetes`, `readme` | units, containers, manifests, instructions |
 //! | `files` | which files are rendered? |
-//! | `named_files` | which files does a deployment name, which its hosts need too? |
-//! | `running` | what of a deployment runs, by what is seen on the bus? |
-//! | `health` | is a part of this machine ready? |
+//! | `named_files` | which files does a deployment name, that its hosts need too? |
+//! | `running` | which parts of a deployment run, as seen on the bus? |
+//! | `health` | is a part on this machine ready? |
 //!
-//! All is pure but `command`, `named_files` and `health`.
+//! Everything is pure except `command`, `named_files` and `health`.
 
 mod command;
 mod command_line;

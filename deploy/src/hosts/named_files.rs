@@ -1,5 +1,5 @@
-//! Named files. Which files does a deployment name, which its hosts need too? They stand beside the deployment file, and go with it to
-//! `/etc/zenav`, where parts look for them by the same names.
+//! Named files. Files that a deployment names and its hosts need too. They are beside the deployment file, and are copied with it to
+//! `/etc/zenav`, where parts find them by the same names.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Component, Path};
@@ -11,17 +11,17 @@ use zenav_sim::world;
 use crate::config::Deployment;
 use crate::failure::Failure;
 
-/// Largest file that is copied, bytes: a map of a large building.
+/// Largest file copied, bytes: a map of a large building.
 const MOST: u64 = 64 * 1024 * 1024;
 
-/// Names of files in `folder` that a deployment names, sorted.
+/// Names of the files in `folder` that a deployment names, sorted.
 ///
 /// # Errors
-/// Names that are no files there, by key.
+/// Names without a file there, by key.
 pub(super) fn of(deployment: &Deployment, folder: &Path) -> Result<Vec<String>, Vec<OutOfBounds>> {
     let mut found = BTreeSet::new();
     let mut problems = Vec::new();
-    // Which key names a file.
+    // The key that names each file.
     let mut keys = BTreeMap::new();
     let mut name = |key: String, name: &str, is_shipped: bool| {
         let is_plain = is_plain(name);
@@ -65,7 +65,7 @@ pub(super) fn of(deployment: &Deployment, folder: &Path) -> Result<Vec<String>, 
     if !problems.is_empty() {
         return Err(problems);
     }
-    // A map, or a world that is one, is a description and an image.
+    // A map, or a world made from one, consists of a description and an image.
     for name in found.clone() {
         let images = images(&folder.join(&name));
         for image in images.into_iter().filter(|image| folder.join(image).is_file()) {
@@ -88,13 +88,13 @@ pub(super) fn of(deployment: &Deployment, folder: &Path) -> Result<Vec<String>, 
     }
 }
 
-/// Whether a name is that of a file in the folder itself.
+/// Whether a name is that of a file directly in the folder.
 fn is_plain(name: &str) -> bool {
     let mut parts = Path::new(name).components();
     matches!((parts.next(), parts.next()), (Some(Component::Normal(_)), None)) && !name.starts_with('.')
 }
 
-/// Files that a file names itself: the image of a map's description, the description of a world's map.
+/// Files that a file itself names: the image of a map's description, the description of a world's map.
 pub(crate) fn images(file: &Path) -> Vec<String> {
     let Ok(text) = std::fs::read_to_string(file) else {
         return Vec::new();

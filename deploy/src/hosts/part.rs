@@ -1,4 +1,4 @@
-//! Part. What can run on a host, as a process of its own?
+//! Part. The processes that can run on a host.
 
 use std::fmt;
 use std::str::FromStr;
@@ -8,17 +8,17 @@ use zenav_protocol::id::Id;
 /// A process of a deployment of many hosts.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Part {
-    /// Where the others meet.
+    /// A router, which the other parts connect to.
     Router,
-    /// The simulated world of the robots that attach to it.
+    /// The simulated world of attached robots.
     World,
-    /// A robot's own side.
+    /// The edge of a robot.
     Edge(Id),
-    /// The maps of all robots, or of one.
+    /// Mapping for all robots, or for one.
     Mapping(Option<Id>),
     /// Motion workers.
     Motion,
-    /// The missions of all robots, or of one.
+    /// Missions for all robots, or for one.
     Mission(Option<Id>),
     /// The mission-control page.
     Gateway,
@@ -61,7 +61,7 @@ impl fmt::Display for Part {
 }
 
 impl Part {
-    /// The part's kind, one word.
+    /// Kind of the part, one word.
     #[must_use]
     pub fn kind(&self) -> &'static str {
         match self {
@@ -75,7 +75,7 @@ impl Part {
         }
     }
 
-    /// The one robot that it is for.
+    /// The one robot that the part serves; `None`: all.
     #[must_use]
     pub fn robot(&self) -> Option<&Id> {
         match self {
@@ -85,7 +85,7 @@ impl Part {
         }
     }
 
-    /// Its name on its host, as a DNS label: a robot's `_` becomes `-`.
+    /// Name on its host, as a DNS label: `_` in a robot's id becomes `-`.
     #[must_use]
     pub fn name(&self) -> String {
         match self.robot() {
@@ -94,7 +94,7 @@ impl Part {
         }
     }
 
-    /// Whether it serves a robot.
+    /// Whether the part serves this robot.
     #[must_use]
     pub fn serves(&self, robot: &str) -> bool {
         self.robot().is_none_or(|one| one.as_str() == robot)

@@ -1,4 +1,4 @@
-//! Problems. What is wrong with the hosts of a deployment? Every problem by its key, with what was expected.
+//! Problems. Errors in the hosts of a deployment: each with its key, and what was expected.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -9,10 +9,10 @@ use super::layout::{EDGE_PORT, Host, is_loopback, port_of};
 use super::part::{Part, is_label};
 use crate::config::{Deployment, HostSection, Role};
 
-/// Most letters of a part's name with its host's: Kubernetes adds eleven to make a label of 63.
+/// Most letters of a host's and a part's name together: Kubernetes appends eleven, and a label holds 63.
 const MOST_LETTERS: usize = 52;
 
-/// All that is wrong, in the order of the file's sections.
+/// All problems, in the order of the file's sections.
 pub(super) fn of(deployment: &Deployment) -> Vec<OutOfBounds> {
     let mut found = Found(Vec::new());
     if deployment.hosts.is_empty() {
@@ -134,7 +134,7 @@ impl Found {
         parts
     }
 
-    /// What runs nowhere, or in two places where it may be in one only.
+    /// Parts that run nowhere, or on two hosts where only one is allowed.
     fn of_places(&mut self, deployment: &Deployment, parsed: &Parsed<'_>) {
         let places = |wanted: &dyn Fn(&Part) -> bool| -> Vec<&str> {
             let hosts = parsed.iter().filter(|(_, parts)| parts.iter().any(wanted));
@@ -214,7 +214,7 @@ impl Found {
         }
     }
 
-    /// Two that listen on one port of one address.
+    /// Two parts that listen on one port of one address.
     fn of_ports(&mut self, deployment: &Deployment, parsed: &Parsed<'_>) {
         let mut taken = BTreeMap::new();
         for (name, parts) in parsed {
@@ -248,7 +248,7 @@ impl Found {
         }
     }
 
-    /// Robots whose own endpoint nobody could reach, and names that are one for a unit or a container.
+    /// Robots whose own endpoint is on loopback, where nobody could reach it.
     fn of_robots(&mut self, deployment: &Deployment, parsed: &Parsed<'_>) {
         let edges: BTreeSet<&Id> = parsed
             .values()

@@ -1,4 +1,4 @@
-//! Instructions beside the rendered files. What is to be done on which machine, in which order?
+//! Instructions beside the rendered files. What to do on which machine, in which order.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
@@ -99,13 +99,13 @@ pub(super) fn text(layout: &Layout<'_>, wanted: &dyn Fn(Target) -> bool) -> Stri
                 "kubectl -n zenav create secret generic {PAGE_SECRET} --from-file token=page-token"
             );
         }
-        // A map beside the file is larger than what a client may note of it.
+        // Applied on the server: a map beside the file is too large for the client's annotation.
         text += "kubectl apply --server-side -k kubernetes\n```\n";
     }
     text
 }
 
-/// The identities of all parts, each with the addresses at which it is dialled.
+/// Identities of all parts, each with the addresses at which it is dialled.
 pub(super) fn identities(layout: &Layout<'_>) -> BTreeMap<String, Vec<String>> {
     let mut identities = BTreeMap::<String, Vec<String>>::new();
     for (host, part) in layout.parts() {

@@ -1,6 +1,6 @@
-//! Running deployment. Which of its parts run, by what they announce on the bus, and what runs that it does not name? Pure.
+//! Running deployment. Compares a deployment with the parts announced on the bus, including those that it does not name. Pure.
 //!
-//! By liveliness: a frozen part is seen until its link ends. Gateways announce nothing.
+//! Parts are seen by liveliness: a frozen part is seen until its link ends. Gateways announce nothing.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -9,7 +9,7 @@ use serde::Serialize;
 use super::layout::{Host, Layout};
 use super::part::Part;
 
-/// What is seen on the bus.
+/// Observations on the bus.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Seen {
     /// Hosts whose routers answer.
@@ -18,38 +18,38 @@ pub struct Seen {
     pub robots: BTreeMap<String, BTreeSet<String>>,
     /// Names of the workers of each service: `motion`, `world`.
     pub workers: BTreeMap<String, BTreeSet<String>>,
-    /// Orchestrators of each robot: the one that leads, and its standbys.
+    /// Number of orchestrators of each robot: the leader and its standbys.
     pub orchestrators: BTreeMap<String, usize>,
 }
 
-/// Whether something is as it was meant.
+/// State of a part compared with the deployment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum State {
     /// It runs.
     Runs,
-    /// It does not show.
+    /// It was not found.
     Missing,
-    /// It runs, and the deployment does not name it.
+    /// It runs, but the deployment does not name it.
     Unnamed,
     /// It announces nothing.
     NotAnnounced,
 }
 
-/// What was found of one part.
+/// Result for one part.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Finding {
-    /// The host; `-` for what is on none.
+    /// Name of the host; `-` if on none.
     pub host: String,
-    /// The part.
+    /// Name of the part.
     pub part: String,
-    /// Whether it is as it was meant.
+    /// Its state.
     pub state: State,
-    /// What was seen, where that tells more.
+    /// Observation, if it adds something.
     pub detail: String,
 }
 
-/// Compares a deployment with what is seen of it.
+/// Compares a deployment with the observations.
 #[must_use]
 pub fn compare(layout: &Layout<'_>, seen: &Seen) -> Vec<Finding> {
     let mut findings: Vec<Finding> = layout
@@ -118,7 +118,7 @@ fn judge(layout: &Layout<'_>, host: &Host, part: &Part, seen: &Seen) -> Finding 
                     missions.count(),
                 )
             };
-            // Which one a standby is cannot be seen: of two both may be the missing one.
+            // A standby's host is unknown: if one of two is missing, it may be either.
             let short: Vec<String> = robots
                 .iter()
                 .map(|robot| (robot, orchestrators(robot)))
@@ -151,7 +151,7 @@ fn judge(layout: &Layout<'_>, host: &Host, part: &Part, seen: &Seen) -> Finding 
     }
 }
 
-/// The host whose name a worker's begins with, the longest of several.
+/// The host whose name is a prefix of a worker's; of several the longest.
 fn host_of_worker<'l>(layout: &'l Layout<'_>, worker: &str) -> Option<&'l String> {
     let hosts = layout
         .hosts

@@ -1,14 +1,14 @@
-//! Systemd units. How does a host start a part, watch it, and keep it in its place? One unit a part, sandboxed, under a user of its own.
+//! Systemd units. One unit per part: sandboxed, with a watchdog, under its own user.
 //!
-//! `Type=notify`: a part says when it is ready, and beats its watchdog from then on (`zenav_protocol::bus::service_manager`). Its keys come as
-//! credentials, which only it can read. Follows systemd.exec(5).
+//! `Type=notify`: a part reports when it is ready, and feeds its watchdog from then on (`zenav_protocol::bus::service_manager`). Its keys
+//! are passed as credentials, which only the part can read. Follows systemd.exec(5).
 
 use super::command_line::{Addresses, CONFIG, IDENTITY, Place, arguments};
 use super::layout::{Host, Layout};
 use super::part::Part;
 use crate::config::Profile;
 
-/// What a part may do, and no more: read its configuration, write its state, talk over the network.
+/// A part's only permissions: read its configuration, write its state, use the network.
 const SANDBOX: &str = "\
 # The sandbox: no file but its own state, no privilege, no other process.
 DynamicUser=yes
@@ -55,7 +55,7 @@ pub(super) fn unit(layout: &Layout<'_>, host: &Host, part: &Part) -> String {
     let state = format!("zenav-{}", part.name());
     let place = Place {
         addresses: Addresses::Hosts,
-        // Specifiers of systemd: the folders of state and of credentials.
+        // Systemd specifiers: the folders of state and of credentials.
         data: format!("%S/{state}"),
         identity: "%d".to_owned(),
         token: "%d/page-token".to_owned(),
@@ -115,7 +115,7 @@ pub(super) fn unit(layout: &Layout<'_>, host: &Host, part: &Part) -> String {
     )
 }
 
-/// A word of a command as systemd.syntax(7) has it; specifiers stay.
+/// A word of a command, quoted as in systemd.syntax(7); specifiers are kept.
 fn quoted(word: &str) -> String {
     let plain = |c: char| c.is_ascii_alphanumeric() || "-_./:,=%@+".contains(c);
     if !word.is_empty() && word.chars().all(plain) {

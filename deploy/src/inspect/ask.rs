@@ -1,5 +1,5 @@
-//! `zenav ask` and `zenav topic pub`. How is a request or a message typed by hand? JSON, checked against the type of its key before it is sent:
-//! a field that nobody knows is told, not passed over.
+//! `zenav ask` and `zenav topic pub`. Requests and messages typed by hand as JSON, checked against the type of their key before they are
+//! sent: an unknown field is reported, not ignored.
 
 use std::io::Read as _;
 use std::time::Duration;
@@ -18,9 +18,9 @@ use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::output::{self, Format};
 
-/// Names that changed in a typo beyond this many letters are not guessed.
+/// Largest edit distance between an unknown name and the known one that is suggested for it.
 const SLIPS: usize = 3;
-/// A query that is sent again waits for this time at most.
+/// Longest pause before a query is sent again.
 const AGAIN: Duration = Duration::from_millis(200);
 
 /// One request.
@@ -35,12 +35,12 @@ pub struct AskArgs {
     /// Output format
     #[arg(short, long, value_enum, default_value_t)]
     output: Format,
-    /// A key (`zenav/tiago/ask/edge/info`), its end (`ask/edge/info`), or the name of an ask (`goals`); `?name=value` is passed on
+    /// A key (`zenav/tiago/ask/edge/info`), its end (`ask/edge/info`), or the name of an ask (`goals`); `?name=value` is passed along
     key: String,
     /// The request; `-` reads it from stdin
     #[arg(default_value = "{}")]
     json: String,
-    /// Write the answer's bytes to a file
+    /// Write the answer's bytes to this file
     #[arg(long, value_name = "FILE")]
     out: Option<std::path::PathBuf>,
 }
@@ -55,10 +55,10 @@ pub(super) struct PubArgs {
     key: String,
     /// The message; `-` reads it from stdin
     json: String,
-    /// Publish again this many times a second, until Ctrl-C or --count
+    /// Publish this many times a second, until Ctrl-C or --count
     #[arg(long, value_name = "HZ", value_parser = frequency)]
     hz: Option<f64>,
-    /// End after this many messages
+    /// Stop after this many messages
     #[arg(long, value_name = "N", requires = "hz", value_parser = connect::whole::<u64>)]
     count: Option<u64>,
     /// Publish on a key that only the robot or its cloud may write
@@ -66,10 +66,10 @@ pub(super) struct PubArgs {
     force: bool,
 }
 
-/// Sends a request, and prints the answer.
+/// Sends a request and prints the answer.
 ///
 /// # Errors
-/// [`exit_code::USAGE`] for what does not fit the type of the key, and as every ask.
+/// [`exit_code::USAGE`] for JSON that does not fit the key's type, otherwise as every ask.
 pub fn ask(args: &AskArgs) -> Outcome {
     let patience = args.robot.link.patience();
     let (key, parameters) = args
@@ -86,7 +86,7 @@ pub fn ask(args: &AskArgs) -> Outcome {
         }
         let selector = parameters.map_or_else(|| key.clone(), |parameters| format!("{key}?{parameters}"));
         let until = tokio::time::Instant::now() + patience;
-        // As every ask: no reply is not an answer, and a standby passes the request on to whoever leads.
+        // Same rules as every ask: no reply is not an answer, and a standby redirects to the leader.
         let sample = loop {
             let within = until.saturating_duration_since(tokio::time::Instant::now());
             let replies = bus
@@ -186,7 +186,7 @@ pub(super) fn publish(args: &PubArgs, robot: &RobotArgs, format: Format) -> Outc
     })
 }
 
-/// Whether a key lies under a side that has its own writers.
+/// Whether only the robot or its cloud may write this key.
 fn is_reserved(key: &str) -> bool {
     let chunks: Vec<&str> = key.split('/').collect();
     match chunks.as_slice() {
@@ -196,13 +196,13 @@ fn is_reserved(key: &str) -> bool {
     }
 }
 
-/// How often a second something is published.
+/// A publication rate, Hz.
 fn frequency(text: &str) -> Result<f64, String> {
     let hz = text.parse().ok().filter(|hz| (0.001..=10_000.0).contains(hz));
     hz.ok_or_else(|| "expected a number from 0.001 to 10000".to_owned())
 }
 
-/// The text of the command line, or of stdin.
+/// The text from the command line, or from stdin.
 fn input(text: &str) -> Result<String, Failure> {
     if text != "-" {
         return Ok(text.to_owned());
@@ -218,7 +218,7 @@ fn any_json(text: &str) -> Result<(), Failure> {
         .map_err(|error| Failure::usage(format!("not JSON: {error}")))
 }
 
-/// The key that is meant, with its robot filled in.
+/// The full key that the text names, with the robot's id filled in.
 async fn concrete(
     bus: &zenav_protocol::bus::Bus,
     text: &str,
@@ -239,7 +239,7 @@ async fn concrete(
     Ok(format!("{before}{robot}{after}"))
 }
 
-/// The key that is meant, perhaps with a `{robot}` to be filled in.
+/// The key that the text names; it may still contain `{robot}`.
 fn meant(text: &str, asks: bool) -> Result<String, Failure> {
     if text.contains(['*', '$', '{']) {
         return Err(Failure::usage(format!("{text}: expected one key, without wildcards")));
@@ -254,7 +254,7 @@ fn meant(text: &str, asks: bool) -> Result<String, Failure> {
     });
     if let Some(row) = found {
         let end = row.pattern.strip_prefix("zenav/{robot}/").unwrap_or(row.pattern);
-        // Named chunks that the text fills (`cloud/goal/g1`) are kept as they are written.
+        // Chunks that fill a placeholder (`cloud/goal/g1`) are kept as typed.
         return Ok(match topics::alive_chunks(end, text) {
             Some(_) if row.pattern != end => format!("zenav/{{robot}}/{text}"),
             _ => row.pattern.to_owned(),
@@ -279,7 +279,7 @@ fn meant(text: &str, asks: bool) -> Result<String, Failure> {
     )))
 }
 
-/// Checks a text against the message, or the request, of a row.
+/// Checks a text against the message type, or the request type, of a row.
 fn check(row: &Row, text: &str) -> Result<(), Failure> {
     if text.len() > row.max_bytes {
         return Err(Failure::usage(format!(
@@ -298,7 +298,7 @@ fn check(row: &Row, text: &str) -> Result<(), Failure> {
     checker.found.unwrap_or(Ok(()))
 }
 
-/// Reads a text as the type of one row.
+/// Parses a text as the type of one row.
 struct Checker<'a> {
     pattern: &'static str,
     text: &'a str,
@@ -323,7 +323,7 @@ impl TableVisitor for Checker<'_> {
     }
 }
 
-/// Whether a text is a message of this type, without fields that the type does not have.
+/// Checks that a text parses as this type and has no unknown fields.
 fn fits<T: DeserializeOwned>(text: &str, name: &str) -> Result<(), Failure> {
     let hint = format!("`zenav schema {name}` shows what may stand there");
     let mut unknown = Vec::new();

@@ -1,4 +1,4 @@
-//! `zenav map build`. What did the robot of a log see? A CARMEN log with poses becomes `map_server` files.
+//! `zenav map build`. Builds `map_server` files from a CARMEN log with poses.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -16,9 +16,9 @@ use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
 
-/// A map from a log.
+/// Build a map from a log.
 ///
-/// The rate is that of inserting all scans in one thread, by that thread's own time; reading, comparing and writing do not
+/// The reported rate covers inserting all scans in one thread, by that thread's processor time; reading, comparing and writing do not
 /// count.
 #[derive(Debug, clap::Args)]
 pub(super) struct BuildArgs {
@@ -31,12 +31,12 @@ pub(super) struct BuildArgs {
     /// Folder for map.pgm and map.yaml
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Every beam exactly, or by filled wedges
+    /// How scans are inserted: every beam exactly, or by filled wedges
     #[arg(long, value_enum, default_value_t)]
     mode: BuildMode,
 }
 
-/// How scans are drawn into a map.
+/// How scans are inserted into a map.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 enum BuildMode {
     /// Every beam, exactly
@@ -50,9 +50,9 @@ enum BuildMode {
 #[derive(Debug, Serialize)]
 struct Built {
     scans: u64,
-    /// Scans inserted in a second of this thread's own time: what others do on the machine does not count.
+    /// Scans inserted per second of this thread's processor time, independent of other load on the machine.
     scans_per_s: f64,
-    /// Scans inserted in a second of the clock on the wall.
+    /// Scans inserted per second of wall time.
     scans_per_s_wall: f64,
     beams: u64,
     cells: u64,
@@ -75,7 +75,7 @@ pub(super) fn build(args: &BuildArgs, format: Format) -> Outcome {
         BuildMode::Reference => InsertMode::Reference,
         BuildMode::Fast => InsertMode::Fast,
     };
-    // Only the insertion of all scans is timed: not reading the log, not comparing and writing the map.
+    // Only inserting the scans is timed: not reading the log, not comparing and writing the map.
     let (wall, thread) = (Instant::now(), thread_time());
     let maps::Built { map, beams } = build(mode)?;
     let rate = |took: Duration| scans.len() as f64 / took.as_secs_f64().max(1e-9);

@@ -1,14 +1,14 @@
-//! A check of the doctor. How is it reported? Verdict, observation, and what to do.
+//! A check of the doctor. Verdict, observation, and advice.
 
 use serde::Serialize;
 
-/// How a check came out.
+/// Result of a check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum Verdict {
-    /// As it should be.
+    /// Works as expected.
     Ok,
-    /// Works, but look at it.
+    /// Works, but needs a look.
     Warn,
     /// Does not work.
     Fail,
@@ -19,13 +19,13 @@ pub(super) enum Verdict {
 pub(super) struct Check {
     /// What it is about: `router`, a robot's name, `clock`.
     pub(super) about: String,
-    /// What was checked.
+    /// Name of the check.
     pub(super) check: &'static str,
-    /// How it came out.
+    /// Result.
     pub(super) verdict: Verdict,
-    /// What was seen.
+    /// Observation.
     pub(super) seen: String,
-    /// What to do, unless all is well.
+    /// Advice, unless the check passed.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) advice: Option<String>,
 }

@@ -1,4 +1,4 @@
-//! `zenav map convert`. How does a map become a file of another format? `map_server` pictures with their description, and Moving AI maps.
+//! `zenav map convert`. Converts maps between `map_server` pictures with their description and Moving AI maps.
 
 use std::path::PathBuf;
 
@@ -24,7 +24,7 @@ pub(super) struct ConvertArgs {
     /// How cells become grey values
     #[arg(long, value_enum, default_value_t)]
     mode: ModeArg,
-    /// Side of a cell where the input does not say, m
+    /// Side of a cell if the input does not give it, m
     #[arg(long, value_name = "M", value_parser = positive)]
     resolution: Option<f64>,
 }
@@ -37,7 +37,7 @@ enum ModeArg {
     Trinary,
     /// Shades, unknown transparent (.png only)
     Scale,
-    /// The values themselves
+    /// The raw values
     Raw,
 }
 

@@ -1,4 +1,4 @@
-//! Diagnosis. Is a deployment healthy? Each observation judged: ok, warn or fail, with what to do. Pure: what was seen is passed in.
+//! Diagnosis. Judges each observation of a deployment as ok, warn or fail, with advice. Pure: the observations are passed in.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -10,18 +10,18 @@ use zenav_protocol::messages::{
 
 use super::check::Check;
 
-/// A topic as it was heard while listening.
+/// What was received on a topic while listening.
 #[derive(Clone, Debug)]
 pub(super) struct Heard<T> {
     /// The newest value.
     pub(super) last: Option<T>,
-    /// Values heard.
+    /// Number of values received.
     pub(super) count: u64,
-    /// Time since the newest when listening ended.
+    /// Time from the newest value to the end of listening.
     pub(super) age: Option<Duration>,
 }
 
-// Not derived: that would ask `T: Default` of the message.
+// Not derived: the derive would require `T: Default` of the message.
 impl<T> Default for Heard<T> {
     fn default() -> Self {
         Self {
@@ -32,7 +32,7 @@ impl<T> Default for Heard<T> {
     }
 }
 
-/// What was seen of one robot.
+/// Observations of one robot.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Robot {
     pub(super) name: String,
@@ -44,19 +44,19 @@ pub(super) struct Robot {
     pub(super) heartbeat: Heard<()>,
     pub(super) mission: Option<MissionStatus>,
     pub(super) map: Option<MapInfo>,
-    /// Who answered to `info`.
+    /// Replies to `info`.
     pub(super) infos: Vec<InfoReply>,
 }
 
-/// Messages of a robot are no older than this, where its link carries all of them.
+/// Longest age of a robot's newest message, if its link carries all of them.
 const FRESH: Duration = Duration::from_millis(500);
 
-/// What was seen of the clock.
+/// Observations of the clock.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ClockSeen {
-    /// Simulated seconds passed for each wall second, when simulated time is published.
+    /// Simulated seconds per wall second, if simulated time is published.
     pub(super) simulated_rate: Option<f64>,
-    /// How often it went back by more than a second.
+    /// Number of times it stepped back by more than a second.
     pub(super) steps_back: u32,
 }
 
@@ -71,7 +71,7 @@ pub(super) fn judge(robot: &Robot, time: Duration) -> Vec<Check> {
     checks.extend(namesakes(robot));
     checks.extend(robot.infos.iter().map(|info| schema(name, info)));
     checks.push(heard(name, "state", &robot.state, time, 1.0));
-    // On a narrow link the robot itself sends fewer of these.
+    // On a narrow link the robot itself decimates these.
     let share = robot
         .state
         .last
@@ -160,7 +160,7 @@ pub(super) fn judge(robot: &Robot, time: Duration) -> Vec<Check> {
     checks
 }
 
-/// Who could take over from a leader, in words.
+/// The standbys that could take over from a leader, in words.
 pub(super) fn standbys(mission: &MissionStatus) -> String {
     match mission.standbys.len() {
         0 => "alone".to_owned(),
@@ -177,7 +177,7 @@ fn alive(robot: &Robot, component: &'static str, start: &str) -> Check {
     }
 }
 
-/// Several edges of one name: everything else that is seen of them is mixed up.
+/// Several edges with one name: all other observations of them are mixed up.
 fn namesakes(robot: &Robot) -> Option<Check> {
     let edges = robot.infos.iter().filter(|info| info.component == "edge");
     let processes = edges.filter_map(|edge| edge.process.as_ref());
@@ -212,7 +212,7 @@ fn schema(name: &str, info: &InfoReply) -> Check {
     }
 }
 
-/// Whether messages come that the robot sends a share (0 to 1) of.
+/// Whether messages arrive of which the robot sends only a share (0 to 1).
 fn heard<T>(name: &str, topic: &'static str, heard: &Heard<T>, time: Duration, share: f64) -> Check {
     let longest = FRESH.div_f64(share);
     let silence = format!("nothing in {:.1} s", time.as_secs_f64());
@@ -278,7 +278,7 @@ fn lease(robot: &Robot, state: &EdgeState) -> Check {
     }
 }
 
-/// What the robot itself says is wrong.
+/// The faults that the robot itself reports.
 fn faults(name: &str, faults: &Faults) -> Vec<Check> {
     let body = faults.body.iter().map(|why| {
         Check::fail(
@@ -348,7 +348,7 @@ fn map(robot: &Robot) -> Check {
     }
 }
 
-/// Judges the workers that serve all robots.
+/// Judges the workers shared by all robots.
 pub(super) fn workers(service: &'static str, count: usize) -> Check {
     match count {
         0 => Check::fail("svc", service, "no worker shows", "start one: `zenav cloud motion`"),
@@ -357,7 +357,7 @@ pub(super) fn workers(service: &'static str, count: usize) -> Check {
     }
 }
 
-/// Judges the time that all share.
+/// Judges the common clock.
 pub(super) fn clock(seen: &ClockSeen) -> Check {
     match seen.simulated_rate {
         Some(_) if seen.steps_back > 1 => Check::fail(

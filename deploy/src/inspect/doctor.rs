@@ -1,5 +1,5 @@
-//! `zenav doctor`. Is everything there and healthy? Listens for two seconds, asks every component for its info, and says what to do about
-//! what is wrong.
+//! `zenav doctor`. Checks whether a deployment is complete and healthy: listens for two seconds, asks every component for its info, and
+//! gives advice on what is wrong.
 
 use std::io::IsTerminal as _;
 use std::time::Duration;
@@ -21,18 +21,18 @@ use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
 
-/// How long to listen.
+/// Listening time.
 const LISTEN: Duration = Duration::from_secs(2);
-/// How long a component may take to say who it is.
+/// Longest wait for a component's info.
 const ANSWER_WITHIN: Duration = Duration::from_millis(1500);
 
-/// Health.
+/// Check a running deployment.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Examples:\n  zenav doctor\n  zenav doctor -o json                        for scripts; exit code 1 where something failed\n  zenav doctor --connect tcp/127.0.0.1:7450   at the robot itself"
 )]
 pub struct DoctorArgs {
-    /// Which robot; without a name, all.
+    /// Robot to check; without a name, all.
     #[command(flatten)]
     robot: RobotArgs,
     /// Output format
@@ -46,10 +46,10 @@ struct Report {
     checks: Vec<Check>,
 }
 
-/// Checks a deployment: exit 0 when nothing fails (warnings are no failure), 1 when something does, 4 without a router.
+/// Checks a deployment: exit 0 if nothing fails (warnings do not count), 1 if something does, 4 without a router.
 ///
 /// # Errors
-/// [`exit_code::NOT_FOUND`] for a robot named that does not show.
+/// [`exit_code::NOT_FOUND`] for a named robot that is not found.
 pub fn doctor(args: &DoctorArgs) -> Outcome {
     let examined = connect::on_bus(&args.robot.link, async |bus| {
         examine(&bus, args.robot.robot.as_deref()).await
@@ -95,7 +95,7 @@ async fn examine(bus: &Bus, wanted: Option<&str>) -> Result<Vec<Check>, Failure>
     let mut names: Vec<String> = connect::robots(bus).await?.into_keys().collect();
     names.retain(|name| wanted.is_none_or(|wanted| wanted == name));
     match wanted {
-        // Known by its state alone: this is its own endpoint.
+        // Known only by its state: this connection is the robot's own endpoint.
         Some(wanted) if names.is_empty() => names.push(wanted.to_owned()),
         None if names.is_empty() => names.extend(connect::find(bus, None).await.ok()),
         _ => {}
@@ -167,7 +167,7 @@ async fn look(bus: &Bus, name: String, end: Instant) -> Result<Robot, Failure> {
     })
 }
 
-/// What is listened to.
+/// A source of messages to listen to.
 trait Arrivals {
     type Item;
     fn next(&mut self) -> impl Future<Output = Option<Self::Item>> + Send;
@@ -180,7 +180,7 @@ impl<T: DeserializeOwned + Send> Arrivals for Latest<T> {
     }
 }
 
-/// Scans are large: their arrival is enough here.
+/// Scans are large: only their arrival matters here.
 impl Arrivals for RawSubscription {
     type Item = ();
     async fn next(&mut self) -> Option<()> {
@@ -188,7 +188,7 @@ impl Arrivals for RawSubscription {
     }
 }
 
-/// Counts what comes until the end.
+/// Counts arrivals until `end`.
 async fn heard<A: Arrivals>(topic: &mut A, end: Instant) -> Heard<A::Item> {
     let mut heard = Heard::default();
     let mut newest = None;

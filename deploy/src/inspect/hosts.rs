@@ -1,4 +1,4 @@
-//! Hosts. Do the machines of a deployment fit together? One check a host, by what its parts say of themselves. Pure.
+//! Hosts. Checks that the machines of a deployment fit together: one check per host, from what its parts report. Pure.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -7,10 +7,10 @@ use zenav_protocol::SCHEMA_VERSION;
 use super::check::Check;
 use super::parts::Part;
 
-/// A host whose clock is off by more confuses whoever reads its log, s.
+/// Largest clock offset of a host; beyond it, log times mislead, s.
 const CLOCK: f64 = 1.0;
 
-/// Judges every host by what its parts say: versions of their messages, and its clock.
+/// Judges every host from its parts' reports: message versions and clock.
 pub(super) fn judge(parts: &[Part]) -> Vec<Check> {
     let mut hosts: BTreeMap<&str, Vec<&Part>> = BTreeMap::new();
     for part in parts.iter().filter(|part| !part.host.is_empty()) {
@@ -52,7 +52,7 @@ pub(super) fn judge(parts: &[Part]) -> Vec<Check> {
     checks
 }
 
-/// Several mapping services of one robot: both publish its one map.
+/// Several mapping services of one robot: both would publish its map.
 fn rival_mappers(parts: &[Part]) -> Vec<Check> {
     let mut mappers: BTreeMap<&str, BTreeSet<(&str, u32, u32)>> = BTreeMap::new();
     for part in parts.iter().filter(|part| part.component == "mapping") {
@@ -110,7 +110,7 @@ mod tests {
                 robot: "b".to_owned(),
                 ..part("site", 2, SCHEMA_VERSION + 1, 3600.0)
             },
-            // It is too old to tell where it runs.
+            // An old version that does not report its host.
             Part {
                 robot: "c".to_owned(),
                 ..part("", 0, SCHEMA_VERSION, 0.0)

@@ -1,4 +1,4 @@
-//! Listening to keys. What arrives on one? Printed as it is, or measured: how often, how much.
+//! Listening to keys. Prints the samples that arrive on a key, or measures their rate and size.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -15,22 +15,22 @@ use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
 
-/// Samples that may wait to be shown.
+/// Most samples queued for display.
 const BACKLOG: usize = 4096;
 
-/// After so long a silence it is told: a slip in a key would wait for ever.
+/// After so long without a message a hint is printed: with a misspelled key the wait would never end.
 const SILENCE: Duration = Duration::from_secs(2);
 
-/// What to listen to, and for how long.
+/// What to listen to, and how long.
 #[derive(Debug, clap::Args)]
 pub(super) struct ListenArgs {
-    /// A key (`zenav/*/edge/pose`), a side and name (`edge/pose`), or the name of a topic (`pose`)
+    /// A key (`zenav/*/edge/pose`), its side and name (`edge/pose`), or the name of a topic (`pose`)
     #[arg(add = completion::keys())]
     pub(super) key: String,
-    /// End after this many messages
+    /// Stop after this many messages
     #[arg(long, value_name = "N", value_parser = connect::whole::<u64>)]
     count: Option<u64>,
-    /// End after this time, s
+    /// Stop after this time, s
     #[arg(long = "for", value_name = "SECS", value_parser = positive)]
     secs: Option<f64>,
 }
@@ -40,20 +40,20 @@ pub(super) fn seconds(secs: f64) -> Duration {
     Duration::try_from_secs_f64(secs).unwrap_or(Duration::MAX)
 }
 
-/// What came on each key, and how it was encoded.
+/// The meter of each key, with the newest encoding.
 type Meters = BTreeMap<String, (Meter, String)>;
 
-/// Listens for a while. What is kept for late joiners tells only of keys on which nothing else comes: rates are of live messages.
+/// Listens for a while. Retained messages count only for keys without live messages: rates are of live messages.
 pub(super) async fn listen(bus: &Bus, pattern: &str, time: Duration) -> Result<Meters, Failure> {
     let mut live = bus.raw_subscribe(pattern, BACKLOG)?;
     let mut kept = bus.raw_subscribe_kept(pattern, BACKLOG)?;
     let (mut of_live, mut of_kept) = (Meters::new(), Meters::new());
-    // What has come while the other subscription was made waits here all at once, as nothing comes over the wire.
+    // Discards what arrived while the other subscription was made: it is queued here at once, not at the rate of the wire.
     while let Ok(Some(_)) = tokio::time::timeout(Duration::ZERO, live.next()).await {}
     let start = Instant::now();
     let gather = async {
         loop {
-            // What is live comes to both.
+            // A live sample reaches both subscriptions.
             let (sample, meters) = tokio::select! {
                 Some(sample) = live.next() => (sample, &mut of_live),
                 Some(sample) = kept.next() => (sample, &mut of_kept),
@@ -66,7 +66,7 @@ pub(super) async fn listen(bus: &Bus, pattern: &str, time: Duration) -> Result<M
             *encoding = sample.encoding;
         }
     };
-    // The end of the time is how this ends.
+    // The timeout ends this.
     let _ = tokio::time::timeout(time, gather).await;
     for (key, (mut meter, encoding)) in of_kept {
         meter.forget_times();
@@ -75,7 +75,7 @@ pub(super) async fn listen(bus: &Bus, pattern: &str, time: Duration) -> Result<M
     Ok(of_live)
 }
 
-/// The next sample, or how the listening ended.
+/// The next sample, or why listening ended.
 async fn next(samples: &mut RawSubscription, until: Option<Instant>) -> Result<RawSample, Ending> {
     let out_of_time = async {
         match until {
@@ -91,7 +91,7 @@ async fn next(samples: &mut RawSubscription, until: Option<Instant>) -> Result<R
     }
 }
 
-/// As [`next`]; of a key on which nothing has come yet, the silence is told once.
+/// Like [`next`]; if nothing has arrived yet on the key, prints one hint.
 async fn next_or_hint(
     samples: &mut RawSubscription,
     until: Option<Instant>,
@@ -115,7 +115,7 @@ async fn next_or_hint(
     next(samples, until).await
 }
 
-/// Why listening ended.
+/// Reason why listening ended.
 enum Ending {
     Interrupted,
     OutOfTime,
@@ -144,7 +144,7 @@ struct Echoed {
     payload: serde_json::Value,
 }
 
-/// Prints messages, from what is kept for late joiners on.
+/// Prints messages, starting with the retained ones.
 pub(super) async fn echo(bus: &Bus, pattern: &str, args: &ListenArgs, format: Format) -> Outcome {
     let mut samples = bus.raw_subscribe_kept(pattern, BACKLOG)?;
     let until = args
@@ -160,7 +160,7 @@ pub(super) async fn echo(bus: &Bus, pattern: &str, args: &ListenArgs, format: Fo
         };
         messages += 1;
         match format {
-            // One key's messages alone, for pipes; of many keys each with its own.
+            // For one key only the message, for pipes; with wildcards, each with its key.
             Format::Table if !wild => output::line(&payload::text(&sample)),
             Format::Table => output::line(&format!("{} {}", sample.key, payload::text(&sample))),
             Format::Json | Format::Ndjson => {
@@ -177,7 +177,7 @@ pub(super) async fn echo(bus: &Bus, pattern: &str, args: &ListenArgs, format: Fo
     Ok(exit_code::OK)
 }
 
-/// A key and what its meter read.
+/// A key and its meter's reading.
 #[derive(Serialize)]
 pub(super) struct Measured {
     key: String,
@@ -185,7 +185,7 @@ pub(super) struct Measured {
     reading: Reading,
 }
 
-/// Measures live messages only: what is kept for late joiners comes all at once.
+/// Measures live messages only: retained ones arrive all at once.
 pub(super) async fn measure(
     bus: &Bus,
     pattern: &str,
@@ -242,7 +242,7 @@ pub(super) async fn measure(
     outcome
 }
 
-/// How often, for people.
+/// Rate, human-readable.
 pub(super) fn hz_line(row: &Measured) -> String {
     let Reading {
         hz,
@@ -266,7 +266,7 @@ pub(super) fn hz_line(row: &Measured) -> String {
     }
 }
 
-/// How much, for people.
+/// Size and bandwidth, human-readable.
 pub(super) fn bw_line(row: &Measured) -> String {
     let [least, mean, greatest] = row.reading.bytes.map(bytes);
     let rate = row

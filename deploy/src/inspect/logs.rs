@@ -1,7 +1,7 @@
-//! `zenav logs`. What did the parts of a deployment say last, on whatever host they run?
+//! `zenav logs`. Shows the latest log lines of a deployment's parts, on whatever host they run.
 //!
-//! Each process keeps its newest lines and answers with them. Nothing is published: a storm of log lines costs the bus nothing, and a robot's link
-//! carries them only while somebody asks.
+//! Each process keeps its newest lines and answers with them. Nothing is published: a burst of log lines costs the bus nothing, and a
+//! robot's link carries log lines only on request.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -17,9 +17,9 @@ use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
 
-/// Longest wait for answers: whoever is silent by then is passed over.
+/// Longest wait for answers; parts that have not answered by then are skipped.
 const ANSWER_WITHIN: Duration = Duration::from_millis(1500);
-/// Time between two looks while following.
+/// Polling period while following.
 const PERIOD: Duration = Duration::from_secs(1);
 
 /// Arguments of `zenav logs`.
@@ -33,13 +33,13 @@ pub struct LogsArgs {
     /// Only lines about this robot
     #[arg(long)]
     robot: Option<String>,
-    /// Least level shown
+    /// Lowest level to show
     #[arg(long, value_enum, default_value_t)]
     level: Level,
-    /// Go on with what comes, until Ctrl-C
+    /// Keep showing new lines until Ctrl-C
     #[arg(short, long)]
     follow: bool,
-    /// Output format; a table is a line of text each
+    /// Output format; a table prints one line of text each
     #[arg(short, long, value_enum, default_value_t)]
     output: Format,
 }
@@ -47,12 +47,12 @@ pub struct LogsArgs {
 /// Level of a line.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, ValueEnum)]
 enum Level {
-    /// What a person wants to know
+    /// Normal operation
     #[default]
     Info,
-    /// What somebody should look at
+    /// Needs attention
     Warn,
-    /// What does not work
+    /// Failure
     Error,
 }
 
@@ -66,7 +66,7 @@ impl Level {
     }
 }
 
-/// A line, and where it was said.
+/// A log line and its origin.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 struct Said {
     host: String,
@@ -75,7 +75,7 @@ struct Said {
     line: LogLine,
 }
 
-/// Shows the newest lines of all processes in the order of their times.
+/// Shows the newest lines of all processes, in order of time.
 ///
 /// # Errors
 /// [`exit_code::CANNOT_CONNECT`] without a router.
@@ -107,7 +107,7 @@ pub fn logs(args: &LogsArgs) -> Outcome {
     })
 }
 
-/// Asks every part. Parts of one process answer alike.
+/// Asks every part. All parts of one process give the same answer.
 async fn ask(bus: &Bus) -> Result<Vec<LogReply>, Failure> {
     let request = LogRequest::default();
     let (edges, parts) = tokio::join!(
@@ -118,7 +118,7 @@ async fn ask(bus: &Bus) -> Result<Vec<LogReply>, Failure> {
     Ok(answers.filter_map(|answer| answer.result.ok()).collect())
 }
 
-/// The lines that were not seen before, each once, by their times; remembers the last of each process.
+/// The lines not seen before, each once, in order of time; remembers the last one of each process.
 fn newest(replies: Vec<LogReply>, seen: &mut BTreeMap<(String, u32, u32), u64>) -> Vec<Said> {
     let mut processes = BTreeSet::new();
     let mut lines = Vec::new();
@@ -176,7 +176,7 @@ fn text(lines: &[Said]) -> String {
             line.message,
             fields.join(" ")
         );
-        // What another process says must not move this terminal's cursor.
+        // Text of another process must not move this terminal's cursor.
         text.trim_end()
             .chars()
             .map(|letter| if letter.is_control() { '\u{fffd}' } else { letter })
@@ -185,7 +185,7 @@ fn text(lines: &[Said]) -> String {
     lines.iter().map(one).collect::<Vec<_>>().join("\n")
 }
 
-/// Time of the day, UTC.
+/// Time of day, UTC.
 fn clock(unix_secs: f64) -> String {
     let millis = (unix_secs.max(0.0) * 1e3) as u64;
     let secs = millis / 1000;

@@ -1,4 +1,4 @@
-//! `zenav map`. How are maps shown, saved, loaded, converted and built? From a running robot, from files, from logs.
+//! `zenav map`. Shows, saves, loads, converts and builds maps: from a running robot, from files, from logs.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -24,7 +24,7 @@ use crate::live_map::LiveMap;
 use crate::output::{self, Format};
 use crate::slam::{self, MergeArgs};
 
-/// A picture of fewer columns shows nothing.
+/// Narrowest useful picture, in columns.
 const LEAST_WIDTH: usize = 8;
 
 /// Maps.
@@ -47,47 +47,47 @@ pub struct MapArgs {
 enum MapCommand {
     /// Save a robot's map as `map_server` files (NAME.pgm, NAME.yaml)
     Save {
-        /// Where, without an ending
+        /// Path without extension
         #[arg(default_value = "map")]
         name: PathBuf,
     },
-    /// Draw a map in the terminal or as a picture: a robot's, or a file's
+    /// Draw a robot's map, or a map file, in the terminal or as a picture
     Show {
-        /// A map file; without one, the robot's map
+        /// Map file; without one, the robot's map
         file: Option<PathBuf>,
-        /// Columns at most [default: the terminal's]
+        /// Largest width in columns [default: the terminal's]
         #[arg(long, value_parser = whole_in(LEAST_WIDTH..=1000))]
         width: Option<usize>,
-        /// Write a picture, a PNG, instead
+        /// Write a PNG picture instead
         #[arg(long, value_name = "FILE.png", conflicts_with = "width")]
         out: Option<PathBuf>,
     },
     /// Watch a robot on its map: plan, scan, goal, places and other robots, five times a second, until Ctrl-C
     Watch,
-    /// Drive by another map: a file of this machine, or a stored one by its name; the robot comes to rest for it
+    /// Switch to another map: a file on this machine, or a stored one by name; the robot stops for it
     Load {
-        /// A map file, or the name of a stored map
+        /// Map file, or name of a stored map
         #[arg(value_name = "FILE|NAME")]
         source: String,
-        /// Go on mapping into it; otherwise it is held
+        /// Keep mapping into it; otherwise scans do not change it
         #[arg(long)]
         live: bool,
     },
-    /// Store a robot's map in the data folder of mapping: for the next start, or under a name for `map load`
+    /// Store a robot's map in mapping's data folder: for the next start, or under a name for `map load`
     Store {
-        /// Name [default: the map that the next start begins with]
+        /// Name [default: the map that the next start loads]
         #[arg(value_parser = connect::name)]
         name: Option<String>,
     },
-    /// Begin a new map; the robot comes to rest for it, stored maps are kept
+    /// Start a new map; the robot stops for it, stored maps stay
     Reset,
-    /// Hold a robot's map: insert no more scans
+    /// Hold a robot's map: scans no longer change it
     Hold,
-    /// Insert scans again into a map that is held
+    /// Insert scans into a held map again
     Resume,
-    /// List the maps that are stored under a name
+    /// List the maps stored under a name
     List,
-    /// Convert a map file to another kind
+    /// Convert a map file to another format
     Convert(convert::ConvertArgs),
     /// Build a map from a CARMEN log with poses
     Build(build::BuildArgs),
@@ -121,7 +121,7 @@ pub fn map(args: &MapArgs) -> Outcome {
     }
 }
 
-/// What is said of a map.
+/// Summary of a map.
 #[derive(Debug, Serialize)]
 pub(super) struct Summary {
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -189,7 +189,7 @@ impl Summary {
     }
 }
 
-/// A robot's map as the mapping service has it.
+/// A robot's current map, from the mapping service.
 async fn fetch(bus: &Bus, robot: &str, within: Duration) -> Result<(OccupancyGrid, Summary), Failure> {
     let reply = bus.ask(&topics::MAP, &[robot], &MapRequest::default(), within).await?;
     let grid = reply
@@ -209,7 +209,7 @@ fn save(robot: &RobotArgs, format: Format, name: &Path) -> Outcome {
         .file_name()
         .and_then(|stem| stem.to_str())
         .ok_or_else(|| Failure::usage(format!("{}: expected a file's name without an ending", name.display())))?;
-    // `map.yaml` means the same files as `map`.
+    // `map.yaml` names the same files as `map`.
     let stem = stem
         .strip_suffix(".yaml")
         .or_else(|| stem.strip_suffix(".pgm"))
@@ -260,7 +260,7 @@ fn show(robot: &RobotArgs, format: Format, file: Option<&Path>, width: Option<us
             connect::on_robot(robot, async |bus, robot| {
                 let mut poses = bus.latest(&topics::POSE, &[&robot])?;
                 let (grid, summary) = fetch(&bus, &robot, patience).await?;
-                // A map can be drawn without its robot.
+                // The map is drawn even without the robot's pose.
                 let pose = tokio::time::timeout(Duration::from_millis(500), poses.next())
                     .await
                     .ok()
@@ -282,7 +282,7 @@ fn show(robot: &RobotArgs, format: Format, file: Option<&Path>, width: Option<us
     Ok(exit_code::OK)
 }
 
-/// Where stdout is no terminal, a picture a second is written, one below the other.
+/// If stdout is no terminal, it prints a picture every second, one below the other.
 fn watch(robot: &RobotArgs) -> Outcome {
     connect::on_robot(robot, async |bus, robot| {
         let mut live = LiveMap::new(&bus, &robot)?;
@@ -305,16 +305,16 @@ fn watch(robot: &RobotArgs) -> Outcome {
     })
 }
 
-/// Where there is no terminal to ask.
+/// Without a terminal to query.
 const PLAIN_SCREEN: Screen = Screen {
     width: 100,
     height: 60,
     colors: false,
 };
 
-/// Pixels of a picture's longer side, about.
+/// Approximate length of a picture's longer side, px.
 const PICTURE: u32 = 1200;
-/// Radius of the dot that stands for a robot whose footprint is not known, m.
+/// Radius of the dot drawn for a robot with unknown footprint, m.
 const ROBOT: f64 = 0.15;
 
 /// Writes a map as a picture.

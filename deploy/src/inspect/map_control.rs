@@ -1,4 +1,4 @@
-//! `zenav map load|store|reset|hold|resume|list`. Which map does a robot drive by, and does it go on mapping?
+//! `zenav map load|store|reset|hold|resume|list`. Selects the map that a robot drives by, and switches mapping on and off.
 
 use std::path::Path;
 use std::time::Duration;
@@ -16,7 +16,7 @@ use crate::files;
 use crate::operator::change;
 use crate::output::{self, Format};
 
-/// A request that leaves the robot driving by the same cells.
+/// A request that does not change the cells the robot drives by.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Mapping {
     /// Insert no more scans.
@@ -25,7 +25,7 @@ pub(super) enum Mapping {
     Resume,
 }
 
-/// What is said of a robot's map after a change.
+/// Printed state of a robot's map after a change.
 #[derive(Debug, Serialize)]
 struct Changed {
     robot: String,
@@ -73,7 +73,7 @@ fn request(action: MapAction) -> MapRequest {
     }
 }
 
-/// Sends a change of the map, under the lease in force or, where the robot is to be `at_rest`, under the operator's own.
+/// Sends a map change: under the lease in force, or for a robot that must be `at_rest` under the operator's own lease.
 async fn send(
     bus: &Bus,
     robot: &str,
@@ -95,7 +95,7 @@ async fn send(
     }
 }
 
-/// Replaces the robot's map by a file of this machine, or by one that mapping has stored under this name.
+/// Replaces the robot's map by a file on this machine, or by a stored one of this name.
 pub(super) fn load(robot: &RobotArgs, format: Format, source: &str, live: bool) -> Outcome {
     let mut request = MapRequest {
         live,
@@ -134,7 +134,7 @@ pub(super) fn load(robot: &RobotArgs, format: Format, source: &str, live: bool) 
     })
 }
 
-/// Stores the robot's map where mapping keeps its data: as the one that the next start begins with, or under a name.
+/// Stores the robot's map in mapping's data folder: as the map for the next start, or under a name.
 pub(super) fn store(robot: &RobotArgs, format: Format, name: Option<&str>) -> Outcome {
     let request = MapRequest {
         name: name.map(str::to_owned),
@@ -154,7 +154,7 @@ pub(super) fn store(robot: &RobotArgs, format: Format, name: Option<&str>) -> Ou
     })
 }
 
-/// Begins a new map.
+/// Starts a new map.
 pub(super) fn reset(robot: &RobotArgs, format: Format) -> Outcome {
     let patience = robot.link.patience();
     connect::on_robot(robot, async |bus, robot| {
@@ -166,7 +166,7 @@ pub(super) fn reset(robot: &RobotArgs, format: Format) -> Outcome {
     })
 }
 
-/// Holds the map, or maps on.
+/// Holds the map, or resumes mapping.
 pub(super) fn hold_or_resume(robot: &RobotArgs, format: Format, mapping: Mapping) -> Outcome {
     let (action, said) = match mapping {
         Mapping::Hold => (MapAction::Hold, "held: no more scans are inserted"),
@@ -182,7 +182,7 @@ pub(super) fn hold_or_resume(robot: &RobotArgs, format: Format, mapping: Mapping
     })
 }
 
-/// Lists the maps that are stored under a name.
+/// Lists the maps stored under a name.
 pub(super) fn list(robot: &RobotArgs, format: Format) -> Outcome {
     let patience = robot.link.patience();
     connect::on_robot(robot, async |bus, robot| {

@@ -1,4 +1,4 @@
-//! Meter. How often does something arrive, and how many bytes? Intervals and sizes over a window. Pure: time is passed in.
+//! Meter. Rate and size of the messages on a key, over a window. Pure: time is passed in.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -13,12 +13,12 @@ pub(super) struct Meter {
     messages: u64,
 }
 
-/// What a meter read.
+/// Reading of a meter.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct Reading {
     /// Messages since the start.
     pub(super) messages: u64,
-    /// Messages a second over the window; `None` before the second message.
+    /// Messages per second over the window; `None` before the second message.
     pub(super) hz: Option<f64>,
     /// Shortest interval in the window, s.
     pub(super) min_s: Option<f64>,
@@ -26,14 +26,14 @@ pub(super) struct Reading {
     pub(super) max_s: Option<f64>,
     /// Standard deviation of the intervals, s.
     pub(super) std_s: Option<f64>,
-    /// Bytes a second over the window.
+    /// Bytes per second over the window.
     pub(super) bytes_per_s: Option<f64>,
-    /// Bytes a message: least, mean, greatest.
+    /// Bytes per message: least, mean, greatest.
     pub(super) bytes: [f64; 3],
 }
 
 impl Meter {
-    /// Reads over the last `window` messages.
+    /// Measures over the last `window` messages.
     pub(super) fn new(window: usize) -> Self {
         Self {
             window: window.max(2),
@@ -42,7 +42,7 @@ impl Meter {
         }
     }
 
-    /// A message of so many bytes at `now` (time since the start).
+    /// Adds a message of so many bytes at `now` (time since the start).
     pub(super) fn add(&mut self, now: Duration, bytes: usize) {
         if self.arrivals.len() == self.window {
             self.arrivals.pop_front();
@@ -51,14 +51,14 @@ impl Meter {
         self.messages += 1;
     }
 
-    /// What came was kept, and says nothing of how often: only the newest message counts.
+    /// For retained messages: their times say nothing about the rate, so only the newest message is counted.
     pub(super) fn forget_times(&mut self) {
         let older = self.arrivals.len().saturating_sub(1);
         self.arrivals.drain(..older);
         self.messages = self.arrivals.len() as u64;
     }
 
-    /// What came up to now.
+    /// Reading up to now.
     pub(super) fn read(&self) -> Reading {
         let intervals: Vec<f64> = self
             .arrivals
@@ -83,7 +83,7 @@ impl Meter {
             min_s: least(&intervals),
             max_s: greatest(&intervals),
             std_s: deviation(&intervals),
-            // The first message opens the first interval.
+            // The first message only starts the first interval.
             bytes_per_s: rate(sizes.iter().skip(1).sum()),
             bytes: [
                 least(&sizes).unwrap_or_default(),
@@ -94,7 +94,7 @@ impl Meter {
     }
 }
 
-/// A number of bytes for people.
+/// A number of bytes, human-readable.
 pub(super) fn bytes(count: f64) -> String {
     if count >= 1e6 {
         format!("{:.2} MB", count / 1e6)

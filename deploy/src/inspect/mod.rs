@@ -1,15 +1,15 @@
-//! Inspection. What is going on? Topics, maps, trees and health, seen from any machine.
+//! Inspection. Topics, maps, trees and health of a deployment, from any machine.
 //!
 //! | file | answers |
 //! |---|---|
-//! | `topic`, `listen`, `meter`, `payload` | which keys carry what, how often, how much |
-//! | `ask`, `schema` | requests and messages typed by hand, and what may stand in them |
-//! | `map`, `convert`, `build` | maps: saved, shown, watched, converted, built from logs |
-//! | `map_control` | which map a robot drives by: loaded, stored, held |
-//! | `bt` | behaviour trees: valid? what do they look like, do now, and under a script? |
-//! | `doctor`, `diagnosis`, `hosts`, `check` | is everything there and well? |
-//! | `logs` | what did the parts say last? |
-//! | `ps`, `parts` | which parts run where, in which version, and what do they take? |
+//! | `topic`, `listen`, `meter`, `payload` | which messages, how often and how large, are on which keys? |
+//! | `ask`, `schema` | requests and messages typed by hand, and their schemas |
+//! | `map`, `convert`, `build` | maps: save, show, watch, convert, build from logs |
+//! | `map_control` | which map does a robot drive by? load, store, hold |
+//! | `bt` | behaviour trees: validate, draw, watch, simulate |
+//! | `doctor`, `diagnosis`, `hosts`, `check` | is the deployment complete and healthy? |
+//! | `logs` | what did the parts log last? |
+//! | `ps`, `parts` | which parts run where, in which version, with which load? |
 
 mod ask;
 pub(crate) mod bt;

@@ -1,4 +1,4 @@
-//! Parts. Who runs where? Every part of a deployment as it answers to `info`: edges and missions at their own asks, all others at theirs.
+//! Parts. Every part of a deployment, from its answer to `info`: edges and missions have their own asks, all other parts share one.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -10,21 +10,21 @@ use zenav_protocol::topics;
 
 use crate::failure::Failure;
 
-/// Longest wait for answers: whoever is silent by then does not show.
+/// Longest wait for answers; parts that have not answered by then are not listed.
 const ANSWER_WITHIN: Duration = Duration::from_millis(1500);
 /// Time over which the load is measured.
 const LOAD_OVER: Duration = Duration::from_secs(1);
 
-/// A part of the deployment.
+/// A part of a deployment.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct Part {
     /// Name of its session.
     pub(super) part: String,
     /// `edge`, `mapping`, `motion`, `mission`, …
     pub(super) component: String,
-    /// The robot or group that it serves; empty for all.
+    /// Robot or group that it serves; empty: all.
     pub(super) robot: String,
-    /// Of a mission: whether it leads.
+    /// Mission only: whether it is the leader.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) leads: Option<bool>,
     pub(super) host: String,
@@ -34,23 +34,23 @@ pub(super) struct Part {
     pub(super) version: String,
     pub(super) schema: u32,
     pub(super) uptime_secs: f64,
-    /// Processor time of its process in a second, as measured over the last one.
+    /// Processor time of its process per second, measured over the last one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) load: Option<f64>,
     pub(super) memory_bytes: u64,
-    /// How far its host's wall clock is ahead of this one, s, and how uncertain that is.
+    /// Offset of its host's wall clock ahead of this one, s, and its uncertainty.
     pub(super) clock_ahead_secs: f64,
     pub(super) clock_uncertainty_secs: f64,
 }
 
-/// An answer, and between which times of this machine (s, UNIX) it was given.
+/// An answer, and the interval of this machine's time (s, UNIX) in which it was given.
 #[derive(Clone, Debug)]
 struct Told {
     info: InfoReply,
     between: [f64; 2],
 }
 
-/// Asks everybody, twice: the load is what went by between.
+/// Asks all parts twice: the load is the difference.
 ///
 /// # Errors
 /// When the bus is closed.
@@ -84,7 +84,7 @@ fn now() -> f64 {
         .as_secs_f64()
 }
 
-/// One row a part, sorted by host; `before` is what they said a while ago. A part of an older version does not tell of its process.
+/// One row per part, sorted by host; `before` are the earlier answers. A part of an older version does not report its process.
 fn joined(before: &[Told], after: Vec<Told>) -> Vec<Part> {
     let earlier: BTreeMap<(&str, u32, u32), &ProcessInfo> = before
         .iter()
@@ -124,13 +124,13 @@ fn joined(before: &[Told], after: Vec<Told>) -> Vec<Part> {
     parts
 }
 
-/// What no two processes share.
+/// Unique key of a process.
 fn identity(process: &ProcessInfo) -> (&str, u32, u32) {
     (process.host.as_str(), process.pid, process.instance)
 }
 
 impl Part {
-    /// Whether its host's clock is surely another than this machine's, by more than `secs`.
+    /// Whether the offset of its host's clock certainly exceeds `secs`.
     pub(super) fn clock_is_off(&self, secs: f64) -> bool {
         !self.host.is_empty() && self.clock_ahead_secs.abs() > self.clock_uncertainty_secs + secs
     }

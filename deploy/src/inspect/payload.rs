@@ -1,4 +1,4 @@
-//! Payloads. How is one shown to a person? JSON as it came; CBOR as JSON; anything else by its size.
+//! Payloads. Human-readable form: JSON as received, CBOR as JSON, anything else by its size.
 
 use ciborium::Value as Cbor;
 use serde_json::{Number, Value};
@@ -23,16 +23,16 @@ pub(super) fn text(sample: &RawSample) -> String {
     }
 }
 
-/// The payload as a JSON value; text that is no JSON stays a text.
+/// The payload as a JSON value; text that is not JSON becomes a string.
 pub(super) fn value(sample: &RawSample) -> Value {
     let text = text(sample);
     serde_json::from_str(&text).unwrap_or(Value::String(text))
 }
 
-/// A CBOR value as JSON. A byte string becomes an array of signed numbers: here it holds occupancy values.
+/// A CBOR value as JSON. A byte string becomes an array of signed numbers: byte strings hold occupancy values here.
 ///
 /// # Errors
-/// What has no form in JSON, in words.
+/// A value without a JSON form, in words.
 fn json(value: Cbor) -> Result<Value, String> {
     Ok(match value {
         Cbor::Null => Value::Null,

@@ -1,4 +1,4 @@
-//! `zenav ps`. Which parts run, on which hosts, in which version, and what do they take?
+//! `zenav ps`. Which parts run, on which hosts, in which version, with which load.
 
 use super::parts::{Part, parts};
 use crate::connect::{self, LinkArgs};
@@ -79,7 +79,7 @@ fn row(part: &Part) -> Vec<String> {
     ]
 }
 
-/// A time since a start, in the two largest units.
+/// Time since a start, in its two largest units.
 fn age(secs: f64) -> String {
     let secs = secs.max(0.0) as u64;
     match (secs / 86_400, secs / 3600 % 24, secs / 60 % 60, secs % 60) {

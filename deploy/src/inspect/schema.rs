@@ -1,4 +1,4 @@
-//! `zenav schema`. What may stand in a message? Its JSON Schema (draft 2020-12), with the documentation of every field.
+//! `zenav schema`. The JSON Schema (draft 2020-12) of a message, with the documentation of every field.
 
 use std::collections::BTreeMap;
 
@@ -19,7 +19,7 @@ pub struct SchemaArgs {
     /// Name of a message (`GoalRequest`), or a key
     #[arg(value_name = "TYPE", required_unless_present = "list")]
     message: Option<String>,
-    /// List all messages and where they are used
+    /// List all messages and their keys
     #[arg(long, conflicts_with = "message")]
     list: bool,
     /// Output format
@@ -27,7 +27,7 @@ pub struct SchemaArgs {
     output: Format,
 }
 
-/// A message, and the keys that carry it.
+/// A message, and its keys.
 #[derive(Debug)]
 struct Described {
     schema: fn() -> Schema,
@@ -72,7 +72,7 @@ pub(crate) fn json_schema(message: &str) -> Option<Value> {
     Some((described.schema)().to_value())
 }
 
-/// The names of all fields that a message has at any depth; for guesses.
+/// Names of all fields of a message, at any depth; for suggestions.
 pub(super) fn fields(message: &str) -> Vec<String> {
     let mut names = Vec::new();
     if let Some(described) = Catalogue::new().0.get(message) {
@@ -103,7 +103,7 @@ struct Listed {
 /// Prints the schema of a message, or lists all.
 ///
 /// # Errors
-/// [`exit_code::NOT_FOUND`] for a message that there is not.
+/// [`exit_code::NOT_FOUND`] for an unknown message.
 pub fn schema(args: &SchemaArgs) -> Outcome {
     let all = Catalogue::new();
     let Some(wanted) = &args.message else {

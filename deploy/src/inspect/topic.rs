@@ -1,4 +1,4 @@
-//! `zenav topic`. Which keys carry what, how often and how much? Raw samples: a topic that this program does not know is shown too.
+//! `zenav topic`. Which keys carry which messages, how often and how large. Works on raw samples: unknown topics are shown too.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -34,24 +34,24 @@ pub struct TopicArgs {
 
 #[derive(Debug, clap::Subcommand)]
 enum TopicCommand {
-    /// List the keys that carry something now
+    /// List the keys with messages now
     List {
         /// Listen for this long, s
         #[arg(long = "for", value_name = "SECS", default_value_t = 1.5, value_parser = positive)]
         secs: f64,
-        /// List the table of all keys instead
+        /// List all known keys instead
         #[arg(long)]
         table: bool,
     },
     /// Print a topic's messages
     Echo(ListenArgs),
-    /// Measure how often a topic's messages come
+    /// Measure the rate of a topic's messages
     Hz(ListenArgs),
-    /// Measure how many bytes a topic's messages take
+    /// Measure the size and bandwidth of a topic's messages
     Bw(ListenArgs),
     /// Publish a message, checked against the type of its key
     Pub(PubArgs),
-    /// Say what a topic is, and whether it carries something now
+    /// Describe a topic, and tell whether it carries messages now
     Info {
         /// A key, or the name of a topic or ask
         #[arg(add = completion::keys())]
@@ -62,7 +62,7 @@ enum TopicCommand {
 /// Lists, prints and measures topics.
 ///
 /// # Errors
-/// [`exit_code::NOT_FOUND`] for a name that no topic has, [`exit_code::TIMEOUT`] when nothing came in the time given.
+/// [`exit_code::NOT_FOUND`] for an unknown topic, [`exit_code::TIMEOUT`] if nothing arrived in time.
 pub fn topic(args: &TopicArgs) -> Outcome {
     if let TopicCommand::List { table: true, .. } = args.command {
         output::values(
@@ -97,20 +97,20 @@ pub fn topic(args: &TopicArgs) -> Outcome {
             TopicCommand::Bw(listen) => {
                 measure(&bus, &pattern(&listen.key, robot)?, listen, args.output, bw_line).await
             }
-            // Done above: it needs no listening.
+            // Handled above: it does not listen.
             TopicCommand::Pub(_) => Ok(exit_code::OK),
             TopicCommand::Info { key } => info(&bus, key, robot, args.output).await,
         }
     })
 }
 
-/// The key expression that is meant.
+/// The key expression that the text names.
 pub(crate) fn pattern(text: &str, robot: Option<&str>) -> Result<String, Failure> {
     let robot = robot.unwrap_or("*");
     if text.starts_with("zenav/") || text.starts_with('*') || text.starts_with('@') {
         return Ok(text.to_owned());
     }
-    // What begins with a side of a robot is a robot's; any other key is what it says.
+    // A key that starts with a side of a robot belongs to a robot; any other key is taken literally.
     match text.split_once('/') {
         Some(("edge" | "cloud" | "body" | "operator" | "ask" | "alive", _)) => {
             return Ok(format!("zenav/{robot}/{text}"));
@@ -130,7 +130,7 @@ pub(crate) fn pattern(text: &str, robot: Option<&str>) -> Result<String, Failure
     Ok(topics::alive_key(row.pattern, &[robot]))
 }
 
-/// A row's own name: the last chunk of its key that is not filled in.
+/// Short name of a row: the last literal chunk of its key.
 fn row_name(row: &Row) -> &'static str {
     row.pattern
         .rsplit('/')
@@ -138,7 +138,7 @@ fn row_name(row: &Row) -> &'static str {
         .unwrap_or(row.pattern)
 }
 
-/// A key that carries something.
+/// A key with messages.
 #[derive(Serialize)]
 struct Live {
     key: String,

@@ -1,7 +1,7 @@
-//! Certificates. How is one made, and what does one say?
+//! Certificates. Makes and reads certificates.
 //!
-//! Keys are ECDSA on P-256. A certificate names its member as its common name. Only routers and robots, who are dialled, get one that serves an
-//! endpoint, and only under the names that it lists: nobody else in the fleet can pass for a router.
+//! Keys are ECDSA on P-256. A certificate has its member's name as common name. Only routers and robots, which are dialled, get one that
+//! serves an endpoint, and only under the names that it lists: no other member can impersonate a router.
 
 use rcgen::{
     BasicConstraints, CertificateParams, DistinguishedName, DnType, ExtendedKeyUsagePurpose, IsCa, Issuer, KeyPair,
@@ -12,9 +12,9 @@ use x509_parser::extensions::GeneralName;
 use x509_parser::pem::parse_x509_pem;
 use zenav_protocol::member::Member;
 
-/// Names under which every endpoint is reached on its own machine.
+/// Names of every endpoint on its own machine.
 const HERE: [&str; 3] = ["localhost", "127.0.0.1", "::1"];
-/// A certificate is valid from a while ago: clocks of machines differ.
+/// Certificates are valid from this long before their issue: clocks of machines differ.
 const BEFORE: Duration = Duration::hours(1);
 
 /// A certificate and its private key, as PEM.
@@ -23,7 +23,7 @@ pub(super) struct Pair {
     pub(super) key: String,
 }
 
-/// What a certificate says.
+/// Contents of a certificate.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Facts {
     /// Common name.
@@ -31,7 +31,7 @@ pub(super) struct Facts {
     /// Serial number, hexadecimal.
     pub(super) serial: String,
     pub(super) expires: OffsetDateTime,
-    /// Names and addresses that it serves.
+    /// Names and addresses that it may serve.
     pub(super) hosts: Vec<String>,
 }
 
@@ -63,7 +63,7 @@ pub(super) fn authority(days: f64) -> Result<Pair, rcgen::Error> {
     })
 }
 
-/// The certificate of a member, who is reached under these names, signed by an authority; with a new key, or the one that it has.
+/// The certificate of a member, reachable under `hosts`, signed by the authority; with a new key, or with the member's existing one.
 pub(super) fn member(
     member: &Member,
     hosts: &[String],
@@ -93,10 +93,10 @@ pub(super) fn member(
     })
 }
 
-/// Reads what a certificate says.
+/// Reads the contents of a certificate.
 ///
 /// # Errors
-/// What was expected instead.
+/// What was expected.
 pub(super) fn facts(text: &[u8]) -> Result<Facts, String> {
     let (_, pem) = parse_x509_pem(text).map_err(|_| "expected a certificate in PEM".to_owned())?;
     let parsed = pem
@@ -149,7 +149,7 @@ mod tests {
         assert_eq!(said.hosts, ["localhost", "127.0.0.1", "::1", "site1.local", "10.0.0.2"]);
         let left = said.expires - OffsetDateTime::now_utc();
         assert!(left > Duration::hours(23) && left <= Duration::days(1), "{left}");
-        // Renewed: another certificate of the same key.
+        // Renewed: another certificate for the same key.
         let renewed = member(
             &"router.site1".parse().unwrap(),
             &hosts,

@@ -1,11 +1,11 @@
-//! Fleet. Which members does a fleet have, and where do their keys stand?
+//! Fleet. Members of a fleet, and the folder with their keys.
 //!
 //! | path in the fleet's folder | holds |
 //! |---|---|
 //! | `ca.pem`, `ca.key` | the certificate authority; its key never leaves this folder |
-//! | `issued/ROLE.NAME/` | the identity of a member, to be copied to its machine: `ca.pem`, `cert.pem`, `key.pem`; of routers and robots also `members.txt` |
-//! | `members.txt` | everybody who was issued and not revoked |
-//! | `revoked.txt` | a line for each who was revoked: name, serial number, time |
+//! | `issued/ROLE.NAME/` | the identity of a member, to be copied to its machine: `ca.pem`, `cert.pem`, `key.pem`; for routers and robots also `members.txt` |
+//! | `members.txt` | all members issued and not revoked |
+//! | `revoked.txt` | one line per revoked member: name, serial number, time |
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -31,7 +31,7 @@ pub(super) struct Fleet {
     authority: Pair,
 }
 
-/// A member as it stands in the folder.
+/// A member with its certificate.
 pub(super) struct Issued {
     pub(super) member: Member,
     pub(super) facts: Facts,
@@ -39,10 +39,10 @@ pub(super) struct Issued {
 }
 
 impl Fleet {
-    /// Makes a fleet.
+    /// Creates a fleet.
     ///
     /// # Errors
-    /// A folder that holds a fleet already, or that cannot be written.
+    /// A folder that already holds a fleet, or that cannot be written.
     pub(super) fn create(folder: &Path, days: f64) -> Result<(), Failure> {
         for name in [AUTHORITY, AUTHORITY_KEY] {
             if folder.join(name).exists() {
@@ -62,7 +62,7 @@ impl Fleet {
     /// Opens a fleet.
     ///
     /// # Errors
-    /// A folder that holds none.
+    /// A folder without a fleet.
     pub(super) fn open(folder: &Path) -> Result<Self, Failure> {
         let read = |name: &str| {
             fs::read_to_string(folder.join(name)).map_err(|error| {
@@ -82,15 +82,15 @@ impl Fleet {
         })
     }
 
-    /// Where a member's identity stands.
+    /// Folder of a member's identity.
     pub(super) fn identity(&self, member: &Member) -> PathBuf {
         self.folder.join(ISSUED).join(member.to_string())
     }
 
-    /// Issues a certificate; a new one for the same key when it is to be renewed.
+    /// Issues a certificate; with `renew`, a new one for the existing key.
     ///
     /// # Errors
-    /// A name that exists, that was revoked, or, to be renewed, that there is not; more days than the authority has.
+    /// A name that exists or was revoked, or for a renewal one that does not exist; more days than the authority has left.
     pub(super) fn issue(&self, member: &Member, hosts: &[String], days: f64, renew: bool) -> Result<Facts, Failure> {
         let folder = self.identity(member);
         if self.revoked()?.contains(member) {
@@ -119,7 +119,7 @@ impl Fleet {
         if renew && hosts.is_empty() {
             hosts = read_facts(&old)?.hosts;
         }
-        // Where the certificate could not be written the key is there.
+        // The key is already there if an earlier attempt failed to write the certificate.
         let private = folder.join("key.pem");
         let key = match renew || private.exists() {
             true => Some(fs::read_to_string(&private).map_err(Failure::failed_at(&private))?),
@@ -137,13 +137,14 @@ impl Fleet {
         read_facts(&old)
     }
 
-    /// Revokes a member, and tells the folders of those who listen; `false` when it was revoked before. Its files may have been moved away.
+    /// Revokes a member, and updates the folders of members that listen; `false` if it was already revoked. Its files may have been moved
+    /// away.
     ///
     /// # Errors
     /// A member that was never issued.
     pub(super) fn revoke(&self, member: &Member) -> Result<bool, Failure> {
         if self.revoked()?.contains(member) {
-            // It may have failed before everybody was told.
+            // The earlier revocation may have failed before all folders were updated.
             self.tell_members()?;
             return Ok(false);
         }
@@ -170,7 +171,7 @@ impl Fleet {
         Ok(true)
     }
 
-    /// Everybody who was issued, by name.
+    /// All members issued, by name.
     ///
     /// # Errors
     /// A certificate that cannot be read.
@@ -209,7 +210,7 @@ impl Fleet {
             .collect()
     }
 
-    /// Who stands in the fleet's `members.txt`.
+    /// Members listed in the fleet's `members.txt`.
     fn members(&self) -> Result<BTreeSet<Member>, Failure> {
         let path = self.folder.join(MEMBERS);
         if !path.exists() {
@@ -223,8 +224,8 @@ impl Fleet {
             .collect()
     }
 
-    /// Writes who belongs to the fleet, for everybody who listens: everybody who was issued, also where the files were moved away since, and
-    /// not revoked.
+    /// Writes the list of members to the folders of all that listen: every member issued, also if its files were moved away since, and not
+    /// revoked.
     fn tell_members(&self) -> Result<(), Failure> {
         let (issued, revoked) = (self.issued()?, self.revoked()?);
         let mut members = self.members()?;
@@ -246,7 +247,7 @@ fn read_facts(path: &Path) -> Result<Facts, Failure> {
     certificate::facts(&bytes).map_err(Failure::failed_at(path))
 }
 
-/// A folder that only its owner may look into.
+/// Creates a folder that only its owner may access.
 fn private_folder(path: &Path) -> Result<(), Failure> {
     let mut builder = fs::DirBuilder::new();
     builder.recursive(true);
@@ -255,12 +256,12 @@ fn private_folder(path: &Path) -> Result<(), Failure> {
     builder.create(path).map_err(Failure::failed_at(path))
 }
 
-/// Writes a file whole or not at all.
+/// Writes a file atomically.
 fn write(path: &Path, text: &str) -> Result<(), Failure> {
     zenav_mapping::atomic::write_atomically(path, text.as_bytes()).map_err(Failure::failed)
 }
 
-/// Writes a file whole or not at all that was not there, and that only its owner may read.
+/// Writes a new file atomically that only its owner may read; an existing file is an error.
 fn write_private(path: &Path, text: &str) -> Result<(), Failure> {
     let unfinished = path.with_extension("unfinished");
     let mut options = fs::OpenOptions::new();
@@ -270,7 +271,7 @@ fn write_private(path: &Path, text: &str) -> Result<(), Failure> {
     let written = options.open(&unfinished).and_then(|mut file| {
         file.write_all(text.as_bytes())?;
         file.sync_all()?;
-        // A rename would replace a file that is there; not every file system has links.
+        // A rename would replace an existing file; not every file system has hard links.
         match fs::hard_link(&unfinished, path) {
             Err(error) if error.kind() != io::ErrorKind::AlreadyExists && !path.exists() => {
                 fs::rename(&unfinished, path)
@@ -278,7 +279,7 @@ fn write_private(path: &Path, text: &str) -> Result<(), Failure> {
             linked => linked,
         }
     });
-    // Left behind, it is in nobody's way.
+    // If this fails, the leftover does no harm.
     let _ = fs::remove_file(&unfinished);
     written.map_err(Failure::failed_at(path))
 }
@@ -300,7 +301,7 @@ mod tests {
         }
         fs::remove_file(fleet.identity(&member("robot.moved")).join("cert.pem")).unwrap();
         assert!(fleet.revoke(&guest).unwrap());
-        // The routers' copy is the old one still, as after a full disk.
+        // The routers' copy is still the old one, as after a full disk.
         let members = fleet.identity(&router).join(MEMBERS);
         fs::write(&members, "operator.guest\n").unwrap();
         assert!(!fleet.revoke(&guest).unwrap());
@@ -309,11 +310,11 @@ mod tests {
             told.contains("robot.moved") && !told.contains("operator.guest"),
             "{told}"
         );
-        // A robot that was stolen with its files.
+        // A robot that was stolen together with its files.
         assert!(fleet.revoke(&member("robot.moved")).unwrap());
         assert!(!fs::read_to_string(&members).unwrap().contains("robot.moved"));
         assert!(fleet.revoke(&member("robot.nobody")).is_err());
-        // A key that is there without its certificate is taken.
+        // A key without its certificate is reused.
         let anna = member("operator.anna");
         fleet.issue(&anna, &[], 7.0, false).unwrap();
         let key = fs::read(fleet.identity(&anna).join("key.pem")).unwrap();

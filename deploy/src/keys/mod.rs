@@ -1,9 +1,9 @@
-//! `zenav keys`: who belongs to a fleet, and how do its members prove it? Certificates of the fleet's own authority.
+//! `zenav keys`: members of a fleet, and their certificates from the fleet's own authority.
 //!
 //! | file | answers |
 //! |---|---|
-//! | `certificate` | how is a certificate made, and what does one say? |
-//! | `fleet` | which members are there, and where do their keys stand? |
+//! | `certificate` | how is a certificate made, and what does it contain? |
+//! | `fleet` | which members are there, and where are their keys? |
 
 mod certificate;
 mod fleet;
@@ -23,7 +23,7 @@ use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
 use fleet::{Fleet, Issued};
 
-/// Why the identity of a member, which is dialled at these names, will not do; `None` for one that will.
+/// Why the identity of a member, dialled at these names, is unusable; `None` if it is usable.
 pub(crate) fn unusable(dir: &Path, identity: &str, names: &[String]) -> Option<String> {
     let found = || {
         let member: Member = identity.parse().map_err(Failure::usage)?;
@@ -74,9 +74,9 @@ pub struct KeysArgs {
 
 #[derive(Debug, Subcommand)]
 enum KeysCommand {
-    /// Make a certificate authority
+    /// Create a certificate authority
     Init {
-        /// Days that it is valid
+        /// Validity, days
         #[arg(long, default_value_t = 3650.0, value_parser = days)]
         days: f64,
     },
@@ -84,17 +84,17 @@ enum KeysCommand {
     Issue {
         /// ROLE.NAME; roles are router, robot, service, operator, viewer
         member: Member,
-        /// Name or address under which others dial a router or robot, beside localhost; may be repeated
+        /// Name or address under which others dial a router or robot, in addition to localhost; may be repeated
         #[arg(long, value_name = "HOST", value_parser = host_name)]
         host: Vec<String>,
-        /// Days that it is valid; parts of a day are
+        /// Validity, days; fractions are allowed
         #[arg(long, default_value_t = 365.0, value_parser = days)]
         days: f64,
-        /// A new certificate for the key of a member that exists
+        /// Issue a new certificate for the key of an existing member
         #[arg(long)]
         renew: bool,
     },
-    /// Revoke a member: it stands no more in the members.txt of those who listen
+    /// Revoke a member: remove it from the members.txt of all members that listen
     Revoke {
         /// ROLE.NAME
         member: Member,
@@ -114,7 +114,7 @@ fn days(text: &str) -> Result<f64, String> {
     }
 }
 
-/// A member, as it is listed.
+/// A listed member.
 #[derive(Debug, Serialize)]
 struct Row {
     role: &'static str,
@@ -151,7 +151,7 @@ impl Row {
     }
 }
 
-/// What may stand in a certificate as a name of who listens.
+/// Checks a name that a certificate may serve.
 fn host_name(text: &str) -> Result<String, String> {
     let name = text.strip_prefix("*.").unwrap_or(text);
     let is_name = |letter: u8| letter.is_ascii_alphanumeric() || matches!(letter, b'-' | b'.' | b'_');
@@ -165,7 +165,7 @@ fn host_name(text: &str) -> Result<String, String> {
 /// `zenav keys`.
 ///
 /// # Errors
-/// A folder that is no fleet, or is one already; a name that exists, was revoked, or was never issued.
+/// A folder without a fleet, or with one already; a name that exists, was revoked, or was never issued.
 pub fn run(args: &KeysArgs) -> Outcome {
     let dir = &args.dir;
     match &args.command {
@@ -227,10 +227,10 @@ pub fn run(args: &KeysArgs) -> Outcome {
     Ok(exit_code::OK)
 }
 
-/// Makes a fleet of one member for a month; its identity's folder.
+/// Creates a fleet with one member for a month; returns the folder of its identity.
 ///
 /// # Errors
-/// As [`run`]; a name that is no member's.
+/// As [`run`]; an invalid member name.
 pub fn make(folder: &Path, member: &str) -> Result<PathBuf, Failure> {
     let member: Member = member.parse().map_err(Failure::usage)?;
     Fleet::create(folder, 60.0)?;

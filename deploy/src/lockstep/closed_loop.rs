@@ -1,9 +1,9 @@
-//! Closed loop in lockstep. How do body, pilot, mapper, workers and mission take turns? One control tick after another, each part in its place.
+//! Closed loop in lockstep. Runs body, pilot, mapper, workers and mission in a fixed order, one control tick after another.
 //!
-//! The network is two [`Link`]s: up from the robot, down to it. Searches and solvers take no simulated time of their own; the
-//! links' delay stands for everything from scan to plan.
+//! The network is two [`Link`]s per robot: up from the robot, and down to it. Searches and solvers take no simulated time; the links'
+//! delay stands for everything from scan to plan.
 //!
-//! [`ClosedLoop::tick`] is the whole; who wants to see what goes over the wire, or to have a part fail, takes the turns one by one:
+//! [`ClosedLoop::tick`] runs everything. To observe the messages, or to make a part fail, run the steps one by one:
 //! [`ClosedLoop::advance`], then for each robot [`RobotLoop::step_mission`] and [`RobotLoop::carry_out`].
 
 use std::sync::Arc;
@@ -30,12 +30,12 @@ use zenav_sim::{Simulation, Truth};
 use super::delay::Link;
 use crate::batch::thread_time;
 
-/// The robot's one boot.
+/// Boot id of every robot.
 const BOOT: &str = "lockstep";
 /// Control ticks between two steps of the mission.
 const TICKS_A_STEP: u64 = 2;
 
-/// What a robot's side of a run is made of.
+/// Configuration of one robot's part of a run.
 #[derive(Debug)]
 pub struct ClosedLoopConfig {
     /// The robot.
@@ -44,25 +44,25 @@ pub struct ClosedLoopConfig {
     pub mission: MissionConfig,
     /// The mapper's settings.
     pub mapping: MappingSettings,
-    /// Where the poses of the map come from.
+    /// Source of mapping's poses.
     pub poses: PoseSettings,
     /// The motion worker's settings.
     pub motion: MotionSettings,
-    /// The map to begin with.
+    /// Map to start with.
     pub known_map: Option<OccupancyGrid>,
-    /// From scan to plan, s.
+    /// Mean delay from scan to plan, s.
     pub cloud_delay: f64,
     /// Seed of the links.
     pub seed: u64,
 }
 
-/// Up from the robot.
+/// Messages up from the robot.
 enum Up {
     Publication(Publication),
     Answer(zenav_mission::Ticket, Result<Answer, NoAnswer>),
 }
 
-/// Down to the robot.
+/// Messages down to the robot.
 enum Down {
     Plan(Box<Plan>),
     Heartbeat(Heartbeat),
@@ -71,18 +71,18 @@ enum Down {
     Request(zenav_mission::Ticket, EdgeRequest),
 }
 
-/// Everything, in one thread.
+/// The whole system, in one thread.
 pub struct ClosedLoop {
-    /// The world; its first robots are driven.
+    /// The world; its first robots are the driven ones.
     pub simulation: Simulation,
     /// Each robot with its own mapper, worker and mission, in the order of the world.
     pub robots: Vec<RobotLoop>,
-    /// From each robot to the others.
+    /// Links from each robot to the others.
     intents: Vec<Link<(usize, Intent)>>,
 }
 
 impl ClosedLoop {
-    /// Prepares a run: one robot for each configuration, which are the first robots of the simulation.
+    /// Prepares a run with one robot per configuration: the first robots of the simulation.
     #[must_use]
     pub fn new(simulation: Simulation, configs: Vec<ClosedLoopConfig>) -> Self {
         let link = |config: &ClosedLoopConfig| Link::new(0.5 * config.cloud_delay, config.seed.wrapping_mul(3));
@@ -105,7 +105,7 @@ impl ClosedLoop {
         }
     }
 
-    /// One control tick of world, robots and mappers. Returns what each robot gave out.
+    /// One control tick of world, robots and mappers. Returns each robot's output.
     pub fn advance(&mut self) -> Vec<Outbox> {
         self.simulation.step();
         let now = self.simulation.now();
@@ -119,7 +119,7 @@ impl ClosedLoop {
         outboxes
     }
 
-    /// Gives the robots what the others have told, and takes what they told in the last tick.
+    /// Delivers the other robots' intents, and collects those of the last tick.
     fn exchange(&mut self, now: Stamp) {
         if self.robots.len() < 2 {
             return;
@@ -143,7 +143,7 @@ impl ClosedLoop {
         self.simulation.now()
     }
 
-    /// The simulator's truth about a robot.
+    /// Ground truth of a robot.
     ///
     /// # Panics
     /// See [`Simulation::drive`].
@@ -153,17 +153,17 @@ impl ClosedLoop {
     }
 }
 
-/// One robot with everything that is its own: pilot, links, mapper, worker, mission.
+/// One robot with its own pilot, links, mapper, worker and mission.
 pub struct RobotLoop {
     /// The robot's side.
     pub pilot: Pilot,
-    /// For the robot's next tick, from anybody but the mission.
+    /// Input of the robot's next tick, from everything but the mission.
     pub inbox: Inbox,
     /// The map and its poses.
     pub mapping: MappingCore,
     /// The mission, while one runs.
     pub mission: Option<Mission>,
-    /// For the mission's next step.
+    /// Input of the mission's next step.
     pub inputs: zenav_mission::Inputs,
     /// The motion worker's copy of the map.
     replica: MapReplica,
@@ -171,9 +171,9 @@ pub struct RobotLoop {
     up: Link<Up>,
     down: Link<Down>,
     replies: Vec<Result<MissionReply, Refusal>>,
-    /// The newest state of each goal.
+    /// The newest state of the goal.
     goal: Option<GoalState>,
-    /// What it told other robots in its last tick.
+    /// Intent announced in the last tick.
     told: Option<Intent>,
     now: Stamp,
     ticks: u64,
@@ -193,7 +193,7 @@ impl RobotLoop {
             None => Mapper::new(config.mapping, map.id),
         };
         let mut mapper = mapper.with_footprint(config.edge.model.footprint.clone());
-        // Live scans go on into a known map: what moved since must be seen.
+        // Live scans are inserted into a known map too: obstacles may have moved.
         mapper.resume();
         Self {
             pilot: Pilot::new(config.edge, BOOT.to_owned(), Persisted::default()),
@@ -215,7 +215,7 @@ impl RobotLoop {
         }
     }
 
-    /// Asks the mission at its next step; the answer bears the client that is returned.
+    /// Sends a request to the mission at its next step; the answer is addressed to the returned client.
     pub fn ask(&mut self, request: MissionRequest) -> Client {
         self.clients += 1;
         let client = Client(self.clients);
@@ -223,7 +223,7 @@ impl RobotLoop {
         client
     }
 
-    /// Has another mission run from now on: it is told what a new process is told of the map.
+    /// Replaces the mission; the new one gets the map information that a new process would get.
     pub fn start(&mut self, mission: Mission) {
         self.mission = Some(mission);
         self.inputs = zenav_mission::Inputs {
@@ -232,7 +232,7 @@ impl RobotLoop {
         };
     }
 
-    /// One control tick of robot and mapper. Returns what the robot gave out.
+    /// One control tick of robot and mapper. Returns the robot's output.
     fn advance(&mut self, now: Stamp, readings: &Readings) -> Outbox {
         let begun = thread_time();
         self.ticks += 1;
@@ -311,7 +311,7 @@ impl RobotLoop {
         }
     }
 
-    /// The mission's step, where one is due. Returns what it wants to have done.
+    /// The mission's step, if it is due. Returns its effects.
     pub fn step_mission(&mut self) -> Vec<Effect> {
         if self.ticks % TICKS_A_STEP != 1 {
             return Vec::new();
@@ -323,7 +323,7 @@ impl RobotLoop {
             .map_or_else(Vec::new, |mission| mission.step(now, inputs))
     }
 
-    /// Carries an effect of the mission's out.
+    /// Carries out an effect of the mission.
     pub fn carry_out(&mut self, effect: Effect) {
         let now = self.now;
         match effect {
@@ -363,7 +363,7 @@ impl RobotLoop {
                 };
                 self.down.send(now, Down::Request(ticket, request));
             }
-            // Nothing outlives a lockstep run, and nobody watches it.
+            // A lockstep run stores nothing, and nobody watches it.
             Effect::Persist(_) | Effect::Status(_) | Effect::StandBy => {}
         }
     }
@@ -372,7 +372,7 @@ impl RobotLoop {
         if let Some(extent) = motion::padding(request) {
             self.replica.reach(&extent);
         }
-        // No clock, and no time that could be up: both would differ from run to run.
+        // No clock and no time limit: both would make runs differ.
         self.worker
             .answer(Some(&self.replica), request, &mut || 0.0, &Cancel::default())
             .map(|reply| Answer::Motion(Box::new(reply)))
@@ -381,7 +381,7 @@ impl RobotLoop {
 
     fn map_answer(&mut self, request: &MapRequest) -> Answer {
         match request.action {
-            // Nothing is kept on disk here.
+            // There is no disk here.
             MapAction::Get | MapAction::List | MapAction::Load => {}
             MapAction::Save => self.mapping.mapper.mark_stored(),
             MapAction::Reset => self.mapping.reset(format!("lockstep-{}", self.ticks)),
@@ -397,13 +397,13 @@ impl RobotLoop {
         Answer::Map(Box::new(reply))
     }
 
-    /// The time of its last tick.
+    /// Time of the robot's last tick.
     #[must_use]
     pub fn now(&self) -> Stamp {
         self.now
     }
 
-    /// What [`ClosedLoop::tick`] has computed for it so far, the simulator left out: robot, mapper, mission and motion.
+    /// Processor time of [`ClosedLoop::tick`] for this robot so far, without the simulator: robot, mapper, mission and motion.
     #[must_use]
     pub fn cpu(&self) -> Duration {
         self.cpu

@@ -1,4 +1,4 @@
-//! `zenav run`: a goal in a world, from a seed, to its end, or one for each of several robots. The report is the simulator's truth.
+//! `zenav run`: one goal in a world, or one per robot, from a seed to the end. The report is from the simulator's ground truth.
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -37,17 +37,17 @@ pub struct RunArgs {
     /// World file or shipped name, instead of the deployment's
     #[arg(long, add = completion::worlds())]
     world: Option<String>,
-    /// A robot of the deployment by name, or a robot file or shipped name instead of its first robot's model; of several robots, once
-    /// for all or once for each goal
+    /// A robot of the deployment by name, or a robot file or shipped name that replaces its first robot's model; with several robots, give
+    /// it once for all or once per goal
     #[arg(long, add = completion::models())]
     robot: Vec<String>,
-    /// Start, m and rad in the world, instead of the deployment's; of several robots, once for each goal
+    /// Start pose, m and rad in the world, instead of the deployment's; with several robots, once per goal
     #[arg(long, num_args = 3, value_names = ["X", "Y", "YAW"], value_parser = finite)]
     start: Vec<f64>,
-    /// Goal, m in the world; again for each further robot
+    /// Goal, m in the world; repeat for each further robot
     #[arg(long, num_args = 2, value_names = ["X", "Y"], required = true, value_parser = finite)]
     goal: Vec<f64>,
-    /// Simulated time after which the run has failed, s
+    /// Time limit of the run, simulated, s
     #[arg(long, default_value_t = 100.0, value_parser = not_negative)]
     timeout: f64,
     /// Seed of all noise and delays, instead of the deployment's
@@ -59,22 +59,22 @@ pub struct RunArgs {
     /// Start with the true map
     #[arg(long)]
     known_map: bool,
-    /// Where the poses of the map come from, `edge`, `slam` or `localise` (with --known-map), instead of the deployment's
+    /// Source of mapping's poses, `edge`, `slam` or `localise` (with --known-map), instead of the deployment's
     #[arg(long, value_name = "SOURCE")]
     poses: Option<PoseSource>,
     /// File of keep-out and speed zones, instead of the deployment's
     #[arg(long, value_name = "FILE")]
     zones: Option<PathBuf>,
-    /// Mean delay from scan to plan, ms; the latency budget is twice that where the deployment sets none
+    /// Mean delay from scan to plan, ms; the latency budget is twice that, unless the deployment sets one
     #[arg(long, default_value_t = 100.0, value_parser = not_negative)]
     cloud_delay_ms: f64,
     /// Driving profile, `fastest` or `economy`, instead of the deployment's
     #[arg(long)]
     profile: Option<DrivingProfile>,
-    /// Report the processor time of robot, mapper, mission and motion as `cpu_s`: no two runs give the same
+    /// Report the processor time of robot, mapper, mission and motion as `cpu_s`; it differs between runs
     #[arg(long)]
     cpu: bool,
-    /// Write the driven path as CSV `t,x,y,yaw,v,w`; of several robots, with the robot's number before it
+    /// Write the driven path as CSV `t,x,y,yaw,v,w`; with several robots, the robot's number comes first
     #[arg(long, value_name = "FILE")]
     trajectory: Option<PathBuf>,
     /// Output format
@@ -82,64 +82,64 @@ pub struct RunArgs {
     output: Format,
 }
 
-/// How a run ended; the later ones are worse.
+/// Outcome of a run; later ones are worse.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RunOutcome {
-    /// At rest within the tolerance of the goal, by truth; something may have touched the robot on its way.
+    /// At rest within the tolerance of the goal, by ground truth; other things may have touched the robot.
     Reached,
-    /// Not in time.
+    /// Time limit exceeded.
     Timeout,
-    /// The mission gave up, or took itself for being there.
+    /// The mission gave up, or wrongly reported success.
     Aborted,
     /// The mission found no path.
     NoPath,
     /// The mission refused the goal.
     Rejected,
-    /// The robot touched something by its own motion, however the run went on.
+    /// The robot touched something by its own motion, however the run continued.
     Collision,
 }
 
 /// Report of `zenav run`.
 #[derive(Clone, Debug, Serialize)]
 pub struct RunReport {
-    /// How it ended.
+    /// Outcome.
     pub outcome: RunOutcome,
-    /// Why, unless the goal was reached.
+    /// Reason, unless the goal was reached.
     pub reason: Option<String>,
     /// Simulated time, s.
     pub time_s: f64,
-    /// When the robot came within the tolerance first, at whatever speed, s.
+    /// When the robot first came within the tolerance, at any speed, s.
     pub time_entered_s: Option<f64>,
     /// Driven, m.
     pub length_m: f64,
-    /// Least distance of the footprint to an obstacle, m.
+    /// Smallest distance of the footprint to an obstacle, m.
     pub min_clearance_m: f64,
-    /// Contacts.
+    /// Number of contacts.
     pub collisions: u32,
     /// Each contact.
     pub contacts: Vec<ContactReport>,
-    /// Motions that replaced another one.
+    /// Motions that replaced an earlier one.
     pub replans: u64,
     /// Motions published.
     pub plans: u64,
     /// Recoveries started.
     pub recoveries: u64,
-    /// Distance from the goal at the end, m.
+    /// Final distance from the goal, m.
     pub final_error_m: f64,
-    /// How far the robot's estimate lies from its true place at the end, m.
+    /// Final error of the position estimate, m.
     pub pose_error_m: f64,
-    /// How far its estimated heading lies from the true one at the end, rad.
+    /// Final error of the heading estimate, rad.
     pub pose_error_rad: f64,
     /// Energy drawn, J.
     pub energy_j: f64,
-    /// Energy drawn for each metre driven, J/m; `None` where hardly any was.
+    /// Energy drawn per metre driven, J/m; `None` for hardly any distance.
     pub energy_per_m: Option<f64>,
     /// Seed of all noise and delays.
     pub seed: u64,
     /// Mean delay from scan to plan, ms.
     pub cloud_delay_ms: f64,
-    /// Processor time of robot, mapper, mission and motion, s, where asked for.
+    /// Processor time of robot, mapper, mission and motion, s, on request.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub cpu_s: Option<f64>,
 }
@@ -147,9 +147,9 @@ pub struct RunReport {
 /// Report of `zenav run` with several robots.
 #[derive(Clone, Debug, Serialize)]
 struct FleetReport {
-    /// The worst of the robots' outcomes.
+    /// The worst outcome of all robots.
     outcome: RunOutcome,
-    /// When the last of them was done, s.
+    /// When the last robot was done, s.
     makespan_s: f64,
     /// Each robot, in the order of the goals.
     robots: Vec<RunReport>,
@@ -236,7 +236,7 @@ fn check(args: &RunArgs) -> Result<(), Failure> {
         .map_err(|why| Failure::usage(format!("--start: YAW {why}")))
 }
 
-/// A robot for each goal.
+/// One robot per goal.
 fn entrants(args: &RunArgs) -> Result<Vec<Entrant<'_>>, Failure> {
     let goals = args.goal.chunks_exact(2).map(|goal| Point2::new(goal[0], goal[1]));
     let (count, robots, starts) = (goals.len(), args.robot.len(), args.start.len() / 3);
@@ -262,7 +262,7 @@ fn entrants(args: &RunArgs) -> Result<Vec<Entrant<'_>>, Failure> {
     Ok(entrants.collect())
 }
 
-/// Nobody is meant to drive outside of the world.
+/// Refuses goals outside of the world.
 fn check_goals(world: &World, entrants: &[Entrant<'_>]) -> Result<(), Failure> {
     let Some(outside) = entrants.iter().find(|entrant| !world.holds(entrant.goal)) else {
         return Ok(());

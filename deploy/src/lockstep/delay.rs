@@ -1,4 +1,4 @@
-//! Delay line. When does a message arrive? After a seeded delay, in order, as on a link that keeps its order.
+//! Delay line. Delivers messages after a seeded random delay, in order.
 
 use std::collections::VecDeque;
 
@@ -6,7 +6,7 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
 use zenav_protocol::time::Stamp;
 
-/// A delay varies by this share of its mean to either side.
+/// Largest deviation of a delay, as a share of the mean.
 const JITTER: f64 = 0.2;
 
 /// A link in one direction.
@@ -18,7 +18,7 @@ pub struct Link<T> {
 }
 
 impl<T> Link<T> {
-    /// A link whose messages take `mean_secs`, a fifth more or less.
+    /// A link with a delay of `mean_secs`, plus or minus a fifth.
     #[must_use]
     pub fn new(mean_secs: f64, seed: u64) -> Self {
         Self {
@@ -36,7 +36,7 @@ impl<T> Link<T> {
         self.under_way.push_back((arrival, message));
     }
 
-    /// Takes what has arrived.
+    /// Takes the messages that have arrived.
     pub fn receive(&mut self, now: Stamp) -> Vec<T> {
         let arrived = self.under_way.iter().take_while(|(arrival, _)| *arrival <= now).count();
         self.under_way.drain(..arrived).map(|(_, message)| message).collect()

@@ -1,11 +1,11 @@
-//! Lockstep runs. How would it go, exactly, every time? The same cores as over the network, in a fixed order, from a seed.
+//! Lockstep runs. The same cores as over the network, run in a fixed order from a seed: exactly repeatable.
 //!
 //! | file | answers |
 //! |---|---|
-//! | `closed_loop` | how do body, pilot, mapper, workers and mission take turns? |
+//! | `closed_loop` | in which order do body, pilot, mapper, workers and mission run? |
 //! | `delay` | when does a message arrive? |
-//! | `scenario` | how does a goal go, or one for each of several robots, to the end? |
-//! | `referee` | how did it go, by truth? |
+//! | `scenario` | one goal, or one per robot, driven to the end |
+//! | `referee` | how did a run go, by ground truth? |
 //! | `command` | what does `zenav run` do and print? |
 
 mod closed_loop;

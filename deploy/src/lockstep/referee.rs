@@ -1,16 +1,16 @@
-//! Referee. How did a run go, by the simulator's truth? Contacts of three kinds, and a goal that is reached at rest.
+//! Referee. Judges a run by the simulator's ground truth: contacts of three kinds, and whether the goal is reached at rest.
 
 use nalgebra::Point2;
 use serde::Serialize;
 use zenav_protocol::time::Stamp;
 use zenav_sim::Truth;
 
-/// A robot whose outline moves no faster is at rest, m/s; a contact faster than this is the robot's own.
+/// A robot is at rest if no point of its outline moves faster, m/s; a contact at a higher own speed is the robot's own.
 const AT_REST: f64 = 0.01;
-/// A contact this long after the robot's own motion may come of it, s.
+/// A contact this long after the robot's own motion may be due to it, s.
 const AFTERWARDS: f64 = 2.0;
 
-/// Who made a contact.
+/// Cause of a contact.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ContactKind {
@@ -22,14 +22,14 @@ pub enum ContactKind {
     AtRest,
 }
 
-/// One contact: touching for a while counts once.
+/// One contact: continuous touching counts once.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ContactReport {
-    /// When it began, s.
+    /// Start of the contact, s.
     pub time_s: f64,
-    /// The robot's own speed towards what it touched, m/s; the largest while it touched.
+    /// The robot's own speed towards what it touched, m/s; the largest during the contact.
     pub own_speed: f64,
-    /// Who made it.
+    /// Cause of the contact.
     pub kind: ContactKind,
 }
 
@@ -38,11 +38,11 @@ pub struct ContactReport {
 pub struct Referee {
     goal: Point2<f64>,
     tolerance: f64,
-    /// Radius of the outline, m.
+    /// Radius around the outline, m.
     reach: f64,
     contacts: Vec<ContactReport>,
     entered: Option<f64>,
-    /// When the robot moved last, s.
+    /// Time of the robot's last motion, s.
     moved: f64,
     hardest: f64,
     speed: f64,
@@ -50,7 +50,7 @@ pub struct Referee {
 }
 
 impl Referee {
-    /// For a goal with its tolerance, and a robot whose outline reaches `reach` from its centre, m.
+    /// A referee for a goal with its tolerance, and a robot whose outline reaches `reach` from its centre, m.
     #[must_use]
     pub fn new(goal: Point2<f64>, tolerance: f64, reach: f64) -> Self {
         Self {
@@ -66,7 +66,7 @@ impl Referee {
         }
     }
 
-    /// Looks at the end of a tick.
+    /// Judges the state at the end of a tick.
     pub fn watch(&mut self, now: Stamp, truth: &Truth) {
         let now = now.as_secs();
         if truth.collisions as usize > self.contacts.len() {
@@ -82,7 +82,7 @@ impl Referee {
                 kind,
             });
         }
-        // A robot that was touched may press on.
+        // A robot that was touched may then push on.
         if let Some(contact) = self
             .contacts
             .last_mut()
@@ -116,13 +116,13 @@ impl Referee {
         self.error <= self.tolerance && self.is_at_rest()
     }
 
-    /// Distance from the goal, m.
+    /// Distance to the goal, m.
     #[must_use]
     pub fn error(&self) -> f64 {
         self.error
     }
 
-    /// When the robot came within the tolerance first, at whatever speed, s.
+    /// When the robot first came within the tolerance, at any speed, s.
     #[must_use]
     pub fn entered(&self) -> Option<f64> {
         self.entered
@@ -134,7 +134,7 @@ impl Referee {
         &self.contacts
     }
 
-    /// The first contact that the robot made itself.
+    /// The first contact caused by the robot's own motion.
     #[must_use]
     pub fn own_contact(&self) -> Option<&ContactReport> {
         self.contacts.iter().find(|contact| contact.kind == ContactKind::Own)
@@ -149,7 +149,7 @@ mod tests {
     use zenav_protocol::id::Id;
     use zenav_sim::{RobotSpec, Simulation, World};
 
-    /// What a referee sees of a TIAGo at the origin whose wheels turn as told (rad/s) until a time (s), among `things`.
+    /// The referee of a TIAGo at the origin whose wheels turn at this rate (rad/s) until a time (s), among `things`.
     fn watched(things: &str, goal: [f64; 2], wheels: f64, until: f64) -> Referee {
         let text = format!("size = [12, 6]\norigin = [-6, -3]\n{things}");
         let world = World::from_toml(&text, "w", &|_| Err(String::new())).unwrap();

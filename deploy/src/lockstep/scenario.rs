@@ -1,4 +1,4 @@
-//! Scenario. How does a goal go in a world, from a seed, to its end, or one for each of several robots?
+//! Scenario. Drives one goal in a world, or one per robot, from a seed to the end.
 
 use std::path::{Path, PathBuf};
 
@@ -22,36 +22,36 @@ use crate::failure::Failure;
 use crate::files;
 use crate::report::per_metre;
 
-/// The robot's name in a run; of several, each has its number behind it.
+/// Name of the robot in a run; with several robots, followed by a number.
 const ROBOT: &str = "robot";
 /// Largest side of a known map, cells.
 const MAX_CELLS: f64 = 16_384.0;
-/// Searches take no time here; this stands for the mission's own steps, s.
+/// Time for the mission's own steps, s: searches take no simulated time.
 const COMPUTING: f64 = 0.1;
-/// Time for a robot to come to rest when its mission has ended, s.
+/// Time for a robot to come to rest after its mission has ended, s.
 const SETTLING: f64 = 5.0;
 
-/// A robot and its goal; what is `None` is the deployment's.
+/// A robot and its goal; `None` means the deployment's value.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Entrant<'a> {
     /// A robot of the deployment by name, a robot file or a shipped name.
     pub robot: Option<&'a str>,
-    /// Where it starts; else where the deployment says, else where the world does.
+    /// Start pose; `None`: the deployment's, otherwise the world's.
     pub start: Option<Pose2>,
-    /// m in the world.
+    /// Goal, m in the world.
     pub goal: Point2<f64>,
 }
 
-/// A world, the robots in it and their goals; what is `None` is the deployment's.
+/// A world, the robots in it and their goals; `None` means the deployment's value.
 pub(crate) struct Scenario<'a> {
     pub world: &'a World,
-    /// One or more.
+    /// One or more robots.
     pub entrants: Vec<Entrant<'a>>,
-    /// Of all noise and delays.
+    /// Seed of all noise and delays.
     pub seed: Option<u64>,
-    /// Whether it starts with the true map.
+    /// Whether the robots start with the true map.
     pub known_map: bool,
-    /// Where the poses of the map come from.
+    /// Source of mapping's poses.
     pub poses: Option<PoseSource>,
     pub zones: Option<&'a Path>,
     /// Mean delay from scan to plan, ms.
@@ -59,14 +59,14 @@ pub(crate) struct Scenario<'a> {
     /// Distance that counts as reached, m.
     pub tolerance: Option<f64>,
     pub profile: Option<DrivingProfile>,
-    /// Simulated time after which the run has failed, s.
+    /// Time limit, simulated, s.
     pub timeout: f64,
 }
 
-/// One robot on its way to its goal.
+/// One robot and its progress.
 struct Going {
     referee: Referee,
-    /// Energy of its full battery, J.
+    /// Energy of the full battery, J.
     capacity: f64,
     /// When its mission ended, s.
     mission_ended: Option<f64>,
@@ -74,11 +74,11 @@ struct Going {
 }
 
 impl Scenario<'_> {
-    /// Runs it until every robot is done; `see` is told the number of a robot and the truth about it after every tick. A report for
-    /// each robot, in their order: how it stood when it was done, and all contacts to the end of the run.
+    /// Runs until every robot is done; `see` is called after every tick with each robot's number and ground truth. Returns one report per
+    /// robot, in order: its state when it was done, with all contacts to the end of the run.
     ///
     /// # Errors
-    /// Robots, zones or starts that cannot be.
+    /// Invalid robots, zones or starts.
     pub(crate) fn run(
         &self,
         layers: &Layers,
@@ -146,7 +146,7 @@ impl Scenario<'_> {
         Ok(reports.collect())
     }
 
-    /// Whether a robot is done, and why.
+    /// Whether a robot is done, with outcome and reason.
     fn end(
         &self,
         going: &mut Going,
@@ -161,7 +161,7 @@ impl Scenario<'_> {
         if let Some(Err(refusal)) = robot.replies().first() {
             return Some((RunOutcome::Rejected, Some(refusal.to_string())));
         }
-        // With an empty battery a robot does not move again.
+        // With an empty battery the robot will not move again.
         if truth.drawn_j >= going.capacity && referee.is_at_rest() {
             return Some((RunOutcome::Aborted, Some("the battery is empty".to_owned())));
         }
@@ -182,7 +182,7 @@ impl Scenario<'_> {
         })
     }
 
-    /// How it stands with a robot.
+    /// The present state of a robot as a report.
     fn report(
         &self,
         going: &Going,
@@ -218,7 +218,7 @@ impl Scenario<'_> {
         }
     }
 
-    /// The parts of a run, with the deployment's settings.
+    /// Configuration of a robot's part of the run, with the deployment's settings.
     fn closed_loop(&self, layers: &Layers, index: usize, entrant: &Entrant<'_>) -> Result<ClosedLoopConfig, Failure> {
         let deployment = &layers.deployment;
         let failed = |error: InvalidId| Failure::failed(error.to_string());
@@ -276,7 +276,7 @@ impl Scenario<'_> {
     }
 }
 
-/// The report of a robot after a run: the contacts until its end count, and one that the robot made itself decides.
+/// The report of a robot after a run: includes contacts until the end, and any contact by the robot's own motion makes it a collision.
 fn judged(report: RunReport, referee: &Referee, truth: &Truth) -> RunReport {
     let (outcome, reason) = match referee.own_contact() {
         None => (report.outcome, report.reason),
@@ -299,7 +299,7 @@ fn judged(report: RunReport, referee: &Referee, truth: &Truth) -> RunReport {
     }
 }
 
-/// How a mission's end is to be judged where the goal was not reached, and why.
+/// Outcome and reason if the mission ended without reaching the goal.
 fn ending(state: &GoalState, error: f64) -> (RunOutcome, Option<String>) {
     let reason = state.reason.clone().unwrap_or_else(|| match state.state {
         GoalPhase::Succeeded => format!("the mission ended {error:.2} m from the goal, and took that for the goal"),
@@ -313,10 +313,10 @@ fn ending(state: &GoalState, error: f64) -> (RunOutcome, Option<String>) {
     (outcome, Some(reason))
 }
 
-/// The world as a map: its own, or every cell that something solid touches.
+/// The world as a map: its own, or every cell that a solid touches.
 ///
 /// # Errors
-/// A world that is too large to be a map.
+/// A world too large for a map.
 pub(crate) fn true_map(world: &World, resolution: f64) -> Result<OccupancyGrid, Failure> {
     if let Some(map) = world.map() {
         return Ok(map.clone());

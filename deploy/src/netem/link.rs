@@ -1,39 +1,39 @@
-//! Impaired link. When does what is sent now arrive?
+//! Impaired link. Computes when bytes sent now arrive.
 //!
-//! One direction of a link: every byte arrives in order, `delay` and some jitter after it was sent, no faster than the rate lets it through,
-//! and not while the link stalls or is cut. Deterministic from a seed and the times that it is asked for.
+//! One direction of a link: all bytes arrive in order, `delay` plus jitter after they were sent, limited by the rate, and not while the
+//! link stalls or is cut. Deterministic for a given seed and sequence of calls.
 
 use std::time::Duration;
 
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
 
-/// Longest time that bytes wait before a link that is too narrow for them; as long as `tc` users give a token bucket.
+/// Longest queueing time before a rate-limited link; typical of token buckets configured with `tc`.
 const LONGEST_QUEUE: Duration = Duration::from_millis(400);
 
-/// What a link does to what is sent over it.
+/// Impairment of a link.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Impairment {
-    /// Each way.
+    /// Delay each way.
     pub delay: Duration,
-    /// Up to so much more, each piece its own, all equally likely.
+    /// Largest additional delay, drawn for each piece from a uniform distribution.
     pub jitter: Duration,
-    /// Bytes a second; `None` for as fast as it goes.
+    /// Bytes per second; `None`: unlimited.
     pub rate: Option<f64>,
-    /// Nothing passes for this long...
+    /// Length of a stall, in which nothing passes...
     pub stall: Duration,
-    /// ...after this long, on average: the times between are exponential. `None` for no stalls.
+    /// ...and the mean time between stalls (exponential). `None`: no stalls.
     pub every: Option<Duration>,
 }
 
-/// A time from which nothing passes, and for how long.
+/// A cut: start, and length.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Cut {
     pub at: Duration,
     pub lasts: Duration,
 }
 
-/// From a time on the link is another one.
+/// A change of the impairment, with its time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Change {
     pub at: Duration,
@@ -43,14 +43,14 @@ pub(super) struct Change {
 /// One direction of a link. All times count from the start of the program.
 #[derive(Clone, Debug)]
 pub(super) struct Link {
-    /// In the order of their times, the first at zero.
+    /// In order of time, the first at zero.
     changes: Vec<Change>,
     cuts: Vec<Cut>,
     rng: Pcg64Mcg,
-    /// When the last byte has left the link's entry, and when it arrives.
+    /// When the last byte left the queue, and when it arrives.
     entered: Duration,
     arrived: Duration,
-    /// The next stall begins.
+    /// Start of the next stall.
     next_stall: Option<Duration>,
 }
 
@@ -66,10 +66,10 @@ impl Link {
         }
     }
 
-    /// When so many bytes arrive that are sent now.
+    /// Arrival time of bytes sent now.
     pub(super) fn arrival(&mut self, now: Duration, bytes: usize) -> Duration {
         if self.arrived == Duration::MAX {
-            // Behind what waits for a cut without an end nothing arrives.
+            // Nothing arrives behind bytes held by an endless cut.
             return Duration::MAX;
         }
         let impairment = self.impairment(now);
@@ -81,12 +81,12 @@ impl Link {
         self.arrived
     }
 
-    /// How long the next bytes have to wait outside, because the queue before the link is full: beyond that the sender is held up, as by any full buffer.
+    /// Time until the queue before the link has room again; until then the sender is blocked, as by any full buffer.
     pub(super) fn full_for(&self, now: Duration) -> Duration {
         self.entered.saturating_sub(now + LONGEST_QUEUE)
     }
 
-    /// How many bytes may be taken at once: no more than pass within a quarter of the longest queue.
+    /// Most bytes to take at once: what passes within a quarter of the longest queue.
     pub(super) fn piece(&self, now: Duration, most: usize) -> usize {
         let rate = self.impairment(now).rate.unwrap_or(f64::INFINITY);
         ((0.25 * LONGEST_QUEUE.as_secs_f64() * rate) as usize).clamp(1, most)
@@ -97,10 +97,10 @@ impl Link {
         last.map(|change| change.to).unwrap_or_default()
     }
 
-    /// The first time from then on at which the link passes anything.
+    /// The first time, from `from` on, at which the link passes data.
     fn passes(&mut self, from: Duration, impairment: &Impairment) -> Duration {
         let mut at = self.after_stalls(from, impairment);
-        // A cut may end in another one.
+        // A cut may end within another one.
         for _ in 0..=self.cuts.len() {
             let cut = self.cuts.iter().find(|cut| at >= cut.at && at - cut.at < cut.lasts);
             let Some(cut) = cut else { break };

@@ -1,9 +1,9 @@
-//! `zenav netem`: how does a deployment do over a bad link? A TCP proxy that delays, slows, stalls and cuts what passes; without root.
+//! `zenav netem`: a TCP proxy that imitates a bad link with delay, rate limit, stalls and cuts; needs no root.
 //!
 //! | file | answers |
 //! |---|---|
-//! | `link` | when does what is sent now arrive? |
-//! | `script` | how is it written down what a link does, and when? |
+//! | `link` | when do bytes sent now arrive? |
+//! | `script` | the text form of impairments and their changes |
 
 mod link;
 mod script;
@@ -25,11 +25,11 @@ use crate::launch::runtime;
 use link::{Impairment, Link};
 use script::Script;
 
-/// Largest piece that is passed on as one, bytes.
+/// Largest piece forwarded at once, bytes.
 const PIECE: usize = 16 * 1024;
-/// What a socket takes before it is read, bytes; the kernel doubles it.
+/// Socket buffer size, bytes; the kernel doubles it.
 const BUFFER: u32 = 16 * 1024;
-/// Pieces under way in one direction of a connection; beyond that the sender waits, as on a full link.
+/// Most pieces in flight in one direction of a connection; beyond that the sender blocks, as on a full link.
 const UNDER_WAY: usize = 4096;
 
 /// Arguments of `zenav netem`.
@@ -41,34 +41,34 @@ const UNDER_WAY: usize = 4096;
                   zenav edge --connect tcp/127.0.0.1:7460"
 )]
 pub struct NetemArgs {
-    /// Address to listen on, `HOST:PORT` or `tcp/HOST:PORT`; port 0 takes a free one, which is printed
+    /// Address to listen on, `HOST:PORT` or `tcp/HOST:PORT`; port 0 takes a free one and prints it
     #[arg(long, value_name = "ADDRESS", value_parser = address)]
     listen: String,
-    /// Address to pass everything on to
+    /// Address to forward connections to
     #[arg(long, value_name = "ADDRESS", value_parser = address)]
     to: String,
     /// Delay each way
     #[arg(long, value_name = "TIME", default_value = "0ms", value_parser = script::duration)]
     delay: Duration,
-    /// Up to so much more delay, each piece its own
+    /// Largest additional delay, random for each piece
     #[arg(long, value_name = "TIME", default_value = "0ms", value_parser = script::duration)]
     jitter: Duration,
-    /// Bits a second each way, such as 256kbit [default: as fast as it goes]
+    /// Rate each way in bits per second, such as 256kbit [default: unlimited]
     #[arg(long, value_name = "RATE")]
     rate: Option<String>,
-    /// Nothing passes for so long, so often on average, such as 500ms/10s
+    /// Length of random stalls and mean time between them, such as 500ms/10s
     #[arg(long, value_name = "TIME/TIME")]
     stall: Option<String>,
-    /// Nothing passes from this time on, counted from the start; may be repeated
+    /// Cut the link at this time, counted from the start; may be repeated
     #[arg(long, value_name = "TIME", value_parser = script::duration)]
     cut_at: Vec<Duration>,
-    /// How long each cut lasts [default: for ever]
+    /// Length of each cut [default: for ever]
     #[arg(long, value_name = "TIME", requires = "cut_at", value_parser = script::duration)]
     cut_for: Option<Duration>,
-    /// Every connection is closed at this time; may be repeated
+    /// Close every connection at this time; may be repeated
     #[arg(long, value_name = "TIME", value_parser = script::duration)]
     reset_at: Vec<Duration>,
-    /// File of further changes, a line each: `10s delay 500ms`, `20s rate 256kbit`, `30s cut 5s`, `40s reset`
+    /// File of further changes, one per line: `10s delay 500ms`, `20s rate 256kbit`, `30s cut 5s`, `40s reset`
     #[arg(long, value_name = "FILE")]
     script: Option<PathBuf>,
     /// Seed of jitter and stalls
@@ -122,7 +122,7 @@ fn timeline(args: &NetemArgs) -> Result<Script, Failure> {
     Ok(script)
 }
 
-/// Passes every connection on until accepting fails.
+/// Forwards every connection until accepting fails.
 async fn serve(listener: &TcpListener, to: &str, script: &Script, seed: u64) -> std::io::Error {
     let start = Instant::now();
     let (reset, resets) = watch::channel(0_u32);
@@ -134,7 +134,7 @@ async fn serve(listener: &TcpListener, to: &str, script: &Script, seed: u64) -> 
             sleep_until(start + at).await;
             reset.send_modify(|count| *count += 1);
         }
-        // Nobody is told more; the channel stays open.
+        // No further resets; the channel must stay open.
         reset.closed().await;
     });
     let mut connections = 0_u64;
@@ -144,7 +144,7 @@ async fn serve(listener: &TcpListener, to: &str, script: &Script, seed: u64) -> 
             Err(error) => break error,
         };
         connections += 1;
-        // Both directions, each with numbers of its own.
+        // Both directions, each with its own random numbers.
         let link = |way: u64| {
             let seed = seed.wrapping_mul(1_000_003).wrapping_add(2 * connections + way);
             Link::new(script.changes.clone(), script.cuts.clone(), seed)
@@ -166,7 +166,7 @@ async fn serve(listener: &TcpListener, to: &str, script: &Script, seed: u64) -> 
     error
 }
 
-/// Passes one connection on, until both sides have closed it.
+/// Forwards one connection until both sides have closed it.
 async fn connect(client: TcpStream, to: &str, up: Link, down: Link, start: Instant) -> std::io::Result<()> {
     let server = first_of(to, async |address| socket(address)?.connect(address).await).await?;
     client.set_nodelay(true)?;
@@ -179,7 +179,7 @@ async fn connect(client: TcpStream, to: &str, up: Link, down: Link, start: Insta
     Ok(())
 }
 
-/// Listens with small buffers: what a sender may have under way is the link's to say.
+/// Listens with small buffers, so that the link limits the data in flight, not the kernel.
 async fn listen(address: &str) -> std::io::Result<TcpListener> {
     let open = async |address| {
         let socket = socket(address)?;
@@ -190,7 +190,7 @@ async fn listen(address: &str) -> std::io::Result<TcpListener> {
     first_of(address, open).await
 }
 
-/// The first of a host's addresses that can be opened; else the last one's error.
+/// Opens the first of a host's addresses that works; otherwise returns the last error.
 async fn first_of<T>(host: &str, open: impl AsyncFn(SocketAddr) -> std::io::Result<T>) -> std::io::Result<T> {
     let mut failure = std::io::Error::other("no such host");
     for address in tokio::net::lookup_host(host).await? {

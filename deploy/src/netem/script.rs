@@ -1,6 +1,6 @@
-//! Script. How is it written down what a link does, and when it changes?
+//! Script. Text form of a link's impairments over time.
 //!
-//! One change a line: a time, a name, a value. `#` begins a comment.
+//! One change per line: time, name, value. `#` starts a comment.
 //!
 //! ```text
 //! 0s   delay  80ms
@@ -15,17 +15,17 @@ use std::time::Duration;
 
 use super::link::{Change, Cut, Impairment};
 
-/// What a link does in the course of time.
+/// Impairments of a link over time.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Script {
     pub changes: Vec<Change>,
     pub cuts: Vec<Cut>,
-    /// When every connection is closed.
+    /// Times at which every connection is closed.
     pub resets: Vec<Duration>,
 }
 
 impl Script {
-    /// A link that begins like this.
+    /// A link that starts with this impairment.
     pub(super) fn from_start(to: Impairment) -> Self {
         Self {
             changes: vec![Change { at: Duration::ZERO, to }],
@@ -112,7 +112,7 @@ pub(super) fn duration(text: &str) -> Result<Duration, String> {
     }
 }
 
-/// A rate in bytes a second; `none` is as fast as it goes.
+/// A rate in bytes per second; `none` is unlimited.
 ///
 /// # Errors
 /// What was expected.
@@ -139,7 +139,7 @@ pub(super) fn rate(text: &str) -> Result<Option<f64>, String> {
     }
 }
 
-/// How long a stall lasts, and the mean time between two; `none` for no stalls.
+/// Length of a stall, and mean time between stalls; `none` for no stalls.
 ///
 /// # Errors
 /// What was expected.

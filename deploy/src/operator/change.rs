@@ -1,4 +1,4 @@
-//! Changes. In whose name does a command change something of a robot? In this user's, by the rules of [`zenav_cloud::operator`].
+//! Changes. Requests that change a robot in this user's name, by the rules of [`zenav_cloud::operator`].
 
 use std::time::Duration;
 
@@ -13,7 +13,7 @@ pub(crate) use operator::Authority;
 /// Asks under the epoch of the lease in force, whoever holds it.
 ///
 /// # Errors
-/// The ask's own.
+/// That of the ask.
 pub(crate) async fn in_force<R, F>(
     bus: &Bus,
     robot: &str,
@@ -26,10 +26,10 @@ where
     Ok(operator::in_force(bus, robot, within, ask).await?)
 }
 
-/// As [`in_force`]; where nobody holds the lease, the operator's is taken for this.
+/// Like [`in_force`]; if nobody holds the lease, acquires the operator's lease for the request.
 ///
 /// # Errors
-/// As [`in_force`], and a lease that another one holds.
+/// As [`in_force`], and a lease held by another holder.
 pub(crate) async fn in_force_or_own<R, F>(
     bus: &Bus,
     robot: &str,
@@ -42,7 +42,7 @@ where
     Ok(operator::in_force_or_own(bus, robot, &holder(), within, ask).await?)
 }
 
-/// Asks under the operator's lease, which is given back at once: the robot comes to rest for it.
+/// Asks under the operator's lease and releases it at once: the robot stops for the request.
 ///
 /// # Errors
 /// As [`in_force_or_own`].

@@ -1,41 +1,41 @@
-//! Keyboard teleoperation. Which key means which motion, and for how long? A terminal tells of keys pressed and repeated, never of keys let go.
+//! Keyboard teleoperation. Maps keys to motion and its duration: a terminal reports key presses and repeats, never releases.
 //!
-//! A first press holds until the keyboard's own repetition begins, a repeated one only until the next repetition is due,
-//! so that a key let go stops the robot within a fifth of a second. Pure: time is passed in.
+//! A first press lasts until the keyboard starts to repeat, a repeated press only until the next repeat is due: releasing a key stops the
+//! robot within a fifth of a second. Pure: time is passed in.
 
 use std::time::Duration;
 
 use zenav_protocol::geometry::Twist2;
 
-/// Longer than the pause of common keyboards before they repeat a key.
+/// Longer than the delay before common keyboards repeat a key.
 const FIRST_PRESS: Duration = Duration::from_millis(550);
-/// Longer than the time between repetitions.
+/// Longer than the interval between repeats.
 const REPEATED: Duration = Duration::from_millis(200);
-/// Steps between the slowest speed and the greatest.
+/// Speed steps from the slowest to the top speed.
 const STEPS: u32 = 10;
 
-/// What a key asks for.
+/// Command of a key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Command {
     /// Space: take control and stop.
     Take,
     /// Enter: give control back.
     Give,
-    /// Move: forwards and leftwards parts, each -1, 0 or 1.
+    /// Move: forward and left components, each -1, 0 or 1.
     Move { forward: i8, left: i8 },
-    /// Faster or slower from now on.
+    /// Faster from now on.
     Faster,
     /// Slower from now on.
     Slower,
-    /// R: let a stopped robot go.
+    /// R: release a stop.
     Resume,
-    /// Ctrl-C: stop the robot and leave.
+    /// Ctrl-C: stop the robot and quit.
     Quit,
-    /// Escape: give control back where it is here, and leave without a stop.
+    /// Escape: give control back if it is held here, and quit without a stop.
     Leave,
 }
 
-/// What a key asks for; `None` for keys without a meaning.
+/// Command of a key; `None` for keys without a function.
 pub(super) fn command_of(key: char, control: bool) -> Option<Command> {
     let motion = |forward, left| Some(Command::Move { forward, left });
     match (key.to_ascii_lowercase(), control) {
@@ -56,19 +56,19 @@ pub(super) fn command_of(key: char, control: bool) -> Option<Command> {
     }
 }
 
-/// The motion wanted by the keys.
+/// The motion that the keys command.
 #[derive(Clone, Debug)]
 pub(super) struct Keyboard {
-    /// Greatest forward speed, m/s, and yaw rate, rad/s.
+    /// Top forward speed, m/s, and yaw rate, rad/s.
     top: Twist2,
-    /// Share of the greatest, in steps.
+    /// Share of the top speed, in steps.
     step: u32,
     motion: (i8, i8),
     until: Duration,
 }
 
 impl Keyboard {
-    /// At rest; begins with half of the greatest speeds.
+    /// At rest; starts at half of the top speed.
     pub(super) fn new(top: Twist2) -> Self {
         Self {
             top,
@@ -85,7 +85,7 @@ impl Keyboard {
         self.until = now + if repeated { REPEATED } else { FIRST_PRESS };
     }
 
-    /// At rest at once.
+    /// Stops at once.
     pub(super) fn rest(&mut self) {
         self.until = Duration::ZERO;
     }
@@ -99,7 +99,7 @@ impl Keyboard {
         };
     }
 
-    /// The twist wanted at `now`.
+    /// The commanded twist at `now`.
     pub(super) fn twist(&self, now: Duration) -> Twist2 {
         if now >= self.until {
             return Twist2::ZERO;
@@ -111,7 +111,7 @@ impl Keyboard {
         )
     }
 
-    /// The greatest twist at the present step.
+    /// The top twist at the present step.
     pub(super) fn limit(&self) -> Twist2 {
         let share = f64::from(self.step) / f64::from(STEPS);
         Twist2::new(self.top.v * share, self.top.w * share)

@@ -1,4 +1,4 @@
-//! `zenav lease`. Who may command a robot? Shown from the robot's own state; acquired and released as an operator.
+//! `zenav lease`. Who may command a robot: shown from the robot's own state, acquired and released as an operator.
 
 use std::time::Duration;
 
@@ -35,17 +35,17 @@ pub struct LeaseArgs {
 
 #[derive(Debug, clap::Subcommand)]
 enum LeaseCommand {
-    /// Who may command (the default)
+    /// Show who may command the robot (the default)
     Show,
     /// Take the operator's lease and keep it until Ctrl-C: no mission drives meanwhile
     Acquire {
-        /// Give it back after this time, s
+        /// Release it after this time, s
         #[arg(long = "for", value_name = "SECS", value_parser = positive)]
         secs: Option<f64>,
     },
-    /// Give the lease back
+    /// Release the lease
     Release,
-    /// Give up the goals of orchestrators that will not come back (a lost disk), so that any other may lead
+    /// Give up the goals of orchestrators that are lost for good (a lost disk), so that another one may lead
     Forget,
 }
 
@@ -65,10 +65,10 @@ struct Granted {
     ttl_secs: f64,
 }
 
-/// Shows, takes or gives back the lease.
+/// Shows, acquires or releases the lease.
 ///
 /// # Errors
-/// [`exit_code::REJECTED`] when another operator holds it, or as every ask.
+/// [`exit_code::REJECTED`] if another operator holds it, otherwise as every ask.
 pub fn lease(args: &LeaseArgs) -> Outcome {
     let patience = args.robot.link.patience();
     let name = args.holder.clone().unwrap_or_else(holder);

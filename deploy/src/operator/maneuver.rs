@@ -1,5 +1,5 @@
-//! `zenav do`. How does a person have a robot spin, back up or wait? One maneuver of the robot's own, under its collision monitor, by an id
-//! that starts nothing twice; the operator's lease is held meanwhile and given back at its end.
+//! `zenav do`. Runs one maneuver of the robot itself (spin, drive, back up, wait), under its collision monitor, with an id that makes the
+//! request idempotent. The operator's lease is held until the maneuver ends.
 
 use std::f64::consts::FRAC_PI_2;
 use std::time::Duration;
@@ -19,9 +19,9 @@ use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
 
-/// Pause between two questions how it goes.
+/// Pause between polls of the progress.
 const ASK_EVERY: Duration = Duration::from_millis(100);
-/// Longest wait for one answer of them: the next question may get through.
+/// Longest wait for one poll's answer: the next poll may get through.
 const ANSWER_WITHIN: Duration = Duration::from_millis(1000);
 
 /// One maneuver.
@@ -36,7 +36,7 @@ pub struct DoArgs {
     /// Output format
     #[arg(short, long, global = true, value_enum, default_value_t)]
     output: Format,
-    /// Id of the maneuver: the same id starts nothing again [default: generated]
+    /// Id of the maneuver: repeating an id starts nothing new [default: generated]
     #[arg(long, global = true, value_name = "ID")]
     id: Option<String>,
     #[command(subcommand)]
@@ -69,16 +69,16 @@ enum Maneuver {
         #[arg(long, value_name = "M/S", default_value_t = 0.1, value_parser = positive)]
         speed: f64,
     },
-    /// Drive to the free place that is reached soonest: one turn and one straight drive
+    /// Drive to the free place that is reached soonest: one turn, one straight drive
     Free {
-        /// Clearance of the footprint there, m
+        /// Clearance of the footprint at that place, m
         #[arg(long, value_name = "M", default_value_t = 0.05, value_parser = positive)]
         clearance: f64,
         /// Search radius, m
         #[arg(long, value_name = "M", default_value_t = 1.0, value_parser = positive)]
         within: f64,
     },
-    /// Stay at rest
+    /// Stand still
     Wait {
         /// Duration, s
         #[arg(value_parser = positive)]
@@ -112,10 +112,10 @@ struct Ended {
     time_s: f64,
 }
 
-/// Has a robot execute one maneuver, and waits for its end.
+/// Runs one maneuver on a robot and waits for its end.
 ///
 /// # Errors
-/// [`exit_code::REJECTED`] when somebody else operates the robot or it is stopped, [`exit_code::USAGE`] for numbers beyond what it can.
+/// [`exit_code::REJECTED`] if somebody else operates the robot or it is stopped, [`exit_code::USAGE`] for numbers beyond its limits.
 pub fn maneuver(args: &DoArgs) -> Outcome {
     let patience = args.robot.link.patience();
     let id = args.id.clone().unwrap_or_else(|| fresh_id("do"));
@@ -185,13 +185,13 @@ impl Execution<'_> {
         Ok(reply.report)
     }
 
-    /// Starts it and waits for its end; says whether the user ended it.
+    /// Starts it and waits for its end; also returns whether the user cancelled it.
     async fn run(&self, action: BehaviourAction, patience: Duration) -> Result<(BehaviourReport, bool), Failure> {
         let interrupted = ended();
         tokio::pin!(interrupted);
         let started = tokio::select! {
             started = self.ask(action, patience) => started,
-            // It may have been started: the robot is told anyway.
+            // The maneuver may have started, so the robot is asked to cancel it anyway.
             () = &mut interrupted => return self.cancel(patience).await,
         };
         let mut report = started?;

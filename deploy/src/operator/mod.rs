@@ -1,16 +1,16 @@
-//! Operator commands. How does a person take control of a robot? Stop and resume need no lease and no cloud; driving by hand needs the
+//! Operator commands. How an operator takes control of a robot: stop and resume need no lease and no cloud; driving by hand needs the
 //! operator's lease.
 //!
 //! | file | answers |
 //! |---|---|
 //! | `stop` | stop, resume |
-//! | `lease` | who may command: show, acquire, release |
-//! | `change` | in whose name a command changes something |
-//! | `param` | which gains a robot drives with |
+//! | `lease` | who may command? show, acquire, release |
+//! | `change` | under which lease is a robot changed? |
+//! | `param` | parameters of a running robot |
 //! | `maneuver` | spin, drive straight, back up, wait |
-//! | `keyboard` | which key means which motion, and for how long (pure) |
-//! | `status` | who commands now, and what is shown of it (pure) |
-//! | `pose` | where the robot is, told or looked for |
+//! | `keyboard` | which key commands which motion, and for how long? (pure) |
+//! | `status` | who commands the robot now, and how is that displayed? (pure) |
+//! | `pose` | the robot's pose: show, set, search |
 //! | `teleop` | driving in the terminal |
 
 pub(crate) mod change;
@@ -30,13 +30,13 @@ pub use pose::{PoseArgs, pose};
 pub use stop::{StopArgs, resume, stop};
 pub use teleop::{TeleopArgs, teleop};
 
-/// The name under which this user commands: the same for every command of the user, so that one can release what another took.
+/// This user's name as a lease holder: the same for all of the user's commands, so that one can release what another took.
 fn holder() -> String {
     let user = std::env::var("USER").or_else(|_| std::env::var("USERNAME"));
     holder_of(&user.unwrap_or_else(|_| user_number()))
 }
 
-/// A valid [`Id`](zenav_protocol::id::Id): `_` stands for what may not be in one.
+/// A valid [`Id`](zenav_protocol::id::Id): `_` replaces invalid characters.
 fn holder_of(user: &str) -> String {
     let valid = |letter: char| {
         if letter.is_ascii_alphanumeric() || letter == '-' {
@@ -48,7 +48,7 @@ fn holder_of(user: &str) -> String {
     format!("operator-{}", user.chars().take(50).map(valid).collect::<String>())
 }
 
-/// A user whose name the environment does not tell.
+/// Fallback name if the environment has no user name.
 fn user_number() -> String {
     #[cfg(unix)]
     {
@@ -60,7 +60,7 @@ fn user_number() -> String {
     }
 }
 
-/// Waits for a signal to end: Ctrl-C from elsewhere, a closed terminal, or `kill`.
+/// Waits for a signal to end: Ctrl-C, a closed terminal, or `kill`.
 async fn ended() {
     #[cfg(unix)]
     {

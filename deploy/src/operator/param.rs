@@ -1,5 +1,5 @@
-//! `zenav param`. Which gains does a running robot drive with? Read and set by name, within the bounds of the robot file; what is set lasts
-//! until the edge restarts.
+//! `zenav param`. Reads and sets the gains of a running robot by name, within the bounds of the robot file. A set value lasts until the
+//! edge restarts.
 
 use std::collections::BTreeMap;
 
@@ -14,7 +14,7 @@ use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
 
-/// A name that differs in more letters was hardly meant.
+/// Largest edit distance between an unknown name and the known one that is suggested for it.
 const SLIPS: usize = 3;
 
 /// Parameters of a running robot.
@@ -42,7 +42,7 @@ enum ParamCommand {
         /// Name of the parameter
         name: String,
     },
-    /// Set a parameter; it acts at once, and a value out of bounds is refused
+    /// Set a parameter; takes effect at once, a value out of bounds is refused
     Set {
         /// Name of the parameter
         name: String,

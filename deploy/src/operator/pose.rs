@@ -1,4 +1,4 @@
-//! `zenav pose`. Where is the robot, where does a person say that it is, and is it to be looked for?
+//! `zenav pose`. Shows a robot's pose, sets it, or searches for it in the whole map.
 
 use std::time::Duration;
 
@@ -16,7 +16,7 @@ use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
 
-/// A robot this near to where it was told to be has taken it, m and rad: localisation finds it anew within some decimetres.
+/// A pose within this of the one set counts as accepted, m and rad: localisation refines it by some decimetres.
 const TAKEN: (f64, f64) = (1.0, 0.6);
 
 /// Show or set a robot's pose.
@@ -31,11 +31,11 @@ pub struct PoseArgs {
 
 #[derive(Debug, Subcommand)]
 enum PoseCommand {
-    /// Show where the robot takes itself to be, and whether that can be trusted
+    /// Show the robot's pose estimate, and whether it can be trusted
     Show(ShowArgs),
-    /// Tell the robot where it is, to within some decimetres: it goes on from there, and drops its plan
+    /// Set the robot's pose, to within some decimetres; the robot drops its plan and continues from there
     Set(SetArgs),
-    /// Have the robot looked for in the whole map (with `mapping.poses = "localise"` or `"slam"`)
+    /// Search for the robot in the whole map (with `mapping.poses = "localise"` or `"slam"`)
     Search(ShowArgs),
 }
 
@@ -61,7 +61,7 @@ struct SetArgs {
 #[derive(Debug, Serialize)]
 struct Shown {
     robot: String,
-    /// Without one, the robot has not published it yet.
+    /// `None` if the robot has not published one yet.
     pose: Option<Pose2>,
     health: Health,
 }
@@ -69,7 +69,7 @@ struct Shown {
 /// `zenav pose`.
 ///
 /// # Errors
-/// A pose that is not finite, a robot that is not there, and what mapping refuses.
+/// A pose that is not finite, a robot that is not found, a refusal by mapping.
 pub fn pose(args: &PoseArgs) -> Outcome {
     match &args.command {
         PoseCommand::Show(args) => act(args, LocaliseAction::Report, None),
@@ -101,7 +101,7 @@ fn act(args: &ShowArgs, action: LocaliseAction, pose: Option<Pose2>) -> Outcome 
         };
         let reply = match action {
             LocaliseAction::Report => ask(None).await?,
-            // A robot that is told to be somewhere else must not drive meanwhile.
+            // A robot whose pose is being reset must not drive meanwhile.
             LocaliseAction::At | LocaliseAction::Global => change::at_rest(bus, robot, patience, ask).await?,
         };
         let newest = told(bus, robot, pose, patience).await?;
@@ -127,7 +127,7 @@ fn act(args: &ShowArgs, action: LocaliseAction, pose: Option<Pose2>) -> Outcome 
     Ok(exit_code::OK)
 }
 
-/// Where the robot takes itself to be: as soon as that is about where it was told to be, at the latest after `within`.
+/// The robot's pose estimate: as soon as it is near the pose that was set, at the latest after `within`.
 async fn told(bus: &Bus, robot: &str, pose: Option<Pose2>, within: Duration) -> Result<Option<Pose2>, Failure> {
     let mut poses = bus.latest(&topics::POSE, &[robot])?;
     let mut newest = None;
@@ -140,7 +140,7 @@ async fn told(bus: &Bus, robot: &str, pose: Option<Pose2>, within: Duration) -> 
             }
         }
     };
-    // Late, it says where it is instead.
+    // On timeout the newest estimate is returned as it is.
     let _ = tokio::time::timeout(within, until_there).await;
     Ok(newest)
 }

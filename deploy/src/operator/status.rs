@@ -1,20 +1,20 @@
-//! Status line of teleoperation. Who commands the robot now, and what does it do? The robot's own word counts, and only as long as it is heard. Pure.
+//! Status line of teleoperation. Who commands the robot now, and what it does, from the robot's own state while that is fresh. Pure.
 
 use std::time::Duration;
 
 use zenav_protocol::geometry::Twist2;
 use zenav_protocol::messages::{EdgeState, GuardZone, LeaseReply, LostPolicy, Mode};
 
-/// A state older than this is told: the robot drops what echoes it.
+/// Age from which a state is reported as old: the robot drops commands that echo it.
 pub(super) const OLD: Duration = Duration::from_millis(300);
 
-/// Why a grant does not count any more by a state that was heard after it; `None` while it does.
+/// Why a newer state shows that a grant is lost; `None` while the grant is valid.
 pub(super) fn lost(grant: &LeaseReply, holder: &str, state: &EdgeState) -> Option<String> {
     let lease = &state.lease;
     if state.boot_id != grant.boot_id {
         return Some("control was lost: the robot's edge has restarted".to_owned());
     }
-    // Every grant after a lapse or to somebody else has a higher epoch: a lower one is of a state sent before ours.
+    // Every later grant has a higher epoch: a state with a lower one was sent before ours.
     let ours = lease.live && lease.holder.as_deref() == Some(holder);
     if lease.epoch < grant.epoch || (lease.epoch == grant.epoch && ours) {
         return None;
@@ -26,20 +26,20 @@ pub(super) fn lost(grant: &LeaseReply, holder: &str, state: &EdgeState) -> Optio
     })
 }
 
-/// What the status line shows.
+/// Contents of the status line.
 pub(super) struct View<'a> {
     pub(super) robot: &'a str,
-    /// The grant under which commands are sent.
+    /// The lease grant under which commands are sent; `None`: no control.
     pub(super) held: Option<&'a LeaseReply>,
     /// Age of the state.
     pub(super) age: Duration,
     pub(super) state: &'a EdgeState,
-    /// Greatest speeds at the present step.
+    /// Top speeds at the present step.
     pub(super) limit: Twist2,
 }
 
 impl View<'_> {
-    /// One line; what matters most comes first: a narrow terminal shows the beginning.
+    /// One line, most important part first: a narrow terminal cuts off its end.
     pub(super) fn line(&self) -> String {
         let Self {
             robot, state, limit, ..
@@ -72,7 +72,7 @@ impl View<'_> {
     fn command(&self) -> String {
         let lease = &self.state.lease;
         match (self.held, &lease.holder) {
-            // Nothing was heard for as long as a lease lives: it may be over.
+            // No state for longer than the lease lasts: it may have expired.
             (Some(grant), _) if self.age.as_secs_f64() > grant.ttl_secs => "YOU, if it hears you".to_owned(),
             (Some(_), _) => "YOU".to_owned(),
             (None, Some(holder)) if lease.live => holder.clone(),
@@ -85,8 +85,8 @@ impl View<'_> {
     }
 }
 
-/// What is known of a robot that could not be told to stop: `commanded` by who leaves, what it does when it hears from nobody, and as
-/// it was heard last.
+/// What is known of a robot that could not be stopped: `commanded` if this session held the lease, `alone` is its policy after loss of its
+/// commander, `heard` its last state with age.
 pub(super) fn unstopped(commanded: bool, alone: Option<LostPolicy>, heard: Option<(Duration, &EdgeState)>) -> String {
     let Some((age, state)) = heard else {
         return "what it does is not known".to_owned();
@@ -105,12 +105,12 @@ pub(super) fn unstopped(commanded: bool, alone: Option<LostPolicy>, heard: Optio
     format!("heard last {ago:.1} s ago in mode {:?}, {then}", state.mode)
 }
 
-/// As much of a line as fits into `columns`.
+/// The part of a line that fits into `columns`.
 pub(super) fn cut(line: &str, columns: usize) -> String {
     line.chars().take(columns.saturating_sub(1)).collect()
 }
 
-/// With its sign, and without one for what rounds to zero.
+/// With a sign; zero is always `+0.00`.
 fn signed(value: f64) -> String {
     let text = format!("{value:+.2}");
     if text == "-0.00" { "+0.00".to_owned() } else { text }

@@ -1,5 +1,5 @@
-//! `zenav stop` and `zenav resume`. How is a robot stopped and released? By asking the robot itself: no lease, no cloud, and on its own
-//! endpoint no router either.
+//! `zenav stop` and `zenav resume`. Stops and releases a robot by asking the robot itself: needs no lease and no cloud, and on the robot's
+//! own endpoint no router.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -17,7 +17,7 @@ use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
 
-/// A robot tells its state within this time.
+/// A robot publishes its state within this time.
 const STATE_WITHIN: Duration = Duration::from_millis(400);
 
 /// Stop or resume.
@@ -29,7 +29,7 @@ pub struct StopArgs {
     /// Connection and robot.
     #[command(flatten)]
     robot: RobotArgs,
-    /// Every robot that shows
+    /// Every robot that is found
     #[arg(long, conflicts_with = "robot")]
     all: bool,
     /// Output format
@@ -43,18 +43,18 @@ struct Stopped {
     stopped: bool,
 }
 
-/// Stops a robot: it brakes, discards its plan, and stays stopped (across a restart too) until resumed.
+/// Stops a robot: it brakes, discards its plan, and stays stopped (also across a restart) until resumed.
 ///
 /// # Errors
-/// When it does not answer, or was not found.
+/// If the robot does not answer, or is not found.
 pub fn stop(args: &StopArgs) -> Outcome {
     act(args, true)
 }
 
-/// Allows a stopped robot to take a new plan from where it stands.
+/// Releases a stopped robot: it may take a new plan from its present pose.
 ///
 /// # Errors
-/// When it does not answer, or was not found.
+/// If the robot does not answer, or is not found.
 pub fn resume(args: &StopArgs) -> Outcome {
     act(args, false)
 }
@@ -64,7 +64,7 @@ fn act(args: &StopArgs, stop: bool) -> Outcome {
     let ask = |bus: &Bus, robot: &str| ask(bus.clone(), robot.to_owned(), stop, patience);
     let answers = connect::on_bus(&args.robot.link.with_robot(), async |bus| {
         if args.all {
-            // All at once: one that does not answer holds up nobody.
+            // All in parallel: a silent robot does not delay the others.
             let mut asked = JoinSet::new();
             for robot in connect::robots(&bus).await?.into_keys() {
                 let answer = ask(&bus, &robot);
@@ -81,7 +81,7 @@ fn act(args: &StopArgs, stop: bool) -> Outcome {
             return Ok(answers);
         }
         let robot = match &args.robot.robot {
-            // A named robot is asked at once; whether there is such a robot is found out meanwhile.
+            // A named robot is asked at once, in parallel with looking it up.
             Some(robot) => {
                 tokio::select! {
                     biased;
@@ -126,13 +126,13 @@ fn act(args: &StopArgs, stop: bool) -> Outcome {
     }
     match failure {
         Some(failure) => Err(failure),
-        // Asked to stop and not stopped, or the other way round, is no success.
+        // A robot in the wrong state after the request is a failure.
         None if rows.iter().any(|row| row.stopped != stop) => Ok(exit_code::FAILED),
         None => Ok(exit_code::OK),
     }
 }
 
-/// Asks a robot to stop, or to go on.
+/// Asks a robot to stop, or to resume.
 async fn ask(bus: Bus, robot: String, stop: bool, patience: Duration) -> Result<StopReply, AskError> {
     let (by, robot) = (Some(holder()), &[robot.as_str()][..]);
     if stop {
@@ -143,7 +143,7 @@ async fn ask(bus: Bus, robot: String, stop: bool, patience: Duration) -> Result<
     }
 }
 
-/// Says so when the robot obeyed, and cannot store it: its next state tells.
+/// Warns if the robot obeyed but cannot store the stop, as its next state reports.
 async fn warn_if_not_stored(bus: &Bus, robot: &str) {
     let Ok(mut states) = bus.latest(&topics::STATE, &[robot]) else {
         return;
@@ -157,10 +157,10 @@ async fn warn_if_not_stored(bus: &Bus, robot: &str) {
     }
 }
 
-/// Stops a robot over every link at once: over `bus`, and over a link of its own to each of the endpoints.
+/// Stops a robot over all links at once: over `bus`, and over a separate link to each endpoint.
 ///
 /// # Errors
-/// When none of them brought a confirmation within the link's patience.
+/// If no link brought a confirmation within the link's patience.
 pub(super) async fn everywhere(bus: &Bus, link: &LinkArgs, robot: &str) -> Result<(), Failure> {
     let patience = link.patience();
     let mut links = JoinSet::new();

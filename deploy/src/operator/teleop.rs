@@ -1,8 +1,8 @@
-//! `zenav teleop`. How is a robot driven from a terminal? Keys in, twists out twenty times a second, each echoing the newest stamp heard
-//! from the robot: when the link or this program freezes, the echo grows old and the robot brakes by itself.
+//! `zenav teleop`. Drives a robot from a terminal: keys in, twists out twenty times a second, each echoing the newest stamp received from
+//! the robot. If the link or this program freezes, the echo grows old and the robot brakes by itself.
 //!
-//! Leaving by Ctrl-C, by a closed terminal or by a failure always leaves the robot stopped until `zenav resume`. Enter gives control back to the
-//! mission, and Escape leaves the robot to it.
+//! Leaving by Ctrl-C, a closed terminal or a failure always leaves the robot stopped until `zenav resume`. Enter gives control back to the
+//! mission; Escape also quits, without a stop.
 
 use std::io::{IsTerminal as _, Write as _};
 use std::time::Duration;
@@ -25,13 +25,13 @@ use crate::connect::{self, LinkArgs, RobotArgs, positive};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 
-/// Twists a second.
+/// Period of twists.
 const PERIOD: Duration = Duration::from_millis(50);
-/// The last stop is given up after this time.
+/// Longest time spent on the final stop.
 const LEAVE_WITHIN: Duration = Duration::from_secs(2);
-/// Longest wait for the robot's word on a key.
+/// Longest wait for the robot's answer to a key.
 const ASK_WITHIN: Duration = Duration::from_secs(1);
-/// Speeds for a robot that does not tell its own, m/s and rad/s.
+/// Top speeds for a robot that does not report its own, m/s and rad/s.
 const CAREFUL: Twist2 = Twist2 { v: 0.3, w: 1.0 };
 
 const HELP: [&str; 2] = [
@@ -48,10 +48,10 @@ pub struct TeleopArgs {
     /// Connection and robot.
     #[command(flatten)]
     robot: RobotArgs,
-    /// Greatest speed, m/s [default: what the robot can]
+    /// Top speed, m/s [default: the robot's]
     #[arg(long, value_name = "M/S", value_parser = positive)]
     speed: Option<f64>,
-    /// Greatest yaw rate, rad/s [default: what the robot can]
+    /// Top yaw rate, rad/s [default: the robot's]
     #[arg(long, value_name = "RAD/S", value_parser = positive)]
     turn: Option<f64>,
 }
@@ -59,7 +59,7 @@ pub struct TeleopArgs {
 /// Drives from the keyboard until Ctrl-C.
 ///
 /// # Errors
-/// [`exit_code::USAGE`] without a terminal; what goes wrong on the way, after the robot was stopped.
+/// [`exit_code::USAGE`] without a terminal; a later failure is returned after the robot was stopped.
 pub fn teleop(args: &TeleopArgs) -> Outcome {
     if !std::io::stdin().is_terminal() {
         return Err(Failure::usage("teleop needs a terminal: its keys drive the robot"));
@@ -93,7 +93,7 @@ pub fn teleop(args: &TeleopArgs) -> Outcome {
     })
 }
 
-/// What the robot can, by its own word.
+/// Top speeds that the robot reports.
 async fn top_speeds(bus: &Bus, robot: &str, within: Duration) -> Twist2 {
     match bus.ask(&topics::EDGE_INFO, &[robot], &InfoRequest {}, within).await {
         Ok(info) => info.model.map_or(CAREFUL, |model| {
@@ -106,7 +106,7 @@ async fn top_speeds(bus: &Bus, robot: &str, within: Duration) -> Twist2 {
     }
 }
 
-/// What the robot does when it hears from nobody, by its own word.
+/// The robot's policy after loss of its commander.
 async fn alone(bus: &Bus, robot: &str) -> Option<LostPolicy> {
     let mode = bus
         .ask(&topics::MODE, &[robot], &ModeRequest::default(), ASK_WITHIN)
@@ -114,7 +114,7 @@ async fn alone(bus: &Bus, robot: &str) -> Option<LostPolicy> {
     mode.ok().map(|mode| mode.on_lost)
 }
 
-/// The terminal without line editing, until dropped: also on the way out of a panic.
+/// The terminal in raw mode until dropped, panics included.
 struct RawTerminal;
 
 impl RawTerminal {
@@ -126,13 +126,13 @@ impl RawTerminal {
 
 impl Drop for RawTerminal {
     fn drop(&mut self) {
-        // Nothing can be done about a terminal that is gone.
+        // Nothing can be done if the terminal is gone.
         let _ = terminal::disable_raw_mode();
         crate::output::note("");
     }
 }
 
-/// Commands as they are typed; ends when the terminal does.
+/// Commands as typed; ends when the terminal does.
 fn keys() -> mpsc::UnboundedReceiver<Command> {
     let (sender, receiver) = mpsc::unbounded_channel();
     std::thread::spawn(move || {
@@ -162,28 +162,28 @@ fn keys() -> mpsc::UnboundedReceiver<Command> {
 
 /// How a session ends.
 enum Leaving {
-    /// The robot is stopped.
+    /// The robot was stopped.
     Stopped,
-    /// The robot goes on as it does.
+    /// The robot continues as it is.
     AsItIs,
 }
 
-/// A session at the keyboard.
+/// A teleoperation session.
 struct Session {
     bus: Bus,
     robot: String,
     holder: String,
     keyboard: Keyboard,
     states: Latest<EdgeState>,
-    /// For its stamps: they come every tick of the robot, five times as often as its state.
+    /// Source of stamps: published every tick of the robot, five times as often as its state.
     odometry: Latest<Odometry>,
     teleop: Publisher<Teleop>,
     held: Option<LeaseSession>,
     seen: Option<(Instant, EdgeState)>,
     echo: Option<Stamp>,
-    /// What the robot does when it hears from nobody.
+    /// The robot's policy after loss of its commander.
     alone: Option<LostPolicy>,
-    /// What was told last.
+    /// The last note printed.
     note: String,
     start: Instant,
 }
@@ -207,7 +207,7 @@ impl Session {
         })
     }
 
-    /// Until somebody wants to leave, by key, by signal, or because the terminal is gone.
+    /// Runs until the user quits by key or signal, or the terminal is gone.
     async fn run(&mut self, mut keys: mpsc::UnboundedReceiver<Command>) -> Result<Leaving, Failure> {
         eprint!("{}\r\n", HELP.join("\r\n"));
         let mut pace = tokio::time::interval(PERIOD);
@@ -234,7 +234,7 @@ impl Session {
 
     async fn act(&mut self, command: Command) {
         if !matches!(command, Command::Move { .. }) {
-            // Asked again, told again; a key that is held is told once.
+            // A repeated command prints its note again; a key held down prints it once.
             self.note.clear();
         }
         match command {
@@ -264,7 +264,7 @@ impl Session {
         }
     }
 
-    /// Stops, and takes control unless it is sure to be here already.
+    /// Stops, and takes control unless it is certain to be held here already.
     async fn take(&mut self) {
         self.keyboard.rest();
         self.drive();
@@ -275,7 +275,7 @@ impl Session {
         self.held = None;
         match LeaseSession::acquire(&self.bus, &self.robot, &self.holder, ASK_WITHIN).await {
             Ok(held) => {
-                // What waits here was sent before.
+                // Anything queued here was sent before the grant.
                 self.hear();
                 self.held = Some(held);
             }
@@ -283,11 +283,11 @@ impl Session {
         }
     }
 
-    /// Takes in what the robot says of itself: its word counts on who commands.
+    /// Takes in the robot's newest stamp and state; the state decides who commands.
     fn hear(&mut self) {
         let odometry = self.odometry.take().map(|odometry| odometry.stamp);
         let state = self.states.take();
-        // A robot that has restarted may count its time anew: the newest to come counts, not the greatest of all.
+        // After a restart the robot's stamps may start anew: the latest received counts, not the greatest.
         self.echo = odometry.max(state.as_ref().map(|state| state.stamp)).or(self.echo);
         let Some(state) = state else { return };
         if let Some(held) = &self.held
@@ -310,7 +310,7 @@ impl Session {
         }
     }
 
-    /// A line of its own above the status, which stays: once for as long as nothing else is asked.
+    /// Prints a note on a line of its own above the status line; a repeat is suppressed until the next command.
     fn tell(&mut self, note: String) {
         if note != self.note {
             eprint!("\r{note}\x1b[K\r\n");
@@ -319,12 +319,12 @@ impl Session {
     }
 
     fn draw(&self) {
-        // A window of no size is one whose size is not known.
+        // A window of size zero is one whose size is unknown.
         let width = terminal::size()
             .ok()
             .filter(|(columns, _)| *columns > 0)
             .map_or(80, |(columns, _)| usize::from(columns));
-        // To the line's start, and the rest of the line cleared; in one piece, or it flickers.
+        // Back to the start of the line, and clear its rest; one write, to avoid flicker.
         let line = format!("\r{}\x1b[K", status::cut(&self.status(), width));
         let _ = std::io::stderr().write_all(line.as_bytes());
     }
@@ -343,7 +343,7 @@ impl Session {
         view.line()
     }
 
-    /// Leaves the robot stopped, whoever was in command: on every way that `link` names.
+    /// Leaves the robot stopped, whoever was in command, over every endpoint in `link`.
     async fn leave(&mut self, link: &LinkArgs) -> Result<(), Failure> {
         self.keyboard.rest();
         self.drive();
@@ -357,7 +357,7 @@ impl Session {
             Failure::new(error.code, text)
         })?;
         if let Some(held) = self.held.take() {
-            // It ends by itself when nobody renews it.
+            // If this fails, the lease expires unrenewed.
             let _ = held.release().await;
         }
         Ok(())

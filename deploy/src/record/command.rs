@@ -1,4 +1,4 @@
-//! `zenav record`. Which keys are recorded, into which files, until when?
+//! `zenav record`. Records chosen keys into one or several files, for a time or until Ctrl-C.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -25,28 +25,28 @@ use crate::output::{self, Format};
                   The files open in Foxglove and in any other tool for MCAP."
 )]
 pub struct RecordArgs {
-    /// Keys (`zenav/*/edge/**`), sides and names (`edge/pose`), or names of topics (`pose`) [default: everything of the robots]
+    /// Keys (`zenav/*/edge/**`), sides and names (`edge/pose`), or names of topics (`pose`) [default: everything about the robots]
     #[arg(value_name = "KEYS")]
     keys: Vec<String>,
-    /// File; it must not exist yet
+    /// File to write; it must not exist yet
     #[arg(value_name = "OUT.mcap", value_parser = mcap)]
     out: PathBuf,
     /// Connection and robot.
     #[command(flatten)]
     robot: RobotArgs,
-    /// Every key on the bus, also those of others
+    /// Record every key on the bus, including those that are not zenav's
     #[arg(long, conflicts_with = "keys")]
     all: bool,
-    /// Begin a new file once one has this size, such as 500MB or 2GB
+    /// Start a new file at this size, such as 500MB or 2GB
     #[arg(long, value_name = "SIZE", value_parser = size)]
     max_size: Option<u64>,
-    /// Begin a new file once one holds this time, s
+    /// Start a new file after this time, s
     #[arg(long, value_name = "SECS", value_parser = positive)]
     max_duration: Option<f64>,
-    /// End after this time, s
+    /// Stop after this time, s
     #[arg(long = "for", value_name = "SECS", value_parser = positive)]
     secs: Option<f64>,
-    /// Leave out Foxglove's own messages: only the samples
+    /// Leave out Foxglove's messages: record only the samples
     #[arg(long)]
     raw: bool,
     /// Output format
@@ -54,7 +54,7 @@ pub struct RecordArgs {
     output: Format,
 }
 
-/// A file's name; without this check a key would be one, where the name was forgotten.
+/// A file name, checked by extension: if it is forgotten, the last key would be taken for it.
 fn mcap(text: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(text);
     match path.extension() {
@@ -63,7 +63,7 @@ fn mcap(text: &str) -> Result<PathBuf, String> {
     }
 }
 
-/// A size in bytes, with the endings of the metric system.
+/// A size in bytes, with metric suffixes.
 fn size(text: &str) -> Result<u64, String> {
     let expected = || "expected a size, such as 500MB or 2GB".to_owned();
     let text = text.trim();
@@ -90,7 +90,7 @@ fn size(text: &str) -> Result<u64, String> {
 /// `zenav record`.
 ///
 /// # Errors
-/// Nobody to connect to, bad keys, or a file that cannot be written.
+/// No connection, bad keys, or a file that cannot be written.
 pub fn record(args: &RecordArgs) -> Outcome {
     let robot = args.robot.robot.as_deref();
     let patterns = if args.all {

@@ -1,4 +1,4 @@
-//! `zenav diff`. How do two runs differ? Goals, path, time, clearance, stages and keys, the largest differences first.
+//! `zenav diff`. Compares two runs: goals, path, time, clearance, stages and keys, largest differences first.
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -12,9 +12,9 @@ use crate::failure::Outcome;
 use crate::output::{self, Format};
 use crate::report::Percentiles;
 
-/// Points of a path that are compared.
+/// Most points of a path that are compared.
 const POINTS: usize = 2000;
-/// Differences that are told as the largest.
+/// Number of differences listed as the largest.
 const LARGEST: usize = 5;
 
 /// Arguments of `zenav diff`.
@@ -34,10 +34,10 @@ pub struct DiffArgs {
     output: Format,
 }
 
-/// How two runs differ.
+/// Comparison of two runs.
 #[derive(Debug, Serialize)]
 struct Comparison {
-    /// Whether every goal ended alike.
+    /// Whether every goal ended the same way.
     same_outcomes: bool,
     robots: Vec<RobotComparison>,
     keys: Vec<Key>,
@@ -49,7 +49,7 @@ struct RobotComparison {
     robot: String,
     goals: Vec<GoalComparison>,
     figures: Vec<Figure>,
-    /// Greatest distance of a point of one path from the other, m.
+    /// Largest distance of a point of one path from the other path, m.
     path_apart_m: Option<f64>,
 }
 
@@ -62,7 +62,7 @@ struct GoalComparison {
     b_secs: Option<f64>,
 }
 
-/// A number of both runs.
+/// A figure of both runs.
 #[derive(Clone, Debug, Serialize)]
 struct Figure {
     name: String,
@@ -86,7 +86,7 @@ struct Largest {
     what: String,
     a: f64,
     b: f64,
-    /// Difference over the greater of the two, 0 to 1.
+    /// Difference relative to the larger value, 0 to 1.
     share: f64,
 }
 
@@ -156,7 +156,7 @@ fn share(what: &str, a: Option<f64>, b: Option<f64>) -> Option<Largest> {
     })
 }
 
-/// Goals of one id; others in the order in which they came, as ids are often drawn anew.
+/// Pairs goals by id; the remaining ones by order of arrival, as ids are often generated anew.
 fn goals(a: &RobotRun, b: &RobotRun) -> Vec<GoalComparison> {
     fn left<'r>(of: &'r RobotRun, other: &RobotRun) -> Vec<&'r GoalRun> {
         let mut left: Vec<&GoalRun> = of
@@ -239,7 +239,7 @@ fn keys(a: &Run, b: &Run) -> Vec<Key> {
         .collect()
 }
 
-/// Greatest distance of a point of one path from the nearest of the other, m.
+/// Largest distance of a point of one path from the nearest point of the other, m.
 fn apart(a: &RobotRun, b: &RobotRun) -> Option<f64> {
     let thinned = |run: &RobotRun| -> Vec<Point2<f64>> {
         let step = run.poses.len().div_ceil(POINTS).max(1);

@@ -1,4 +1,4 @@
-//! `zenav film`. How did the map grow, and what did the robot see, plan and drive? A moving picture out of a record, or its last picture.
+//! `zenav film`. Renders a record as an animation, or only its last picture: the growing map, and what the robot saw, planned and drove.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -24,13 +24,13 @@ use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::{files, output};
 
-/// Width of a picture, and greatest height, px.
+/// Width and largest height of a picture, px.
 const WIDTH: u32 = 640;
 const HEIGHT: f64 = 560.0;
-/// Pictures of a film, and how long each is shown, hundredths of a second.
+/// Most pictures of a film, and how long each is shown, hundredths of a second.
 const PICTURES: usize = 160;
 const SHOWN: u16 = 12;
-/// Around what there is to see, m.
+/// Margin around the drawn area, m.
 const MARGIN: f64 = 0.3;
 
 /// Arguments of `zenav film`.
@@ -42,10 +42,11 @@ pub struct FilmArgs {
     /// Record
     #[arg(value_name = "RUN.mcap")]
     record: PathBuf,
-    /// What to write: .gif moves, .mp4 too (by ffmpeg, which must be installed), .png is the last picture [default: beside the record, with the ending .gif]
+    /// File to write: .gif, .mp4 (with ffmpeg, which must be installed), or .png for the last picture only [default: beside the record,
+    /// with the extension .gif]
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// Robot; may be left out when the record has one
+    /// Robot to show; optional if the record has only one
     #[arg(long, value_name = "NAME")]
     robot: Option<String>,
 }
@@ -79,7 +80,7 @@ pub fn film(args: &FilmArgs) -> Outcome {
     Ok(exit_code::OK)
 }
 
-/// Has ffmpeg write a GIF as MP4, in the pixel format that every player knows, which wants even sides.
+/// Converts a GIF to MP4 with ffmpeg, in the pixel format that all players support; it requires even sides.
 fn write_mp4(gif: Vec<u8>, out: &Path) -> Result<(), Failure> {
     // ffmpeg reads no GIF from a pipe.
     let source = out.with_extension("part.gif");
@@ -102,7 +103,7 @@ fn write_mp4(gif: Vec<u8>, out: &Path) -> Result<(), Failure> {
     }
 }
 
-/// What there was to see at a moment.
+/// Contents of one picture.
 #[derive(Clone, Debug, Default)]
 struct Moment {
     secs: f64,
@@ -112,11 +113,11 @@ struct Moment {
     plan: Arc<Vec<Point2<f64>>>,
     goal: Option<Point2<f64>>,
     note: String,
-    /// Points of the trail so far.
+    /// Number of trail points so far.
     driven: usize,
 }
 
-/// The moments of a run.
+/// The pictures of a run.
 struct Film {
     title: String,
     area: (Point2<f64>, Point2<f64>),
@@ -164,7 +165,7 @@ impl Film {
         Ok(film)
     }
 
-    /// Goes through the record and keeps what there is to see, once in so many seconds, `most` times, and at the end.
+    /// Reads the record and keeps a moment every `every` seconds, at most `most` of them, and the last one.
     fn shoot(&mut self, path: &Path, name: &str, every: f64, most: usize) -> Result<(), Failure> {
         let mut reader = RecordReader::open(path)?;
         let mut maps = Maps::default();
@@ -192,7 +193,7 @@ impl Film {
             now.map = maps.grid(name).cloned().map(Arc::new);
         }
         now.driven = self.trail.len();
-        // Before the first map there is nothing to draw on.
+        // Nothing can be drawn before the first map.
         if now.map.is_some() {
             self.moments.push(now.clone());
         }
@@ -211,7 +212,7 @@ impl Film {
             now.scan = scan.returns().map(|point| laser.transform_point(point)).collect();
         } else if let Ok(Some((_, plan))) = sample.message(&topics::PLAN) {
             let points: Vec<Point2<f64>> = plan.trajectory.iter().map(|point| point.position()).collect();
-            // A plan without a time law is its waypoints.
+            // A plan without a time law has only waypoints.
             now.plan = Arc::new(if points.is_empty() { plan.waypoints } else { points });
         } else if let Ok(Some((_, goal))) = sample.message(&topics::GOAL_STATE) {
             if goal.state != GoalPhase::Rejected {
@@ -246,7 +247,7 @@ impl Film {
     }
 }
 
-/// What there is to see: the cells that are known at the end, and the path.
+/// The area to draw: the cells known at the end, and the path.
 fn area(map: Option<&OccupancyGrid>, path: impl Iterator<Item = Point2<f64>>) -> (Point2<f64>, Point2<f64>) {
     let known = map.into_iter().flat_map(|map| {
         let cells = map.values().iter().enumerate();

@@ -1,13 +1,13 @@
-//! Format. How does a run lie in an MCAP file, and what is wrong with a file that is no record?
+//! Format. The layout of a run in an MCAP file, and the errors of files that are not valid records.
 //!
 //! | in the file | holds |
 //! |---|---|
 //! | header | profile `zenav`, library `zenav/VERSION` |
-//! | metadata `zenav` | version of this format and of the messages, when the recording began, what else is known of the run |
+//! | metadata `zenav` | version of this format and of the messages, start time of the recording, further entries about the run |
 //! | channels with `zenav.kind` `put` or `delete` | the samples, byte for byte: topic is the key, `zenav.encoding` Zenoh's encoding |
-//! | `attachment` | what was attached to the sample of that key with the same sequence number |
-//! | `reply` | what the recorder asked for: the robot's model, the map that was there already |
-//! | `drawn` | the same run as Foxglove's own messages; no reader of zenav looks at them |
+//! | `attachment` | the attachment of the sample on that key with the same sequence number |
+//! | `reply` | answers to the recorder's own requests: the robot's model, the map that existed before |
+//! | `drawn` | the same run as Foxglove's messages; zenav's own readers ignore them |
 
 use std::path::{Path, PathBuf};
 
@@ -22,9 +22,9 @@ use crate::failure::Failure;
 pub const PROFILE: &str = "zenav";
 /// Version of this format.
 pub const VERSION: &str = "1";
-/// Name of the metadata that tells of the run.
+/// Name of the metadata about the run.
 pub const ABOUT: &str = "zenav";
-/// Entry of a channel's metadata: what it carries.
+/// Entry of a channel's metadata: kind of its contents.
 pub const KIND: &str = "zenav.kind";
 /// Entry of a channel's metadata: Zenoh's encoding of the samples.
 pub const ENCODING: &str = "zenav.encoding";
@@ -32,29 +32,29 @@ pub const ENCODING: &str = "zenav.encoding";
 pub const FORMAT_ENTRY: &str = "format";
 /// Version of the messages.
 pub const SCHEMA_ENTRY: &str = "schema";
-/// When the recording began, ns since the UNIX epoch.
+/// Start of the recording, ns since the UNIX epoch.
 pub const STARTED_ENTRY: &str = "started";
-/// A title for people.
+/// A human-readable title.
 pub const TITLE_ENTRY: &str = "title";
 
-/// Kind of a channel that holds what was attached to samples.
+/// Kind of a channel with attachments of samples.
 pub const ATTACHMENT: &str = "attachment";
-/// Kind of a channel that holds Foxglove's own messages.
+/// Kind of a channel with Foxglove's messages.
 pub const DRAWN: &str = "drawn";
 
-/// What a sample of a record is.
+/// Kind of a sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Kind {
     /// A value was published.
     Put,
     /// A key's value was deleted.
     Delete,
-    /// The recorder asked for it.
+    /// An answer to a request of the recorder.
     Reply,
 }
 
 impl Kind {
-    /// The name in a channel's metadata.
+    /// Name in a channel's metadata.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -64,7 +64,7 @@ impl Kind {
         }
     }
 
-    /// The kind by its name.
+    /// The kind with this name.
     #[must_use]
     pub fn named(name: &str) -> Option<Self> {
         [Self::Put, Self::Delete, Self::Reply]
@@ -76,27 +76,27 @@ impl Kind {
 /// A sample of a record.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Sample {
-    /// The key that it came on.
+    /// Key of the sample.
     pub key: String,
     /// Zenoh's encoding of the payload.
     pub encoding: String,
-    /// What it is.
+    /// Kind of the sample.
     pub kind: Kind,
     /// The payload.
     pub bytes: Vec<u8>,
-    /// What its publisher attached to it.
+    /// Attachment by its publisher.
     pub attachment: Option<Vec<u8>>,
-    /// When it reached the recorder, ns since the UNIX epoch, by a clock that never steps back.
+    /// Arrival at the recorder, ns since the UNIX epoch, by a clock that never steps back.
     pub logged: u64,
-    /// When its publisher's session stamped it, ns since the UNIX epoch.
+    /// Timestamp by the publisher's session, ns since the UNIX epoch.
     pub published: Option<u64>,
 }
 
 impl Sample {
-    /// The message, if this is a value of that topic; with the chunks of its key.
+    /// The message and the chunks of its key, if this is a value of that topic.
     ///
     /// # Errors
-    /// What is wrong with a payload of that topic.
+    /// A payload of that topic that cannot be decoded.
     pub fn message<T: serde::de::DeserializeOwned>(
         &self,
         topic: &Topic<T>,
@@ -112,7 +112,7 @@ impl Sample {
         Ok(Some((chunks, message)))
     }
 
-    /// The reply, if the recorder asked this of a robot; with the robot's name.
+    /// The robot's name and the reply, if this is an answer to that ask.
     #[must_use]
     pub fn reply<Q, R: serde::de::DeserializeOwned>(&self, ask: &Ask<Q, R>) -> Option<(String, R)> {
         if self.kind != Kind::Reply {
@@ -124,7 +124,7 @@ impl Sample {
     }
 }
 
-/// What cannot be done with a record.
+/// An error with a record.
 #[derive(Debug, Error)]
 #[error("{}: {problem}", path.display())]
 pub struct RecordError {
@@ -134,38 +134,38 @@ pub struct RecordError {
     pub problem: Problem,
 }
 
-/// What is wrong with a record.
+/// Problem of a record.
 #[derive(Debug, Error)]
 pub enum Problem {
     /// There is no such file.
     #[error("no such file")]
     Missing,
-    /// It exists, and nothing is overwritten.
+    /// It exists already: nothing is overwritten.
     #[error("exists already; name another file, or delete it first")]
     Exists,
     /// It cannot be read or written.
     #[error("{0}")]
     Io(std::io::Error),
-    /// It is no MCAP file.
+    /// It is not an MCAP file.
     #[error("expected an MCAP file, which begins with \\x89MCAP0")]
     NotMcap,
-    /// It is somebody else's MCAP file.
+    /// It is an MCAP file of another program.
     #[error("an MCAP file, but no record of zenav (its profile is `{profile}`, expected `{PROFILE}`)")]
     Foreign {
         /// The profile in its header.
         profile: String,
     },
-    /// It was written in another version of the format, or with other messages.
+    /// It has another version of the format or of the messages.
     #[error("{what} {found}, this program reads {expected}")]
     Version {
-        /// Of what.
+        /// What the version is of.
         what: &'static str,
-        /// The file's.
+        /// Version in the file.
         found: String,
-        /// This program's.
+        /// Version of this program.
         expected: String,
     },
-    /// It is damaged beyond the place where it was cut off.
+    /// It is damaged, not merely cut off.
     #[error("damaged: {0}")]
     Damaged(String),
     /// It ends before its first sample.
@@ -183,7 +183,7 @@ impl RecordError {
         }
     }
 
-    /// An error of the file system.
+    /// An error from the file system.
     #[must_use]
     pub fn io(path: &Path, error: std::io::Error) -> Self {
         let missing = error.kind() == std::io::ErrorKind::NotFound;

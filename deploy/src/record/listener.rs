@@ -1,7 +1,7 @@
-//! Listener. What comes on a bus, as the samples of a record, with what somebody who joins late has missed?
+//! Listener. Turns bus traffic into samples of a record, including what a late joiner has missed.
 //!
-//! Arrival times are those of one clock that never steps back. Beside the samples it asks each robot for its model, mapping and motion
-//! workers for their settings, and mapping for a map whose beginning was missed; the answers are samples too.
+//! Arrival times come from one clock that never steps back. The listener also asks each robot for its model, mapping and motion workers
+//! for their settings, and mapping for a map whose beginning was missed; the answers become samples too.
 
 use std::collections::{BTreeSet, VecDeque};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -17,12 +17,12 @@ use super::format::{Kind, Sample};
 use super::replay::fits;
 use crate::failure::Failure;
 
-/// Most bytes that wait to be taken: some seconds of a robot at full rate, or one large map.
+/// Most bytes queued: some seconds of a robot at full rate, or one large map.
 const BACKLOG: usize = 64 << 20;
-/// Time limit of each question to a robot or to mapping.
+/// Longest wait for each answer of a robot or of mapping.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// UNIX time that never steps back: that of the start, and a monotonic clock since.
+/// UNIX time that never steps back: the wall time at the start, advanced by a monotonic clock.
 #[derive(Clone, Copy, Debug)]
 struct Timeline {
     began: Instant,
@@ -48,7 +48,7 @@ fn nanos(time: Duration) -> u64 {
     u64::try_from(time.as_nanos()).unwrap_or(u64::MAX)
 }
 
-/// Robot, side and name of a topic: that it comes says that the part which writes it is there.
+/// Robot, side and name of a topic: a message on it proves that the part that writes it is running.
 type Topic = [String; 3];
 
 /// Listens to a bus.
@@ -58,14 +58,14 @@ pub struct Listener {
     tap: Tap,
     timeline: Timeline,
     questions: JoinSet<Result<Vec<Sample>, Topic>>,
-    /// Answers that were not taken yet.
+    /// Answers not yet taken.
     answers: VecDeque<Sample>,
-    /// Those of whose parts it was asked.
+    /// Topics whose writers were already asked.
     known: BTreeSet<Topic>,
-    /// Robots of whose map a part was missing a second ago.
+    /// Robots whose map was incomplete a second ago.
     lacking: Vec<String>,
     asked_for_maps: Option<Instant>,
-    /// Which keys it listens on.
+    /// Key expressions that it listens on.
     patterns: Vec<String>,
 }
 
@@ -88,7 +88,7 @@ impl Listener {
         })
     }
 
-    /// When it began, ns since the UNIX epoch.
+    /// Start, ns since the UNIX epoch.
     #[must_use]
     pub fn began(&self) -> u64 {
         self.timeline.unix
@@ -107,19 +107,19 @@ impl Listener {
         }
     }
 
-    /// The next sample, if one waits.
+    /// The next sample, if one is queued.
     pub fn try_next(&mut self) -> Option<Sample> {
         let answer = self.answers.pop_front();
         answer.or_else(|| self.tap.try_next().map(|tapped| self.sample(tapped)))
     }
 
-    /// Now, on the clock of the samples, ns since the UNIX epoch.
+    /// Current time on the clock of the samples, ns since the UNIX epoch.
     #[must_use]
     pub fn now(&self) -> u64 {
         self.timeline.at(Instant::now())
     }
 
-    /// Number of samples dropped because nobody took them in time.
+    /// Number of samples dropped because they were not taken in time.
     #[must_use]
     pub fn dropped(&self) -> u64 {
         self.tap.dropped()
@@ -139,7 +139,7 @@ impl Listener {
         }
     }
 
-    /// Asks a robot that was not heard of before for its model, and mapping and motion workers for their settings.
+    /// On the first message of a part, asks a robot for its model, or mapping and motion workers for their settings.
     fn meet(&mut self, key: &str) {
         let mut chunks = key.split('/');
         let (Some("zenav"), Some(robot), Some(side), Some(name)) =
@@ -148,10 +148,10 @@ impl Listener {
             return;
         };
         let topic = match (side, name) {
-            // Whichever of its topics comes first.
+            // Any of its topics will do.
             ("edge", _) => [robot, side, ""],
             ("cloud", "map") => [robot, side, name],
-            // Workers are everybody's.
+            // Workers serve all robots.
             ("cloud", "motion") => ["*", side, name],
             _ => return,
         };
@@ -185,9 +185,8 @@ impl Listener {
         });
     }
 
-    /// To be called each second with the robots of whose map a part is missing: asks for what was missing a second ago too. A patch that is
-    /// only late comes within the second.
-    /// Without its patches a map would be lacking for good.
+    /// Call every second with the robots whose maps are incomplete: asks for those that were incomplete a second ago too. A patch that is
+    /// only late arrives within the second; a lost one would leave the map incomplete for good.
     pub fn ask_for_maps(&mut self, mut lacking: Vec<String>) {
         lacking.retain(|robot| {
             let patches = topics::MAP_PATCH.key(&[robot]);
@@ -211,7 +210,7 @@ impl Listener {
         }
     }
 
-    /// An answer is a sample; who gave none is asked again when heard of next.
+    /// Turns an answer into samples; a part that gave none is asked again on its next message.
     fn hear(&mut self, answers: Result<Result<Vec<Sample>, Topic>, JoinError>) {
         match answers {
             Ok(Ok(replies)) => self.answers.extend(replies),
@@ -223,7 +222,7 @@ impl Listener {
     }
 }
 
-/// What a part of the deployment told of itself, and the key where it did.
+/// A part's reply, and the key it came on.
 fn part(answer: Answer<InfoReply>) -> Option<(String, InfoReply)> {
     let chunks: Vec<&str> = answer.chunks.iter().map(String::as_str).collect();
     Some((topics::PART_INFO.key(&chunks), answer.result.ok()?))

@@ -1,11 +1,11 @@
-//! Live view. How does Foxglove see a run while it goes on? By its own WebSocket protocol, with the messages that a record holds too.
+//! Live view. Shows a running deployment in Foxglove, over Foxglove's WebSocket protocol, with the messages that a record also holds.
 //!
-//! Channels are Foxglove's own messages ([`super::foxglove`]) and every key whose samples are JSON objects. A viewer that comes late gets the
-//! last message of each channel that goes on meaning something; a slow one loses messages, and holds up nobody. A pose that is published on
-//! `/goal` (or `/ROBOT/goal`, `/move_base_simple/goal`) becomes a goal where that was allowed.
+//! Channels are Foxglove's own messages ([`super::foxglove`]) and every key whose samples are JSON objects. A late viewer gets the last
+//! message of each channel that is still meaningful; a slow one loses messages but delays nobody. A pose published on `/goal` (or
+//! `/ROBOT/goal`, `/move_base_simple/goal`) becomes a goal if that is enabled.
 //!
-//! The protocol knows no access control, and a browser lets any page open such a connection. So it listens on loopback alone, and takes goals
-//! only with `--goals`.
+//! The protocol has no access control, and a browser lets any page open such a connection. Therefore the server listens on loopback only,
+//! and accepts goals only with `--goals`.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::net::SocketAddr;
@@ -34,15 +34,15 @@ use crate::failure::{Failure, Outcome};
 
 /// Foxglove's own port, on loopback.
 pub const DEFAULT_LISTEN: &str = "127.0.0.1:8765";
-/// Messages that wait for a slow viewer.
+/// Most messages queued for a slow viewer.
 const BACKLOG: usize = 256;
-/// Most channels: keys with names in them come and go.
+/// Most channels: keys that contain names come and go.
 const MOST_CHANNELS: usize = 1024;
-/// Requests of viewers that wait.
+/// Most viewer requests queued.
 const REQUESTS: usize = 64;
-/// How often missing maps are asked for.
+/// Period of asking for missing maps.
 const EVERY: Duration = Duration::from_secs(1);
-/// Time limit for a goal to be accepted.
+/// Longest wait for a goal to be accepted.
 const PATIENCE: Duration = Duration::from_secs(5);
 
 /// Arguments of `zenav view`.
@@ -54,10 +54,10 @@ pub struct ViewArgs {
     /// Connection and robot.
     #[command(flatten)]
     robot: RobotArgs,
-    /// Address of loopback to listen on; port 0 takes a free one
+    /// Loopback address to listen on; port 0 takes a free one
     #[arg(long, value_name = "ADDRESS:PORT", default_value = DEFAULT_LISTEN)]
     listen: String,
-    /// Take poses that are published on `/goal` for goals
+    /// Accept poses published on `/goal` as goals
     #[arg(long)]
     goals: bool,
 }
@@ -65,7 +65,7 @@ pub struct ViewArgs {
 /// `zenav view`.
 ///
 /// # Errors
-/// Nobody to connect to, an address that is taken or that other machines reach.
+/// No connection, an address that is taken or that other machines can reach.
 pub fn view(args: &ViewArgs) -> Outcome {
     connect::on_bus(&args.robot.link, async |bus| {
         let robot = args.robot.robot.as_deref();
@@ -80,7 +80,7 @@ pub fn view(args: &ViewArgs) -> Outcome {
     })
 }
 
-/// A live view that goes on; it ends when this is dropped.
+/// A running live view; dropping it ends it.
 #[derive(Debug)]
 pub struct LiveView {
     server: Option<WebSocketServerHandle>,
@@ -98,10 +98,10 @@ impl Drop for LiveView {
 }
 
 impl LiveView {
-    /// Shows one robot, or all, at an address of loopback.
+    /// Shows one robot, or all, at a loopback address.
     ///
     /// # Errors
-    /// An address that is taken, none, or reached from other machines.
+    /// An address that is invalid, taken, or reachable from other machines.
     pub async fn start(bus: &Bus, robot: Option<&str>, listen: &str, goals: bool) -> Result<Self, Failure> {
         let expected = || {
             Failure::usage(format!(
@@ -151,19 +151,19 @@ impl LiveView {
         })
     }
 
-    /// Where viewers connect to.
+    /// Address for viewers.
     #[must_use]
     pub fn address(&self) -> &str {
         &self.address
     }
 
-    /// Waits until the bus was closed.
+    /// Waits until the bus is closed.
     pub async fn ended(&mut self) {
         let _ = (&mut self.task).await;
     }
 }
 
-/// What a viewer wants.
+/// A viewer's request.
 #[derive(Debug)]
 enum Wanted {
     /// The last message of a channel, for one viewer.
@@ -172,7 +172,7 @@ enum Wanted {
     Goal { topic: String, payload: Vec<u8> },
 }
 
-/// Hears the viewers, on threads that must not wait.
+/// Receives viewers' requests, on threads that must not block.
 struct Viewers {
     requests: mpsc::Sender<Wanted>,
 }
@@ -191,7 +191,7 @@ impl ServerListener for Viewers {
     }
 }
 
-/// A channel, and its last message of each key that it draws.
+/// A channel, and its last message for each key it shows.
 struct Shown {
     channel: Arc<RawChannel>,
     last: BTreeMap<String, (u64, Vec<u8>)>,
@@ -260,7 +260,7 @@ impl Show {
         self.publish(&drawn.topic, key, &drawn.json, now, describe);
     }
 
-    /// Gives a message to whoever views its channel; the first one of a channel describes it.
+    /// Sends a message to the viewers of its channel; the first message of a channel describes it.
     fn publish(
         &mut self,
         topic: &str,
@@ -291,7 +291,7 @@ impl Show {
             shown
                 .channel
                 .log_with_meta(message, PartialMetadata::with_log_time(now));
-            // A channel draws a few keys; only a log has one for each goal.
+            // Most channels show a few keys; only a log has one per goal.
             if shown.last.len() < REQUESTS || shown.last.contains_key(key) {
                 shown.last.insert(key.to_owned(), (now, message.to_vec()));
             }
@@ -322,7 +322,7 @@ impl Show {
         }
     }
 
-    /// The goal that a published pose means, and whose.
+    /// The goal that a published pose stands for, and its robot.
     fn goal(&self, topic: &str, payload: &[u8]) -> Result<(String, GoalRequest), String> {
         let named = match topic.trim_matches('/').split('/').collect::<Vec<_>>()[..] {
             ["goal"] | ["move_base_simple", "goal"] => self.only.clone(),
@@ -369,10 +369,10 @@ struct Quaternion {
 }
 
 impl Pose {
-    /// A goal here, at once.
+    /// A goal at this pose.
     fn request(&self) -> GoalRequest {
         let Quaternion { x, y, z, w } = self.orientation;
-        // Heading of a unit quaternion; (0, 0, 0, 0) tells none.
+        // Heading of a unit quaternion; (0, 0, 0, 0) has none.
         let yaw = (2.0 * (w * z + x * y)).atan2(1.0 - 2.0 * (y * y + z * z));
         GoalRequest {
             id: Some(fresh_id("goal")),

@@ -1,4 +1,4 @@
-//! Maps. How do the maps of a run look at one of its moments? Replicas, kept by the run's own patches.
+//! Maps. The maps of a run at a moment: replicas, updated with the run's own patches.
 
 use std::collections::BTreeMap;
 
@@ -19,18 +19,18 @@ pub struct Maps {
 #[derive(Debug, Default)]
 struct RobotMap {
     replica: MapReplica,
-    /// What mapping says that there is.
+    /// The revision that mapping announced.
     told: MapRef,
 }
 
 impl Maps {
-    /// Takes over what a sample tells of a map; returns the robot whose map has changed.
+    /// Applies a sample to the maps; returns the robot whose map has changed.
     pub fn see(&mut self, sample: &Sample) -> Option<String> {
         if let Some((robot, reply)) = sample.reply(&topics::MAP) {
             let map = self.robots.entry(robot.clone()).or_default();
             return map.replica.replace(&reply).then_some(robot);
         }
-        // Only what can be a map's is decoded.
+        // Only map topics are decoded.
         let pattern = topics::row_of(&sample.key)?.pattern;
         if pattern == topics::MAP_INFO.pattern {
             let (chunks, info) = sample.message(&topics::MAP_INFO).ok().flatten()?;
@@ -44,28 +44,28 @@ impl Maps {
         None
     }
 
-    /// A robot's map, where one is known.
+    /// A robot's map, if one is known.
     #[must_use]
     pub fn grid(&self, robot: &str) -> Option<&OccupancyGrid> {
         let map = self.robots.get(robot)?;
         map.replica.has_map().then(|| map.replica.grid())
     }
 
-    /// What mapping would answer who asks for a robot's map now.
+    /// The reply that mapping would give now to a request for a robot's map.
     #[must_use]
     pub fn reply(&self, robot: &str) -> Option<MapReply> {
         let map = self.robots.get(robot)?;
         map.replica.has_map().then(|| reply(&map.replica))
     }
 
-    /// Robots of whose map a part is missing here.
+    /// Robots whose map is behind the revision that mapping announced.
     pub fn incomplete(&self) -> impl Iterator<Item = &str> {
         let lacks = |map: &RobotMap| map.told.revision > 0 && !map.replica.holds(&map.told);
         let robots = self.robots.iter().filter(move |(_, map)| lacks(map));
         robots.map(|(robot, _)| robot.as_str())
     }
 
-    /// The maps as mapping would answer who asks for them now.
+    /// The replies that mapping would give now to requests for the maps.
     #[must_use]
     pub fn replies(&self, now: u64) -> Vec<Sample> {
         let known = self.robots.iter().filter(|(_, map)| map.replica.has_map());

@@ -1,26 +1,26 @@
-//! Records. What happened in a run? Written down as it goes over the bus, played again, computed again, compared, and told in a page.
+//! Records. A run on the bus written to a file, then replayed, recomputed, compared, and summarised in a page.
 //!
-//! A record is an MCAP file. It holds every sample byte for byte, and the same run once more as Foxglove's own messages, so that its tools
-//! show it as it is.
+//! A record is an MCAP file. It holds every sample byte for byte, and the same run again as Foxglove's own messages, so that its tools
+//! show it without conversion.
 //!
 //! | file | answers |
 //! |---|---|
 //! | `command` | what does `zenav record` do and print? |
-//! | `listener` | what comes on the bus, with what a late listener has missed? |
-//! | `recorder` | how do samples get into a file, without ever holding up the bus? |
-//! | `live` | how does Foxglove see a run while it goes on? |
-//! | `format` | how does a run lie in the file, and what is wrong with a file that is no record? |
-//! | `writer`, `reader` | how are samples written and read, also in a file that was cut off? |
-//! | `schema` | which fields have our messages, as JSON Schema? |
-//! | `foxglove` | how does the run look in Foxglove's tools? |
-//! | `maps` | which maps were known at a moment? |
-//! | `replay` | how does the run come onto a bus again? |
-//! | `recompute` | do the cores make the same of the same inputs? |
-//! | `run` | what happened, in numbers: path, speed, clearance, goals, plans, stages, tree |
-//! | `run_clock` | when in the run? |
+//! | `listener` | what arrives on the bus, including what a late listener has missed? |
+//! | `recorder` | how do samples get into a file without ever delaying the bus? |
+//! | `live` | how is a run shown in Foxglove while it is running? |
+//! | `format` | what is the layout of a record, and what makes a file invalid? |
+//! | `writer`, `reader` | how are samples written and read, including files that were cut off? |
+//! | `schema` | JSON Schemas of zenav's messages |
+//! | `foxglove` | how is a run converted for Foxglove's tools? |
+//! | `maps` | which maps were known at a given moment? |
+//! | `replay` | how is a run published on a bus again? |
+//! | `recompute` | do the cores give the same outputs for the same inputs? |
+//! | `run` | a run in numbers: path, speed, clearance, goals, plans, stages, tree |
+//! | `run_clock` | time within a run |
 //! | `diff` | how do two runs differ? |
-//! | `report`, `film` | the run as one page, and as a moving picture |
-//! | `words` | events in a line |
+//! | `report`, `film` | a run as one page, and as an animation |
+//! | `words` | events in one line each |
 
 mod command;
 mod diff;

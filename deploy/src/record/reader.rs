@@ -1,4 +1,4 @@
-//! Reader. Which samples are in a record? One after another, in the order in which they came, also from a file that was cut off.
+//! Reader. Reads the samples of a record one after another, in order of arrival, also from a file that was cut off.
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
@@ -14,16 +14,16 @@ use super::format::{
     ABOUT, ATTACHMENT, ENCODING, FORMAT_ENTRY, KIND, Kind, PROFILE, Problem, RecordError, SCHEMA_ENTRY, Sample, VERSION,
 };
 
-/// Largest record of a file that is read, bytes: more than the largest message.
+/// Largest record of a file that is read, bytes: larger than the largest message.
 const MOST: usize = 256 << 20;
-/// Most attachments that wait for their samples.
+/// Most attachments held for their samples.
 const MOST_ATTACHED: usize = 64;
 
 /// Reads a record from its beginning to its end.
 pub struct RecordReader {
     path: PathBuf,
     file: BufReader<File>,
-    /// Bytes of the file that were not read yet.
+    /// Bytes of the file not yet read.
     left: u64,
     reader: LinearReader,
     about: BTreeMap<String, String>,
@@ -46,7 +46,7 @@ impl std::fmt::Debug for RecordReader {
 /// An attachment: kind, key and number of its sample, and its bytes.
 type Attached = (Kind, String, u32, Vec<u8>);
 
-/// What a channel carries.
+/// Contents of a channel.
 enum Carried {
     Samples { key: String, kind: Kind, encoding: String },
     Attachments { key: String, kind: Kind },
@@ -73,7 +73,7 @@ impl RecordReader {
     /// Opens a record and reads up to its first sample.
     ///
     /// # Errors
-    /// [`RecordError`] for what is no record of this version, and for one without any sample.
+    /// [`RecordError`] for a file that is not a record of this version, or that has no samples.
     pub fn open(path: &Path) -> Result<Self, RecordError> {
         let io = |error| RecordError::io(path, error);
         let file = File::open(path).map_err(io)?;
@@ -103,16 +103,16 @@ impl RecordReader {
         Ok(reader)
     }
 
-    /// What is known of the run: the entries of the metadata `zenav`.
+    /// Entries of the metadata `zenav` about the run.
     #[must_use]
     pub fn about(&self) -> &BTreeMap<String, String> {
         &self.about
     }
 
-    /// Whether the messages are those of this program.
+    /// Checks that the messages have this program's version.
     ///
     /// # Errors
-    /// They are of another version.
+    /// They have another version.
     pub fn check_messages(&self) -> Result<(), RecordError> {
         let found = self.about.get(SCHEMA_ENTRY).map_or("", String::as_str);
         let expected = SCHEMA_VERSION.to_string();
@@ -126,7 +126,7 @@ impl RecordReader {
         }))
     }
 
-    /// Whether the file ended before its end, as one does whose recorder was killed. Known once all of it was read.
+    /// Whether the file was cut off, as after its recorder was killed. Known only after reading all of it.
     #[must_use]
     pub const fn is_cut_off(&self) -> bool {
         self.cut_off
@@ -135,7 +135,7 @@ impl RecordReader {
     /// The next sample; `None` at the end.
     ///
     /// # Errors
-    /// The file is damaged before the place where it was cut off.
+    /// The file is damaged, not merely cut off.
     pub fn next_sample(&mut self) -> Result<Option<Sample>, RecordError> {
         match self.first.take() {
             Some(sample) => Ok(Some(sample)),
@@ -176,7 +176,7 @@ impl RecordReader {
         Ok(None)
     }
 
-    /// The next record that tells something; `None` where the data end.
+    /// The next record with content; `None` at the end of the data.
     fn record(&mut self) -> Result<Option<Record<'static>>, RecordError> {
         loop {
             let need = match self.reader.next_event() {
@@ -187,7 +187,7 @@ impl RecordReader {
                         let record = parse_record(opcode, data).map(Record::into_owned);
                         return record.map(Some).map_err(|error| damaged(&self.path, &error));
                     }
-                    // Behind it stands only what repeats the rest.
+                    // Behind it are only summaries of the rest.
                     op::DATA_END => return Ok(None),
                     _ => continue,
                 },
@@ -202,7 +202,7 @@ impl RecordReader {
         }
     }
 
-    /// The sample that a message is; an attachment waits for its own.
+    /// The sample of a message; an attachment is held for its sample.
     fn message(&mut self, header: &MessageHeader, bytes: Vec<u8>) -> Option<Sample> {
         match self.channels.get(&header.channel_id)? {
             Carried::Samples { key, kind, encoding } => {
@@ -238,9 +238,9 @@ impl RecordReader {
         }))
     }
 
-    /// Gives the reader more of the file.
+    /// Reads more of the file into the reader.
     fn supply(&mut self, need: usize) -> Result<(), RecordError> {
-        // A length that the file merely claims allocates nothing beyond its size.
+        // A length claimed by a damaged file allocates no more than the file's size.
         let need = usize::try_from(self.left).unwrap_or(usize::MAX).min(need);
         let read = self.file.read(self.reader.insert(need));
         let read = read.map_err(|error| RecordError::io(&self.path, error))?;
@@ -328,7 +328,7 @@ mod tests {
         assert_eq!(written.keys["zenav/r/edge/bump"], 52);
         assert_eq!(written.file_bytes, std::fs::metadata(&path).unwrap().len());
         assert_eq!(read(&path).unwrap(), (samples, false));
-        // The summary that tools look at first.
+        // The summary, which tools read first.
         let bytes = std::fs::read(&path).unwrap();
         let summary = mcap::Summary::read(&bytes).unwrap().expect("a summary");
         assert_eq!(summary.stats.expect("statistics").message_count, 55);
@@ -352,7 +352,7 @@ mod tests {
         }
         writer.flush().unwrap();
         let flushed = std::fs::read(&path).unwrap();
-        // A recorder that is killed writes no end.
+        // A killed recorder writes no footer.
         std::mem::forget(writer);
         let part = folder.path().join("part.mcap");
         for length in (0..=flushed.len()).rev().step_by(7) {
@@ -410,7 +410,7 @@ mod tests {
             let mut bytes = whole.clone();
             bytes[place] ^= 0x55;
             std::fs::write(&bad, &bytes).unwrap();
-            // What comes of it may be fewer samples; another payload it is never, for chunks have checksums.
+            // Fewer samples may come out, but never a changed payload: chunks have checksums.
             if let Err(error) = read(&bad) {
                 assert!(!error.to_string().is_empty());
             }

@@ -1,6 +1,6 @@
-//! Recorder. How does what comes on a bus get into a file, without ever holding up the bus or filling the memory?
+//! Recorder. Writes bus traffic to a file without ever delaying the bus or filling the memory.
 //!
-//! Zenoh's threads put samples into a queue that is bounded by bytes ([`Listener`]); a thread of its own writes them. What does not fit is
+//! Zenoh's threads put samples into a queue bounded in bytes ([`Listener`]); a separate thread writes them. Samples that do not fit are
 //! dropped and counted.
 
 use std::path::Path;
@@ -14,10 +14,10 @@ use super::listener::Listener;
 use super::writer::{RecordOptions, RecordWriter, Written};
 use crate::failure::Failure;
 
-/// How often what was written is made to outlive this process.
+/// Period of flushing, so that the data written outlive this process.
 const FLUSH: Duration = Duration::from_secs(1);
 
-/// A recording that goes on.
+/// A running recording.
 #[derive(Debug)]
 pub struct Recording {
     shutdown: Shutdown,
@@ -25,21 +25,21 @@ pub struct Recording {
 }
 
 impl Recording {
-    /// Records what comes on keys that match one of the patterns.
+    /// Records the keys that match one of the patterns.
     ///
     /// # Errors
-    /// Bad patterns, or a file that cannot be made.
+    /// Bad patterns, or a file that cannot be created.
     pub fn start(bus: &Bus, patterns: &[String], path: &Path, options: RecordOptions) -> Result<Self, Failure> {
         let listener = Listener::new(bus, patterns)?;
         let writer = RecordWriter::create(path, options, listener.began())?;
         let shutdown = Shutdown::new();
         let (handle, ended) = (Handle::current(), shutdown.clone());
-        // A slow disk may hold up this thread, and nothing else.
+        // A slow disk may block this thread, and nothing else.
         let task = tokio::task::spawn_blocking(move || handle.block_on(record(listener, writer, &ended)));
         Ok(Self { shutdown, task })
     }
 
-    /// Waits until it ends by itself, as it does when the disk is full or the bus was closed; cancel-safe.
+    /// Waits until it ends by itself: the disk is full, or the bus was closed. Cancel-safe.
     ///
     /// # Errors
     /// The file could not be written.
@@ -47,7 +47,7 @@ impl Recording {
         (&mut self.task).await.map_err(Failure::failed)?
     }
 
-    /// Ends it: what has come until now is written.
+    /// Ends it: everything received so far is written.
     ///
     /// # Errors
     /// The file could not be written.
@@ -79,7 +79,7 @@ async fn record(mut listener: Listener, mut writer: RecordWriter, shutdown: &Shu
             () = shutdown.wait() => break,
         }
     }
-    // What comes from now on is not of this recording, however fast it comes.
+    // Samples that arrive from now on are excluded, however fast they come.
     let end = listener.now();
     while let Some(sample) = listener.try_next() {
         if sample.logged > end {

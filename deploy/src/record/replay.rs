@@ -1,7 +1,7 @@
-//! `zenav replay`. How does a run come onto a bus again? Every sample byte for byte, at its own time.
+//! `zenav replay`. Publishes a run on a bus again: every sample byte for byte, at its own time.
 //!
-//! Each sample has its deadline on a monotonic clock, counted from the first: late ones are caught up, and nothing drifts. A replay that
-//! begins in the middle begins with the last states before, and maps are answered for as mapping would: what came before counts.
+//! Each sample has a deadline on a monotonic clock, counted from the first: late ones catch up, and nothing drifts. A replay that starts
+//! in the middle first publishes the last states before that, and answers map requests as mapping would have: earlier patches count.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -25,9 +25,9 @@ use crate::output::{self, Format};
 
 type MapRequested = Request<MapRequest, MapReply>;
 
-/// How long to look for robots that are alive before the first sample.
+/// Time spent looking for live robots before the first sample.
 const LOOK: Duration = Duration::from_millis(700);
-/// Time for the last samples to leave.
+/// Time for the last samples to be sent.
 const DRAIN: Duration = Duration::from_millis(200);
 
 /// Arguments of `zenav replay`.
@@ -38,28 +38,28 @@ const DRAIN: Duration = Duration::from_millis(200);
                   zenav replay run.mcap --speed 2 --from 10"
 )]
 pub struct ReplayArgs {
-    /// Record
+    /// Record to replay
     #[arg(value_name = "FILE")]
     file: PathBuf,
     /// Connection.
     #[command(flatten)]
     link: LinkArgs,
-    /// Recorded time against wall time
+    /// Recorded time relative to wall time
     #[arg(long, default_value_t = 1.0, value_parser = positive)]
     speed: f64,
-    /// Begin at this time of the record, s
+    /// Start at this time of the record, s
     #[arg(long, value_name = "SECS", default_value_t = 0.0, value_parser = finite)]
     from: f64,
-    /// End at this time of the record, s
+    /// Stop at this time of the record, s
     #[arg(long, value_name = "SECS", value_parser = positive)]
     to: Option<f64>,
-    /// Only keys like these (`zenav/*/edge/**`, `edge/scan`, `pose`) [default: all]
+    /// Publish only matching keys (`zenav/*/edge/**`, `edge/scan`, `pose`) [default: all]
     #[arg(long, value_name = "KEYS", num_args = 1..)]
     keys: Vec<String>,
-    /// Publish also what a robot would obey that is alive on this bus
+    /// Also publish what a robot alive on this bus would obey
     #[arg(long)]
     to_live_robot: bool,
-    /// Publish nothing: compute again from the recorded inputs, and compare with what was recorded
+    /// Publish nothing: recompute outputs from the recorded inputs, and compare them with the recorded ones
     #[arg(
         long,
         value_name = "PARTS",
@@ -68,7 +68,7 @@ pub struct ReplayArgs {
         conflicts_with_all = ["from", "to", "keys", "speed", "to_live_robot"]
     )]
     recompute: Vec<super::recompute::Part>,
-    /// Deployment whose settings the run had, for --recompute [default: what the record says, or the shipped one]
+    /// Deployment with the run's settings, for --recompute [default: the settings in the record, or the shipped ones]
     #[arg(long, value_name = "DEPLOYMENT", requires = "recompute")]
     deployment: Option<PathBuf>,
     /// Output format
@@ -76,7 +76,7 @@ pub struct ReplayArgs {
     output: Format,
 }
 
-/// What was published.
+/// Summary of a replay.
 #[derive(Debug, Default, Serialize)]
 struct Replayed {
     /// Samples.
@@ -85,9 +85,9 @@ struct Replayed {
     keys: usize,
     /// Bytes of their payloads.
     payload_bytes: u64,
-    /// Time of the record that was replayed, s.
+    /// Replayed time of the record, s.
     secs: f64,
-    /// How much later than due the latest sample left, ms.
+    /// Largest delay of a sample behind its deadline, ms.
     latest_ms: f64,
     /// Whether the record was cut off.
     cut_off: bool,
@@ -96,7 +96,7 @@ struct Replayed {
 /// `zenav replay`.
 ///
 /// # Errors
-/// A bad record, nobody to connect to, or a robot that would obey.
+/// A bad record, no connection, or a live robot that would obey.
 pub fn replay(args: &ReplayArgs) -> Outcome {
     if !args.recompute.is_empty() {
         return super::recompute::run(&args.file, &args.recompute, args.deployment.as_deref(), args.output);
@@ -136,7 +136,7 @@ pub fn replay(args: &ReplayArgs) -> Outcome {
     Ok(exit_code::OK)
 }
 
-/// Which samples are meant.
+/// Selected samples.
 struct Selection {
     patterns: Vec<String>,
     from: f64,
@@ -156,7 +156,7 @@ impl Selection {
     }
 
     fn has_key(&self, key: &str) -> bool {
-        // A body obeys these, and tells nobody that it is alive; whoever looks on needs them not.
+        // A body obeys these but has no liveliness token; observers do not need them.
         let drives = || topics::row_of(key).is_some_and(|row| row.pattern == topics::WHEELS.pattern);
         if !self.to_live_robot && drives() {
             return false;
@@ -164,12 +164,12 @@ impl Selection {
         self.patterns.is_empty() || self.patterns.iter().any(|pattern| fits(pattern, key))
     }
 
-    /// Whether a sample is meant that came so long after the first, s.
+    /// Whether a sample so long after the first is selected, s.
     fn has(&self, sample: &Sample, secs: f64) -> bool {
         sample.kind != Kind::Reply && secs >= self.from && secs <= self.to && self.has_key(&sample.key)
     }
 
-    /// Whether a sample before the begin is a state that holds until the next one.
+    /// Whether a sample before the start is a state that holds until the next one.
     fn has_state(&self, sample: &Sample) -> bool {
         let is_state = || topics::row_of(&sample.key).is_some_and(|row| row.qos == Some(Qos::State));
         sample.kind == Kind::Put && self.has_key(&sample.key) && is_state()
@@ -202,7 +202,7 @@ pub(super) fn fits(pattern: &str, key: &str) -> bool {
     chunks(&pattern, &key)
 }
 
-/// What will be published: known before the first sample is.
+/// Contents of the replay, known before the first sample is published.
 struct Contents {
     first: u64,
     keys: BTreeSet<String>,
@@ -220,7 +220,7 @@ impl Contents {
                 held.insert(sample.key);
             }
         }
-        // States that hold at the begin are published with the first sample.
+        // States that hold at the start are published with the first sample.
         if !keys.is_empty() {
             keys.append(&mut held);
         }
@@ -232,7 +232,7 @@ impl Contents {
 }
 
 impl Contents {
-    /// Whose keys are published.
+    /// Robots whose keys are published.
     fn robots(&self) -> BTreeSet<&str> {
         let known = self.keys.iter().filter(|key| topics::row_of(key).is_some());
         let second = known.filter_map(|key| key.split('/').nth(1));
@@ -245,7 +245,7 @@ fn since(first: u64, logged: u64) -> f64 {
     logged.saturating_sub(first) as f64 * 1e-9
 }
 
-/// Keys of a robot that is there now which must not be published on: it would obey them, or others would take them for its own.
+/// Keys of a live robot, which must not be published: it would obey them, or others would take them for its own.
 fn of_live_robots<'k>(keys: &'k BTreeSet<String>, alive: &BTreeSet<String>) -> Vec<&'k str> {
     let of_one = |key: &&String| {
         let mut chunks = key.split('/');
@@ -254,12 +254,12 @@ fn of_live_robots<'k>(keys: &'k BTreeSet<String>, alive: &BTreeSet<String>) -> V
     keys.iter().filter(of_one).map(String::as_str).collect()
 }
 
-/// Sees to it that no live robot obeys the past.
+/// Makes sure that no live robot obeys the record.
 struct Guard {
     keys: BTreeSet<String>,
     allowed: bool,
     watch: AliveWatch,
-    /// Robots, and which of their components are alive.
+    /// Robots and their live components.
     alive: BTreeSet<(String, String)>,
 }
 
@@ -273,7 +273,7 @@ impl Guard {
         })
     }
 
-    /// Who is there now? By its token, or by its state, as on a robot's own endpoint; a simulation by its time.
+    /// Looks for live robots: by liveliness token, or by state, as on a robot's own endpoint. A running simulation is found by its clock.
     async fn look(&mut self, bus: &Bus) -> Result<(), Failure> {
         let mut states = bus.latest(&topics::STATE, &["*"])?;
         let mut clock = bus.latest(&topics::SIM_CLOCK, &[])?;
@@ -328,7 +328,7 @@ impl Guard {
         ))
     }
 
-    /// Waits until a robot comes to life that would obey.
+    /// Waits until a robot appears that would obey.
     async fn until_one_comes(&mut self) -> Failure {
         while let Some((key, up)) = self.watch.next().await {
             self.note(&key, up);
@@ -350,10 +350,10 @@ async fn publish(
     let mut publishers: BTreeMap<(String, String), RawPublisher> = BTreeMap::new();
     let mut keys = BTreeSet::new();
     let mut replayed = Replayed::default();
-    // What holds at the begin: the maps, and the last of each state, in the order in which they came.
+    // What holds at the start: the maps, and the last of each state, in order of arrival.
     let mut maps = Maps::default();
     let mut states: BTreeMap<String, (usize, Sample)> = BTreeMap::new();
-    // A live mapper answers for its own map.
+    // A live mapping service answers for its own map.
     let mut asked = match selection.to_live_robot {
         true => None,
         false => Some(map_requests(bus, &contents.robots())?),
@@ -423,7 +423,7 @@ async fn publish(
     Ok(replayed)
 }
 
-/// The requests for the maps of these robots.
+/// Requests for the maps of these robots.
 fn map_requests(bus: &Bus, robots: &BTreeSet<&str>) -> Result<mpsc::Receiver<MapRequested>, Failure> {
     let (sender, requests) = mpsc::channel(1);
     for robot in robots {
@@ -440,7 +440,7 @@ fn map_requests(bus: &Bus, robots: &BTreeSet<&str>) -> Result<mpsc::Receiver<Map
     Ok(requests)
 }
 
-/// The next request for a map; never, where somebody else answers.
+/// The next request for a map; never, if a live mapping service answers.
 async fn next(asked: &mut Option<mpsc::Receiver<MapRequested>>) -> MapRequested {
     if let Some(asked) = asked
         && let Some(request) = asked.recv().await
@@ -450,7 +450,7 @@ async fn next(asked: &mut Option<mpsc::Receiver<MapRequested>>) -> MapRequested 
     std::future::pending().await
 }
 
-/// Answers as mapping would have, at this time of the record.
+/// Answers as mapping would have at this time of the record.
 fn answer(request: MapRequested, maps: &Maps) {
     let robot = request.chunks.first().map_or("", String::as_str);
     match maps.reply(robot) {
@@ -462,7 +462,7 @@ fn answer(request: MapRequested, maps: &Maps) {
     }
 }
 
-/// When a sample is due after the begin.
+/// Deadline of a sample, from the start.
 fn due(secs: f64, speed: f64) -> Duration {
     Duration::try_from_secs_f64((secs / speed).max(0.0)).unwrap_or(Duration::from_secs(1 << 30))
 }

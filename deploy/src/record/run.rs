@@ -1,7 +1,7 @@
-//! Run. What happened, in numbers? Each robot's path, speed, clearance, goals, plans, stages and tree, out of a record.
+//! Run. A record in numbers: each robot's path, speed, clearance, goals, plans, stages and tree.
 //!
-//! Time is the robot's own, from its first pose on: in a simulation that is simulated time. Where its clock begins anew, time goes on. What
-//! came from the cloud has the time of the newest pose that had arrived before it. Latencies are wall time at the recorder.
+//! Time is the robot's own, from its first pose on: in simulation that is simulated time. If its clock restarts, time continues. Data from
+//! the cloud get the time of the newest pose received before them. Latencies are wall time at the recorder.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -24,37 +24,37 @@ use super::run_clock::RunClock;
 use super::words;
 use crate::failure::Failure;
 
-/// Time between two points of a series, s.
+/// Interval between two points of a series, s.
 const STEP: f64 = 0.05;
-/// Slower than this counts as standing, m/s or rad/s.
+/// Below this the robot counts as stationary, m/s or rad/s.
 const MOVING: f64 = 0.02;
-/// Stamps and arrivals of scans that are remembered.
+/// Most scans and map revisions kept for latencies.
 const REMEMBERED: usize = 512;
-/// Most events and spans of nodes that are kept.
+/// Most events and node spans kept.
 const MOST: usize = 20_000;
-/// A pose does not come for longer than this, s.
+/// Longest interval between poses that counts as driven, s.
 const LONGEST_STEP: f64 = 1.0;
-/// What happened longer before the first pose than this is of another run, s: the recorder is told of the newest events.
+/// An event this long before the first pose belongs to an earlier run, s: the recorder also receives retained events.
 const HISTORY: f64 = 2.0;
 
-/// What happened in a run.
+/// A run.
 #[derive(Debug, Default)]
 pub struct Run {
-    /// What the recording calls it.
+    /// Title of the recording.
     pub title: String,
-    /// When the first sample came, ns since the UNIX epoch.
+    /// Arrival of the first sample, ns since the UNIX epoch.
     pub began: u64,
-    /// From the first sample to the last, wall time, s.
+    /// Wall time from the first sample to the last, s.
     pub wall_secs: f64,
-    /// Samples, and payload bytes, of each key.
+    /// Samples and payload bytes of each key.
     pub keys: BTreeMap<String, KeyCount>,
-    /// Each robot.
+    /// Robots by name.
     pub robots: BTreeMap<String, RobotRun>,
     /// Whether the record was cut off.
     pub cut_off: bool,
 }
 
-/// What came on a key.
+/// Traffic on a key.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct KeyCount {
     /// Samples.
@@ -63,12 +63,12 @@ pub struct KeyCount {
     pub bytes: u64,
 }
 
-/// What happened to one robot.
+/// Run of one robot.
 #[derive(Debug, Default)]
 pub struct RobotRun {
-    /// The robot, where its edge told.
+    /// The robot's model, if its edge reported it.
     pub model: Option<RobotModel>,
-    /// Where it was, map frame, over time, s.
+    /// Poses, map frame, over time, s.
     pub poses: Vec<(f64, Pose2)>,
     /// Forward speed, m/s, over time, s.
     pub speed: Vec<(f64, f64)>,
@@ -80,69 +80,69 @@ pub struct RobotRun {
     pub secs: f64,
     /// Events: time, s, whether it is a warning, and in words.
     pub events: Vec<(f64, bool, String)>,
-    /// Goals, as they were last.
+    /// Goals, in their last state.
     pub goals: BTreeMap<String, GoalRun>,
-    /// Trajectories that were published.
+    /// Trajectories published.
     pub plans: u64,
     /// Plans that the robot refused.
     pub rejected: u64,
     /// Latencies of stages, ms.
     pub stages: BTreeMap<&'static str, Vec<f64>>,
-    /// When each node of a tree ran.
+    /// When each tree node ran.
     pub nodes: Vec<NodeSpan>,
-    /// The plan that was in force last.
+    /// The last plan in force.
     pub plan: Vec<Point2<f64>>,
     /// The map at the end.
     pub map: Option<OccupancyGrid>,
-    /// Contacts that the bumper told of.
+    /// Contacts reported by the bumper.
     pub bumps: u64,
-    /// What is needed while it is read.
+    /// State while the record is read.
     pub(super) trace: Trace,
 }
 
-/// A goal, and when it was first heard of and ended, s.
+/// A goal, with the times when it was first and last reported, s.
 #[derive(Debug)]
 pub struct GoalRun {
     /// Its last state.
     pub state: GoalState,
-    /// When it was first heard of, s.
+    /// First report, s.
     pub from: f64,
-    /// When it was last heard of, s.
+    /// Last report, s.
     pub to: f64,
-    /// Driven meanwhile, m.
+    /// Driven in between, m.
     pub length: f64,
     length_before: f64,
 }
 
-/// A node that ran.
+/// A span in which a node ran.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NodeSpan {
-    /// Goal and number of the node.
+    /// Goal, and number of the node.
     pub node: (String, u32),
-    /// Levels above it.
+    /// Depth in the tree.
     pub depth: usize,
     /// Its name.
     pub name: String,
-    /// From when to when, s.
+    /// Start, s.
     pub from: f64,
-    /// Until when, s.
+    /// End, s.
     pub to: f64,
-    /// `RUNNING` while it does, then how it ended.
+    /// `RUNNING` while it runs, then its result.
     pub status: String,
 }
 
-/// What is needed on the way.
+/// State while a record is read.
 #[derive(Debug, Default)]
 pub struct Trace {
     clock: RunClock,
-    /// The boot of the newest state.
+    /// Boot of the newest state.
     boot_id: String,
     at: Option<Pose2>,
     /// Arrivals of scans, ns.
     scans: Vec<(Stamp, u64)>,
-    /// The newest scan of each revision of the map, and the arrival of the revision.
+    /// Newest scan of each map revision.
     revisions: Vec<(u64, Stamp)>,
-    /// Events that came before the first pose, and so long after the record's begin, s: history, and what happened just then.
+    /// Events before the first pose, with their time since the start of the record, s: retained history, and early events.
     early: Vec<(Event, f64)>,
     trajectory: Option<u64>,
     moving: bool,
@@ -154,7 +154,7 @@ impl Run {
     /// Reads a record.
     ///
     /// # Errors
-    /// A bad record, or one of other messages.
+    /// A bad record, or one with another message version.
     pub fn read(path: &Path) -> Result<Self, Failure> {
         let mut reader = RecordReader::open(path)?;
         reader.check_messages()?;
@@ -165,7 +165,7 @@ impl Run {
         };
         let mut maps = Maps::default();
         let (mut first, mut last) = (None, 0);
-        // The model comes when the recorder has asked for it; clearance is from the first scan on.
+        // The model arrives only after the recorder asked for it; clearance starts with the first scan.
         let mut scans = Vec::new();
         while let Some(sample) = reader.next_sample()? {
             run.began = *first.get_or_insert(sample.logged);
@@ -253,14 +253,14 @@ impl Run {
 }
 
 impl RobotRun {
-    /// Least clearance, m.
+    /// Smallest clearance, m.
     #[must_use]
     pub fn least_clearance(&self) -> Option<f64> {
         let least = self.clearance.iter().map(|(_, clearance)| *clearance).reduce(f64::min);
         least.filter(|least| least.is_finite())
     }
 
-    /// Greatest speed, m/s.
+    /// Largest speed, m/s.
     #[must_use]
     pub fn top_speed(&self) -> f64 {
         self.speed.iter().map(|(_, speed)| speed.abs()).fold(0.0, f64::max)
@@ -286,7 +286,7 @@ impl RobotRun {
                 }
             }
         }
-        // What it drove: the estimate jumps where it is corrected.
+        // Integrated from the velocity: the pose estimate jumps when it is corrected.
         if self.trace.at.is_some() {
             self.length += pose.velocity.v.abs() * (now - before).clamp(0.0, LONGEST_STEP);
         }
@@ -308,7 +308,7 @@ impl RobotRun {
         }
     }
 
-    /// When a scan arrived, ns.
+    /// Arrival of the scan with this stamp, ns.
     fn arrival(&self, stamp: Stamp) -> Option<u64> {
         let mut scans = self.trace.scans.iter().rev();
         scans.find(|(of, _)| *of == stamp).map(|(_, arrival)| *arrival)
@@ -326,10 +326,11 @@ impl RobotRun {
         }
     }
 
-    /// An event has come so long after the record's begin, s.
+    /// Takes in an event, `since` s after the start of the record.
     fn hear(&mut self, event: Event, since: f64) {
         match self.trace.clock.at(event.stamp) {
-            // Older than the record by far: of a boot whose clock began anew, and the pose that says so has not come yet; or history.
+            // Far older than the record: history if it is of the current boot; otherwise of a new boot with a restarted clock, whose first
+            // pose is still to come.
             Some(time) if time < -HISTORY && event.boot_id == self.trace.boot_id => {}
             Some(time) if time < -HISTORY => self.event(self.trace.clock.now, &event),
             Some(time) => self.event(time, &event),
@@ -360,7 +361,7 @@ impl RobotRun {
             EventKind::PlanRejected { .. } => self.rejected += 1,
             _ => {}
         }
-        // The newest count: one looks at how a run ended.
+        // The newest events matter most: how the run ended.
         if self.events.len() >= 2 * MOST {
             self.events.drain(..MOST);
         }
@@ -392,7 +393,7 @@ impl RobotRun {
         self.stage("corridor", statistics.corridor_ms);
         self.stage("geometry", statistics.geometry_ms);
         self.stage("time law", statistics.timing_ms);
-        // Where the map stands still the plan is based on a pose.
+        // If the map does not change, the plan is based on a pose instead of a scan.
         let mut revisions = self.trace.revisions.iter().rev();
         let scan = revisions.find(|(revision, _)| *revision == plan.map.revision);
         let near = |stamp: Stamp| plan.based_on.stamp.secs_since(stamp).abs() < 1.0;
@@ -417,7 +418,7 @@ impl RobotRun {
                 }
                 known.state = goal;
             }
-            // It ended before the record began: a late joiner is told of it.
+            // Ended before the record started: a late joiner still receives it.
             None if is_history => {}
             None => {
                 let new = GoalRun {
@@ -432,8 +433,8 @@ impl RobotRun {
         }
     }
 
-    /// Whether a goal that was not heard of before ended during the record, which began `since` s ago: a mission that begins tells the last
-    /// ones of its store again.
+    /// Whether a goal first reported now ended during the record, which started `since` s ago: a starting mission publishes the last goals
+    /// of its store again.
     fn has_ended_here(&self, goal: &GoalState, since: f64) -> bool {
         let ended = goal.ended.and_then(|ended| self.trace.clock.at(ended));
         ended.map_or(since >= HISTORY, |ended| {
@@ -481,7 +482,7 @@ impl RobotRun {
                 None => {}
             }
         }
-        // Nodes of a goal before this one run no more.
+        // Nodes of an earlier goal no longer run.
         let over: Vec<(String, u32)> = self.trace.open.keys().filter(|(of, _)| *of != goal).cloned().collect();
         for place in over {
             self.trace.open.remove(&place);
@@ -489,7 +490,7 @@ impl RobotRun {
     }
 
     fn end(&mut self) {
-        // Without a pose there is no time but that of the first event.
+        // Without a pose, time starts at the first event.
         for (event, since) in std::mem::take(&mut self.trace.early) {
             if since >= HISTORY {
                 self.trace.clock.advance(event.stamp);
@@ -509,7 +510,7 @@ fn millis(from: u64, to: u64) -> f64 {
     to.saturating_sub(from) as f64 * 1e-6
 }
 
-/// Distance from the outline to the nearest return of the scan, m; zero where one is inside. `None` without a return.
+/// Distance from the outline to the nearest return of the scan, m; zero if a return is inside. `None` without a return.
 fn clearance(scan: &Scan, footprint: &Footprint) -> Option<f64> {
     let points = scan.returns().map(|point| scan.base_from_laser.transform_point(point));
     match footprint {
@@ -520,7 +521,7 @@ fn clearance(scan: &Scan, footprint: &Footprint) -> Option<f64> {
     }
 }
 
-/// Distance of a point from a convex polygon, counter-clockwise, m; zero inside.
+/// Distance of a point from a convex counter-clockwise polygon, m; zero inside.
 fn outside(point: Point2<f64>, corners: &[Point2<f64>]) -> f64 {
     let edges = corners.iter().zip(corners.iter().cycle().skip(1));
     let mut inside = true;
@@ -534,7 +535,7 @@ fn outside(point: Point2<f64>, corners: &[Point2<f64>]) -> f64 {
     if inside { 0.0 } else { least }
 }
 
-/// What became of a goal, in a word.
+/// A goal's state in one word.
 #[must_use]
 pub fn phase(phase: GoalPhase) -> &'static str {
     match phase {

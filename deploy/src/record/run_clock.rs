@@ -1,26 +1,26 @@
-//! Run clock. When in a run did something happen? By the robot's own time from its first pose on, which goes on where its clock begins anew.
+//! Run clock. Time within a run: the robot's own time from its first pose on, continued if the robot's clock restarts.
 
 use zenav_protocol::time::Stamp;
 
-/// A clock that goes back by more than this begins anew, s: the simulation was started again.
+/// A clock that goes back by more than this has restarted, s: the simulation was started again.
 const NEW_BEGINNING: f64 = 5.0;
 
 /// Time since the first pose of a robot, s.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct RunClock {
-    /// The first pose's stamp since the robot's clock began last, and when that was.
+    /// Stamp of the first pose since the robot's clock last restarted, and its time within the run.
     began: Option<(Stamp, f64)>,
     /// The time of the newest pose.
     pub(super) now: f64,
 }
 
 impl RunClock {
-    /// When something happened; `None` before the first pose.
+    /// Time within the run; `None` before the first pose.
     pub(super) fn at(&self, stamp: Stamp) -> Option<f64> {
         self.began.map(|(first, then)| then + stamp.secs_since(first))
     }
 
-    /// A pose has come: the time of it, which never goes back.
+    /// Takes in a pose; returns its time, which never goes back.
     pub(super) fn advance(&mut self, stamp: Stamp) -> f64 {
         match self.at(stamp) {
             Some(time) if time > self.now - NEW_BEGINNING => self.now = self.now.max(time),

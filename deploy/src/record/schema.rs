@@ -1,32 +1,32 @@
-//! JSON Schema. Which fields has a message, for tools that offer them? As its type says; of a key that is nobody's here, as its first message
-//! suggests.
+//! JSON Schema. Fields of a message, for tools that offer them: from its type, or for a key unknown to zenav inferred from its first
+//! message.
 //!
-//! Foxglove takes the plain part of JSON Schema: objects, lists and scalars, written out. So references are followed, of several variants all
-//! fields are named, and what may be `null` has the type that it has otherwise. What cannot be said so (lists of lists, lists of several types)
-//! is left out of the schema, and still is in the messages.
+//! Foxglove supports plain JSON Schema only: objects, lists and scalars, written out. Therefore references are resolved, variants are
+//! merged into one object with all their fields, and a nullable field gets its other type. What cannot be expressed this way (lists of
+//! lists, lists of several types) is left out of the schema, but stays in the messages.
 
 use serde_json::{Map, Value, json};
 use zenav_protocol::topics;
 
 use crate::inspect::json_schema;
 
-/// What MCAP and Foxglove call JSON Schema.
+/// Name of JSON Schema in MCAP and Foxglove.
 pub const ENCODING: &str = "jsonschema";
-/// Deepest nesting that is followed.
+/// Deepest nesting followed.
 const DEPTH: usize = 12;
 
-/// The type of a key's messages, of an ask that of its replies.
+/// The message type of a key; for an ask, the type of its replies.
 fn message(key: &str) -> Option<&'static str> {
     topics::row_of(key).map(|row| row.message.rsplit(" -> ").next().unwrap_or(row.message))
 }
 
-/// What the messages of a key are called.
+/// Title of the messages of a key.
 #[must_use]
 pub fn title(key: &str) -> String {
     message(key).map_or_else(|| key.to_owned(), |message| format!("zenav.{message}"))
 }
 
-/// The schema of what is sent on a key, of which this is an example; `None` for what is no JSON object.
+/// The schema for a key, with an example of its messages; `None` if they are not JSON objects.
 #[must_use]
 pub fn of(key: &str, example: &[u8]) -> Option<Value> {
     let known = message(key).and_then(json_schema);
@@ -42,7 +42,7 @@ pub fn of(key: &str, example: &[u8]) -> Option<Value> {
     schema
 }
 
-/// A schema without references and variants; `whole` holds what it refers to.
+/// A schema without references and variants; `whole` is the document that references point into.
 fn plain(schema: &Value, whole: &Value, depth: usize) -> Option<Value> {
     let depth = depth.checked_sub(1)?;
     let mut fields = if let Some(Value::String(reference)) = schema.get("$ref") {
@@ -66,7 +66,7 @@ fn plain(schema: &Value, whole: &Value, depth: usize) -> Option<Value> {
     Some(fields)
 }
 
-/// What a schema itself says of the type: nothing, something that cannot be said plainly, or a plain schema.
+/// The type that a schema itself states: none, one that cannot be expressed plainly, or a plain schema.
 fn own_type(schema: &Value, whole: &Value, depth: usize) -> Option<Option<Value>> {
     let names: Vec<&str> = match schema.get("type")? {
         Value::String(name) => vec![name],
@@ -99,7 +99,7 @@ fn own_type(schema: &Value, whole: &Value, depth: usize) -> Option<Option<Value>
     })
 }
 
-/// What is either: of objects the fields of both.
+/// The union of two types: for objects, the fields of both.
 fn joined(mut one: Value, other: Value) -> Option<Value> {
     if one.get("type") != other.get("type") {
         return None;
@@ -114,7 +114,7 @@ fn joined(mut one: Value, other: Value) -> Option<Value> {
     Some(one)
 }
 
-/// The schema of an object like this one.
+/// The schema of an object like this example.
 fn of_example(payload: &[u8]) -> Option<Value> {
     let example: Value = serde_json::from_slice(payload).ok()?;
     schema(&example).filter(|_| example.is_object())
@@ -142,14 +142,14 @@ fn schema(example: &Value) -> Option<Value> {
     }
 }
 
-/// The schema of a list's items, if they have one in common.
+/// The common schema of a list's items, if there is one.
 fn item(items: &[Value]) -> Option<Value> {
     let mut known = items.iter().filter(|item| !item.is_null());
     let first = known.next()?;
     if first.is_array() || known.any(|item| std::mem::discriminant(item) != std::mem::discriminant(first)) {
         return None;
     }
-    // Of numbers some may be whole by chance.
+    // Some of several numbers may be integers by chance.
     if items.iter().any(|item| item.is_f64()) {
         return Some(json!({ "type": "number" }));
     }

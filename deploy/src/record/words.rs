@@ -1,10 +1,10 @@
-//! Words and shapes. How is an event told in a line, and a footprint as corners?
+//! Words and shapes. An event as one line of text, and a footprint as corners.
 
 use nalgebra::Point2;
 use zenav_protocol::messages::EventKind;
 use zenav_protocol::robot::Footprint;
 
-/// What happened, in a line.
+/// The event in one line.
 #[must_use]
 pub fn event(kind: &EventKind) -> String {
     match kind {
@@ -49,7 +49,7 @@ pub fn event(kind: &EventKind) -> String {
     }
 }
 
-/// The outline as corners, base frame, m; a disc has so many.
+/// The outline as corners, base frame, m; a disc is given `corners` of them.
 #[must_use]
 pub fn outline(footprint: &Footprint, corners: u32) -> Vec<Point2<f64>> {
     match footprint {

@@ -1,6 +1,6 @@
-//! Writer. How do samples become a file that survives a killed recorder, and the next one when it is full?
+//! Writer. Writes samples to a file that survives a killed recorder, and starts the next file when one is full.
 //!
-//! Chunks are written whole: whoever reads a file that was cut off gets everything up to its last chunk.
+//! Chunks are written whole: a file that was cut off can be read up to its last chunk.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -26,19 +26,19 @@ use super::foxglove::{Artist, Drawn, Schema};
 use super::maps::Maps;
 use super::schema;
 
-/// A chunk is written once it has this many bytes, or sooner by [`RecordWriter::flush`].
+/// Size at which a chunk is written, bytes; [`RecordWriter::flush`] writes it sooner.
 const CHUNK: u64 = 1 << 20;
 
-/// What a recording is to be.
+/// Options of a recording.
 #[derive(Clone, Debug, Default)]
 pub struct RecordOptions {
-    /// A file of this many bytes is followed by another.
+    /// Largest size of a file before the next one is started, bytes.
     pub max_bytes: Option<u64>,
-    /// A file of this time is followed by another.
+    /// Longest time in a file before the next one is started.
     pub max_time: Option<Duration>,
-    /// Whether Foxglove's own messages are left out.
+    /// Whether to leave out Foxglove's messages.
     pub raw_only: bool,
-    /// What is known of the run: entries of the metadata `zenav`.
+    /// Entries of the metadata `zenav` about the run.
     pub about: BTreeMap<String, String>,
 }
 
@@ -48,7 +48,7 @@ impl RecordOptions {
     }
 }
 
-/// What was written.
+/// Summary of a recording.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Written {
     /// The files, in order.
@@ -61,9 +61,9 @@ pub struct Written {
     pub payload_bytes: u64,
     /// Bytes of the files.
     pub file_bytes: u64,
-    /// Samples that were dropped because the disk or the machine was too slow.
+    /// Samples dropped because the disk or the machine was too slow.
     pub dropped: u64,
-    /// From the first sample to the last, s.
+    /// Time from the first sample to the last, s.
     pub secs: f64,
 }
 
@@ -74,10 +74,10 @@ pub struct RecordWriter {
     file: RecordFile,
     artist: Artist,
     maps: Maps,
-    /// Replies, which every file begins with.
+    /// Replies, written at the start of every file.
     replies: BTreeMap<String, Sample>,
     written: Written,
-    /// Of the present file, where there are several.
+    /// Number of the present file, if there are several.
     number: usize,
     first: Option<u64>,
     last: u64,
@@ -92,10 +92,10 @@ impl std::fmt::Debug for RecordWriter {
 }
 
 impl RecordWriter {
-    /// Begins a recording now, ns since the UNIX epoch. With a limit the files are named `OUT_0001.mcap` and so on.
+    /// Starts a recording at `now`, ns since the UNIX epoch. With a size or time limit the files are named `OUT_0001.mcap` and so on.
     ///
     /// # Errors
-    /// The file exists already or cannot be made.
+    /// The file exists already or cannot be created.
     pub fn create(path: &Path, options: RecordOptions, now: u64) -> Result<Self, RecordError> {
         let first = if options.rotates() {
             numbered(path, 1)
@@ -141,7 +141,7 @@ impl RecordWriter {
         self.draw(sample)
     }
 
-    /// Writes a sample as Foxglove sees it.
+    /// Writes a sample as Foxglove messages.
     fn draw(&mut self, sample: &Sample) -> Result<(), RecordError> {
         let changed = self.maps.see(sample);
         if self.options.raw_only {
@@ -159,12 +159,12 @@ impl RecordWriter {
         Ok(())
     }
 
-    /// Robots of whose map a part is missing in the recording.
+    /// Robots whose maps are incomplete in the recording.
     pub fn incomplete_maps(&self) -> Vec<String> {
         self.maps.incomplete().map(str::to_owned).collect()
     }
 
-    /// Ends a file: the maps as they are now.
+    /// Draws the current maps at the end of a file.
     fn draw_maps(&mut self) -> Result<(), RecordError> {
         for robot in self.artist.undrawn() {
             if let Some(map) = self.maps.grid(&robot)
@@ -176,7 +176,7 @@ impl RecordWriter {
         Ok(())
     }
 
-    /// Writes what waits to be: from now on it outlives this process.
+    /// Writes buffered data: it then outlives this process.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -184,7 +184,7 @@ impl RecordWriter {
         self.file.flush()
     }
 
-    /// Ends the recording, with so many samples dropped before they came here.
+    /// Ends the recording; `dropped` samples were lost before they came here.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -209,7 +209,7 @@ impl RecordWriter {
             self.number += 1;
             let next = numbered(&self.path, self.number);
             match RecordFile::create(&next, &self.options, now) {
-                // Left over from another recording: the run goes on under the number after it.
+                // Left over from another recording: try the next number.
                 Err(error) if matches!(error.problem, Problem::Exists) => {}
                 created => {
                     self.file = created?;
@@ -219,7 +219,7 @@ impl RecordWriter {
         };
         self.written.files.push(next);
         self.artist.begin_file();
-        // So that each file is of use without the ones before it.
+        // Makes each file usable without the ones before it.
         let mut beginning: Vec<Sample> = self.replies.values().cloned().collect();
         beginning.retain(|reply| topics::MAP.chunks(&reply.key).is_empty());
         beginning.extend(self.maps.replies(now));
@@ -240,7 +240,7 @@ fn count(keys: &mut BTreeMap<String, u64>, key: &str) {
     }
 }
 
-/// `run.mcap` as `run_0001.mcap`.
+/// `run.mcap` becomes `run_0001.mcap`.
 fn numbered(path: &Path, number: usize) -> PathBuf {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
     let ending = path.extension().unwrap_or_default().to_string_lossy();
@@ -248,7 +248,7 @@ fn numbered(path: &Path, number: usize) -> PathBuf {
     path.with_file_name(format!("{stem}_{number:04}{dot}{ending}"))
 }
 
-/// Counts what passes to a file.
+/// Counts bytes written to a file.
 struct Counted {
     file: BufWriter<File>,
     bytes: Arc<AtomicU64>,
@@ -266,7 +266,7 @@ impl Write for Counted {
     }
 }
 
-/// A channel of a file: what makes it one.
+/// Identity of a channel in a file.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 struct ChannelName {
     topic: String,
@@ -280,9 +280,9 @@ struct RecordFile {
     begun: u64,
     mcap: mcap::Writer<NoSeek<Counted>>,
     bytes: Arc<AtomicU64>,
-    /// Number of each channel, and of its next message.
+    /// For each channel its number, and the number of its next message.
     channels: BTreeMap<ChannelName, (u16, u32)>,
-    /// Numbers of the messages' schemas, by title.
+    /// Numbers of the message schemas, by title.
     schemas: BTreeMap<String, u16>,
     drawn: BTreeMap<Schema, u16>,
 }
@@ -298,7 +298,7 @@ impl RecordFile {
             file: BufWriter::new(file),
             bytes: Arc::clone(&bytes),
         };
-        // Without seeking a chunk is gathered in memory and written whole.
+        // Without seeking, a chunk is assembled in memory and written whole.
         let mcap = WriteOptions::new()
             .profile(PROFILE)
             .library(concat!("zenav/", env!("CARGO_PKG_VERSION")))
@@ -345,7 +345,7 @@ impl RecordFile {
             encoding: sample.encoding.clone(),
         };
         let (channel, sequence) = self.channel(&name, Some(&sample.bytes), None)?;
-        // Before its sample: a reader has it at hand when the sample comes.
+        // Written before its sample: a reader then has it when the sample comes.
         if let Some(attachment) = &sample.attachment {
             let attached = ChannelName {
                 kind: ATTACHMENT,
@@ -388,7 +388,7 @@ impl RecordFile {
         let message_encoding = match (name.kind, Encoding::of(&name.encoding)) {
             (ATTACHMENT, _) => "application/octet-stream",
             (_, Encoding::Cbor) => "cbor",
-            // Text that is no JSON, or bytes of somebody else's: as Zenoh names it.
+            // Text that is not JSON, or bytes of another program: named as Zenoh does.
             (_, Encoding::Json) if schema == 0 => name.encoding.as_str(),
             (_, Encoding::Json) => "json",
         };
@@ -418,7 +418,7 @@ impl RecordFile {
         Ok(number)
     }
 
-    /// The schema of a key's messages; 0 for what is no JSON object.
+    /// The schema of a key's messages; 0 if they are not JSON objects.
     fn message_schema(&mut self, key: &str, example: &[u8]) -> Result<u16, RecordError> {
         let title = schema::title(key);
         if let Some(number) = self.schemas.get(&title) {
@@ -457,7 +457,7 @@ impl RecordFile {
         self.mcap.flush().map_err(|error| broken(&self.path, error))
     }
 
-    /// Ends the file; returns its size, bytes.
+    /// Finishes the file; returns its size, bytes.
     fn finish(&mut self) -> Result<u64, RecordError> {
         self.mcap.finish().map_err(|error| broken(&self.path, error))?;
         Ok(self.bytes())

@@ -1,4 +1,4 @@
-//! `zenav slam --graph`. Which poses agree best with the measurements of a file, and is that certain?
+//! `zenav slam --graph`. Solves a pose graph file, and certifies whether the solution is the global optimum.
 
 use std::path::Path;
 
@@ -14,7 +14,7 @@ use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::output;
 
-/// Largest graph that is read, bytes.
+/// Largest graph file, bytes.
 const MAX_GRAPH: u64 = 1 << 30;
 
 /// A solved graph, as printed.
@@ -22,18 +22,18 @@ const MAX_GRAPH: u64 = 1 << 30;
 pub(super) struct Solved {
     nodes: usize,
     edges: usize,
-    /// Closures held to be false.
+    /// Loop closures rejected as false.
     dropped: usize,
     chi_squared: f64,
     /// `certified`, `refused`, `elsewhere` or `unknown`.
     optimality: &'static str,
     certified: bool,
-    /// Why nothing is known of it, where that is so.
+    /// Reason if the optimality is unknown.
     reason: Option<String>,
     negative_pivots: usize,
-    /// Largest distance to the optimum of the problem that the certificate is about, m.
+    /// Largest distance to the optimum of the problem that was certified, m.
     companion_distance: f64,
-    /// Time of this thread.
+    /// Processor time of this thread, ms.
     solve_ms: f64,
 }
 
@@ -64,7 +64,7 @@ impl Solved {
         }
     }
 
-    /// In a sentence.
+    /// One-sentence summary.
     pub(super) fn told(&self) -> String {
         let reason = self.reason.as_ref();
         let reason = reason.map_or_else(String::new, |reason| format!(" ({reason})"));
@@ -75,7 +75,7 @@ impl Solved {
     }
 }
 
-/// Solves the graph of a file, and writes what `--out` asks for.
+/// Solves the graph of a file, and writes the files for `--out`.
 pub(super) fn solve(path: &Path, args: &SlamArgs) -> Outcome {
     output::value(args.output, &solved(path, args)?, Solved::told)?;
     Ok(exit_code::OK)

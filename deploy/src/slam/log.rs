@@ -1,4 +1,4 @@
-//! `zenav slam --log`. Which map and which poses follow from a log's scans and odometry alone?
+//! `zenav slam --log`. Map and poses from a log's scans and odometry alone.
 
 use std::path::{Path, PathBuf};
 
@@ -16,24 +16,24 @@ use crate::failure::{Failure, Outcome};
 use crate::inspect::read_log;
 use crate::{files, output};
 
-/// What `slam --log` prints.
+/// Output of `slam --log`.
 #[derive(Debug, Serialize)]
 struct Mapped {
     scans: usize,
-    /// Scans whose stamps go back.
+    /// Scans whose stamps go back in time.
     skipped: usize,
     warnings: Vec<String>,
-    /// Scans in a second of this thread's own time, closures, solves and finish included.
+    /// Scans per second of this thread's processor time, closures, solves and finish included.
     scans_per_s: f64,
-    /// Duration of the log over that time.
+    /// Duration of the log over that processor time.
     real_time_factor: f64,
     cpu_ms_per_scan: Times,
     submaps: usize,
     closures: Closures,
     graph: Solved,
-    /// Nodes of each session that are left.
+    /// Remaining nodes of each session.
     sessions: Vec<usize>,
-    /// Nodes that newer ones made needless.
+    /// Nodes trimmed as redundant with newer ones.
     trimmed: usize,
     relations: Option<Relations>,
     map: PathBuf,
@@ -42,21 +42,21 @@ struct Mapped {
 /// Processor time, ms.
 #[derive(Debug, Serialize)]
 struct Times {
-    /// Of all of it, the finish included, by scan.
+    /// Mean per scan, the finish included.
     mean: f64,
-    /// Of a step.
+    /// Median of a step.
     p50: f64,
-    /// Of a step.
+    /// 99th percentile of a step.
     p99: f64,
-    /// Of the finish, in all.
+    /// Of the finish.
     finish: f64,
 }
 
 #[derive(Debug, Serialize)]
 struct Closures {
-    /// Submaps that were searched.
+    /// Submaps searched.
     searched: usize,
-    /// Searches in vain, because the budget was spent before the best place was known.
+    /// Searches cut short: the budget was spent before the best match was certain.
     cut: usize,
     found: usize,
 }
@@ -83,7 +83,7 @@ fn scaled(spread: Spread, scale: f64) -> MeanAndDeviation {
     }
 }
 
-/// Maps logs, one after the other, in the session's map where there is one.
+/// Maps logs one after another, continuing the session's map if there is one.
 pub(super) fn map(args: &SlamArgs) -> Outcome {
     let relations = args.relations.as_deref().map(|path| {
         let text = files::text(path)?;
@@ -123,7 +123,7 @@ pub(super) fn map(args: &SlamArgs) -> Outcome {
         finish += thread_time().saturating_sub(start).as_secs_f64();
         scans.extend(log);
     }
-    // clap asks for a log.
+    // clap already requires a log.
     let solved = solved.ok_or_else(|| Failure::usage("expected --log"))?;
 
     let all = slam.trajectory();
@@ -217,7 +217,7 @@ pub(super) fn map(args: &SlamArgs) -> Outcome {
     Ok(exit_code::OK)
 }
 
-/// What is wrong with a log that is mapped all the same.
+/// A warning about a log that is mapped nevertheless.
 fn warning(path: &Path, log: &Ordered) -> Option<String> {
     let (number, stamp) = log.first_skipped?;
     Some(format!(

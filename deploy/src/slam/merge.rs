@@ -1,4 +1,4 @@
-//! `zenav map merge`. Which one map follows from two sessions of one building?
+//! `zenav map merge`. Merges two sessions of one building into one map.
 
 use std::path::{Path, PathBuf};
 
@@ -11,16 +11,16 @@ use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
 
-/// One map of two SLAM sessions.
+/// Merge two SLAM sessions into one map.
 ///
-/// The sessions are those that `zenav slam --session` saved: of two robots, or of two days. Nothing need be known of how their maps lie to each
-/// other; where that is not certain, nothing is written.
+/// The sessions are files saved by `zenav slam --session`: of two robots, or of two days. The transform between their maps need not be
+/// known; if it is not certain, nothing is written.
 #[derive(Debug, clap::Args)]
 pub struct MergeArgs {
-    /// Session whose frame the map has
+    /// Session that gives the map its frame
     #[arg(value_name = "SESSION")]
     a: PathBuf,
-    /// Session that is searched for in it
+    /// Session to be aligned with it
     #[arg(value_name = "OTHER")]
     b: PathBuf,
     /// Folder for session.slam, trajectory.csv, graph.g2o, map.pgm, map.yaml and slam.png
@@ -44,7 +44,7 @@ struct Merged {
 /// Merges two sessions.
 ///
 /// # Errors
-/// Exit code 3 when a file is missing, 2 when it is no session, 1 when it is not certain how the maps lie to each other.
+/// Exit code 3 if a file is missing, 2 if it is not a session, 1 if the transform between the maps is not certain.
 pub fn merge(args: &MergeArgs, format: Format) -> Outcome {
     let (a, b) = (session::read(&args.a)?, session::read(&args.b)?);
     let start = thread_time();

@@ -1,4 +1,4 @@
-//! Picture. How did the way look by odometry, and how does it look in the map?
+//! Picture. The path by odometry, and the path in the map.
 
 use nalgebra::{Point2, Vector2};
 use zenav_protocol::geometry::Pose2;
@@ -11,10 +11,10 @@ use crate::failure::Failure;
 const BEFORE: Color = [240, 150, 0];
 const KEPT: Color = [30, 130, 76];
 const FALSE: Color = [215, 60, 40];
-/// Pixels of the longer side.
+/// Length of the longer side, px.
 const SIZE: u32 = 1400;
 
-/// The map, the way by odometry from the same start, the way in the map, matches with other times: kept, and held to be false.
+/// The map, the path by odometry from the same start, the path in the map, and the loop closures: kept, and rejected.
 pub(super) fn draw(
     map: &OccupancyGrid,
     before: &[Pose2],
@@ -23,7 +23,7 @@ pub(super) fn draw(
     dropped: &[[Point2<f64>; 2]],
 ) -> Result<Canvas, Failure> {
     let spec = map.spec();
-    // Odometry that drifts far would leave the map a speck: the picture shows what lies near it.
+    // The picture is limited to the surroundings of the map: odometry with much drift would shrink it to a speck.
     let margin = Vector2::repeat(0.05 * (spec.upper() - spec.origin).amax());
     let mut plane = Plane::new(spec.origin - margin, spec.upper() + margin, SIZE, "SLAM", UNKNOWN)?;
     plane.map(map);

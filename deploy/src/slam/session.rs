@@ -1,4 +1,4 @@
-//! Session files. Which map does a file hold, and how does a map look of which only the points are left?
+//! Session files. Reads and writes sessions, and rebuilds scans from the points that they keep.
 
 use std::path::Path;
 
@@ -11,27 +11,27 @@ use zenav_slam::{MOST_BYTES, Slam};
 use crate::failure::Failure;
 use crate::files;
 
-/// Beams of a scan that is made of points: an eighth of a degree.
+/// Beams of a rebuilt scan: an eighth of a degree.
 const BEAMS: usize = 2880;
 
-/// The map of a session file.
+/// Reads a session file.
 pub(super) fn read(path: &Path) -> Result<Slam, Failure> {
     let bytes = files::bytes_within(path, MOST_BYTES as u64)?;
     Slam::load(&bytes).map_err(Failure::usage_at(path))
 }
 
-/// Writes a session file: the old one or the new one is there, never a part.
+/// Writes a session file atomically.
 pub(super) fn write(path: &Path, slam: &Slam) -> Result<(), Failure> {
     let bytes = slam.save().map_err(Failure::failed_at(path))?;
     write_atomically(path, &bytes).map_err(Failure::failed)
 }
 
-/// The scans of nodes, as far as their points tell, from where the nodes lie.
+/// The scans of nodes, rebuilt from their points, at the poses of the nodes.
 pub(super) fn scans(slam: &Slam, nodes: std::ops::Range<usize>) -> Vec<Scan> {
     nodes.filter_map(|node| scan(slam, node)).collect()
 }
 
-/// Beams that end in no point saw nothing.
+/// Beams without a point are without a return.
 fn scan(slam: &Slam, node: usize) -> Option<Scan> {
     let (points, pose) = (slam.scan(node)?, slam.nodes().get(node)?);
     let laser = slam.laser_of(node);

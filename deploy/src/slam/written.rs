@@ -1,4 +1,4 @@
-//! Written. What is written of a map?
+//! Written. The files of a map.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -15,8 +15,8 @@ use super::picture;
 use crate::failure::Failure;
 use crate::files;
 
-/// Writes a map into a folder; returns its file. `trajectory`: time, s, and pose of scans; `placed`: the scans that are drawn, `odom_from_base`
-/// where they were taken in the map; `before`: the way by odometry alone, where there is one.
+/// Writes a map into a folder; returns its file. `trajectory`: time, s, and pose of scans; `placed`: scans to insert, their
+/// `odom_from_base` being the pose in the map; `before`: the path by odometry alone, if any.
 pub(super) fn write(
     out: &Path,
     resolution: f64,

@@ -1,4 +1,5 @@
-//! Chart of a search. Cost by generation, each unseen room before and after, and the distance error over time in one; as SVG.
+//! Chart of a search. An SVG of the cost by generation, each unseen room before and after, and the distance error over time in one of
+//! them.
 
 use plotters::coord::Shift;
 use plotters::prelude::*;
@@ -11,7 +12,7 @@ const SIZE: (u32, u32) = (900, 640);
 const UPPER: i32 = 290;
 const BEFORE: RGBColor = RGBColor(154, 164, 178);
 const AFTER: RGBColor = RGBColor(31, 111, 208);
-/// Errors beyond this are cut off, mm.
+/// Errors beyond this are clipped, mm.
 const MOST: f64 = 60.0;
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
@@ -19,7 +20,7 @@ type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 /// Draws a report; lengths in millimetres.
 ///
 /// # Errors
-/// What cannot be drawn.
+/// The chart cannot be drawn.
 pub fn draw(report: &TuneReport, traces: &Traces) -> Result<String, Failure> {
     let mut text = String::new();
     paint(&mut text, report, traces).map_err(|error| Failure::failed(format!("the chart: {error}")))?;

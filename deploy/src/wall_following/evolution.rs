@@ -1,16 +1,16 @@
-//! CMA-ES. Which point makes a function least, when nothing but its values is known?
+//! CMA-ES. Minimises a function of which only values are known.
 //!
-//! Own code: the crate `cmaes` 0.2 brings a second nalgebra, rand, rand_distr and statrs with it, and owns the loop, which here runs on
-//! threads over candidates and rooms at once.
+//! Own code: the crate `cmaes` 0.2 brings a second nalgebra, rand, rand_distr and statrs with it, and owns the loop, which here runs in
+//! parallel over candidates and rooms.
 //!
-//! The (mu/mu_w, lambda) CMA-ES as Hansen writes it down in "The CMA Evolution Strategy: A Tutorial", arXiv:1604.00772, with its
-//! default parameters (table 1, without negative weights). Pure: candidates out, costs in; the same seed gives the same candidates.
+//! The (mu/mu_w, lambda) CMA-ES after Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv:1604.00772, with its default parameters
+//! (table 1, without negative weights). Pure: candidates out, costs in; the same seed gives the same candidates.
 
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
 
-/// A search under way.
+/// A running search.
 #[derive(Clone, Debug)]
 pub struct Evolution {
     rng: Pcg64Mcg,
@@ -27,8 +27,7 @@ pub struct Evolution {
 }
 
 impl Evolution {
-    /// Starts at a point, with a standard deviation that is the same in all directions; `population` candidates a generation, 4 at
-    /// least.
+    /// Starts at a point, with the same standard deviation in all directions, and `population` candidates per generation, at least 4.
     #[must_use]
     pub fn new(start: &[f64], sigma: f64, population: usize, seed: u64) -> Self {
         let population = population.max(4);
@@ -51,7 +50,7 @@ impl Evolution {
         }
     }
 
-    /// The middle of the search.
+    /// Mean of the search distribution.
     #[must_use]
     pub fn mean(&self) -> &[f64] {
         self.mean.as_slice()
@@ -70,7 +69,7 @@ impl Evolution {
             .collect()
     }
 
-    /// Learns what the candidates of [`Self::ask`] cost; a cost that is not a number counts as the greatest.
+    /// Takes the costs of the candidates of [`Self::ask`]; a cost that is not a number counts as the largest.
     pub fn tell(&mut self, candidates: &[Vec<f64>], costs: &[f64]) {
         let mut ranked: Vec<(f64, DVector<f64>)> = costs
             .iter()

@@ -1,5 +1,5 @@
-//! Wall following in lockstep. How does a robot follow walls when nobody commands it? Body and pilot in turn, without a network, repeatable
-//! from a seed.
+//! Wall following in lockstep. Runs a robot that follows walls on its own: body and pilot in turn, without a network, repeatable from a
+//! seed.
 
 use zenav_edge::{EdgeConfig, Inbox, Persisted, Pilot, Publication};
 use zenav_protocol::id::Id;
@@ -13,21 +13,21 @@ use crate::failure::Failure;
 /// Control ticks between two samples of the distance.
 const SAMPLE: u64 = 5;
 
-/// What a run came to.
+/// Result of a run.
 #[derive(Clone, Debug)]
 pub struct Alone {
-    /// How the distance was kept.
+    /// Accuracy of the distance.
     pub kept: Kept,
-    /// The truth at the end.
+    /// Ground truth at the end.
     pub truth: Truth,
-    /// Share of the time in which a wall was followed.
+    /// Share of the time spent following a wall.
     pub following: f64,
-    /// Everything that happened, in order.
+    /// All events, in order.
     pub events: Vec<Event>,
 }
 
 impl Alone {
-    /// The follower's transitions, as names from and to.
+    /// The follower's transitions, as pairs of names from and to.
     pub fn transitions(&self) -> impl Iterator<Item = (&str, &str)> {
         self.events.iter().filter_map(|event| match &event.kind {
             EventKind::Transition { from, to, .. } => Some((from.as_str(), to.as_str())),
@@ -39,15 +39,15 @@ impl Alone {
 /// Runs for `secs` simulated seconds.
 ///
 /// # Errors
-/// A robot that cannot start where the world says.
+/// A robot that cannot start where the world file says.
 pub fn run(world: &World, model: &RobotModel, seed: u64, secs: f64) -> Result<Alone, Failure> {
     watch(world, model, seed, secs, |_, _| {})
 }
 
-/// The same, and `see` is told truth and state at every tick.
+/// As [`run`]; `see` is called with ground truth and state at every tick.
 ///
 /// # Errors
-/// A robot that cannot start where the world says.
+/// A robot that cannot start where the world file says.
 pub fn watch(
     world: &World,
     model: &RobotModel,
@@ -170,7 +170,7 @@ mod tests {
         let walls = "[[wall]]\nfrom = [0, 0]\nto = [6, 0]\nthickness = 0.1\n[[wall]]\nfrom = [6, 0]\nto = [6, 4]\nthickness = 0.1\n\
                      [[wall]]\nfrom = [6, 4]\nto = [0, 4]\nthickness = 0.1\n[[wall]]\nfrom = [0, 4]\nto = [0, 0]\nthickness = 0.1\n";
         let model = files::robot("neato").unwrap();
-        // What it can pass by keeping a greater distance needs no turn before it.
+        // An obstacle that can be passed at a larger distance needs no turn before it.
         for (what, thing, turns_for_it) in [
             (
                 "a low box",

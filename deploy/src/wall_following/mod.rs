@@ -1,12 +1,12 @@
-//! Wall following, judged and tuned. How well does a robot follow walls by itself, and with which gains best?
+//! Wall following, judged and tuned. How well a robot follows walls on its own, and which gains are best.
 //!
 //! | file | answers |
 //! |---|---|
-//! | `score` | how far was it from where it should be, by the truth? |
+//! | `score` | the distance error, by ground truth |
 //! | `lockstep` | one run of a robot without a cloud, in lockstep |
-//! | `rooms` | rooms to try it in, drawn from a seed |
-//! | `evolution` | which gains cost least? (CMA-ES) |
-//! | `tune`, `chart` | `zenav tune wall_follow`, and how it is drawn |
+//! | `rooms` | rooms to drive in, generated from a seed |
+//! | `evolution` | which gains have the least cost? (CMA-ES) |
+//! | `tune`, `chart` | `zenav tune wall_follow`, and its chart |
 
 mod chart;
 pub mod evolution;

@@ -1,4 +1,4 @@
-//! Random rooms. Which rooms is a wall follower tried in? Drawn from a seed: four walls at odd angles, buttresses and pillars, the gaps between them
+//! Random rooms. Rooms for testing a wall follower, generated from a seed: four walls at odd angles, buttresses and pillars, with gaps
 //! wide enough to drive through.
 
 use std::fmt::Write as _;
@@ -14,21 +14,21 @@ use crate::failure::Failure;
 
 /// Thickness of the walls, m.
 const THICKNESS: f64 = 0.1;
-/// Corners of the room lie off a rectangle by at most this, m.
+/// Largest offset of the room's corners from a rectangle, m.
 const ODD: f64 = 0.5;
-/// Attempts at a place for a piece of furniture.
+/// Attempts at placing a piece of furniture.
 const ATTEMPTS: u32 = 50;
 
-/// A room, with gaps of at least `gap` m and a start with that much room around it.
+/// A room with gaps of at least `gap` m, and a start with that much space around it.
 ///
 /// # Errors
-/// Never for a gap that fits a room; the room's own text is read like any world.
+/// Never for a gap that fits into a room; the room's own text is parsed like that of any world.
 pub fn room(seed: u64, gap: f64) -> Result<World, Failure> {
     let mut rng = Pcg64Mcg::seed_from_u64(seed);
     let size = Vector2::new(rng.random_range(5.0..9.0) + gap, rng.random_range(4.0..7.0) + gap);
     let mut odd = |x: f64, y: f64| {
         let off = Vector2::new(rng.random_range(0.0..ODD), rng.random_range(0.0..ODD));
-        // Inwards: the room never grows beyond its rectangle.
+        // Inwards: the room never exceeds its rectangle.
         Point2::new(
             x + off.x * (1.0 - 2.0 * x / size.x),
             y + off.y * (1.0 - 2.0 * y / size.y),
@@ -110,7 +110,7 @@ fn read(text: &str) -> Result<World, Failure> {
     World::from_toml(text, "room", &|_| Err("a room has no map".to_owned())).map_err(Failure::failed)
 }
 
-/// Adds a solid, unless one of the discs `around` it that must be free is not.
+/// Adds a solid, if all the discs `around` it are inside the room and free.
 fn place(
     text: &mut String,
     outline: &[Point2<f64>],

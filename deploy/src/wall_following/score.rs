@@ -1,4 +1,4 @@
-//! Score. How far was a robot from where it should be? The distance from the nearest solid by the simulator's truth, against the target.
+//! Score. The distance error of a robot: its true distance from the nearest solid, minus the target.
 
 use nalgebra::{Point2, Vector2};
 use serde::Serialize;
@@ -6,24 +6,24 @@ use zenav_protocol::geometry::Pose2;
 use zenav_protocol::robot::Footprint;
 use zenav_sim::World;
 
-/// A wall counts as straight where it runs straight for this far to both sides of the robot, m.
+/// A wall counts as straight if it is straight for this far to both sides of the robot, m.
 const STRAIGHT: f64 = 0.6;
-/// Places looked at on each side for that.
+/// Places checked on each side for that.
 const LOOKS: u32 = 4;
-/// A straight wall keeps its distance from its parallel within this, m.
+/// Largest deviation of a straight wall's distance from its parallel, m.
 const EVEN: f64 = 2e-3;
-/// Nearer to the target distance than this the run begins to count, m.
+/// Evaluation starts once the distance error is below this, m.
 const SETTLED: f64 = 0.05;
 /// Step of the numerical gradient of the distance, m.
 const STEP: f64 = 1e-4;
 
-/// Distance from a point to the nearest thing that never moves, m.
+/// Distance from a point to the nearest static solid, m.
 #[must_use]
 pub fn distance(world: &World, at: Point2<f64>) -> f64 {
     world.clearance(&Footprint::Radius(0.0), Pose2::new(at.x, at.y, 0.0))
 }
 
-/// Whether the nearest wall is straight around a point: its parallel at the target distance has just that distance from everything,
+/// Whether the nearest wall is straight around a point: its parallel at the target distance keeps exactly that distance from everything,
 /// for 0.6 m to both sides.
 #[must_use]
 pub fn is_beside_straight_wall(world: &World, at: Point2<f64>, target: f64) -> bool {
@@ -43,8 +43,7 @@ pub fn is_beside_straight_wall(world: &World, at: Point2<f64>, target: f64) -> b
         })
 }
 
-/// Distance errors of a run, from the moment on at which the robot first was near the target distance: before that it is on its way
-/// from where it found the wall.
+/// Distance errors of a run, from the first time near the target distance on: before that the robot is still approaching the wall.
 #[derive(Clone, Debug, Default)]
 pub struct Errors {
     settled: bool,
@@ -52,12 +51,12 @@ pub struct Errors {
     all: Vec<f64>,
 }
 
-/// How a robot kept its distance.
+/// How well a robot kept its distance.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Kept {
-    /// 95th percentile of the error's size on straight walls, m.
+    /// 95th percentile of the absolute error on straight walls, m.
     pub straight_p95_m: f64,
-    /// Greatest error on straight walls, m.
+    /// Largest error on straight walls, m.
     pub straight_max_m: f64,
     /// Mean error on straight walls, outwards positive, m.
     pub straight_mean_m: f64,
@@ -70,7 +69,7 @@ pub struct Kept {
 }
 
 impl Errors {
-    /// Takes a true position while the robot followed a wall.
+    /// Adds a true position at which the robot followed a wall.
     pub fn sample(&mut self, world: &World, at: Point2<f64>, target: f64) {
         let error = distance(world, at) - target;
         self.settled |= error.abs() < SETTLED;

@@ -1,10 +1,9 @@
-//! `zenav tune wall_follow`: searches the gains of the wall follower in rooms drawn from a seed, and tells how much
-//! better they are in rooms that the search has not seen.
+//! `zenav tune wall_follow`: searches for the wall follower's gains in generated rooms, and reports the improvement in rooms unseen by the
+//! search.
 //!
-//! The cost of gains in a room is the root mean square of the distance error (m), by the simulator's truth, along all walls and
-//! corners, from the moment on at which the robot first was near its distance; every contact costs another metre, and so does time that is
-//! not spent along walls. Every candidate drives in the same rooms
-//! with the same noise, each simulation on one of the threads; the result does not depend on their number.
+//! The cost of gains in a room is the root mean square of the distance error (m), by the simulator's ground truth, along all walls and
+//! corners, from the first time near the target distance on; every contact costs another metre, and time not spent along walls costs too.
+//! All candidates drive in the same rooms with the same noise, in parallel threads; the result does not depend on the number of threads.
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -27,20 +26,20 @@ use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::output::{self, Format};
 
-/// Standard deviation of the first generation, of the gains' logarithms.
+/// Standard deviation of the first generation, in logarithms of the gains.
 const SIGMA: f64 = 0.5;
-/// A gain of zero has no logarithm: it starts here.
+/// Start value of a gain of zero, which has no logarithm.
 const LEAST_GAIN: f64 = 0.01;
-/// Greatest gain.
+/// Largest gain.
 const MOST_GAIN: f64 = 200.0;
-/// Gaps in the rooms, in target distances: the robot fits through with a wall on either side.
+/// Gaps in the rooms, in target distances: the robot fits through with a wall on both sides.
 const GAP: f64 = 3.4;
-/// Share of the time along walls above which nothing is to be paid.
+/// Share of the time along walls above which there is no cost.
 const FOLLOWING: f64 = 0.6;
-/// Rooms that the gains are judged in are drawn from seeds that far from those of the search.
+/// Offset of the seeds of unseen rooms from those of the search.
 const UNSEEN: u64 = 500_000;
 
-/// Searching parameters.
+/// Search for parameters.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  zenav tune wall_follow --robot neato\n  zenav tune wall_follow --rooms 4 --generations 5 --out quick"
@@ -52,23 +51,23 @@ pub struct TuneArgs {
 
 #[derive(Debug, Subcommand)]
 enum TuneCommand {
-    /// Search the gains of the wall follower; writes a robot file
+    /// Search for the gains of the wall follower; writes a robot file
     #[command(name = "wall_follow", alias = "wall-follow")]
     WallFollow(WallFollowArgs),
 }
 
 #[derive(Debug, Args)]
 struct WallFollowArgs {
-    /// Robot file or shipped name whose gains are searched
+    /// Robot to tune: a robot file or shipped name
     #[arg(long, default_value = "neato")]
     robot: String,
-    /// Rooms to search in, and as many others to judge in
+    /// Number of rooms to search in, and of other rooms to judge in
     #[arg(long, default_value_t = 8, value_parser = connect::whole_in(1..=1000_u32))]
     rooms: u32,
     /// Generations of the search
     #[arg(long, default_value_t = 14, value_parser = connect::whole_in(1..=1000_u32))]
     generations: u32,
-    /// Candidates a generation
+    /// Candidates per generation
     #[arg(long, default_value_t = 8, value_parser = connect::whole_in(4..=1000_u32))]
     population: u32,
     /// Simulated time in each room, s
@@ -77,7 +76,7 @@ struct WallFollowArgs {
     /// Seed of rooms, noise and search
     #[arg(long, default_value_t = 1, value_parser = connect::whole::<u64>)]
     seed: u64,
-    /// Simulations at a time [default: one a core]
+    /// Parallel simulations [default: one per core]
     #[arg(long, value_parser = connect::whole_in(1..=1024_u32))]
     threads: Option<u32>,
     /// Folder for the robot file, `report.json` and `tuning.svg`
@@ -88,14 +87,14 @@ struct WallFollowArgs {
     output: Format,
 }
 
-/// The gains that are searched.
+/// The tuned gains.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Gains {
-    /// On the distance.
+    /// Proportional gain on the distance error.
     pub wall_p: f64,
-    /// On its sum.
+    /// Integral gain.
     pub wall_i: f64,
-    /// On its rate.
+    /// Derivative gain.
     pub wall_d: f64,
 }
 
@@ -130,38 +129,38 @@ impl Gains {
     }
 }
 
-/// What gains cost in a room.
+/// Cost of gains in a room.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Judged {
-    /// The cost.
+    /// Cost.
     pub cost: f64,
     /// Root mean square of the distance error, m.
     pub rms_m: f64,
-    /// 95th percentile of the error's size on straight walls, m.
+    /// 95th percentile of the absolute error on straight walls, m.
     pub straight_p95_m: f64,
     /// Contacts.
     pub collisions: u32,
 }
 
-/// One room that the search has not seen, with the gains before and after.
+/// A room unseen by the search, with the gains before and after.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct UnseenRoom {
-    /// Its name.
+    /// Name of the room.
     pub room: String,
     /// With the gains of the robot's file.
     pub before: Judged,
-    /// With those that were found.
+    /// With the gains found.
     pub after: Judged,
 }
 
 /// Report of `zenav tune wall_follow`.
 #[derive(Clone, Debug, Serialize)]
 pub struct TuneReport {
-    /// The robot.
+    /// Name of the robot.
     pub robot: String,
     /// Seed of rooms, noise and search.
     pub seed: u64,
-    /// Rooms searched in.
+    /// Rooms of the search.
     pub rooms: usize,
     /// Simulations of the search.
     pub simulations: usize,
@@ -169,19 +168,19 @@ pub struct TuneReport {
     pub simulated_s: f64,
     /// The gains of the robot's file.
     pub before: Gains,
-    /// Those that were found.
+    /// The gains found.
     pub after: Gains,
     /// Mean cost in the rooms of the search, before and after.
     pub cost_seen: [f64; 2],
-    /// Mean cost in rooms that the search has not seen, before and after.
+    /// Mean cost in unseen rooms, before and after.
     pub cost_unseen: [f64; 2],
-    /// Share by which the cost has fallen in the rooms that the search has not seen.
+    /// Relative reduction of the cost in unseen rooms.
     pub improvement: f64,
-    /// The least cost of each generation, in the rooms of the search.
+    /// Smallest cost of each generation, in the rooms of the search.
     pub history: Vec<f64>,
-    /// Each room that the search has not seen.
+    /// Unseen rooms.
     pub unseen: Vec<UnseenRoom>,
-    /// The robot file with the gains that were found.
+    /// Robot file with the gains found.
     pub robot_file: PathBuf,
 }
 
@@ -210,10 +209,10 @@ pub fn tune(args: &TuneArgs) -> Outcome {
     Ok(if better { exit_code::OK } else { exit_code::FAILED })
 }
 
-/// The distance over time in one room, m, before and after.
+/// Distance errors over time in one room, m, before and after.
 pub type Traces = [Vec<(f64, f64)>; 2];
 
-/// Rooms, and threads to drive in them.
+/// Rooms, and the number of threads.
 struct Bench<'a> {
     model: &'a RobotModel,
     seen: Vec<World>,
@@ -231,7 +230,7 @@ impl<'a> Bench<'a> {
                 .map(|index| room(from.wrapping_add(index), gap))
                 .collect()
         };
-        // Seeds side by side would share rooms.
+        // Consecutive seeds would share rooms.
         let first = args.seed.wrapping_mul(1_000_003);
         Ok(Self {
             model,
@@ -246,7 +245,7 @@ impl<'a> Bench<'a> {
         })
     }
 
-    /// What each of the gains costs in each of the rooms.
+    /// Cost of each set of gains in each room.
     fn judge(&self, gains: &[Gains], rooms: &[World], bar: &ProgressBar) -> Result<Vec<Vec<Judged>>, Failure> {
         let jobs = gains.len() * rooms.len();
         let next = AtomicUsize::new(0);
@@ -311,7 +310,7 @@ impl<'a> Bench<'a> {
             history.push(costs.iter().copied().fold(f64::INFINITY, f64::min));
             evolution.tell(&candidates, &costs);
         }
-        // The middle of the search is steadier than the best of noisy candidates.
+        // The mean of the search is steadier than the best of noisy candidates.
         let after = Gains::of_logarithms(evolution.mean());
         let seen = self.judge(&[before, after], &self.seen, &bar)?;
         let unseen = self.judge(&[before, after], &self.unseen, &bar)?;
@@ -352,7 +351,7 @@ impl<'a> Bench<'a> {
         Ok((report, traces))
     }
 
-    /// The distance error over time in the first room that the search has not seen.
+    /// The distance error over time in the first unseen room.
     fn trace(&self, gains: Gains) -> Result<Vec<(f64, f64)>, Failure> {
         let Some(room) = self.unseen.first() else {
             return Ok(Vec::new());

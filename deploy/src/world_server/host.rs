@@ -1,7 +1,7 @@
-//! Host of a served world. Who drives which robot, and for how long does one stay that nobody drives? Pure: the wall's time is passed in.
+//! Host of a served world. Assigns robots to edges, and removes robots without an edge. Pure: wall time is passed in.
 //!
-//! A robot obeys the edge that attached it last. While that edge drives, no other gets it; once it has been silent for a second, the next
-//! one that asks does: an edge that was started anew finds its robot where it left it. A robot that nobody drives for a minute leaves.
+//! A robot obeys the edge that attached it last. While that edge sends commands, no other edge gets the robot; after a second of silence,
+//! the next edge that asks gets it: a restarted edge finds its robot where it left it. A robot without commands for a minute is removed.
 
 use std::time::Duration;
 
@@ -12,14 +12,14 @@ use zenav_protocol::messages::{AttachRequest, Refusal, WheelSpeeds};
 use zenav_protocol::time::Stamp;
 use zenav_sim::{RobotSpec, Simulation, World};
 
-/// Time without a command after which a robot's wheels stop, s of the world's time.
+/// Dead-man's switch: time without a command after which a robot's wheels stop, s of the world's time.
 const DEAD_MAN: f64 = 0.1;
-/// Wall time without a command after which another edge may have the robot.
+/// Wall time without a command after which another edge may take over the robot.
 const HOLD: Duration = Duration::from_secs(1);
-/// Wall time without a command after which it leaves the world.
+/// Wall time without a command after which the robot is removed from the world.
 const LEAVE: Duration = Duration::from_secs(60);
 
-/// What became of a robot.
+/// Result of a robot's stay in the world.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RobotReport {
     /// Its id.
@@ -28,27 +28,27 @@ pub struct RobotReport {
     pub length_m: f64,
     /// Least true clearance, m.
     pub min_clearance_m: f64,
-    /// Times that it touched something.
+    /// Number of contacts.
     pub collisions: u32,
 }
 
-/// The world and the robots in it.
+/// The world and its robots.
 pub struct Host {
     world: World,
     simulation: Simulation,
     /// In the order of the simulation.
     robots: Vec<Driven>,
-    /// Of those that left.
+    /// Reports of removed robots.
     left: Vec<RobotReport>,
 }
 
 struct Driven {
     id: Id,
-    /// The number of the edge that drives it.
+    /// Number of the edge that drives the robot.
     edge: u64,
-    /// When that edge attached or commanded it, wall time.
+    /// Last attachment or command of that edge, wall time.
     heard: Duration,
-    /// When its wheels were last commanded, the world's time.
+    /// Last command of the wheels, the world's time.
     commanded: Stamp,
     collisions: u32,
 }
@@ -65,21 +65,21 @@ impl Host {
         }
     }
 
-    /// The world.
+    /// The served world.
     #[must_use]
     pub fn world(&self) -> &World {
         &self.world
     }
 
-    /// The simulation, and the ids of its robots in their order.
+    /// The simulation, and the ids of its robots in order.
     pub fn robots(&self) -> (&Simulation, impl Iterator<Item = &Id>) {
         (&self.simulation, self.robots.iter().map(|robot| &robot.id))
     }
 
-    /// Puts a robot into the world, or gives the one that is there to another edge. `now` is wall time. Returns where it stands.
+    /// Adds a robot to the world, or hands an existing one over to another edge. `now` is wall time. Returns the robot's pose.
     ///
     /// # Errors
-    /// [`Refusal::Busy`] while another edge drives it, [`Refusal::BadRequest`] for what the world does not take.
+    /// [`Refusal::Busy`] while another edge drives it, [`Refusal::BadRequest`] for an invalid request.
     pub fn attach(&mut self, now: Duration, request: &AttachRequest) -> Result<Pose2, Refusal> {
         let id = Id::robot(request.robot.clone()).map_err(Refusal::bad_request)?;
         let Some(index) = self.simulation.find(&id) else {
@@ -128,7 +128,7 @@ impl Host {
         Ok(start)
     }
 
-    /// Commands a robot's wheels, if the edge that does is the one that has it.
+    /// Commands a robot's wheels, if the command is from the edge that has the robot.
     pub fn command(&mut self, now: Duration, robot: &str, speeds: &WheelSpeeds) {
         let found = self.robots.iter_mut().enumerate();
         let has = |(_, driven): &(usize, &mut Driven)| driven.id.as_str() == robot && driven.edge == speeds.edge;
@@ -138,7 +138,7 @@ impl Host {
         }
     }
 
-    /// Moves the world's time on by one step.
+    /// Advances the world by one step.
     pub fn step(&mut self, now: Duration) {
         self.dismiss(now);
         let time = self.simulation.now();
@@ -157,7 +157,7 @@ impl Host {
         }
     }
 
-    /// Lets those leave that nobody drives any more.
+    /// Removes robots that no edge drives any more.
     fn dismiss(&mut self, now: Duration) {
         let gone = |robot: &Driven| now.saturating_sub(robot.heard) > LEAVE;
         while let Some(index) = self.robots.iter().position(gone) {
@@ -182,7 +182,7 @@ impl Host {
         }
     }
 
-    /// What became of all robots, those that left first.
+    /// Reports of all robots, the removed ones first.
     #[must_use]
     pub fn report(&self) -> Vec<RobotReport> {
         let there = (0..self.robots.len()).map(|index| self.report_of(index));
@@ -218,7 +218,7 @@ mod tests {
         }
     }
 
-    /// Steps of a second of wall time with a command of each edge in every one; how far the first robot went.
+    /// Steps the world for a second of wall time, with a command of each edge in every step; returns how far the first robot drove.
     fn driven(host: &mut Host, from: Duration, edges: &[u64]) -> f64 {
         let before = host.simulation.truth(0).length;
         for step in 0..50 {
@@ -237,7 +237,7 @@ mod tests {
     fn of_two_edges_of_one_name_only_the_first_drives() {
         let mut host = host();
         let start = host.attach(Duration::ZERO, &request("a", 1)).unwrap();
-        // Whose first answer was lost asks again.
+        // An edge whose first answer was lost asks again.
         assert_eq!(host.attach(Duration::ZERO, &request("a", 1)), Ok(start));
         assert!(driven(&mut host, Duration::ZERO, &[1]) > 0.05);
         let second = host.attach(SEC, &request("a", 2));

@@ -1,8 +1,7 @@
-//! World server (`zenav sim serve`). How do robots on several machines share one world? The server holds it and moves its time on; edges
-//! attach over the bus, each
-//! with a robot of its own, and hear and move it there as they would a real one.
+//! World server (`zenav sim serve`). One simulated world shared by robots on several machines. The server simulates the world; edges
+//! attach over the bus, each with its own robot, and exchange readings and commands with it as with a real body.
 //!
-//! The world waits for nobody: a robot whose edge is silent for 0.1 s of its time stops its wheels, as hardware would.
+//! The world waits for no edge: a robot whose edge is silent for 0.1 s of the world's time stops its wheels, as hardware would.
 
 mod host;
 
@@ -32,13 +31,13 @@ use crate::launch::runtime;
 use crate::output::{self, Format};
 use host::{Host, RobotReport};
 
-/// Wheel speeds that wait in the bus.
+/// Most wheel commands queued.
 const QUEUE: usize = 1024;
-/// Who serves a world says so under this name of a service.
+/// Service name announced by a world server.
 const SERVICE: &str = "world";
-/// Wall time that another world on the same bus may take to end: one that was killed is there until its link is.
+/// Wall time for another world server on the bus to end: a killed one is seen until its link ends.
 const SUCCESSION: Duration = Duration::from_secs(3);
-/// Wall time for the router to tell who is there.
+/// Wall time for the router's answer about live services.
 const LOOK: Duration = Duration::from_secs(1);
 
 /// Arguments of `zenav sim serve`.
@@ -47,19 +46,19 @@ pub struct ServeArgs {
     /// World: a file or shipped name
     #[arg(long, value_name = "W", default_value = "kitchen", add = completion::worlds())]
     world: String,
-    /// Simulated time against wall time
+    /// Simulated time relative to wall time
     #[arg(long, default_value_t = 1.0, value_parser = connect::speed)]
     speed: f64,
-    /// Seed of all noise and of what walks at random
+    /// Seed of all noise and of randomly walking people
     #[arg(long, default_value_t = 1, value_parser = connect::whole::<u64>)]
     seed: u64,
-    /// Endpoints of a router of its own [default: tcp/127.0.0.1:7447, without --connect]
+    /// Endpoints of an own router [default: tcp/127.0.0.1:7447, without --connect]
     #[arg(long, value_name = "ENDPOINT", value_parser = connect::endpoint)]
     listen: Vec<String>,
-    /// Routers to join: alone, as a client of one; with --listen, as one more router
+    /// Routers to join: without --listen as a client of one, with --listen as a further router
     #[arg(long, value_name = "ENDPOINT")]
     connect: Vec<String>,
-    /// Namespace of the deployment, where its file has one
+    /// Namespace of the deployment, if its file sets one
     #[arg(
         long,
         value_name = "NAME",
@@ -87,7 +86,7 @@ fn lock(host: &Shared) -> MutexGuard<'_, Host> {
 /// `zenav sim serve`.
 ///
 /// # Errors
-/// A bad world, a taken port, a bus where a world is served already.
+/// A bad world, a taken port, a bus with another world server.
 pub fn serve(args: &ServeArgs) -> Outcome {
     let world = files::world(&args.world)?;
     let simulation = Simulation::new(&world, Vec::new(), args.seed).map_err(Failure::usage)?;
@@ -98,7 +97,7 @@ pub fn serve(args: &ServeArgs) -> Outcome {
     let security = args.security.security()?;
     runtime()?.block_on(async {
         args.health.serve().await?;
-        // With an endpoint a router itself: readings reach the edges' links without a detour.
+        // With an endpoint it is a router itself: readings reach the edges without a detour.
         let config = BusConfig {
             connect: args.connect.clone(),
             retry: listen.is_empty(),
@@ -108,7 +107,7 @@ pub fn serve(args: &ServeArgs) -> Outcome {
             security,
         };
         let bus = Bus::open(config).await?;
-        // Port 0 is a free one.
+        // Port 0 is replaced by a free one.
         let mut endpoints = bus.endpoints().await;
         if endpoints.is_empty() {
             endpoints.clone_from(&args.connect);
@@ -140,7 +139,7 @@ pub fn serve(args: &ServeArgs) -> Outcome {
     })
 }
 
-/// Says that a world is served here, where nobody else says so: robots would get two bodies.
+/// Announces the world server, unless there is another one: robots would get two bodies.
 async fn alone(bus: &Bus, endpoint: &str) -> Result<AliveToken, Failure> {
     let key = |name: &str| topics::alive_key(topics::ALIVE_WORKER, &[SERVICE, name]);
     let until = Instant::now() + SUCCESSION;
@@ -215,7 +214,7 @@ async fn run(bus: &Bus, host: &Shared, speed: f64, shutdown: &Shutdown) -> Resul
     Ok(())
 }
 
-/// What everybody is told after each step.
+/// Publishers of the data sent after each step.
 struct Telling {
     bus: Bus,
     clock: Publisher<SimClock>,
@@ -234,7 +233,7 @@ impl Telling {
         });
         for (robot, id) in ids.enumerate() {
             if !self.readings.contains_key(id) {
-                // Nothing is told on a bus that is closed.
+                // A closed bus publishes nothing.
                 let Ok(publisher) = self.bus.publisher(&topics::READINGS, &[id.as_str()]) else {
                     return;
                 };
@@ -250,7 +249,7 @@ impl Telling {
     }
 }
 
-/// Steps at absolute deadlines; what cannot be kept up with is left out, and the world goes slower.
+/// Steps at absolute deadlines; missed deadlines are skipped, so an overloaded world runs slower.
 fn keep_time(period: Duration, shutdown: &Shutdown, mut step: impl FnMut()) {
     let mut deadline = Instant::now();
     while !shutdown.is_set() {

@@ -1,4 +1,4 @@
-//! A robot and its cloud, as far as the commands see them.
+//! A fake robot and cloud, with the interfaces that the commands use.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -39,7 +39,7 @@ impl Drop for Fake {
     }
 }
 
-/// What the fake remembers.
+/// State of the fake.
 struct Memory {
     bus: Bus,
     name: String,
@@ -49,7 +49,7 @@ struct Memory {
 }
 
 impl Fake {
-    /// Its edge and mission show; mapping answers but does not show.
+    /// Its edge and mission have liveliness tokens; mapping answers, but has none.
     pub async fn start(endpoint: &str, name: &str) -> Self {
         let bus = Bus::open(BusConfig::service("fake", endpoint)).await.unwrap();
         let alive = ["edge", "mission"].map(|component| {
@@ -219,7 +219,7 @@ impl Memory {
         })
     }
 
-    /// A goal goes from accepted to active to its end, as its place says.
+    /// Moves every goal from accepted to active to the end that its place names.
     fn drive(&mut self) {
         for (goal, publisher) in self.goals.values_mut().filter(|(goal, _)| !goal.state.is_end()) {
             let end = match goal.request.place.as_deref() {
@@ -239,7 +239,7 @@ impl Memory {
     }
 }
 
-/// Ten columns of free cells under a row of occupied ones.
+/// Ten columns of free cells below a row of occupied ones.
 fn map() -> MapReply {
     let spec = GridSpec {
         origin: Point2::origin(),

@@ -1,7 +1,7 @@
-//! Arcs. Which twist costs least, driven for a moment as the collision monitor will let it be?
+//! Arcs. Which twist costs least if it is driven for a moment as fast as the collision monitor allows?
 //!
-//! A twist is kept along an arc, as fast as the monitor allows it now. The arc is held against what stands and against where tracks are
-//! predicted; its end is judged by the value function.
+//! Each twist is kept along an arc, at the speed that the monitor allows now. The arc is checked against static obstacles and predicted
+//! tracks; its end is judged by the value function.
 
 use std::f64::consts::TAU;
 
@@ -17,51 +17,50 @@ use crate::obstacle_tracks::Track;
 use crate::passive_safety::{GENTLE, Mover};
 use crate::trackers::capped;
 
-/// Arcs last this long, s, and in contact, where the robot only creeps, in so many steps.
+/// Duration of an arc, s; in contact, where the robot only creeps, s; number of steps of either.
 const ARC_SECS: f64 = 1.2;
 const TOUCHED_ARC_SECS: f64 = 4.8;
 const ARC_STEPS: u32 = 12;
-/// Speeds and yaw rates of the window.
+/// Number of forward speeds in the window, and of yaw rates to either side.
 const SPEEDS: i32 = 8;
 const YAW_RATES: i32 = 6;
-/// Directions in which a way out of a contact leads, the share of the top speed that it is driven at, and how far the robot may look beside it
-/// then, rad.
+/// Ways out of a contact: number of directions, share of the top speed, and largest heading error while driving, rad.
 const WAYS_OUT: u32 = 24;
 const AWAY: f64 = 0.4;
 const ALIGNED: f64 = 0.15;
-/// A turn slows down when so little time is left of it, s.
+/// A turn slows down once this little time is left of it, s.
 const TURN_SLOWS: f64 = 0.12;
-/// Another way out is taken when it costs less by this, s: else two that are as good hold the robot between them.
+/// Another way out is taken only if it costs less by this, s: otherwise the robot dithers between two equally good ones.
 const KEPT_GAIN: f64 = 2.0;
-/// Share of the top speed that is used backwards.
+/// Share of the top speed used backwards.
 const BACKWARDS: f64 = 0.4;
-/// Nearer than this to what stands, or to a track, is a contact, m.
+/// A smaller distance from a static obstacle, or from a track, is a contact, m.
 const LEAST_CLEARANCE: f64 = 0.02;
 const LEAST_DISTANCE: f64 = 0.03;
 /// Cost of a contact at the end of an arc, s; at its beginning twice that.
 const CONTACT_COST: f64 = 12.0;
-/// Cost of a contact straight ahead for who does not see behind itself, s: it can only creep away from it.
+/// Cost of a contact straight ahead for a robot that does not see behind itself, s: it can only creep away.
 const HEAD_ON_COST: f64 = 8.0;
-/// Where the end of the plan cannot be reached it counts as this far, s.
+/// Largest time to the end of the plan that is counted, s: also that of an end that cannot be reached.
 const MOST_VALUE: f64 = 60.0;
-/// A robot that is slower than this is taken to stay where it is, whatever it tells, m/s.
+/// A robot slower than this is assumed to stay where it is, whatever course it announces, m/s.
 const STANDS: f64 = 0.05;
-/// Cost of the end of an arc that has no way on, at most, s.
+/// Largest cost of the end of an arc from which no way leads on, s.
 const DOOMED_COST: f64 = 10.0;
-/// And for each rad that it looks away from where the plan leads, s.
+/// Additional cost for each rad that its end faces away from the end of the plan, s.
 const LOOK_COST: f64 = 0.5;
-/// Cost of an arc all along the way of a track, s.
+/// Cost of an arc that stays in the path of a track, s.
 const NEARNESS_COST: f64 = 15.0;
 /// Cost of an arc that the collision monitor would stop, s.
 const SLOWED_COST: f64 = 4.0;
-/// Cost of a twist that the collision monitor holds back entirely, s.
+/// Cost of a twist that the collision monitor stops entirely, s.
 const HELD_COST: f64 = 1.5;
 /// Cost of each second in contact, s; none beyond this distance, m.
 const TOUCHED_COST: (f64, f64) = (2.0, 0.15);
-/// The clearance grid with the covering discs is this coarse, m.
+/// Resolution of the clearance grid together with the covering discs, m.
 const COARSE: f64 = 0.08;
 
-/// What an arc begins in.
+/// The situation in which an arc begins.
 pub(super) struct Situation<'a> {
     input: &'a AvoidanceInput<'a>,
     /// Tracks, and their distances from the covering discs, m.
@@ -70,12 +69,12 @@ pub(super) struct Situation<'a> {
     leaning: &'a [&'a Track],
     /// Time to the end of the plan, s.
     value: f64,
-    /// Distance of the covering discs from what stands, m.
+    /// Distance of the covering discs from static obstacles, m.
     clear: f64,
 }
 
 impl<'a> Situation<'a> {
-    /// Here and now.
+    /// The present situation.
     pub(super) fn new(
         avoidance: &Avoidance,
         input: &'a AvoidanceInput<'a>,
@@ -99,12 +98,12 @@ impl<'a> Situation<'a> {
     }
 }
 
-/// A direction in the odometry frame that leads out of a contact: the robot turns on the spot until it looks there, then drives.
+/// A direction in the odometry frame that leads out of a contact: the robot turns on the spot until it faces it, then drives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct WayOut(u32);
 
 impl WayOut {
-    /// The twist that goes on from a heading, rad, and is kept for so many s at least.
+    /// The twist for a heading, rad, kept for `kept` s at least.
     fn twist(self, drive: &Drive, yaw: f64, kept: f64) -> Twist2 {
         let off = wrap_angle(TAU * f64::from(self.0) / f64::from(WAYS_OUT) - yaw);
         let turn = fastest_turn(drive);
@@ -117,7 +116,7 @@ impl WayOut {
     }
 }
 
-/// The highest yaw rate that is tried, rad/s.
+/// The highest yaw rate tried, rad/s.
 fn fastest_turn(drive: &Drive) -> f64 {
     drive.top_yaw_rate().min(3.0)
 }
@@ -139,7 +138,7 @@ impl Avoidance {
         let base_from_odom = rigid(input.odom_from_base).inverse();
         let mover = |track: &Track| {
             let at = base_from_odom * track.at(input.now.secs_since(track.stamp));
-            // The monitor looks at the outline of a robot that tells its course.
+            // The monitor handles the outlines of robots that announce their course.
             let turns_at_will = !track.is_robot();
             turns_at_will.then(|| Mover::at_will(at, track.radius, track.most_speed()))
         };
@@ -156,7 +155,7 @@ impl Avoidance {
                 .monitor
                 .share_among(input.now, wanted, &movers, obstacles, here, felt)
         };
-        // Who is touched creeps away, however slowly.
+        // In contact the robot creeps away, however slowly.
         let held_cost = if bump.is_some() { 0.0 } else { HELD_COST };
         let mut best = (f64::INFINITY, Twist2::ZERO);
         for nth in -3..=SPEEDS {
@@ -183,7 +182,7 @@ impl Avoidance {
         }
         let mut chosen = None;
         if bump.is_some() || self.is_stuck() {
-            // Away from a contact leads often no single arc, but a turn and then straight on.
+            // Often no single arc leads away from a contact, but a turn followed by a straight drive does.
             for way_out in (0..WAYS_OUT).map(WayOut) {
                 let twist = way_out.twist(&self.drive, input.odom_from_base.yaw, input.dt);
                 let wanted = capped(&self.drive, within_speed(&self.drive, twist), input.speed_cap);
@@ -203,7 +202,7 @@ impl Avoidance {
         (best.1, chosen)
     }
 
-    /// Cost of going over to a twist and keeping it, or of a way out with a share of its turn, s; given up beyond `limit`.
+    /// Cost of changing to a twist and keeping it, or of a way out with a share of its turn, s; evaluation ends beyond `limit`.
     fn arc_cost(&self, situation: &Situation<'_>, wanted: Twist2, way_out: Option<(WayOut, f64)>, limit: f64) -> f64 {
         let (input, from_here) = (situation.input, situation.value);
         let touched = self.touched.is_so();
@@ -216,7 +215,7 @@ impl Avoidance {
         let step = lasts / f64::from(ARC_STEPS);
         let base_from_odom = rigid(input.odom_from_base).inverse();
         let mut wheels = self.drive.wheels(input.command);
-        // The values are those of the end: what lasts longer has cost more by then.
+        // An arc is judged by the time to go at its end, so a longer arc first costs its extra time.
         let (mut pose, mut cost) = (input.odom_from_base, if touched { 0.0 } else { lasts - ARC_SECS });
         cost += 0.1 * (wanted.v - input.command.v).abs() / self.drive.top_speed()
             + 0.1 * (wanted.w - input.command.w).abs() / self.drive.top_yaw_rate();
@@ -228,7 +227,7 @@ impl Avoidance {
                 let share = if twist.v > 0.0 { 1.0 } else { share };
                 target = self.drive.wheels(Twist2::new(twist.v, share * twist.w));
             }
-            // As the limiter does: both in proportion.
+            // As the limiter does: both wheels in proportion.
             let off = [target[0] - wheels[0], target[1] - wheels[1]];
             let share = (change / off[0].abs().max(off[1].abs()).max(1e-9)).min(1.0);
             wheels = [wheels[0] + share * off[0], wheels[1] + share * off[1]];
@@ -239,7 +238,7 @@ impl Avoidance {
             let moving = self.drive.surface_speed(twist) > 0.02;
             let (heading, discs) = (pose.heading(), self.placed(pose));
             let clear = self.clear(&discs);
-            // Who is too near already may leave; in contact the grid is too coarse to tell.
+            // A robot that is too near already may leave; in contact the grid is too coarse to decide.
             if moving && clear < LEAST_CLEARANCE.min(situation.clear - if touched { COARSE } else { LEAST_CLEARANCE }) {
                 return from_here + 60.0 + 60.0 * left;
             }
@@ -275,7 +274,8 @@ impl Avoidance {
                 let least = LEAST_DISTANCE.min(before - LEAST_CLEARANCE);
                 let mut touches = distance < least;
                 if track.is_robot() {
-                    // It does not go where it says while this one is in its way: an arc that leads out of there is better than none.
+                    // The other robot does not follow its course while this one blocks it: an arc that leads out of its path is better than
+                    // none.
                     cost += f64::from(u8::from(touches)) * CONTACT_COST * (1.0 + left) / f64::from(ARC_STEPS);
                     touches = track.velocity.norm() < STANDS && discs.distance(track.position) - track.radius < least;
                 }
@@ -286,7 +286,8 @@ impl Avoidance {
                     slowed = slowed.max((1.0 - distance / kept) * speed / self.drive.top_speed());
                 }
                 if touches {
-                    // Sooner is worse, and so is the robot's own part in it, and who stands where the robot could drive away to.
+                    // A contact costs more the sooner it comes, the faster the robot drives, and, if it backs up slowly, the more straight
+                    // ahead it is.
                     let ahead = (at - pose.position()).dot(&heading) / (at - pose.position()).norm().max(1e-9);
                     let held = if backs_slowly {
                         HEAD_ON_COST * ahead.max(0.0)
@@ -308,7 +309,7 @@ impl Avoidance {
         if value < from_here + DOOMED_COST {
             return cost + value;
         }
-        // Where there is no way out there will be a contact, but later. What has left since a lidar saw it last may have opened one.
+        // Without a way out there will be a contact, but a later one; by then an obstacle last seen there may have left.
         let looks_away = input.ahead.last().map_or(0.0, |end| {
             let toward = end.pose.position() - pose.position();
             wrap_angle(toward.y.atan2(toward.x) - pose.yaw).abs()
@@ -316,12 +317,12 @@ impl Avoidance {
         cost + from_here + DOOMED_COST + LOOK_COST * looks_away
     }
 
-    /// Distance of the covering discs from what stands, m, to within a cell.
+    /// Distance of the covering discs from static obstacles, m, to within a cell.
     fn clear(&self, discs: &PlacedDiscs) -> f64 {
         discs.least(|place| self.clearances.distance(place))
     }
 
-    /// Whether the footprint at a place is over floor that was never seen, ahead of its motion.
+    /// Whether the rear of a robot that backs up is over floor not known to be free.
     fn leaves_known_floor(
         &self,
         input: &AvoidanceInput<'_>,

@@ -1,4 +1,4 @@
-//! Clearance grid. How far is a place from what stands around the robot?
+//! Clearance grid. How far is a place from the static obstacles around the robot?
 
 use nalgebra::{Point2, Vector2};
 
@@ -7,15 +7,15 @@ use super::cell_of;
 /// Cells a side, and their size, m.
 const SIDE: usize = 120;
 const CELL: f64 = 0.05;
-/// Distances are counted in this many parts of a cell: integers, because a step along a row has to wait for the one before.
+/// Distances are counted in this many parts of a cell. Integers are fast here, where each step along a row depends on the one before.
 const PARTS: f64 = 200.0;
-/// To the next cell of a row or column, and of a diagonal, in parts.
+/// Distance to the next cell in a row or column, and on a diagonal, in parts.
 const STRAIGHT: i16 = 191;
 const ASLANT: i16 = 274;
 /// Farther than anything in the grid, in parts.
 const FAR: i16 = 32_000;
 
-/// Distances to what stands around the robot.
+/// Distances to the static obstacles around the robot.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ClearanceGrid {
     origin: Point2<f64>,
@@ -54,14 +54,14 @@ impl ClearanceGrid {
         }
     }
 
-    /// Distance of a point from what stands, m, to within a cell.
+    /// Distance of a point from the nearest static obstacle, m, to within a cell.
     pub(super) fn distance(&self, point: Point2<f64>) -> f64 {
         let parts = cell_of(point, self.origin, CELL, SIDE).and_then(|index| self.distances.get(index));
         parts.map_or(1.0, |parts| f64::from(*parts) * (CELL / PARTS))
     }
 }
 
-/// Distances spread from a row to the one beside it.
+/// Spreads distances from a row to the one beside it.
 fn spread(from: &[i16; SIDE], to: &mut [i16; SIDE]) {
     for column in 0..SIDE {
         to[column] = to[column].min(from[column] + STRAIGHT);

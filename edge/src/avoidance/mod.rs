@@ -1,20 +1,21 @@
-//! Predictive control among moving obstacles. Does the plan lead into the predicted way of somebody, and what does the robot do instead?
+//! Predictive control among moving obstacles. Does the plan lead into the predicted path of one, and what does the robot do instead?
 //!
-//! While no track ([`crate::obstacle_tracks`]) comes near the plan within the horizon, the tracker drives alone. Else two steps choose the
-//! twist, every tick:
+//! While no track ([`crate::obstacle_tracks`]) comes near the plan within the horizon, the tracker drives alone. Otherwise two steps choose
+//! the twist in every tick:
 //!
 //! 1. `value_function`: for each place around the robot and each time up to the horizon, the time to the end of the plan among static
-//!    obstacles and predicted tracks. So the robot waits in a niche, passes behind, or backs out.
+//!    obstacles and predicted tracks. It lets the robot wait in a niche, pass behind an obstacle, or back out.
 //! 2. `arcs`: a dynamic window (Fox, Burgard, Thrun, "The dynamic window approach to collision avoidance", IEEE RAM 1997) whose arcs are checked
 //!    with the footprint against obstacles (`clearance_grid`) and predicted tracks, and judged at their end by that value function.
 //!
-//! Of a robot that tells its course that course is believed. Who of two has right of way minds the other only where there is no time left
-//! to make way; the other one keeps clear of the whole course, and tells where to ([`Avoidance::course`]).
+//! For a robot that announces its course, that course is the prediction. Of two robots, the one with right of way avoids the other only
+//! where no time is left for the other to give way. The other one keeps clear of the whole course and announces its own
+//! ([`Avoidance::course`]).
 //!
-//! Who is touched gets away first (`touched`): then every motion counts that does not lead farther into what touches.
+//! A robot in contact first gets away (`touched`): then every motion is allowed that does not lead deeper into the contact.
 //!
-//! It works in the odometry frame and never leaves floor that a lidar sees free, except along the plan. The collision monitor keeps the
-//! last word.
+//! It works in the odometry frame and never leaves floor that a lidar sees free, except along the plan. The collision monitor has the last
+//! word.
 
 mod arcs;
 mod clearance_grid;
@@ -37,21 +38,22 @@ use clearance_grid::ClearanceGrid;
 use touched::Touched;
 use value_function::ValueFunction;
 
-/// Off the plan by this much the tracker takes over again, m and rad.
+/// The tracker takes over again this near to the plan, m and rad.
 const REJOINED: (f64, f64) = (0.15, 0.5);
 /// Time without a conflict after which the robot returns to the plan, s.
 const CALM: f64 = 0.3;
-/// And after which the tracker takes over wherever the robot is: too far off its plan it asks for a new one.
+/// Time after which the tracker takes over wherever the robot is, s: if that is too far off the plan, the plan is discarded.
 const LONG_CALM: f64 = 1.5;
-/// A robot that gets on by less than this while it makes way, m and rad, for so long, s, is stuck between motions that are as good.
+/// Least progress of a robot that gives way, m and rad, and the time without it after which the robot is stuck, s: two motions that cost
+/// the same can hold it between them.
 const GETS_ON: (f64, f64) = (0.1, 0.5);
 const STUCK: f64 = 1.5;
-/// A footprint is covered by so many discs at most.
+/// Most discs that cover a footprint.
 const MOST_DISCS: usize = 8;
-/// Whose best course leads into a robot's for more layers than this, and this long, s, is trapped, and stays so for a while, s.
+/// A robot is trapped once its best course meets another robot's in more layers than this for longer than this, s; for how long it is, s.
 const TRAPPED: (u32, f64, f64) = (1, 0.5, 10.0);
 
-/// What is ahead of the robot by its plan: pose in the odometry frame, and when it gets there at the plan's pace, s.
+/// A pose ahead on the plan, odometry frame, and when the robot gets there at the plan's pace, s.
 #[derive(Clone, Copy, Debug)]
 pub struct Ahead {
     /// From now, s.
@@ -60,22 +62,22 @@ pub struct Ahead {
     pub pose: Pose2,
 }
 
-/// What predictive control sees in a tick.
+/// Inputs of predictive control in a tick.
 #[derive(Clone, Copy, Debug)]
 pub struct AvoidanceInput<'a> {
     /// Since the last tick, s.
     pub dt: f64,
     /// Now, on the clock of the tracks' stamps.
     pub now: Stamp,
-    /// Where the robot is.
+    /// Pose of the robot.
     pub odom_from_base: Pose2,
-    /// The twist that the wheels were told last.
+    /// The last twist commanded to the wheels.
     pub command: Twist2,
     /// Largest wheel surface speed, m/s: the robot must be at rest when its plan expires.
     pub speed_cap: f64,
-    /// Has the last word: what it would slow down is no way out.
+    /// It has the last word: a motion that it would slow down is no way out.
     pub monitor: &'a CollisionMonitor,
-    /// What the bumper feels.
+    /// The bumper.
     pub bump: &'a Bump,
     /// The rest of the plan, from where the robot should be now.
     pub ahead: &'a [Ahead],
@@ -88,7 +90,7 @@ pub struct AvoidanceInput<'a> {
 pub enum Control {
     /// The tracker alone.
     Follow,
-    /// The tracker again, from the place on the plan that is nearest.
+    /// The tracker again, from the nearest place on the plan.
     Rejoin,
     /// This twist instead.
     Evade(Twist2),
@@ -109,20 +111,20 @@ pub struct Avoidance {
     evading: bool,
     calm_for: f64,
     touched: Touched,
-    /// Which way it goes in contact, or where it is stuck.
+    /// The way out that the robot takes in contact, or while it is stuck.
     way_out: Option<WayOut>,
-    /// Where the robot was when it last got on while making way, and for how long it has not, s.
+    /// Pose at which the robot, while giving way, last made progress, and the time since, s.
     got_to: Option<Pose2>,
     stuck_for: f64,
-    /// Whether what it makes way for is a robot.
+    /// Whether the robot gives way to another robot.
     for_robot: bool,
-    /// Where it makes way to.
+    /// The course on which it gives way.
     course: Vec<Point2<f64>>,
     hit_for: f64,
     trapped_for: f64,
     values: ValueFunction,
     clearances: ClearanceGrid,
-    /// Obstacles that are on no track, odometry frame; kept for its memory.
+    /// Points that are on no track, odometry frame; kept to reuse its memory.
     standing: Vec<Point2<f64>>,
 }
 
@@ -154,30 +156,30 @@ impl Avoidance {
         }
     }
 
-    /// Whether the robot is off its plan to make way.
+    /// Whether the robot is off its plan to give way.
     #[must_use]
     pub fn is_evading(&self) -> bool {
         self.evading
     }
 
-    /// Whether it makes way for a robot that tells its course.
+    /// Whether it gives way to a robot that announces its course.
     #[must_use]
     pub fn is_for_robot(&self) -> bool {
         self.evading && self.for_robot
     }
 
-    /// Where it makes way to, odometry frame, and the time from place to place, s; `None` while it follows its plan.
+    /// The course on which it gives way, odometry frame, and the time from point to point, s; `None` while it follows its plan.
     #[must_use]
     pub fn course(&self) -> Option<(&[Point2<f64>], f64)> {
         (self.evading && !self.course.is_empty()).then(|| (&self.course[..], self.values.layer()))
     }
 
-    /// Whether the robot has not got on for a while although it makes way.
+    /// Whether the robot gives way and has made no progress for a while.
     fn is_stuck(&self) -> bool {
         self.stuck_for > STUCK
     }
 
-    /// Whether lately no way led clear of robots that have right of way.
+    /// Whether, of late, no course led clear of the robots that have right of way.
     #[must_use]
     pub fn is_trapped(&self) -> bool {
         self.trapped_for > 0.0
@@ -251,7 +253,7 @@ impl Avoidance {
         Control::Evade(best)
     }
 
-    /// Whether the plan, at its own pace, comes too near to where a track is predicted.
+    /// Whether the plan, at its own pace, comes too near to a track's prediction.
     fn conflicts(&self, input: &AvoidanceInput<'_>, track: &Track) -> bool {
         let age = input.now.secs_since(track.stamp);
         let within = input
@@ -282,7 +284,7 @@ impl Avoidance {
         placed
     }
 
-    /// Whether the robot is where its plan leads, and looks along it.
+    /// Whether the robot is on its plan and faces along it.
     fn is_on_plan(&self, input: &AvoidanceInput<'_>) -> bool {
         let here = input.odom_from_base;
         let nearest = input
@@ -295,7 +297,7 @@ impl Avoidance {
     }
 }
 
-/// Discs that cover the footprint, where the robot is at some pose: centers, odometry frame, and radii, m.
+/// The covering discs of a robot at some pose: centers, odometry frame, and radii, m.
 struct PlacedDiscs {
     discs: [(Point2<f64>, f64); MOST_DISCS],
     count: usize,
@@ -307,12 +309,12 @@ impl PlacedDiscs {
         self.least(|center| (center - point).norm())
     }
 
-    /// Their distance from the way that a disc's center takes in some moments, m: the robot is to be out of it before.
+    /// Their distance from the path that a track's center takes over some moments, m: the robot must be out of it before.
     fn distance_from_way(&self, way: &Way) -> f64 {
         self.least(|center| way.distance(center))
     }
 
-    /// The least of what is measured from their centers, less their radii, m.
+    /// The least of some measure of their centers, less their radii, m.
     fn least(&self, measure: impl Fn(Point2<f64>) -> f64) -> f64 {
         let off = self.discs[..self.count]
             .iter()
@@ -321,7 +323,7 @@ impl PlacedDiscs {
     }
 }
 
-/// Distance kept from where a track is predicted `secs` ahead, m; `None` of a robot that will have made way by then.
+/// Distance kept from a track's prediction `secs` ahead, m; `None` for a robot that will have given way by then.
 fn kept(settings: &AvoidanceSettings, track: &Track, secs: f64) -> Option<f64> {
     match () {
         () if track.makes_way() && secs > settings.robot_minded => None,
@@ -330,7 +332,7 @@ fn kept(settings: &AvoidanceSettings, track: &Track, secs: f64) -> Option<f64> {
     }
 }
 
-/// The way of a track is left this long before it comes, s.
+/// How long before a track arrives the robot leaves the track's path, s.
 fn lead(settings: &AvoidanceSettings, track: &Track) -> f64 {
     if track.is_robot() {
         settings.robot_lead

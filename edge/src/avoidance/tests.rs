@@ -22,7 +22,7 @@ struct Hall {
     speed_cap: f64,
     half: f64,
     least: f64,
-    /// One that tells its course and has right of way, but stands.
+    /// A robot that announces its course and has right of way, but stands.
     robot: Option<(Point2<f64>, Course)>,
 }
 
@@ -131,7 +131,7 @@ fn it_steps_aside_for_somebody_who_comes_along_the_middle() {
 #[test]
 fn it_lets_somebody_cross() {
     for robot in ["tiago", "jackal"] {
-        // Would meet it at x = 5.
+        // Without avoidance they would meet at x = 5.
         let mut hall = Hall::new(robot, 6.0);
         let secs = hall
             .drive(0.6, |now, _| vec![Point2::new(5.0, -5.0 + 0.6 * now)])
@@ -166,7 +166,7 @@ fn it_gets_away_from_who_runs_into_it_and_leans_on_it() {
 
 #[test]
 fn it_gets_out_of_the_course_of_a_robot_that_waits_for_it_to_do_so() {
-    // The other stands beside it, as near as covering discs allow, and means to go through its place.
+    // The other robot stands beside this one, as near as the covering discs allow, and plans through its place.
     let mut hall = Hall::new("jackal", 4.0);
     let (place, step) = (Point2::new(0.1, 0.5), 0.4);
     let places = (0..16).map(|nth| Point2::new(0.1, 0.5 - 0.6 * f64::from(nth)));

@@ -1,7 +1,8 @@
-//! Touched. Somebody has run into the robot, or leans on it: how near is a pose to what it touches?
+//! Contact. When something has run into the robot, or leans on it, how near would a pose bring the outline to it?
 //!
-//! Grids and covering discs are too coarse for contact. While it lasts, the outline itself is held against the points around it, and what
-//! counts is whether a motion leads nearer to them or away. What leans on the robot does not go on through it: it stands where it is seen.
+//! Grids and covering discs are too coarse in contact. While it lasts, the outline itself is compared with the points around it, and a
+//! motion is judged by whether it leads nearer to them or away. An obstacle that leans on the robot cannot move on through it: it is
+//! assumed to stay where it is seen.
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;
@@ -10,28 +11,28 @@ use zenav_protocol::robot::Footprint;
 use super::AvoidanceInput;
 use crate::obstacle_tracks::Track;
 
-/// Something that moves touches the robot from this near, and has let go beyond that, m.
+/// A moving obstacle this near touches the robot; it has let go beyond the second distance, m.
 const TOUCHES: f64 = 0.03;
 const LET_GO: f64 = 0.08;
-/// After this long it is left to the mission, s.
+/// After this long the contact is left to the mission, s.
 const LONGEST: f64 = 15.0;
-/// Points this far from the outline matter, m, and of those so near to one another only one.
+/// Points this near to the outline count, m, thinned to the second distance, m.
 const REACH: f64 = 0.5;
 const SPACING: f64 = 0.02;
-/// A motion may lead nearer by this, m: ranges are noisy.
+/// A motion may lead this much nearer, m: ranges are noisy.
 const SLACK: f64 = 0.01;
 
-/// What touches the robot, and for how long it has.
+/// The present contact and the points around it.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Touched {
-    /// Since it began, s; `None` while nothing touches.
+    /// Time since the contact began, s; `None` without one.
     since: Option<f64>,
-    /// What is around, in the base frame when it was last looked at, and how far it is from the outline, m; negative inside.
+    /// Points around the robot, in the base frame of the last update, and their distances from the outline, m; negative inside.
     points: Vec<(Point2<f64>, f64)>,
 }
 
 impl Touched {
-    /// Looks at what is around. Only what moves begins a contact; a wall is driven along.
+    /// Updates the points around the robot. Only a moving obstacle begins a contact; the robot may drive along a wall.
     pub(super) fn update(&mut self, footprint: &Footprint, input: &AvoidanceInput<'_>) {
         let near = footprint.circumscribed_radius() + REACH;
         let (mut least, mut least_moving) = (f64::INFINITY, f64::INFINITY);
@@ -64,13 +65,13 @@ impl Touched {
         };
     }
 
-    /// Whether something touches the robot that came at it.
+    /// Whether a moving obstacle touches the robot.
     pub(super) fn is_so(&self) -> bool {
         self.since.is_some()
     }
 
-    /// Distance of the outline from what is around, once the robot has moved by `base_from_there`, m; `None` where that leads into it, or
-    /// farther into it.
+    /// Distance of the outline from the points around it once the robot has moved by `base_from_there`, m; `None` if the move leads into
+    /// one of them, or deeper into it.
     pub(super) fn distance(&self, footprint: &Footprint, base_from_there: Pose2) -> Option<f64> {
         let there_from_base = base_from_there.inverse();
         self.points.iter().try_fold(REACH, |least, (point, before)| {
@@ -79,12 +80,12 @@ impl Touched {
         })
     }
 
-    /// Whether a track's disc touches the robot: it leans on it, and does not go on.
+    /// Whether a track's disc touches the robot: the obstacle leans on it and does not move on.
     pub(super) fn leans(&self, footprint: &Footprint, base_from_odom: Pose2, track: &Track) -> bool {
         self.is_so() && footprint.distance(base_from_odom.transform_point(track.position)) < track.radius + LET_GO
     }
 
-    /// Nothing touches any more.
+    /// Ends the contact.
     pub(super) fn reset(&mut self) {
         self.since = None;
     }

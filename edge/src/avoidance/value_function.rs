@@ -1,4 +1,4 @@
-//! Space-time value function. How long does it take from a place and a time to the end of the plan, among what stands and what moves?
+//! Space-time value function. How long does it take from a place and a time to the end of the plan, among static and moving obstacles?
 //!
 //! Dynamic programming backwards in time over a small grid around the robot, in layers of time up to the horizon; waiting is a move (after
 //! Silver, "Cooperative pathfinding", AIIDE 2005). Beyond the horizon nothing moves.
@@ -24,26 +24,26 @@ const CELLS: usize = SIDE * SIDE;
 const LAYERS: usize = 24;
 /// Cost of a place from which the end cannot be reached, s.
 const NO_WAY: f32 = 1e4;
-/// Cost of being beside a track, as a share of the time there.
+/// Cost of being beside a track, as a share of the time spent there.
 const NEARNESS: f32 = 6.0;
-/// Cost of a layer of time on a robot that tells its course and has right of way, s: not without end, so that there is a least evil.
+/// Cost of one time layer on a robot that announces its course, s: finite, so that the least bad course can be found.
 const HIT: f32 = 60.0;
-/// Time that a turn costs beyond the one at the top yaw rate, as a share.
+/// Cost of a turn, as a share of its duration at the top yaw rate.
 const TURN_COST: f64 = 0.6;
-/// Going backwards counts as a turn of this much, rad.
+/// Driving backwards counts as a turn by this much, rad.
 const BACKWARDS_TURN: f64 = 0.8;
-/// Floor this near to the plan is driven on even where no lidar sees it, m.
+/// Floor this near to the plan counts as free even where no lidar sees it, m.
 const ALONG_PLAN: f64 = 0.3;
-/// It moves no faster than this, m/s: at higher speeds its cells would be too coarse for a door.
+/// Largest speed assumed, m/s: at higher speeds the cells would be too coarse for a door.
 const MOST_SPEED: f64 = 1.6;
-/// Distance kept from what stands and from a track's disc, beyond the inscribed radius, m.
+/// Distance kept from static obstacles and from a track's disc, beyond the inscribed radius, m.
 const LEAST_CLEARANCE: f64 = 0.03;
 
 /// The time to the end of the plan from the places around the robot.
 #[derive(Clone, Debug)]
 pub(super) struct ValueFunction {
     settings: AvoidanceSettings,
-    /// Radius that is kept free, m.
+    /// Radius kept free, m.
     inscribed: f64,
     /// Side of a cell, m, and time of a layer, s.
     cell: f64,
@@ -54,11 +54,11 @@ pub(super) struct ValueFunction {
     floor: Vec<f32>,
     /// Time to the end of the plan from each cell of each layer, s.
     values: Vec<f32>,
-    /// By layer and cell: whether a robot is there that has right of way.
+    /// By layer and cell: whether a robot with right of way is there.
     hits: Vec<bool>,
 }
 
-/// To the neighbours of a cell: how far on in the grid, and how many layers it takes.
+/// Moves to the neighbours of a cell: offset of the index, and duration in layers.
 const NEIGHBOURS: [(isize, f32); 8] = [
     (1, 1.0),
     (-1, 1.0),
@@ -70,10 +70,9 @@ const NEIGHBOURS: [(isize, f32); 8] = [
     (-1 - SIDE as isize, std::f32::consts::SQRT_2),
 ];
 
-/// The values of a layer from those of the next one and of the last one. Row by row and without branches, so that the compiler takes several
-/// cells at once.
+/// Computes a layer from the next one and the last one. Row by row and without branches, so that the compiler vectorises it.
 fn step_back(step: f32, floor: &[f32], [next, last]: [&[f32]; 2], now: &mut [f32]) {
-    // `f32::min` and `max` look for what is no number.
+    // `f32::min` and `max` also check for NaN.
     let less = |a: f32, b: f32| if a < b { a } else { b };
     let more = |a: f32, b: f32| if a > b { a } else { b };
     let diagonal = step * std::f32::consts::SQRT_2;
@@ -82,7 +81,7 @@ fn step_back(step: f32, floor: &[f32], [next, last]: [&[f32]; 2], now: &mut [f32
         let (here, last, floor) = (&next[row], &last[row], &floor[row]);
         let mut least = [0.0; SIDE];
         for column in 0..SIDE {
-            // Who is at the end does not wait for anything.
+            // At the end of the plan waiting costs nothing.
             least[column] = here[column] + if last[column] < step { 0.0 } else { step };
         }
         if (1..SIDE - 1).contains(&row) {
@@ -103,7 +102,7 @@ fn step_back(step: f32, floor: &[f32], [next, last]: [&[f32]; 2], now: &mut [f32
     }
 }
 
-/// A layer by its rows.
+/// A layer as its rows.
 fn rows(layer: &[f32]) -> &[[f32; SIDE]] {
     layer.as_chunks::<SIDE>().0
 }
@@ -157,7 +156,7 @@ impl ValueFunction {
             .map(|(column, row)| row * SIDE + column)
     }
 
-    /// Computes all values; who leans on the robot stands.
+    /// Computes all values; obstacles that lean on the robot count as static.
     pub(super) fn fill(
         &mut self,
         input: &AvoidanceInput<'_>,
@@ -182,7 +181,7 @@ impl ValueFunction {
         }
     }
 
-    /// Makes a layer's cells impassable that a track takes then or in the moments after, and those beside them slow.
+    /// Makes the cells of a layer impassable that a track occupies then or in the moments after, and the cells beside them costly.
     fn add_track(&mut self, nth: usize, track: &Track, age: f64) {
         let secs = self.layer * nth as f64;
         let Some(kept) = kept(&self.settings, track, secs) else {
@@ -219,7 +218,7 @@ impl ValueFunction {
         }
     }
 
-    /// The best course from a place, a layer of time apart, into `out`; in how many layers it leads into a robot's.
+    /// Writes the best course from a place into `out`, one point per layer; returns in how many layers it meets a robot with right of way.
     pub(super) fn course(&self, from: Point2<f64>, out: &mut Vec<Point2<f64>>) -> u32 {
         out.clear();
         let Some(mut index) = cell_of(from, self.origin, self.cell, SIDE) else {
@@ -242,14 +241,14 @@ impl ValueFunction {
                     }
                 }
             }
-            // Where it is now nobody can help.
+            // The first layers do not count: nothing can be changed there any more.
             hits += u32::from(nth > 2 && nth < LAYERS && self.hits[nth * CELLS + index]);
             out.push(self.center(index));
         }
         hits
     }
 
-    /// Marks the cells that the robot cannot be in: too near to what stands, or never seen free.
+    /// Marks the cells that the robot cannot be in: too near to a static obstacle, or not seen free.
     fn block(&mut self, input: &AvoidanceInput<'_>, standing: &[Point2<f64>], leaning: &[&Track]) {
         let odom_from_base = rigid(input.odom_from_base);
         let base_from_odom = odom_from_base.inverse();
@@ -268,7 +267,7 @@ impl ValueFunction {
         let around = (input.odom_from_base.position(), 1.5 * self.inscribed, 0.0);
         let standing = standing.iter().map(|point| (*point, 0.0));
         let leaning = leaning.iter().map(|track| (track.position, track.radius));
-        // What touches the robot does not close the place where it is.
+        // An obstacle in contact does not block the robot's own cell.
         let here = input.odom_from_base.position();
         let blocking = standing.chain(leaning).map(|(place, radius)| {
             let kept = (radius + self.inscribed + LEAST_CLEARANCE).min((place - here).norm() - 0.01);
@@ -281,7 +280,7 @@ impl ValueFunction {
         }
     }
 
-    /// The time to the end of the plan among what stands, into the last layer: Dijkstra from the plan.
+    /// Fills the last layer with the time to the end of the plan among static obstacles: Dijkstra from the plan.
     fn static_values(&mut self, input: &AvoidanceInput<'_>) {
         let last = LAYERS * CELLS;
         let end = input.ahead.last().map_or(0.0, |ahead| ahead.secs);
@@ -317,7 +316,7 @@ impl ValueFunction {
         }
     }
 
-    /// Time to the end from a pose `secs` from now, s: the value between the cells around it, and the turn towards the best neighbour.
+    /// Time to the end from a pose `secs` from now, s: interpolated between the cells around it, plus the turn towards the best neighbour.
     pub(super) fn at(&self, pose: Pose2, secs: f64, yaw_rate: f64) -> f64 {
         let nth = ((secs / self.layer).round() as usize).min(LAYERS);
         let layer = &self.values[nth * CELLS..(nth + 1) * CELLS];
@@ -334,7 +333,7 @@ impl ValueFunction {
             (corner + SIDE, (1.0 - share_x) * share_y),
             (corner + SIDE + 1, share_x * share_y),
         ];
-        // A cell without a way out counts, but does not drown the others.
+        // A cell without a way to the end adds a bounded cost, and does not dominate the others.
         let ways = corners
             .iter()
             .map(|(index, share)| (f64::from(layer[*index]), share))

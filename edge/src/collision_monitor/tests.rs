@@ -17,14 +17,14 @@ fn tiago() -> RobotModel {
     zenav_fixtures::robot("tiago")
 }
 
-/// A TIAGo that looks all around.
+/// A TIAGo with an all-round view.
 fn all_seeing() -> RobotModel {
     let mut model = tiago();
     model.lidar.as_mut().unwrap().field_of_view = std::f64::consts::TAU;
     model
 }
 
-/// A wall across the way at `distance` ahead of the base.
+/// A wall across the path, `distance` ahead of the base.
 fn wall(model: &RobotModel, distance: f64) -> LocalObstacles {
     let lidar = model.first_lidar().unwrap();
     let mut obstacles = LocalObstacles::new(model);
@@ -158,7 +158,7 @@ fn jackal() -> RobotModel {
     zenav_fixtures::robot("jackal")
 }
 
-/// A second of a Jackal at rest beside which something comes from `from` at `velocity` m/s across, a post of 0.2 m.
+/// One second of a Jackal at rest while a post of 0.2 m comes from `from` along x at `velocity` m/s.
 fn beside(model: &RobotModel, from: Point2<f64>, velocity: f64) -> (LocalObstacles, Stamp) {
     passing(model, from, velocity, 0.2)
 }
@@ -237,7 +237,7 @@ fn with_a_moving_obstacle_in_the_blind_spot_a_robot_does_not_swing_its_corners()
 fn a_robot_that_drives_may_turn_where_nobody_wide_enough_to_be_seen_can_reach_its_side_in_time() {
     let model = jackal();
     let nothing = vec![f32::INFINITY; model.first_lidar().unwrap().beams];
-    // A wide one and a narrow one go into the blind spot along the left side.
+    // A wide and a narrow obstacle enter the blind spot along the left side.
     let turn = |radius: f64, twist: Twist2| {
         let (mut obstacles, stamp) = passing(&model, Point2::new(0.4, 0.3 + radius), -0.6, radius);
         let mut now = stamp;
@@ -266,7 +266,7 @@ fn a_robot_that_drives_may_turn_where_nobody_wide_enough_to_be_seen_can_reach_it
 #[test]
 fn whoever_went_into_the_blind_spot_and_did_not_come_out_is_not_backed_into() {
     let model = jackal();
-    // One passes close by, one out of reach of the corners.
+    // One obstacle passes close by, one out of reach of the corners.
     for (from, velocity, may_touch) in [((0.6, 0.5), -1.0, true), ((-1.2, 2.5), -1.3, false)] {
         let (obstacles, stamp) = beside(&model, Point2::new(from.0, from.1), velocity);
         let there = |secs: f64| {
@@ -285,7 +285,7 @@ fn whoever_went_into_the_blind_spot_and_did_not_come_out_is_not_backed_into() {
             .moving()
             .may_be_in_blind_spot(Stamp::from_secs(1.1), Point2::origin())
     );
-    // Over floor that it has seen it backs up as fast as is allowed, until somebody may be there.
+    // Over floor that it has seen the robot backs up as fast as is allowed, until an obstacle may be there.
     let mut floor = LocalObstacles::new(&model);
     looked(&mut floor, &model, 0.8, std::f64::consts::PI);
     looked(&mut floor, &model, 1.0, 0.0);
@@ -415,7 +415,7 @@ fn a_round_robot_on_which_somebody_leans_turns_on_the_spot_though_its_controller
     }
 }
 
-/// Free floor all around, seen at 1.0 s from a robot that looks along `yaw`.
+/// Free floor as seen by a robot that faces `yaw`.
 fn looked(obstacles: &mut LocalObstacles, model: &RobotModel, secs: f64, yaw: f64) {
     let sweep = Sweep::new(
         Stamp::from_secs(secs),
@@ -456,7 +456,7 @@ fn over_floor_never_seen_it_feels_its_way_as_fast_as_is_allowed() {
     let wanted = Twist2::new(-0.3, 0.0);
     let verdict = monitor.judge(Stamp::from_secs(1.05), wanted, &ahead, Pose2::IDENTITY, &NO_BUMP);
     assert!((verdict.twist.v + 0.05).abs() < 1e-9, "{verdict:?}");
-    // What the bumper has felt there may be somebody.
+    // A contact felt there may be a moving obstacle.
     ahead.touch(Stamp::from_secs(1.05), Some(Point2::new(-0.29, 0.0)), Pose2::IDENTITY);
     ahead.touch(Stamp::from_secs(1.06), None, Pose2::IDENTITY);
     let verdict = monitor.judge(Stamp::from_secs(1.07), wanted, &ahead, Pose2::IDENTITY, &NO_BUMP);
@@ -480,7 +480,7 @@ fn a_gentle_motion_waits_until_a_faster_one_has_faded() {
     assert_eq!(judge(0.08, gentle), Twist2::ZERO);
     let later: Vec<Twist2> = (5..20).map(|tick| judge(0.02 * f64::from(tick), gentle)).collect();
     assert_eq!(later.last(), Some(&gentle), "{later:?}");
-    // What is no gentle motion is not held up.
+    // A faster motion is not held up.
     judge(0.42, Twist2::new(0.2, 0.0));
     assert_eq!(judge(0.44, Twist2::new(0.05, 0.3)).w, 0.3);
 }
@@ -490,7 +490,7 @@ fn a_corner_is_touched_from_between_its_sides_too() {
     let footprint = jackal().footprint;
     let turn = fastest_outward(&footprint, Twist2::new(0.0, 1.0));
     let both = fastest_outward(&footprint, Twist2::new(0.2, 1.0));
-    // Straight on moves the front edge alone, a turn the ends of the sides; a corner does both.
+    // Driving straight moves only the front edge outwards, a turn only the ends of the sides; a corner does both.
     assert!((turn - 0.21).abs() < 1e-9 && both > 0.36, "{turn} {both}");
 }
 

@@ -2,10 +2,10 @@
 //! gyro's bias and the three systematic errors of a differential drive (Borenstein and Feng 1996): the radius of either wheel and their
 //! separation.
 //!
-//! Sensor noise comes from the robot file: encoder noise and slip for each wheel, gyro noise for each reading, half a step of what is
-//! quantised. How states wander, and the map which corrections refer to, are settings. Encoder steps are ignored, because they do not add up. A constant
-//! error is a state, not noise, because it does not average out. Source: Bar-Shalom, Li, Kirubarajan, *Estimation with Applications to
-//! Tracking and Navigation*, 2001, ch. 5 and 10; gates by the Mahalanobis distance.
+//! Sensor noise comes from the robot file: encoder noise and slip for each wheel, gyro noise for each reading, quantisation noise. The
+//! random walks of the states, and of the map that corrections refer to, are settings. Encoder steps are ignored, because they do not add
+//! up. A constant error is a state, not noise, because it does not average out. Source: Bar-Shalom, Li, Kirubarajan, *Estimation with
+//! Applications to Tracking and Navigation*, 2001, ch. 5 and 10; gates by the Mahalanobis distance.
 
 use nalgebra::{Matrix2, Matrix3, RowSVector, SMatrix, SVector, Vector2, Vector3};
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
@@ -19,17 +19,17 @@ const GATE: [f64; 3] = [10.83, 13.82, 16.27];
 /// Least variance of a measurement, m² or rad².
 const LEAST_VARIANCE: f64 = 1e-8;
 
-/// Turns that are known better than this, rad², tell nothing of one another.
+/// Turns known better than this are not compared, rad².
 const LEAST_TURN_VARIANCE: f64 = 1e-16;
 
-/// Places in the state after x, y and yaw.
+/// Indices in the state after x, y and yaw.
 const BIAS: usize = 3;
 const LEFT: usize = 4;
 const RIGHT: usize = 5;
 const APART: usize = 6;
 const STATES: usize = 7;
 
-/// What the filter knows of the robot, and how it is tuned.
+/// The robot model, and the tuning of the filter.
 pub(super) type Known<'a> = (&'a RobotModel, &'a EstimatorSettings);
 
 type State = SVector<f64, STATES>;
@@ -48,7 +48,7 @@ pub(super) enum Input {
     Gps(Vector2<f64>, f64),
     /// Pose, made off board, and its covariance.
     Correction(Pose2, Matrix3<f64>),
-    /// Pose where the robot was found, whatever was believed before, and its covariance.
+    /// Pose at which the robot was found anew, whatever the estimate before, and its covariance.
     Found(Pose2, Matrix3<f64>),
 }
 
@@ -65,7 +65,7 @@ impl Input {
         }
     }
 
-    /// The same in another frame of the map. What GPS and compass say is no matter of the map's.
+    /// The same in another map frame. GPS and compass do not depend on the map.
     pub(super) fn moved(&mut self, new_from_old: Pose2) {
         if let Self::Correction(pose, noise) | Self::Found(pose, noise) = self {
             *pose = new_from_old * *pose;
@@ -98,7 +98,7 @@ pub(super) struct Compared {
     pub(super) fused: bool,
 }
 
-/// Motion until the next input, as far as sensors know.
+/// Motion until the next input, as far as the sensors tell.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Motion {
     /// Stamp and angles (rad) of the wheels' reading that ends the interval.
@@ -123,19 +123,19 @@ struct WheelTurn {
     /// Distance rolled by the left and the right wheel, m, without their errors, and its variance, m².
     sides: [f64; 2],
     variances: [f64; 2],
-    /// Variance of one wheel's distance by the steps of its encoder, m².
+    /// Variance of one wheel's distance due to the steps of its encoder, m².
     step_variance: f64,
-    /// How the pose depends on what each wheel rolls, of the noise that the prediction took.
+    /// Derivative of the pose by the distance of each wheel, for the noise that the prediction took.
     by_wheels: Vector3<f64>,
-    /// The turn that the prediction took from the gyro, rad, and the rate of its reading before, rad/s.
+    /// The turn that the prediction took from the gyro, rad, and the rate of the gyro's previous reading, rad/s.
     turn: f64,
     rate_before: f64,
-    /// How the pose depends on it, and its variance, rad².
+    /// Derivative of the pose by that turn, and the variance of the turn, rad².
     by_gyro: Vector3<f64>,
     gyro_variance: f64,
 }
 
-/// Turns the axes of a pose's covariance.
+/// Rotates the axes of a pose's covariance.
 fn turning(yaw: f64) -> Matrix3<f64> {
     let (sin, cos) = yaw.sin_cos();
     Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0)
@@ -191,7 +191,7 @@ impl Ekf {
         (self.still, self.stood_at) = (0.0, wheels);
     }
 
-    /// The same estimate in another frame of the map: nothing moves relative to the walls.
+    /// The same estimate in another map frame: nothing moves relative to the walls.
     pub(super) fn moved(&mut self, new_from_old: Pose2) {
         let moved = new_from_old * self.map_from_base();
         (self.state[0], self.state[1], self.state[2]) = (moved.x, moved.y, moved.yaw);
@@ -286,7 +286,7 @@ impl Ekf {
             }
             Input::Found(pose, noise) => {
                 (self.state[0], self.state[1], self.state[2]) = (pose.x, pose.y, pose.yaw);
-                // The pose has nothing in common with what led to the one before.
+                // The new pose is independent of everything that led to the old one.
                 self.covariance.fixed_rows_mut::<3>(0).fill(0.0);
                 self.covariance.fixed_columns_mut::<3>(0).fill(0.0);
                 self.covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(noise);
@@ -385,7 +385,7 @@ impl Ekf {
             self.covariance[(parameter, parameter)] += settings.wheel_walk * secs;
         }
         if motion.gyro.is_some() && known {
-            // Steps of the encoders do not add up, but one of them must not look like slip.
+            // Encoder steps do not add up, but a single one must not look like slip.
             let step = if left == 0.0 && right == 0.0 {
                 0.0
             } else {
@@ -405,8 +405,8 @@ impl Ekf {
         }
     }
 
-    /// The gyro turned the robot; what its wheels say of the same turn is a measurement of it, and of the gyro's bias against the wheels'
-    /// errors. Both noises are in the prediction too: the gain counts what they share with it.
+    /// The prediction took the turn from the gyro; the wheels' turn over the same time is a measurement of it, and of the gyro's bias
+    /// against the wheels' errors. Both noises are in the prediction too: the gain accounts for this correlation.
     fn compare_turns(&mut self, wheels: &WheelTurn, apart: f64, secs: f64) {
         let [left, right] = wheels.sides;
         let turn = (right * (1.0 + self.state[RIGHT]) - left * (1.0 + self.state[LEFT])) / apart;
@@ -414,11 +414,11 @@ impl Ekf {
         let [by_left, by_right] = wheels.variances;
         let wheel_variance = (by_left + by_right + 2.0 * wheels.step_variance) / (apart * apart);
         let noise = wheels.gyro_variance + wheel_variance;
-        // By the turn that the gyro's last reading foretold, which has nothing of the innovation's noise in it. By one that has, noise would
-        // look like wheels that are too large and too far apart, or too small and too near (regression dilution).
+        // Linearised at the turn predicted from the gyro's previous reading, which is independent of the innovation's noise. Otherwise
+        // noise would look like wheels that are too large and too far apart, or too small and too near (regression dilution).
         let foretold = (wheels.rate_before - self.state[BIAS]) * secs;
         let (way, aside) = (0.5 * (left + right), 0.5 * foretold * apart);
-        // Of the innovation by the state: gyro less wheels.
+        // Derivative of the innovation by the state: gyro less wheels.
         let mut jacobian = SVector::<f64, STATES>::zeros();
         jacobian[BIAS] = -secs;
         (jacobian[LEFT], jacobian[RIGHT]) = ((way - aside) / apart, -(way + aside) / apart);
@@ -438,7 +438,8 @@ impl Ekf {
         self.covariance = (self.covariance + self.covariance.transpose()) * 0.5;
     }
 
-    /// The map that corrections refer to errs along the way, also one that was made before: its errors add up like a drift of odometry.
+    /// The map that corrections refer to, even one made earlier, has errors that grow with the distance driven: they add up like odometry
+    /// drift.
     fn go_astray(&mut self, settings: &EstimatorSettings) {
         let metres = std::mem::take(&mut self.uncorrected);
         let (walk, turn) = (settings.map_walk.powi(2), settings.map_turn_walk.powi(2));
@@ -449,7 +450,7 @@ impl Ekf {
 
     /// Updates how long the wheels have been at rest.
     fn rest(&mut self, model: &RobotModel, secs: f64, wheels: [f64; 2]) {
-        // Compared with the angles when they came to rest: a slow creep is no rest.
+        // Compared with the angles at which they came to rest: a slow creep is not rest.
         let flicker = 1.01 * model.encoders.resolution + 1e-9;
         let resting = wheels
             .iter()

@@ -1,9 +1,9 @@
-//! What would be believed if every input had come in the order of its stamp? Inputs of the last seconds, each with the ekf after it;
-//! one that comes late is put where it belongs, and everything after it is applied again.
+//! Measurement buffer. What would the estimate be if every input had arrived in the order of its stamp? Inputs of the last seconds, each
+//! with the filter after it; a late input is put in its place, and everything after it is applied again.
 //!
-//! So the ekf is a function of the set of inputs, whatever order they came in (re-application of history: Bar-Shalom 2002 calls it
-//! the optimal answer to out-of-sequence measurements, at the cost of the memory). Wheels between two of their readings turn evenly,
-//! and until a gyro's reading covers a time the wheels tell the turn. Bounded in time and in number.
+//! So the estimate is a function of the set of inputs, in whatever order they arrive (re-application of history: Bar-Shalom 2002 calls it
+//! the optimal answer to out-of-sequence measurements, at the cost of the memory). Between two of their readings the wheels are assumed to
+//! turn evenly, and they give the turn until a gyro reading covers the time. Bounded in time and in number.
 
 use std::collections::VecDeque;
 
@@ -16,7 +16,7 @@ use super::ekf::{Compared, Ekf, Input, Known, Motion};
 pub(super) const WINDOW: f64 = 2.0;
 /// Most inputs kept; with more, less than the window is covered.
 const CAPACITY: usize = 1024;
-/// An input may be this far ahead of the wheels' newest reading, s; it waits until they come.
+/// An input may be this far ahead of the wheels' newest reading, s; it waits for them.
 const AHEAD: f64 = 1.0;
 /// A gyro reading covers at most this time since the one before, s.
 const LONGEST_SPAN: f64 = 0.5;
@@ -38,7 +38,7 @@ pub(super) enum Admission {
 struct Entry {
     stamp: Stamp,
     input: Input,
-    /// Never applied yet.
+    /// Not applied yet.
     fresh: bool,
     after: Ekf,
 }
@@ -66,10 +66,10 @@ impl Entry {
 /// Inputs in the order of their stamps.
 #[derive(Clone, Debug)]
 pub(super) struct MeasurementBuffer {
-    /// Before the first entry.
+    /// The filter before the first entry.
     before: Ekf,
     entries: VecDeque<Entry>,
-    /// Entries whose `after` holds.
+    /// Number of entries whose `after` is valid.
     applied: usize,
     /// Stamp of the wheels' newest reading.
     newest: Stamp,
@@ -87,7 +87,7 @@ impl MeasurementBuffer {
         }
     }
 
-    /// What is believed at the wheels' newest reading, once [`Self::replay`] has been called.
+    /// The estimate at the wheels' newest reading, once [`Self::replay`] has been called.
     pub(super) fn ekf(&self) -> &Ekf {
         match self.applied.checked_sub(1).and_then(|last| self.entries.get(last)) {
             Some(entry) => &entry.after,
@@ -95,7 +95,7 @@ impl MeasurementBuffer {
         }
     }
 
-    /// Carries all over to another frame of the map.
+    /// Carries everything over to another map frame.
     pub(super) fn moved(&mut self, new_from_old: Pose2) {
         self.before.moved(new_from_old);
         for entry in &mut self.entries {
@@ -132,13 +132,13 @@ impl MeasurementBuffer {
             return Admission::Repeated;
         }
         if self.entries.len() >= CAPACITY {
-            // Where everything still waits for wheels there is no room.
+            // There is no room while every entry still waits for wheels.
             if place == 0 || !self.forget_first() {
                 return Admission::TooLate;
             }
             return self.insert(stamp, input);
         }
-        // Wheels and gyro tell about the time since their reading before: all after that is applied again.
+        // Wheel and gyro readings cover the time since their previous one: everything after that is applied again.
         let told_since = match input {
             Input::Wheels(_) => self.since(place, |entry| entry.wheels().is_some()),
             Input::Gyro(_) => self.since(place, |entry| entry.gyro().is_some()),
@@ -169,7 +169,7 @@ impl MeasurementBuffer {
         .min(place)
     }
 
-    /// Leaves out the oldest entry for good, if it is applied.
+    /// Drops the oldest entry for good, if it has been applied.
     fn forget_first(&mut self) -> bool {
         if self.applied == 0 {
             return false;
@@ -181,7 +181,7 @@ impl MeasurementBuffer {
         true
     }
 
-    /// Applies everything that is not, in the order of stamps; `report` gets each measurement that is compared for the first time.
+    /// Applies all entries not applied yet, in the order of stamps; `report` gets each measurement that is compared for the first time.
     pub(super) fn replay(&mut self, known: Known<'_>, mut report: impl FnMut(Compared)) {
         let (mut wheels_ahead, mut gyro_ahead) = (self.applied, self.applied);
         while let Some(entry) = self
@@ -194,7 +194,7 @@ impl MeasurementBuffer {
             let wheels = self.next(&mut wheels_ahead, index, Entry::wheels);
             let gyro = self.next(&mut gyro_ahead, index, Entry::gyro);
             let motion = Motion {
-                // None is ahead only at the stamp of the newest itself, where nothing moves any more.
+                // No wheels are ahead only at the stamp of their newest reading itself, where no time is left to move.
                 wheels: wheels.unwrap_or((entry.stamp, [0.0; 2])),
                 gyro: gyro.filter(|(until, _)| {
                     ekf.gyro_at()

@@ -23,10 +23,10 @@ use measurement_buffer::{Admission, MeasurementBuffer};
 
 /// After this many readings in a row that are too late, the body's clock has restarted.
 const ANOTHER_CLOCK_AFTER: u32 = 25;
-/// A gyro that has said nothing for longer is not what the heading comes from, s.
+/// The heading no longer comes from a gyro that has been silent for longer than this, s.
 const GYRO_SILENT: f64 = 0.5;
 
-/// Slower than this is rest, m/s and rad/s: a filter alone would take for ever to get there.
+/// Slower than this is rest, m/s and rad/s: a filter alone would never get there.
 const REST: f64 = 1e-6;
 
 /// Counts of the inputs since start.
@@ -52,7 +52,7 @@ pub struct Estimator {
     start: Ekf,
     buffer: Option<MeasurementBuffer>,
     odom_from_base: Pose2,
-    /// Dead reckoning that odometry has taken in.
+    /// Dead reckoning that odometry already includes.
     reckoned: Reckoned,
     velocity: Twist2,
     history: PoseHistory,
@@ -62,7 +62,7 @@ pub struct Estimator {
 }
 
 impl Estimator {
-    /// A robot that stands at `start` in the map, known as well as the settings say.
+    /// A robot at rest at `start` in the map, known as well as the settings say.
     #[must_use]
     pub fn new(model: &RobotModel, start: Pose2, settings: &EstimatorSettings) -> Self {
         Self {
@@ -80,8 +80,8 @@ impl Estimator {
         }
     }
 
-    /// Takes one tick's readings and the pose measurements that were made off board for this boot. Cost: a few microseconds; when
-    /// something comes late, once more all that came after it, a window's worth at most.
+    /// Takes one tick's readings and the pose measurements that were made off board for this boot. Cost: a few microseconds; a late input
+    /// adds a replay of all inputs after it, a window's worth at most.
     pub fn step<'a>(&mut self, readings: &Readings, corrections: impl IntoIterator<Item = &'a Correction>) {
         self.nis = [None; 3];
         self.wheels(readings);
@@ -97,7 +97,7 @@ impl Estimator {
         self.settle();
     }
 
-    /// Carries the estimate over to another frame of the map: odometry, and what is believed relative to the walls, stay as they are.
+    /// Carries the estimate over to another map frame: odometry, and the estimate relative to the walls, stay as they are.
     pub fn moved(&mut self, new_from_old: Pose2) {
         self.start.moved(new_from_old);
         if let Some(buffer) = &mut self.buffer {
@@ -147,7 +147,7 @@ impl Estimator {
         self.velocity
     }
 
-    /// Standard deviation of the gyro's bias, rad/s; `None` where the heading is not the gyro's.
+    /// Standard deviation of the gyro's bias, rad/s; `None` if the heading does not come from the gyro.
     pub(crate) fn gyro_bias_std(&self) -> Option<f64> {
         let ekf = self.ekf();
         let age = ekf.time().secs_since(ekf.gyro_at()?);
@@ -165,7 +165,7 @@ impl Estimator {
         self.buffer.as_ref().map_or(&self.start, MeasurementBuffer::ekf)
     }
 
-    /// Wheel angles. Without them everything waits for the next ones, which make up for it, up to the encoder timeout.
+    /// Wheel angles. Without them the update waits for the next ones, which cover the gap, up to the encoder timeout.
     fn wheels(&mut self, readings: &Readings) {
         if !readings.wheels.iter().all(|angle| angle.is_finite()) {
             self.tally.broken += 1;

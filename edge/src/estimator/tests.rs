@@ -37,7 +37,7 @@ fn readings(tick: usize, wheels: [f64; 2]) -> Readings {
     }
 }
 
-/// Something that arrives.
+/// An input that arrives.
 #[derive(Clone, Debug)]
 enum Item {
     Wheels(Readings),
@@ -46,7 +46,7 @@ enum Item {
     Correction(Correction),
 }
 
-/// What the sensors of a winding drive say, in the order of stamps, each with the tick it was made in. Some measurements lie far off.
+/// The sensor data of a winding drive, in the order of stamps, each with the tick it was made in. Some measurements lie far off.
 fn drive(speeds: &[(f64, f64)], noise: &[f64]) -> Vec<(usize, Item)> {
     let drive = model().drive;
     let mut noise = noise.iter().copied().cycle();
@@ -102,7 +102,7 @@ fn take(estimator: &mut Estimator, item: &Item) {
     }
 }
 
-/// Each item as many ticks late as told; several in one tick in the order of their making.
+/// Applies each item with its delay, in ticks; several in one tick in the order in which they were made.
 fn estimate(items: &[(usize, Item)], delay: impl Fn(usize) -> usize) -> Estimator {
     let mut arrivals: Vec<(usize, &Item)> = items
         .iter()

@@ -14,7 +14,7 @@ use crate::local_obstacles::LocalObstacles;
 const DIRECTIONS: u32 = 16;
 /// Spacing of the poses checked along a drive, m.
 const PLACES: f64 = 0.1;
-/// No slower than this, rad/s and m/s.
+/// Slowest assumed speed, rad/s and m/s.
 const SLOWEST: f64 = 1e-3;
 /// Spacing of the candidate places along a direction, m.
 const STEP: f64 = 0.05;
@@ -28,7 +28,7 @@ pub struct Escape {
     pub distance: f64,
 }
 
-/// How fast the robot gets to a free place.
+/// Speeds on the way to a free place.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pace {
     /// Forwards and backwards, m/s.
@@ -37,8 +37,8 @@ pub struct Pace {
     pub turning: f64,
 }
 
-/// The path to the place within `within` m at which every point stays `clearance` m away from the footprint, that is reached soonest.
-/// `None` when there is none.
+/// The soonest path to a place within `within` m at which every point is at least `clearance` m away from the footprint; `None` if there is
+/// none.
 ///
 /// `points` are in the base frame; `is_free` tells whether the robot, placed at a pose in its present base frame, can move with a twist
 /// for so many seconds.
@@ -94,8 +94,8 @@ pub fn free_place(
     soonest.map(|(_, escape)| escape)
 }
 
-/// Whether a straight drive from `odom_from_there` goes into the blind spot over floor that is not known to be free up to `clearance` m around
-/// the outline: the collision monitor would stop it.
+/// Whether a straight drive from `odom_from_there` goes into the blind spot over floor that is not known to be free up to `clearance` m
+/// around the outline: the collision monitor would stop it.
 #[must_use]
 pub fn drives_into_unknown(
     footprint: &Footprint,

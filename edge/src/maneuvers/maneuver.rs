@@ -1,4 +1,4 @@
-//! Maneuver. How does one maneuver begin, go on and end? Spin, drive straight (back up), wait, drive to a free place. The collision
+//! Maneuver. How does one maneuver begin, continue and end? Spin, drive straight (back up), wait, drive to a free place. The collision
 //! monitor supervises each; one that is blocked fails instead of waiting.
 
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
@@ -9,7 +9,7 @@ use zenav_protocol::time::Stamp;
 use super::free_place::Escape;
 use crate::settings::ManeuverSettings;
 
-/// A slower drive is none, m/s: it would hold the robot for hours.
+/// Minimum speed of a drive, m/s: a slower one would occupy the robot for hours.
 const LEAST_SPEED: f64 = 0.01;
 
 /// A maneuver in progress.
@@ -19,7 +19,7 @@ pub struct Maneuver {
     drive: Drive,
     settings: ManeuverSettings,
     motion: Motion,
-    /// The motion after it.
+    /// The motion that follows.
     next: Option<Motion>,
     deadline: Stamp,
     blocked: f64,
@@ -46,9 +46,9 @@ enum Motion {
 /// Outcome of one tick.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Step {
-    /// It goes on with this twist.
+    /// The maneuver continues with this twist.
     Go(Twist2),
-    /// It has ended.
+    /// The maneuver has ended.
     Done(BehaviourReport),
 }
 

@@ -3,7 +3,7 @@
 //!
 //! | file | answers |
 //! |---|---|
-//! | `maneuver` | how does one maneuver begin, go on and end? |
+//! | `maneuver` | how does one maneuver begin, continue and end? |
 //! | [`mod@free_place`] | which free place is reached soonest, and how? |
 
 pub mod free_place;

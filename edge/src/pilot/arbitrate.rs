@@ -12,7 +12,7 @@ use crate::limiter::Braking;
 use crate::trackers::TrackerInput;
 use crate::wall_follower::WallFollowerInput;
 
-/// The plan is looked at this far ahead, and at places this far apart, s.
+/// How far ahead the plan is sampled, and the sampling period, s.
 const AHEAD_SECS: f64 = 12.0;
 const AHEAD_STEP: f64 = 0.1;
 
@@ -25,12 +25,12 @@ impl Pilot {
             self.gyro_settling.interrupt();
             self.right_of_way.reset();
         }
-        // Also while it is lost: where it is found is elsewhere, or about where it took itself to be.
+        // Also while the robot is lost: if it is found elsewhere the trail is forgotten, otherwise the estimate was about right.
         if source != MotionSource::ReturnHome {
             self.return_home.record(self.estimator.map_from_base().position());
         }
         if self.maneuvers.running().is_some() {
-            // A maneuver moves under a live lease only; whose it is was checked when it began.
+            // A maneuver moves only under a live lease; whose lease it is was checked when it began.
             let live = self.authority.lease_state(now).live;
             if live && source != MotionSource::Brake {
                 self.mode = Mode::Behaviour;
@@ -105,7 +105,7 @@ impl Pilot {
         }
     }
 
-    /// Whether the robot stands still on its plan because nothing but a gyro that it knows too little tells its heading.
+    /// Whether the robot stands still on its plan because only a gyro with a poorly known bias gives its heading.
     fn settles(&mut self, now: Stamp) -> bool {
         let model = &self.config.model;
         let (Some(active), Some(bias_std)) = (&self.active_plan, self.estimator.gyro_bias_std()) else {
@@ -131,7 +131,7 @@ impl Pilot {
         holds
     }
 
-    /// The twist of the plan's tracker, or another one where the plan leads into the way of somebody.
+    /// The twist of the plan's tracker, or an evasive one where the plan leads into the path of a moving obstacle.
     fn follow_plan(&mut self, now: Stamp, dt: f64, bump: &Bump) -> Twist2 {
         let Some(active) = &mut self.active_plan else {
             return Twist2::ZERO;
@@ -183,7 +183,8 @@ impl Pilot {
     }
 }
 
-/// The plan of who waits in `secs`: from there on it stays where it is then. The way to there, m; `None` where the plan is not looked at so far ahead.
+/// Makes a plan wait from `secs` on: from then on it stays where it is. Returns the distance to there, m; `None` if the plan is not sampled
+/// that far ahead.
 fn wait_on(plan: &mut [Ahead], secs: f64) -> Option<f64> {
     let last = plan.iter().position(|ahead| ahead.secs >= secs)?;
     let steps = plan[..=last].windows(2);

@@ -1,7 +1,7 @@
-//! Faults. What is wrong with the robot itself, and how does it go on? Readings that do not come, and a disk that stores nothing.
+//! Faults. Which faults does the robot itself have, and how does it continue? Missing readings, and a disk that stores nothing.
 //!
-//! The state names each fault as long as it lasts; an event tells when it begins and ends. Without readings the robot's clock stands: it
-//! brakes, takes no plan, and still answers, a stop above all.
+//! The state names each fault while it lasts; an event marks its beginning and its end. Without readings the robot's clock stands still: it
+//! brakes, accepts no plan, and still answers requests, above all a stop.
 
 use zenav_protocol::messages::{EventKind, Faults, Mode};
 use zenav_protocol::time::Stamp;
@@ -10,7 +10,7 @@ use super::Pilot;
 use crate::control_io::{Inbox, Outbox, Publication};
 
 impl Pilot {
-    /// Takes in what is wrong now; a change is an event.
+    /// Records the present faults; a change is an event.
     pub(super) fn note_faults(&mut self, now: Stamp, faults: Faults) {
         if faults == self.faults {
             return;
@@ -43,8 +43,8 @@ impl Pilot {
         }
     }
 
-    /// A tick without readings, for the reason `why`: the robot brakes and answers. Plans, corrections and teleop that came meanwhile are
-    /// dropped: they would be old by the time it may move.
+    /// A tick without readings, for the reason `why`: the robot brakes and answers. Plans, corrections and teleop that arrived meanwhile
+    /// are dropped: they would be stale by the time it may move.
     pub fn step_blind(&mut self, inbox: Inbox, why: &str) -> Outbox {
         let now = self.now();
         let mut out = Outbox::default();

@@ -1,8 +1,9 @@
-//! Frame of the map. Which coordinates hold now, and what is carried over when the map moves?
+//! Map frame. Which map frame is in force, and what is carried over when the map moves?
 //!
-//! A loop closure moves the map: it begins the next frame, and corrections carry how the robot's surroundings moved. Before such a correction
-//! is fused, the belief, the plan in force and the way home move with the surroundings: relative to the walls nothing moves, so the robot
-//! neither twitches nor stops. A correction of an older frame, or of one that the robot cannot reach by moves that it was told, does nothing.
+//! A loop closure moves the map: it begins the next frame, and corrections state how the robot's surroundings moved. Before such a
+//! correction is fused, the estimate, the plan in force and the trail home move with the surroundings: nothing moves relative to the walls,
+//! so the robot neither twitches nor stops. A correction is ignored if its frame is older, or if the moves that it states do not lead from
+//! the robot's frame to its own.
 
 use std::collections::VecDeque;
 
@@ -14,9 +15,9 @@ use super::Pilot;
 /// The present frame, and how the map moved of late.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Frame {
-    /// `None` before anything was said of a frame: what is believed then is tied to none.
+    /// `None` before the first correction: the estimate is then tied to no frame.
     number: Option<u64>,
-    /// `new_from_old`, the move into the present frame last.
+    /// `new_from_old`; the move into the present frame comes last.
     moves: VecDeque<Pose2>,
 }
 
@@ -26,13 +27,13 @@ impl Frame {
         self.number.unwrap_or(0)
     }
 
-    /// How the map has moved since another frame; `None` where that is not known, and for a later frame.
+    /// How the map has moved since another frame; `None` if that is not known, and for a later frame.
     pub(super) fn moved_since(&self, frame: u64) -> Option<Pose2> {
         let moves: Vec<Pose2> = self.moves.iter().copied().collect();
         moved_between(frame, self.number(), &moves)
     }
 
-    /// Goes on to the frame of a correction. Returns how the map moved, or `None` where the correction does nothing.
+    /// Advances to the frame of a correction. Returns how the map moved, or `None` if the correction is ignored.
     fn advance(&mut self, correction: &Correction) -> Option<Pose2> {
         let frame = correction.frame;
         let moved = match self.number {
@@ -50,7 +51,7 @@ impl Frame {
                 self.number = Some(frame);
                 Some(moved)
             }
-            // Where the robot is found anew, nothing that it believed counts.
+            // When the robot is found anew, its earlier estimate does not count.
             None if correction.is_found_anew => {
                 self.moves.clear();
                 self.number = Some(frame);
@@ -62,8 +63,8 @@ impl Frame {
 }
 
 impl Pilot {
-    /// The corrections for this boot that count, in the present frame: where one is of a later frame, all that the robot keeps in the map is
-    /// carried over to it.
+    /// The corrections for this boot that count, in the present frame: if one is of a later frame, everything that the robot keeps in map
+    /// coordinates is carried over to it.
     pub(super) fn in_present_frame(&mut self, mut corrections: Vec<Correction>) -> Vec<Correction> {
         let boot_id = self.events.boot_id();
         corrections.retain(|correction| correction.boot_id == boot_id);

@@ -1,4 +1,5 @@
-//! Intent. What do other robots learn of this one's course? Where it will be by its plan, or where it makes way to, and who goes first.
+//! Intent. What does the robot announce of its course to others? Where it will be by its plan, or while it gives way, and what decides who
+//! goes first.
 
 use zenav_protocol::messages::{CoursePlace, Intent, KnownCourse, Mode, Yield};
 use zenav_protocol::time::Stamp;
@@ -8,24 +9,24 @@ use crate::control_io::Publication;
 use crate::obstacle_tracks::Track;
 use crate::right_of_way::Wait;
 
-/// Time from one place that is told to the next, s, and how many there are.
+/// Time between two announced positions, s, and their number.
 const STEP: f64 = 0.4;
 const PLACES: u32 = 16;
-/// Where the plan leads after that: time from place to place, s, and how many.
+/// The same for positions later on the plan.
 const LATER_STEP: f64 = 2.0;
 const LATER: u32 = 12;
-/// A robot that has stood for longer than this on its plan, and does not wait for another one, is held, s.
+/// A robot that has been at rest on its plan for longer than this, and does not wait for another one, is held, s.
 const HELD: f64 = 3.0;
-/// What moves without a plan goes on as it does for this long, s.
+/// A robot that moves without a plan is assumed to keep its velocity for this long, s.
 const UNPLANNED: f64 = 1.0;
-/// A wait shorter than this is not worth another path, s; and how often waits are told, s.
+/// A shorter wait is not reported to the mission, s; time between two reports, s.
 const LEAST_WAIT: f64 = 2.0;
 const YIELD_PERIOD: f64 = 1.0;
-/// Slower than this it stands, m/s and rad/s.
+/// A slower robot is at rest, m/s and rad/s.
 const STANDS: f64 = 0.02;
 
 impl Pilot {
-    /// Tells other robots where this one will be, until it has stood for a while with nothing to drive to.
+    /// Announces where this robot will be, until it has been at rest for a while with nothing to drive to.
     pub(super) fn tell_intent(&mut self, now: Stamp, out: &mut Vec<Publication>) {
         let velocity = self.estimator.velocity();
         let driving = self.mode == Mode::Follow && self.active_plan.is_some();
@@ -50,7 +51,7 @@ impl Pilot {
         places.clear();
         let map_from_odom = self.estimator.map_from_odom();
         let course = self.avoidance.course().filter(|_| driving);
-        // Who is held tells that it stands, or others would wait for it.
+        // A held robot announces that it is stationary; otherwise other robots would wait for it.
         self.held_since = match driving && stands && !self.waits_for_robot(now) {
             true => self.held_since.or(Some(now)),
             false => None,
@@ -59,7 +60,7 @@ impl Pilot {
         let plan = self.active_plan.as_ref().filter(|_| driving && !is_held);
         let wait = plan.and_then(|active| self.right_of_way.wait(now, active));
         let by_plan = |plan_secs: f64| plan.and_then(|active| active.place_in(plan_secs));
-        // In the next seconds it stays where it waits: those who go first need not mind what comes after.
+        // In the next seconds the robot stays where it waits: robots with right of way need not consider what comes after.
         let soon = |secs: f64| by_plan(wait.map_or(secs, |wait| wait.at.min(secs)));
         places.extend((0..PLACES).map(|nth| {
             let secs = STEP * f64::from(nth);
@@ -91,7 +92,7 @@ impl Pilot {
         out.push(Publication::Intent(self.intent.clone()));
     }
 
-    /// Tells the mission which robots it gives way to on its plan, so that it can look for a way past them.
+    /// Reports to the mission which robots this one gives way to on its plan, so that the mission can look for a path past them.
     pub(super) fn tell_yield(&mut self, now: Stamp, out: &mut Vec<Publication>) {
         let Some(active) = self.active_plan.as_ref().filter(|_| self.mode == Mode::Follow) else {
             return;
@@ -131,7 +132,7 @@ impl Pilot {
         self.yield_told = Some(now);
     }
 
-    /// Whether it waits on its plan for a robot that goes first.
+    /// Whether the robot waits on its plan for one with right of way.
     pub(super) fn waits_for_robot(&self, now: Stamp) -> bool {
         let plan = self.active_plan.as_ref().filter(|_| self.mode == Mode::Follow);
         plan.is_some_and(|active| self.right_of_way.is_waiting(now, active))

@@ -1,8 +1,8 @@
 //! Localised. Does the robot know where it is in the map, and what does it do when it does not?
 //!
-//! Off board the scans are compared with the map. While they contradict it, or agree with several places, no plan made in the map may move
-//! the robot: it brakes, drops its plan and takes no other, and does not return home. Teleop and maneuvers, which need no map, go on. A robot
-//! that was found anew somewhere else drops its plan, too, and its way home: they were made for another place.
+//! Scans are compared with the map off board. While they contradict it, or match several places, no plan made in the map may move the
+//! robot: it brakes, drops its plan, accepts no other, and does not return home. Teleop and maneuvers need no map and continue. A robot
+//! found anew somewhere else also drops its plan and its trail home: they were made for another place.
 
 use std::mem::discriminant;
 
@@ -12,7 +12,7 @@ use zenav_protocol::time::Stamp;
 use super::Pilot;
 
 impl Pilot {
-    /// Takes in what was said of its place since the last tick.
+    /// Takes the localisation reports that came since the last tick.
     pub(super) fn receive_health(&mut self, now: Stamp, said: Vec<Localisation>, corrections: &[Correction]) {
         let boot_id = self.events.boot_id();
         let newest = said.into_iter().rfind(|said| said.boot_id == boot_id);

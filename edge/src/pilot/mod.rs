@@ -8,11 +8,11 @@
 //! | `sense` | what do the readings of a tick change? |
 //! | `plans` | which plan drives the robot? |
 //! | `arbitrate` | which twist does the source that may move the robot want? |
-//! | `frame` | in which frame of the map is it, and what moves with the map? |
-//! | `localised` | does the robot know where it is, and what if it does not? |
-//! | `faults` | what is wrong with the robot itself, and how does it go on? |
+//! | `frame` | which map frame is in force, and what is carried over when the map moves? |
+//! | `localised` | does the robot know where it is, and what does it do if not? |
+//! | `faults` | which faults does the robot itself have, and how does it continue? |
 //! | `report` | what is published at the end of a tick? |
-//! | `intent` | what do other robots learn of its course? |
+//! | `intent` | what does the robot announce of its course to other robots? |
 
 mod arbitrate;
 mod faults;
@@ -64,7 +64,7 @@ const LONGEST_TICK: f64 = 0.1;
 /// After this many ticks without a command the wheels may have come to rest.
 const SILENT_TICKS: f64 = 5.0;
 
-/// The robot's side, whole and pure.
+/// The robot's control logic, pure.
 #[derive(Clone, Debug)]
 pub struct Pilot {
     pub(crate) config: EdgeConfig,
@@ -77,19 +77,19 @@ pub struct Pilot {
     pub(crate) collision_monitor: CollisionMonitor,
     pub(crate) active_plan: Option<ActivePlan>,
     avoidance: Avoidance,
-    /// The plan ahead in the last tick that followed one.
+    /// The rest of the plan, as of the last tick that followed one.
     ahead: Vec<Ahead>,
     other_robots: OtherRobots,
     right_of_way: RightOfWay,
-    /// What other robots were told last.
+    /// The intent last announced to other robots.
     intent: Intent,
-    /// When the mission was told last which robots this one gives way to.
+    /// Time of the last report of the robots that this one gives way to.
     yield_told: Option<Stamp>,
-    /// The goal that the told length of the way is for.
+    /// The goal for which the announced time to go was measured.
     way_goal: Option<String>,
-    /// Since when it has stood with nothing to drive to.
+    /// Since when the robot has been at rest with nothing to drive to.
     parked_since: Option<Stamp>,
-    /// Since when it has stood on its plan without waiting for another robot.
+    /// Since when the robot has been at rest on its plan without waiting for another robot.
     held_since: Option<Stamp>,
     pub(crate) wall_following: WallFollowing,
     wall_follower: WallFollower,
@@ -102,21 +102,21 @@ pub struct Pilot {
     dead_man: DeadMan,
     telemetry: Telemetry,
     newest: Option<(u64, Revision)>,
-    /// Plans rejected under the current grant: none is accepted later, when it would fit by chance.
+    /// Plans rejected under the current epoch: none is accepted later when it happens to fit.
     refused: VecDeque<(u64, Revision)>,
     discarded: VecDeque<u64>,
     last: Option<Stamp>,
     pressed: bool,
-    /// Whether the last published obstacles were any.
+    /// Whether the last published list of obstacles had any.
     tracked: bool,
     battery_is_low: bool,
     /// Charge of the battery by the last readings, 0 to 1.
     charge: f64,
     faults: Faults,
     mode: Mode,
-    /// Whether its place in the map can be trusted, as was last said.
+    /// The last report on whether the robot's pose in the map can be trusted.
     health: Health,
-    /// The frame of the map that pose and plan are in.
+    /// The map frame of pose and plan.
     frame: Frame,
     missed_ticks: u64,
     pub(crate) loop_timing: LoopTiming,
@@ -182,7 +182,7 @@ impl Pilot {
         self.timed_step(now, readings, inbox, &mut || Duration::ZERO)
     }
 
-    /// As [`Self::step`]; `clock` tells how long a phase took, and nothing else depends on it.
+    /// As [`Self::step`]; `clock` measures how long a phase takes, and nothing else depends on it.
     pub fn timed_step(
         &mut self,
         now: Stamp,
@@ -197,7 +197,7 @@ impl Pilot {
         }
         let gap = last.map_or(0.0, |last| now.secs_since(last));
         let dt = gap.clamp(0.0, LONGEST_TICK);
-        // A body without commands for some ticks stops its wheels, and so does what it runs into.
+        // A body stops its wheels after some ticks without commands; so does a collision.
         let is_hit = readings.bump.pressed && !self.pressed;
         if is_hit || gap >= SILENT_TICKS * self.config.tick {
             self.wheel_coordination.reset();
@@ -273,7 +273,7 @@ impl Pilot {
         out
     }
 
-    /// Time of the last readings, by which the robot's clock goes; zero before the first.
+    /// Stamp of the last readings, which is the robot's clock; zero before the first.
     #[must_use]
     pub fn now(&self) -> Stamp {
         self.last.unwrap_or_default()
@@ -285,7 +285,7 @@ impl Pilot {
         self.estimator.map_from_base()
     }
 
-    /// Whether its place in the map can be trusted, as was last said.
+    /// The last report on whether the robot's pose in the map can be trusted.
     #[must_use]
     pub fn health(&self) -> &Health {
         &self.health
@@ -297,13 +297,13 @@ impl Pilot {
         self.estimator.velocity()
     }
 
-    /// What decides the motion.
+    /// Which source decides the motion.
     #[must_use]
     pub fn mode(&self) -> Mode {
         self.mode
     }
 
-    /// Whether it leaves its plan to make way for a moving obstacle.
+    /// Whether the robot leaves its plan to give way to a moving obstacle.
     #[must_use]
     pub fn is_making_way(&self) -> bool {
         self.avoidance.is_evading()
@@ -315,7 +315,7 @@ impl Pilot {
         self.wall_follower.state()
     }
 
-    /// Limits the wanted twist, then lets the collision monitor have the last word.
+    /// Limits the wanted twist; the collision monitor then has the last word.
     fn command(&mut self, now: Stamp, dt: f64, wanted: Twist2, braking: Braking, readings: &Readings) -> [f64; 2] {
         let drive = &self.config.model.drive;
         let limited = drive.twist(self.limiter.limit(wanted, dt, braking));

@@ -12,7 +12,7 @@ use crate::active_plan::{ActivePlan, Scene, Taken};
 
 /// Verdict on a plan with a new trajectory.
 pub(crate) const ACCEPTED: &str = "accepted";
-/// Verdict on a plan that goes on with the trajectory that is followed.
+/// Verdict on a plan that renews the trajectory being followed.
 pub(crate) const RENEWED: &str = "renewed";
 /// Most discarded trajectories remembered.
 const DISCARDED: usize = 32;
@@ -20,8 +20,8 @@ const DISCARDED: usize = 32;
 const REFUSED: usize = 256;
 
 impl Pilot {
-    /// Judges what arrived: of a burst, the newest plan of the current grant that may be driven counts. Returns the verdict on it, or on the
-    /// last one that was refused, in a word.
+    /// Judges the plans that arrived: of a burst, the newest plan of the current epoch that may be driven counts. Returns the verdict on
+    /// it, or on the last one that was refused, in a word.
     pub(super) fn receive_plans(&mut self, now: Stamp, mut plans: Vec<Plan>) -> Option<&'static str> {
         let epoch = self.authority.epoch();
         plans.sort_by_key(|plan| Reverse((plan.epoch == epoch, plan.epoch, plan.revision)));
@@ -35,13 +35,13 @@ impl Pilot {
         refused
     }
 
-    /// Judges one plan: the verdict when it is driven from now on, and when it is not; none on one that was judged before.
+    /// Judges one plan: `Ok` with the verdict if it is driven from now on, otherwise `Err`; no verdict on a plan that was judged before.
     fn receive_plan(&mut self, now: Stamp, epoch: u64, plan: Plan) -> Result<&'static str, Option<&'static str>> {
         let newest = self.newest.filter(|(of, _)| *of == epoch).map(|(_, revision)| revision);
         let of_epoch = plan.epoch == epoch;
         let again = newest == Some(plan.revision) || self.refused.contains(&(epoch, plan.revision));
         if again && of_epoch {
-            // The bus delivers the kept sample again after every reconnection: no event.
+            // The bus delivers the retained sample again after every reconnection: no event.
             return Err(None);
         }
         let (goal_id, revision, trajectory_id) = (
@@ -50,7 +50,7 @@ impl Pilot {
             plan.trajectory_id,
         );
         let taken = self.judge_plan(now, plan, newest);
-        // Only an accepted plan makes others old: a rejected one, whatever its counter says, must not lock the holder out.
+        // Only an accepted plan makes others stale: a rejected one, whatever its counter, must not lock the holder out.
         if taken.is_ok() {
             self.newest = Some((epoch, revision));
         }
@@ -121,7 +121,7 @@ impl Pilot {
         let renews = |active: &ActivePlan| active.plan().trajectory_id == plan.trajectory_id;
         let here_from_plan = match self.frame.moved_since(plan.map.frame) {
             Some(moved) => moved,
-            // What is driven was carried over when it was in force; the same plan for longer needs no move.
+            // The tracked path was carried over while it was in force; a renewal of the same plan needs no move.
             None if self.active_plan.as_ref().is_some_and(renews) => Pose2::IDENTITY,
             None => {
                 return Err(Rejection::OldFrame {
@@ -160,7 +160,7 @@ impl Pilot {
         }
     }
 
-    /// Another holder numbers its trajectories anew.
+    /// Forgets the discarded trajectories: another holder numbers its own anew.
     pub(crate) fn forget_discarded(&mut self) {
         self.discarded.clear();
     }

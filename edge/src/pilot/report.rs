@@ -35,7 +35,7 @@ impl Pilot {
         }
     }
 
-    /// What the robot says of itself now.
+    /// The present state of the robot.
     pub(super) fn state(&self, now: Stamp) -> EdgeState {
         let pose = self.estimator.map_from_base();
         EdgeState {

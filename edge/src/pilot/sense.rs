@@ -31,7 +31,7 @@ impl Pilot {
             .sensors(readings, &self.estimator, self.frame.number(), out);
         for sweep in &readings.sweeps {
             let lidar = self.config.model.all_lidars().find(|(name, _)| *name == sweep.lidar);
-            // A sweep of the future would make all that come until then old ones.
+            // A sweep from the future would make all sweeps until then stale.
             let Some((_, lidar)) = lidar.filter(|_| sweep.stamp.secs_since(now) <= AHEAD) else {
                 continue;
             };
@@ -49,7 +49,7 @@ impl Pilot {
         }
         let tracked = self.obstacles.moving().tracks().iter().any(|track| !track.is_robot());
         if !readings.sweeps.is_empty() && (tracked || self.tracked) {
-            // That there are none any more is always said.
+            // An empty list after the last track has ended is always sent.
             if self.telemetry.obstacles_due() || !tracked {
                 out.push(Publication::Obstacles(self.tracked_obstacles()));
             }

@@ -1,4 +1,4 @@
-//! Trackers. Which twist follows a plan? One trait, one file a law; the robot file names the law (`[controller] tracker = …`).
+//! Trackers. Which twist follows a plan? One trait, one file per law; the robot file names the law (`[controller] tracker = …`).
 //!
 //! | `tracker` | law | after |
 //! |---|---|---|
@@ -8,7 +8,7 @@
 //! | `pid` | PID on the distance from the path | |
 //! | `pure_pursuit` | an arc to a point ahead on the path, slowed in bends and near the end | Macenski et al. 2023 |
 //!
-//! What laws have in common is kept in `on_path` (laws on a path) and `waypoints` (laws that drive at the next waypoint).
+//! Code that several laws share is in `on_path` (laws on a path) and `waypoints` (laws that drive at the next waypoint).
 //!
 //! A plan without a trajectory is driven by its waypoints: `time_law` falls back to `wheel_law`.
 
@@ -40,22 +40,22 @@ pub trait Tracker: std::fmt::Debug + Send + Sync {
     /// One tick: the wanted twist.
     fn step(&mut self, view: &TrackerInput, gains: &ControllerGains) -> Twist2;
 
-    /// How far it is, for a robot at `map_from_base`.
+    /// Progress of a robot at `map_from_base`.
     fn progress(&self, map_from_base: &Pose2) -> Progress;
 
-    /// What it drives at, map frame: its name and place.
+    /// Name and position of the point that it drives at, map frame.
     fn target(&self) -> Option<(&'static str, Point2<f64>)>;
 
     /// The trajectory and the plan time reached (s), where the plan has a trajectory: a replan is spliced into it.
     fn followed(&self) -> Option<(&Trajectory, f64)>;
 
-    /// Goes on from the place on the path nearest to the robot: something else drives it now.
+    /// Continues from the place on the path nearest to the robot, which another source drives now.
     fn rejoin(&mut self, map_from_base: &Pose2);
 
-    /// Distance from where the plan has the robot, m, at the last tick.
+    /// Distance from the plan at the last tick, m.
     fn off_track(&self) -> f64;
 
-    /// Carries the plan over to another frame of the map.
+    /// Carries the plan over to another map frame.
     fn moved(&mut self, new_from_old: Pose2);
 
     /// A copy.
@@ -95,7 +95,7 @@ pub const LAWS: [Law; 5] = [
     Law::at_waypoints::<HeadingFirst>("heading_first"),
 ];
 
-/// The robot file names a tracker that there is none of.
+/// The robot file names an unknown tracker.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("`controller.tracker` is `{0}`: expected one of {list}", list = LAWS.map(|law| law.name).join(", "))]
 pub struct UnknownTracker(String);
@@ -104,13 +104,13 @@ impl Law {
     /// The law of a name.
     ///
     /// # Errors
-    /// [`UnknownTracker`] lists what there is.
+    /// [`UnknownTracker`], which lists the known ones.
     pub fn named(name: &str) -> Result<Self, UnknownTracker> {
         let known = LAWS.into_iter().find(|law| law.name == name);
         known.ok_or_else(|| UnknownTracker(name.chars().take(64).collect()))
     }
 
-    /// The law that a robot's gains name; the default where the name was not checked.
+    /// The law that a robot's gains name; the default if there is no such law.
     pub(crate) fn of(gains: &ControllerGains) -> Self {
         Self::named(&gains.tracker).unwrap_or(LAWS[0])
     }
@@ -147,8 +147,8 @@ impl Law {
         }
     }
 
-    /// A tracker along a trajectory from plan time `time` (s) on; `waypoints` are the plan's own. What is driven backwards takes the default
-    /// law: the others drive at what lies ahead.
+    /// A tracker along a trajectory from plan time `time` (s) on; `waypoints` are the plan's own. A trajectory driven backwards takes the
+    /// default law: the others drive at points ahead of the robot.
     #[must_use]
     pub fn along_trajectory(
         &self,
@@ -190,16 +190,16 @@ pub struct TrackerInput {
     pub speed_cap: f64,
 }
 
-/// How far a tracker is.
+/// Progress of a tracker.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Progress {
     /// Plan time reached, s; zero for waypoints.
     pub time: f64,
     /// Next waypoint, counted from zero.
     pub waypoint: usize,
-    /// Way left, m.
+    /// Distance left, m.
     pub distance_left: f64,
-    /// Time left by the plan, s; for waypoints the distance at top speed.
+    /// Time left by the plan, s; for waypoints the distance left at top speed.
     pub time_left: f64,
     /// Whether the robot is at rest at the end.
     pub finished: bool,

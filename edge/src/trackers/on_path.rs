@@ -1,5 +1,5 @@
-//! Path follower. How does a law without time follow a path? Its place on the path is kept here, and whether it has arrived; the law only says how
-//! to get back to the path from where the robot is.
+//! Path follower. How does a law without time follow a path? This file tracks the place on the path and whether the robot has arrived; the
+//! law only determines how to get back to the path.
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2};
@@ -29,7 +29,7 @@ pub trait PathLaw: Clone + std::fmt::Debug + Send + Sync + 'static {
         gains: &ControllerGains,
     ) -> Wanted;
 
-    /// What it drives at, map frame.
+    /// The point that it drives at, map frame.
     fn target(&self, projection: &PathProjection) -> Point2<f64>;
 }
 

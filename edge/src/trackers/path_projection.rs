@@ -1,4 +1,5 @@
-//! Where on its path is the robot? The nearest place ahead of the last one: a law that knows no time still has a plan time.
+//! Path projection. Where on its path is the robot? At the nearest place ahead of the last one: even a law without time then has a plan
+//! time.
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;
@@ -12,10 +13,10 @@ const WINDOW: f64 = 0.6;
 
 /// Points on a straight leg are this far apart, m.
 const LEG_STEP: f64 = 0.05;
-/// All legs together have so many steps at most, however long they are.
+/// Most steps of all legs together, however long they are.
 const MOST_STEPS: f64 = 100_000.0;
 
-/// A trajectory followed by place.
+/// A trajectory followed by position, not by time.
 #[derive(Clone, Debug)]
 pub struct PathProjection {
     trajectory: Trajectory,
@@ -69,7 +70,7 @@ impl PathProjection {
         Self::new(points.into(), 0.0)
     }
 
-    /// Moves on to the place nearest to the robot.
+    /// Moves on to the place on the path nearest to the robot.
     pub fn advance(&mut self, map_from_base: &Pose2) {
         let nearest = self
             .trajectory
@@ -78,7 +79,7 @@ impl PathProjection {
         self.time = self.time.max(nearest.t);
     }
 
-    /// Carries the path over to another frame of the map.
+    /// Carries the path over to another map frame.
     pub fn moved(&mut self, new_from_old: Pose2) {
         self.trajectory = self.trajectory.moved(new_from_old);
     }
@@ -111,7 +112,7 @@ impl PathProjection {
         far.unwrap_or_else(|| self.end().position())
     }
 
-    /// Way left, m.
+    /// Distance left, m.
     #[must_use]
     pub fn left(&self) -> f64 {
         self.trajectory.length_left(self.time)
@@ -129,7 +130,7 @@ impl PathProjection {
         self.off
     }
 
-    /// How far it is.
+    /// Progress along the path.
     #[must_use]
     pub fn progress(&self, finished: bool) -> Progress {
         Progress {

@@ -2,8 +2,8 @@
 //! Kanayama, Kimura, Miyazaki, Noguchi, "A stable tracking control method for an autonomous mobile robot", ICRA 1990,
 //! with the cross-track term of Samson and Ait-Abderrahim (`v * sin(e)/e * error`).
 //!
-//! Plan time advances with progress: its rate falls below one when the robot lags behind, must brake for the plan's
-//! expiry, or still speeds up from rest. Nothing is ever caught up.
+//! Plan time advances with progress: its rate falls below one when the robot lags behind, must brake for the plan's expiry, or still speeds
+//! up from rest. Lost time is never caught up.
 
 use nalgebra::Point2;
 use zenav_protocol::gains::TimeLawGains;
@@ -52,8 +52,8 @@ impl TrajectoryTracker {
         self.trajectory.sample(self.time)
     }
 
-    /// Plan time that the robot has rolled ahead, as after a hard stop: the reference comes after it, so that it never
-    /// drives back.
+    /// Plan time by which the robot has rolled ahead, as after a hard stop: the reference moves up to it, so that the robot never drives
+    /// back.
     fn run_ahead(&self, view: &TrackerInput, goal: &TrajectoryPoint, error: &Pose2, law: &TimeLawGains) -> f64 {
         let lead = -goal.v.signum() * error.x - law.lead;
         if lead > 0.0 && goal.v.abs() > 0.05 {
@@ -79,14 +79,14 @@ impl TrajectoryTracker {
         if planned < 1e-6 {
             return lagging;
         }
-        // From rest, or after a slowdown, the reference speeds up as the robot can, not at once.
+        // From rest, or after a slowdown, the reference speeds up only as fast as the robot can.
         let reachable = self.drive.surface_speed(view.velocity)
             + self.drive.acceleration() * (self.drive.motor_lag + 4.0 * view.dt)
             + 0.02;
         lagging.min(view.speed_cap / planned).min(reachable / planned)
     }
 
-    /// At the end: closes what is left along and in heading; a differential drive cannot close what is left sideways.
+    /// At the end: closes the remaining error along the path and in heading; a differential drive cannot close a sideways error.
     fn settle(&mut self, view: &TrackerInput, error: &Pose2, gains: &ControllerGains) -> Twist2 {
         let law = &gains.time_law;
         self.settling += view.dt;
@@ -121,7 +121,7 @@ impl Tracker for TrajectoryTracker {
         self.time =
             (self.time + rate * view.dt + self.run_ahead(view, &goal, &error, law)).min(self.trajectory.end_time());
 
-        // The motors answer late: ask for the speed of the moment at which they will have it.
+        // The motors lag: command the speed of the moment at which they will reach it.
         let ahead = self.trajectory.sample(self.time + self.drive.motor_lag * rate);
         let (v, w) = (rate * ahead.v, rate * ahead.w);
         let sinc = if error.yaw.abs() < 1e-3 {
@@ -214,7 +214,7 @@ mod tests {
         Trajectory::new(points)
     }
 
-    /// Drives with a perfect body but for motor lag; returns the largest distance off the track and the last pose.
+    /// Drives with a body that is perfect except for motor lag; returns the largest distance off the track and the last pose.
     fn drive(tracker: &mut dyn Tracker, mut pose: Pose2, ticks: usize, cap: impl Fn(usize) -> f64) -> (f64, Pose2) {
         let model = model();
         let mut limiter = Limiter::new(&model.drive);
@@ -284,7 +284,7 @@ mod tests {
         let mut tracker = TrajectoryTracker::new(&model().drive, curve(), 0.0);
         let halt = |tick: usize| if (150..300).contains(&tick) { 0.0 } else { f64::INFINITY };
         let (worst, pose) = drive(&mut tracker, Pose2::IDENTITY, 800, halt);
-        // The robot rolls out ahead of the reference, which comes after it.
+        // The robot rolls out ahead of the reference, which then moves up to it.
         assert!(worst < 0.22, "{worst}");
         assert!(tracker.progress(&pose).finished && pose.distance(&curve().sample(8.0).pose()) < 0.02);
     }

@@ -1,6 +1,5 @@
-//! Waypoint follower. How does a law drive through waypoints? Which is next, and whether the last was reached, is kept here; the law only
-//! says how to drive at
-//! the next one.
+//! Waypoint follower. How does a law drive through waypoints? This file tracks which waypoint is next and whether the last was reached; the
+//! law only determines how to drive at the next one.
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2};
@@ -14,7 +13,7 @@ pub trait WaypointLaw: Clone + std::fmt::Debug + Send + Sync + 'static {
     /// A waypoint nearer than this is passed, m.
     fn threshold(&self, gains: &ControllerGains) -> f64;
 
-    /// One tick towards `target`, the first of those that are left.
+    /// One tick towards `target`, the first of the remaining waypoints.
     fn twist(
         &self,
         drive: &Drive,

@@ -13,7 +13,7 @@ use zenav_protocol::robot::{ControllerGains, Drive};
 use super::waypoints::WaypointLaw;
 use super::{TrackerInput, bearing};
 
-/// Waypoints looked at: farther ahead the speed limit rules anyway.
+/// Number of waypoints looked at: farther ahead the speed limit applies anyway.
 const LOOK: usize = 8;
 
 /// The wheel law.

@@ -1,8 +1,8 @@
 //! Wall distance control. Where is the wall beside the robot, which obstacle is in the way, and how is the distance kept?
 //!
-//! In the base frame, mirrored where needed so that the wall lies on the left: who reads this needs one side only.
-//! The distance is that to the nearest point of the walls within 60 degrees of abeam. On a straight wall that is its foot; past an outer
-//! corner it is the corner itself, and keeping the distance leads around it on an arc.
+//! In the base frame, mirrored if needed so that the wall lies on the left: only one side has to be handled. The distance is that to the
+//! nearest point of the walls within 60 degrees of abeam. On a straight wall that is its foot; past an outer corner it is the corner
+//! itself, and keeping the distance leads around it on an arc.
 
 use nalgebra::{Point2, Vector2};
 use zenav_protocol::wall_following::WallFollowing;
@@ -19,18 +19,18 @@ const PASSING: f64 = 1.5;
 pub struct Beside {
     /// The wall that it belongs to.
     pub wall: Wall,
-    /// m.
+    /// Distance to it, m.
     pub distance: f64,
     /// Direction to it.
     pub towards: Vector2<f64>,
     /// Whether the wall ends there: an outer corner.
     pub ends: bool,
-    /// Whether the wall comes nearer still, but fore or aft: it is left behind or lies ahead.
+    /// Whether the wall comes nearer still fore or aft of abeam: it is left behind or lies ahead.
     pub passes: bool,
 }
 
 impl Beside {
-    /// The nearest wall on the left; one that comes nearer still fore or aft is behind others that are not much farther.
+    /// The nearest wall on the left; a wall that comes nearer still fore or aft ranks behind one that is not much farther.
     #[must_use]
     pub fn of(walls: impl Iterator<Item = Wall>) -> Option<Self> {
         walls.filter_map(Self::on).min_by(|a, b| a.rank().total_cmp(&b.rank()))
@@ -71,8 +71,8 @@ impl Beside {
         })
     }
 
-    /// The distance to keep so that the robot also keeps its distance from what stands out of the wall in the cone ahead;
-    /// `body` is half the robot's width.
+    /// The distance to keep so that the robot also clears obstacles that stand out of the wall in the cone ahead; `body` is half the
+    /// robot's width.
     #[must_use]
     pub fn wanted(&self, settings: &WallFollowing, body: f64, points: impl Iterator<Item = Point2<f64>>) -> f64 {
         let target = settings.target_distance;
@@ -112,7 +112,7 @@ impl DistanceController {
             let most = settings.wall_i_most / settings.wall_i;
             self.sum = self.sum.clamp(-most, most);
         }
-        // A greater error would lead to a steeper heading than is good for a robot that looks along the wall.
+        // Bounds the heading: a large error must not turn the robot steeply towards or away from the wall.
         let bound = settings.wall_d * v * settings.wall_steepest;
         let proportional = (settings.wall_p * error).clamp(-bound, bound);
         let around = if beside.ends { v / beside.distance.max(0.1) } else { 0.0 };

@@ -31,7 +31,7 @@ impl Wall {
                 off * off.transpose()
             })
             .sum();
-        // Of a symmetric matrix the singular vectors are the principal components, the longest first.
+        // The singular vectors of a symmetric matrix are its principal components, the longest first.
         let components = scatter.svd(true, false).u?;
         let along = Unit::try_new(components.column(0).into_owned(), 1e-12)?;
         let project = |point: &Point2<f64>| mean + *along * (point - mean).dot(&along);
@@ -42,7 +42,7 @@ impl Wall {
         ((wall.to - wall.from).norm() > 1e-6).then_some(wall)
     }
 
-    /// The same in the frame that `pose` leads to.
+    /// The same wall in the frame of `pose`.
     #[must_use]
     pub fn seen_from(&self, pose: Pose2) -> Self {
         let inverse = pose.inverse();
@@ -56,7 +56,7 @@ impl Wall {
     #[must_use]
     pub fn nearest(&self, point: Point2<f64>) -> Point2<f64> {
         let along = self.to - self.from;
-        // A wall of no length divides by zero: its end is as good as its beginning.
+        // A wall without length would divide by zero: either of its ends will do.
         let share = (point - self.from).dot(&along) / along.norm_squared().max(f64::MIN_POSITIVE);
         self.from + along * share.clamp(0.0, 1.0)
     }
@@ -78,7 +78,7 @@ pub fn walls(run: &[Point2<f64>], bend: f64) -> Vec<Wall> {
         let farthest = inner.iter().map(off).enumerate().max_by(|a, b| a.1.total_cmp(&b.1));
         match farthest {
             Some((index, off)) if off > bend => {
-                // The bend belongs to both.
+                // The bend belongs to both pieces.
                 let (at, above) = (index + 2, index + 1);
                 left.extend(piece.get(above..));
                 left.extend(piece.get(..at));

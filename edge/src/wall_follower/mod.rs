@@ -1,4 +1,5 @@
-//! Wall follower. What does a robot do whose link is lost and whose policy is to follow walls? A state machine on the robot, without a cloud.
+//! Wall follower. What does a robot do when its link is lost and its policy is to follow walls? A state machine on the robot, without a
+//! cloud.
 //!
 //! `wall_search` turns to the nearest wall, `approach` drives up to it, `turn` turns until the path ahead is clear, `wall_follow` drives
 //! along it; `bump`, entered from every state, waits until an operator has driven the robot away.
@@ -28,7 +29,7 @@ use line::Wall;
 
 /// Directions tried on each side.
 const DIRECTIONS: u32 = 36;
-/// A robot that has turned this far towards its wall in total circles an island, rad.
+/// A robot whose total turn towards its wall exceeds this circles an island, rad.
 const AROUND: f64 = 2.0 * std::f64::consts::PI + 0.5;
 
 /// Inputs of one tick.
@@ -70,7 +71,7 @@ pub struct WallFollower {
     goal: Option<Point2<f64>>,
     /// +1 with the wall on the left, -1 on the right.
     side: f64,
-    /// Turn left before the robot gives up, rad.
+    /// Remaining turn before the robot gives up, rad.
     patience: f64,
     last_yaw: f64,
     distance_controller: DistanceController,
@@ -84,7 +85,7 @@ pub struct WallFollower {
     way: Option<(Point2<f64>, Point2<f64>)>,
     /// Bounding box of the path around an island: its walls are not approached again.
     island: Option<(Point2<f64>, Point2<f64>)>,
-    /// The wall that it follows, base frame of that tick carried to the odometry frame.
+    /// The wall being followed, odometry frame.
     followed: Option<Wall>,
 }
 
@@ -125,7 +126,7 @@ impl WallFollower {
         self.state
     }
 
-    /// One tick in which another source commands, or none: it starts again afterwards. Only an operator ends a bump.
+    /// One tick in which another source, or none, commands: the state machine restarts afterwards. Only an operator ends a bump.
     pub fn stand_by(&mut self, now: Stamp, operated: bool, bump: &Bump, odom_from_base: Pose2, events: &mut EventLog) {
         if bump.pressed {
             self.touch(now, bump, odom_from_base, events);
@@ -215,7 +216,7 @@ impl WallFollower {
     }
 
     fn touch(&mut self, now: Stamp, bump: &Bump, odom_from_base: Pose2, events: &mut EventLog) {
-        // Without a bearing the contact is taken to lie ahead.
+        // Without a bearing the contact is assumed to lie ahead.
         self.touched = Some((odom_from_base, bump.bearing.unwrap_or(0.0)));
         self.enter(now, State::Bump, "contact", events);
     }
@@ -291,7 +292,7 @@ impl WallFollower {
             self.enter(input.now, State::WallSearch, "wall lost", events);
             return Twist2::ZERO;
         };
-        // Another obstacle may be in the way: then that is followed.
+        // Another obstacle may be in the way: the robot then follows that one.
         let distance = self.ahead(input, 0.0).unwrap_or(f64::INFINITY).min(wall.coords.norm());
         let (left, bearing) = (distance - settings.identify_wall_distance, wall.y.atan2(wall.x));
         if left <= 0.0 {
@@ -319,7 +320,7 @@ impl WallFollower {
                     })
                     .unwrap_or(f64::INFINITY)
             };
-            // Turned left, the wall is on the right.
+            // After a turn to the left the wall is on the right.
             if needed(1.0) <= needed(-1.0) { -1.0 } else { 1.0 }
         });
         self.patience = std::f64::consts::TAU;

@@ -25,7 +25,7 @@ fn wild_commands_hit_nothing_that_stands_still() {
         };
         let (top, yaw) = (rig.model.drive.top_speed(), rig.model.drive.top_yaw_rate());
         for _ in 0..60 {
-            // Full speed ahead three times in four: the lidar sees it. Backwards only what was seen before is known.
+            // Full speed ahead three times in four: the lidar sees it. Backwards only floor seen before is known.
             let forward = if unit() < 0.75 { 1.0 } else { -0.3 };
             let turn = if unit() < 0.5 {
                 0.0

@@ -1,4 +1,4 @@
-//! About. Who is this component, and where does it run? Every part answers, so that one question finds all of them.
+//! About. What is this component, and where does it run? Every component answers, so a single request finds all of them.
 
 use std::collections::BTreeMap;
 
@@ -23,7 +23,7 @@ fn process_info(part: &str) -> ProcessInfo {
     }
 }
 
-/// What this process said after a line.
+/// Log lines of this process after a line number.
 fn log(part: &str, since: u64) -> LogReply {
     let facts = process::facts();
     let line = |line: recent::Line| LogLine {
@@ -47,21 +47,22 @@ fn log(part: &str, since: u64) -> LogReply {
 }
 
 impl Bus {
-    /// The process that this component runs in, now.
+    /// Facts about the process that this component runs in, as of now.
     #[must_use]
     pub fn process_info(&self) -> ProcessInfo {
         process_info(self.name())
     }
 
-    /// Answers with the newest lines of this process's log at `zenav/svc/log/{part}` until the bus is closed. An edge does so at its own ask.
+    /// Serves the newest lines of this process's log at `zenav/svc/log/{part}` until the bus is closed. An edge serves them at its own ask
+    /// instead.
     ///
     /// # Errors
-    /// [`BusError::Key`] for a name that may not stand in a key, [`BusError::Closed`].
+    /// [`BusError::Key`] for a name that is not valid in a key, [`BusError::Closed`].
     pub fn serve_log(&self) -> Result<(), BusError> {
         self.serve_log_at(&PART_LOG, self.name())
     }
 
-    /// As [`Self::serve_log`], at an ask with this chunk.
+    /// As [`Self::serve_log`], on this ask with this chunk.
     ///
     /// # Errors
     /// As [`Self::serve_log`].
@@ -77,11 +78,11 @@ impl Bus {
         Ok(())
     }
 
-    /// Answers for this component, with settings that others need to compute its results again, at `zenav/svc/info/{part}`, and with its log,
-    /// until the bus is closed. An edge and a mission tell of themselves at their own asks.
+    /// Serves the component's identity and the settings needed to reproduce its results, at `zenav/svc/info/{part}`, and its log, until the
+    /// bus is closed. An edge and a mission serve this information at their own asks.
     ///
     /// # Errors
-    /// [`BusError::Key`] for a name that may not stand in a key, [`BusError::Closed`].
+    /// [`BusError::Key`] for a name that is not valid in a key, [`BusError::Closed`].
     pub fn serve_info(
         &self,
         component: &str,
@@ -98,7 +99,7 @@ impl Bus {
             settings,
             ..InfoReply::default()
         };
-        // Not the bus itself: it would be kept open.
+        // Holds the name only: a clone of the bus would keep it open.
         let name = self.name.clone();
         tokio::spawn(async move {
             while let Some(request) = server.next().await {

@@ -1,12 +1,12 @@
-//! Access control. Which messages may a link carry to and from a session that listens? Zenoh's settings, made from what the key table grants
-//! each member.
+//! Access control. Which messages may a link carry to and from a session that listens? Generates Zenoh's settings from the grants of the
+//! key table.
 //!
-//! Zenoh denies what no rule allows. A rule must include the key of the message: who asks all robots at once needs a rule for all. `**`
-//! does not reach chunks that begin with `@`, under which advanced publishers keep samples, count them and show themselves: each key of
-//! theirs has a second one. A reply needs a rule of its own on its way in and on its way out.
+//! Zenoh denies everything that no rule allows. A rule must include the key of the message: an ask to all robots at once needs a rule for
+//! all. `**` does not match chunks that begin with `@`, under which advanced publishers keep and number samples and announce themselves:
+//! each of their keys needs a second rule key. A reply needs one rule on its way in and one on its way out.
 //!
-//! A namespace stands before every key on the wire. The names of a fleet are its own in all its namespaces, so each rule holds in all of them,
-//! and in none; a key of the stack within another one is nobody's.
+//! On the wire a namespace precedes every key. The members of a fleet have the same names in all its namespaces, so each rule holds in
+//! every namespace, and without one; a key of the stack nested within another one is invalid.
 
 use std::collections::BTreeMap;
 
@@ -16,14 +16,14 @@ use crate::access::Grants;
 use crate::member::{Member, Role};
 use crate::topics::{TABLE, alive_key};
 
-/// What a message may carry beside its payload, bytes.
+/// Allowance for attachments to a message beside its payload, bytes.
 const ATTACHMENT: usize = 1024;
-/// Every key of the stack, and every one of advanced publishers.
+/// Every key of the stack, and every key of its advanced publishers.
 const EVERYTHING: [&str; 2] = ["zenav/**", "zenav/**/@adv/**"];
-/// What looks like the key of a robot with another's namespace before it.
+/// A key of the stack nested within another: could pass for a robot's key in a namespace that is itself a key of the stack.
 const NESTED: &str = "zenav/**/zenav/**";
 
-/// `access_control` of a session of `own` that listens to these members: what each may do, and nothing else.
+/// `access_control` of a session with the identity `own`, for links from these members: the grants of each member, and nothing else.
 pub(super) fn rules(fleet: &[Member], own: &Member) -> Value {
     let mut groups: BTreeMap<Grants, Vec<&Member>> = BTreeMap::new();
     for member in fleet {
@@ -35,7 +35,7 @@ pub(super) fn rules(fleet: &[Member], own: &Member) -> Value {
         let names: Vec<String> = members.iter().map(ToString::to_string).collect();
         let mut ids = Vec::new();
         let all = allowed(&grants).into_iter().map(|rule| ("allow", rule));
-        // Nobody but the robot itself writes its own side, not even through a router.
+        // The robot's own side is written only by the robot itself, not even through a router.
         let guarded = is_router && own.role == Role::Robot;
         let own_side = guarded.then(|| format!("zenav/{}/edge/**", own.name.as_str()));
         let denied = Rule {
@@ -86,17 +86,17 @@ fn allowed(grants: &Grants) -> Vec<Rule> {
         Vec::new()
     };
     vec![
-        // What it publishes, and keeps for late joiners.
+        // Publications, and samples kept for late joiners.
         rule("ingress", &["put"], [&grants.writes[..], &kept].concat()),
         rule("ingress", &["declare_queryable", "liveliness_token"], kept.clone()),
         rule("ingress", &["reply"], [&grants.keeps[..], &kept].concat()),
-        // What it answers.
+        // Asks that the far end serves.
         rule("ingress", &["declare_queryable", "reply"], grants.serves.clone()),
         rule("ingress", &["liveliness_token"], grants.alive.clone()),
-        // What it asks.
+        // Asks that the far end sends.
         rule("ingress", &["query"], grants.asks.clone()),
         rule("egress", &["reply"], grants.asks.clone()),
-        // What it hears, from what is kept on.
+        // Topics that the far end subscribes to, including kept samples.
         rule("ingress", &["declare_subscriber"], [&grants.hears[..], &heard].concat()),
         rule(
             "ingress",
@@ -105,7 +105,7 @@ fn allowed(grants: &Grants) -> Vec<Rule> {
         ),
         rule("egress", &["put", "reply"], [&grants.hears[..], &heard].concat()),
         rule("ingress", &["liveliness_query", "declare_liveliness_subscriber"], seen),
-        // What others want of it: they were allowed to want it where they are linked.
+        // Requests of others for the far end: already checked on the link where they came in.
         rule(
             "egress",
             &[
@@ -121,17 +121,17 @@ fn allowed(grants: &Grants) -> Vec<Rule> {
     ]
 }
 
-/// A key in every namespace, and in none.
+/// A key in any namespace, or without one.
 fn in_any_namespace(key: &str) -> String {
     format!("**/{key}")
 }
 
-/// Under which keys advanced publishers on these keys keep, count and show themselves.
+/// Keys under which advanced publishers on these keys keep and number samples and announce themselves.
 fn advanced(keys: &[String]) -> Vec<String> {
     keys.iter().map(|key| format!("{key}/@adv/**")).collect()
 }
 
-/// `low_pass_filter`: messages above the size of their key go no farther. What a reader would refuse is not even passed on.
+/// `low_pass_filter`: drops messages above the size limit of their key, which every reader would refuse anyway.
 pub(super) fn size_limits() -> Value {
     let rows = TABLE.iter().map(|row| {
         json!({
@@ -156,7 +156,7 @@ mod tests {
         names.iter().map(|name| name.parse().unwrap()).collect()
     }
 
-    /// Whether the rules let a message through, by Zenoh's own way to compare keys.
+    /// Whether the rules let a message pass, compared with Zenoh's own key matching.
     fn passes(rules: &Value, member: &str, flow: &str, message: &str, key: &str) -> bool {
         let has = |list: &Value, text: &str| list.as_array().unwrap().iter().any(|entry| entry == text);
         let key = KeyExpr::new(key).unwrap();

@@ -1,4 +1,4 @@
-//! Liveliness. Which components are there?
+//! Liveliness. Which components are present?
 //!
 //! Zenoh's liveliness tokens, for discovery only and never for authority: a frozen process keeps its token until its link times out.
 
@@ -21,7 +21,7 @@ pub struct AliveToken {
     _token: LivelinessToken,
 }
 
-/// A watch on tokens that appear and disappear.
+/// A watch for tokens that appear and disappear.
 pub struct AliveWatch {
     inbox: Arc<Inbox<Newest<KeyExpr<'static>, bool>>>,
     _subscriber: Subscriber<()>,
@@ -45,7 +45,7 @@ impl Bus {
         })
     }
 
-    /// Watches the tokens that match a pattern; those that exist already are reported first.
+    /// Watches the tokens that match a pattern; existing tokens are reported first.
     ///
     /// # Errors
     /// [`BusError::Key`], [`BusError::Closed`].
@@ -66,9 +66,9 @@ impl Bus {
         })
     }
 
-    /// Lists the tokens that match a pattern now, sorted; takes `timeout` at most.
+    /// Lists the tokens that match a pattern at present, sorted; takes at most `timeout`.
     ///
-    /// Use another session than one that watches the same tokens: Zenoh 1.10 sometimes reports none to it.
+    /// Do not use a session that watches the same tokens: Zenoh 1.10 sometimes reports none to it.
     ///
     /// # Errors
     /// [`BusError::Key`], [`BusError::Closed`].
@@ -98,8 +98,8 @@ impl Bus {
 }
 
 impl AliveWatch {
-    /// Waits for the next change: a key, and whether its token exists now. Unread changes are merged by key, and one may be reported twice.
-    /// `None` after the bus was closed.
+    /// Waits for the next change: a key, and whether its token exists now. Unread changes are merged by key, and a change may be reported
+    /// twice. `None` after the bus was closed.
     pub async fn next(&mut self) -> Option<(String, bool)> {
         let (key, up) = self.inbox.next().await?;
         Some((key.to_string(), up))

@@ -1,9 +1,9 @@
 //! Ask. How does a client get an answer over a network that loses messages?
 //!
-//! It repeats the request until the deadline. No reply is not an answer (the server may be starting, or reconnecting), nor is silence (the
-//! server may be frozen): after a while the client sends the request again, and a reply to an earlier copy still counts. `NotLeader` from a
-//! standby, and `Busy`, are passed over until the deadline. A repeated request repeats its effects, so a request that changes something
-//! carries an id.
+//! The client repeats the request until the deadline. An ended query without a reply is not an answer (the server may be starting, or
+//! reconnecting), nor is silence (the server may be frozen): after a while the client sends the request again, and a reply to an earlier
+//! copy still counts. `NotLeader` from a standby, and `Busy`, are skipped until the deadline. A repeated request repeats its effects, so a
+//! request that changes something carries an id.
 
 use std::time::Duration;
 
@@ -27,7 +27,7 @@ use crate::topics::Ask;
 const MAX_REPLY: usize = 64 * 1024 * 1024;
 /// Largest refusal that is decoded, bytes.
 const MAX_REFUSAL: usize = 64 * 1024;
-/// Most replies that wait to be decoded.
+/// Most replies queued for decoding.
 const MAX_WAITING: usize = 256;
 /// First pause after a request without any reply; doubles up to `LONGEST_WAIT`.
 const SHORTEST_WAIT: Duration = Duration::from_millis(20);
@@ -39,27 +39,27 @@ const LEAST_PATIENCE: Duration = Duration::from_millis(250);
 /// Why there is no answer.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum AskError {
-    /// Nobody answered in time.
+    /// No server answered in time.
     #[error("no answer from {key} in time")]
     Timeout {
-        /// The key that was asked.
+        /// The key of the ask.
         key: String,
     },
     /// The server refused the request.
     #[error("{0}")]
     Refused(Refusal),
-    /// The reply could not be decoded: the server speaks another version.
+    /// The reply could not be decoded: the server uses another version.
     #[error("unreadable answer from {key}: {reason}")]
     Malformed {
-        /// The key that was asked.
+        /// The key of the ask.
         key: String,
         /// What the decoder expected.
         reason: String,
     },
-    /// The request cannot be encoded, or its chunks make no key.
+    /// The request cannot be encoded, or its chunks do not form a key.
     #[error("cannot ask {key}: {reason}")]
     Unaskable {
-        /// The key that was asked.
+        /// The key of the ask.
         key: String,
         /// What is wrong with the request.
         reason: String,
@@ -78,20 +78,20 @@ pub struct Answer<R> {
     pub result: Result<R, Refusal>,
 }
 
-/// A reply to a request that was sent, or `None` when no more come.
+/// A reply to a request that was sent, or `None` when no further reply will come.
 type Event = Option<Reply>;
 
-/// Reports the end when Zenoh drops the callback.
+/// Sends the end marker when Zenoh drops the callback.
 struct Replies(mpsc::Sender<Event>);
 
 impl Drop for Replies {
     fn drop(&mut self) {
-        // A full queue has a reader at work, which ends by its own deadline.
+        // If the queue is full, a reader is active and ends by its own deadline.
         let _ = self.0.try_send(None);
     }
 }
 
-/// A reply after decoding.
+/// A decoded reply.
 enum Verdict<R> {
     Answer(Answer<R>),
     Unreadable(CodecError),
@@ -100,12 +100,12 @@ enum Verdict<R> {
 }
 
 impl Bus {
-    /// Asks, and repeats the request until a server answers with something else than `NotLeader` or `Busy`, for `deadline` (wall time) at
-    /// most. A chunk may be `*`.
+    /// Sends a request, and repeats it until a server answers with anything but `NotLeader` or `Busy`, for at most `deadline` (wall time).
+    /// A chunk may be `*`.
     ///
     /// # Errors
-    /// [`AskError::Timeout`] naming the key; [`AskError::Refused`] with the server's refusal, also with `NotLeader` or `Busy` when nothing
-    /// else came; [`AskError::Malformed`], [`AskError::Unaskable`], [`AskError::Closed`].
+    /// [`AskError::Timeout`] with the key; [`AskError::Refused`] with the server's refusal, also with `NotLeader` or `Busy` when there was
+    /// no other answer; [`AskError::Malformed`], [`AskError::Unaskable`], [`AskError::Closed`].
     pub async fn ask<Q: Serialize, R: DeserializeOwned>(
         &self,
         ask: &Ask<Q, R>,
@@ -153,7 +153,7 @@ impl Bus {
                     if self.session.is_closed() {
                         return Err(AskError::Closed);
                     }
-                    // Another server might still have answered; now it is certain that none did.
+                    // Until now another server might have answered; now it is certain that none did.
                     if let Some(error) = unreadable {
                         return Err(question.malformed(&error));
                     }
@@ -175,10 +175,10 @@ impl Bus {
         }
     }
 
-    /// Asks every server once and gathers the answers that arrive before `deadline`.
+    /// Asks every server once and collects the answers that arrive before `deadline`.
     ///
     /// # Errors
-    /// [`AskError::Unaskable`], [`AskError::Closed`]. No answer at all is an empty list, not an error.
+    /// [`AskError::Unaskable`], [`AskError::Closed`]. No answer at all gives an empty list, not an error.
     pub async fn ask_all<Q: Serialize, R: DeserializeOwned>(
         &self,
         ask: &Ask<Q, R>,
@@ -202,7 +202,7 @@ impl Bus {
                 }
             }
         };
-        // Zenoh ends the query at the deadline; this is in case it does not.
+        // Zenoh ends the query at the deadline; this is a fallback.
         let _ = tokio::time::timeout(deadline + LEAST_PATIENCE, gather).await;
         answers.sort_by(|a, b| a.chunks.cmp(&b.chunks));
         Ok(answers)
@@ -220,7 +220,7 @@ impl Bus {
             key: key.to_string(),
             reason: error.to_string(),
         })?;
-        // The server would refuse it, if it came so far: routers drop what is larger.
+        // The server would refuse it, and routers drop larger requests on the way.
         if bytes.len() > ask.max_bytes {
             return Err(AskError::Refused(Refusal::TooLarge { limit: ask.max_bytes }));
         }
@@ -264,7 +264,7 @@ impl Bus {
     }
 }
 
-/// An encoded request, ready to be sent again.
+/// An encoded request that can be sent repeatedly.
 struct Question {
     key: KeyExpr<'static>,
     parameters: &'static str,

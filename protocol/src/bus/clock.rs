@@ -1,11 +1,11 @@
-//! Clock. What time is it, on the wall or in the simulation?
+//! Clock. What time is it, by the wall clock or in the simulation?
 //!
 //! A service uses only the clock that it is given. The wall clock is UNIX time at the start plus monotonic time since then: it never jumps
 //! when the system time is set. A simulated clock stands still until its handle, or the topic `zenav/sim/clock`, moves it.
 //!
-//! On the topic, one message that leaps far ahead changes nothing: the time is there only when the next message goes on from it, as after a
-//! pause of the link. A simulation that begins anew is believed after some messages without one of the old time in between: two simulations
-//! that both give the time do not make it race, the first one counts.
+//! On the topic, a single message far ahead has no effect: the clock jumps only when the next message continues from there, as after a
+//! pause of the link. A restart of the simulation is accepted only after several consecutive messages in the new time: if two simulations
+//! publish the time, the clock does not alternate between them, and the first one counts.
 
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -19,14 +19,14 @@ use crate::topics::SIM_CLOCK;
 
 /// A step back by more than this means that the simulation restarted; a smaller one is a reordered message.
 const RESTART: Duration = Duration::from_secs(1);
-/// Messages of the new time, one after the other, after which a step back is believed.
+/// Consecutive messages in the new time after which a step back is accepted.
 const BEGUN_ANEW: u32 = 20;
-/// A longer step forwards on the topic is believed only when the next message goes on from there.
+/// A longer step forwards on the topic is accepted only when the next message continues from there.
 const LEAP: Duration = Duration::from_secs(10);
-/// No simulation comes this far: 73 years.
+/// Latest plausible simulated time: 73 years.
 const LATEST: Stamp = Stamp(u64::MAX / 8);
 
-/// Clock of a service. Clones show the same time.
+/// Clock of a service. All clones show the same time.
 ///
 /// ```
 /// use std::time::Duration;
@@ -46,27 +46,27 @@ enum Kind {
     Simulated(watch::Receiver<Stamp>),
 }
 
-/// The time that a service shows, by the stamps of the simulation.
+/// The time shown to a service, derived from the stamps of the simulation.
 #[derive(Clone, Copy, Debug, Default)]
 struct Follower {
     shown: Stamp,
-    /// What the service's time is ahead of the simulation's, which began anew.
+    /// Lead of the service's time over the time of a restarted simulation.
     ahead: Duration,
-    /// Where the last message leapt to.
+    /// Target of an unconfirmed leap.
     leap: Option<Stamp>,
-    /// Messages in a row that are back in time.
+    /// Consecutive messages that are back in time.
     back: u32,
 }
 
 impl Follower {
-    /// The time to show after a stamp; `None` where it tells nothing new, or is not believed yet.
+    /// The time to show after a stamp; `None` if the stamp is nothing new, or is not accepted yet.
     fn follow(&mut self, stamp: Stamp) -> Option<Stamp> {
         if stamp > LATEST {
             return None;
         }
         let now = stamp + self.ahead;
         if now > self.shown + LEAP {
-            // As far as it leapt at most: the messages of a fast simulation may all be far apart.
+            // At most as far as the leap itself: the messages of a fast simulation may all be far apart.
             let goes_on = self.leap.is_some_and(|leap| {
                 let leapt = (leap + self.ahead).since(self.shown);
                 stamp > leap && stamp.since(leap) <= leapt
@@ -95,7 +95,7 @@ impl Follower {
 pub struct ClockHandle(Arc<watch::Sender<Stamp>>);
 
 impl ClockHandle {
-    /// Sets the time, and wakes whoever waits for it. A small step back is ignored; a large one means that the simulation restarted.
+    /// Sets the time, and wakes the waiting tasks. A small step back is ignored; a large one means that the simulation restarted.
     pub fn set(&self, now: Stamp) {
         self.0.send_if_modified(|current| {
             let moved = now > *current || current.since(now) > RESTART;
@@ -123,7 +123,7 @@ impl Clock {
         })
     }
 
-    /// A simulated clock, and the handle that moves it.
+    /// A simulated clock and its handle.
     #[must_use]
     pub fn simulated(start: Stamp) -> (Self, ClockHandle) {
         let (sender, receiver) = watch::channel(start);
@@ -132,8 +132,8 @@ impl Clock {
 
     /// Follows the simulated clock on the bus; shows zero until the first message. Must be called in a Tokio runtime.
     ///
-    /// When the simulation restarts, this clock continues from where it stood, so that no deadline of a service waits for a time that has
-    /// passed already.
+    /// When the simulation restarts, this clock continues from its last time, so that no deadline of a service refers to a time that has
+    /// already passed.
     ///
     /// # Errors
     /// [`BusError::Closed`] after the bus was closed.
@@ -171,7 +171,7 @@ impl Clock {
         }
     }
 
-    /// Waits until the clock shows `stamp`; for ever, if the simulation ends before.
+    /// Waits until the clock shows `stamp`; forever if the simulation ends before.
     pub async fn sleep_until(&self, stamp: Stamp) {
         match &self.0 {
             Kind::Wall { start, start_stamp } => match start.checked_add(stamp.since(*start_stamp)) {
@@ -191,7 +191,7 @@ impl Clock {
         self.sleep_until(self.now() + duration).await;
     }
 
-    /// Waits for a future, for `duration` on this clock at most; `None` after that.
+    /// Waits for a future, for at most `duration` on this clock; then `None`.
     pub async fn timeout<F: Future>(&self, duration: Duration, future: F) -> Option<F::Output> {
         tokio::select! {
             biased;
@@ -200,7 +200,7 @@ impl Clock {
         }
     }
 
-    /// An interval that ticks every `period`, the first time at once.
+    /// An interval that ticks every `period`; the first tick is immediate.
     #[must_use]
     pub fn interval(&self, period: Duration) -> Interval {
         Interval {
@@ -211,7 +211,7 @@ impl Clock {
     }
 }
 
-/// Absolute deadlines, one period apart. A missed deadline is skipped, never caught up.
+/// Absolute deadlines, one period apart. A missed deadline is skipped, never made up for.
 #[derive(Clone, Debug)]
 pub struct Interval {
     clock: Clock,
@@ -224,7 +224,7 @@ impl Interval {
     pub async fn tick(&mut self) -> Stamp {
         self.clock.sleep_until(self.next).await;
         let now = self.clock.now();
-        // The simulation restarted: the deadlines restart with it.
+        // The simulation restarted: the deadlines restart too.
         if self.next.since(now) > RESTART {
             self.next = now;
         }

@@ -1,4 +1,4 @@
-//! Flow. How much goes over a topic, and what of it is lost? The counts of one part's side of a topic, for the metrics.
+//! Flow. How much traffic does a topic carry, and how much is lost? Counters of one component's side of a topic, for the metrics.
 
 use zenav_observability::metrics::{
     BUS_DISCARDED, BUS_PUBLISHED, BUS_PUBLISHED_BYTES, BUS_RECEIVED, BUS_RECEIVED_BYTES, BUS_WAITING,
@@ -8,7 +8,7 @@ use zenav_observability::{IntCounter, IntGauge};
 use super::Bus;
 use crate::codec::CodecError;
 
-/// What arrives on a topic or an ask.
+/// Counters of what arrives on a topic or an ask.
 #[derive(Clone, Debug)]
 pub(super) struct Arrivals {
     received: IntCounter,
@@ -20,7 +20,7 @@ pub(super) struct Arrivals {
 }
 
 impl Arrivals {
-    /// Of a key pattern, at a part.
+    /// Counters of a key pattern at a component.
     pub(super) fn new(bus: &Bus, pattern: &str) -> Self {
         let part = bus.kind();
         let discarded = |reason: &str| BUS_DISCARDED.with_label_values(&[part, pattern, reason]);
@@ -34,18 +34,18 @@ impl Arrivals {
         }
     }
 
-    /// A payload of so many bytes.
+    /// Counts a received payload of this size.
     pub(super) fn received(&self, bytes: usize) {
         self.received.inc();
         self.bytes.inc_by(bytes as u64);
     }
 
-    /// One was dropped because the reader is too slow.
+    /// Counts a sample dropped because the reader is too slow.
     pub(super) fn dropped(&self) {
         self.dropped.inc();
     }
 
-    /// One is not read.
+    /// Counts a payload that was not decoded.
     pub(super) fn refused(&self, error: &CodecError) {
         match error {
             CodecError::TooLarge { .. } => self.too_large.inc(),
@@ -54,7 +54,7 @@ impl Arrivals {
     }
 }
 
-/// What is published on a topic.
+/// Counters of what is published on a topic.
 #[derive(Clone, Debug)]
 pub(super) struct Departures {
     published: IntCounter,
@@ -63,7 +63,7 @@ pub(super) struct Departures {
 }
 
 impl Departures {
-    /// Of a key pattern, at a part.
+    /// Counters of a key pattern at a component.
     pub(super) fn new(bus: &Bus, pattern: &str) -> Self {
         let part = bus.kind();
         Self {
@@ -73,13 +73,13 @@ impl Departures {
         }
     }
 
-    /// A payload of so many bytes.
+    /// Counts a published payload of this size.
     pub(super) fn published(&self, bytes: usize) {
         self.published.inc();
         self.bytes.inc_by(bytes as u64);
     }
 
-    /// One could not be published.
+    /// Counts a value that could not be published.
     pub(super) fn failed(&self) {
         self.unpublished.inc();
     }

@@ -1,12 +1,12 @@
-//! Identity. Who is this process in the fleet, and who else belongs to it? A folder that `zenav keys` makes:
+//! Identity. Which member of the fleet is this process, and which other members are there? Read from a folder that `zenav keys` makes:
 //!
-//! | file | holds |
+//! | file | content |
 //! |---|---|
 //! | `ca.pem` | the fleet's certificate authority |
 //! | `cert.pem`, `key.pem` | this member's certificate, and its private key |
-//! | `members.txt` | only where others dial in: the fleet's members, a common name a line; who does not stand there may do nothing |
+//! | `members.txt` | only for members that listen: all members of the fleet, one common name per line; a member not listed has no access |
 //!
-//! Of the private key only the file's path is held here; Zenoh reads it.
+//! Only the path of the private key is held here; Zenoh reads the file.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -16,12 +16,12 @@ use x509_parser::pem::parse_x509_pem;
 
 use crate::member::Member;
 
-/// Where the fleet's members stand.
+/// File with the list of the fleet's members.
 pub const MEMBERS: &str = "members.txt";
-/// A certificate that ends sooner than this is told of.
+/// A certificate that expires within this time causes a warning.
 const SOON: Duration = Duration::from_secs(14 * 24 * 3600);
 
-/// Who a process is in its fleet.
+/// The identity of a process in its fleet.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Identity {
     folder: PathBuf,
@@ -30,21 +30,21 @@ pub struct Identity {
     fleet: Option<Vec<Member>>,
 }
 
-/// A folder that holds no identity, or one that is of no use any more.
+/// A folder without an identity, or with one that is no longer valid.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("identity {}: {problem}", .folder.display())]
 pub struct IdentityError {
     /// The folder.
     pub folder: PathBuf,
-    /// What is wrong, and what was expected.
+    /// The problem, and what was expected.
     pub problem: String,
 }
 
 impl Identity {
-    /// Reads a folder, and says in the log when its certificate ends soon.
+    /// Reads a folder, and logs a warning when its certificate expires soon.
     ///
     /// # Errors
-    /// [`IdentityError`]: a file that is missing or unreadable, a certificate whose name is no member's or that has expired.
+    /// [`IdentityError`]: a file that is missing or unreadable, a certificate that has expired or whose name is not a member's.
     pub fn load(folder: &Path) -> Result<Self, IdentityError> {
         let identity = Self::read(folder)?;
         let left = identity.expires.duration_since(SystemTime::now()).unwrap_or_default();
@@ -56,7 +56,7 @@ impl Identity {
         Ok(identity)
     }
 
-    /// Whether its folder holds another one now that can be used: other members, or a new certificate.
+    /// Whether the folder now holds a different valid identity: other members, or a new certificate.
     #[must_use]
     pub fn is_outdated(&self) -> bool {
         Self::read(&self.folder).is_ok_and(|now| now != *self)
@@ -110,13 +110,13 @@ impl Identity {
         })
     }
 
-    /// Who it is.
+    /// The member that the identity belongs to.
     #[must_use]
     pub fn member(&self) -> &Member {
         &self.member
     }
 
-    /// Where it stands.
+    /// Folder of the identity.
     #[must_use]
     pub fn folder(&self) -> &Path {
         &self.folder
@@ -125,7 +125,7 @@ impl Identity {
     /// The members of the fleet.
     ///
     /// # Errors
-    /// [`IdentityError`] where there is no list of them.
+    /// [`IdentityError`] if there is no list of members.
     pub fn fleet(&self) -> Result<&[Member], IdentityError> {
         self.fleet.as_deref().ok_or_else(|| IdentityError {
             folder: self.folder.clone(),
@@ -135,16 +135,16 @@ impl Identity {
         })
     }
 
-    /// Path of one of its files.
+    /// Path of a file in the folder.
     pub(super) fn file(&self, name: &str) -> String {
         self.folder.join(name).to_string_lossy().into_owned()
     }
 }
 
-/// The members that stand in a list: one a line, `#` begins a comment.
+/// Parses a list of members: one per line, `#` starts a comment.
 ///
 /// # Errors
-/// The line that names none.
+/// The first line that is not a member.
 fn members(text: &str) -> Result<Vec<Member>, String> {
     let lines = text
         .lines()
@@ -159,7 +159,7 @@ fn members(text: &str) -> Result<Vec<Member>, String> {
         .collect()
 }
 
-/// Says in the log that others on this machine may read the private key.
+/// Logs a warning if other users of this machine can read the private key.
 #[cfg(unix)]
 fn warn_of_open_key(folder: &Path) {
     use std::os::unix::fs::MetadataExt as _;

@@ -1,6 +1,7 @@
-//! Inbox. What decouples Zenoh's receiving threads, which must never wait, from the readers?
+//! Inbox. How are the readers decoupled from Zenoh's receiving threads, which must never block?
 //!
-//! A bounded store with one reader: [`Queue`] keeps the last items in order, [`Newest`] the last item of each key. Both count what they drop.
+//! A bounded store with one reader: [`Queue`] keeps the newest items in order, [`Newest`] the newest item of each key. Both count the items
+//! they drop.
 
 use std::collections::{HashMap, VecDeque};
 use std::hash::Hash;
@@ -10,13 +11,13 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::Notify;
 use zenav_observability::IntGauge;
 
-/// Most keys that a [`Newest`] holds; items of further keys are dropped.
+/// Most keys in a [`Newest`]; items of further keys are dropped.
 const MAX_KEYS: usize = 4096;
 
 /// The store behind an inbox.
 pub(super) trait Store {
     type Item;
-    /// Adds an item; `false` when one had to be dropped.
+    /// Adds an item; `false` if an item was dropped.
     fn put(&mut self, item: Self::Item) -> bool;
     fn pop(&mut self) -> Option<Self::Item>;
     fn len(&self) -> usize;
@@ -58,7 +59,7 @@ impl<T> Store for Queue<T> {
     }
 }
 
-/// The newest item of each key; keys take turns.
+/// The newest item of each key; the keys take turns.
 pub(super) struct Newest<K, T> {
     turns: VecDeque<K>,
     items: HashMap<K, T>,
@@ -105,7 +106,7 @@ pub(super) struct Inbox<S: Store> {
     state: Mutex<State<S>>,
     ready: Notify,
     dropped: AtomicU64,
-    /// How many items wait, here and in others that share the gauge.
+    /// Number of waiting items, here and in other inboxes that share the gauge.
     waiting: Option<IntGauge>,
 }
 
@@ -120,7 +121,7 @@ impl<S: Store> Inbox<S> {
         Self::with(store, None)
     }
 
-    /// As [`Self::new`]; what waits is added to a gauge.
+    /// As [`Self::new`]; the number of waiting items is added to a gauge.
     pub(super) fn gauged(store: S, waiting: IntGauge) -> (Arc<Self>, Slot<S>) {
         Self::with(store, Some(waiting))
     }
@@ -135,7 +136,7 @@ impl<S: Store> Inbox<S> {
         (Arc::clone(&inbox), Slot(inbox))
     }
 
-    /// The store's length changed from `before`.
+    /// Updates the gauge after a change of the store's length.
     fn gauge(&self, before: usize, after: usize) {
         if let Some(waiting) = &self.waiting
             && before != after
@@ -209,12 +210,12 @@ impl<S: Store> Drop for Inbox<S> {
 pub(super) struct Slot<S: Store>(Arc<Inbox<S>>);
 
 impl<S: Store> Slot<S> {
-    /// Adds an item; waits for nothing but the reader's short critical section.
+    /// Adds an item; blocks only for the reader's short critical section.
     pub(super) fn put(&self, item: S::Item) {
         self.fits(item);
     }
 
-    /// As [`Self::put`]; `false` when an item had to be dropped.
+    /// As [`Self::put`]; `false` if an item was dropped.
     pub(super) fn fits(&self, item: S::Item) -> bool {
         let fits = {
             let mut state = self.0.lock();
@@ -253,12 +254,12 @@ impl<S: Store> Drop for Slot<S> {
     }
 }
 
-/// Counts failures, and says when to log one: the 1st, 2nd, 4th, 8th, … time.
+/// Counts failures, and selects those to log: the 1st, 2nd, 4th, 8th, …
 #[derive(Default)]
 pub(super) struct Complaints(AtomicU64);
 
 impl Complaints {
-    /// Counts a failure; returns the count when it is to be logged.
+    /// Counts a failure; returns the count if it is to be logged.
     pub(super) fn add(&self) -> Option<u64> {
         let count = self.0.fetch_add(1, Ordering::Relaxed) + 1;
         count.is_power_of_two().then_some(count)

@@ -1,9 +1,10 @@
 //! Keyed publisher. How are the last values of many short-lived keys published without a declaration for each?
 //!
-//! A router keeps a few kilobytes of every declaration that ever was on a key of its own, also after its end: a key for every goal would
-//! fill it. So a [`KeyedPublisher`] declares once, on the pattern, what an advanced publisher declares for its key (a cache that can be
-//! asked, and a token that tells late subscribers of it), and puts on the concrete keys. On the wire each key is a source of its own, with
-//! its own numbers: an advanced subscriber gets the last value of each key, in order, and asks again for one that was lost.
+//! A router permanently keeps a few kilobytes for every key on which something was ever declared, even after the declaration ended: a key
+//! for every goal would fill it. So a [`KeyedPublisher`] declares once, on the pattern, what an advanced publisher declares for its key (a
+//! cache that can be queried, and a token that announces it to late subscribers), and puts on the concrete keys. On the wire each key is a
+//! source of its own, with its own sequence numbers: an advanced subscriber gets the last value of each key, in order, and requests a lost
+//! one again.
 
 use std::collections::VecDeque;
 use std::fmt;
@@ -28,15 +29,15 @@ use super::{Bus, BusError};
 use crate::codec::{self, Encoding};
 use crate::topics::Topic;
 
-/// The number of a key's last value is repeated after this time, and after twice, four times as long, …, so that a subscriber that lost it
-/// asks for it.
+/// The sequence number of a key's last value is repeated after this time, and after twice, four times as long, …, so that a subscriber that
+/// lost the value requests it.
 const HEARTBEAT: Duration = Duration::from_millis(500);
-/// The last of these repetitions, in such periods: after two minutes.
+/// The last of these repetitions, in periods: after two minutes.
 const LAST_PERIOD: u32 = 256;
-/// Numbers of the keys as sources: above those that a session gives to its own entities.
+/// Source ids of the keys: above those that a session assigns to its own entities.
 const FIRST_SOURCE: EntityId = 1 << 31;
 
-/// Publishes on the keys of a topic that match a pattern, and keeps the last value of the newest of them.
+/// Publishes on the keys of a topic that match a pattern, and keeps the last values of the newest keys.
 pub struct KeyedPublisher<T> {
     session: Session,
     topic: Topic<T>,
@@ -60,12 +61,12 @@ struct Kept {
 #[derive(Clone)]
 struct Value {
     key: KeyExpr<'static>,
-    /// Where an advanced subscriber asks for it: the key, and who it is as a source.
+    /// Key of its cache, where advanced subscribers query it; contains the source id.
     cache_key: KeyExpr<'static>,
     source: EntityId,
     number: u32,
     bytes: ZBytes,
-    /// Periods since it was put.
+    /// Periods since the value was put.
     periods: u32,
 }
 
@@ -84,11 +85,11 @@ impl<T> Drop for KeyedPublisher<T> {
 }
 
 impl Bus {
-    /// A publisher on all keys of a topic with these chunks, of which the last is `*`; the last values of the `most` newest keys are kept for
-    /// late joiners. In a Tokio runtime only.
+    /// A publisher on all keys of a topic with these chunks, the last of which is `*`; the last values of the `most` newest keys are kept
+    /// for late joiners. Only in a Tokio runtime.
     ///
     /// # Errors
-    /// [`BusError::Key`] for chunks that make no key, [`BusError::Closed`] after the bus was closed.
+    /// [`BusError::Key`] for chunks that do not form a key, [`BusError::Closed`] after the bus was closed.
     pub fn keyed_publisher<T>(
         &self,
         topic: &Topic<T>,
@@ -109,7 +110,7 @@ impl Bus {
             let elsewhere = tokio::runtime::Handle::current();
             move |query: Query| {
                 let (kept, token_key) = (Arc::clone(&kept), token_key.clone());
-                // A reply waits for room, and a receiving thread must not.
+                // A reply may block until the link has room, which is not allowed on a receiving thread.
                 elsewhere.spawn_blocking(move || {
                     let asked = lock(&kept).asked(&query, &token_key);
                     answer(&query, &asked, zid, encoding);
@@ -126,7 +127,7 @@ impl Bus {
                     let news: Vec<Value> = lock(&kept).repeated().collect();
                     for value in news {
                         let number = zenoh_ext::z_serialize(&value.number);
-                        // The next one tells as well.
+                        // A failure is harmless: the number is repeated again.
                         let _ = session.put(value.cache_key, number).await;
                     }
                 }
@@ -147,7 +148,7 @@ impl Bus {
 }
 
 impl<T: Serialize> KeyedPublisher<T> {
-    /// Publishes a value on the key with these chunks, from any thread; the order is kept. A failure is counted and logged now and then.
+    /// Publishes a value on the key with these chunks, from any thread; the order is kept. Failures are counted, and logged now and then.
     pub fn put(&self, chunks: &[&str], message: &T) {
         let Err(reason) = self.try_put(self.topic.key(chunks), message) else {
             return;
@@ -162,7 +163,7 @@ impl<T: Serialize> KeyedPublisher<T> {
         let bytes = codec::encode(message, self.topic.encoding).map_err(|error| error.to_string())?;
         let key = Bus::key(key).map_err(|error| error.to_string())?;
         let (zid, size) = (self.session.zid(), bytes.len());
-        // Held while it is sent: numbers leave in their order.
+        // Held while sending, so that numbers leave in order.
         let mut kept = lock(&self.kept);
         let value = kept.set(key, zid, bytes.into())?;
         self.session
@@ -179,7 +180,7 @@ impl<T: Serialize> KeyedPublisher<T> {
 }
 
 impl Kept {
-    /// Takes in the newest value of a key.
+    /// Stores the newest value of a key.
     fn set(&mut self, key: KeyExpr<'static>, zid: ZenohId, bytes: ZBytes) -> Result<Value, String> {
         let (source, number) = match self.values.iter().position(|value| value.key == key) {
             Some(place) => {
@@ -207,7 +208,7 @@ impl Kept {
         Ok(value)
     }
 
-    /// A period later: the values whose number is repeated now.
+    /// Advances by one period: returns the values whose number is repeated now.
     fn repeated(&mut self) -> impl Iterator<Item = Value> {
         self.values.iter_mut().filter_map(|value| {
             value.periods = value.periods.saturating_add(1);
@@ -216,7 +217,7 @@ impl Kept {
         })
     }
 
-    /// What an advanced subscriber asks for: who asks the token's own key asks for all.
+    /// The values requested by an advanced subscriber: a query on the token's own key requests all.
     fn asked(&self, query: &Query, token_key: &KeyExpr<'static>) -> Vec<Value> {
         let of_all = query.key_expr().as_str() == token_key.as_str();
         let range = query.parameters().get("_sn").map(numbers);
@@ -248,7 +249,7 @@ fn cache_key(key: &str, zid: ZenohId, source: EntityId) -> String {
     format!("{key}/@adv/pub/{zid}/{source}/_")
 }
 
-/// The numbers that a subscriber lacks: `3..7`, both ends included, either one left out.
+/// The sequence numbers that a subscriber lacks: `3..7`, both ends included; either end may be omitted.
 fn numbers(range: &str) -> (u32, u32) {
     let (from, to) = range.split_once("..").unwrap_or((range, range));
     (from.parse().unwrap_or(0), to.parse().unwrap_or(u32::MAX))

@@ -1,4 +1,4 @@
-//! Link. Is a part linked to a router, and who hears when that changes? Its readiness, its log (`router lost`, `router back`) and the metrics.
+//! Link. Is a component linked to a router? Changes update its readiness, its log (`router lost`, `router back`) and the metrics.
 
 use std::collections::BTreeMap;
 
@@ -9,7 +9,7 @@ use zenoh::sample::SampleKind;
 use zenoh::session::TransportEvent;
 use zenoh::{Session, Wait};
 
-/// Who is linked to a session.
+/// Peers linked to a session.
 #[derive(Default)]
 struct Links(BTreeMap<String, WhatAmI>);
 
@@ -28,7 +28,7 @@ impl Links {
     }
 }
 
-/// Tells the changes of a session's links as long as it is open. The session is not kept open by it.
+/// Reports changes of a session's links while it is open, without keeping the session open.
 fn watch(session: &Session, mut told: impl FnMut(&Links) + Send + Sync + 'static) {
     let mut links = Links::default();
     let watched = session
@@ -46,12 +46,12 @@ fn watch(session: &Session, mut told: impl FnMut(&Links) + Send + Sync + 'static
     }
 }
 
-/// Tells a part's link to its routers.
+/// Reports a component's link to its routers.
 pub(super) fn watch_routers(session: &Session, part: &Readiness, linked: Condition) {
     let name = part.name().to_owned();
     let gauge = ROUTER_LINKED.with_label_values(&[&name]);
     let reconnects = ROUTER_RECONNECTS.with_label_values(&[&name]);
-    // `None` before the first link: its coming is told by readiness.
+    // `None` before the first link, which readiness reports.
     let mut was_linked = None;
     watch(session, move |links| {
         let is_linked = links.of(WhatAmI::Router) > 0;
@@ -75,7 +75,7 @@ pub(super) fn watch_routers(session: &Session, part: &Readiness, linked: Conditi
     });
 }
 
-/// Counts who is linked to a router.
+/// Counts the links of a router.
 pub(super) fn count(session: &Session) {
     let kinds = [
         (WhatAmI::Client, "client"),

@@ -1,4 +1,4 @@
-//! Bus. How do the components talk? Typed publish, subscribe and ask over Zenoh.
+//! Bus. How do the components communicate? Typed publish, subscribe and ask over Zenoh.
 //!
 //! ```
 //! # use std::time::Duration;
@@ -40,25 +40,25 @@
 //! | `session` | [`Bus`]: a component's session, a client of the router, or a router itself when it listens on an endpoint of its own |
 //! | `router` | [`Router`] |
 //! | `security` | how links are protected: [`Security`] |
-//! | `identity`, `access_control` | who a process is in its fleet: [`Identity`]; what others may do on an endpoint |
+//! | `identity`, `access_control` | which member of the fleet a process is: [`Identity`]; what others may do on an endpoint |
 //! | `publish`, `subscribe` | topics: [`Publisher`], [`Latest`] value, [`Subscription`] to all values in order |
 //! | `keyed` | last values on many short-lived keys, from one declaration: [`KeyedPublisher`] |
 //! | `ask`, `serve` | requests with a deadline, and the [`Server`] that answers them |
 //! | `serve_part` | all asks of one component, as its core's own request type |
-//! | `about` | who is this component, and where does it run |
-//! | `alive` | liveliness tokens: which components are there |
+//! | `about` | identity of a component, and where it runs |
+//! | `alive` | liveliness tokens: which components are present |
 //! | `raw` | untyped bytes, for tools |
-//! | `tap` | everything that comes, as it came and when, for recorders; and publishing it again |
+//! | `tap` | all samples as they arrive, byte for byte with arrival times, for recorders; publishing them again |
 //! | `clock`, `shutdown` | the only [`Clock`] of a service, and its [`Shutdown`] |
 //! | `threads` | Zenoh's threads: how many a process needs |
-//! | `service_manager` | what whoever started the process is told: ready, alive, ending |
+//! | `service_manager` | notifications to the service manager: ready, alive, stopping |
 //! | `overhead` | cost of the typed bus over raw Zenoh |
-//! | `link`, `flow` | for the metrics and the log: links to routers; what goes over a topic, and what of it is lost |
+//! | `link`, `flow` | for the metrics and the log: links to routers; traffic and losses per topic |
 //! | `inbox` | bounded queues between Zenoh's threads and the readers |
 //!
 //! No Zenoh callback blocks or decodes: it puts the sample into a bounded queue and wakes the reader. A payload that cannot be decoded is
-//! counted, logged now and then, and otherwise ignored. Declarations are synchronous and work from any thread; inside a Tokio runtime it
-//! must be the multi-threaded one. Every `next` and `changed` is cancel-safe: a `select!` that drops it loses nothing.
+//! counted, logged now and then, and otherwise ignored. Declarations are synchronous and work from any thread; inside a Tokio runtime, the
+//! runtime must be multi-threaded. Every `next` and `changed` is cancel-safe: a `select!` that drops it loses nothing.
 
 mod about;
 mod access_control;

@@ -1,8 +1,8 @@
 //! Overhead. What does the typed bus cost over raw Zenoh, and what do protected links cost?
 //!
-//! Both send identical bytes by the same codec over the same sessions, and take turns in one run. A sample is the time from before encoding
-//! to after decoding, from one client to another over a router, all in this process on loopback TCP. Raw means Zenoh's own publisher,
-//! subscriber channel, `get` and queryable, as its documentation uses them.
+//! Both send identical bytes with the same codec over the same sessions, alternating within one run. A sample is the time from before
+//! encoding to after decoding, from one client to another over a router, all in this process on loopback TCP. Raw means Zenoh's own
+//! publisher, subscriber channel, `get` and queryable, used as in its documentation.
 
 use std::time::{Duration, Instant};
 
@@ -22,7 +22,7 @@ use crate::topics::{SCAN, STOP};
 const BEAMS: usize = 720;
 /// A message that takes longer counts as lost and is sent again.
 const LOST: Duration = Duration::from_secs(1);
-/// Most rounds: a machine that needs more loses nearly every message.
+/// Most rounds: reached only on a machine that loses nearly every message.
 const MOST_ROUNDS: usize = 1_000_000;
 /// Pause between samples, so that each finds an idle link.
 const PAUSE: Duration = Duration::from_micros(500);
@@ -88,8 +88,8 @@ impl Latency {
     }
 }
 
-/// Measures the publication of a scan and an ask, `samples` times each, typed and raw, over a router of its own on a free port. All links
-/// are protected in the same way; an identity is that of a router.
+/// Measures the publication of a scan and an ask, `samples` times each, typed and raw, over its own router on a free port. All links have
+/// the same protection; an identity must be a router's.
 ///
 /// # Errors
 /// [`BusError`] when the router cannot listen, or a session cannot connect.
@@ -119,7 +119,7 @@ pub async fn measure(samples: usize, security: &Security) -> Result<Vec<Comparis
     Ok(results)
 }
 
-/// Order of typed (`true`) and raw in a round: it alternates, so that neither profits from the other's warm caches.
+/// Order of typed (`true`) and raw in a round: it alternates, so that neither benefits from the other's warm caches.
 fn order(round: usize) -> [bool; 2] {
     if round.is_multiple_of(2) {
         [true, false]
@@ -168,7 +168,7 @@ async fn publications(near: &Bus, far: &Bus, samples: usize, over: &'static str)
                 })
             };
             let elapsed = start.elapsed();
-            // The first messages are lost, before the router knows of the subscriptions.
+            // The first messages are lost before the router knows the subscriptions.
             if received.is_some_and(|received| received.stamp == scan.stamp) {
                 if typed_turn { &mut typed } else { &mut raw }.push(elapsed);
             } else if near.session.is_closed() {

@@ -1,12 +1,13 @@
 //! Publisher. How does a value reach every reader without waiting for a slow one?
 //!
-//! `Events` and `State` topics use Zenoh's advanced publisher: it numbers its samples and keeps the last ones, so that a late joiner gets
-//! them and a reader asks again for a missing one (dropped under congestion, or lost while a link was cut). So even they are sent with
-//! congestion control "drop", and no frozen reader can hold up a robot. Only bulk (CBOR) blocks for room, for one lost fragment would cost
-//! the whole message.
+//! `Events` and `State` topics use Zenoh's advanced publisher: it numbers its samples and keeps the last ones, so that late joiners get
+//! them and readers request missing ones again (dropped under congestion, or lost while a link was down). So even these topics are sent
+//! with congestion control "drop", and a frozen reader cannot block a robot. Only bulk messages (CBOR) block until there is room, because
+//! one lost fragment would cost the whole message.
 //!
-//! What a cache tells again blocks for room too, whatever the topic's quality of service (Zenoh 1.10 gives a reply that of its request), and it
-//! does so on a thread that receives. So little bulk is kept, and a process has more such threads than by default ([`threads`]).
+//! Repeated samples from a cache also block until there is room, whatever the topic's quality of service (Zenoh 1.10 gives a reply the
+//! quality of service of its request), and they do so on a receiving thread. So only few bulk samples are kept, and a process has more
+//! receiving threads than by default ([`threads`]).
 
 use std::fmt;
 use std::marker::PhantomData;
@@ -25,7 +26,7 @@ use super::{Bus, BusError, threads};
 use crate::codec::{self, Encoding};
 use crate::topics::{Qos, Topic};
 
-/// Period at which an advanced publisher repeats the number of its last sample: the delay until a lost last sample is noticed.
+/// Period at which an advanced publisher repeats the number of its last sample: the delay until the loss of a last sample is noticed.
 const HEARTBEAT: Duration = Duration::from_millis(500);
 
 /// Publishes on one key of a topic.
@@ -55,7 +56,7 @@ impl Bus {
     /// A publisher on the topic's key with these chunks; no chunk may be a wildcard.
     ///
     /// # Errors
-    /// [`BusError::Key`] for chunks that make no key, [`BusError::Closed`] after the bus was closed.
+    /// [`BusError::Key`] for chunks that do not form a key, [`BusError::Closed`] after the bus was closed.
     pub fn publisher<T>(&self, topic: &Topic<T>, chunks: &[&str]) -> Result<Publisher<T>, BusError> {
         let key = topic.key(chunks);
         let key_expr = Self::key(key.clone())?;
@@ -122,13 +123,13 @@ pub(super) fn kept(qos: Qos) -> usize {
 }
 
 impl<T: Serialize> Publisher<T> {
-    /// Publishes a value, from any thread; the order is kept. A failure (the bus was closed, or the encoding cannot express the value) is
-    /// counted and logged now and then.
+    /// Publishes a value, from any thread; the order is kept. Failures (the bus was closed, or the encoding cannot represent the value) are
+    /// counted, and logged now and then.
     pub fn put(&self, message: &T) {
         self.put_in(None, message);
     }
 
-    /// As [`Self::put`]; with the trace that the value belongs to attached, where it belongs to one.
+    /// As [`Self::put`], with the trace of the value attached, if it has one.
     pub fn put_in(&self, trace: Option<Context>, message: &T) {
         let attachment = trace.map(|trace| ZBytes::from(trace.to_string()));
         let failure = match codec::encode(message, self.encoding) {
@@ -160,14 +161,14 @@ impl<T: Serialize> Publisher<T> {
 }
 
 impl<T> Publisher<T> {
-    /// The key that is published on.
+    /// The key of the publisher.
     #[must_use]
     pub fn key(&self) -> &str {
         &self.key
     }
 
-    /// Whether there may be a subscriber, as far as this session knows: what is costly to compute need not be computed for nobody. Just
-    /// after the declaration the session may not know of anybody yet.
+    /// Whether there may be a subscriber, as far as this session knows: lets a writer skip costly computations without readers. Right after
+    /// the declaration the session may not know of any subscriber yet.
     #[must_use]
     pub fn may_be_heard(&self) -> bool {
         let status = match &self.carrier {

@@ -1,4 +1,4 @@
-//! Raw access. What do tools see that know no message types? Keys, bytes and encodings, as they are on the wire.
+//! Raw access. What do tools without message types see? Keys, bytes and encodings, as on the wire.
 
 use std::fmt;
 use std::sync::Arc;
@@ -15,10 +15,10 @@ use super::subscribe::{Carrier, HISTORY_TIMEOUT};
 use super::{Bus, BusError};
 use crate::time::Stamp;
 
-/// Most replies to one query that are kept.
+/// Most replies kept per query.
 const MAX_REPLIES: usize = 4096;
 
-/// A sample as it came over the wire.
+/// A sample as received.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RawSample {
     /// Key of the sample.
@@ -61,7 +61,7 @@ pub enum RawReply {
     },
 }
 
-/// A subscription to samples as they come.
+/// A subscription to samples as they arrive.
 pub struct RawSubscription {
     inbox: Arc<Inbox<Queue<Sample>>>,
     _carrier: Carrier,
@@ -87,7 +87,7 @@ impl RawSubscription {
 }
 
 impl Bus {
-    /// Subscribes to all new samples on keys that match; at most `capacity` wait to be read, beyond that the oldest are dropped.
+    /// Subscribes to all new samples on matching keys; at most `capacity` are queued, then the oldest are dropped.
     ///
     /// # Errors
     /// [`BusError::Key`], [`BusError::Closed`].
@@ -125,7 +125,7 @@ impl Bus {
         })
     }
 
-    /// Publishes bytes as they are.
+    /// Publishes bytes unchanged.
     ///
     /// # Errors
     /// [`BusError::Key`], [`BusError::Closed`].
@@ -139,7 +139,7 @@ impl Bus {
         )
     }
 
-    /// Queries a selector once (`zenav/tiago/ask/cloud/map?format=png`) and gathers all replies; a payload, if any, is JSON.
+    /// Queries a selector once (`zenav/tiago/ask/cloud/map?format=png`) and collects all replies; a payload, if any, is JSON.
     ///
     /// # Errors
     /// [`BusError::Key`], [`BusError::Closed`].

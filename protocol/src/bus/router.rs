@@ -1,4 +1,4 @@
-//! Router. Where do all components meet? At a Zenoh router, which any process can open.
+//! Router. How are all components connected? Through a Zenoh router, which any process can open.
 
 use std::collections::BTreeMap;
 
@@ -15,7 +15,7 @@ use super::session::{Bus, BusError, DEFAULT_ENDPOINT, ROUTER_HANDSHAKE_MS, endpo
 pub struct RouterConfig {
     /// Endpoints to listen on; port 0 picks a free one (see [`Router::endpoints`]).
     pub listen: Vec<String>,
-    /// Other routers to link to; the router keeps trying in the background.
+    /// Other routers to link to; the router retries in the background.
     pub connect: Vec<String>,
     /// Name shown by tools that inspect the network.
     pub name: String,
@@ -45,8 +45,8 @@ impl Router {
     /// Starts a router that listens on the configured endpoints.
     ///
     /// # Errors
-    /// [`BusError::CannotListen`] when an endpoint is in use; [`BusError::Exposed`] for one that nothing protects; [`BusError::Config`] for
-    /// text that is no endpoint.
+    /// [`BusError::CannotListen`] when an endpoint is in use; [`BusError::Exposed`] for an unprotected one; [`BusError::Config`] for text
+    /// that is not an endpoint.
     pub async fn open(config: &RouterConfig) -> Result<Self, BusError> {
         let security = &config.security;
         let (connect, listen) = (security.endpoints(&config.connect), security.endpoints(&config.listen));
@@ -64,10 +64,10 @@ impl Router {
         })?;
         link::count(&session);
         let readiness = Readiness::new(&config.name);
-        // Its links to other routers come and go: it carries what is linked to it without them.
+        // Links to other routers come and go: the router works for its own components without them.
         readiness.started();
         let router = Self { session, readiness };
-        // Of several routers each by its own key.
+        // Several routers differ by this key.
         let name = format!("router-{}", router.session.zid());
         router.bus(&name).serve_info("router", "", BTreeMap::new())?;
         Ok(router)
@@ -78,7 +78,7 @@ impl Router {
         endpoints(&self.session).await
     }
 
-    /// A bus on the router's own session: no link, and gone with the router.
+    /// A bus on the router's own session: it needs no link, and ends with the router.
     #[must_use]
     pub fn bus(&self, name: &str) -> Bus {
         Bus {

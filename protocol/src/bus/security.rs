@@ -1,11 +1,11 @@
 //! Security. How are a session's links protected, and what may others do over them?
 //!
-//! Without anything, plain TCP: sessions listen on loopback alone. With an identity, TLS 1.3 with a certificate of each side, over QUIC:
-//! endpoints are `quic/HOST:PORT`, on UDP; names are verified, links end with their certificates, and a session that listens lets others do
-//! what the key table grants them (`access_control`), and nothing else.
+//! By default, plain TCP: sessions listen on loopback only. With an identity, TLS 1.3 with a certificate on each side, over QUIC: endpoints
+//! are `quic/HOST:PORT`, on UDP; names are verified, links end when their certificates expire, and a session that listens allows others
+//! only what the key table grants them (`access_control`).
 //!
-//! QUIC and not TLS over TCP, for Zenoh 1.10 lets its sending and its receiving thread into one rustls connection at a time there, and
-//! crashes (<https://github.com/eclipse-zenoh/zenoh/issues/2557>). A QUIC link has a stream for each direction, and for each priority.
+//! QUIC instead of TLS over TCP: with the latter, Zenoh 1.10 lets its sending and its receiving thread access one rustls connection at the
+//! same time, and crashes (<https://github.com/eclipse-zenoh/zenoh/issues/2557>). A QUIC link has one stream per direction and priority.
 
 use std::net::IpAddr;
 use std::path::Path;
@@ -22,17 +22,17 @@ use crate::member::Role;
 /// How links are protected.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum Security {
-    /// Neither encrypted nor authenticated; only programs of this machine reach an endpoint.
+    /// Neither encrypted nor authenticated; only programs on this machine can reach an endpoint.
     #[default]
     Loopback,
-    /// Neither encrypted nor authenticated, on every address: whoever reaches an endpoint commands every robot.
+    /// Neither encrypted nor authenticated, on every address: anybody who reaches an endpoint can command every robot.
     Insecure,
-    /// TLS over QUIC, with a certificate of each side.
+    /// TLS over QUIC, with a certificate on each side.
     Mtls(Box<Identity>),
 }
 
 impl Security {
-    /// As told by a user: an identity, or none, and whether to listen to other machines without one.
+    /// From a user's options: an identity or none, and whether to listen to other machines without one.
     ///
     /// # Errors
     /// As [`Identity::load`].
@@ -44,7 +44,7 @@ impl Security {
         })
     }
 
-    /// The identity, where there is one.
+    /// The identity, if there is one.
     #[must_use]
     pub fn identity(&self) -> Option<&Identity> {
         match self {
@@ -53,11 +53,11 @@ impl Security {
         }
     }
 
-    /// Whether this process may be a robot's edge. With a simulated body in the process it also gives the time of the simulation, which is a
-    /// router's word.
+    /// Whether this process may be a robot's edge. If the body is simulated in the same process, the process also publishes the simulated
+    /// time, which only a router may do.
     ///
     /// # Errors
-    /// [`IdentityError`]: the identity of another robot, or of none.
+    /// [`IdentityError`]: the identity of another robot, or not a robot's.
     pub fn check_robot(&self, robot: &Id, is_simulated: bool) -> Result<(), IdentityError> {
         let Some(identity) = self.identity() else {
             return Ok(());
@@ -77,7 +77,7 @@ impl Security {
         })
     }
 
-    /// Endpoints as this profile reaches them: `tcp/HOST:PORT` and `tls/HOST:PORT` are `quic/HOST:PORT` for who has an identity.
+    /// Endpoints as used with this protection: with an identity, `tcp/HOST:PORT` and `tls/HOST:PORT` become `quic/HOST:PORT`.
     pub(super) fn endpoints(&self, given: &[String]) -> Vec<String> {
         let reached = |endpoint: &String| match (self, endpoint.split_once('/')) {
             (Self::Mtls(_), Some(("tcp" | "tls", address))) => format!("quic/{address}"),
@@ -86,7 +86,7 @@ impl Security {
         given.iter().map(reached).collect()
     }
 
-    /// Whether these endpoints may be dialled and listened on.
+    /// Whether these endpoints may be used for connecting and listening.
     pub(super) fn check(&self, connect: &[String], listen: &[String]) -> Result<(), BusError> {
         for endpoint in connect.iter().chain(listen) {
             let protocol = link_protocol(endpoint);
@@ -110,7 +110,7 @@ impl Security {
         }
     }
 
-    /// Adds Zenoh's settings of this profile.
+    /// Adds this protection's settings to Zenoh's.
     pub(super) fn settings(&self, mode: WhatAmI, listen: &[String], settings: &mut Value) -> Result<(), BusError> {
         let Self::Mtls(identity) = self else {
             return Ok(());
@@ -135,14 +135,14 @@ impl Security {
     }
 }
 
-/// Whether only programs of this machine reach an endpoint.
-/// The protocol of an endpoint, `PROTOCOL/HOST:PORT`; `None` where no link goes over it.
+/// The protocol of an endpoint, `PROTOCOL/HOST:PORT`; `None` if links do not support it.
 #[must_use]
 pub fn link_protocol(endpoint: &str) -> Option<&str> {
     let (protocol, address) = endpoint.split_once('/')?;
     (matches!(protocol, "tcp" | "quic" | "tls") && address.contains(':')).then_some(protocol)
 }
 
+/// Whether only programs on this machine can reach an endpoint.
 fn is_loopback(endpoint: &str) -> bool {
     let address = endpoint.split_once('/').map_or(endpoint, |(_, address)| address);
     let address = address.split(['#', '?', ';']).next().unwrap_or_default();

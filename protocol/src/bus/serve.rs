@@ -1,6 +1,6 @@
 //! Server. How are requests answered?
 //!
-//! One after the other, from a bounded queue. A malformed or oversized request is refused before the service sees it.
+//! In order, from a bounded queue. A malformed or oversized request is refused before the service sees it.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -22,9 +22,9 @@ use crate::codec::{self, CodecError, Encoding};
 use crate::messages::Refusal;
 use crate::topics::Ask;
 
-/// Most requests that wait to be answered; further ones are refused as `Busy`.
+/// Most queued requests; further ones are refused as `Busy`.
 const MAX_WAITING: usize = 64;
-/// Replies larger than this may wait for room for long, bytes.
+/// Replies larger than this may block for a long time until there is room, bytes.
 const BULK: usize = 32 * 1024;
 
 /// Receives the requests of one ask.
@@ -46,7 +46,7 @@ impl Bus {
     /// Serves the ask's key with these chunks. A chunk may be `*` (one service for all robots); requests must then name the robot.
     ///
     /// # Errors
-    /// [`BusError::Key`] for chunks that make no key, [`BusError::Closed`] after the bus was closed.
+    /// [`BusError::Key`] for chunks that do not form a key, [`BusError::Closed`] after the bus was closed.
     pub fn serve<Q, R>(&self, ask: &Ask<Q, R>, chunks: &[&str]) -> Result<Server<Q, R>, BusError> {
         let key = Self::key(ask.key(chunks))?;
         let flow = Arrivals::new(self, ask.pattern);
@@ -131,7 +131,7 @@ impl<Q: DeserializeOwned, R> Server<Q, R> {
     }
 }
 
-/// Decodes a request. An empty payload stands for `{}`, or for `null` where the request type takes that.
+/// Decodes a request. An empty payload means `{}`, or `null` if the request type accepts that.
 fn read_body<Q: DeserializeOwned>(query: &Query, max_bytes: usize) -> Result<Q, CodecError> {
     match query.payload().filter(|payload| !payload.is_empty()) {
         Some(payload) => codec::decode(
@@ -144,7 +144,7 @@ fn read_body<Q: DeserializeOwned>(query: &Query, max_bytes: usize) -> Result<Q, 
     }
 }
 
-/// A request to be answered once. When it is dropped without a reply, the client asks again until its deadline.
+/// A request, answered once. When it is dropped without a reply, the client repeats it until its deadline.
 pub struct Request<Q, R> {
     /// The request, as the client sent it.
     pub body: Q,
@@ -167,7 +167,7 @@ impl<Q: fmt::Debug, R> fmt::Debug for Request<Q, R> {
 }
 
 impl<Q, R: Serialize> Request<Q, R> {
-    /// Replies, in JSON unless the selector says `format=cbor`.
+    /// Replies, in JSON unless the selector contains `format=cbor`.
     pub fn reply(self, reply: &R) {
         let encoding = if self.parameters.get("format").is_some_and(|format| format == "cbor") {
             Encoding::Cbor
@@ -208,7 +208,7 @@ fn refuse(query: &Query, refusal: &Refusal) {
 
 fn sent(query: &Query, result: zenoh::Result<()>) {
     if let Err(error) = result {
-        // The client is gone or gave up.
+        // The client disappeared or gave up.
         tracing::debug!(key = %query.key_expr(), %error, "reply not sent");
     }
 }

@@ -1,5 +1,5 @@
-//! Part servers. How do all asks of one part reach its core, and the replies their askers? By the part's rows of the key table: each
-//! ask has a server and a bounded queue of its own, so that a flood of one ask never holds up another (a stop).
+//! Component servers. How do all asks of one component reach its core, and how do the replies return? From the component's rows of the key
+//! table: each ask has its own server and bounded queue, so that a flood of one ask never delays another (a stop).
 
 use std::fmt;
 use std::pin::Pin;
@@ -11,16 +11,16 @@ use super::{Bus, BusError, Server};
 use crate::messages::Refusal;
 use crate::topics::{Ask, AskVisitor, PartAsks};
 
-/// A request in the type of the part's core, and the way back to its asker.
+/// A request in the core's own type, and the responder to its client.
 #[derive(Debug)]
 pub struct Call<P: PartAsks> {
-    /// What is asked.
+    /// The request.
     pub request: P,
-    /// Where the reply goes.
+    /// Responder for the reply.
     pub responder: Responder<P>,
 }
 
-/// The way back to an asker. Dropped without a reply the request counts as not heard: the asker asks again until its deadline.
+/// Sends the reply to the client. If it is dropped without a reply, the client repeats its request until its deadline.
 pub struct Responder<P: PartAsks>(Box<dyn FnOnce(Result<P::Reply, Refusal>) + Send + Sync>);
 
 impl<P: PartAsks> Responder<P> {
@@ -36,11 +36,11 @@ impl<P: PartAsks> fmt::Debug for Responder<P> {
     }
 }
 
-/// Serves one ask of a part.
+/// Serves one ask of a component.
 pub struct PartServer<P: PartAsks>(Box<dyn Serves<P>>);
 
 impl<P: PartAsks> PartServer<P> {
-    /// Waits for the next request; `None` when the bus was closed. What cannot be read is refused here with the reason.
+    /// Waits for the next request; `None` when the bus was closed. A request that cannot be decoded is refused here, with the reason.
     pub async fn next(&mut self) -> Option<Call<P>> {
         self.0.next().await
     }
@@ -53,7 +53,7 @@ impl<P: PartAsks> fmt::Debug for PartServer<P> {
 }
 
 impl Bus {
-    /// Serves every ask of a part under these chunks, each by a server of its own.
+    /// Serves every ask of a component under these chunks, each with its own server.
     ///
     /// # Errors
     /// As [`Bus::serve`].
@@ -68,7 +68,7 @@ impl Bus {
     }
 }
 
-/// Declares a server for each ask that it is shown.
+/// Declares a server for each visited ask.
 struct Declaring<'a, P: PartAsks> {
     bus: &'a Bus,
     chunks: &'a [&'a str],
@@ -97,7 +97,7 @@ impl<P: PartAsks> AskVisitor<P> for Declaring<'_, P> {
 
 type Next<'a, P> = Pin<Box<dyn Future<Output = Option<Call<P>>> + Send + 'a>>;
 
-/// A server whose request and reply types are not told apart any more.
+/// A server with its request and reply types erased.
 trait Serves<P: PartAsks>: Send {
     fn next(&mut self) -> Next<'_, P>;
 }

@@ -1,16 +1,16 @@
-//! Service manager. How does it learn that a process is ready, that it still works, and that it ends?
+//! Service manager. How does it learn that a process is ready, still works, or is stopping?
 //!
-//! By the notifications of systemd (sd_notify(3)), to the socket that `NOTIFY_SOCKET` names; without one nothing is sent.
+//! Through systemd notifications (sd_notify(3)) to the socket named by `NOTIFY_SOCKET`; without the variable nothing is sent.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use sd_notify::NotifyState;
 
-/// Whether the process is ready: it says so once.
+/// Whether the process has reported that it is ready.
 static READY: AtomicBool = AtomicBool::new(false);
 
-/// Says that the process is ready, and from then on, at twice the pace that is asked for, that its runtime still turns. Must be called in a
-/// Tokio runtime; a second time changes nothing.
+/// Reports that the process is ready, and from then on, at twice the requested rate, that its runtime is still alive. Must be called in a
+/// Tokio runtime; further calls have no effect.
 pub fn ready() {
     if READY.swap(true, Ordering::Relaxed) {
         return;
@@ -27,7 +27,7 @@ pub fn ready() {
     }
 }
 
-/// Says that the process ends, on purpose.
+/// Reports that the process is stopping on purpose.
 pub(super) fn stopping() {
     say(NotifyState::Stopping);
 }

@@ -1,11 +1,12 @@
-//! Session. How does a component join the others, and what happens while the router is away?
+//! Session. How does a component connect to the others, and what happens while the router is away?
 //!
-//! Without an endpoint of its own a component is a Zenoh **client** of the router. With `listen` it is a **router** that links to the
-//! others: it starts without them, keeps trying to reach them in the background, and whoever connects straight to it reaches its topics and
-//! asks meanwhile. (A Zenoh client refuses other clients, and opens only once connected; to a peer a router carries nothing from other
-//! peers, which is what Zenoh's own tools and bindings are by default.) Multicast and gossip are off: a session links only to endpoints that
-//! were named. With these lease and retry times a cut link resumes about one second after it heals. On a slow link the handshake alone may take
-//! longer than an attempt on a cut link should: longer limits are tried where somebody is there and the link does not come up.
+//! Without an endpoint of its own, a component is a Zenoh **client** of the router. With `listen` it is a **router** that links to the
+//! others: it starts without them, keeps trying to reach them in the background, and a client connected directly to it can use its topics
+//! and asks meanwhile. (A Zenoh client refuses other clients, and opens only once connected; and a router does not forward messages of
+//! peers to a peer, which is the default mode of Zenoh's own tools and bindings.) Multicast and gossip are off: a session links only to
+//! configured endpoints. With these lease and retry times a cut link resumes about one second after it heals. On a slow link the handshake
+//! alone may take longer than an attempt on a cut link should: longer limits are tried if the endpoint accepts connections but the link
+//! does not come up.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -19,26 +20,26 @@ use zenoh::{Config, Session};
 use super::link;
 use super::security::Security;
 
-/// The router's endpoint unless told otherwise: Zenoh's own port.
+/// Default endpoint of the router: Zenoh's own port.
 pub const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
-/// Where a robot listens itself unless told otherwise: it can be stopped there without a router.
+/// Default endpoint of a robot: it can be stopped there without a router.
 pub const ROBOT_ENDPOINT: &str = "tcp/127.0.0.1:7450";
 
 /// A silent link counts as dead after this time, ms.
 const LEASE_MS: u64 = 2000;
-/// Time limits of a link's handshake, ms, tried one after the other. It takes two round trips, with TLS three. A short one comes first: on a link
-/// that is cut an attempt takes as long, and this much may pass after it heals.
+/// Time limits of a link's handshake, ms, tried in order. A handshake takes two round trips, three with TLS. The shortest limit comes
+/// first: on a cut link each attempt takes this long, which also delays reconnection after the link heals.
 const HANDSHAKES_MS: [u64; 3] = [1000, 3000, 12_000];
-/// The same for commands, which do not wait for ever.
+/// As above, for commands, which do not wait forever.
 const COMMAND_HANDSHAKES_MS: [u64; 2] = [1000, 8000];
-/// Over QUIC a handshake goes on by itself when a link heals: one limit for all.
+/// Over QUIC, a handshake continues by itself when a link heals, so a single limit is enough.
 const QUIC_HANDSHAKE_MS: u64 = 3000;
-/// Time limit of a handshake between routers, ms, and of one with whoever dials, as far as this side sees it.
+/// Time limit of a handshake between routers, ms, and of an incoming handshake as seen by the accepting side.
 pub(super) const ROUTER_HANDSHAKE_MS: u64 = 2000;
 const ACCEPTED_MS: u64 = 20_000;
-/// Handshakes at a time with those who dial.
+/// Most incoming handshakes at a time.
 const ACCEPTED: u64 = 1000;
-/// Beyond the limit of a handshake, until a link shows.
+/// Time until a link is reported, on top of the handshake limit.
 const SHOWS: Duration = Duration::from_millis(600);
 /// Largest message accepted from a link, bytes: more than the largest of the key table.
 const MAX_MESSAGE: usize = 128 * 1024 * 1024;
@@ -46,8 +47,8 @@ const MAX_MESSAGE: usize = 128 * 1024 * 1024;
 const MAX_RETRY_MS: u64 = 400;
 /// Shortest pause between two attempts to connect, ms.
 const MIN_RETRY_MS: u64 = 200;
-/// Pause before a router links to the others. Zenoh's routers process arrivals and departures after 0.1 s: one that arrives within that time
-/// after another's departure is taken for the departed one, and is told of no declarations. A component may just have been restarted.
+/// Pause before a router links to the others. Zenoh's routers process arrivals and departures after 0.1 s: an arrival within that time
+/// after a departure is mistaken for the departed router, and receives no declarations. A component may just have been restarted.
 const SETTLING: Duration = Duration::from_millis(150);
 /// Time limit for closing a session.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(3);
@@ -61,11 +62,11 @@ pub struct BusConfig {
     pub listen: Vec<String>,
     /// Name shown by tools that inspect the network.
     pub name: String,
-    /// Whether to wait for a router, or to fail at once without one. A component that listens never waits.
+    /// Whether to wait for a router instead of failing at once. A component that listens never waits.
     pub retry: bool,
     /// How the links are protected.
     pub security: Security,
-    /// What Zenoh puts before every key of this session, such as `site1`; empty: nothing. Sessions of other namespaces are not seen.
+    /// Zenoh's prefix for every key of this session, such as `site1`; empty for none. Sessions in other namespaces are not visible.
     pub namespace: String,
 }
 
@@ -83,7 +84,7 @@ impl Default for BusConfig {
 }
 
 impl BusConfig {
-    /// For a service: waits until the router at `endpoint` is there; of several endpoints, separated by commas, one is enough.
+    /// For a service: waits until the router at `endpoint` is available; of several endpoints, separated by commas, one is enough.
     #[must_use]
     pub fn service(name: &str, endpoint: &str) -> Self {
         Self {
@@ -93,7 +94,7 @@ impl BusConfig {
         }
     }
 
-    /// The same in a namespace; an empty one is none.
+    /// The same configuration in a namespace; empty for none.
     #[must_use]
     pub fn within(self, namespace: &str) -> Self {
         Self {
@@ -102,7 +103,7 @@ impl BusConfig {
         }
     }
 
-    /// For a command: fails at once when there is no router at `endpoint`.
+    /// For a command: fails at once if there is no router at `endpoint`.
     #[must_use]
     pub fn command(name: &str, endpoint: &str) -> Self {
         Self {
@@ -129,7 +130,7 @@ pub enum BusError {
         /// What Zenoh reports.
         reason: String,
     },
-    /// Other machines could reach an endpoint that nothing protects.
+    /// Other machines could reach an unprotected endpoint.
     #[error(
         "{endpoint} can be reached by other machines, which could then command every robot: expected an identity (`--identity FOLDER`, made by `zenav keys`), an address of loopback, or `--insecure`"
     )]
@@ -137,16 +138,16 @@ pub enum BusError {
         /// The endpoint.
         endpoint: String,
     },
-    /// An endpoint is malformed, not for the identity at hand, or there is none at all.
+    /// An endpoint is malformed, does not match the identity, or none is configured.
     #[error("{reason}")]
     Config {
         /// What Zenoh reports.
         reason: String,
     },
-    /// The text is no key.
+    /// The text is not a valid key.
     #[error("bad key {key}: {reason}")]
     Key {
-        /// The text that is no key.
+        /// The invalid text.
         key: String,
         /// What Zenoh reports.
         reason: String,
@@ -168,7 +169,7 @@ impl Bus {
     /// Opens a session with the configured endpoints.
     ///
     /// # Errors
-    /// [`BusError::CannotConnect`] unless `retry` is set; with it, this waits until a router is there (drop the future to give up).
+    /// [`BusError::CannotConnect`] unless `retry` is set; with it, this waits until a router is available (drop the future to give up).
     /// [`BusError::CannotListen`], [`BusError::Exposed`] and [`BusError::Config`] at once.
     pub async fn open(mut config: BusConfig) -> Result<Self, BusError> {
         config.connect = config.security.endpoints(&config.connect);
@@ -185,7 +186,7 @@ impl Bus {
         if mode == WhatAmI::Router && !config.connect.is_empty() {
             sleep(SETTLING).await;
         }
-        // What waits for a router, or is one, is a part; anything else is a command's client.
+        // A session that waits for a router, or is one, belongs to a component; any other is a command's client.
         let is_part = config.retry || !config.listen.is_empty();
         let readiness = if is_part {
             Readiness::new(&config.name)
@@ -202,7 +203,8 @@ impl Bus {
             let opened = zenoh::open(config.settings(mode, handshake)?).await;
             let is_slow = began.elapsed() >= Duration::from_millis(handshake);
             match opened {
-                // It listens, and links in the background. Somebody is there, and the handshake takes longer than it may: a slow link.
+                // The session listens, and links in the background. If the endpoint accepts connections but the link is not up yet, the
+                // link is slow.
                 Ok(session)
                     if mode == WhatAmI::Router
                         && limit + 1 < limits.len()
@@ -268,13 +270,14 @@ impl Bus {
         self.name.split('-').next().unwrap_or_default()
     }
 
-    /// From now on this component is not ready before a condition is met: a statement, such as `its map is loaded`.
+    /// From now on this component is not ready until a condition is met; `what` states it, such as `its map is loaded`.
     #[must_use]
     pub fn expects(&self, what: &str) -> Condition {
         self.readiness.expects(what)
     }
 
-    /// This component has declared what it serves and hears, and named its conditions; with all of them met it says `ready`.
+    /// Call this after the component has declared its servers and subscriptions and named its conditions; once all conditions are met, it
+    /// is `ready`.
     pub fn started(&self) {
         self.readiness.started();
     }
@@ -295,7 +298,7 @@ impl Bus {
         self.session.info().routers_zid().await.next().is_some()
     }
 
-    /// Sends what is queued, and closes the session. All declarations of all clones end, and with them whoever waits on one.
+    /// Sends queued messages, and closes the session. All declarations of all clones end, and so does every wait on them.
     pub async fn close(&self) {
         if tokio::time::timeout(CLOSE_TIMEOUT, self.session.close()).await.is_err() {
             tracing::warn!(name = %self.name, "the bus did not close in time");
@@ -310,7 +313,7 @@ impl Bus {
         })
     }
 
-    /// The result of a declaration; it fails only on a closed session, for the key was parsed before.
+    /// The result of a declaration; it fails only on a closed session, because the key was parsed before.
     pub(super) fn declared<T>(&self, result: zenoh::Result<T>) -> Result<T, BusError> {
         result.map_err(|error| {
             if !self.session.is_closed() {
@@ -337,7 +340,7 @@ impl BusConfig {
                 reason: format!("namespace `{}`: {reason}", self.namespace),
             };
             let is_key = zenoh::key_expr::KeyExpr::new(self.namespace.as_str()).is_ok();
-            // With links that are encrypted a key with `zenav` in it twice is nobody's.
+            // On encrypted links, a key that contains `zenav` twice is denied.
             let is_reserved = self.namespace.split('/').any(|name| name == "zenav");
             if !is_key || is_reserved || self.namespace.contains(['*', '$', '@', '{']) {
                 return Err(wrong(
@@ -364,7 +367,7 @@ impl BusConfig {
     }
 }
 
-/// Whether somebody takes TCP connections at one of these endpoints.
+/// Whether one of these endpoints accepts TCP connections.
 async fn somebody_listens(endpoints: &[String]) -> bool {
     for endpoint in endpoints {
         let address = endpoint
@@ -380,7 +383,7 @@ async fn somebody_listens(endpoints: &[String]) -> bool {
     false
 }
 
-/// Whether a session is linked to a router, within a time.
+/// Whether a session links to a router within a time.
 async fn is_linked(session: &Session, limit: Duration) -> bool {
     let end = Instant::now() + limit;
     while session.info().routers_zid().await.next().is_none() {
@@ -403,7 +406,7 @@ pub(super) async fn endpoints(session: &Session) -> Vec<String> {
         .collect()
 }
 
-/// What Zenoh says of an error, without the line of its source.
+/// Text of a Zenoh error, without its source location.
 pub(super) fn in_words(error: &zenoh::Error) -> String {
     let text = error.to_string();
     text.split(" at /").next().unwrap_or_default().to_owned()
@@ -419,9 +422,9 @@ pub(super) fn link_settings(
     handshake_ms: u64,
 ) -> Result<Config, BusError> {
     security.check(connect, listen)?;
-    // A client tries once, and `Bus::open` repeats; Zenoh itself reconnects after a loss. A router tries for ever in the background.
+    // A client tries once, and `Bus::open` repeats; Zenoh itself reconnects after a loss. A router retries forever in the background.
     let timeout_ms = if mode == WhatAmI::Client { 0 } else { -1 };
-    // The other side hears nothing for a round trip after it has let this one in.
+    // The other side receives nothing for one round trip after it has accepted this side.
     let lease_ms = if handshake_ms > QUIC_HANDSHAKE_MS {
         handshake_ms
     } else {

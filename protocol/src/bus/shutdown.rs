@@ -1,4 +1,4 @@
-//! Shutdown. How does a service learn that it must end?
+//! Shutdown. How does a service learn that it must stop?
 
 use std::sync::Arc;
 
@@ -6,7 +6,7 @@ use tokio::sync::watch;
 
 use super::service_manager;
 
-/// Waits for Ctrl-C, or the service manager's request to end.
+/// Waits for Ctrl-C, or for the service manager's request to stop.
 pub async fn interrupted() {
     asked_to_end().await;
     service_manager::stopping();
@@ -43,18 +43,18 @@ impl Default for Shutdown {
 }
 
 impl Shutdown {
-    /// A signal that was not triggered yet.
+    /// A signal that is not triggered yet.
     #[must_use]
     pub fn new() -> Self {
         Self(Arc::new(watch::Sender::new(false)))
     }
 
-    /// Triggers the shutdown; a second time changes nothing.
+    /// Triggers the shutdown; further calls have no effect.
     pub fn trigger(&self) {
         self.0.send_replace(true);
     }
 
-    /// One that Ctrl-C triggers, or the service manager's request to end. Must be called in a Tokio runtime.
+    /// A signal triggered by Ctrl-C, or by the service manager's request to stop. Must be called in a Tokio runtime.
     #[must_use]
     pub fn on_interrupt() -> Self {
         let shutdown = Self::new();

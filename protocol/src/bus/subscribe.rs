@@ -1,6 +1,6 @@
 //! Subscriptions. How does a component receive a topic: only its newest value, or all values in order?
 //!
-//! [`Latest`] and [`Subscription`] decode when the reader asks, not in Zenoh's thread: a skipped value is never decoded. A payload over the
+//! [`Latest`] and [`Subscription`] decode in the reader, not in Zenoh's thread: a skipped value is never decoded. A payload over the
 //! topic's limit is dropped at once.
 
 use std::fmt;
@@ -29,9 +29,9 @@ pub(super) const HISTORY_TIMEOUT: Duration = Duration::from_secs(2);
 pub struct Received<T> {
     /// The chunks in the order of the pattern's names: `["tiago"]` for `zenav/tiago/edge/scan`.
     pub chunks: Vec<String>,
-    /// The value that was published.
+    /// The published value.
     pub message: T,
-    /// The trace that it belongs to, if its publisher says so.
+    /// The trace that it belongs to, if its publisher attached one.
     pub trace: Option<Context>,
 }
 
@@ -78,7 +78,7 @@ pub(super) fn decode_sample<T: DeserializeOwned>(sample: &Sample, max_bytes: usi
     codec::decode(&sample.payload().to_bytes(), encoding_of(sample.encoding()), max_bytes)
 }
 
-/// The sample's encoding; avoids building its name for the two that are in use.
+/// The sample's encoding; avoids building its name for the two encodings in use.
 pub(super) fn encoding_of(encoding: &zenoh::bytes::Encoding) -> Encoding {
     use zenoh::bytes::Encoding as Wire;
     if *encoding == Wire::APPLICATION_JSON {
@@ -101,7 +101,7 @@ impl Bus {
     /// Subscribes to the newest value of the topic on the key with these chunks; a chunk may be `*`.
     ///
     /// # Errors
-    /// [`BusError::Key`] for chunks that make no key, [`BusError::Closed`] after the bus was closed.
+    /// [`BusError::Key`] for chunks that do not form a key, [`BusError::Closed`] after the bus was closed.
     pub fn latest<T>(&self, topic: &Topic<T>, chunks: &[&str]) -> Result<Latest<T>, BusError> {
         let flow = Arrivals::new(self, topic.pattern);
         let (inbox, slot) = Inbox::gauged(Newest::new(), flow.waiting.clone());
@@ -115,11 +115,11 @@ impl Bus {
         })
     }
 
-    /// Subscribes to all values of the topic on the key with these chunks (a chunk may be `*`), those of each publisher in order. At most
-    /// `capacity` values wait to be read; beyond that the oldest are dropped and counted.
+    /// Subscribes to all values of the topic on the key with these chunks (a chunk may be `*`), in order for each publisher. At most
+    /// `capacity` values are queued; then the oldest are dropped and counted.
     ///
     /// # Errors
-    /// [`BusError::Key`] for chunks that make no key, [`BusError::Closed`] after the bus was closed.
+    /// [`BusError::Key`] for chunks that do not form a key, [`BusError::Closed`] after the bus was closed.
     pub fn subscribe<T>(
         &self,
         topic: &Topic<T>,
@@ -203,7 +203,7 @@ impl<T> fmt::Debug for Latest<T> {
 }
 
 impl<T: DeserializeOwned> Latest<T> {
-    /// Takes the newest value, unless it was taken before; never waits. With a wildcard the keys take turns.
+    /// Takes the newest value, unless it was taken before; never waits. With a wildcard, the keys take turns.
     pub fn take(&mut self) -> Option<T> {
         std::iter::from_fn(|| self.inbox.try_next()).find_map(|(_, sample)| self.reader.read(&sample))
     }
@@ -213,7 +213,7 @@ impl<T: DeserializeOwned> Latest<T> {
         std::iter::from_fn(|| self.inbox.try_next()).find_map(|(_, sample)| self.reader.received(&sample))
     }
 
-    /// The newest value, whether it was borrowed before or not; a value that [`Self::take`] took does not come back.
+    /// The newest value, whether or not it was borrowed before; a value taken by [`Self::take`] is not returned again.
     pub fn borrow(&mut self) -> Option<&T> {
         while let Some(message) = self.take() {
             self.current = Some(message);

@@ -1,8 +1,9 @@
-//! Tap. What comes on the bus, byte for byte, and when? For recorders; and how is it published again?
+//! Tap. Which samples arrive on the bus, byte for byte, and when? For recorders; also publishes recorded samples again.
 //!
-//! Samples of plain topics are taken as they arrive. `Events` and `State` topics are subscribed to as their readers do: with what their
-//! publishers keep for late joiners, in order, and asked for again where one is missing. (One such subscription for all keys would not do:
-//! Zenoh's drops a sample that carries no number and an older time than the last one of the same router, as happens between priorities.)
+//! Samples of plain topics are taken as they arrive. `Events` and `State` topics are subscribed to as their readers do: with the samples
+//! kept for late joiners, in order, and with missing ones requested again. (One such subscription for all keys does not work: Zenoh drops a
+//! sample without a sequence number if its time stamp is older than that of the last one from the same router, as happens between
+//! priorities.)
 
 use std::collections::VecDeque;
 use std::fmt;
@@ -22,25 +23,25 @@ use super::{Bus, BusError, RawSample};
 use crate::codec::Encoding;
 use crate::topics::{self, Qos, TABLE};
 
-/// A sample, what was attached to it, and when it came.
+/// A sample with its attachment and arrival time.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Tapped {
     /// The sample.
     pub sample: RawSample,
-    /// What its publisher attached to it.
+    /// Attachment by its publisher.
     pub attachment: Option<Vec<u8>>,
-    /// When it arrived in this process.
+    /// Time of arrival in this process.
     pub arrived: Instant,
 }
 
-/// Samples that wait, bounded by their bytes: what does not fit is dropped.
+/// Queued samples, bounded by their size in bytes: a sample that does not fit is dropped.
 struct Backlog {
     items: VecDeque<(Instant, Sample)>,
     bytes: usize,
     capacity: usize,
 }
 
-/// Bytes that a waiting sample takes beside its payload, about.
+/// Approximate size of a queued sample beside its payload, bytes.
 const OVERHEAD: usize = 256;
 
 fn weight(sample: &Sample) -> usize {
@@ -53,7 +54,7 @@ impl Store for Backlog {
 
     fn put(&mut self, item: Self::Item) -> bool {
         let weight = weight(&item.1);
-        // One that is larger than all the room still passes when nothing else waits.
+        // A sample larger than the whole capacity still passes if the queue is empty.
         let fits = self.items.is_empty() || self.bytes + weight <= self.capacity;
         if fits {
             self.bytes += weight;
@@ -73,7 +74,7 @@ impl Store for Backlog {
     }
 }
 
-/// A subscription to everything on some keys.
+/// A subscription to all samples on some keys.
 pub struct Tap {
     inbox: Arc<Inbox<Backlog>>,
     _carriers: Vec<Carrier>,
@@ -92,7 +93,7 @@ impl Tap {
         Some(tapped(arrived, &sample))
     }
 
-    /// The next sample, if one waits.
+    /// The next sample, if one is queued.
     pub fn try_next(&mut self) -> Option<Tapped> {
         let (arrived, sample) = self.inbox.try_next()?;
         Some(tapped(arrived, &sample))
@@ -113,7 +114,7 @@ fn tapped(arrived: Instant, sample: &Sample) -> Tapped {
     }
 }
 
-/// Whether a sample reaches a tap by the subscription that recovers lost ones.
+/// Whether a tap receives the sample through the subscription that recovers lost ones.
 fn is_numbered(sample: &Sample) -> bool {
     sample.source_info().is_some()
         && topics::row_of(sample.key_expr().as_str())
@@ -121,8 +122,8 @@ fn is_numbered(sample: &Sample) -> bool {
 }
 
 impl Bus {
-    /// Subscribes to all samples on keys that match one of the patterns, each once, from what is kept for late joiners on. At most
-    /// `capacity` bytes wait to be read; what comes beyond that is dropped and counted.
+    /// Subscribes to all samples on keys that match one of the patterns, each once, beginning with those kept for late joiners. At most
+    /// `capacity` bytes are queued; samples beyond that are dropped and counted.
     ///
     /// # Errors
     /// [`BusError::Key`], [`BusError::Closed`].
@@ -180,7 +181,7 @@ impl Bus {
         })
     }
 
-    /// A publisher of bytes on one key, with the quality of service that the key table gives it; a key that it does not have is published
+    /// A publisher of bytes on one key, with the quality of service that the key table assigns; a key outside the table is published
     /// plainly.
     ///
     /// # Errors
@@ -218,7 +219,7 @@ impl fmt::Debug for RawPublisher {
 }
 
 impl RawPublisher {
-    /// Publishes a value, with what is attached to it.
+    /// Publishes a value with its attachment.
     ///
     /// # Errors
     /// [`BusError::Closed`].

@@ -1,26 +1,30 @@
-//! Zenoh's threads. How many does a process need in which sessions live?
+//! Zenoh's threads. How many does a process with sessions need?
 //!
-//! All sessions of a process share Zenoh's runtimes, two threads that receive and one for the network by default. Both can be kept waiting for
-//! room on a link, for up to five seconds, until Zenoh cuts the link:
+//! All sessions of a process share Zenoh's runtimes, by default two receiving threads and one network thread. Both kinds can block until a
+//! link has room, for up to five seconds, until Zenoh cuts the link:
 //!
-//! - A router's receiving thread waits while the next hop has not taken a large message, and so does every other one that has something for
-//!   the same hop. With both waiting the router serves nobody; and if the hop is a session of the same process it is never read.
-//! - The heartbeats of advanced publishers run on the network's thread. One that waits for a queue which somebody else holds keeps waiting all
-//!   that runs there, and that is, after a link came back, the QUIC connection itself: it sends nothing, and the queue never gets room.
+//! - A router's receiving thread blocks while the next hop has not taken a large message, and so does every other one with a message for
+//!   the same hop. When both are blocked, the router serves nothing; and if the hop is a session of the same process, its messages are
+//!   never read.
+//! - The heartbeats of advanced publishers run on the network thread. A heartbeat that waits for a queue held by another thread blocks all
+//!   tasks of that thread, which include, after a link came back, the QUIC connection itself: it sends nothing, and the queue never gets
+//!   room.
 //!
-//! There must be more threads than links of a router, and about as many as a process's sessions have publishers. Zenoh takes their numbers from
-//! the environment alone, and a process may not safely change its own: it starts itself anew, as the same process, with the variable set.
+//! There must be more receiving threads than a router has links, and about as many network threads as a process's sessions have publishers.
+//! Zenoh reads the numbers from the environment only, and a process cannot safely change its own environment: it re-executes itself, as the
+//! same process, with the variable set.
 
 use std::ffi::OsStr;
 
 use tokio::runtime::{Handle, RuntimeFlavor};
 
-/// What Zenoh reads, once, when the first session opens.
+/// Variable that Zenoh reads, once, when the first session opens.
 const VARIABLE: &str = "ZENOH_RUNTIME";
-/// More than the router of one machine has links, and eight robots publishers. All of them idle cost 1.6 MB (`VmRSS` of a motion worker).
+/// More than a single machine's router has links, and than eight robots have publishers. All of them idle cost 1.6 MB (`VmRSS` of a motion
+/// worker).
 const ENOUGH: &str = "(rx: (worker_threads: 64), net: (worker_threads: 64))";
 
-/// Sends what may wait for room on a link; the other tasks of this thread go on elsewhere meanwhile.
+/// Sends a message that may block until a link has room; the thread's other tasks move to another thread meanwhile.
 pub(super) fn waiting_for_room<R>(send: impl FnOnce() -> R) -> R {
     match Handle::try_current().map(|runtime| runtime.runtime_flavor()) {
         Ok(RuntimeFlavor::MultiThread) => tokio::task::block_in_place(send),
@@ -28,8 +32,8 @@ pub(super) fn waiting_for_room<R>(send: impl FnOnce() -> R) -> R {
     }
 }
 
-/// Returns at once when this process has enough threads of Zenoh's, or its user has chosen their number; else starts it anew. To be called
-/// before the process has done anything else.
+/// Returns at once if this process has enough Zenoh threads, or its user has set their number; otherwise re-executes it. Call this before
+/// the process does anything else.
 pub fn ensure_enough() {
     if std::env::var_os(VARIABLE).is_none() {
         restart_with(ENOUGH.as_ref());
@@ -38,15 +42,15 @@ pub fn ensure_enough() {
 
 #[cfg(unix)]
 fn restart_with(value: &OsStr) {
-    // Returns only when it fails; the default does for small messages over TCP.
+    // Returns only on failure; the default is enough for small messages over TCP.
     let error = anew(Some(value));
     tracing::warn!(%error, "cannot restart with more threads for Zenoh");
 }
 
-/// Starts this process anew, as the same process with the same arguments.
+/// Re-executes this process with the same arguments.
 ///
 /// # Errors
-/// Returns only when that fails.
+/// Returns only on failure.
 #[cfg(unix)]
 #[must_use]
 pub fn restart() -> std::io::Error {
@@ -71,7 +75,7 @@ fn restart_with(value: &OsStr) {
     tracing::warn!("large messages may stall: set {VARIABLE}={}", value.display());
 }
 
-/// Starts this process anew: not on this system.
+/// Re-executes this process: not supported on this system.
 #[cfg(not(unix))]
 #[must_use]
 pub fn restart() -> std::io::Error {

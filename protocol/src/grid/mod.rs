@@ -1,13 +1,13 @@
-//! Grids. How is the plane cut into cells, and what does each cell hold?
+//! Grids. How is the plane divided into cells, and what does each cell hold?
 //!
-//! The convention, stated once for the whole stack:
+//! The convention for the whole stack:
 //!
 //! * the origin is the lower-left corner of cell (0, 0), map frame, and the axes are not rotated against the map frame;
 //! * storage is row-major, from the lowest row upwards;
 //! * the centre of a cell lies at +0.5 cells in both directions;
 //! * an occupied cell is a closed square.
 //!
-//! Image files and Moving AI maps count their rows from the top; they are converted where they are read and written.
+//! Image files and Moving AI maps count rows from the top; they are converted when read and written.
 //!
 //! ```
 //! use nalgebra::Point2;

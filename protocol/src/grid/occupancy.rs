@@ -4,13 +4,13 @@ use serde::{Deserialize, Serialize};
 
 use super::Grid;
 
-/// An occupancy grid with ROS's values: -1 is unknown, 0 to 100 the probability of being occupied, percent.
+/// An occupancy grid with ROS's values: -1 is unknown, 0 to 100 is the occupancy probability, percent.
 pub type OccupancyGrid = Grid<i8>;
 
 /// Class of a cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Occupancy {
-    /// Nothing is known of the cell: never seen, or evidence both ways.
+    /// The state of the cell is unknown: never seen, or contradictory evidence.
     Unknown,
     /// The cell is free.
     Free,

@@ -1,4 +1,4 @@
-//! Grid geometry. Which cell holds a point, and where does a cell lie?
+//! Grid geometry. Which cell contains a point, and where is a cell?
 
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
@@ -24,7 +24,7 @@ impl Cell {
     }
 }
 
-/// Geometry of a grid: where it lies, how fine and how large it is.
+/// Geometry of a grid: origin, resolution and size.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct GridSpec {
@@ -74,7 +74,7 @@ pub const MAX_SIDE: u32 = 32_768;
 pub const MAX_CELLS: u64 = 1 << 28;
 
 impl GridSpec {
-    /// Checks a geometry that came from outside.
+    /// Checks a geometry from an external source.
     ///
     /// # Errors
     /// [`GridError`] for a resolution that is not positive, an origin that is not finite, or more than [`MAX_SIDE`] cells a side.
@@ -133,7 +133,7 @@ impl GridSpec {
         )
     }
 
-    /// The cell that holds a point; `None` outside the grid, and for a point that is not finite.
+    /// The cell that contains a point; `None` outside the grid, and for a point that is not finite.
     #[must_use]
     pub fn cell_at(&self, point: Point2<f64>) -> Option<Cell> {
         let p = self.to_cells(point);
@@ -200,10 +200,10 @@ impl GridSpec {
         outside(p.x, self.width).hypot(outside(p.y, self.height)) * self.resolution
     }
 
-    /// Every cell that a segment touches, in order, both ends included; what lies outside the grid is left out.
+    /// Every cell that a segment touches, in order, including both end cells; the part outside the grid is skipped.
     ///
-    /// Where the segment passes exactly through a corner, the two cells beside the corner are visited too, so that a
-    /// line never slips between two occupied cells that touch only there. Cost: one step a cell.
+    /// Where the segment passes exactly through a corner, the two cells beside the corner are visited too, so that a line never passes
+    /// between two occupied cells that touch only there. Cost: one step per cell.
     ///
     /// Source: Amanatides and Woo, "A Fast Voxel Traversal Algorithm for Ray Tracing", Eurographics 1987.
     #[must_use]

@@ -1,4 +1,4 @@
-//! Grid. Which value does each cell have?
+//! Grid. What is the value of each cell?
 
 use std::ops::{Index, IndexMut};
 
@@ -6,7 +6,7 @@ use nalgebra::Point2;
 
 use super::{Cell, GridError, GridSpec};
 
-/// One value for each cell of a grid, row-major from the lowest row upwards.
+/// One value per cell of a grid, row-major from the lowest row upwards.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Grid<T> {
     spec: GridSpec,
@@ -14,7 +14,7 @@ pub struct Grid<T> {
 }
 
 impl<T: Clone> Grid<T> {
-    /// A grid with the same value in every cell.
+    /// A grid with one value in all cells.
     #[must_use]
     pub fn filled(spec: GridSpec, value: T) -> Self {
         Self {
@@ -52,7 +52,7 @@ impl<T> Grid<T> {
         &self.values
     }
 
-    /// All values, row by row from the lowest; moves them out of the grid.
+    /// All values, row by row from the lowest, moved out of the grid.
     #[must_use]
     pub fn into_values(self) -> Vec<T> {
         self.values
@@ -75,7 +75,7 @@ impl<T> Grid<T> {
         (cell.x < self.spec.width && cell.y < self.spec.height).then(|| &self.values[self.spec.index(cell)])
     }
 
-    /// A grid of the same geometry, its values computed from this one's.
+    /// A grid of the same geometry with values computed from this one's.
     pub fn map<U>(&self, change: impl FnMut(&T) -> U) -> Grid<U> {
         Grid {
             spec: self.spec,
@@ -89,7 +89,7 @@ impl<T> Index<Cell> for Grid<T> {
     /// The value of a cell.
     ///
     /// # Panics
-    /// For a cell outside the grid: use [`Grid::get`] for a cell that came from elsewhere.
+    /// For a cell outside the grid: use [`Grid::get`] for a cell from an external source.
     fn index(&self, cell: Cell) -> &T {
         &self.values[self.spec.index(cell)]
     }

@@ -45,7 +45,7 @@ impl CellWalk {
             steps_left: -1,
             waiting: [None; 3],
         };
-        // Clipped a cell beyond the border: bounded work whatever comes in, and the cells inside stay exact.
+        // Clipped one cell beyond the border: the work is bounded for any input, and the cells inside stay exact.
         let Some((from, to)) = clip(from, to, -1.0, -1.0, width as f64 + 1.0, height as f64 + 1.0) else {
             return empty;
         };
@@ -101,7 +101,7 @@ impl Iterator for CellWalk {
             }
             let (x_left, y_left) = (self.x != self.last_x, self.y != self.last_y);
             let corner = x_left && y_left && (self.next_x - self.next_y).abs() < 1e-12;
-            // Rounding may ask for a step past the last column or row: the end cell always wins.
+            // Rounding may request a step past the last column or row: the end cell takes precedence.
             let along_x = x_left && (self.next_x < self.next_y || !y_left);
             if corner {
                 self.waiting[0] = Some((self.x + self.step_x, self.y));
@@ -155,7 +155,7 @@ fn clip(
     if enter > leave {
         return None;
     }
-    // Clamped: far away points lose all their digits on the way to the border.
+    // Clamped: for very distant points, rounding moves the intersection off the border.
     let inside = |p: Point2<f64>| Point2::new(p.x.clamp(low_x, high_x), p.y.clamp(low_y, high_y));
     let start = inside(if enter > 0.0 { from + d * enter } else { from });
     let end = inside(if leave < 1.0 { from + d * leave } else { to });

@@ -1,11 +1,12 @@
 //! Lease arbiter. Who may command a robot, and which mission may lead?
 //!
-//! The robot decides, by the age of the holder's last heartbeat on its own clock. Every grant to another holder gets a higher epoch, also
+//! The robot decides, from the age of the holder's last heartbeat on its own clock. Every grant to another holder gets a higher epoch, also
 //! across restarts of the edge, and every command carries the epoch. An operator outranks a mission; two missions never hold the lease at
 //! once.
 //!
-//! To lead is to keep the robot's goals. The robot lets only a mission lead whose store holds everything that the last leader acknowledged,
-//! by that leader's own report. So goals outlive their orchestrator's machine, and no two orchestrators acknowledge goals independently.
+//! The leader is the mission that keeps the robot's goals. A mission may lead only if its store holds everything that the last leader
+//! acknowledged, according to that leader's own report. So goals survive the loss of their orchestrator's machine, and no two orchestrators
+//! acknowledge goals independently.
 //!
 //! ```
 //! use std::time::Duration;
@@ -25,13 +26,13 @@
 //!
 //! # Slow links
 //!
-//! A grant's first heartbeat comes a whole round trip after it, so the grant lives that much longer until then: as long as the request says
-//! that the link took, [`LONGEST_ROUND_TRIP`] at most. From the first heartbeat on the time to live is what it is on any link, because
-//! heartbeats come as often as they were sent, however late.
+//! A grant's first heartbeat arrives a whole round trip after it. Until then the grant's time to live is extended by the round trip
+//! measured from the request, at most [`LONGEST_ROUND_TRIP`]. From the first heartbeat on, the time to live is the same on any link,
+//! because heartbeats arrive at the rate at which they were sent, however late.
 //!
-//! Nobody else can hold the lease meanwhile: there is one arbiter, on the robot, and it grants nothing while a grant lives. What grows is
-//! the time for which a holder that dies right after its request keeps others out. It moves nothing meanwhile: the robot goes no farther
-//! than its plan is valid, which the robot decides by its own clock and the state that the plan was made from.
+//! No other holder can get the lease meanwhile: there is one arbiter, on the robot, and it grants nothing while a grant is live. The cost
+//! is that a holder that dies right after its request keeps others out for longer. The robot does not move on its behalf meanwhile: the
+//! validity of its plan ends as before, by the robot's own clock and the state that the plan was made from.
 //!
 //! Source: Gray and Cheriton, "Leases", SOSP 1989; fencing by epoch as in Burrows, "The Chubby lock service", OSDI 2006; the arbiter
 //! of who has caught up as in Lin et al., "PacificA", Microsoft Research 2008.
@@ -41,14 +42,14 @@ use std::time::Duration;
 use crate::messages::{Heartbeat, Leader, LeaseAction, LeaseRequest, LeaseRole, LeaseState, Refusal};
 use crate::time::Stamp;
 
-/// Longest round trip that a lease is held over.
+/// Longest round trip by which a grant is extended.
 pub const LONGEST_ROUND_TRIP: Duration = Duration::from_secs(10);
-/// Share of its excess that the longest round trip of late keeps from one heartbeat to the next: half of it after 3 s.
+/// Decay of the recent longest round trip: share of the excess kept from one heartbeat to the next; half is left after 3 s.
 const FORGETS: f64 = 0.977;
-/// Longest step between two reports of one leadership on who has caught up: a leader numbers them one by one, and begins 2^32 higher with
-/// each life. A report that leaps further is nobody's, and would make every later one an old one.
+/// Largest step between two reports of one leadership on which stores have caught up. A leader numbers its reports consecutively, and
+/// starts 2^32 higher after each restart. A report with a larger step is invalid: accepting it would make every later report an old one.
 const LONGEST_STEP: u64 = 1000 << 32;
-/// Greatest number of the first report of a leadership: a million lives.
+/// Largest number of the first report of a leadership: a million restarts.
 const GREATEST_FIRST: u64 = (1 << 20) << 32;
 
 /// Decides who holds the lease of one robot, and which mission leads.
@@ -60,7 +61,7 @@ pub struct LeaseArbiter {
     leader: Option<Leader>,
     /// Time at which the leader was last heard.
     leader_heard: Option<Stamp>,
-    /// The longest of late.
+    /// Recent maximum.
     round_trip: Option<Duration>,
 }
 
@@ -71,23 +72,23 @@ struct Grant {
     store: Option<String>,
     renewed: Stamp,
     heartbeat: u64,
-    /// Until the first heartbeat it lives so much longer.
+    /// Extension of the time to live until the first heartbeat.
     extra: Duration,
 }
 
 /// Result of a granted request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Granted {
-    /// The epoch from now on. Store it before replying: it must survive a restart.
+    /// The new epoch. Store it before replying: it must survive a restart.
     pub epoch: u64,
     /// Whether the holder changed: commands of the previous one are void.
     pub holder_changed: bool,
-    /// Round trip to the asker and back, by the request's echo.
+    /// Round trip to the requester and back, from the request's echo.
     pub round_trip: Option<Duration>,
 }
 
 impl LeaseArbiter {
-    /// An arbiter after a restart: nobody holds the lease, epochs continue above `last_epoch`, and `leader` still leads.
+    /// An arbiter after a restart: there is no holder, epochs continue above `last_epoch`, and `leader` still leads.
     #[must_use]
     pub const fn new(ttl: Duration, last_epoch: u64, leader: Option<Leader>) -> Self {
         Self {
@@ -103,9 +104,9 @@ impl LeaseArbiter {
     /// Answers a request for the lease.
     ///
     /// # Errors
-    /// [`Refusal::Held`] while somebody of the same or a higher rank holds a live lease; [`Refusal::NotCaughtUp`] for a mission that may not
+    /// [`Refusal::Held`] while a holder of the same or a higher rank has a live lease; [`Refusal::NotCaughtUp`] for a mission that may not
     /// lead; [`Refusal::NotLeader`] for a report by a mission that does not lead under that epoch; [`Refusal::Rejected`] for a report whose
-    /// number leaps.
+    /// number increases by too much.
     pub fn request(&mut self, now: Stamp, request: &LeaseRequest) -> Result<Granted, Refusal> {
         let granted = self.decide(now, request)?;
         Ok(Granted {
@@ -190,8 +191,8 @@ impl LeaseArbiter {
                 caught_up: leader.caught_up.clone(),
             });
         }
-        // After a lapse even the same holder gets a new epoch: commands sent before the lapse are void. The plan being finished stays,
-        // for the holder is the same.
+        // After a lapse even the same holder gets a new epoch: commands sent before the lapse are void. The plan in progress stays in
+        // force, because the holder is the same.
         self.epoch += 1;
         self.round_trip = None;
         self.grant = Some(Grant {
@@ -208,22 +209,22 @@ impl LeaseArbiter {
         Ok(self.granted(!ours))
     }
 
-    /// Whether a mission that has caught up takes over from a silent leader while an operator holds the lease.
+    /// Whether a mission that has caught up may replace a silent leader while an operator holds the lease.
     fn may_follow(&self, now: Stamp, role: LeaseRole, store: &String) -> bool {
         let listed = |leader: &Leader| leader.store != *store && leader.caught_up.contains(store);
         role == LeaseRole::Operator && !self.leader_is_live(now) && self.leader.as_ref().is_some_and(listed)
     }
 
-    /// Whether the leader was heard lately. A leader without the lease asks for it twice within the time to live.
+    /// Whether the leader was heard recently. A leader without the lease requests it twice within the time to live.
     fn leader_is_live(&self, now: Stamp) -> bool {
         let patience = 2 * self.ttl + self.round_trip.unwrap_or_default();
         self.leader_heard.is_some_and(|heard| now.since(heard) <= patience)
     }
 
-    /// Makes this store's mission the leader. No standby has caught up with it yet; its own reports will name them.
+    /// Makes this store's mission the leader. No standby has caught up with it yet; its own reports will list them.
     fn lead(&mut self, now: Stamp, store: String) {
         self.leader_heard = Some(now);
-        // A report names its epoch: with a new one the numbers begin anew.
+        // A report names its epoch, so the numbering restarts with a new epoch.
         let before = self.leader.as_ref().filter(|leader| leader.epoch == self.epoch);
         self.leader = Some(Leader {
             epoch: self.epoch,
@@ -247,7 +248,7 @@ impl LeaseArbiter {
         }
     }
 
-    /// Renews the lease by a heartbeat; `false` for one of another holder or epoch, a replayed one, or one after the lapse.
+    /// Renews the lease by a heartbeat; `false` for a heartbeat of another holder or epoch, a replayed one, or one after the lapse.
     pub fn renew(&mut self, now: Stamp, heartbeat: &Heartbeat) -> bool {
         let live = self.is_live(now);
         match &mut self.grant {
@@ -273,7 +274,7 @@ impl LeaseArbiter {
         }
     }
 
-    /// Renews the lease by a command of the holder, which the caller has admitted.
+    /// Renews the lease by a command of the holder that the caller has admitted.
     pub fn heard(&mut self, now: Stamp) {
         if self.is_live(now)
             && let Some(grant) = &mut self.grant
@@ -282,13 +283,13 @@ impl LeaseArbiter {
         }
     }
 
-    /// Whether a command of this epoch may act now.
+    /// Whether a command with this epoch may act now.
     #[must_use]
     pub fn admits(&self, now: Stamp, epoch: u64) -> bool {
         epoch == self.epoch && self.is_live(now)
     }
 
-    /// Whether somebody holds a lease that was renewed within its time to live.
+    /// Whether the lease has a holder and was renewed within its time to live.
     #[must_use]
     pub fn is_live(&self, now: Stamp) -> bool {
         self.grant
@@ -296,7 +297,7 @@ impl LeaseArbiter {
             .is_some_and(|grant| now.since(grant.renewed) <= self.ttl + grant.extra)
     }
 
-    /// Round trip to the holder and back, the longest of late; `None` before its first heartbeat that tells.
+    /// Recent maximum of the round trip to the holder and back; `None` before its first heartbeat with an echo.
     #[must_use]
     pub const fn round_trip(&self) -> Option<Duration> {
         self.round_trip
@@ -308,7 +309,7 @@ impl LeaseArbiter {
         self.grant.as_ref().map(|grant| grant.role)
     }
 
-    /// Time since the last renewal; `None` when nobody holds the lease.
+    /// Time since the last renewal; `None` without a holder.
     #[must_use]
     pub fn age(&self, now: Stamp) -> Option<Duration> {
         self.grant.as_ref().map(|grant| now.since(grant.renewed))
@@ -346,7 +347,7 @@ impl LeaseArbiter {
     }
 }
 
-/// The round trip that an echo of the robot's time tells of, as far as it is believed.
+/// The round trip that results from an echo of the robot's time, capped at [`LONGEST_ROUND_TRIP`].
 #[must_use]
 pub fn measured(now: Stamp, echo: Option<Stamp>) -> Option<Duration> {
     Some(now.since(echo?).min(LONGEST_ROUND_TRIP))

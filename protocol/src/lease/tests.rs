@@ -1,4 +1,4 @@
-//! Claims about who may command a robot.
+//! Tests of the lease arbiter: who may command a robot.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use super::*;
@@ -118,7 +118,7 @@ fn only_a_mission_that_has_caught_up_leads_next() {
     assert_eq!(arbiter.request(at(2.0), &keeper("b", TAKE)), alone);
     arbiter.request(at(2.0), &caught_up("a", 1, 1, &["a", "b"])).unwrap();
     assert_eq!(arbiter.request(at(2.0), &keeper("b", TAKE)).unwrap().epoch, 2);
-    // From now on the new leader is alone: the old one has missed what it writes.
+    // From now on the new leader is alone: the old one has missed its writes.
     assert!(matches!(
         arbiter.request(at(4.0), &keeper("a", TAKE)),
         Err(Refusal::NotCaughtUp { .. })
@@ -128,7 +128,7 @@ fn only_a_mission_that_has_caught_up_leads_next() {
         Err(Refusal::NotLeader),
         "a deposed leader's word counts no more"
     );
-    // Not even over a restart of the robot.
+    // Not even after a restart of the robot.
     let mut arbiter = LeaseArbiter::new(Duration::from_secs(1), 2, arbiter.leader().cloned());
     assert!(arbiter.request(at(0.0), &keeper("a", TAKE)).is_err());
     arbiter
@@ -154,7 +154,7 @@ fn a_report_whose_number_leaps_is_refused_and_the_leader_is_still_heard() {
             .request(at(0.1), &caught_up("a", 1, life + u64::from(last > 0), &["a", "b"]))
             .unwrap();
     }
-    // The leader's next life, under the lease that an operator holds meanwhile.
+    // The leader after a restart, still under the same epoch, as when an operator holds the lease meanwhile.
     arbiter
         .request(at(0.2), &caught_up("a", 1, 8 << 32, &["a", "b"]))
         .unwrap();
@@ -172,7 +172,7 @@ fn a_forged_report_of_one_leadership_does_not_outlive_it() {
         arbiter.request(at(0.2), &caught_up("a", 1, 1, &["a", "b"])),
         Err(Refusal::NotLeader)
     );
-    // The leader steps down, and asks anew: it leads, and is heard.
+    // The leader asks for the lease again, under a new epoch: it leads, and counts as heard.
     let again = arbiter.request(at(0.3), &keeper("a", TAKE)).unwrap();
     arbiter
         .request(at(0.4), &caught_up("a", again.epoch, 1 << 32, &["a", "b"]))

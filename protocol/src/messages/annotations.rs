@@ -1,6 +1,6 @@
-//! Annotations. What have people drawn on a robot's map: named places, keep-out zones, speed zones?
+//! Annotations. Which named places, keep-out zones and speed zones have people drawn on a robot's map?
 //!
-//! The mapping service is their one writer. It begins with those of the world and of the deployment, keeps what is changed later in its
+//! The mapping service is the only writer. It starts with the annotations of the world and deployment files, keeps later changes in its
 //! data folder, and publishes all of them as one value.
 
 use std::collections::BTreeMap;
@@ -14,7 +14,7 @@ use super::{GoalPoint, is_first};
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Annotations {
-    /// Number of changes since the data folder was new.
+    /// Number of changes since the data folder was created.
     #[serde(default)]
     pub revision: u64,
     /// Named goals, map frame.
@@ -23,7 +23,7 @@ pub struct Annotations {
     /// Zones in the order of their names, each name once.
     #[serde(default)]
     pub zones: Vec<Zone>,
-    /// Frame of the map that their coordinates are in.
+    /// Frame of the map that the coordinates are in.
     #[serde(default, skip_serializing_if = "is_first")]
     pub frame: u64,
 }
@@ -32,23 +32,23 @@ pub struct Annotations {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Zone {
-    /// Name of the zone, for people.
+    /// Name of the zone, for display.
     pub name: String,
-    /// What holds inside.
+    /// The rule inside the zone.
     pub rule: ZoneRule,
     /// Corners of a simple polygon in order, map frame, m.
     #[cfg_attr(feature = "schema", schemars(with = "Vec<[f64; 2]>"))]
     pub points: Vec<Point2<f64>>,
 }
 
-/// What holds inside a zone.
+/// Rule inside a zone.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum ZoneRule {
-    /// No part of a robot enters.
+    /// No part of a robot may enter.
     KeepOut,
-    /// A robot is slow while its centre is inside.
+    /// A robot drives slowly while its centre is inside.
     SpeedLimit {
         /// Largest speed, m/s.
         max_speed: f64,
@@ -57,15 +57,14 @@ pub enum ZoneRule {
 
 /// Reads the annotations of a robot's map, or changes them.
 ///
-/// While somebody holds the robot's lease, every action but `get` must carry the lease's epoch, as for
-/// [`MapRequest`](super::MapRequest).
+/// While the robot's lease is held, every action but `get` must carry the lease's epoch, as for [`MapRequest`](super::MapRequest).
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct AnnotateRequest {
-    /// What is to be changed; without it, nothing.
+    /// The change; without it, the request only reads.
     #[serde(default)]
     pub action: AnnotateAction,
-    /// Identifies the request: a repeated one is not carried out again, but gets the first answer.
+    /// Identifies the request: a repeated request is not carried out again; it gets the first answer.
     pub request_id: Option<String>,
     /// Lease epoch in force, for every action but `get`.
     pub epoch: Option<u64>,
@@ -76,14 +75,14 @@ pub struct AnnotateRequest {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum AnnotateAction {
-    /// Only answer.
+    /// Read only.
     #[default]
     Get,
-    /// Add a place, or move the one of this name.
+    /// Add a place, or move the existing one of this name.
     AddPlace {
         /// Name of the place.
         name: String,
-        /// Where it is, map frame.
+        /// Position and heading of the place, map frame.
         at: GoalPoint,
     },
     /// Remove a place.
@@ -91,7 +90,7 @@ pub enum AnnotateAction {
         /// Name of the place.
         name: String,
     },
-    /// Add a zone, or replace the one of this name.
+    /// Add a zone, or replace the existing one of this name.
     AddZone {
         /// The zone.
         zone: Zone,

@@ -1,6 +1,7 @@
-//! Manoeuvres (Nav2's behaviors). How is the robot asked to spin, back up or wait, and how does it go?
+//! Manoeuvres (Nav2's behaviors). How is the robot told to spin, back up or wait, and how is the outcome reported?
 //!
-//! The robot executes them by itself, with its own collision monitor. A request is idempotent: a repeated `id` starts nothing again.
+//! The robot executes them on its own, under its collision monitor. Requests are idempotent: a repeated `id` does not start a second
+//! execution.
 
 use serde::{Deserialize, Serialize};
 
@@ -8,15 +9,15 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct BehaviourRequest {
-    /// Identifies the execution: a repeated id starts nothing again.
+    /// Identifies the execution: a repeated id does not start it again.
     pub id: String,
-    /// What the robot is asked to do.
+    /// What the robot is to do.
     pub action: BehaviourAction,
     /// Lease epoch; everything but a report needs it.
     pub epoch: Option<u64>,
 }
 
-/// What a robot is asked to do.
+/// What a robot is to do.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
@@ -33,9 +34,9 @@ pub enum BehaviourAction {
         /// Speed, m/s, positive.
         speed: f64,
     },
-    /// Drive to the free place that is reached soonest: one turn and one straight drive.
+    /// Drive to the free position that is reached soonest, by one turn and one straight drive.
     ToFree {
-        /// Clearance of the footprint at that place, m.
+        /// Clearance of the footprint at that position, m.
         clearance: f64,
         /// Search radius, m.
         within: f64,
@@ -47,7 +48,7 @@ pub enum BehaviourAction {
     },
     /// End the manoeuvre.
     Cancel,
-    /// Only report.
+    /// Report only.
     Report,
 }
 
@@ -74,7 +75,7 @@ pub enum BehaviourState {
     Succeeded,
     /// The robot could not finish it.
     Failed,
-    /// Somebody ended it, or something of higher priority did.
+    /// Cancelled by a request, or preempted by something of higher priority.
     Canceled,
 }
 
@@ -82,6 +83,6 @@ pub enum BehaviourState {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct BehaviourReply {
-    /// The execution asked for; `None` when the robot knows no such execution.
+    /// Report of the requested execution; `None` when the robot does not know it.
     pub report: Option<BehaviourReport>,
 }

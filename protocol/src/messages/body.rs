@@ -1,7 +1,7 @@
-//! Remote body. How does an edge drive a robot body in another process, be it a simulated world or a driver in any language?
+//! Remote body. How does an edge drive a robot body in another process: a simulated world, or a driver in any language?
 //!
-//! The body publishes [`Readings`](crate::readings::Readings) each tick, the edge answers with [`WheelSpeeds`]. A body that receives none
-//! for 0.1 s stops its wheels by itself.
+//! The body publishes [`Readings`](crate::readings::Readings) each tick, and the edge answers with [`WheelSpeeds`]. A body that receives no
+//! wheel speeds for 0.1 s stops its wheels.
 
 use serde::{Deserialize, Serialize};
 
@@ -17,14 +17,14 @@ pub struct WheelSpeeds {
     pub stamp: Stamp,
     /// Speeds of the left and the right wheel, rad/s.
     pub wheels: [f64; 2],
-    /// Which edge commands: the number of its [`AttachRequest`]; 0 for a body that asked for none.
+    /// Which edge sends the command: the number in its [`AttachRequest`]; 0 for a body without attach requests.
     #[serde(default)]
     pub edge: u64,
 }
 
-/// Puts a robot into a served world, or takes over one that is already in it and that no edge drives any more.
+/// Puts a robot into a served world, or takes over a robot in it that no edge drives any more.
 ///
-/// The second of two edges with one name is refused as `Busy`.
+/// If two edges use one name, the second is refused with `Busy`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct AttachRequest {
@@ -33,7 +33,7 @@ pub struct AttachRequest {
     /// Footprint, limits and sensors of the simulated body.
     #[cfg_attr(feature = "schema", schemars(with = "serde_json::Value"))]
     pub model: RobotModel,
-    /// Start pose, map frame; without it, the world's own start. A robot that is in the world already stays where it is.
+    /// Start pose, map frame; without it, the world's own start. A robot that is already in the world stays where it is.
     pub start: Option<Pose2>,
     /// Identifies this start of the edge: a random number up to 2^53. The body obeys only wheel speeds that carry it.
     #[serde(default)]

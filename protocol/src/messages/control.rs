@@ -1,4 +1,4 @@
-//! Operator control. How does a person stop, resume or drive a robot, and change what it does on its own?
+//! Operator control. How does a person stop, resume or drive a robot, and configure what it does without a lease?
 
 use std::collections::BTreeMap;
 
@@ -16,13 +16,13 @@ pub struct StopRequest {
     pub by: Option<String>,
 }
 
-/// Lifts a stop: the robot takes a new plan again, from its present pose.
+/// Lifts a stop: the robot accepts plans again, from its present pose.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct ResumeRequest {
     /// Who lifts the stop, for the event log.
     pub by: Option<String>,
-    /// The newest stop that is lifted, as the robot's state numbers them: a later one stays. Without it, whatever stop there is.
+    /// Number of the newest stop to lift, as counted in the robot's state: a later stop stays in force. Without it, any stop is lifted.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stop: Option<u64>,
 }
@@ -41,20 +41,20 @@ pub struct StopReply {
 pub struct Teleop {
     /// Lease epoch of the operator.
     pub epoch: u64,
-    /// Velocity that is asked for, base frame, m/s and rad/s.
+    /// Requested velocity, base frame, m/s and rad/s.
     pub twist: Twist2,
-    /// Dead man's switch: stamp of the newest robot message that the operator has seen, such as its state or odometry. The command acts
-    /// until this stamp is 0.3 s old. Of several commands with one echo the first counts, and a stop.
+    /// Dead-man's switch: stamp of the newest robot message that the operator has seen, such as its state or odometry. The command acts
+    /// until this stamp is 0.3 s old. Of several commands with the same echo only the first is accepted, except for a stop.
     pub echo: Stamp,
 }
 
-/// Reads the mode, or changes what the robot does once the lease is lost.
+/// Reads the mode, or changes what the robot does when the lease is lost.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct ModeRequest {
-    /// The policy from now on; without it, nothing changes.
+    /// The new policy; without it, nothing changes.
     pub on_lost: Option<LostPolicy>,
-    /// Lease epoch, for a change.
+    /// Lease epoch, required for a change.
     pub epoch: Option<u64>,
 }
 
@@ -92,7 +92,7 @@ pub struct ParamRequest {
     pub name: Option<String>,
     /// New value of the parameter.
     pub value: Option<f64>,
-    /// Lease epoch, for a change.
+    /// Lease epoch, required for a change.
     pub epoch: Option<u64>,
 }
 

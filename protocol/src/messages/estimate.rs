@@ -1,4 +1,4 @@
-//! Pose estimates. Where does the robot believe to be, and who corrects it?
+//! Pose estimates. Where does the robot estimate itself to be, and what corrects the estimate?
 
 use std::fmt;
 
@@ -12,7 +12,7 @@ use crate::time::Stamp;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Odometry {
-    /// When it was measured.
+    /// Time of the measurement.
     pub stamp: Stamp,
     /// Pose in the odometry frame.
     pub odom_from_base: Pose2,
@@ -22,11 +22,11 @@ pub struct Odometry {
     pub wheels: [f64; 2],
 }
 
-/// The robot's own estimate of where it is.
+/// The robot's own pose estimate.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct PoseEstimate {
-    /// When it holds.
+    /// Time that the estimate is for.
     pub stamp: Stamp,
     /// Pose in the map.
     pub map_from_base: Pose2,
@@ -34,12 +34,12 @@ pub struct PoseEstimate {
     pub covariance: [f64; 9],
     /// Velocity in the base frame.
     pub velocity: Twist2,
-    /// Frame of the map that the pose is in, as the robot knows it.
+    /// Map frame that the pose is in, as far as the robot knows.
     #[serde(default, skip_serializing_if = "is_first")]
     pub frame: u64,
 }
 
-/// A pose measurement made off board, for the estimator to gate and fuse.
+/// A pose measurement made off board; the estimator gates and fuses it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Correction {
@@ -51,18 +51,18 @@ pub struct Correction {
     pub map_from_base: Pose2,
     /// Row-major covariance of (x, y, yaw).
     pub covariance: [f64; 9],
-    /// The robot was found anew, in a search of the whole map: its belief is replaced, not corrected, and it drives no plan made before.
+    /// A global search found the robot: the estimate is replaced, not corrected, and the robot drives no plan made before.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub is_found_anew: bool,
-    /// Frame of the map that the pose is in. One of an older frame does nothing.
+    /// Frame of the map that the pose is in. A correction in an older frame has no effect.
     #[serde(default, skip_serializing_if = "is_first")]
     pub frame: u64,
-    /// How the robot's surroundings moved as each of the last frames began, `new_from_old`, the move into `frame` last.
+    /// How the map around the robot moved at the start of each of the last frames, `new_from_old`; the move into `frame` is last.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub moves: Vec<Pose2>,
 }
 
-/// Whether the robot's place in the map can be trusted: a statement, not a covariance.
+/// Whether the robot's pose in the map can be trusted: a verdict, not a covariance.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "state")]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
@@ -70,22 +70,22 @@ pub enum Health {
     /// The scans agree with the map.
     #[default]
     Tracking,
-    /// They agree, but do not say where the robot is along a direction: a corridor.
+    /// The scans agree with the map, but leave the pose undetermined along one direction, as in a corridor.
     Degraded {
         /// That direction in the map, rad.
         direction: f64,
     },
-    /// The scans contradict the map, and no place was found that they agree with: the robot must not drive by this map.
+    /// The scans contradict the map, and no other pose that agrees was found: the robot must not drive by this map.
     Lost,
-    /// Several places agree with the scan about as well.
+    /// The scan agrees about equally well with several poses.
     Ambiguous {
-        /// Those places, `map_from_base`, the best first.
+        /// Those poses, `map_from_base`, the best first.
         hypotheses: Vec<Pose2>,
     },
 }
 
 impl Health {
-    /// Whether the robot may drive by its place in the map.
+    /// Whether the robot may drive by its pose in the map.
     #[must_use]
     pub const fn is_trusted(&self) -> bool {
         matches!(self, Self::Tracking | Self::Degraded { .. })
@@ -103,7 +103,7 @@ impl fmt::Display for Health {
     }
 }
 
-/// How well the robot is localised, by the source of poses off board.
+/// How well the robot is localised, reported by the off-board source of poses.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Localisation {
@@ -111,17 +111,17 @@ pub struct Localisation {
     pub stamp: Stamp,
     /// Boot that the stamp belongs to.
     pub boot_id: String,
-    /// Whether the place can be trusted.
+    /// Whether the pose can be trusted.
     pub health: Health,
-    /// Pose in the map at that stamp, the best there is.
+    /// Best available pose in the map at that stamp.
     pub map_from_base: Pose2,
-    /// Share of the scan's points about known cells that agree with the map, 0 to 1.
+    /// Share of the scan's points near known cells that agree with the map, 0 to 1.
     pub agreeing: f64,
-    /// Share of its beams that go through walls of the map, 0 to 1.
+    /// Share of the scan's beams that pass through walls of the map, 0 to 1.
     pub through_walls: f64,
 }
 
-/// Simulated time, where there is one.
+/// Simulated time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct SimClock {

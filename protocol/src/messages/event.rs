@@ -11,11 +11,11 @@ use crate::time::Stamp;
 pub struct Event {
     /// Time of the event, on the robot's clock.
     pub stamp: Stamp,
-    /// The start of the edge that the event belongs to.
+    /// Start of the edge that the event belongs to.
     pub boot_id: String,
     /// Number of the event within that start, from one.
     pub sequence: u64,
-    /// What happened; its name stands in the field `event`.
+    /// What happened; its name is in the field `event`.
     #[serde(flatten)]
     pub kind: EventKind,
 }
@@ -36,7 +36,7 @@ pub enum EventKind {
         /// The plan's trajectory.
         trajectory_id: u64,
     },
-    /// The robot refused a plan; an older one stays in force while it is valid.
+    /// The robot refused a plan; a valid older plan stays in force.
     PlanRejected {
         /// The goal that the plan serves.
         goal_id: String,
@@ -73,33 +73,33 @@ pub enum EventKind {
         /// Charge left, 0 to 1.
         charge: f64,
     },
-    /// The pose estimator dropped measurements; reported every ten seconds at most.
+    /// The pose estimator dropped measurements; reported at most every ten seconds.
     InputsDropped {
         /// Measurements since the start that were older than the measurement buffer.
         too_late: u64,
         /// Measurements since the start that were not finite, had no covariance, or came from the future.
         broken: u64,
     },
-    /// The statement from off board on the robot's place in the map changed; without trust in it the robot brakes and takes no plan.
+    /// The off-board verdict on the robot's pose changed; while the pose is not trusted, the robot brakes and accepts no plan.
     Localisation {
-        /// From now on.
+        /// The new verdict.
         health: Health,
     },
-    /// A teleop command was dropped; reported every ten seconds at most for each cause.
+    /// A teleop command was dropped; reported at most every ten seconds for each cause.
     TeleopDropped {
-        /// Why the command did not count.
+        /// Why the command was dropped.
         reason: String,
     },
     /// The collision monitor's verdict changed.
     Guard {
-        /// The verdict from now on.
+        /// The new verdict.
         zone: GuardZone,
-        /// What the verdict rests on.
+        /// What the verdict is based on.
         reason: String,
     },
-    /// The lease changed hands, lapsed or was given back.
+    /// The lease changed hands, lapsed or was released.
     Lease {
-        /// The holder from now on, if there is one.
+        /// The new holder, if there is one.
         holder: Option<String>,
         /// The current epoch.
         epoch: u64,
@@ -108,7 +108,7 @@ pub enum EventKind {
     },
     /// The link state changed.
     LinkChanged {
-        /// The link state from now on.
+        /// The new link state.
         link: Link,
     },
     /// An operator stopped the robot.

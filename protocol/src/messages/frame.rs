@@ -1,8 +1,8 @@
-//! Map frame. How did the map move as loops closed, and where do its parts lie now?
+//! Map frame. How did loop closures move the map, and where are its parts now?
 //!
-//! A loop closure moves parts of a map that SLAM makes, each as a rigid body. Such a change begins the next **frame**: frames are numbered,
-//! and a coordinate holds in one of them. Who keeps coordinates carries them over: the robot by [`Correction::moves`](super::Correction), all
-//! others by [`MapFrame`].
+//! A loop closure moves parts of a SLAM map, each as a rigid body. Such a change starts the next **frame**: frames are numbered, and a
+//! coordinate is valid in exactly one of them. Stored coordinates must be carried over to the new frame: the robot uses
+//! [`Correction::moves`](super::Correction) for this, everything else uses [`MapFrame`].
 
 use serde::{Deserialize, Serialize};
 
@@ -10,30 +10,30 @@ use super::{GoalPoint, MapRef};
 use crate::geometry::Pose2;
 use crate::time::Stamp;
 
-/// Most moves that are told: who has not heard of more frames than these begins anew.
+/// Most moves in a message: a receiver that missed more frames than this starts over.
 pub const MOST_MOVES: usize = 16;
 
-/// A place farther than this from where each part was begun belongs to the frame alone, m: nobody has seen it from near.
+/// A place farther than this from the origins of all parts belongs to no part, m: it was never seen from close by.
 const PART_REACH: f64 = 10.0;
 
-/// The frame of a map, and where its parts lie in it.
+/// Frame of a map, and where its parts are in it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct MapFrame {
     /// Stamp of the newest scan in the map, on the robot's clock.
     pub stamp: Stamp,
-    /// The map and its frame. The first revision that is drawn in it comes later.
+    /// The map and its frame. The first map revision drawn in this frame is published later.
     pub map: MapRef,
-    /// How the robot's surroundings moved as each of the last frames began, `new_from_old`, the move into this frame last.
+    /// How the map around the robot moved at the start of each of the last frames, `new_from_old`; the move into this frame is last.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub moves: Vec<Pose2>,
-    /// Where each part of the map lies, `map_from_part`, in the order in which they were begun. A part keeps its number.
+    /// Pose of each part of the map, `map_from_part`, in the order in which the parts were started. A part keeps its number.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub parts: Vec<Pose2>,
 }
 
 impl MapFrame {
-    /// The part of the map that a place belongs to: the nearest, of equally near ones the newest; none where all are far.
+    /// The part of the map that a place belongs to: the nearest one, or the newest of several equally near; none where all are too far.
     #[must_use]
     pub fn part_at(&self, x: f64, y: f64) -> Option<usize> {
         let distance = |part: &Pose2| (part.x - x).hypot(part.y - y);
@@ -45,14 +45,14 @@ impl MapFrame {
             .map(|(number, _)| number)
     }
 
-    /// How the surroundings of a place moved until a later frame of the map, `new_from_old`; `None` where the place belongs to no part.
+    /// How the surroundings of a place moved up to a later frame of the map, `new_from_old`; `None` where the place belongs to no part.
     #[must_use]
     pub fn moved_at(&self, x: f64, y: f64, later: &Self) -> Option<Pose2> {
         let part = self.part_at(x, y)?;
         Some(*later.parts.get(part)? * self.parts.get(part)?.inverse())
     }
 
-    /// Whether its numbers are usable: all moves and poses are finite, and no more moves than frames.
+    /// Whether the message is usable: all moves and poses are finite, and there are no more moves than frames.
     #[must_use]
     pub fn is_sane(&self) -> bool {
         self.moves.len() <= MOST_MOVES
@@ -61,8 +61,8 @@ impl MapFrame {
     }
 }
 
-/// How the robot's surroundings moved from frame `from` to frame `to`, `new_from_old`, by the `moves` that led to `to`; `None` where that is not
-/// known, and for a later frame.
+/// How the map around the robot moved from frame `from` to frame `to`, `new_from_old`, composed from the `moves` that led to `to`; `None`
+/// where the moves do not reach back to `from`, and when `from` is later than `to`.
 ///
 /// ```
 /// use zenav_protocol::geometry::Pose2;
@@ -82,7 +82,7 @@ pub fn moved_between(from: u64, to: u64, moves: &[Pose2]) -> Option<Pose2> {
 }
 
 impl GoalPoint {
-    /// The place after a move of what it belongs to.
+    /// The place, carried along by a move of the map part it belongs to.
     #[must_use]
     pub fn moved(&self, new_from_old: Pose2) -> Self {
         let place = new_from_old * Pose2::new(self.x, self.y, self.yaw.unwrap_or(0.0));
@@ -94,7 +94,7 @@ impl GoalPoint {
     }
 }
 
-/// For `skip_serializing_if`: the first frame is not written.
+/// For `skip_serializing_if`: the first frame is left out.
 #[allow(clippy::trivially_copy_pass_by_ref, reason = "serde asks for a reference")]
 pub(crate) const fn is_first(frame: &u64) -> bool {
     *frame == 0

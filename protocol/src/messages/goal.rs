@@ -1,4 +1,4 @@
-//! Goals. What is a robot asked to achieve, and how far has it come?
+//! Goals. What is a robot asked to do, and how far has it got?
 
 use std::collections::BTreeMap;
 
@@ -47,11 +47,11 @@ impl GoalPoint {
 
 /// A goal: exactly one of (`x`, `y`), `place` and `waypoints`; or a `tree`, alone or with one of them.
 ///
-/// A tree finds the place on its blackboard as `goal`, the waypoints as `goals`.
+/// The tree finds the place on its blackboard as `goal`, and the waypoints as `goals`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct GoalRequest {
-    /// Identifies the goal; made by the asker. A repeated id is the same goal.
+    /// Identifies the goal; chosen by the requester. A repeated id means the same goal.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub id: Option<String>,
     /// x, map frame, m.
@@ -63,10 +63,10 @@ pub struct GoalRequest {
     /// Heading at the goal, rad; without it, any.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub yaw: Option<f64>,
-    /// Name of a place in the world or deployment file.
+    /// Name of a place on the map: from the world or deployment file, or added later.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub place: Option<String>,
-    /// Places to pass, in order.
+    /// Places to pass through, in order.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub waypoints: Vec<GoalPoint>,
     /// A behaviour tree: the name of a shipped one, or its XML.
@@ -75,19 +75,19 @@ pub struct GoalRequest {
     /// Entries for the tree's blackboard.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub blackboard: BTreeMap<String, serde_json::Value>,
-    /// What happens while another goal is being executed.
+    /// What happens when another goal is being executed.
     #[serde(default)]
     pub on_busy: OnBusy,
-    /// Queue priority, highest first; goals of equal priority in the order of their arrival.
+    /// Queue priority, highest first; goals of equal priority run in order of arrival.
     #[serde(default)]
     pub priority: i32,
-    /// Time limit from acceptance, s; the goal is aborted after it.
+    /// Time limit from acceptance, s; when it passes, the goal is aborted.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub deadline_secs: Option<f64>,
-    /// Distance to the place that counts as reached, m.
+    /// Distance from the place at which it counts as reached, m.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tolerance: Option<f64>,
-    /// Driving profile for its trajectories; without it, the deployment's.
+    /// Driving profile of the trajectories; without it, the deployment's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub profile: Option<DrivingProfile>,
 }
@@ -118,16 +118,16 @@ pub enum GoalPhase {
     Paused,
     /// The goal was reached.
     Succeeded,
-    /// The goal was given up; the reason says why.
+    /// The goal was given up, for the stated reason.
     Aborted,
-    /// Somebody cancelled the goal.
+    /// The goal was cancelled by a request.
     Canceled,
-    /// The goal was refused after it had been stored.
+    /// The goal was refused after it was stored.
     Rejected,
 }
 
 impl GoalPhase {
-    /// Whether the goal has ended: no other phase follows.
+    /// Whether the goal has ended: it changes phase no more.
     #[must_use]
     pub const fn is_end(self) -> bool {
         matches!(self, Self::Succeeded | Self::Aborted | Self::Canceled | Self::Rejected)
@@ -142,10 +142,10 @@ pub struct GoalReply {
     pub id: String,
     /// The goal's phase.
     pub state: GoalPhase,
-    /// For an end other than success: why.
+    /// Why the goal ended, unless it succeeded.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
-    /// The robot that took the goal, where a group of robots was asked.
+    /// For a request to a group of robots: the robot that took the goal.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub robot: Option<String>,
 }
@@ -160,10 +160,10 @@ pub struct GoalState {
     pub robot: String,
     /// The goal's phase.
     pub state: GoalPhase,
-    /// For an end other than success: why.
+    /// Why the goal ended, unless it succeeded.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
-    /// Place in the queue while the goal waits: 1 is next.
+    /// Position in the queue while the goal waits: 1 is next.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub queue: Option<u64>,
     /// Time of acceptance, on the mission's clock.
@@ -175,13 +175,13 @@ pub struct GoalState {
     /// Progress on the goal.
     #[serde(default)]
     pub feedback: GoalFeedback,
-    /// The goal's drives, in order; only the newest where there are many.
+    /// Drives of the goal, in order; only the newest if there are many.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub legs: Vec<Leg>,
     /// The goal as it was submitted.
     pub request: GoalRequest,
-    /// Where the goal's places lie now, where the map has moved since it was submitted: they keep their spot in the building, not their
-    /// numbers.
+    /// Current coordinates of the goal's places, if the map has moved since it was submitted: the places keep their spot in the building,
+    /// so their coordinates change.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub resolved: Vec<GoalPoint>,
 }
@@ -192,25 +192,25 @@ pub struct GoalState {
 pub struct Leg {
     /// Name of the tree node that drove.
     pub name: String,
-    /// The drive's destination, where it is one place.
+    /// The drive's destination, if it is a single place.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub goal: Option<GoalPoint>,
     /// `Active`, `Succeeded`, `Aborted` or `Canceled`.
     pub state: GoalPhase,
-    /// For an end other than success: why.
+    /// Why the drive ended, unless it succeeded.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
     /// Time at which driving began.
     pub started: Stamp,
-    /// Time of the end.
+    /// Time at which it ended.
     pub ended: Option<Stamp>,
     /// Trajectories published for the drive.
     #[serde(default)]
     pub plans: u64,
-    /// Trajectories that replaced one that was blocked, lost or refused.
+    /// Trajectories that replaced a blocked, lost or refused one.
     #[serde(default)]
     pub replans: u64,
-    /// Length of the first path planned, m.
+    /// Length of the first planned path, m.
     #[serde(default)]
     pub planned_length: f64,
 }
@@ -234,23 +234,23 @@ pub struct GoalFeedback {
     /// Recoveries started.
     #[serde(default)]
     pub recoveries: u64,
-    /// Distance from the robot to the goal's place at the end, by the robot's own estimate, m.
+    /// Distance between robot and goal at the end, by the robot's own estimate, m.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub final_error: Option<f64>,
-    /// What the robot waits for to leave, while it does.
+    /// The blockage that the robot is waiting for, while it waits.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub blockage: Option<Blockage>,
 }
 
-/// Something that bars the way and may leave.
+/// An obstacle that blocks the way and may leave.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Blockage {
-    /// x of its middle, map frame, m.
+    /// x of its centre, map frame, m.
     pub x: f64,
-    /// y of its middle, map frame, m.
+    /// y of its centre, map frame, m.
     pub y: f64,
-    /// Since when it has stood there, as far as is known, on the mission's clock.
+    /// Time since which it is known to be there, on the mission's clock.
     pub since: Stamp,
 }
 
@@ -258,9 +258,9 @@ pub struct Blockage {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct CancelRequest {
-    /// Which goal; without it, the running one.
+    /// Goal to cancel; without it, the running one.
     pub id: Option<String>,
-    /// Identifies the request: a repeated one gets the first answer.
+    /// Identifies the request: a repeated request gets the first answer.
     pub request_id: Option<String>,
 }
 
@@ -268,27 +268,27 @@ pub struct CancelRequest {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct PauseRequest {
-    /// Which goal; without it, the running one.
+    /// Goal to pause or resume; without it, the running one.
     pub id: Option<String>,
     /// `false` pauses the goal, `true` resumes it.
     #[serde(default)]
     pub resume: bool,
-    /// Identifies the request: a repeated one gets the first answer.
+    /// Identifies the request: a repeated request gets the first answer.
     pub request_id: Option<String>,
 }
 
-/// Moves a goal that waits to another place in the queue.
+/// Moves a waiting goal to another position in the queue.
 ///
-/// It takes the priority of the goal that it is put before, or of the last one, and is an urgent goal where that one is.
+/// The goal takes on the priority and the urgency (`preempt`) of the goal it is put before, or of the last one in the queue.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct MoveGoalRequest {
-    /// Which goal.
+    /// Goal to move.
     pub id: String,
-    /// The waiting goal that it is put before; without it, it becomes the last.
+    /// The waiting goal to put it before; without it, the goal moves to the end.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub before: Option<String>,
-    /// Identifies the request: a repeated one gets the first answer.
+    /// Identifies the request: a repeated request gets the first answer.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub request_id: Option<String>,
 }
@@ -302,7 +302,7 @@ pub struct GoalsRequest {
     /// Only goals in these states; empty means all.
     #[serde(default)]
     pub states: Vec<GoalPhase>,
-    /// Largest number of goals in the answer, newest first.
+    /// Most goals in the answer, newest first.
     pub limit: Option<usize>,
 }
 
@@ -312,7 +312,7 @@ pub struct GoalsRequest {
 pub struct GoalsReply {
     /// The goals, newest first.
     pub goals: Vec<GoalState>,
-    /// Time of the answer, on the mission's clock: the goals' stamps are older.
+    /// Time of the answer, on the mission's clock, for comparison with the goals' stamps.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub now: Option<Stamp>,
 }

@@ -1,4 +1,4 @@
-//! What a robot is about to do, for the other robots around it.
+//! Intent. Where is a robot about to drive, for the other robots around it?
 
 use std::cmp::Ordering;
 
@@ -8,44 +8,45 @@ use serde::{Deserialize, Serialize};
 use crate::geometry::{Pose2, Twist2};
 use crate::time::Stamp;
 
-/// Where a robot is and will be, published some times a second until it has stood for a while with nothing to drive to: then it is an
-/// obstacle like any other. All robots that hear one another share the map frame.
+/// Present and future positions of a robot. Published a few times a second until the robot has been stationary without a goal for a while;
+/// other robots then treat it as a plain obstacle. All robots that receive each other's intents share one map frame.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Intent {
-    /// The time that the pose is for, on the robot's clock.
+    /// Time that the pose is for, on the robot's clock.
     pub stamp: Stamp,
     /// The robot's name.
     pub robot: String,
-    /// Radius of the disc around the base that holds the whole outline, m.
+    /// Radius of the disc around the base that contains the whole footprint, m.
     pub radius: f64,
     /// Pose in the map.
     pub map_from_base: Pose2,
     /// Velocity in the base frame.
     pub velocity: Twist2,
-    /// Time from one of the places to the next, s.
+    /// Time between two of the `places`, s.
     pub step: f64,
-    /// Where it will be: from the stamp on, a step apart; it stays at the last. Map frame, m.
+    /// Predicted positions, `step` apart, beginning at the stamp; the robot stays at the last one. Map frame, m.
     #[cfg_attr(feature = "schema", schemars(with = "Vec<[f64; 2]>"))]
     pub places: Vec<Point2<f64>>,
-    /// Where its plan leads after that, `later_step` apart; for who waits before both ways meet. Map frame, m.
+    /// Positions along its plan after that, `later_step` apart, so that another robot can wait before the paths meet. Map frame, m.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[cfg_attr(feature = "schema", schemars(with = "Vec<[f64; 2]>"))]
     pub later: Vec<Point2<f64>>,
-    /// Time from one of the later places to the next, s.
+    /// Time between two of the `later` positions, s.
     #[serde(default, skip_serializing_if = "crate::drive::is_zero")]
     pub later_step: f64,
-    /// Whether it has somewhere to go now. Who has not cannot make way.
+    /// Whether the robot has somewhere to go. A robot without a goal cannot make way.
     pub driving: bool,
-    /// Whether it has found no place to make way to.
+    /// Whether the robot has found no place to make way to.
     pub trapped: bool,
-    /// Time that its whole way takes by its plan, fixed when it set out, s: the longer way goes first.
+    /// Planned duration of its whole path, fixed when it set out, s: the robot with the longer one goes first.
     pub way_secs: f64,
 }
 
 impl Intent {
-    /// Whether this robot has right of way over another: who cannot make way, then who found no place to, then who has the longer way, then
-    /// by name. A total order, so no ring of robots waits for one another; both robots compute it alike, from the two messages alone.
+    /// Right of way over another robot, decided by the first difference: a robot that cannot make way, then one that found no place to make
+    /// way to, then the one with the longer path, then by name. This is a total order, so no cycle of robots waits for each other; both
+    /// robots compute the same result from the two messages alone.
     #[must_use]
     pub fn goes_before(&self, other: &Self) -> bool {
         let order = self.driving.cmp(&other.driving);
@@ -54,7 +55,7 @@ impl Intent {
         order.then_with(|| self.robot.cmp(&other.robot)) == Ordering::Less
     }
 
-    /// Whether its numbers can be meant.
+    /// Whether all numbers are plausible.
     #[must_use]
     pub fn is_sound(&self) -> bool {
         let places = self
@@ -74,20 +75,20 @@ impl Intent {
     }
 }
 
-/// What a robot gives way to, published once a second while it waits for others on its plan, or will have to.
+/// The robots that a robot gives way to, published once a second while it waits for them on its plan or will have to.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Yield {
-    /// The time that the courses begin at, on the robot's clock.
+    /// Time that the times of the courses are relative to, on the robot's clock.
     pub stamp: Stamp,
-    /// The trajectory on which it waits.
+    /// The trajectory on which the robot waits.
     pub trajectory_id: u64,
-    /// The frame of the map that the courses are in.
+    /// Number of the map frame that the courses are in.
     #[serde(default)]
     pub frame: u64,
-    /// Time that the wait adds to its way, s.
+    /// Time that the robot will lose by waiting, s.
     pub wait_secs: f64,
-    /// Courses of the robots that go first.
+    /// Courses of the robots with right of way.
     pub courses: Vec<KnownCourse>,
 }
 
@@ -97,7 +98,7 @@ pub struct Yield {
 pub struct KnownCourse {
     /// Radius of the disc around its outline, m.
     pub radius: f64,
-    /// Where it will be, in order of time; after the last place it is gone.
+    /// Where the robot will be, in order of time; after the last of them it counts as gone.
     pub places: Vec<CoursePlace>,
 }
 
@@ -127,7 +128,7 @@ impl KnownCourse {
     /// Most courses that a path gives way to.
     pub const MOST: usize = 32;
 
-    /// Whether its numbers can be meant.
+    /// Whether all numbers are finite and within bounds, and the times in order.
     #[must_use]
     pub fn is_sound(&self) -> bool {
         let finite = |place: &CoursePlace| [place.secs, place.x, place.y].iter().all(|value| value.is_finite());
@@ -138,7 +139,7 @@ impl KnownCourse {
     }
 }
 
-/// Most places that a robot tells, and most of those after them.
+/// Most `places` in an intent, and most `later` positions.
 const MOST_PLACES: usize = 64;
 const MOST_LATER: usize = 32;
 

@@ -1,16 +1,16 @@
-//! Replication. How does a standby come to hold everything that its leader has acknowledged?
+//! Replication. How does a standby get everything its leader has acknowledged?
 //!
 //! The standby joins; from then on the leader sends it every write to its store.
 //!
-//! Primary and backup with an arbiter of membership, which is the robot: Lin et al., "PacificA: Replication in Log-Based Distributed
-//! Storage Systems", Microsoft Research 2008.
+//! Primary and backup, with the robot as arbiter of membership: Lin et al., "PacificA: Replication in Log-Based Distributed Storage
+//! Systems", Microsoft Research 2008.
 
 use serde::{Deserialize, Serialize};
 
 use super::GoalRequest;
 use crate::time::Stamp;
 
-/// A standby asks for the content of the leader's store, and for every later write.
+/// A standby's request for the content of the leader's store and for every later write.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct JoinRequest {
@@ -18,12 +18,12 @@ pub struct JoinRequest {
     pub store: String,
     /// Identifies this join; new for every join. The standby accepts entries of this session only.
     pub session: String,
-    /// Goals that the standby took before any mission of the robot led; they become the leader's.
+    /// Goals that the standby accepted before the robot had a leader; the leader takes them over.
     #[serde(default)]
     pub goals: Vec<GoalRequest>,
 }
 
-/// A leader's answer to a standby that joins.
+/// The leader's answer to a standby that joins.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct JoinReply {
@@ -37,16 +37,16 @@ pub struct JoinReply {
 pub struct JournalEntry {
     /// Name of the leader's store.
     pub leader: String,
-    /// Epoch under which the leader leads.
+    /// Lease epoch of the leader.
     pub epoch: u64,
     /// Session of the standby's join.
     pub session: String,
-    /// Number of the entry in the session, from one. Entry one begins with an empty store; an entry without writes repeats the number
-    /// before.
+    /// Number of the entry in the session, from one. Entry one starts with an empty store; an entry without writes repeats the previous
+    /// number.
     pub position: u64,
-    /// The leader's time: stored stamps are relative to it.
+    /// The leader's time, to which the stored stamps are relative.
     pub now: Stamp,
-    /// The writes, to be applied all or not at all; an entry without any only shows that the leader is alive.
+    /// Writes, applied all or none; an entry without writes only shows that the leader is alive.
     pub writes: Vec<JournalWrite>,
 }
 
@@ -66,6 +66,6 @@ pub struct JournalWrite {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct JournalReply {
-    /// Number of the newest entry that the standby holds, together with all before.
+    /// Number of the newest entry that the standby holds, along with all earlier ones.
     pub position: u64,
 }

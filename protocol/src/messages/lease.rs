@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::time::Stamp;
 
-/// In which role somebody commands a robot.
+/// Role in which the holder commands a robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
@@ -30,15 +30,15 @@ pub struct LeaseState {
     /// The mission that keeps the robot's goals, if any ever did.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub leader: Option<Leader>,
-    /// Whether the leader was heard lately, also while an operator holds the lease.
+    /// Whether the leader was heard recently, also while an operator holds the lease.
     #[serde(default)]
     pub leader_live: bool,
 }
 
-/// Leadership record: which mission keeps the robot's goals, by the robot's own word.
+/// Leadership record: which mission keeps the robot's goals, as recorded by the robot.
 ///
-/// The leader is the mission with a store that was granted the lease last. An operator's lease, or a lapsed one, leaves the record as it
-/// is, unless the leader falls silent meanwhile and a mission that has caught up asks for the lease.
+/// The leader is the mission with a store that last received the lease. An operator's lease or a lapse leaves the record unchanged, unless
+/// the leader falls silent meanwhile and a mission that has caught up asks for the lease.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Leader {
@@ -46,25 +46,25 @@ pub struct Leader {
     pub store: String,
     /// Epoch of the leader's grant.
     pub epoch: u64,
-    /// Stores that hold everything the leader has acknowledged, its own among them. Only these may lead next.
+    /// Stores that hold everything the leader has acknowledged, including its own. Only these may lead next.
     pub caught_up: Vec<String>,
-    /// Number of the leader's latest report on who has caught up; an older report that arrives late changes nothing.
+    /// Number of the leader's latest report on which stores have caught up; an older report that arrives late is ignored.
     #[serde(default)]
     pub revision: u64,
 }
 
-/// Asks for the lease, gives it back, or reports who has caught up.
+/// Requests the lease, releases it, or reports which stores have caught up.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct LeaseRequest {
-    /// Name of the asker.
+    /// Name of the requester.
     pub holder: String,
-    /// Role of the asker.
+    /// Role of the requester.
     pub role: LeaseRole,
-    /// What is asked; without it, the lease.
+    /// The action; without it, the lease is requested.
     #[serde(default)]
     pub action: LeaseAction,
-    /// Identifies the request: a repeated one gets the first answer.
+    /// Identifies the request: a repeated request gets the first answer.
     pub request_id: String,
     /// Name of the store in which a mission keeps the robot's goals. A mission without a store does not lead.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -72,13 +72,13 @@ pub struct LeaseRequest {
     /// For [`LeaseAction::CaughtUp`]: the epoch under which the mission leads, and the stores that have caught up.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub leads: Option<Leader>,
-    /// The robot's time as the asker knows it: the stamp of the newest state that came, and the time since then.
+    /// The robot's time as known to the requester: stamp of the newest state received, plus the time since then.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub echo: Option<Stamp>,
 }
 
 impl LeaseRequest {
-    /// A request of somebody who keeps no goals.
+    /// A request from a holder that keeps no goals.
     #[must_use]
     pub fn new(holder: impl Into<String>, role: LeaseRole, action: LeaseAction, request_id: impl Into<String>) -> Self {
         Self {
@@ -101,11 +101,11 @@ pub enum LeaseAction {
     /// Take the lease.
     #[default]
     Acquire,
-    /// Give the lease back.
+    /// Release the lease.
     Release,
-    /// A leader's report on which stores hold everything it has acknowledged; needs no live lease.
+    /// A leader's report on which stores hold everything it has acknowledged; no live lease is required.
     CaughtUp,
-    /// An operator gives up the goals of the last leader and of those that had caught up: any mission may lead next.
+    /// An operator gives up the goals of the last leader and of the stores that had caught up: any mission may lead next.
     Forget,
 }
 
@@ -119,7 +119,7 @@ pub struct LeaseReply {
     pub ttl_secs: f64,
     /// The start of the edge that granted the lease.
     pub boot_id: String,
-    /// Round trip to the robot and back, s, by the request's echo; `None` where it had none.
+    /// Round trip to the robot and back, s, from the request's echo; `None` without an echo.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub round_trip_secs: Option<f64>,
 }
@@ -132,10 +132,10 @@ pub struct Heartbeat {
     pub holder: String,
     /// Epoch of the holder's grant.
     pub epoch: u64,
-    /// Number of this heartbeat: a replayed or reordered one renews nothing.
+    /// Sequence number of the heartbeat: a replayed or reordered heartbeat does not renew the lease.
     pub counter: u64,
-    /// The robot's time as the holder knows it: the stamp of the newest state that came, and the time since then. So the robot measures
-    /// the round trip on its own clock.
+    /// The robot's time as known to the holder: stamp of the newest state received, plus the time since then. The robot measures the round
+    /// trip from it on its own clock.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub echo: Option<Stamp>,
 }

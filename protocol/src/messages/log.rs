@@ -1,10 +1,10 @@
-//! Logs. What did a process say last?
+//! Logs. What were the last log lines of a process?
 
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-/// Asks a part for the newest lines of its process's log.
+/// Asks a component for the newest lines of its process's log.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct LogRequest {
@@ -19,9 +19,9 @@ pub struct LogRequest {
 pub struct LogReply {
     /// Name of the machine.
     pub host: String,
-    /// Id of the process on it.
+    /// Process id on that machine.
     pub pid: u32,
-    /// Drawn at its start: tells apart what has one id on one machine, as containers have.
+    /// Random number drawn at start: distinguishes processes with the same id on one machine name, as in containers.
     #[serde(default)]
     pub instance: u32,
     /// Name of the session that answers.
@@ -36,13 +36,13 @@ pub struct LogReply {
 pub struct LogLine {
     /// Number within the process, from one.
     pub sequence: u64,
-    /// When, by the machine's wall clock, s of UNIX time.
+    /// Time by the machine's wall clock, s of UNIX time.
     pub unix_secs: f64,
     /// `ERROR`, `WARN` or `INFO`.
     pub level: String,
     /// What happened.
     pub message: String,
-    /// To whom and with what: `robot`, `part`, `goal`, `plan`, `reason`, …
+    /// Structured fields: `robot`, `part`, `goal`, `plan`, `reason`, …
     #[serde(default)]
     pub fields: BTreeMap<String, String>,
 }

@@ -1,4 +1,4 @@
-//! Occupancy grid map. What does the world look like, what changed in it, and how is mapping controlled?
+//! Occupancy grid map. What does the mapped world look like, what changed, and how is mapping controlled?
 
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
@@ -10,15 +10,15 @@ use crate::time::Stamp;
 /// Side of a map tile, cells.
 pub const TILE: u32 = 64;
 
-/// A map at one of its revisions.
+/// A map at a revision.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct MapRef {
-    /// Identifies the map; new for every map that is begun.
+    /// Identifies the map; new for every map that is started.
     pub id: String,
     /// Number of the map's latest change.
     pub revision: u64,
-    /// The frame that its coordinates are in: a loop closure that moves the map begins the next one.
+    /// Frame of the map's coordinates: a loop closure that moves the map starts the next one.
     #[serde(default, skip_serializing_if = "is_first")]
     pub frame: u64,
 }
@@ -67,40 +67,40 @@ pub struct MapPatch {
     pub stamp: Stamp,
     /// The map, at its revision after the patch.
     pub map: MapRef,
-    /// The revision that the patch applies to; zero is the unknown map. A replica at another revision asks for the whole map.
+    /// The revision that the patch applies to; zero is the all-unknown map. A replica at another revision requests the whole map.
     pub base_revision: u64,
-    /// Geometry of the whole map after the patch: it may have grown, by whole tiles.
+    /// Geometry of the whole map after the patch; the map may have grown, by whole tiles.
     pub spec: GridSpec,
     /// The changed tiles.
     pub tiles: Vec<Tile>,
 }
 
-/// Asks for the map, or changes what mapping does with it.
+/// Asks for the map, or controls mapping.
 ///
-/// The selector's parameter `format` (`json`, `png`, `pgm`, `yaml`, `cbor`) says in which form the map is wanted. While somebody holds the
-/// robot's lease, every action but `get` and `list` must carry the lease's epoch, as in `{"action": "reset", "epoch": 7}`.
+/// The selector's parameter `format` (`json`, `png`, `pgm`, `yaml`, `cbor`) selects the format of the map. While the robot's lease is held,
+/// every action but `get` and `list` must carry the lease's epoch, as in `{"action": "reset", "epoch": 7}`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct MapRequest {
-    /// What mapping is to do; without it, only answer.
+    /// What mapping is to do; without it, the request only reads the map.
     #[serde(default)]
     pub action: MapAction,
-    /// Identifies the request: a repeated one is not carried out again, but gets the first answer.
+    /// Identifies the request: a repeated request is not carried out again; it gets the first answer.
     pub request_id: Option<String>,
-    /// Lease epoch of the asker, for every action that changes the map.
+    /// Lease epoch of the requester, for every action that changes the map.
     pub epoch: Option<u64>,
-    /// Name of a stored map, for `save` (beside the robot's own map) and `load`.
+    /// Name of a stored map, for `save` (a copy beside the robot's own map) and `load`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
-    /// For `load` without a name: the map itself.
+    /// For `load` without a name: the map.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub map: Option<GivenMap>,
-    /// For `load`: go on inserting scans into it, instead of holding it.
+    /// For `load`: keep inserting scans into the loaded map instead of holding it.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub live: bool,
 }
 
-/// A map that comes with a request.
+/// A map sent with a request.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct GivenMap {
@@ -117,34 +117,34 @@ pub struct GivenMap {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum MapAction {
-    /// Only answer, with the map.
+    /// Return the map.
     #[default]
     Get,
-    /// Store the map as `map_server` files; from then on it counts as complete.
+    /// Store the map as `map_server` files; the map then counts as complete.
     Save,
-    /// Begin a new map, all unknown, and insert scans into it.
+    /// Start a new, all-unknown map, and insert scans into it.
     Reset,
     /// Insert scans again. A map loaded from a file is held until then.
     Resume,
-    /// Hold the map: insert no more scans.
+    /// Hold the map: stop inserting scans.
     Hold,
-    /// Let every recent obstacle decay at once; what is still there will be seen again.
+    /// Let every recent obstacle decay at once; obstacles that are still there will be seen again.
     Forget,
-    /// Replace the map by a stored one or by the request's own; it counts as complete, and is held unless it is to be `live`.
+    /// Replace the map by a stored one or by the one in the request; it counts as complete, and is held unless `live` is set.
     Load,
-    /// Only answer, with the stored maps.
+    /// List the stored maps.
     List,
 }
 
-/// A map that is stored beside the robot's own.
+/// A map stored beside the robot's own.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct StoredMapInfo {
-    /// Name under which it was stored.
+    /// Name of the stored map.
     pub name: String,
-    /// The map and its revision, as far as its record tells.
+    /// The map and its revision, as far as recorded.
     pub map: MapRef,
-    /// Number of scans in it.
+    /// Number of scans in the map.
     pub scans: u64,
 }
 
@@ -162,7 +162,7 @@ pub struct MapReply {
     #[serde(default)]
     #[cfg_attr(feature = "schema", schemars(with = "Vec<[f64; 2]>"))]
     pub trajectory: Vec<Point2<f64>>,
-    /// For `list`: the maps that are stored beside the robot's own, by name.
+    /// For `list`: maps stored beside the robot's own, ordered by name.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub stored: Vec<StoredMapInfo>,
 }

@@ -1,4 +1,4 @@
-//! Mission status. What is the behaviour tree doing, and who is each component?
+//! Mission status. What is the behaviour tree doing, and what is each component's identity?
 
 use std::collections::BTreeMap;
 
@@ -14,7 +14,7 @@ use crate::time::Stamp;
 pub struct MissionStatus {
     /// Time of the status, on the mission's clock.
     pub stamp: Stamp,
-    /// Name of the orchestrator, as it stands in the lease.
+    /// Name of the orchestrator, as used in the lease.
     pub holder: String,
     /// Whether the orchestrator holds the robot's lease.
     pub leads: bool,
@@ -33,7 +33,7 @@ pub struct MissionStatus {
     /// Number of goals in the queue.
     #[serde(default)]
     pub queued: u64,
-    /// Stores of the standbys that hold every goal and can take over at once. Empty: the orchestrator has no standby.
+    /// Stores of the standbys that hold every goal and can take over at once. Empty without a standby.
     #[serde(default)]
     pub standbys: Vec<String>,
 }
@@ -52,13 +52,13 @@ pub struct NodeStatus {
     pub id: String,
     /// `IDLE`, `RUNNING`, `SUCCESS`, `FAILURE` or `SKIPPED`.
     pub status: String,
-    /// The node's own words on its status.
+    /// The node's own description of its status.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub feedback: String,
-    /// What the node answered last, as in `status`: stays when its parent resets it. Empty before its first answer.
+    /// The node's last result, as in `status`; kept when its parent resets it. Empty before its first result.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub last: String,
-    /// Of a node that has run: its ports and what is on them, in words.
+    /// Ports of a node that has run, and their values as text.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub ports: BTreeMap<String, String>,
 }
@@ -76,16 +76,17 @@ pub struct InfoReply {
     pub component: String,
     /// Version of the component's program.
     pub version: String,
-    /// Version of the component's message schema ([`SCHEMA_VERSION`](crate::SCHEMA_VERSION)); a client with another one refuses to start.
+    /// Version of the component's message schema ([`SCHEMA_VERSION`](crate::SCHEMA_VERSION)); a client with a different version refuses to
+    /// start.
     pub schema: u32,
     /// The robot that the component serves.
     pub robot: String,
-    /// From an edge: its present start and time.
+    /// From an edge: its current boot and time.
     pub boot: Option<BasedOn>,
     /// From a mission: name of the store that keeps its goals.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub store: Option<String>,
-    /// From a mission: whether it keeps the robot's goals, or will unless the robot says otherwise.
+    /// From a mission: whether it keeps the robot's goals, or will do so unless the robot names another leader.
     #[serde(default)]
     pub leads: bool,
     /// From an edge: the robot's footprint, limits and sensors.
@@ -97,13 +98,13 @@ pub struct InfoReply {
     /// The process that the component runs in.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub process: Option<ProcessInfo>,
-    /// The settings by which its results can be computed again, by section of the deployment file: `mapping` and `poses` of mapping,
-    /// `motion` of a motion worker.
+    /// Settings needed to reproduce its results, by section of the deployment file: `mapping` and `poses` from mapping, `motion` from a
+    /// motion worker.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub settings: BTreeMap<String, serde_json::Value>,
 }
 
-/// Where a component runs, and what its process takes. What the system does not tell is zero.
+/// Where a component runs, and the resources of its process. Values that the system does not provide are zero.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct ProcessInfo {
@@ -111,24 +112,24 @@ pub struct ProcessInfo {
     pub part: String,
     /// Name of the machine.
     pub host: String,
-    /// Id of the process on it.
+    /// Process id on that machine.
     pub pid: u32,
-    /// Drawn at its start: tells apart what has one id on one machine, as containers have.
+    /// Random number drawn at start: distinguishes processes with the same id on one machine name, as in containers.
     #[serde(default)]
     pub instance: u32,
-    /// Time since the start of the process, s.
+    /// Time since the process started, s.
     pub uptime_secs: f64,
-    /// Processor time since the start, s.
+    /// Processor time used since the start, s.
     pub cpu_secs: f64,
     /// Resident memory, bytes.
     pub memory_bytes: u64,
-    /// The machine's wall clock at the answer, s of UNIX time: for a person who compares logs; nothing is decided by it.
+    /// The machine's wall clock at the answer, s of UNIX time: only for comparing logs; no decision depends on it.
     pub unix_secs: f64,
 }
 
 /// Loop timing: how late control ticks began, since the start.
 ///
-/// Lateness counts from the tick's deadline; where the body sets the pace, from one body tick after the tick before.
+/// Lateness is measured from the tick's deadline; if the body sets the pace, from one body tick after the previous tick.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Pacing {

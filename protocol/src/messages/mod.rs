@@ -1,6 +1,6 @@
 //! Messages. What crosses the wire between robot, cloud and operator?
 //!
-//! Plain structs with serde, one file for each part of the data way. Conventions, for all of them:
+//! Plain structs with serde, one file for each stage of the data path. Conventions for all of them:
 //!
 //! * SI units; angles in radians, yaw counter-clockwise in (-π, π]; coordinates in the map frame unless the field says otherwise.
 //! * A message carries the stamp of its writer's own clock; clocks of two machines are never compared.
@@ -10,21 +10,21 @@
 //! | file | subject |
 //! |---|---|
 //! | [`sensors`](crate::sensors) | sensor readings as the robot publishes them |
-//! | `localise` | where the robot is said to be, and whether it is to be looked for |
+//! | `localise` | asks how well the robot is localised, gives its pose, or starts a search for it |
 //! | `estimate` | the robot's pose estimate, and corrections to it |
-//! | `frame` | how the map moved as loops closed |
+//! | `frame` | how loop closures moved the map |
 //! | `state`, `event` | what the robot is doing, and what happened on it |
-//! | `obstacles` | the moving obstacles that the robot tracks |
-//! | `intent` | what the robot is about to do, for other robots |
+//! | `obstacles` | moving obstacles tracked by the robot |
+//! | `intent` | a robot's announced motion, for other robots |
 //! | `lease` | who may command the robot |
 //! | `control` | stop, teleop, modes, parameters |
 //! | `behaviour` | manoeuvres that the robot executes by itself |
-//! | `map` | the occupancy grid map and its changes |
+//! | `map` | the occupancy grid map and its patches |
 //! | `annotations` | places and zones of the map |
-//! | `plan` | plans, and what planners and smoothers are asked |
-//! | `goal`, `mission` | goals, their states, and the behaviour tree at work |
+//! | `plan`, `motion` | plans, and requests to planners and smoothers |
+//! | `goal`, `mission` | goals, their states, and the running behaviour tree |
 //! | `journal` | replication of a mission's store to its standbys |
-//! | `remote` | actions of a behaviour tree in other programs |
+//! | `remote` | actions of a behaviour tree that other programs execute |
 //! | `body` | a robot body in another process |
 //! | `log` | the newest lines of a process's log |
 //! | `refusal` | why a request was refused |

@@ -1,4 +1,4 @@
-//! Motion requests. What is asked of a motion worker, and what does it answer: a path, a trajectory, or both at once.
+//! Motion requests. What is a motion worker asked for, and what does it answer: a path, a trajectory, or both?
 
 use std::time::Duration;
 
@@ -11,9 +11,9 @@ use crate::robot::RobotModel;
 use crate::time::Stamp;
 use crate::trajectory::Trajectory;
 
-/// Time that smoothing may take; then the path goes out unsmoothed, as stop, turn and go.
+/// Time limit of smoothing; after it the path is sent unsmoothed, as stop, turn and go.
 pub const SMOOTHING_BUDGET: Duration = Duration::from_secs(2);
-/// Longest time that a search may take, whatever is asked for.
+/// Upper limit of the search time, whatever is requested.
 const LONGEST_SEARCH: Duration = Duration::from_secs(60);
 
 /// A request to a motion worker; on the wire `{"kind": "trajectory" | "plan" | "smooth", …}`.
@@ -21,16 +21,16 @@ const LONGEST_SEARCH: Duration = Duration::from_secs(60);
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum MotionRequest {
-    /// A path that the robot can drive, and its trajectory.
+    /// A drivable path and its trajectory.
     Trajectory(TrajectoryRequest),
-    /// A path alone.
+    /// A path only.
     Plan(PlanRequest),
     /// The trajectory along a given path.
     Smooth(SmoothRequest),
 }
 
 impl MotionRequest {
-    /// The robot whose map is needed, and the state of it that is needed at least.
+    /// The robot whose map is needed, and the least revision of it.
     #[must_use]
     pub fn map(&self) -> (&str, &MapRef) {
         match self {
@@ -39,7 +39,7 @@ impl MotionRequest {
         }
     }
 
-    /// Time that the search may take.
+    /// Time limit of the search.
     #[must_use]
     pub fn search_budget(&self) -> Duration {
         match self {
@@ -50,7 +50,7 @@ impl MotionRequest {
         }
     }
 
-    /// Time that the whole answer may take.
+    /// Time limit of the whole answer.
     #[must_use]
     pub fn budget(&self) -> Duration {
         match self {
@@ -82,15 +82,16 @@ pub struct TrajectoryRequest {
     /// Velocity at the start.
     #[serde(default)]
     pub start_velocity: Twist2,
-    /// Heading wanted at the end, rad, if any.
+    /// Heading at the end, rad; without it, any.
     pub goal_yaw: Option<f64>,
-    /// What the trajectory is to be good at.
+    /// Objective of the trajectory.
     #[serde(default)]
     pub profile: DrivingProfile,
 }
 
 impl TrajectoryRequest {
-    /// The second half of the request: the trajectory along the path that was found on a map, some pieces of it backwards.
+    /// The second half of the request: the trajectory along the path found on a map; `backwards` lists the pieces that are driven in
+    /// reverse.
     #[must_use]
     pub fn smooth(&self, map: MapRef, path: Vec<Point2<f64>>, backwards: Vec<usize>) -> SmoothRequest {
         SmoothRequest {
@@ -115,9 +116,9 @@ impl TrajectoryRequest {
 pub struct TrajectoryReply {
     /// The path, or why there is none.
     pub plan: PlanReply,
-    /// Its trajectory; `None` without a path. Empty where the robot cannot drive the path, as the status says.
+    /// Its trajectory; `None` without a path. Empty where the robot cannot drive the path; the status gives the reason.
     pub smooth: Option<SmoothReply>,
-    /// When the robot is at the goal, its waits for `yield_to` included, s from the start; `None` of a path that gives way to nobody.
+    /// Predicted time of arrival at the goal, waits for `yield_to` included, s from the start. `None` for a path that ignores other robots.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub arrival_secs: Option<f64>,
 }
@@ -126,16 +127,16 @@ pub struct TrajectoryReply {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct PlanRequest {
-    /// Whose map to plan on.
+    /// Robot on whose map to plan.
     pub robot: String,
     /// Footprint and limits.
     #[cfg_attr(feature = "schema", schemars(with = "serde_json::Value"))]
     pub model: RobotModel,
-    /// The map must be at least at this revision; a worker with an older one asks for the whole first.
+    /// Least revision of the map; a worker with an older one first requests the whole map.
     pub map: MapRef,
     /// Start, map frame.
     pub start: Pose2,
-    /// Poses to pass on the way to the goal, in order, map frame.
+    /// Poses to pass through on the way to the goal, in order, map frame.
     #[serde(default)]
     pub via: Vec<Pose2>,
     /// Goal, map frame.
@@ -145,22 +146,22 @@ pub struct PlanRequest {
     /// Whether unknown cells may be driven through.
     #[serde(default)]
     pub unknown_is_free: bool,
-    /// Points whose cells count as free, map frame, m: would there be a path if what stands there had left?
+    /// Points whose cells count as free, map frame, m: tests whether a path would exist if the obstacle there left.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[cfg_attr(feature = "schema", schemars(with = "Vec<[f64; 2]>"))]
     pub cleared: Vec<Point2<f64>>,
-    /// Robots to give way to, from the time of the request on: the path leads past them where it can.
+    /// Courses of robots with right of way, times relative to the start: the path passes them in space and time where it can.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub yield_to: Vec<KnownCourse>,
-    /// A robot that does not fit where it stands, by the map, may leave by the nearest free position, if that is this near, m.
+    /// If the map has the robot standing where it does not fit, it may leave through the nearest free position within this distance, m.
     #[serde(default)]
     pub escape: f64,
-    /// A goal where the robot does not fit may be replaced by the nearest free position, if that is this near, m.
+    /// A goal where the robot does not fit may be replaced by the nearest free position within this distance, m.
     #[serde(default, skip_serializing_if = "is_none")]
     pub goal_tolerance: f64,
-    /// Time the search may take, ms.
+    /// Time limit of the search, ms.
     pub budget_ms: u64,
-    /// Seed of planners that draw samples.
+    /// Seed of sampling-based planners.
     #[serde(default)]
     pub seed: u64,
 }
@@ -171,70 +172,70 @@ pub struct PlanRequest {
 pub struct PlanReply {
     /// The map that was planned on.
     pub map: MapRef,
-    /// What came out.
+    /// Result of the search.
     pub outcome: PlanOutcome,
-    /// Pieces of the path that are driven backwards, by the corner that they begin at.
+    /// Pieces of the path that are driven in reverse, each by the index of its first corner.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub backwards: Vec<usize>,
-    /// The leg that the outcome is about where there is no path: zero leads to the first pose of `via`, or to the goal.
+    /// If there is no path, the leg that the outcome is about: zero leads to the first pose of `via`, or to the goal.
     #[serde(default)]
     pub leg: usize,
-    /// Whether the path first leads out of a place where the robot does not fit.
+    /// Whether the path starts by leaving a place where the robot does not fit.
     #[serde(default)]
     pub escapes: bool,
     /// Time in the search, ms.
     pub search_ms: f64,
     /// Nodes expanded.
     pub expansions: u64,
-    /// How the answer came about.
+    /// How the answer was obtained.
     #[serde(default)]
     pub origin: PlanOrigin,
 }
 
-/// How an answer to a [`PlanRequest`] came about.
+/// How an answer to a [`PlanRequest`] was obtained.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum PlanOrigin {
-    /// By a search for it.
+    /// By a search.
     #[default]
     Searched,
-    /// An earlier answer, or the rest of it, which is still as good as a search would find.
+    /// An earlier answer, or the rest of it, that is still as good as a new search result.
     Reused,
-    /// An earlier answer of which a piece was replaced, or which is a few hundredths longer than need be.
+    /// An earlier answer with one piece replaced, or one that is a few hundredths longer than necessary.
     Repaired,
 }
 
-/// What came out of a search.
+/// Result of a search.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(tag = "outcome")]
 pub enum PlanOutcome {
     /// A path, from start to goal.
     Found {
-        /// Corner points, map frame, start and goal included.
+        /// Corner points, map frame, including start and goal.
         #[cfg_attr(feature = "schema", schemars(with = "Vec<[f64; 2]>"))]
         path: Vec<Point2<f64>>,
         /// Its length, m.
         length: f64,
     },
-    /// The robot does not fit where it is to go.
+    /// The robot does not fit at the goal.
     GoalOccupied {
-        /// The nearest place where it does.
+        /// The nearest place where it fits.
         #[cfg_attr(feature = "schema", schemars(with = "Option<[f64; 2]>"))]
         nearest_free: Option<Point2<f64>>,
     },
-    /// The robot does not fit where it stands, by this map.
+    /// The robot does not fit where it stands, according to this map.
     StartOccupied {
-        /// The nearest place where it does.
+        /// The nearest place where it fits.
         #[cfg_attr(feature = "schema", schemars(with = "Option<[f64; 2]>"))]
         nearest_free: Option<Point2<f64>>,
     },
     /// Start and goal are not connected.
     NoPath,
-    /// Start or goal lie outside the map.
+    /// Start or goal is outside the map.
     OutOfMap,
-    /// The budget ran out.
+    /// The search ran out of time.
     TimedOut,
     /// The worker has no such map.
     NoMap,
@@ -244,38 +245,38 @@ pub enum PlanOutcome {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct SmoothRequest {
-    /// Whose map to smooth on.
+    /// Robot on whose map to smooth.
     pub robot: String,
     /// Footprint and limits.
     #[cfg_attr(feature = "schema", schemars(with = "serde_json::Value"))]
     pub model: RobotModel,
     /// The map that the path was found on.
     pub map: MapRef,
-    /// Corner points, map frame, start and goal included.
+    /// Corner points, map frame, including start and goal.
     #[cfg_attr(feature = "schema", schemars(with = "Vec<[f64; 2]>"))]
     pub path: Vec<Point2<f64>>,
-    /// Points of the path to stop at on the way, in order, map frame: elsewhere its corners may be cut.
+    /// Points of the path to stop at, in order, map frame; other corners may be cut.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[cfg_attr(feature = "schema", schemars(with = "Vec<[f64; 2]>"))]
     pub via: Vec<Point2<f64>>,
-    /// Pieces of the path that are driven backwards, by the corner that they begin at.
+    /// Pieces of the path that are driven in reverse, each by the index of its first corner.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub backwards: Vec<usize>,
     /// Pose at the start.
     pub start: Pose2,
     /// Velocity at the start.
     pub start_velocity: Twist2,
-    /// Heading wanted at the end, if any.
+    /// Heading at the end; without it, any.
     pub goal_yaw: Option<f64>,
     /// Whether unknown cells may be driven through.
     #[serde(default)]
     pub unknown_is_free: bool,
-    /// What the trajectory is to be good at.
+    /// Objective of the trajectory.
     #[serde(default)]
     pub profile: DrivingProfile,
 }
 
-/// What a trajectory is to be good at.
+/// Objective of a trajectory.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
@@ -283,7 +284,7 @@ pub enum DrivingProfile {
     /// As fast as the limits allow.
     #[default]
     Fastest,
-    /// With the least energy for the path, by the robot's own model of its motors, in whatever time that takes.
+    /// With the least energy for the path, by the robot's own motor model, regardless of duration.
     Economy,
 }
 
@@ -305,24 +306,24 @@ impl std::str::FromStr for DrivingProfile {
 pub struct SmoothReply {
     /// The map that was smoothed on.
     pub map: MapRef,
-    /// The trajectory; empty only where there is nothing to drive, or where the path is blocked, as the status says.
+    /// The trajectory; empty only if there is nothing to drive, or the path is blocked, as given by the status.
     pub trajectory: Trajectory,
     /// Status, times, certificate.
     pub statistics: PlanStatistics,
 }
 
-/// What a motion worker was asked, and what it answered: enough to compute it again.
+/// A motion worker's request and answer, sufficient to reproduce the computation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct MotionRecord {
-    /// When it was answered, on the worker's clock.
+    /// Time of the answer, on the worker's clock.
     pub stamp: Stamp,
     /// The worker's name.
     pub worker: String,
-    /// Which of the worker's requests it was, counted from 1 since its start, over all robots. What a worker keeps of one request for the
-    /// next is known to whoever has all of them.
+    /// Number of the request, counted from 1 since the worker's start, over all robots. The state that a worker keeps between requests can
+    /// be reconstructed from all of its records.
     pub number: u64,
-    /// The map that it was answered on; `None` without one.
+    /// The map that the answer was computed on; `None` without one.
     pub map: Option<MapRef>,
     /// Zones of that map.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -331,16 +332,16 @@ pub struct MotionRecord {
     pub request: MotionRequest,
     /// What was answered.
     pub answer: Result<MotionReply, Refusal>,
-    /// Whether its time ran out while it was worked on: it might have come out otherwise.
+    /// Whether the time limit was reached while the request was processed; a repetition may give a different result.
     #[serde(default)]
     pub cut_short: bool,
 }
 
-/// A search tree or path, to be drawn.
+/// A search tree or path, for display.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct SearchTree {
-    /// When it was made.
+    /// Time at which it was made.
     pub stamp: Stamp,
     /// Pairs of points, map frame: each an edge of the tree.
     #[cfg_attr(feature = "schema", schemars(with = "Vec<[[f64; 2]; 2]>"))]

@@ -1,4 +1,4 @@
-//! Plan. How is the robot to move, and until when may it?
+//! Plan. How is the robot to move, and until when is the plan valid?
 
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
@@ -7,11 +7,11 @@ use super::MapRef;
 use crate::time::Stamp;
 pub use crate::trajectory::{Trajectory, TrajectoryPoint};
 
-/// Order of the plans of one robot: a restarted writer is newer, never stale.
+/// Order of the plans for one robot: plans of a restarted writer are newer than all before.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Revision {
-    /// Number of the writer's life, greater after every restart.
+    /// Number of the writer's run, higher after every restart.
     pub incarnation: u64,
     /// Counts the writer's plans from one.
     pub counter: u64,
@@ -23,52 +23,52 @@ pub struct Revision {
 pub struct BasedOn {
     /// Its stamp, on the edge's own clock.
     pub stamp: Stamp,
-    /// The boot that the clock belongs to.
+    /// Boot that the clock belongs to.
     pub boot_id: String,
 }
 
-/// What moves a robot. Written only by the mission that holds the robot's lease.
+/// The motion that a robot is to follow, and its validity. Written only by the mission that holds the robot's lease.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Plan {
-    /// The goal it serves.
+    /// The goal that the plan serves.
     pub goal_id: String,
-    /// The lease that it is written under.
+    /// Lease epoch under which the plan was written.
     pub epoch: u64,
     /// Newer plans replace older ones.
     pub revision: Revision,
-    /// Names the trajectory: a renewal keeps it, and the robot goes on where it is.
+    /// Identifies the trajectory: a renewed plan keeps it, and the robot continues along it.
     pub trajectory_id: u64,
-    /// The map it was checked on.
+    /// The map that the plan was checked on.
     pub map: MapRef,
     /// Frame of all coordinates: `map`.
     pub frame: String,
-    /// The edge pose it was planned from or rechecked at; validity counts from here.
+    /// The edge pose that the plan was computed from or rechecked at; validity counts from its stamp.
     pub based_on: BasedOn,
-    /// For how long after `based_on` the robot may move by it, s. By then it is at rest.
+    /// How long after `based_on` the robot may follow the plan, s. The robot is at rest by then.
     pub valid_for: f64,
-    /// The path's corner points, start excluded; driven by the waypoint law when there is no trajectory.
+    /// The path's corner points, without the start; a waypoint law drives them when there is no trajectory.
     #[cfg_attr(feature = "schema", schemars(with = "Vec<[f64; 2]>"))]
     pub waypoints: Vec<Point2<f64>>,
     /// The time-stamped trajectory; empty for a plain list of waypoints.
     pub trajectory: Trajectory,
-    /// Where on the trajectory before this one it begins; without it, where the robot rests.
+    /// Point on the previous trajectory at which this one begins; without it, the trajectory begins where the robot rests.
     pub splice: Option<Splice>,
-    /// How it came about.
+    /// How the plan was computed.
     pub statistics: PlanStatistics,
 }
 
-/// A point on the trajectory that a new one replaces: a replan starts at the state predicted there, speed included.
+/// A point on the trajectory that a new one replaces: a replan starts from the state predicted there, including speed.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Splice {
     /// The trajectory being driven.
     pub trajectory_id: u64,
-    /// Its plan time at which the new trajectory begins, s.
+    /// Plan time on it at which the new trajectory begins, s.
     pub time: f64,
 }
 
-/// How a plan came about, and its certificate.
+/// How a plan was computed, and its certificate.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct PlanStatistics {
@@ -76,46 +76,48 @@ pub struct PlanStatistics {
     pub planner: String,
     /// Time in the search, ms.
     pub search_ms: f64,
-    /// Time in shortcut and corridor, ms.
+    /// Time in shortcutting and corridor, ms.
     pub corridor_ms: f64,
     /// Time in the geometry solver, ms.
     pub geometry_ms: f64,
     /// Time in the time law, ms.
     pub timing_ms: f64,
-    /// Length of the path driven, m.
+    /// Length of the driven path, m.
     pub length: f64,
     /// Duration of the trajectory, s.
     pub duration: f64,
-    /// Energy that it will draw by the robot's model, J.
+    /// Energy that the trajectory draws by the robot's model, J.
     #[serde(default)]
     pub energy_j: f64,
-    /// Least distance of the true footprint to an occupied cell along the trajectory, m; `None` when there is nothing near.
+    /// Least distance of the true footprint to an occupied cell along the trajectory, m; `None` when no such cell is near.
     pub min_clearance: Option<f64>,
     /// `smoothed`, `fallback:REASON`, or `waypoints`.
     pub status: String,
     /// The geometry solver's own status.
     pub solver: String,
-    /// What was checked, and what the solvers said.
+    /// What was checked, and the solvers' results.
     #[serde(default)]
     pub certificate: Certificate,
 }
 
-/// Why a trajectory may be trusted: what an independent check of it found, and how its parts came about. Clearance stands beside it.
+/// Why a trajectory can be trusted: the result of an independent check, and how its parts were computed. The clearance is in
+/// [`PlanStatistics`].
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default)]
 pub struct Certificate {
-    /// The free polygons that the curve keeps to; `None` where the path's own lines are driven.
+    /// The free polygons that contain the curve; `None` where the path is driven as straight lines.
     pub corridor: Option<CorridorFigures>,
     /// How the curve was found; `None` as above.
     pub geometry: Option<SolverFigures>,
-    /// The time law: `sweep` (as fast as the limits allow), `jerk_limited`, or `sweep:REASON` where a limited jerk was asked for.
+    /// The time law: `sweep` (as fast as the limits allow), `jerk_limited`, or `sweep:REASON` where a jerk limit was requested but not
+    /// applied.
     pub time_law: String,
-    /// How a limited jerk was found; `None` without.
+    /// How the jerk-limited time law was found; `None` without one.
     pub timing: Option<SolverFigures>,
-    /// Largest use of each limit, by the trajectory itself.
+    /// Largest use of each limit along the trajectory.
     pub largest_use: LimitUse,
-    /// Shortest duration on this geometry, by the exact sweep without a limit of the jerk, s.
+    /// Shortest duration on this geometry, by the exact sweep without a jerk limit, s.
     pub lower_bound: f64,
     /// Duration over the lower bound.
     pub over_lower_bound: f64,
@@ -128,23 +130,23 @@ pub struct CorridorFigures {
     /// Convex free polygons, each overlapping the next.
     #[serde(rename = "rooms")]
     pub polygons: usize,
-    /// Least width across the path that the robot's centre has, m.
+    /// Least width across the path available to the robot's centre, m.
     pub least_width: f64,
 }
 
-/// How a solver ended.
+/// Result of a solver.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct SolverFigures {
-    /// Its own status; the worst where there was more than one problem.
+    /// The solver's status; the worst one if several problems were solved.
     pub status: String,
-    /// Iterations of all problems.
+    /// Iterations, summed over all problems.
     pub iterations: u32,
-    /// Relative duality gap, the largest of all problems.
+    /// Relative duality gap, the largest over all problems.
     pub gap: f64,
 }
 
-/// Shares of a robot's limits: one is the whole limit, plans use at most 0.95.
+/// Use of a robot's limits as shares: one is the whole limit; plans use at most 0.95.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default)]
@@ -159,7 +161,7 @@ pub struct LimitUse {
     pub lateral_acceleration: f64,
     /// Of the yaw rate.
     pub yaw_rate: f64,
-    /// Of the jerk; `None` without such a limit, and where the acceleration jumps.
+    /// Of the jerk; `None` without a jerk limit, and where the acceleration jumps.
     pub jerk: Option<f64>,
 }
 

@@ -1,4 +1,4 @@
-//! Refusals. Why was a request refused, and with which exit code does a command then end?
+//! Refusals. Why was a request refused, and what exit code does the command return?
 
 use std::fmt::Display;
 
@@ -12,19 +12,19 @@ use super::{GoalPoint, Leader, LeaseRole};
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(tag = "error")]
 pub enum Refusal {
-    /// The server understood the request, but the request cannot be carried out.
+    /// The request was understood, but cannot be carried out.
     #[error("rejected: {reason}{}", nearest(.nearest_free))]
     Rejected {
-        /// What stands against it, with the numbers that were compared.
+        /// What prevents it, with the numbers compared.
         reason: String,
         /// The nearest free place, map frame.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         nearest_free: Option<GoalPoint>,
     },
-    /// The server did not understand the request.
+    /// The request was not understood.
     #[error("bad request: {reason}")]
     BadRequest {
-        /// What the server expected, and where the request differs.
+        /// What was expected, and where the request differs.
         reason: String,
     },
     /// The request is larger than its key allows.
@@ -39,10 +39,10 @@ pub enum Refusal {
         /// What was not found.
         what: String,
     },
-    /// The server is a standby; another one leads.
+    /// The server is a standby; another mission leads.
     #[error("not the leader")]
     NotLeader,
-    /// Somebody else holds the lease.
+    /// The lease has another holder.
     #[error("{holder} holds the lease ({role:?}, epoch {epoch})")]
     Held {
         /// The holder.
@@ -51,11 +51,11 @@ pub enum Refusal {
         role: LeaseRole,
         /// The holder's epoch.
         epoch: u64,
-        /// The mission that leads, whoever holds the lease.
+        /// The mission that leads, regardless of who holds the lease.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         leader: Option<Leader>,
     },
-    /// The mission may not lead: it does not hold every goal that was acknowledged for the robot.
+    /// The mission may not lead: it lacks goals that were acknowledged for the robot.
     #[error("may not lead: the robot's goals are in the store {}; if no machine has it any more, `zenav lease forget` gives them up", .caught_up.join(" or "))]
     NotCaughtUp {
         /// The stores that hold every goal.
@@ -69,10 +69,10 @@ pub enum Refusal {
         /// The current epoch.
         current: u64,
     },
-    /// The server has too much to do; ask again later.
+    /// The server is overloaded; ask again later.
     #[error("busy: {reason}")]
     Busy {
-        /// What keeps the server busy.
+        /// What the server is busy with.
         reason: String,
     },
     /// The server failed.
@@ -108,7 +108,7 @@ impl Refusal {
         }
     }
 
-    /// What went wrong inside the server, with the reason.
+    /// [`Refusal::Internal`] with the server's own error.
     #[must_use]
     pub fn internal(reason: impl Display) -> Self {
         Self::Internal {

@@ -1,15 +1,16 @@
-//! Remote action. How does a behaviour tree have an action executed by a program in any language?
+//! Remote action. How does a program in any language execute an action of a behaviour tree?
 //!
 //! The program, called the server here, answers queries on one Zenoh key. A query carries a [`RemoteRequest`] as JSON; the server replies
 //! on the same key with a [`RemoteReply`] as JSON.
 //!
 //! * `run` with a new `execution` starts it; with a known one it only reports. The server replies at once, with `RUNNING` while the action
-//!   goes on. The mission asks again a few times a second until the reply is `SUCCESS` or `FAILURE`; after that the reply stays the same.
+//!   continues. The mission asks again a few times a second until the reply is `SUCCESS` or `FAILURE`; from then on the reply stays the
+//!   same.
 //! * `cancel` stops a running execution; the server replies as to `run`. For an unknown execution it starts nothing and replies `FAILURE`.
-//! * A request may arrive more than once, at the same time too, and after a restart of either side. So an execution happens at least once,
-//!   and exactly once with a server that keeps the ids of what it has started.
-//! * `epoch` is the lease under which the mission commands its robot; it grows with every change of holder. Of two requests for one robot
-//!   the server should obey the one with the greater epoch.
+//! * A request may arrive several times, also concurrently, and after a restart of either side. So an execution happens at least once, and
+//!   exactly once if the server keeps the ids of the executions it has started.
+//! * `epoch` is the lease epoch under which the mission commands its robot; it grows with every change of holder. Of two requests for one
+//!   robot the server should obey the one with the higher epoch.
 
 use std::collections::BTreeMap;
 
@@ -19,11 +20,11 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct RemoteRequest {
-    /// Identifies the execution: the same in every request about it, and in no other.
+    /// Identifies the execution: the same in every request about it, and unique to it.
     pub execution: String,
-    /// What is asked.
+    /// The requested action.
     pub action: RemoteAction,
-    /// Name of the robot whose mission asks.
+    /// Name of the robot whose mission sends the request.
     pub robot: String,
     /// The goal that the action serves.
     pub goal: String,
@@ -31,7 +32,7 @@ pub struct RemoteRequest {
     pub node: String,
     /// The mission's lease epoch.
     pub epoch: u64,
-    /// Values of the node's input ports, except the ports that say where and how often to ask.
+    /// Values of the node's input ports, except the ports that configure the key and the polling.
     #[serde(default)]
     pub inputs: BTreeMap<String, serde_json::Value>,
 }
@@ -55,7 +56,7 @@ pub struct RemoteReply {
     pub execution: String,
     /// The execution's status.
     pub status: RemoteStatus,
-    /// What the server is doing, or why the action failed, for people.
+    /// What the server is doing, or why the action failed, for display.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub feedback: String,
     /// Values for the node's output ports; read once the execution has ended.
@@ -63,14 +64,14 @@ pub struct RemoteReply {
     pub outputs: BTreeMap<String, serde_json::Value>,
 }
 
-/// Status of an execution, as a behaviour tree's node has it.
+/// Status of an execution, as a behaviour tree node reports it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "UPPERCASE")]
 pub enum RemoteStatus {
-    /// The action goes on.
+    /// The action continues.
     Running,
-    /// The action reached its aim.
+    /// The action succeeded.
     Success,
     /// The action failed or was cancelled.
     Failure,

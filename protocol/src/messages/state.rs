@@ -1,4 +1,4 @@
-//! Robot state. What is the robot doing now, and under whose command?
+//! Robot state. What is the robot doing now, and who commands it?
 
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
@@ -15,12 +15,12 @@ pub enum Link {
     Connected,
     /// No renewal for a while (default 0.5 s).
     Stale,
-    /// No renewal for long (default 3 s), or none yet.
+    /// No renewal for a long time (default 3 s), or none yet.
     #[default]
     Lost,
 }
 
-/// Which controller decides the robot's motion now.
+/// Which controller determines the robot's motion.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
@@ -32,7 +32,7 @@ pub enum Mode {
     Follow,
     /// An operator drives the robot by hand.
     Teleop,
-    /// One of the robot's own manoeuvres (spin, back up, …) runs.
+    /// The robot executes a manoeuvre (spin, back up, …).
     Behaviour,
     /// The robot follows walls by itself, without a cloud.
     WallFollow,
@@ -74,12 +74,12 @@ impl WallFollowerState {
     }
 }
 
-/// The collision monitor's verdict on the motion that is asked for.
+/// The collision monitor's verdict on the requested motion.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum GuardZone {
-    /// No limit: the motion goes through as asked.
+    /// No limit: the motion passes unchanged.
     #[default]
     Clear,
     /// The collision monitor slows the robot down.
@@ -106,7 +106,7 @@ pub struct PlanProgress {
     pub waypoint: usize,
     /// Path left, m.
     pub distance_left: f64,
-    /// Time left by the plan, s.
+    /// Time left until the plan's end, s.
     pub time_left: f64,
     /// Time until the plan expires, s.
     pub valid_for: f64,
@@ -122,13 +122,13 @@ pub struct EdgeState {
     pub stamp: Stamp,
     /// Identifies this start of the edge; new after every restart.
     pub boot_id: String,
-    /// Which controller decides the motion.
+    /// Which controller determines the motion.
     pub mode: Mode,
     /// How long ago the lease was renewed.
     pub link: Link,
     /// Who may command the robot.
     pub lease: LeaseState,
-    /// Round trip to the holder of the lease and back, by its heartbeats, s: the longest of late. `None` before its first heartbeat.
+    /// Recent maximum of the round trip to the lease holder and back, from its heartbeats, s. `None` before its first heartbeat.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub round_trip_secs: Option<f64>,
     /// Progress on the accepted plan, if there is one.
@@ -139,17 +139,17 @@ pub struct EdgeState {
     pub guard: GuardZone,
     /// Charge left, 0 to 1.
     pub battery: f64,
-    /// The manoeuvre that runs, or ran last.
+    /// The manoeuvre that is running, or the last one.
     pub behaviour: Option<BehaviourReport>,
-    /// State of the wall follower, on a robot that follows walls when nobody commands it.
+    /// State of the wall follower, for a robot that follows walls without a commander.
     pub wall_follower: Option<WallFollowerState>,
     /// Control ticks skipped since the start because they came too late.
     #[serde(default)]
     pub missed_ticks: u64,
-    /// Share of its scans, poses and readings that the robot sends, 0 to 1: less than 1 while its link carries no more.
+    /// Share of scans, poses and readings that the robot sends, 0 to 1: below 1 while its link cannot carry them all.
     #[serde(default = "all", skip_serializing_if = "is_all")]
     pub uplink: f64,
-    /// How often it was told to stop since its start.
+    /// Number of stops since the start.
     #[serde(default)]
     pub stops: u64,
     /// Whether the robot waits or leaves its plan to make way for another robot.
@@ -158,7 +158,7 @@ pub struct EdgeState {
     /// Frame of the map that the robot's pose and plan are in.
     #[serde(default, skip_serializing_if = "is_first")]
     pub frame: u64,
-    /// What is wrong with the robot itself, as long as it is.
+    /// Present faults of the robot itself.
     #[serde(default, skip_serializing_if = "Faults::are_none")]
     pub faults: Faults,
 }
@@ -172,27 +172,27 @@ fn is_all(share: &f64) -> bool {
     *share >= 1.0
 }
 
-/// What is wrong with the robot itself, in words.
+/// Faults of the robot itself, as text.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Faults {
-    /// Why there are no readings of its body: it brakes, takes no plan, and its clock stands.
+    /// Why the body sends no readings: the robot brakes, accepts no plan, and its clock stands still.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub body: Option<String>,
-    /// Why its newest epoch and stop are not stored: a restart would forget them, so it grants no lease.
+    /// Why the newest epoch and stop are not stored: a restart would forget them, so the robot grants no lease.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub storage: Option<String>,
 }
 
 impl Faults {
-    /// Whether nothing is wrong.
+    /// Whether there is no fault.
     #[must_use]
     pub const fn are_none(&self) -> bool {
         self.body.is_none() && self.storage.is_none()
     }
 }
 
-/// A shape to draw.
+/// A shape for display.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Marker {
@@ -200,7 +200,7 @@ pub struct Marker {
     pub stamp: Stamp,
     /// What the shape stands for, such as `waypoint`.
     pub name: String,
-    /// Corner points, map frame, m; a single one is a point.
+    /// Corner points, map frame, m; one corner is a point.
     #[cfg_attr(feature = "schema", schemars(with = "Vec<[f64; 2]>"))]
     pub points: Vec<Point2<f64>>,
 }

@@ -1,6 +1,6 @@
-//! Battery. How much does it hold, and how much of it is left?
+//! Battery. What is its capacity, and how much charge is left?
 //!
-//! What motion draws of it is [`MotorModel`](crate::energy::MotorModel)'s.
+//! The power drawn by motion is computed by [`MotorModel`](crate::energy::MotorModel).
 
 use serde::{Deserialize, Serialize};
 
@@ -14,7 +14,7 @@ use crate::time::Stamp;
 pub struct BatteryModel {
     /// Energy of a full battery, J.
     pub capacity: f64,
-    /// Power that sensors and computers always draw, W.
+    /// Constant power of sensors and computers, W.
     pub idle_power: f64,
     /// Share of the charge below which the robot reports a low battery, 0 to 1.
     pub low: f64,
@@ -31,7 +31,7 @@ impl Default for BatteryModel {
 }
 
 impl BatteryModel {
-    /// The first value that no battery has.
+    /// Checks all values; the first one out of bounds.
     pub(crate) fn check(&self) -> Result<(), OutOfBounds> {
         const CAPACITY: Expected = Expected::Range(100.0, f64::MAX, "J, at least 100 (1 Wh is 3600 J)");
         check_all(&[

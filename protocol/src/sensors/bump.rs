@@ -1,4 +1,4 @@
-//! Contact sensor. Is something touched, and where?
+//! Contact sensor. Does the robot touch something, and where?
 
 use serde::{Deserialize, Serialize};
 
@@ -10,14 +10,14 @@ use crate::time::Stamp;
 pub struct Bump {
     /// When it was measured.
     pub stamp: Stamp,
-    /// Whether something is touched.
+    /// Whether the robot touches something.
     pub pressed: bool,
-    /// Direction of the contact in the base frame, rad, where it is known.
+    /// Direction of the contact in the base frame, rad, if known.
     pub bearing: Option<f64>,
 }
 
 impl Bump {
-    /// Nothing is touched.
+    /// No contact.
     #[must_use]
     pub fn none(stamp: Stamp) -> Self {
         Self {

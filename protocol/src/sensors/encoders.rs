@@ -1,4 +1,4 @@
-//! Wheel encoders. How well do they measure what the wheels turn?
+//! Wheel encoders. How accurately do they measure the wheel angles?
 //!
 //! Their reading is the angle of each wheel since start ([`Readings::wheels`](crate::readings::Readings::wheels)); it is published as
 //! part of [`Odometry`](crate::messages::Odometry).
@@ -13,13 +13,13 @@ use crate::config_text::{Expected, OutOfBounds, check_all};
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct EncoderModel {
-    /// Standard deviation of a wheel's measured turn, as a share of the turn.
+    /// Standard deviation of a wheel's measured rotation, as a share of the rotation.
     pub noise: f64,
     /// Smallest step, rad.
     pub resolution: f64,
-    /// Readings per second; without it one every control step.
+    /// Readings per second; without it, one per control tick.
     pub rate_hz: Option<f64>,
-    /// Share of readings that are lost, 0 to 1: the angles of the one before stand.
+    /// Share of lost readings, 0 to 1: the previous angles stay.
     pub dropout: f64,
     /// Time from a reading to its delivery, s.
     pub latency: f64,
@@ -38,7 +38,7 @@ impl Default for EncoderModel {
 }
 
 impl EncoderModel {
-    /// The first value that no encoder has.
+    /// Checks all values; the first one out of bounds.
     pub(crate) fn check(&self) -> Result<(), OutOfBounds> {
         check_all(&[
             ("rate_hz", self.rate_hz.unwrap_or(1.0), Expected::Positive),

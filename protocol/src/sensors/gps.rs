@@ -1,4 +1,4 @@
-//! GPS or beacons. How well do they measure the position, and what is published of it?
+//! GPS or beacons. How accurately do they measure the position, and what is published?
 
 use serde::{Deserialize, Serialize};
 
@@ -21,7 +21,7 @@ pub struct GpsModel {
     /// Smallest step of a coordinate, m.
     #[serde(default)]
     pub resolution: f64,
-    /// Share of readings that are lost, 0 to 1.
+    /// Share of lost readings, 0 to 1.
     #[serde(default)]
     pub dropout: f64,
     /// Time from a reading to its delivery, s.
@@ -30,7 +30,7 @@ pub struct GpsModel {
 }
 
 impl GpsModel {
-    /// The first value that no receiver has.
+    /// Checks all values; the first one out of bounds.
     pub(crate) fn check(&self) -> Result<(), OutOfBounds> {
         let [bias_x, bias_y] = self.bias;
         check_all(&[
@@ -45,7 +45,7 @@ impl GpsModel {
     }
 }
 
-/// Reading and message: a position by satellites or beacons, already in the map frame.
+/// Reading and message: a position from satellites or beacons, already in the map frame.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Gps {

@@ -1,4 +1,4 @@
-//! Inertial unit with compass. How well does it measure yaw rate and heading, and what is published of it?
+//! Inertial unit with compass. How accurately does it measure yaw rate and heading, and what is published?
 
 use serde::{Deserialize, Serialize};
 
@@ -17,13 +17,13 @@ pub struct ImuModel {
     pub gyro_noise: f64,
     /// Constant error of the yaw rate, rad/s.
     pub gyro_bias: f64,
-    /// Standard deviation of the compass, rad; without it there is no compass.
+    /// Standard deviation of the compass, rad; without it, the robot has no compass.
     pub compass_noise: Option<f64>,
     /// Constant error of the compass, rad.
     pub compass_bias: f64,
     /// Smallest step of the yaw rate, rad/s.
     pub resolution: f64,
-    /// Share of readings that are lost, 0 to 1.
+    /// Share of lost readings, 0 to 1.
     pub dropout: f64,
     /// Time from a reading to its delivery, s.
     pub latency: f64,
@@ -45,7 +45,7 @@ impl Default for ImuModel {
 }
 
 impl ImuModel {
-    /// The first value that no inertial unit has.
+    /// Checks all values; the first one out of bounds.
     pub(crate) fn check(&self) -> Result<(), OutOfBounds> {
         check_all(&[
             ("rate_hz", self.rate_hz, Expected::Positive),
@@ -68,6 +68,6 @@ pub struct Imu {
     pub stamp: Stamp,
     /// Mean rate about the vertical axis since the last reading, rad/s.
     pub yaw_rate: f64,
-    /// Compass heading in the map frame, rad, where there is a compass.
+    /// Compass heading in the map frame, rad, if there is a compass.
     pub yaw: Option<f64>,
 }

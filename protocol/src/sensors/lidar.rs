@@ -1,4 +1,4 @@
-//! Planar lidar. How does one look around, what does a sweep of it hold, and what is published of it?
+//! Planar lidar. What is its field of view, what does a sweep contain, and what is published?
 //!
 //! A robot has any number of lidars, each with a name and a mount. A robot file's `[lidar]` is the one named
 //! [`DEFAULT_LIDAR`]; further ones are `[lidars.NAME]`.
@@ -16,7 +16,7 @@ use crate::time::Stamp;
 /// Name of the lidar that a robot file describes as `[lidar]`.
 pub const DEFAULT_LIDAR: &str = "lidar";
 
-/// A gap between the last beam and the first that is no larger is not a blind sector, rad.
+/// Largest gap between the last beam and the first that does not count as a blind sector, rad.
 const LEAST_GAP: f64 = 0.1;
 /// Most beams of one sweep.
 const MAX_BEAMS: usize = 100_000;
@@ -26,18 +26,18 @@ const MAX_BEAMS: usize = 100_000;
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct LidarModel {
-    /// Where it sits on the base (`base_from_laser`).
+    /// Mounting pose on the base (`base_from_laser`).
     #[serde(default)]
     pub mount: Pose2,
     /// Sweeps per second.
     pub rate_hz: f64,
-    /// Shorter readings are not valid, m.
+    /// Shorter ranges are invalid, m.
     pub range_min: f64,
-    /// Longer readings are not valid, m.
+    /// Longer ranges are invalid, m.
     pub range_max: f64,
-    /// Readings per sweep.
+    /// Beams per sweep.
     pub beams: usize,
-    /// Angle from the first beam to the last, rad; 2 pi is a full circle without a doubled beam.
+    /// Angle from the first beam to the last, rad; 2 pi is a full circle without a repeated beam.
     pub field_of_view: f64,
     /// Standard deviation of a range, m.
     #[serde(default)]
@@ -45,14 +45,14 @@ pub struct LidarModel {
     /// Constant error of a range, m.
     #[serde(default)]
     pub bias: f64,
-    /// Share of beams that are lost, 0 to 1.
+    /// Share of lost beams, 0 to 1.
     #[serde(default)]
     pub dropout: f64,
     /// Smallest step of a range, m.
     #[serde(default = "millimetre")]
     pub resolution: f64,
-    /// Time from the first beam to the last, s: negative where the last one comes first, as with lidars that turn clockwise. 0: all beams at
-    /// once, or a driver that has undistorted them.
+    /// Time from the first beam to the last, s: negative if the last one is measured first, as with lidars that turn clockwise. 0: all
+    /// beams are simultaneous, or the driver undistorts them.
     #[serde(default)]
     pub sweep_time: f64,
     /// Time from a sweep to its delivery, s.
@@ -85,7 +85,7 @@ impl LidarModel {
         }
     }
 
-    /// Angle that is never seen, rad, from the last beam to the first; zero for a full circle, and where it is no more than 0.1 rad.
+    /// Blind angle from the last beam to the first, rad; zero for a full circle, and for a gap of at most 0.1 rad.
     #[must_use]
     pub fn gap(&self) -> f64 {
         if self.is_full_circle() {
@@ -95,7 +95,7 @@ impl LidarModel {
         if gap > LEAST_GAP { gap } else { 0.0 }
     }
 
-    /// How long before the end of its sweep a beam is measured, s.
+    /// Time from a beam to the end of its sweep, s.
     #[must_use]
     pub fn before_end(&self, beam: f64) -> f64 {
         if self.beams < 2 {
@@ -109,7 +109,7 @@ impl LidarModel {
         self.field_of_view > TAU - 1e-3
     }
 
-    /// The first value that no lidar has.
+    /// Checks all values; the first one out of bounds.
     pub(crate) fn check(&self) -> Result<(), OutOfBounds> {
         const MOUNT: Expected = Expected::Range(-10.0, 10.0, "metres, -10 to 10");
         const RANGE: Expected = Expected::Range(f64::MIN_POSITIVE, 1000.0, "a positive number of metres, at most 1000");
@@ -160,16 +160,16 @@ impl LidarModel {
     }
 }
 
-/// Reading: the ranges of one sweep; the robot's model says where the beams point.
+/// Reading: the ranges of one sweep; the directions of the beams are given by the robot's model.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Sweep {
-    /// Name of the lidar; on the wire [`DEFAULT_LIDAR`] where it is left out.
+    /// Name of the lidar; omitted on the wire for [`DEFAULT_LIDAR`].
     #[serde(default = "default_name", skip_serializing_if = "is_default_name")]
     pub lidar: String,
-    /// When its last beam was measured: at or before the tick.
+    /// Time at which its last beam was measured: at or before the tick.
     pub stamp: Stamp,
-    /// Distance per beam, m; no return is infinity in memory and `null` on the wire.
+    /// Range per beam, m; no return is infinity in memory and `null` on the wire.
     #[cfg_attr(feature = "schema", schemars(with = "Vec<Option<f32>>"))]
     #[serde(with = "no_return_as_null")]
     pub ranges: Vec<f32>,
@@ -195,31 +195,31 @@ fn is_default_name(name: &str) -> bool {
     name == DEFAULT_LIDAR
 }
 
-/// Message: one sweep of a planar lidar, with the robot's pose at the sweep's own stamp: nobody pairs a latest pose with a latest scan.
-/// The robot has taken its own motion during the sweep out of it: the ranges are those of a lidar that takes all beams at the stamp.
+/// Message: one sweep of a planar lidar, with the robot's pose at the sweep's own stamp, so that receivers need not pair poses with scans.
+/// The robot's motion during the sweep is compensated: the ranges are those of a lidar that measures all beams at the stamp.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Scan {
-    /// When the sweep was taken.
+    /// Time of the sweep.
     pub stamp: Stamp,
     /// Direction of the first beam in the laser frame, rad.
     pub angle_min: f64,
     /// Angle from one beam to the next, rad, counter-clockwise.
     pub angle_increment: f64,
-    /// Shorter readings are not valid, m.
+    /// Shorter ranges are invalid, m.
     pub range_min: f64,
-    /// A beam that met nothing up to here has no return, m.
+    /// Range up to which a beam without a return met nothing, m.
     pub range_max: f64,
-    /// Distance per beam, m; no return is infinity in memory and `null` on the wire.
+    /// Range per beam, m; no return is infinity in memory and `null` on the wire.
     #[cfg_attr(feature = "schema", schemars(with = "Vec<Option<f32>>"))]
     #[serde(with = "no_return_as_null")]
     pub ranges: Vec<f32>,
-    /// Runs of beams that met a moving obstacle: the first beam, and the one after the last. A map leaves them out.
+    /// Runs of beams that hit a moving obstacle: the first beam, and the one after the last. Mapping leaves them out.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub moving: Vec<[u32; 2]>,
-    /// Where the lidar sits on the robot.
+    /// Mounting pose of the lidar on the robot.
     pub base_from_laser: Pose2,
-    /// Correction of odometry at the stamp.
+    /// Correction of the odometry at the stamp.
     pub map_from_odom: Pose2,
     /// Odometry at the stamp.
     pub odom_from_base: Pose2,
@@ -238,14 +238,14 @@ impl Scan {
         self.angle_min + beam as f64 * self.angle_increment
     }
 
-    /// Whether a reading is a real return.
+    /// Whether a range is a valid return.
     #[must_use]
     pub fn is_return(&self, range: f32) -> bool {
         let range = f64::from(range);
         range >= self.range_min && range <= self.range_max
     }
 
-    /// End points of all real returns, in the laser frame, m.
+    /// End points of all valid returns, in the laser frame, m.
     pub fn returns(&self) -> impl Iterator<Item = Point2<f64>> + '_ {
         self.ranges
             .iter()
@@ -257,7 +257,7 @@ impl Scan {
             })
     }
 
-    /// Whether the description makes sense: finite numbers, at most a full circle and 100,000 beams.
+    /// Whether the scan is plausible: finite numbers, at most a full circle and 100,000 beams.
     #[must_use]
     pub fn is_sane(&self) -> bool {
         let spread = self.angle_increment * self.ranges.len().saturating_sub(1) as f64;
@@ -313,7 +313,7 @@ pub(crate) mod none_one_or_many {
         deserializer.deserialize_any(Sweeps)
     }
 
-    /// Reads straight into the sweeps: no range is held twice.
+    /// Deserialises straight into the sweeps, so that no range is held twice.
     struct Sweeps;
 
     impl<'de> Visitor<'de> for Sweeps {

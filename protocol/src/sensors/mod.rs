@@ -1,4 +1,4 @@
-//! Sensors, one file a kind: its model in the robot's file with bounds and defaults, its reading, and its message.
+//! Sensors, one file per kind: the model in the robot's file with bounds and defaults, the reading, and the message.
 //!
 //! | kind | model | reading | message |
 //! |---|---|---|---|
@@ -9,8 +9,8 @@
 //! | [`bump`] | none | [`Bump`] | [`Bump`] |
 //! | [`battery`] | [`BatteryModel`] | [`Battery`] | [`Battery`] |
 //!
-//! A kind of which a robot has one or none is a file and a row of [`sensor_kinds!`](crate::sensor_kinds!) here, and a file in the
-//! simulator: see `CONTRIBUTING.md`. The others are older than the table, or of a form of their own.
+//! A kind with at most one sensor per robot is a file and a row of [`sensor_kinds!`](crate::sensor_kinds!) here, plus a file in the
+//! simulator: see `CONTRIBUTING.md`. The other kinds predate the table, or have a special form.
 
 pub mod battery;
 pub mod bump;
@@ -28,12 +28,12 @@ pub use lidar::{DEFAULT_LIDAR, LidarModel, Scan, Sweep};
 
 use crate::config_text::Expected;
 
-/// The kinds of sensor of which a robot has one or none.
+/// The kinds of sensor with at most one per robot.
 ///
 /// A row is the field in [`RobotModel`](crate::robot::RobotModel) and [`Readings`](crate::readings::Readings), the model with its bounds,
-/// the reading, which is the message too, and its topic. Whoever does something for each kind is a macro that takes the rows:
-/// `sensor_kinds!(each [arguments])` becomes `each! { [arguments] rows }`. There are six: the robot's file, the readings, the key table, the
-/// simulator, the edge's publishers, and the test of the wire.
+/// the reading, which is also the message, and its topic. Code for every kind is a macro that takes the rows:
+/// `sensor_kinds!(each [arguments])` becomes `each! { [arguments] rows }`. There are six: the robot's file, the readings, the key table,
+/// the simulator, the edge's publishers, and the test of the wire.
 #[macro_export]
 macro_rules! sensor_kinds {
     ($each:ident [$($arguments:tt)*]) => {
@@ -47,5 +47,5 @@ macro_rules! sensor_kinds {
 
 /// Longest time from a measurement to its delivery, s.
 pub(crate) const LATENCY: Expected = Expected::Range(0.0, 10.0, "0 to 10 s");
-/// An angle without a sign, rad: as [`Expected::Angle`].
+/// An unsigned angle, rad: as [`Expected::Angle`].
 pub(crate) const TURN: Expected = Expected::Range(0.0, std::f64::consts::TAU, "0 to 2 pi rad");

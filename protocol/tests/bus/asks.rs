@@ -1,4 +1,4 @@
-//! Asks. Which answer does a client get: absent, frozen, busy and standby servers?
+//! Asks. Which answer does a client get from absent, frozen, busy and standby servers?
 
 use std::time::{Duration, Instant};
 

@@ -1,4 +1,4 @@
-//! Bad input. What do malformed payloads do?
+//! Bad input. What effect do malformed payloads have?
 
 use zenav_protocol::bus::RawReply;
 use zenav_protocol::messages::Refusal;
@@ -76,7 +76,7 @@ async fn bad_samples_are_counted_and_harmless() {
         })
         .await;
     }
-    // JSON typed into any client is a message, whatever encoding that client claims.
+    // JSON typed into any client is a message, whatever encoding that client declares.
     let good = serde_json::to_vec(&event(7)).unwrap();
     let received = until("the good one", async || {
         writer.raw_put(key, good.clone(), "zenoh/bytes").unwrap();

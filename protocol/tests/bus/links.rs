@@ -25,7 +25,7 @@ async fn coming_and_going_is_seen() {
     );
     drop(early);
     let mut next = within("w1 gone", watch.next()).await;
-    // That it is there may be told twice.
+    // The presence of a token may be reported twice.
     while next == Some((key("w2"), true)) {
         next = within("w1 gone", watch.next()).await;
     }
@@ -93,7 +93,7 @@ async fn a_robot_answers_on_its_own_endpoint_with_and_without_a_router() {
             .unwrap(),
     );
 
-    // Both ways while all is well: asks, topics, tokens, and through the robot to the cloud.
+    // With all links up, both ways work: asks, topics, tokens, and from the robot to the cloud.
     let _cloud_serving = serve_stop(&cloud, "cloud");
     let _token = cloud.declare_alive("zenav/r1/alive/mission".into()).unwrap();
     let mut from_cloud = cloud.subscribe(&topics::EVENT, &["r1"], 1000).unwrap();
@@ -113,7 +113,7 @@ async fn a_robot_answers_on_its_own_endpoint_with_and_without_a_router() {
         );
     }
 
-    // The router is gone: a new command that connects straight to the robot is answered at once.
+    // Without the router, a new command that connects directly to the robot is answered at once.
     first.close().await;
     publisher.put(&event(2));
     assert_eq!(
@@ -133,7 +133,7 @@ async fn a_robot_answers_on_its_own_endpoint_with_and_without_a_router() {
         Err(AskError::Timeout { .. })
     ));
 
-    // It is back: all is linked again, and the cloud gets the event it missed.
+    // The router is back: all links are up again, and the cloud gets the event it missed.
     let start = Instant::now();
     let _second = router_at(&endpoint).await;
     assert!(stop(&cloud, "r1", PATIENCE).await.is_ok());
@@ -176,7 +176,7 @@ async fn a_silent_cut_neither_blocks_the_writer_nor_loses_an_event() {
     let scan = serde_json::from_value(serde_json::json!({"stamp": 1, "angle_min": 0.0, "angle_increment": 0.01, "range_min": 0.0, "range_max": 9.0,
         "ranges": vec![1.2345; 2000], "base_from_laser": {"x": 0, "y": 0}, "map_from_odom": {"x": 0, "y": 0}, "odom_from_base": {"x": 0, "y": 0}}))
     .unwrap();
-    // From the control loop's own thread: what fills every buffer on the way costs it no time.
+    // From the control loop's own thread: full buffers along the way must not delay it.
     let control = std::thread::spawn(move || {
         let start = Instant::now();
         let mut longest = Duration::ZERO;

@@ -1,4 +1,4 @@
-//! What does the typed bus promise over real Zenoh sessions?
+//! The typed bus over real Zenoh sessions: its guarantees.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 

@@ -19,7 +19,7 @@ pub async fn within<F: Future>(what: &str, future: F) -> F::Output {
         .unwrap_or_else(|_| panic!("{what} did not happen in {PATIENCE:?}"))
 }
 
-/// Does it again and again until it yields something.
+/// Repeats an attempt until it yields something.
 pub async fn until<T>(what: &str, mut attempt: impl AsyncFnMut() -> Option<T>) -> T {
     let mut pace = tokio::time::interval(Duration::from_millis(10));
     within(what, async {
@@ -59,7 +59,7 @@ pub async fn client(endpoint: &str, name: &str) -> Bus {
         .unwrap()
 }
 
-/// A robot: connects to the router and listens itself. Its own endpoint.
+/// A robot that connects to the router and also listens, and its own endpoint.
 pub async fn robot(endpoint: &str) -> (Bus, String) {
     let config = BusConfig {
         listen: vec!["tcp/127.0.0.1:0".into()],
@@ -70,7 +70,7 @@ pub async fn robot(endpoint: &str) -> (Bus, String) {
     (bus, own)
 }
 
-/// A cable to the router that can be frozen: nothing passes, and nobody is told.
+/// A link to the router that can be frozen: nothing passes, and neither side is notified.
 pub struct Cable {
     pub endpoint: String,
     pub frozen: watch::Sender<bool>,
@@ -123,7 +123,7 @@ pub fn clock(stamp: u64) -> SimClock {
     SimClock { stamp: Stamp(stamp) }
 }
 
-/// Answers every stop with yes.
+/// Answers every stop request with `stopped`.
 pub fn serve_stop(bus: &Bus, robot: &str) -> tokio::task::JoinHandle<()> {
     let mut server = bus.serve(&topics::STOP, &[robot]).unwrap();
     tokio::spawn(async move {

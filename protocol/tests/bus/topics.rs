@@ -49,7 +49,7 @@ async fn a_late_joiner_gets_the_last_value_of_a_state() {
     }
     let reader = client(&endpoint, "reader").await;
     let mut latest = reader.latest(&topics::MAP_INFO, &["r1"]).unwrap();
-    // Older ones may still be on their way.
+    // Older values may still be on their way.
     until("the last value", async || {
         (latest.borrow() == last.as_ref()).then_some(())
     })
@@ -80,7 +80,7 @@ async fn a_late_joiner_gets_the_last_state_of_every_goal() {
     while done.len() < publishers.len() {
         let Received { chunks, message, .. } = within("a goal", goals.next()).await.unwrap();
         assert_eq!(chunks, ["r1", &message.id]);
-        // An older one may still have been on its way, but never comes after the last.
+        // An older value may still have been on its way, but never comes after the last.
         assert!(!done.contains(&message.id));
         if message == state(&message.id, "Succeeded") {
             done.insert(message.id);
@@ -95,7 +95,7 @@ async fn values_are_skipped_but_time_never_goes_back() {
     let (writer, reader) = (client(&endpoint, "writer").await, client(&endpoint, "reader").await);
     let publisher = Arc::new(writer.publisher(&topics::SIM_CLOCK, &[]).unwrap());
     let mut latest = reader.latest(&topics::SIM_CLOCK, &[]).unwrap();
-    // From a plain thread, as the robot's control loop does.
+    // From a plain thread, like the robot's control loop.
     let control = std::thread::spawn({
         let publisher = Arc::clone(&publisher);
         move || {
@@ -172,7 +172,7 @@ async fn the_last_values_of_many_keys_reach_early_and_late_readers_of_one_key_an
         assert!(left(&state) < last);
         last = left(&state);
     }
-    // One of all, one of one key, and a tool's.
+    // A subscription to all keys, one to a single key, and a tool's.
     let mut late = reader.subscribe(topic, &["r1", "*"], 1000).unwrap();
     let mut late_ids = std::collections::BTreeSet::new();
     while late_ids.len() < 8 {
@@ -183,11 +183,11 @@ async fn the_last_values_of_many_keys_reach_early_and_late_readers_of_one_key_an
     assert_eq!(late_ids.first().map(String::as_str), Some("g2"), "the newest eight");
     let mut one = reader.latest(topic, &["r1", "g5"]).unwrap();
     assert_eq!(within("the kept value", one.next()).await.unwrap().message.id, "g5");
-    // The next value of a key that a late reader has is one more, and comes once.
+    // The next value of a key that a late reader already has arrives once.
     publisher.put(&["r1", "g5"], &goal("g5", 0.0));
     assert!(left(&within("the next", one.next()).await.unwrap().message).abs() < 1e-9);
     assert!(left(&within("the next", late.next()).await.unwrap().message).abs() < 1e-9);
-    // Another writer of the same keys, as after a restart.
+    // Another writer on the same keys, as after a restart.
     drop(publisher);
     let again = client(&endpoint, "again").await;
     let publisher = again.keyed_publisher(topic, &["r1", "*"], 8).unwrap();
@@ -265,7 +265,7 @@ async fn bulk_is_binary_on_the_wire_and_typed_askers_get_it_so() {
     let publisher = writer.publisher(&topics::MAP_PATCH, &["r1"]).unwrap();
     publisher.put(&patch);
     assert_eq!(within("the patch", typed.next()).await.unwrap().message, patch);
-    // The raw subscription has no history: it may have missed the first one.
+    // The raw subscription has no history: it may have missed the first sample.
     until("the sample", async || {
         publisher.put(&patch);
         tokio::time::timeout(Duration::from_millis(100), raw.next())

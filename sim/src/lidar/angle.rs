@@ -1,8 +1,9 @@
-//! Which direction has a vector, fast and nearly? Selections instead of branches, so that several are found at once.
+//! Approximate angles. The direction of a vector, fast and nearly exact, with selections instead of branches, so that several are
+//! computed at once.
 
 use nalgebra::Vector2;
 
-/// Largest error of these functions, rad (Abramowitz and Stegun 4.4.49 promises 1e-5).
+/// Largest error of these functions, rad (Abramowitz and Stegun 4.4.49 gives 1e-5).
 pub(super) const TURN_ERROR: f64 = 2e-5;
 
 /// Direction of a vector, rad in (-pi, pi], within [`TURN_ERROR`].

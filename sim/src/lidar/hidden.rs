@@ -1,7 +1,7 @@
-//! What of a world can a lidar see at all? A box that lies behind what was drawn, beyond its range or outside its field of view is left out.
+//! Visibility. A box that lies behind what was drawn, beyond the lidar's range or outside its field of view is skipped.
 //!
-//! A box is seen between two of its corners; which beams that are is found once, for two boxes in one go. Whether all of those
-//! have met something nearer is asked when the walk comes to the box, after whatever is nearer has been drawn.
+//! A box covers the beams between two of its corners; these beams are found once, for two boxes at a time. Whether all of them have met
+//! something nearer is tested when the walk reaches the box, after everything nearer has been drawn.
 
 use std::f64::consts::TAU;
 
@@ -15,18 +15,18 @@ use crate::shape::{Disc, Edge};
 pub struct View {
     /// The first, and the one after the last.
     beams: [u32; 2],
-    /// After the last one of those that reach over from the turn of the circle before.
+    /// End of the beams that reach over from the turn of the circle before.
     wrapped: u32,
-    /// One over the box's distance, 1/m.
+    /// Inverse of the box's distance, 1/m.
     inverse: f64,
 }
 
-/// Two boxes' corners, and how far they are.
+/// Two boxes with their distances.
 type Pair<'a> = [&'a Apart; 2];
 
 impl AngularBuffer {
     fn view(&self, pair: Pair<'_>) -> [View; 2] {
-        // Of each box the two corners that bound it as seen from here: clockwise first ones, then the others.
+        // For each box the two corners that bound it as seen from here: the clockwise first ones, then the others.
         let (mut x, mut y) = ([0.0_f32; 4], [0.0_f32; 4]);
         for (i, apart) in pair.iter().enumerate() {
             let [low, high] = [apart.low - self.origin, apart.high - self.origin];
@@ -81,7 +81,7 @@ impl AngularBuffer {
         }
     }
 
-    /// Whether a beam has met nothing nearer than a box.
+    /// Whether some beam has met nothing nearer than a box.
     fn sees(&self, view: &View) -> bool {
         let any = |low: u32, high: u32| {
             let beams = self.inverse.get(low as usize..high as usize).unwrap_or_default();
@@ -97,7 +97,7 @@ impl AngularBuffer {
     }
 }
 
-/// Beams that are looked at without asking in between: a loop without branches becomes vector instructions.
+/// Beams that are tested at once: a loop without branches becomes vector instructions.
 const CHUNK: usize = 16;
 
 impl Visitor<Edge> for AngularBuffer {

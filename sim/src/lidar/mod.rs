@@ -1,12 +1,12 @@
-//! Angular z-buffer. How far is the nearest solid in each beam of a lidar? A whole sweep at once.
+//! Angular z-buffer. The range to the nearest solid in each beam of a lidar, for a whole sweep at once.
 //!
-//! Instead of casting a ray a beam, each edge is drawn over the beams that it covers, and a buffer keeps the nearest:
-//! the cost is what is seen, not beams times solids. The buffer holds *inverse* ranges, because along an edge the
-//! inverse range is linear in the beam's direction: one beam costs two products, a sum and a maximum, no division.
-//! An approximate arc tangent finds the first and last beam of an edge, and exact cross products then decide, so that
-//! two edges which share a corner leave no gap. Edges seen from inside the solid are skipped (back faces).
+//! Instead of casting a ray per beam, each edge is drawn over the beams that it covers, and a buffer keeps the nearest: the cost depends
+//! on what is seen, not on beams times solids. The buffer holds *inverse* ranges, because along an edge the inverse range is linear in
+//! the beam's direction: one beam costs two products, a sum and a maximum, no division. An approximate arc tangent finds the first and
+//! last beam of an edge, and exact cross products then decide, so that two edges which share a corner leave no gap. Edges seen from
+//! inside the solid are skipped (back faces).
 //!
-//! Edges come front to back from a tree of boxes. A box is left out when every beam that may meet it has already met something nearer
+//! Edges come front to back from a tree of boxes. A box is skipped if every beam that may meet it has already met something nearer
 //! (`hidden`), so that rooms behind a wall cost nothing.
 //!
 //! Sources of the ideas: z-buffering, Catmull 1974, and its hierarchical form, Greene, Kass and Miller 1993, on the circle of directions.
@@ -29,14 +29,14 @@ use crate::scene::Scene;
 use crate::shape::{Disc, Edge, cross};
 use angle::{TURN_ERROR, direction, turns};
 
-/// Edges whose directions are found together.
+/// Number of edges whose directions are computed together.
 const LANES: usize = 8;
 
 /// The nearest solid in every beam of one lidar; reused from sweep to sweep.
 #[derive(Clone, Debug)]
 pub struct AngularBuffer {
     angle_min: f64,
-    /// Beams a radian.
+    /// Beams per radian.
     per_radian: f64,
     range_max: f64,
     /// Directions of the beams in the laser frame.
@@ -45,7 +45,7 @@ pub struct AngularBuffer {
     /// The same in the world frame, for this sweep.
     cos: Vec<f64>,
     sin: Vec<f64>,
-    /// One over the range to the nearest solid so far; zero is none.
+    /// Inverse of the range to the nearest solid so far; zero means none.
     inverse: Vec<f64>,
     origin: Point2<f64>,
     /// Direction of the first beam in the world, rad in (-pi, pi].
@@ -81,7 +81,7 @@ impl AngularBuffer {
         }
     }
 
-    /// Begins a sweep: nothing seen yet.
+    /// Begins a sweep: all beams are empty.
     pub fn begin(&mut self, map_from_laser: Pose2) {
         self.origin = map_from_laser.position();
         self.first = wrap_angle(map_from_laser.yaw + self.angle_min);
@@ -94,7 +94,7 @@ impl AngularBuffer {
         self.inverse.fill(0.0);
     }
 
-    /// Draws what never moves, as far as the lidar sees.
+    /// Draws the static scene, as far as the lidar sees.
     pub fn scene(&mut self, scene: &Scene) {
         scene.edges().walk(self.origin, self);
         self.draw_gathered();
@@ -114,7 +114,8 @@ impl AngularBuffer {
         }
     }
 
-    /// Beams from an angle after the first one (rad) over `span`, and those that may be just outside: the first, and the one after the last.
+    /// Range of beams over `span` from an angle after the first one (rad), including those that may be just outside: the first, and the
+    /// one after the last.
     #[inline]
     fn beams(&self, from: f64, span: f64) -> (usize, usize) {
         let last = (from + span + TURN_ERROR) * self.per_radian;
@@ -122,13 +123,13 @@ impl AngularBuffer {
             return (0, 0);
         }
         let first = (from - TURN_ERROR) * self.per_radian;
-        // Float to integer casts saturate: the first beam is at least zero.
+        // Casts from float to integer saturate: the first beam is at least zero.
         let whole = first as usize;
         let low = whole + usize::from((whole as f64) < first);
         (low, (last as usize + 1).min(self.inverse.len()))
     }
 
-    /// Draws what moves, but for the robot that carries the lidar.
+    /// Draws everything that moves, except the robot that carries the lidar.
     pub fn crowd(&mut self, crowd: &Crowd, own: usize) {
         crowd.near(self.origin, self.range_max, |index, solid| {
             if index == own {
@@ -141,17 +142,17 @@ impl AngularBuffer {
         });
     }
 
-    /// Draws edges, where the lidar is on their open side.
+    /// Draws edges that turn their open side to the lidar.
     pub fn edges(&mut self, edges: &[Edge]) {
         self.gather(edges);
         self.draw_gathered();
     }
 
-    /// Keeps the edges that face the lidar; draws when enough are together.
+    /// Collects the edges that face the lidar; draws them once there are enough.
     fn gather(&mut self, edges: &[Edge]) {
         for edge in edges {
             let (a, b) = (edge.a - self.origin, edge.b - self.origin);
-            // Not greater than zero: seen from inside the solid, or edge-on (then its neighbours stand before it).
+            // Not positive: seen from inside the solid, or edge-on (then its neighbours are in front of it).
             self.facing.push(a, b, cross(b, a) > 0.0);
             if self.facing.count == LANES {
                 self.draw_gathered();
@@ -160,7 +161,7 @@ impl AngularBuffer {
     }
 
     fn draw_gathered(&mut self) {
-        // Directions of a few edges in one go: loops without branches become vector instructions.
+        // Directions of several edges at once: loops without branches become vector instructions.
         let facing = &mut self.facing;
         let (ends, starts) = (turns(&facing.ax, &facing.ay), turns(&facing.bx, &facing.by));
         let (corners, count) = (facing.corners, std::mem::take(&mut facing.count));
@@ -185,7 +186,7 @@ impl AngularBuffer {
         });
     }
 
-    /// Draws a disc, where the lidar is outside of it.
+    /// Draws a disc, if the lidar is outside it.
     pub fn disc(&mut self, disc: &Disc) {
         let center = disc.center - self.origin;
         let power = center.norm_squared() - disc.radius * disc.radius;
@@ -211,8 +212,8 @@ impl AngularBuffer {
         });
     }
 
-    /// Brings the inverse range by direction (cosine, sine) into every beam from direction `start` (rad in [-pi, pi], world) over `span` that
-    /// `covers` admits; it is only `prepare`d where there is a beam at all.
+    /// Draws the inverse range by direction (cosine, sine) into every beam from direction `start` (rad in [-pi, pi], world) over `span`
+    /// that `covers` admits; `prepare` is called only if there is such a beam.
     #[inline]
     fn draw<I: Fn(f64, f64) -> f64>(
         &mut self,
@@ -221,7 +222,7 @@ impl AngularBuffer {
         covers: impl Fn(Vector2<f64>) -> bool,
         prepare: impl Fn() -> I,
     ) {
-        // What begins in this turn of the circle, and what reaches into it from the turn before.
+        // The part that begins in this turn of the circle, and the part that reaches into it from the turn before.
         let from = self.turned(start);
         self.draw_beams(from, span, &covers, &prepare);
         if from + span + TURN_ERROR >= TAU {
@@ -238,7 +239,7 @@ impl AngularBuffer {
         prepare: &impl Fn() -> I,
     ) {
         let (mut low, mut high) = self.beams(from, span);
-        // Only beams so close to an end that the approximate angle cannot tell are asked.
+        // Only beams that are too close to an end for the approximate angle are tested exactly.
         let (surely, surely_not) = (
             (from + TURN_ERROR) * self.per_radian,
             (from + span - TURN_ERROR) * self.per_radian,
@@ -263,7 +264,7 @@ impl AngularBuffer {
         }
     }
 
-    /// True range a beam, m; infinity where nothing stands.
+    /// True range per beam, m; infinite if nothing is hit.
     pub fn ranges(&self) -> impl Iterator<Item = f64> + '_ {
         self.inverse.iter().map(|inverse| 1.0 / inverse)
     }
@@ -290,7 +291,7 @@ impl Facing {
         count: 0,
     };
 
-    /// Keeps an edge; what is not `kept` is overwritten by the next one, without a branch that nobody could foretell.
+    /// Adds an edge; one that is not `kept` is overwritten by the next, which avoids an unpredictable branch.
     fn push(&mut self, a: Vector2<f64>, b: Vector2<f64>, kept: bool) {
         let lane = self.count;
         self.corners[lane] = (a, b);

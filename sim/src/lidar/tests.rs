@@ -46,7 +46,7 @@ fn star() -> impl Strategy<Value = Vec<Point2<f64>>> {
     })
 }
 
-/// Every beam equals the nearest of parry's ray casts against these shapes.
+/// Checks that every beam equals the nearest of parry's ray casts against these shapes.
 fn agree(
     model: &LidarModel,
     laser: Pose2,

@@ -1,4 +1,4 @@
-//! Battery gauge. How much charge does it report?
+//! Battery gauge. The reported charge.
 
 use zenav_protocol::readings::Readings;
 use zenav_protocol::sensors::{Battery, BatteryModel};

@@ -1,4 +1,4 @@
-//! Contact sensor. What does the robot feel?
+//! Contact sensor. The contacts that the robot feels.
 
 use zenav_protocol::readings::Readings;
 use zenav_protocol::sensors::Bump;

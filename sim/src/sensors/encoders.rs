@@ -1,4 +1,4 @@
-//! Wheel encoders. Which wheel angles do they report?
+//! Wheel encoders. The reported wheel angles.
 
 use rand_pcg::Pcg64Mcg;
 use zenav_protocol::readings::Readings;
@@ -11,7 +11,7 @@ use super::{Moment, Sensor, stepped};
 use crate::chassis::Moved;
 use crate::faults::Fault;
 
-/// Wheel encoders: each turn is measured with a share of error, the sum is rounded to the resolution.
+/// Wheel encoders: each turn is measured with a relative error, and the sum is rounded to the resolution.
 #[derive(Clone, Debug)]
 pub struct Encoders {
     model: EncoderModel,
@@ -36,7 +36,7 @@ impl Encoders {
         }
     }
 
-    /// Adds a true turn of both wheels, rad.
+    /// Adds a true rotation of both wheels, rad.
     pub fn turn(&mut self, wheels: [f64; 2], fault: &Fault) {
         let noise = fault.noise(self.model.noise);
         for (measured, turn) in self.measured.iter_mut().zip(wheels) {
@@ -117,7 +117,7 @@ mod tests {
                 angles[0]
             })
             .collect();
-        // Read at 0, 0.1, 0.2 s, told 0.04 s later.
+        // Read at 0, 0.1, 0.2 s, reported 0.04 s later.
         assert!(told[..7].iter().all(|angle| *angle == 0.0), "{told:?}");
         assert!(told[7..12].iter().all(|angle| (angle - 0.5).abs() < 1e-12), "{told:?}");
         assert!((told[12] - 1.0).abs() < 1e-12);

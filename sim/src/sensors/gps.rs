@@ -1,4 +1,4 @@
-//! GPS or beacons. Which position do they report?
+//! GPS or beacons. The reported position.
 
 use rand_pcg::Pcg64Mcg;
 use zenav_protocol::geometry::Pose2;
@@ -32,7 +32,7 @@ impl GpsReceiver {
         }
     }
 
-    /// A reading, when one arrives.
+    /// A reading, if one arrives.
     pub fn read(&mut self, now: Stamp, truth: Pose2, fault: &Fault) -> Option<Gps> {
         let measured = self.measure(now, truth, fault);
         self.delay.pass(now, measured, fault.late)

@@ -1,4 +1,4 @@
-//! Inertial unit with compass. Which yaw rate and heading does it report?
+//! Inertial unit with compass. The reported yaw rate and heading.
 
 use rand_pcg::Pcg64Mcg;
 use zenav_protocol::geometry::{Pose2, wrap_angle};
@@ -42,7 +42,7 @@ impl InertialUnit {
         self.turned += angle;
     }
 
-    /// A reading, when one arrives.
+    /// A reading, if one arrives.
     pub fn read(&mut self, now: Stamp, truth: Pose2, fault: &Fault) -> Option<Imu> {
         let measured = self.measure(now, truth, fault);
         self.delay.pass(now, measured, fault.late)
@@ -50,7 +50,7 @@ impl InertialUnit {
 
     fn measure(&mut self, now: Stamp, truth: Pose2, fault: &Fault) -> Option<Imu> {
         if fault.is_dead {
-            // It does not know what it missed.
+            // Rotation during the failure is not measured.
             (self.turned, self.last) = (0.0, now);
         }
         if !self.schedule.due(now) || is_lost(&mut self.rng, self.model.dropout, fault) {

@@ -1,4 +1,4 @@
-//! Planar lidar. What does it report of the true ranges, and when?
+//! Planar lidar. The sweeps that it reports of the true ranges, and their timing.
 
 use rand::RngExt as _;
 use rand_distr::{Distribution, StandardNormal};
@@ -13,17 +13,17 @@ use super::{Moment, Sensor, stepped};
 use crate::faults::Fault;
 use crate::lidar::AngularBuffer;
 
-/// Beams of a lidar that sweeps are measured together within this time, s.
+/// Beams of a sweeping lidar are measured together within this time, s.
 const TOGETHER: f64 = 0.001;
 
-/// One lidar of a robot. One that sweeps measures each beam from where it is at that beam's time.
+/// One lidar of a robot. A sweeping lidar measures each beam from its pose at that beam's time.
 #[derive(Clone, Debug)]
 pub struct Lidar {
     name: String,
     model: LidarModel,
     /// The beams, in the order of their times.
     parts: Vec<Part>,
-    /// How many parts of the present sweep are measured.
+    /// Number of parts of the present sweep that are measured.
     measured: usize,
     /// Time and pose of the base at the last step.
     last: Option<(Stamp, Pose2)>,
@@ -73,7 +73,7 @@ impl Lidar {
         }
     }
 
-    /// Measures the beams whose time has come in a sweep that ends at a time.
+    /// Measures the beams that are due, in a sweep that ends at `end`.
     fn measure_until(&mut self, moment: &Moment<'_>, end: Stamp) {
         let here = moment.map_from_base();
         let (before, there) = self.last.replace((moment.now, here)).unwrap_or((moment.now, here));
@@ -95,7 +95,7 @@ impl Lidar {
         }
     }
 
-    /// The sweep that has just been measured.
+    /// The sweep that was just measured.
     fn sweep(&mut self, stamp: Stamp, fault: &Fault) -> Sweep {
         let model = LidarModel {
             noise: fault.noise(self.model.noise),
@@ -120,7 +120,7 @@ impl Sensor for Lidar {
         let next = self.schedule.next();
         let is_due = self.schedule.due(moment.now);
         let end = match is_due {
-            // A lidar that takes all beams at once does so at the step.
+            // A lidar that takes all beams at once measures at the step.
             true if self.model.sweep_time == 0.0 => moment.now,
             true => self.schedule.next().plus_secs(-1.0 / self.model.rate_hz),
             false => next,
@@ -136,12 +136,12 @@ impl Sensor for Lidar {
     }
 }
 
-/// What the lidar reports of true ranges: bias and noise added, rounded to its steps; outside its limits there is no return, and none
-/// of beams that are lost.
+/// The lidar's report of true ranges: bias and noise are added, and the result is rounded to its steps. There is no return outside its
+/// limits, nor for lost beams.
 pub fn measure(model: &LidarModel, truth: impl Iterator<Item = f64>, rng: &mut impl rand::Rng, ranges: &mut Vec<f32>) {
     ranges.clear();
     ranges.extend(truth.map(|range| {
-        // Far beyond the limit no noise brings it back.
+        // Far beyond the limit, noise cannot bring it back.
         if range > model.range_max + 8.0 * model.noise + model.bias.abs() {
             return f32::INFINITY;
         }

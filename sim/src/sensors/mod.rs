@@ -1,7 +1,7 @@
-//! Simulated sensors, one file a kind. What do a robot's sensors measure, and when?
+//! Simulated sensors. What a robot's sensors measure, and when, one file per kind.
 //!
-//! Each reports the truth with bias, noise and steps, from a random stream of its own; readings get lost, and arrive late with the stamp
-//! of their measurement.
+//! Each reports the truth with bias, noise and steps, from its own random stream; readings get lost, and arrive late with the stamp of
+//! their measurement.
 
 pub mod battery;
 pub mod bump;
@@ -24,21 +24,21 @@ use crate::chassis::{Chassis, Moved, Surroundings};
 use crate::faults::{Fault, FaultModel};
 use random::{Stream, stream};
 
-/// A moment, as a sensor meets it: everybody has moved.
+/// A moment for a sensor, after everything has moved.
 #[derive(Clone, Copy)]
 pub struct Moment<'a> {
     /// Simulated time.
     pub now: Stamp,
     /// The robot's true state.
     pub chassis: &'a Chassis,
-    /// Everything else.
+    /// Everything around the robot.
     pub around: Surroundings<'a>,
-    /// What is wrong with this sensor now.
+    /// Fault of this sensor now.
     pub fault: Fault,
 }
 
 impl Moment<'_> {
-    /// Where the robot truly is.
+    /// True pose of the robot.
     #[must_use]
     pub fn map_from_base(&self) -> Pose2 {
         self.chassis.truth().map_from_base
@@ -47,14 +47,14 @@ impl Moment<'_> {
 
 /// A sensor of a robot.
 pub trait Sensor: Debug + Send + Sync + CloneSensor {
-    /// The robot has moved, since the last call.
+    /// Called after the robot has moved, with the motion since the last call.
     fn moved(&mut self, _moved: &Moved, _fault: &Fault) {}
 
-    /// Measures what is due, and writes what arrives now into the readings.
+    /// Takes the measurement that is due, and writes what arrives now into the readings.
     fn sense(&mut self, moment: &Moment<'_>, readings: &mut Readings);
 }
 
-/// A robot's sensors are of many types in one list, and a simulation can be cloned.
+/// Cloning behind a box: a robot's sensors have many types in one list, and a simulation can be cloned.
 pub trait CloneSensor {
     /// A copy in its present state.
     fn boxed(&self) -> Box<dyn Sensor>;
@@ -72,13 +72,13 @@ impl Clone for Box<dyn Sensor> {
     }
 }
 
-/// A model of [`sensor_kinds!`](zenav_protocol::sensor_kinds!): what simulates it?
+/// Simulation of a model of [`sensor_kinds!`](zenav_protocol::sensor_kinds!).
 pub trait Simulate {
     /// A sensor before its first reading, with its own random stream.
     fn simulate(&self, rng: Pcg64Mcg) -> Box<dyn Sensor>;
 }
 
-/// Each kind's file has the name of its row.
+/// Each kind's file is named after its row.
 macro_rules! simulated {
     ([] $($(#[doc = $doc:literal])* $(#[serde $serde:tt])* $kind:ident: $Model:ident => $Reading:ident, $TOPIC:ident = $key:literal;)*) => {
         $(pub mod $kind;)*
@@ -105,7 +105,7 @@ pub struct Fitted {
 }
 
 impl Fitted {
-    /// What faults call it.
+    /// Its name, as faults refer to it.
     #[must_use]
     pub fn name(&self) -> &str {
         &self.name
@@ -129,7 +129,7 @@ impl Fitted {
     }
 }
 
-/// All sensors of a robot, each with those of the world's faults that are its own.
+/// All sensors of a robot, each with its own faults of the world.
 #[must_use]
 pub fn sensors(id: &Id, model: &RobotModel, seed: u64, faults: &[FaultModel]) -> Vec<Fitted> {
     let stream = |source| stream(seed, id, source);

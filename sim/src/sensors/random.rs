@@ -1,12 +1,13 @@
-//! Random streams. Which random numbers does a sensor draw?
+//! Random streams. The random numbers of each sensor.
 //!
-//! A stream belongs to a robot's name and a sensor: another robot in the world, or another sensor on it, changes nobody's noise.
+//! A stream belongs to a robot's name and a sensor: another robot in the world, or another sensor on the robot, does not change the
+//! noise.
 
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64Mcg;
 use zenav_protocol::id::Id;
 
-/// What draws from a random stream of its own.
+/// Owner of a random stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stream<'a> {
     /// The robot's first lidar.
@@ -15,9 +16,9 @@ pub enum Stream<'a> {
     Encoders,
     /// Inertial unit.
     Imu,
-    /// No sensor, but the floor: slip of the wheels.
+    /// The floor: slip of the wheels.
     Slip,
-    /// A sensor of a kind of which a robot has one or none.
+    /// A kind of sensor of which a robot has at most one.
     Kind(&'a str),
     /// A further lidar, by name.
     Named(&'a str),
@@ -33,7 +34,7 @@ pub fn stream(seed: u64, robot: &Id, source: Stream<'_>) -> Pcg64Mcg {
         Stream::Imu => name.wrapping_add(2),
         Stream::Kind("gps") => name.wrapping_add(3),
         Stream::Slip => name.wrapping_add(4),
-        // No name holds a slash.
+        // Names contain no slash.
         Stream::Kind(kind) => fnv(fnv(name, "//"), kind),
         Stream::Named(sensor) => fnv(fnv(name, "/"), sensor),
     };
@@ -47,7 +48,7 @@ fn fnv(hash: u64, text: &str) -> u64 {
     })
 }
 
-/// The random stream of a mover, by its place in the world's file.
+/// The random stream of a mover, by its index in the world's file.
 #[must_use]
 pub fn mover_stream(seed: u64, index: usize) -> Pcg64Mcg {
     generator(seed, MOVERS.wrapping_add(index as u64))
@@ -56,7 +57,7 @@ pub fn mover_stream(seed: u64, index: usize) -> Pcg64Mcg {
 /// Keeps the movers' streams apart from the robots'.
 const MOVERS: u64 = 0x5_7A1B_E125;
 
-/// A generator of its own for each name; the finaliser of SplitMix64 (Steele et al. 2014) spreads every bit.
+/// A separate generator for each name; the finaliser of SplitMix64 (Steele et al. 2014) spreads every bit.
 fn generator(seed: u64, name: u64) -> Pcg64Mcg {
     let mix = |value: u64| {
         let value = (value ^ (value >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);

@@ -1,4 +1,4 @@
-//! Timing of sensors. When does a sensor measure, which readings are lost, and when do the others arrive?
+//! Timing of sensors. When a sensor measures, which readings are lost, and when the others arrive.
 
 use std::collections::VecDeque;
 
@@ -8,13 +8,13 @@ use zenav_protocol::time::Stamp;
 
 use crate::faults::Fault;
 
-/// Whether a reading is lost. A sensor that loses none draws nothing.
+/// Whether a reading is lost. A sensor without losses draws no random number.
 pub(super) fn is_lost(rng: &mut Pcg64Mcg, dropout: f64, fault: &Fault) -> bool {
     let dropout = fault.dropout(dropout);
     fault.is_dead || (dropout > 0.0 && rng.random::<f64>() < dropout)
 }
 
-/// Readings on their way.
+/// Readings in transit.
 #[derive(Clone, Debug)]
 pub struct Delay<T> {
     latency: f64,
@@ -22,7 +22,7 @@ pub struct Delay<T> {
 }
 
 impl<T> Delay<T> {
-    /// Nothing on its way; every reading takes `latency` seconds.
+    /// Empty; every reading takes `latency` seconds.
     #[must_use]
     pub fn new(latency: f64) -> Self {
         Self {
@@ -31,8 +31,8 @@ impl<T> Delay<T> {
         }
     }
 
-    /// Sends what was measured now, with a further delay of `late` seconds; returns what arrives now, of several the latest. Nothing
-    /// overtakes what was sent before it.
+    /// Sends a reading that was measured now, with a further delay of `late` seconds; returns the reading that arrives now, the latest if
+    /// there are several. No reading overtakes an earlier one.
     pub fn pass(&mut self, now: Stamp, reading: Option<T>, late: f64) -> Option<T> {
         let latency = self.latency + late;
         if latency <= 0.0 && self.waiting.is_empty() {
@@ -49,7 +49,7 @@ impl<T> Delay<T> {
     }
 }
 
-/// When a sensor measures: at multiples of its period, at the first step at or after each.
+/// Schedule of a sensor: it measures at multiples of its period, at the first step at or after each.
 #[derive(Clone, Copy, Debug)]
 pub struct Schedule {
     rate_hz: f64,
@@ -66,7 +66,7 @@ impl Schedule {
         }
     }
 
-    /// When the next reading is due.
+    /// Time at which the next reading is due.
     #[must_use]
     pub fn next(&self) -> Stamp {
         self.next
@@ -77,7 +77,7 @@ impl Schedule {
         if now < self.next {
             return false;
         }
-        // The small part keeps a period that is a multiple of the step from slipping by rounding.
+        // The small offset keeps a period that is a multiple of the step from slipping by rounding.
         let passed = (now.as_secs() * self.rate_hz + 1e-9).floor();
         self.next = Stamp::from_secs((passed + 1.0) / self.rate_hz);
         true

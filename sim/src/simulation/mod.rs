@@ -1,7 +1,7 @@
-//! How does everything advance together? In fixed steps from a seed: the same commands give the same bytes.
+//! Simulation. Everything advances in fixed steps from a seed: the same commands give the same bytes.
 //!
-//! A step moves the movers, then the robots in their order, each against what stands where it stands by then; when all
-//! have moved, clearances are computed and sensors measure. Robots see and hit one another.
+//! A step moves the movers, then the robots in their order, each against the present positions of the others; after all have moved,
+//! clearances are computed and sensors measure. Robots see and hit one another.
 
 mod spec;
 #[cfg(test)]
@@ -36,13 +36,13 @@ pub use spec::{MAX_ROBOTS, RobotSpec, SimError};
 /// The default step: a control loop of 50 Hz.
 pub const TICK: Duration = Duration::from_millis(20);
 
-/// A world at work.
+/// A running world.
 #[derive(Clone)]
 pub struct Simulation {
     scene: Arc<Scene>,
     faults: Vec<FaultModel>,
     movers: Vec<Mover>,
-    /// Of the movers, m/s.
+    /// Velocities of the movers, m/s.
     velocities: Vec<Vector2<f64>>,
     bodies: Vec<Body>,
     /// Movers first, then robots.
@@ -57,15 +57,15 @@ impl Simulation {
     /// Puts robots into a world, with the default step.
     ///
     /// # Errors
-    /// [`SimError`]: names, models or starts that cannot be.
+    /// [`SimError`]: invalid names, models or starts.
     pub fn new(world: &World, robots: Vec<RobotSpec>, seed: u64) -> Result<Self, SimError> {
         Self::with_tick(world, robots, seed, TICK)
     }
 
-    /// Puts robots into a world, with a step of one's own between 1 ms and 1 s.
+    /// Puts robots into a world, with a given step between 1 ms and 1 s.
     ///
     /// # Errors
-    /// [`SimError`]: a step, names, models or starts that cannot be.
+    /// [`SimError`]: an invalid step, or invalid names, models or starts.
     pub fn with_tick(world: &World, robots: Vec<RobotSpec>, seed: u64, tick: Duration) -> Result<Self, SimError> {
         if !(Duration::from_millis(1)..=Duration::from_secs(1)).contains(&tick) {
             return Err(SimError::Tick(tick));
@@ -99,11 +99,11 @@ impl Simulation {
         Ok(simulation)
     }
 
-    /// Puts a further robot into the world, which is the one that the simulation began with; its sensors say something from the next step
-    /// on. Returns its place in all calls that take one.
+    /// Adds a robot to the world, which must be the one that the simulation was made with; its sensors report from the next step on.
+    /// Returns its index for all calls that take one.
     ///
     /// # Errors
-    /// [`SimError`]: a name, a model or a start that cannot be.
+    /// [`SimError`]: an invalid name, model or start.
     pub fn add(&mut self, world: &World, robot: RobotSpec) -> Result<usize, SimError> {
         let index = self.place(world, robot)?;
         self.crowd.refresh();
@@ -113,7 +113,7 @@ impl Simulation {
         Ok(index)
     }
 
-    /// Takes a robot out of the world; those after it move up by one in all calls that take a place.
+    /// Removes a robot; the indices of the robots after it drop by one.
     ///
     /// # Panics
     /// See [`Self::drive`].
@@ -172,7 +172,7 @@ impl Simulation {
         Ok(index)
     }
 
-    /// Whether each fault is somebody's; without robots there is nobody to ask.
+    /// Checks that each fault belongs to a robot; without robots there is nothing to check.
     fn check_faults(&self) -> Result<(), SimError> {
         let mut named = self
             .faults
@@ -200,7 +200,7 @@ impl Simulation {
         self.now
     }
 
-    /// Time that one step takes.
+    /// Length of a step.
     #[must_use]
     pub fn tick(&self) -> Duration {
         self.tick
@@ -212,14 +212,13 @@ impl Simulation {
         self.bodies.len()
     }
 
-    /// The place of a robot in all calls that take one.
+    /// Index of a robot for all calls that take one.
     #[must_use]
     pub fn find(&self, id: &Id) -> Option<usize> {
         self.ids.get(id).copied()
     }
 
-    /// Commands a robot's wheels (left, right; rad/s), until the next command. Bounded by its limits; what is not a
-    /// number stops it.
+    /// Commands a robot's wheels (left, right; rad/s), until the next command. Bounded by its limits; NaN stops it.
     ///
     /// # Panics
     /// Unless `robot` is less than [`Self::robots`]; so do all calls that take a robot.
@@ -227,10 +226,10 @@ impl Simulation {
         self.bodies[robot].command(wheels);
     }
 
-    /// Carries a robot to another place, where it stands as it is: its sensors notice nothing of the way, and its wheels go on.
+    /// Moves a robot to another place at once: its sensors do not notice the move, and its wheels keep turning.
     ///
     /// # Errors
-    /// [`SimError::Occupied`] where it does not fit there; then it stays.
+    /// [`SimError::Occupied`] if it does not fit there; then it stays where it is.
     ///
     /// # Panics
     /// See [`Self::drive`].
@@ -289,7 +288,7 @@ impl Simulation {
         self.sense();
     }
 
-    /// Moves all movers; returns how far the fastest went at most, m.
+    /// Moves all movers; returns an upper bound of their motion, m.
     fn move_movers(&mut self, secs: f64) -> f64 {
         let Self {
             scene,
@@ -314,7 +313,7 @@ impl Simulation {
                 .filter(|placed| placed.bounds().distance_to_local_point(center, true) <= reach)
                 .map(|placed| (solid.distance(&placed), placed))
                 .collect();
-            // Half of what counts as contact: a robot that was run into knows it.
+            // Half of the contact distance, so that a robot that was run into registers the contact.
             let blocked = |solid: &Solid| {
                 near.iter().any(|(before, placed)| {
                     let distance = solid.distance(placed);
@@ -358,7 +357,7 @@ impl Simulation {
         }
     }
 
-    /// What a robot's sensors said in the last step; before the first, at time zero.
+    /// A robot's readings in the last step; before the first step, those at time zero.
     ///
     /// # Panics
     /// See [`Self::drive`].
@@ -367,7 +366,7 @@ impl Simulation {
         self.bodies[robot].readings()
     }
 
-    /// What nobody on the robot knows for sure.
+    /// Ground truth, which no robot knows exactly.
     ///
     /// # Panics
     /// See [`Self::drive`].
@@ -376,7 +375,7 @@ impl Simulation {
         self.bodies[robot].chassis.truth()
     }
 
-    /// What a robot's file says.
+    /// A robot's model.
     ///
     /// # Panics
     /// See [`Self::drive`].
@@ -385,7 +384,7 @@ impl Simulation {
         self.bodies[robot].model()
     }
 
-    /// Where the movers are now, in the order of the world's file, m.
+    /// Present positions of the movers, in the order of the world's file, m.
     pub fn movers(&self) -> impl Iterator<Item = Point2<f64>> + '_ {
         self.crowd.solids().iter().take(self.movers.len()).map(Solid::center)
     }
@@ -396,7 +395,7 @@ impl Simulation {
         self.clearance_but(usize::MAX, footprint, map_from_base)
     }
 
-    /// The same, were it not for this robot.
+    /// The same without this robot.
     ///
     /// # Panics
     /// See [`Self::drive`].
@@ -433,7 +432,7 @@ fn faulty<'a>(fault: &FaultModel, bodies: impl IntoIterator<Item = &'a Body>) ->
     })
 }
 
-/// Everybody near a mover, seen from it.
+/// Everything near a mover, seen from it.
 fn neighbours(crowd: &Crowd, velocities: &[Vector2<f64>], bodies: &[Body], own: usize) -> Vec<Neighbour> {
     let mut others = Vec::new();
     let Some(center) = crowd.solids().get(own).map(Solid::center) else {

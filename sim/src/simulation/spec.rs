@@ -1,4 +1,4 @@
-//! Which robots may be put into a world, and why not?
+//! Robots of a simulation. Which robots may be put into a world, and why others are refused.
 
 use std::time::Duration;
 
@@ -9,17 +9,17 @@ use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
 use zenav_protocol::robot::{RobotError, RobotModel};
 
-/// Most robots in one world.
+/// Largest number of robots in one world.
 pub const MAX_ROBOTS: usize = 10_000;
 
 /// A robot to put into a world.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RobotSpec {
-    /// Its name: its noise depends on it and on the seed, not on other robots.
+    /// Its name; its noise depends on the name and on the seed, not on other robots.
     pub id: Id,
     /// Footprint, limits, sensors.
     pub model: RobotModel,
-    /// Where it starts, map frame.
+    /// Start pose, map frame.
     pub start: Pose2,
 }
 
@@ -29,13 +29,13 @@ pub enum SimError {
     /// Two robots have one name.
     #[error("two robots are named `{0}`")]
     Duplicate(Id),
-    /// Values that no robot has.
+    /// Values that no robot may have.
     #[error(transparent)]
     Robot(#[from] RobotError),
     /// The start is not a pose.
     #[error("robot `{0}`: its start is not finite")]
     NotFinite(Id),
-    /// The start lies outside of what is meant to be driven in.
+    /// The start lies outside the part intended for driving.
     #[error("robot `{robot}` cannot start at ({}, {}): the world reaches from ({}, {}) to ({}, {})", Number(at.x), Number(at.y), low.x, low.y, high.x, high.y)]
     Outside {
         /// The robot.
@@ -47,7 +47,7 @@ pub enum SimError {
         /// Its upper-right one, m.
         high: Point2<f64>,
     },
-    /// Something stands where the robot should start: choose another start.
+    /// Something occupies the start: choose another one.
     #[error("robot `{robot}` cannot start at ({}, {}): something stands there", Number(*x), Number(*y))]
     Occupied {
         /// The robot.
@@ -57,27 +57,27 @@ pub enum SimError {
         /// m.
         y: f64,
     },
-    /// A fault of the world is one of a sensor that no robot has.
+    /// A fault refers to a sensor that no robot has.
     #[error("{at}: `fault.sensor` is `{sensor}`: expected a sensor that there is: {known}")]
     Fault {
-        /// Where the fault is written: file and line.
+        /// File and line of the fault.
         at: String,
         /// The sensor.
         sensor: String,
         /// The sensors that there are.
         known: String,
     },
-    /// A fault of the world is one of a robot that is not in it.
+    /// A fault refers to a robot that is not in the simulation.
     #[error("{at}: `fault.robot` is `{robot}`: expected a robot that there is: {known}")]
     FaultOfNobody {
-        /// Where the fault is written: file and line.
+        /// File and line of the fault.
         at: String,
         /// The robot.
         robot: Id,
         /// The robots that there are.
         known: String,
     },
-    /// More robots than a world holds.
+    /// More robots than a world may hold.
     #[error("{0} robots: expected at most {MAX_ROBOTS}")]
     TooMany(usize),
     /// The step is not usable.

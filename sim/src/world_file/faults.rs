@@ -1,4 +1,4 @@
-//! How are faults of sensors written down?
+//! Fault tables. The sensor faults of a world file.
 
 use toml::Spanned;
 use zenav_protocol::config_text::Number;
@@ -8,9 +8,9 @@ use super::tables::{FaultName, FaultTable};
 use crate::faults::{FaultKind, FaultModel};
 use crate::world_check::{Source, WorldError};
 
-/// Readings do not arrive later than this, s.
+/// Largest delay of readings, s.
 const MAX_LATE: f64 = 10.0;
-/// No sensor is noisier, in its own unit.
+/// Largest additional noise, in the sensor's own unit.
 const MAX_NOISE: f64 = 1000.0;
 
 /// A fault of a sensor in its window of time.

@@ -1,4 +1,4 @@
-//! How is a world written down? TOML in metres and radians; whatever is wrong is named with file, line and key.
+//! World file. TOML in metres and radians; errors name file, line and key.
 
 mod faults;
 mod moving;
@@ -135,7 +135,7 @@ pub(crate) fn read(
     })
 }
 
-/// The part to be driven in: as written, or the map's.
+/// The part intended for driving: as written, or the map's.
 fn bounds(
     source: Source<'_>,
     world: &WorldFile,

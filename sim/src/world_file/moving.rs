@@ -1,4 +1,4 @@
-//! How are movers, walkers and doors written down?
+//! Moving obstacles. The movers, walkers and doors of a world file.
 
 use nalgebra::Point2;
 use toml::Spanned;
@@ -67,7 +67,7 @@ pub(super) fn mover(source: Source<'_>, mover: &Spanned<MoverTable>) -> Result<M
     })
 }
 
-/// How long a mover rests at each corner.
+/// Rests of a mover at each corner.
 fn rests(source: Source<'_>, rests: &Spanned<Vec<f64>>, corners: usize) -> Result<Vec<f64>, WorldError> {
     let values = rests.get_ref();
     if values.len() != corners || !values.iter().all(|secs| (0.0..=MAX_REST).contains(secs)) {
@@ -80,7 +80,7 @@ fn rests(source: Source<'_>, rests: &Spanned<Vec<f64>>, corners: usize) -> Resul
     Ok(values.clone())
 }
 
-/// A box to walk in; the walker starts in its middle, or where it is told to.
+/// A box to walk in; the walker starts at `start`, by default in the middle.
 fn walk(source: Source<'_>, walk: &Spanned<Vec<Pair>>, start: Option<&Spanned<Pair>>) -> Result<Route, WorldError> {
     let [Pair(low), Pair(high)] = walk.get_ref()[..] else {
         let problem = format!("{} points: expected 2, opposite corners of a box", walk.get_ref().len());
@@ -105,7 +105,7 @@ fn walk(source: Source<'_>, walk: &Spanned<Vec<Pair>>, start: Option<&Spanned<Pa
     Ok(Route::Walk { start, low, high })
 }
 
-/// A door shuts the way between two points, and slides aside by its own length.
+/// A door shuts the gap between two points, and slides aside by its own length.
 pub(super) fn door(source: Source<'_>, door: &Spanned<DoorTable>) -> Result<MoverModel, WorldError> {
     let DoorTable {
         from,

@@ -1,4 +1,4 @@
-//! Which tables and keys has a world file? Anything else is an error.
+//! World tables. The tables and keys of a world file; anything else is an error.
 
 use serde::Deserialize;
 use toml::Spanned;
@@ -100,7 +100,7 @@ pub(super) struct DoorTable {
     pub(super) starts_open: bool,
 }
 
-/// Time that a door takes to slide where its table does not say, s.
+/// Default time for a door to slide, s.
 fn slide_secs() -> Spanned<f64> {
     Spanned::new(0..0, 2.0)
 }
@@ -117,7 +117,7 @@ pub(super) struct FaultTable {
     pub(super) until: Option<Spanned<f64>>,
 }
 
-/// What is wrong, by name.
+/// Kind of fault, by name.
 #[derive(Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum FaultName {
@@ -127,7 +127,7 @@ pub(super) enum FaultName {
     Noisy,
 }
 
-/// A fault begins at time zero where its table does not say, s.
+/// Default beginning of a fault, s.
 fn at_once() -> Spanned<f64> {
     Spanned::new(0..0, 0.0)
 }

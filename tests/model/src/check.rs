@@ -1,4 +1,4 @@
-//! Check. What does the checker find? All states within the bounds, or a shortest trace to a violation.
+//! Check. Searches all states within the bounds, or finds a shortest trace to a violation.
 
 use std::fmt::Debug;
 use std::hash::Hash;
@@ -6,75 +6,75 @@ use std::time::{Duration, Instant};
 
 use stateright::{Checker as _, Expectation, HasDiscoveries, Model};
 
-/// Transitions after which a search is given up: some gigabytes of states wait then.
+/// Transitions after which a search is given up: by then some gigabytes of states are queued.
 const MOST_TRANSITIONS: usize = 20_000_000;
 
-/// How far the bounds reach.
+/// Size of the bounds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Size {
-    /// All parts within a minute.
+    /// All parts take a minute.
     Small,
-    /// Minutes.
+    /// Takes minutes.
     Large,
 }
 
-/// A part of the contract: its rules, and the model with one of them taken out.
+/// A part of the contract: its rules, and its model with and without each of them.
 pub trait Part {
-    /// The rules by which it holds.
+    /// The rules of the part.
     type Rule: Copy + Debug + PartialEq + Send + Sync + 'static;
-    /// The system that is checked.
+    /// The checked system.
     type System: Model<State: Clone + Debug + Hash + PartialEq + Send + Sync, Action: Clone + Debug + PartialEq + Send + Sync>
         + Send
         + Sync
         + 'static;
-    /// Its name.
+    /// Name of the part.
     const NAME: &'static str;
-    /// Every rule, with what it says.
+    /// Every rule, in words.
     const RULES: &'static [(Self::Rule, &'static str)];
 
     /// The bounds, in words, one for each [`system`](Self::system).
     fn bounds(size: Size) -> Vec<String>;
 
-    /// One of the systems that are checked, each within bounds of its own.
+    /// One of the checked systems, each within its own bounds.
     fn system(size: Size, which: usize) -> Self::System;
 
-    /// One of the small systems, in which the contract breaks without this rule.
+    /// A small system in which the contract breaks without this rule.
     fn without(rule: Self::Rule) -> Self::System;
 }
 
-/// What a run of the checker found.
+/// The outcome of a run of the checker.
 #[derive(Clone, Debug)]
 pub struct Outcome {
-    /// Different states.
+    /// Distinct states.
     pub states: usize,
     /// Transitions.
     pub transitions: usize,
-    /// Actions from the beginning to the state farthest away.
+    /// Actions from the initial state to the farthest state.
     pub depth: usize,
-    /// Whether everything within the bounds was seen, if nothing is broken.
+    /// Whether everything within the bounds was searched, if there is no violation.
     pub is_complete: bool,
     /// Wall time.
     pub took: Duration,
-    /// The claims that were checked.
+    /// The checked claims.
     pub claims: Vec<&'static str>,
-    /// The claim that does not hold, and the actions that lead there.
+    /// The violated claim, and the actions that lead there.
     pub violation: Option<(&'static str, Vec<String>)>,
-    /// What must be possible and was not found.
+    /// Claims that something is possible for which no example was found.
     pub missing: Vec<&'static str>,
 }
 
 impl Outcome {
-    /// Whether nothing is broken in all states within the bounds.
+    /// Whether all claims hold in all states within the bounds.
     #[must_use]
     pub fn holds(&self) -> bool {
         self.violation.is_none() && self.is_complete
     }
 }
 
-/// Checks systems until everything was seen or a violation is found; `system` makes one.
+/// Checks a system, created by `system`, until everything is searched or a violation is found.
 ///
-/// The checker tells of the last violation that it came upon before it stopped. So it runs again, less deep each time, until there is none:
-/// the trace is a shortest one.
+/// The checker reports the last violation found before it stopped. So it is run again, less deep each time, until there is none: the trace
+/// is then a shortest one.
 pub fn check<M>(system: impl Fn() -> M) -> Outcome
 where
     M: Model<State: Clone + Debug + Hash + PartialEq + Send + Sync, Action: Clone + Debug + PartialEq + Send + Sync>
@@ -93,7 +93,7 @@ where
     outcome
 }
 
-/// Searches all states that fewer than `depth` actions lead to.
+/// Searches all states that are reached by fewer than `depth` actions.
 fn search<M>(system: M, depth: Option<usize>) -> Outcome
 where
     M: Model<State: Clone + Debug + Hash + PartialEq + Send + Sync, Action: Clone + Debug + PartialEq + Send + Sync>
@@ -107,7 +107,7 @@ where
         .into_iter()
         .map(|property| (property.expectation, property.name))
         .collect();
-    // One thread: then the search is breadth first.
+    // With one thread the search is breadth first.
     let builder = system.checker().finish_when(HasDiscoveries::AnyFailures);
     let mut builder = builder.target_state_count(MOST_TRANSITIONS);
     if let Some(depth) = depth {

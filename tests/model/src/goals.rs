@@ -1,8 +1,8 @@
-//! Goals. What becomes of a goal whose mission crashes? A client submits goals, pauses, resumes and cancels them, again and again until it is
+//! Goals. A goal whose mission may crash: a client submits goals, pauses, resumes and cancels them, and repeats each request until it is
 //! answered; the mission keeps them in its [`GoalTable`], and may crash between any two effects.
 //!
-//! A step of the mission ends in effects: what is stored, in one transaction, and what is told, to the client and to whoever listens. A crash
-//! loses the table and the effects that have not been carried out; the disk stays. What was told stays told.
+//! A step of the mission ends in effects: records that are stored in one transaction, and messages to the client and to subscribers. A
+//! crash loses the table and the pending effects; the disk stays. A message that was sent cannot be taken back.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -16,27 +16,27 @@ use crate::check::{Part, Size};
 use crate::network::Network;
 use crate::text::Text;
 
-/// What keeps a goal from being lost, repeated or ended twice.
+/// Rules that keep a goal from being lost, repeated or ended twice.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Rule {
-    /// What is told was stored before.
+    /// Records are stored before anything is told.
     PersistFirst,
     /// A step's records are stored all or none.
     Transaction,
     /// A goal sent again under its id is the same goal.
     SameId,
-    /// A goal that has ended stays as it ended.
+    /// An ended goal keeps its end.
     EndOnce,
-    /// A request sent again gets its first answer.
+    /// A repeated request gets its first answer.
     FirstAnswer,
-    /// Ends that may not have been told are told again at the start.
+    /// After a start, ends that may not have been told are told again.
     TellAgain,
 }
 
-/// What a client asks.
+/// A client's request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Request {
-    /// A goal.
+    /// Submit the goal.
     Submit,
     /// Pause the goal; the number identifies the request.
     Pause(u8),
@@ -46,33 +46,33 @@ pub enum Request {
     Cancel(u8),
 }
 
-/// What is told, and cannot be taken back.
+/// A message that was sent and cannot be taken back.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Told {
     /// The goal was accepted.
     Accepted,
     /// A request was answered.
     Answered(Request),
-    /// The goal's phase, to whoever listens.
+    /// The goal's phase, to subscribers.
     Phase(Phase),
 }
 
-/// A goal's phase, in an order that can be sorted.
+/// A goal's phase, sortable.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Phase {
     /// Queued.
     Accepted,
-    /// Driven.
+    /// Being driven.
     Active,
     /// Paused.
     Paused,
-    /// Ended well.
+    /// Ended successfully.
     Succeeded,
-    /// Ended by a client.
+    /// Cancelled by a client.
     Canceled,
 }
 
-/// What may happen.
+/// An action of the system.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Action {
     /// A client sends a request, perhaps again.
@@ -83,15 +83,15 @@ pub enum Action {
     Drive,
     /// The robot has arrived.
     Succeed,
-    /// A step's first effect that was not carried out is.
+    /// The first pending effect of a step is carried out.
     CarryOut,
     /// The mission crashes.
     Crash,
-    /// It starts again.
+    /// The mission restarts.
     Start,
 }
 
-/// How much happens at most.
+/// Bounds on the number of events.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Bounds {
     submits: u8,
@@ -104,12 +104,12 @@ pub struct Bounds {
 /// An effect of a step.
 #[derive(Clone, Debug, PartialEq)]
 enum Effect {
-    /// Records, and the request that acts once they are stored.
+    /// Records to store, and the request that acts once they are stored.
     Store(Vec<Record>, Option<Request>),
     Tell(Told),
 }
 
-/// What is on disk.
+/// Contents of the disk.
 #[derive(Clone, Debug, Default)]
 struct Disk {
     goals: BTreeMap<String, StoredGoal>,
@@ -127,13 +127,13 @@ pub struct State {
     /// Requests that were sent so far.
     sent: BTreeSet<Request>,
     told: BTreeSet<Told>,
-    /// A phase was told after an end.
+    /// Whether another phase was told after an end.
     told_after_end: bool,
-    /// How often each request has acted, on disk.
+    /// Number of times that each request has acted, on disk.
     acted: BTreeMap<Request, u8>,
 }
 
-/// The system, without a rule if told so.
+/// The system, optionally without one rule.
 #[derive(Debug)]
 pub struct System {
     bounds: Bounds,
@@ -166,7 +166,7 @@ impl System {
         self.without != Some(rule)
     }
 
-    /// Ends a step: its effects wait to be carried out, in order.
+    /// Ends a step: queues its effects in order.
     fn end(&self, state: &mut State, table: &mut GoalTable, served: Served) {
         let records = table.take_records();
         let phases = table.take_changed();
@@ -194,7 +194,7 @@ impl System {
 
     fn serve(&self, table: &mut GoalTable, request: Request) -> Option<Served> {
         if request == Request::Submit {
-            // Nobody is told of a refusal here: the client asks again.
+            // Refusals are not modelled: the client asks again.
             let known = table.resubmitted(&goal()).filter(|_| self.has(Rule::SameId));
             let acts = known.is_none().then_some(request);
             match known {
@@ -217,7 +217,7 @@ impl System {
                     served.ends_again = !self.has(Rule::EndOnce);
                 }
             }
-            // Refused: the client hears so and may ask anew.
+            // Refused: the client may send a new request.
             _ => return None,
         }
         table.keep_answer(id, reply(&table.get(GOAL)?.state));
@@ -225,11 +225,11 @@ impl System {
     }
 }
 
-/// What a request leads to.
+/// The result of serving a request.
 #[derive(Clone, Copy, Debug, Default)]
 struct Served {
     answer: Option<Told>,
-    /// The request, where it changes something.
+    /// The request, if it changes something.
     acts: Option<Request>,
     ends_again: bool,
 }
@@ -368,7 +368,7 @@ impl Model for System {
             Action::Crash => {
                 state.left.crashes -= 1;
                 state.table.0 = None;
-                // What was not stored was not done.
+                // Effects that are not carried out are lost.
                 state.effects.0.clear();
             }
             Action::Start => {

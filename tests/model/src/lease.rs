@@ -1,8 +1,8 @@
-//! Lease. Who may command the robot? Two missions and an operator ask the robot's own [`Authority`]; the robot may restart.
+//! Lease. Two missions and an operator compete for the lease of the robot's own [`Authority`]; the robot may restart.
 //!
-//! There is no network to see: whatever a client could have sent by now may arrive now, late, out of order and again. A request may arrive at
-//! any time; a heartbeat or a command may arrive under every grant that there ever was. So all delays, orders, losses and copies are tried,
-//! and clients that pause, die or never learn of their grant are among them.
+//! The network is implicit: any message that a client could have sent by now may arrive now, late, out of order or repeated. A request may
+//! arrive at any time; a heartbeat or a command may arrive under any past grant. So all delays, orders, losses and copies are explored,
+//! including clients that pause, die or never learn of their grant.
 
 use std::collections::BTreeSet;
 
@@ -19,21 +19,21 @@ use zenav_protocol::time::Stamp;
 use crate::check::{Part, Size};
 use crate::text::Text;
 
-/// Length of a tick, s: the lease (1 s) lives through one and lapses with the second.
+/// Length of a tick, s: the lease (1 s) survives one tick and lapses with the second.
 pub const TICK: f64 = 0.6;
-/// Ticks through which a lease lives without a heartbeat.
+/// Ticks that a lease survives without a heartbeat.
 const LIVES: u8 = 1;
 
-/// What keeps two holders from commanding at once.
+/// Rules that keep two holders from commanding at once.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Rule {
     /// Commands and heartbeats carry the epoch of their grant.
     Epoch,
-    /// After a lapse the same holder gets a new epoch as well.
+    /// After a lapse even the same holder gets a new epoch.
     EpochAfterLapse,
-    /// The epoch is on disk before the grant is told.
+    /// The epoch is on disk before the grant is sent.
     PersistBeforeReply,
-    /// Nothing is granted while somebody of the same rank holds the lease.
+    /// Nothing is granted while another holder of the same rank has a live lease.
     OneHolder,
     /// An operator outranks a mission.
     Rank,
@@ -45,7 +45,7 @@ pub enum Rule {
     FirstAnswer,
 }
 
-/// Who asks.
+/// A client of the lease.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Who {
     /// A mission.
@@ -75,14 +75,14 @@ impl Who {
     }
 }
 
-/// What may happen.
+/// An action of the system.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Action {
     /// A request for the lease arrives.
     Ask(Who),
     /// A request that was answered arrives again.
     AskAgain(Who, u8),
-    /// Somebody gives the lease back.
+    /// A client gives the lease back.
     GiveBack(Who),
     /// A heartbeat arrives, sent under the grant of this number.
     Beat {
@@ -93,20 +93,20 @@ pub enum Action {
     },
     /// Time passes on the robot.
     Tick,
-    /// The robot's disk is written, where that is not before the reply.
+    /// The robot's disk is written, if that does not happen before the reply.
     Write,
     /// The robot restarts.
     Restart,
 }
 
-/// A grant that there was: to whom, and the epoch that was told.
+/// A past grant: its holder, and the epoch in the reply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 struct Given {
     who: Who,
     epoch: u64,
 }
 
-/// The grant in force, as it should be.
+/// The grant in force by the specification.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 struct Grant {
     number: u8,
@@ -116,7 +116,7 @@ struct Grant {
     given_back: bool,
 }
 
-/// Which claim was broken.
+/// The violated claim.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 enum Broken {
     Taken,
@@ -124,7 +124,7 @@ enum Broken {
     ActsTwice,
 }
 
-/// How much happens at most.
+/// Bounds on the number of events.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Bounds {
     ticks: u8,
@@ -135,7 +135,7 @@ pub struct Bounds {
     restarts: u8,
 }
 
-/// The robot, and what its clients can have sent.
+/// The robot, and everything that its clients can have sent.
 #[derive(Clone, Debug, PartialEq, Hash)]
 pub struct State {
     robot: Text<Authority>,
@@ -149,7 +149,7 @@ pub struct State {
     broken: Option<Broken>,
 }
 
-/// The system, without a rule if told so.
+/// The system, optionally without one rule.
 #[derive(Debug)]
 pub struct System {
     bounds: Bounds,
@@ -166,7 +166,7 @@ impl System {
 /// The robot of every part.
 ///
 /// # Panics
-/// Never: the name is a proper one.
+/// Never: the name is valid.
 #[must_use]
 #[expect(clippy::expect_used, reason = "a constant name")]
 pub fn config() -> EdgeConfig {
@@ -174,20 +174,20 @@ pub fn config() -> EdgeConfig {
     EdgeConfig::new(robot, zenav_fixtures::robot("tiago"), Pose2::default())
 }
 
-/// The robot's clock after so many ticks.
+/// The robot's clock after a number of ticks.
 #[must_use]
 pub fn clock(ticks: u8) -> Stamp {
     Stamp::from_secs(10.0 + TICK * f64::from(ticks))
 }
 
-/// A log that nobody reads.
+/// An event log whose content is ignored.
 #[must_use]
 pub fn log() -> EventLog {
     EventLog::new("boot".to_owned())
 }
 
 impl State {
-    /// Whether the grant in force is live as it should be.
+    /// Whether the grant in force is live by the specification.
     fn is_live(&self) -> bool {
         let lives = |grant: &Grant| !grant.given_back && self.now - grant.renewed <= LIVES;
         self.grant.as_ref().is_some_and(lives)
@@ -227,7 +227,7 @@ impl State {
         Some(())
     }
 
-    /// Whether a command acts that was sent under a grant and arrives now.
+    /// Whether a command acts if it was sent under a grant and arrives now.
     fn is_admitted(&self, system: &System, given: &Given) -> bool {
         let is_holder = self.grant.as_ref().is_some_and(|known| known.who == given.who);
         let replaces = !system.has(Rule::Epoch) || !system.has(Rule::EpochAfterLapse) && is_holder;
@@ -235,7 +235,7 @@ impl State {
         self.robot.admit(self.time(system), Some(epoch)).is_ok()
     }
 
-    /// Whether only what was sent under the newest grant acts, and that only while it is live.
+    /// Whether commands act only if they were sent under the newest grant, and only while it is live.
     fn only_the_newest_commands(&self, system: &System) -> bool {
         let newest = self.grant.as_ref().filter(|_| self.is_live()).map(|grant| grant.number);
         let mut given = (0..).zip(&self.given);
@@ -355,7 +355,7 @@ impl Model for System {
         }
         if left.beats > 0 {
             for grant in (0..).take(state.given.len()) {
-                // Numbers in any order, and again.
+                // Counters in any order, and repeated.
                 actions.extend((1..=self.bounds.beats).map(|counter| Action::Beat { grant, counter }));
             }
         }
@@ -400,7 +400,7 @@ impl Model for System {
                 state.left.restarts -= 1;
                 *state.robot = Authority::new(&self.config, state.disk.clone().0);
                 state.grant = None;
-                // A restarted robot does not know what it answered: a request that arrives again then is a new one.
+                // A restarted robot has lost its answers, so a repeated request is a new one.
                 state.answered.clear();
             }
         }

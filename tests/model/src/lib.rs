@@ -1,22 +1,22 @@
 //! The contract of robot and cloud, as a model that is checked exhaustively within stated bounds.
 //!
-//! Each part of the contract is a small system: a few processes, a network that delays, reorders, repeats and loses, and clocks that count in
-//! ticks. Its transitions are the functions that the robot and the missions themselves run ([`zenav_protocol::lease`],
-//! [`zenav_edge::authority`], [`zenav_edge::acceptance`], [`zenav_edge::active_plan`], [`zenav_mission::goals`],
-//! [`zenav_mission::lease`], [`zenav_mission::membership`], [`zenav_mission::standby`]); what the model adds is the order in which things may
-//! happen. All orders are tried, breadth first, so a violation comes with a shortest trace.
+//! Each part of the contract is a small system: a few processes, a network that delays, reorders, duplicates and loses messages, and clocks
+//! that count in ticks. Its transitions call the functions that the robot and the missions run ([`zenav_protocol::lease`],
+//! [`zenav_edge::authority`], [`zenav_edge::acceptance`], [`zenav_edge::active_plan`], [`zenav_mission::goals`], [`zenav_mission::lease`],
+//! [`zenav_mission::membership`], [`zenav_mission::standby`]); the model adds only the order of events. All orders are explored, breadth
+//! first, so a violation comes with a shortest trace.
 //!
-//! A rule that is taken out is taken out by what the function is given or by what becomes of its answer; the functions stay as they are.
-//! What must happen at all for a part to show anything is a claim as well: an example of it is sought, and must be found.
+//! A rule is disabled by altering the inputs or the answers of these functions; the functions themselves are unchanged. Events that must be
+//! possible for a part to be meaningful are claims as well: the checker must find an example.
 //!
 //! | file | part of the contract |
 //! |---|---|
 //! | [`lease`] | who may command: grants, epochs, heartbeats, an operator, a restart of the robot |
 //! | [`plan`] | how long a plan moves the robot: validity, revisions, boots, stops |
-//! | [`goals`] | what becomes of a goal: stored, told, ended, over crashes |
+//! | [`goals`] | the life of a goal: stored, told, ended, across crashes |
 //! | [`handover`] | two orchestrators: join, catch up, take over; a paused leader that wakes |
-//! | [`check`] | the run of a checker, and what it found |
-//! | [`network`], [`text`] | messages under way; states that are compared by what they show |
+//! | [`check`] | a run of the checker, and its outcome |
+//! | [`network`], [`text`] | messages in transit; states that are compared by their `Debug` text |
 //!
 //! `docs/model.md` states the bounds, the sizes and the shortest trace without each rule.
 

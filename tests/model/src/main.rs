@@ -1,4 +1,4 @@
-//! Checks the contract's model and prints what was found: `cargo run --release -p zenav-model -- --bounds large`.
+//! Checks the contract's model and prints the results: `cargo run --release -p zenav-model -- --bounds large`.
 
 #![expect(clippy::print_stdout, reason = "a command that prints its findings")]
 
@@ -14,18 +14,18 @@ use zenav_model::plan::PlanValidity;
 /// Checks the contract's model: all rules, then without each of them
 #[derive(Debug, Parser)]
 struct Arguments {
-    /// How far the bounds reach
+    /// Size of the bounds
     #[arg(long, value_enum, default_value = "small")]
     bounds: Size,
     /// Only this part: lease, plan, goals or handover
     #[arg(long)]
     part: Option<String>,
-    /// With all rules only
+    /// Only with all rules, not without each of them
     #[arg(long)]
     rules: bool,
 }
 
-/// Checks and prints a part; whether it is as it should be.
+/// Checks and prints a part; returns whether the results are as expected.
 type Run = fn(&Arguments) -> bool;
 
 fn main() -> ExitCode {
@@ -44,7 +44,7 @@ fn main() -> ExitCode {
     if holds { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }
 
-/// Prints a part as `docs/model.md` shows it; whether it holds, and fails without each rule.
+/// Checks a part and prints its tables for `docs/model.md`; returns whether it holds, and fails without each rule.
 fn part<P: Part>(arguments: &Arguments) -> bool {
     println!("## {}\n", P::NAME);
     let mut holds = true;

@@ -1,9 +1,9 @@
-//! Network. What may become of a message? It arrives late, out of order, twice, or never.
+//! Network. Messages may arrive late, out of order, twice, or never.
 //!
-//! Any message under way may be the next to arrive, so all delays and orders are tried; one that never arrives is lost. A copy stays under
-//! way when a message arrives twice.
+//! Any message in transit may be the next to arrive, so all delays and orders are explored; a message that never arrives is lost. If a
+//! message arrives twice, a copy stays in transit.
 
-/// Messages under way; which came first is not known.
+/// Messages in transit, unordered.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Network<M> {
     messages: Vec<M>,
@@ -22,14 +22,14 @@ impl<M: Clone + Ord> Network<M> {
         self.messages.insert(place, message);
     }
 
-    /// Takes out the message that arrives next.
+    /// Removes the message that arrives.
     pub fn arrives(&mut self, message: &M) {
         if let Ok(place) = self.messages.binary_search(message) {
             self.messages.remove(place);
         }
     }
 
-    /// The different messages that may arrive next.
+    /// The distinct messages that may arrive next.
     pub fn under_way(&self) -> impl Iterator<Item = &M> {
         let differs = |place: usize| place == 0 || self.messages.get(place - 1) != self.messages.get(place);
         self.messages
@@ -39,7 +39,7 @@ impl<M: Clone + Ord> Network<M> {
             .map(|(_, message)| message)
     }
 
-    /// Those that are of no use any more are lost.
+    /// Drops the messages that are not wanted.
     pub fn keep(&mut self, wanted: impl FnMut(&M) -> bool) {
         self.messages.retain(wanted);
     }

@@ -1,11 +1,11 @@
-//! Plan validity. How long does a plan move the robot? Two missions write plans, one after the other; the robot judges them by its own clock,
-//! may be stopped and resumed, and may restart with a clock that begins anew.
+//! Plan validity. The time for which a plan moves the robot. Two missions publish plans, one after the other; the robot judges them by its
+//! own clock, may be stopped and resumed, and may restart with a new clock.
 //!
-//! The header is judged by [`judge_head`], an accepted plan is an [`ActivePlan`], what may move the robot is [`Authority::motion_source`].
-//! The robot moves where a plan is its source of motion and lets it go faster than zero.
+//! The header is judged by [`judge_head`], an accepted plan is an [`ActivePlan`], the source of motion is [`Authority::motion_source`].
+//! The robot moves if a plan is its source of motion and allows a speed above zero.
 //!
-//! There is no network to see: any plan that could have been sent by now may arrive now. It is written under any grant that there was, based on
-//! any state that there was, however long ago, with any number, for the trajectory before or a new one. Missions have no clock, and may be
+//! The network is implicit: any plan that could have been sent by now may arrive now. It may be written under any past grant, based on
+//! any past state, however old, with any number, for the current trajectory or a new one. Missions have no clock, and may be
 //! wrong about validity and stamps.
 
 use std::hash::{Hash, Hasher};
@@ -34,17 +34,17 @@ use crate::text::Text;
 
 /// Validity of an honest plan, ticks.
 const VALID: u8 = 2;
-/// Longest validity that the robot believes, ticks.
+/// Longest validity that the robot accepts, ticks.
 const LONGEST: u8 = 3;
 
-/// What bounds the motion that a plan makes.
+/// Rules that bound the motion by a plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Rule {
-    /// Validity counts from the state that the plan was made from.
+    /// Validity counts from the state that the plan is based on.
     FromState,
-    /// An expired plan moves nothing.
+    /// An expired plan does not move the robot.
     Expiry,
-    /// No plan is believed for longer than the longest validity.
+    /// Validity is capped at the longest validity.
     Longest,
     /// A plan based on the future is refused.
     Future,
@@ -56,7 +56,7 @@ pub enum Rule {
     Epoch,
     /// A plan is refused while no mission holds a live lease.
     Live,
-    /// Another holder's lease discards the plan.
+    /// A grant to another holder discards the plan.
     HandoverDiscards,
     /// A stop latches.
     Latch,
@@ -66,34 +66,34 @@ pub enum Rule {
     StopDiscards,
     /// A plan from before the resume is refused.
     Resume,
-    /// By the policy `stop`, a robot without a live lease brakes.
+    /// Under the policy `stop` a robot without a live lease brakes.
     Policy,
 }
 
-/// A plan that arrives.
+/// A plan in transit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Letter {
     /// The grant that it was written under.
     grant: u8,
     /// Its number among the plans of its writer.
     revision: u8,
-    /// When the state was that it is based on, in ticks of true time.
+    /// Time of the state that it is based on, ticks of true time.
     born: u8,
-    /// Whether it renews the trajectory that is followed.
+    /// Whether it renews the current trajectory.
     renews: bool,
     mistake: Option<Mistake>,
 }
 
-/// What a mission gets wrong.
+/// A mistake of a mission.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Mistake {
-    /// It asks for validity for ever.
+    /// The plan has endless validity.
     Endless,
-    /// It bases the plan on a state two ticks ahead.
+    /// The plan is based on a state two ticks in the future.
     Ahead,
 }
 
-/// What may happen.
+/// An action of the system.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Action {
     /// A mission asks for the lease and gets an answer.
@@ -104,15 +104,15 @@ pub enum Action {
     Plan(Letter),
     /// Time passes.
     Tick,
-    /// Somebody stops the robot.
+    /// The robot is stopped.
     Stop,
-    /// Somebody releases the stop.
+    /// The stop is released.
     Resume,
-    /// The robot restarts, and its clock begins anew.
+    /// The robot restarts with a new clock.
     Restart,
 }
 
-/// How much happens at most.
+/// Bounds on the number of events.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Bounds {
     ticks: u8,
@@ -124,18 +124,18 @@ pub struct Bounds {
     mistakes: u8,
 }
 
-/// A grant that there was: to which mission, in which epoch.
+/// A past grant: its mission and epoch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 struct Given {
     mission: u8,
     epoch: u64,
 }
 
-/// The plan that is followed, as it should be.
+/// The plan that is followed by the specification.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 struct Followed {
     writer: u8,
-    /// True time of the state that it claims to be based on, and for how long it is valid from then on.
+    /// True time of the state that it claims to be based on, and its validity from then on.
     born: u8,
     valid: u8,
     /// True time when it was accepted, and whether a lease was live then.
@@ -143,7 +143,7 @@ struct Followed {
     with_lease: bool,
 }
 
-/// The plan in force. Its tracker never steps here, so that it is what it was made of, and when it expires.
+/// The plan in force. Its tracker never steps here, so the plan is determined by its origin and its expiry.
 #[derive(Clone, Debug)]
 struct InForce(Option<ActivePlan>);
 
@@ -168,16 +168,16 @@ impl Hash for InForce {
     }
 }
 
-/// The robot, and what missions can have sent.
+/// The robot, and everything that missions can have sent.
 #[derive(Clone, Debug, PartialEq, Hash)]
 pub struct State {
-    /// The policy for a lost lease: brake at once, or finish the plan's horizon.
+    /// Whether the policy for a lost lease is to brake at once, instead of finishing the plan's horizon.
     brakes: bool,
     robot: Text<Authority>,
     plan: InForce,
     newest: Option<(u64, Revision)>,
     disk: Text<Persisted>,
-    /// True times at which the robot started; its clock begins anew then.
+    /// True times at which the robot started with a new clock.
     boots: Vec<u8>,
     time: u8,
     given: Vec<Given>,
@@ -185,9 +185,9 @@ pub struct State {
     trajectories: u8,
     left: Bounds,
     followed: Option<Followed>,
-    /// The holder by the robot's own grants.
+    /// The holder according to the robot's grants.
     granted: Option<u8>,
-    /// Heartbeats or grants arrived last at this true time.
+    /// True time of the last heartbeat or grant.
     renewed: u8,
     taken: Option<(u64, u8)>,
     older_taken: bool,
@@ -196,7 +196,7 @@ pub struct State {
     moved: bool,
 }
 
-/// The system, without a rule if told so.
+/// The system, optionally without one rule.
 #[derive(Debug)]
 pub struct System {
     bounds: Bounds,
@@ -341,7 +341,7 @@ fn log(state: &State) -> EventLog {
 }
 
 impl State {
-    /// Ticks of the robot's clock at a true time, and which boot that was.
+    /// The boot at a true time, and the ticks of the robot's clock then.
     fn at(&self, time: u8) -> (usize, u8) {
         let boot = self.boots.iter().filter(|began| **began <= time).count();
         let began = boot.checked_sub(1).and_then(|last| self.boots.get(last));
@@ -476,7 +476,7 @@ impl Model for System {
                     Self::discard(&mut state, decision.discard_reason);
                 }
                 if !self.has(Rule::Latch) {
-                    // The plan is discarded, and that is all.
+                    // The plan is discarded, but the stop does not latch.
                     state.robot.resume(Stamp::ZERO, &ResumeRequest::default(), &mut log);
                 }
                 state.stopped = true;

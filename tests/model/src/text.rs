@@ -1,4 +1,4 @@
-//! Text. When are two states of the real code the same? When they show the same: their `Debug` text has every field.
+//! Text. States of the real code are compared by their `Debug` text, which has every field.
 
 use std::fmt::{Debug, Formatter, Result, Write};
 use std::hash::{Hash, Hasher};
@@ -8,7 +8,7 @@ use std::ops::{Deref, DerefMut};
 #[derive(Clone, Default)]
 pub struct Text<T>(pub T);
 
-/// Passes text on to a hasher, without a copy.
+/// Writes text into a hasher, without a copy.
 struct Sink<'a, H>(&'a mut H);
 
 impl<H: Hasher> Write for Sink<'_, H> {
@@ -20,7 +20,7 @@ impl<H: Hasher> Write for Sink<'_, H> {
 
 impl<T: Debug> Hash for Text<T> {
     fn hash<H: Hasher>(&self, state: &mut H) {
-        // Neither a `Debug` of the workspace nor this sink fails.
+        // No `Debug` of the workspace fails, and neither does this sink.
         let _ = write!(Sink(state), "{:?}", self.0);
         state.write_u8(0);
     }

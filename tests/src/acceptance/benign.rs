@@ -1,4 +1,4 @@
-//! Benign plans. Which plan is clear of everything, so that a robot is to finish it without an intervention?
+//! Benign plans. Plans that are clear of all obstacles, so a robot must finish them without an intervention.
 
 use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::messages::{Trajectory, TrajectoryPoint};
@@ -9,7 +9,7 @@ use super::worlds::{HALF, Rng};
 
 /// Clearance of a benign path from static obstacles, m.
 const BENIGN_CLEARANCE: f64 = 0.12;
-/// Clearance of a benign path from the paths of movers, m: none comes near within the robot's stopping time.
+/// Clearance of a benign path from the paths of movers, m: no mover comes near within the robot's stopping time.
 const MOVER_CLEARANCE: f64 = 1.8;
 
 /// A pose with clearance for the robot.
@@ -24,7 +24,7 @@ pub(super) fn place(rng: &mut Rng, sim: &Simulation, model: &RobotModel, room: f
     })
 }
 
-/// A turn on the spot and a straight path clear of everything.
+/// A turn on the spot and a straight path, both clear of all obstacles.
 pub(super) fn benign_trajectory(
     rng: &mut Rng,
     world: &World,

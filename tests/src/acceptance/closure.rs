@@ -1,7 +1,8 @@
-//! A map that moves. Does a loop closure harm a robot that is driving?
+//! A moving map. Whether a loop closure harms a driving robot.
 //!
-//! A robot without GPS and compass drives through a corridor, mapping. On its way to a goal that it has a map of, a closure is injected: the
-//! map behind it bends, and everything about robot and goal moves by a metre. The same drive without the closure is what it is compared with.
+//! A robot without GPS and compass maps a corridor while driving. On its way to a goal within its map, a closure is injected: the
+//! map behind it bends, and the surroundings of robot and goal move by a metre. The drive is compared with the same drive without the
+//! closure.
 
 use nalgebra::{Point2, Vector2};
 use zenav::lockstep::{ClosedLoop, ClosedLoopConfig};
@@ -21,46 +22,46 @@ use super::worlds::{Rng, outer_walls, wall};
 
 /// The corridor: length and width, m.
 const CORRIDOR: (f64, f64) = (24.0, 3.0);
-/// Where the map bends, m along the corridor: from the first place on the map turns, behind the second it moves as one body.
+/// Hinge of the bend, m along the corridor: the map bends between the two places, and moves as one rigid body beyond the second.
 const HINGE: (f64, f64) = (5.0, 9.0);
-/// How far the robot's surroundings move, m.
+/// Displacement of the robot's surroundings, m.
 const MOVE: f64 = 1.0;
 /// Longest drive, s.
 const LONGEST: f64 = 150.0;
-/// Slower than this is at rest, m/s.
+/// A robot slower than this is at rest, m/s.
 const AT_REST: f64 = 0.03;
-/// So near to the goal the robot brakes for it, m.
+/// Distance from the goal within which the robot brakes for it, m.
 const BRAKING: f64 = 1.5;
 
-/// How a drive went.
+/// The result of a drive.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Closing {
     /// The seed.
     pub seed: u64,
-    /// Whether the mission took the goal for reached.
+    /// Whether the goal succeeded.
     pub succeeded: bool,
-    /// Distance of the robot from the goal's spot in the building at the end, by truth, m.
+    /// True distance of the robot from the goal's place in the building at the end, m.
     pub error: f64,
-    /// The same without the closure: what SLAM alone is off at the goal, m.
+    /// The same without the closure: SLAM's own error at the goal, m.
     pub error_without: f64,
-    /// Largest distance from the way that is driven without the closure, m.
+    /// Largest distance from the path driven without the closure, m.
     pub beside: f64,
-    /// Time from the closure to the goal beyond that without the closure, s.
+    /// Additional time from the closure to the goal, compared with the drive without it, s.
     pub later: f64,
-    /// Time at rest between the closure and the goal beyond that without the closure, s.
+    /// Additional time at rest between the closure and the goal, compared with the drive without it, s.
     pub stood: f64,
-    /// How far the goal's numbers moved, m.
+    /// Displacement of the goal's coordinates, m.
     pub moved: f64,
     /// Frames that began.
     pub frames: u64,
     /// Contacts.
     pub collisions: u32,
-    /// Plans that replaced one.
+    /// Plans that replaced another plan.
     pub replans: u64,
 }
 
 impl Closing {
-    /// Whether the closure did no harm. What SLAM alone is off at a place that it had not seen when the goal was given is no closure's fault.
+    /// Whether the closure did no harm. SLAM's own error at a place that it had not seen when the goal was given does not count.
     #[must_use]
     pub fn is_good(&self) -> bool {
         self.succeeded
@@ -77,14 +78,14 @@ impl Closing {
 /// One drive.
 struct Drive {
     end: Closing,
-    /// Places after the closure would have been injected, with the speed and the distance from the goal's spot.
+    /// Positions from the time of the closure on, with the speed and the distance from the goal's place.
     way: Vec<(Point2<f64>, f64, f64)>,
 }
 
 /// Drives with and without a closure.
 ///
 /// # Errors
-/// What cannot be set up.
+/// When the world or the robot cannot be set up.
 pub fn drive(seed: u64) -> Result<Closing, String> {
     let plain = run(seed, false)?;
     let closed = run(seed, true)?;
@@ -164,7 +165,7 @@ fn run(seed: u64, closes: bool) -> Result<Drive, String> {
         let Some(state) = robot.goal().cloned() else { continue };
         let Some(spot) = spot else {
             if state.state == GoalPhase::Succeeded {
-                // Where the numbers of the goal are in the building, by where the robot is in both.
+                // The goal's place in the building, from the robot's true and estimated pose.
                 let building_from_map = truth.map_from_base * robot.pilot.map_from_base().inverse();
                 spot = Some(building_from_map.transform_point(Point2::new(second.0, second.1)));
                 robot.ask(goal("on", second.0, second.1));
@@ -203,14 +204,14 @@ fn run(seed: u64, closes: bool) -> Result<Drive, String> {
     Ok(drive)
 }
 
-/// Where a node goes: what lies behind the hinge stays, what lies beyond turns about it, so far that at `x` everything moves by [`MOVE`].
+/// The moved pose of a node: poses before the hinge stay, poses beyond turn about it, such that the displacement at `x` is [`MOVE`].
 fn bent(pose: Pose2, x: f64, turn_to: f64) -> Pose2 {
     let (from, to) = HINGE;
     let long = to - from;
     let curvature = turn_to * MOVE / (0.5 * long * long + long * (x - to));
     let within = (pose.x - from).clamp(0.0, long);
     let beyond = (pose.x - to).max(0.0);
-    // An arc of the hinge, then straight on.
+    // An arc within the hinge, then a straight line.
     let yaw = curvature * within;
     let along = from.min(pose.x);
     let arc = Vector2::new(within, 0.5 * curvature * within * within);

@@ -1,6 +1,7 @@
-//! Found everywhere. Is a robot found in a map without a guess, from any place, how soon, and is it told when it cannot be?
+//! Global localisation. Whether a robot is found in a map without an initial guess, from any place, how fast, and whether failures are
+//! reported.
 //!
-//! Random places of a map, each with one scan as a lidar of 270 degrees and 25 m would see it; every place is asked for without a guess.
+//! Each random place of a map is searched for by one scan, as seen by a lidar of 270 degrees and 25 m.
 
 use std::f64::consts::PI;
 use std::time::Duration;
@@ -16,34 +17,34 @@ use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
 const LIDAR: (u32, f64, f64) = (360, 1.5 * PI, 25.0);
 /// Standard deviation of a range, m.
 const NOISE: f64 = 0.01;
-/// Right is so near to the truth, m and rad.
+/// Largest error of a right answer, m and rad.
 const RIGHT: (f64, f64) = (0.1, 0.035);
-/// Free room about each place, m.
+/// Free space around each place, m.
 const ROOM: f64 = 0.3;
-/// Beams that must come back: with fewer a place is left out.
+/// Fewest returns: places with fewer are left out.
 const FEWEST: usize = 60;
 
-/// What became of all places.
+/// Answers for all places.
 #[derive(Clone, Debug, Default)]
 pub struct Tally {
     /// Processor time of each answer, s, in order.
     pub took: Vec<f64>,
-    /// One place, and the right one.
+    /// A unique and right place.
     pub right: usize,
-    /// Several places are named, the right one among them.
+    /// Several places, the right one among them.
     pub ambiguous: usize,
-    /// Several places are named, all of them wrong.
+    /// Several places, all of them wrong.
     pub ambiguous_wrong: usize,
-    /// No place is named.
+    /// No place.
     pub nowhere: usize,
     /// The budget was used up.
     pub out_of_budget: usize,
-    /// One place, and a wrong one: the truth, what was answered, and how much of the scan agreed there.
+    /// A unique and wrong place: the truth, the answer, and the share of the scan that agreed there.
     pub wrong: Vec<(Pose2, Pose2, f64)>,
 }
 
 impl Tally {
-    /// The time within which a share of all answers came, s.
+    /// The processor time that a share of all answers does not exceed, s.
     #[must_use]
     pub fn within(&self, share: f64) -> f64 {
         let mut took = self.took.clone();
@@ -54,7 +55,7 @@ impl Tally {
             .unwrap_or(f64::NAN)
     }
 
-    /// Everything in a line.
+    /// Summary in one line.
     #[must_use]
     pub fn line(&self) -> String {
         format!(
@@ -73,7 +74,7 @@ impl Tally {
     }
 }
 
-/// Asks for `count` random places of a map, by a seed; `time` is the processor time so far.
+/// Searches for `count` random places of a map, drawn by a seed; `time` is the processor time so far.
 pub fn ask_everywhere(
     map: &OccupancyGrid,
     count: usize,
@@ -109,7 +110,7 @@ pub fn ask_everywhere(
     tally
 }
 
-/// A random free place with room about it, if this draw is one.
+/// Draws a random pose; `None` unless it is free with room around it.
 fn place(map: &OccupancyGrid, rng: &mut Pcg64Mcg) -> Option<Pose2> {
     let spec = map.spec();
     let cell = Cell::new(rng.random_range(0..spec.width), rng.random_range(0..spec.height));
@@ -127,7 +128,7 @@ fn place(map: &OccupancyGrid, rng: &mut Pcg64Mcg) -> Option<Pose2> {
     free.then(|| Pose2::new(at.x + dx, at.y + dy, yaw))
 }
 
-/// Where the beams of a lidar at a pose end, in its own frame.
+/// The ends of a lidar's beams at a pose, in its own frame.
 fn look(map: &OccupancyGrid, pose: Pose2, rng: &mut Pcg64Mcg) -> Vec<Point2<f64>> {
     let (beams, field, range) = LIDAR;
     let step = 0.25 * map.spec().resolution;
@@ -144,7 +145,7 @@ fn look(map: &OccupancyGrid, pose: Pose2, rng: &mut Pcg64Mcg) -> Vec<Point2<f64>
             continue;
         };
         let end = pose.position() + way * (step * f64::from(count));
-        // What lies beyond the map comes back from nowhere.
+        // Beams beyond the map have no return.
         if map
             .at(end)
             .is_none_or(|value| Occupancy::of(*value) != Occupancy::Occupied)
@@ -188,7 +189,7 @@ pub fn office(seed: u64) -> OccupancyGrid {
     ] {
         fill(low, high, taken);
     }
-    // Corridors along x, a row of rooms to each side of every one; one corridor along y joins them.
+    // Corridors along x with a row of rooms on each side, joined by one corridor along y.
     let mut y = 0.0;
     while y < side - 8.0 {
         let (below, corridor) = (rng.random_range(4.0..8.0), rng.random_range(1.8..3.0));

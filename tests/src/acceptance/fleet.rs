@@ -1,6 +1,6 @@
-//! Fleet size. How many robots' missions does one process run on one core, and what do shards of a fleet cost? Real mission processes, and a
-//! real router; robots, planner and smoother are fakes that answer at once and drive every plan perfectly, so that the missions alone are
-//! measured. Time may go slower than the clock on the wall, so that this machine holds more robots than in real time.
+//! Fleet size. The number of robots' missions that one process runs on one core, and the cost of shards. Mission processes and router are
+//! real; robots, planner and smoother are fakes that answer at once and drive every plan perfectly, so that only the missions are measured.
+//! Simulated time may run slower than wall time, so that this machine can serve more robots than in real time.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -27,9 +27,9 @@ use crate::deployment::Deployment;
 use crate::process::Process;
 use crate::usage::{cpu_secs, memory};
 
-/// The clock's tick, of which a mission's step is a multiple.
+/// Tick of the clock; a mission's step is a multiple of it.
 const TICK: Duration = Duration::from_millis(5);
-/// Ticks from one pose to the next, and from one state to the next.
+/// Ticks between two poses, and between two states.
 const POSE_EVERY: u32 = 4;
 const STATE_EVERY: u32 = 20;
 /// Sample period of trajectories, s.
@@ -56,22 +56,23 @@ const MAP: GridSpec = GridSpec {
 /// Goals, driven to in turn, m.
 const PLACES: [(f64, f64); 4] = [(3.0, 0.0), (0.0, 3.0), (-3.0, 0.0), (0.0, -3.0)];
 
-/// What was found.
+/// The results.
 #[derive(Clone, Debug, Default)]
 pub struct Findings {
     /// Robots.
     pub robots: usize,
-    /// Deviation of each heartbeat interval from its nominal period, s. The mission's step sends a heartbeat, and so does a wait for the disk.
+    /// Deviation of each heartbeat interval from its nominal period, s. A mission sends heartbeats in its step and while it waits for the
+    /// disk.
     pub jitter: Vec<f64>,
-    /// Processor time of the mission processes, cores, if time went as on the wall.
+    /// Load of the mission processes, scaled to real time, cores.
     pub load: f64,
-    /// The same of the router.
+    /// The same for the router.
     pub router: f64,
     /// Resident memory of the mission processes, MiB.
     pub memory: f64,
     /// Goals driven.
     pub goals: usize,
-    /// Ticks of robots without a lease, plans that were refused, goals that did not succeed.
+    /// Number of robot ticks without a lease, of refused plans, of goals that did not succeed.
     pub faults: [usize; 3],
 }
 
@@ -233,7 +234,7 @@ impl FakeRobot {
         }
     }
 
-    /// The next goal, which takes its turn when the one before has ended.
+    /// The next goal, submitted when the previous one has ended.
     fn next_goal(&mut self) -> GoalRequest {
         let (x, y) = PLACES[self.place % PLACES.len()];
         self.place += 1;
@@ -264,23 +265,23 @@ fn map_info(now: Stamp) -> MapInfo {
     }
 }
 
-/// How a fleet is run.
+/// Parameters of a run.
 #[derive(Clone, Copy, Debug)]
 pub struct Fleet {
     /// Robots.
     pub robots: usize,
-    /// Mission processes, each with its share of the robots; one alone has the first core to itself.
+    /// Mission processes, each with its share of the robots; a single one is pinned to the first core.
     pub shards: usize,
-    /// Simulated time against wall time.
+    /// Simulated seconds per second of wall time.
     pub speed: f64,
-    /// Time that is measured, simulated, s.
+    /// Measured time, simulated, s.
     pub secs: f64,
 }
 
 /// Runs the missions of a fleet for a time.
 ///
 /// # Errors
-/// When a part cannot be started or joined, or a robot is not led.
+/// When a part cannot be started or joined, or a robot gets no leader.
 pub async fn run(binary: &str, fleet: Fleet) -> Result<Findings, String> {
     let Fleet {
         robots,
@@ -447,7 +448,7 @@ fn submit(bus: &Bus, fake: &mut FakeRobot, after: Duration) {
     });
 }
 
-/// Plans straight to the goal, and drives along the path as it is.
+/// A fake motion worker: a straight path to the goal, without smoothing.
 async fn motion(mut requests: Server<MotionRequest, MotionReply>) {
     while let Some(request) = requests.next().await {
         let MotionRequest::Trajectory(wanted) = &request.body else {

@@ -1,6 +1,5 @@
-//! Resources of the robot's binary. What does the robot's side take of its machine? `zenav-edge` as its own process, attached to a served world
-//! as on a robot, teleoperated, with a client that subscribes like the cloud; processor time, memory and loop jitter as the system and the
-//! edge itself report them.
+//! Resources of the robot's binary. Runs `zenav-edge` in its own process, attached to a served world, teleoperated, with a client that
+//! subscribes like the cloud. Processor time, memory and loop jitter are as reported by the system and by the edge itself.
 
 use std::path::Path;
 use std::time::Duration;
@@ -19,11 +18,11 @@ use crate::usage::{Unknown, busy_secs, cpu_secs, peak_memory};
 
 /// The robot, by its shipped name.
 const ROBOT: &str = "tiago";
-/// It turns on the spot, rad/s: the whole room passes its lidar, and it meets no obstacle.
+/// Turn rate of the robot on the spot, rad/s: its lidar sees the whole room, and it meets no obstacle.
 const TURN: f64 = 0.5;
 /// Wall time for the edge to come up.
 const PATIENCE: Duration = Duration::from_secs(20);
-/// Time at the beginning that is not measured: processes start.
+/// Time at the beginning that is not measured, while processes start.
 const SETTLING: Duration = Duration::from_secs(3);
 /// Time between two teleop commands, each with a heartbeat.
 const TELEOP_PERIOD: Duration = Duration::from_millis(100);
@@ -48,26 +47,26 @@ pub enum FootprintError {
     Silent(&'static str),
 }
 
-/// What was measured.
+/// The measured resources.
 #[derive(Clone, Copy, Debug)]
 pub struct Footprint {
     /// Size of the binary, bytes.
     pub size: u64,
     /// Processor time over wall time: share of one core.
     pub core: f64,
-    /// Most memory that was resident, bytes.
+    /// Peak resident memory, bytes.
     pub memory: u64,
-    /// Of the control loop.
+    /// Pacing of the control loop.
     pub pacing: Pacing,
-    /// Control ticks a second.
+    /// Control ticks per second.
     pub ticks_hz: f64,
-    /// Scans a second, and beams of each.
+    /// Scans per second, and beams of each.
     pub scans: (f64, usize),
     /// Cores that other processes kept busy meanwhile, the served world's among them.
     pub others: f64,
 }
 
-/// Runs `edge` (the robot's binary) for some seconds in a world that `zenav` serves.
+/// Runs `edge` (the robot's binary) for a time in a world that `zenav` serves.
 ///
 /// # Errors
 /// [`FootprintError`].
@@ -116,7 +115,7 @@ pub async fn measure(zenav: &Path, edge: &Path, time: Duration) -> Result<Footpr
     })
 }
 
-/// A client that teleoperates the robot, and subscribes to what mapping and mission do.
+/// A client that teleoperates the robot, with the same subscriptions as mapping and mission.
 struct Client {
     bus: Bus,
     epoch: u64,

@@ -1,5 +1,5 @@
-//! Collision monitor. Does the robot ever drive into anything, whatever it is told? Random worlds, shipped robots with wheel errors, movers
-//! no faster than the robot, and commands from benign to adversarial.
+//! Collision monitor. Whether the robot ever drives into an obstacle, whatever it is commanded: random worlds, shipped robots with wheel
+//! errors, movers no faster than the robot, and commands from benign to adversarial.
 
 use nalgebra::Point2;
 use zenav_edge::Inbox;
@@ -15,18 +15,18 @@ use super::sight::Sight;
 use super::sim_rig::{SimRig, SimRigError};
 use super::worlds::{HALF, Rng, random_world};
 
-/// The robot's own speed towards something at contact that counts as driving into it, m/s.
+/// The robot's own speed towards an obstacle at contact from which on it drove into it, m/s.
 pub const GENTLE: f64 = 0.01;
 /// Length of a run, s.
 const DURATION: f64 = 12.0;
-/// At power-on nobody is within this time of the robot in its blind sector, s: the robot has never seen that place, and no collision monitor
-/// could tell such a world from one in which the same turn is benign. Whoever powers the robot on checks it.
+/// At power-on no mover in the blind sector is within this time of the robot, s. The robot has never seen that area, and no collision
+/// monitor could tell such a world from one in which the same turn is benign. The person who powers the robot on must check it.
 const POWER_ON_CLEAR: f64 = 1.5;
 
-/// What the robot is commanded.
+/// The command sent to the robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Command {
-    /// A plan clear of everything, to be finished without an intervention.
+    /// A plan clear of all obstacles, to be finished without an intervention.
     Benign,
     /// Teleop: full speed at the nearest obstacle.
     AtTheNearest,
@@ -40,7 +40,7 @@ pub enum Command {
     NotANumber,
     /// Teleop: contradictory commands every tick.
     Contradictory,
-    /// Teleop: messages sent again.
+    /// Teleop: replayed messages.
     Replayed,
     /// A plan through obstacles.
     ThroughWalls,
@@ -61,22 +61,22 @@ const COMMANDS: [Command; 10] = [
     Command::Blind,
 ];
 
-/// What a run in one world found.
+/// The result of a run in one world.
 #[derive(Clone, Debug)]
 pub struct Outcome {
     /// Seed of the world.
     pub seed: u64,
     /// The robot.
     pub robot: String,
-    /// What it was commanded.
+    /// The command.
     pub command: Command,
     /// Whether the world had movers.
     pub movers: bool,
     /// Contacts, however gentle.
     pub contacts: u32,
-    /// The robot's largest own speed towards something that it touched, m/s, those aside that were never in sight.
+    /// The robot's largest own speed towards an obstacle that it touched, m/s, except movers that were never in sight.
     pub hardest: f64,
-    /// The same towards who was never in sight of a lidar, by truth: standing or coming behind a body that sees nothing there.
+    /// The same for movers that no lidar had ever in sight, by ground truth: those that stood or came in the blind sector.
     pub hardest_unseen: f64,
     /// Distance driven, m.
     pub length: f64,
@@ -89,7 +89,7 @@ pub struct Outcome {
 }
 
 impl Outcome {
-    /// Whether nothing was driven into, and a benign plan was finished without an intervention, or left to make way for a mover.
+    /// Whether the robot drove into nothing, and finished a benign plan without an intervention, or left it to make way for a mover.
     #[must_use]
     pub fn is_good(&self) -> bool {
         let unhindered = self.finished && self.interventions.is_empty();
@@ -98,30 +98,30 @@ impl Outcome {
     }
 }
 
-/// Whether the collision monitor stands between commands and wheels.
+/// Whether the collision monitor is between commands and wheels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Protection {
     /// As on every robot.
     Monitored,
-    /// Teleop commands go straight to the wheels: the negative control, in which a run is to fail.
+    /// Teleop commands go straight to the wheels: the negative control, in which a run must fail.
     Unprotected,
 }
 
 /// Drives in the world of a seed.
 ///
 /// # Errors
-/// [`SimRigError`] when no world can be made of the seed.
+/// [`SimRigError`] when the seed gives no valid world.
 pub fn drive(seed: u64, protection: Protection) -> Result<Outcome, SimRigError> {
     drive_watched(seed, protection, |_| {})
 }
 
-/// Worlds that are drawn for a seed until one has a start and, for a benign plan, a free path.
+/// Most worlds drawn for a seed until one has a start and, for a benign plan, a free path.
 const MOST_DRAWS: u32 = 1000;
 
-/// Drives in the world of a seed; `watch` sees every tick.
+/// Drives in the world of a seed; `watch` is called at every tick.
 ///
 /// # Errors
-/// [`SimRigError`] when no world can be made of the seed.
+/// [`SimRigError`] when the seed gives no valid world.
 pub fn drive_watched(
     seed: u64,
     protection: Protection,
@@ -162,7 +162,7 @@ pub fn drive_watched(
         rig.run(0.5);
         let duration = match command {
             Command::Benign => {
-                // Clear of everything while the robot still stands at its start, too.
+                // The plan must also be clear while the robot still stands at its start.
                 let Some(trajectory) = benign_trajectory(&mut rng, &world, &empty, &model, start) else {
                     continue;
                 };
@@ -236,7 +236,7 @@ pub fn drive_watched(
     Err(SimRigError::NoPath(seed))
 }
 
-/// Whether a mover begins close by in the lidar's blind sector.
+/// Whether a mover starts nearby in the lidar's blind sector.
 fn is_someone_in_blind_sector(sim: &Simulation, model: &RobotModel, start: Pose2) -> bool {
     let views: Vec<_> = model
         .all_lidars()
@@ -252,14 +252,14 @@ fn is_someone_in_blind_sector(sim: &Simulation, model: &RobotModel, start: Pose2
     })
 }
 
-/// Sends teleop commands that are meant to do harm.
+/// Sends adversarial commands.
 struct Adversary {
     command: Command,
     top: Twist2,
     wanted: Twist2,
     until: usize,
     recorded: Vec<Teleop>,
-    /// 0: whole sweeps; 1: no sweeps; more: sweeps cut to that many beams.
+    /// 0: whole sweeps; 1: no sweeps; more: sweeps truncated to that many beams.
     sweeps: usize,
 }
 
@@ -275,7 +275,7 @@ impl Adversary {
         }
     }
 
-    /// The commanded twist, where it is a number; `None` for commands that are plans.
+    /// The commanded twist, if it is finite; `None` for commands that are plans.
     fn twist(&self) -> Option<Twist2> {
         let is_plan = matches!(self.command, Command::Benign | Command::ThroughWalls);
         let is_number = self.wanted.v.is_finite() && self.wanted.w.is_finite();

@@ -1,4 +1,4 @@
-//! Handover. Does another mission take over when the leader dies or freezes? Two missions as real processes, each with a store of its own; the
+//! Handover. Whether a standby takes over when the leader dies or freezes. Two missions run as real processes, each with its own store; the
 //! leader is killed (`kill -9`) and restarted, or paused (`SIGSTOP`) and resumed, at random instants of drives.
 
 use std::time::Duration;
@@ -14,17 +14,17 @@ use super::invariants::{Client, Findings, Monitor};
 use crate::deployment::{CORRIDOR, Deployment, ROBOT};
 use crate::process::Process;
 
-/// Simulated seconds a second: the life of a lease is as long as on a real robot.
+/// Simulated seconds per second: leases live as long as on a real robot.
 const SPEED: f64 = 1.0;
 /// Longest time from both missions being ready until a fault, s.
 const LONGEST_QUIET: f64 = 5.0;
-/// Wall time in which another mission leads, s.
+/// Time limit until another mission leads, s, wall time.
 pub const TAKEOVER: f64 = 2.0;
-/// Wall time in which a leader whose standby is paused publishes that it has none.
+/// Time limit until a leader whose standby is paused publishes that it has none, wall time.
 const ALONE: Duration = Duration::from_secs(3);
-/// Wall time for two missions to be ready: one leads, the other has caught up.
+/// Time limit until two missions are ready (one leads, the other has caught up), wall time.
 const READY: Duration = Duration::from_secs(30);
-/// How long a resumed leader is watched before the next fault.
+/// Time for which a resumed leader is watched before the next fault.
 const AFTERMATH: Duration = Duration::from_secs(3);
 
 /// A fault that is injected into a pair of missions.
@@ -32,9 +32,9 @@ const AFTERMATH: Duration = Duration::from_secs(3);
 pub enum Fault {
     /// The leader is killed, and restarted once the other leads.
     LeaderKilled,
-    /// The leader is paused for so many seconds of wall time.
+    /// The leader is paused for a time, s of wall time.
     LeaderPaused(f64),
-    /// The standby is paused for so many seconds of wall time.
+    /// The standby is paused for a time, s of wall time.
     StandbyPaused(f64),
 }
 
@@ -75,7 +75,7 @@ impl<'d> Pair<'d> {
     }
 }
 
-/// What is observed of the pair, and the client that keeps it busy.
+/// Observations of the pair, and the client that keeps it busy.
 struct Observed {
     bus: Bus,
     monitor: Monitor,
@@ -103,7 +103,7 @@ impl Observed {
         Ok(())
     }
 
-    /// The first status of which `fits` holds; `None` when none comes within `limit`.
+    /// The first status for which `fits` holds; `None` if none comes within `limit`.
     async fn until(
         &mut self,
         limit: Duration,
@@ -119,7 +119,7 @@ impl Observed {
         Ok(None)
     }
 
-    /// No plan is written under an epoch that is over.
+    /// Checks that no plan is published under an old epoch.
     fn no_plan_before(&mut self, epoch: u64) {
         while let Some(plan) = self.plans.try_next() {
             if plan.message.epoch < epoch {
@@ -130,7 +130,7 @@ impl Observed {
     }
 }
 
-/// Injects faults into two missions, one after the other, while goals come in; then lets them finish.
+/// Injects faults into two missions, one after the other, while goals are submitted; then lets them finish.
 ///
 /// # Errors
 /// When the parts cannot be started or joined.

@@ -1,5 +1,5 @@
-//! Invariants. What holds of goals and of a robot, whatever happens to its missions? No goal is lost, none ends twice, none is driven after
-//! its end, no motion begins without a live lease. Checked on what anybody on the bus can see.
+//! Invariants. Properties of goals and of a robot that hold whatever happens to its missions: no goal is lost, none ends twice, none is
+//! driven after its end, no motion begins without a live lease. Checked on public messages only.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -22,18 +22,18 @@ use crate::observer::is_rest;
 const PATIENCE: Duration = Duration::from_secs(180);
 /// Wall time between two lists of the goals.
 const LISTED_EVERY: Duration = Duration::from_secs(1);
-/// Wall time in which a goal is acknowledged while missions are killed again and again.
+/// Time limit until a goal is acknowledged while missions are killed repeatedly, wall time.
 const ACKNOWLEDGED: Duration = Duration::from_secs(60);
 /// Goals running and queued at a time.
 const OUTSTANDING: usize = 3;
-/// A plan that was written when its goal ended may still be under way, s.
+/// Time for which a plan may still be in transit when its goal has ended, s.
 const UNDER_WAY: f64 = 0.3;
-/// A robot brakes within this time after its goal has ended, s.
+/// Time limit for a robot to brake after its goal has ended, s.
 const BRAKED: f64 = 2.0;
-/// A run with fewer goals for each fault shows nothing.
+/// Fewest goals per fault: with fewer a run proves nothing.
 const GOALS_A_FAULT: f64 = 0.25;
 
-/// What a run found.
+/// The results of a run.
 #[derive(Clone, Debug, Default)]
 pub struct Findings {
     /// Missions killed.
@@ -44,16 +44,16 @@ pub struct Findings {
     pub takeovers: Vec<f64>,
     /// Goals acknowledged.
     pub goals: usize,
-    /// How many goals ended in which phase.
+    /// Number of ended goals by phase.
     pub ends: BTreeMap<String, usize>,
     /// Motions that began.
     pub motions: usize,
-    /// Invariants that were broken, each with what broke it.
+    /// Broken invariants, each with its cause.
     pub violations: Vec<String>,
 }
 
 impl Findings {
-    /// Everything for which the run does not pass: violations, goals that did not succeed, and too little driving to show anything.
+    /// All reasons why the run fails: violations, goals that did not succeed, and too little driving.
     #[must_use]
     pub fn failures(&self) -> Vec<String> {
         let mut failures = self.violations.clone();
@@ -72,13 +72,13 @@ impl Findings {
     }
 }
 
-/// The invariants over everything that was seen, in its order.
+/// Checks the invariants on messages in their order of arrival.
 #[derive(Debug, Default)]
 pub struct Invariants {
     /// Phase and time of each goal's end.
     ended: BTreeMap<String, (GoalPhase, Option<Stamp>)>,
     last: Option<EdgeState>,
-    /// What was found so far.
+    /// The results so far.
     pub findings: Findings,
 }
 
@@ -87,7 +87,7 @@ impl Invariants {
         self.findings.violations.push(how);
     }
 
-    /// A goal ends once.
+    /// Checks that a goal ends once.
     pub fn goal(&mut self, goal: &GoalState) {
         let end = (goal.state, goal.ended);
         match self.ended.get(&goal.id) {
@@ -102,7 +102,7 @@ impl Invariants {
         }
     }
 
-    /// No plan is written for a goal that has ended.
+    /// Checks that no plan is published for a goal that has ended.
     pub fn plan(&mut self, plan: &Plan) {
         if let Some((_, Some(ended))) = self.ended.get(&plan.goal_id)
             && plan.based_on.stamp.secs_since(*ended) > UNDER_WAY
@@ -111,7 +111,7 @@ impl Invariants {
         }
     }
 
-    /// No motion begins without a live lease, and the robot does not drive for a goal that has ended.
+    /// Checks that no motion begins without a live lease, and that the robot does not drive for a goal that has ended.
     pub fn state(&mut self, state: EdgeState) {
         let rested = self.last.as_ref().is_none_or(|last| is_rest(last.velocity));
         if rested && !is_rest(state.velocity) {
@@ -134,7 +134,7 @@ impl Invariants {
         self.last = Some(state);
     }
 
-    /// Every acknowledged goal is listed once, and has ended.
+    /// Checks that every acknowledged goal is listed once, and has ended.
     pub fn listed(&mut self, acknowledged: &[String], goals: &[GoalState]) {
         self.findings.goals = acknowledged.len();
         for id in acknowledged {
@@ -163,7 +163,7 @@ pub struct Monitor {
     goals: Subscription<GoalState>,
     states: Subscription<EdgeState>,
     plans: Subscription<Plan>,
-    /// What is checked.
+    /// The checks, with their results.
     pub invariants: Invariants,
 }
 
@@ -182,7 +182,7 @@ impl Monitor {
         })
     }
 
-    /// Takes in what was published since.
+    /// Processes the messages that have arrived.
     pub fn listen(&mut self) {
         while let Some(goal) = self.goals.try_next() {
             self.invariants.goal(&goal.message);
@@ -195,10 +195,10 @@ impl Monitor {
         }
     }
 
-    /// Waits until the leader lists no acknowledged goal that has not ended, and returns what was found.
+    /// Waits until all acknowledged goals in the leader's list have ended, and returns the results.
     ///
     /// # Errors
-    /// When nobody lists the goals.
+    /// When no mission lists the goals.
     pub async fn finish(mut self, bus: &Bus, acknowledged: &[String]) -> Result<Findings, String> {
         let deadline = Instant::now() + PATIENCE;
         let all = GoalsRequest {
@@ -311,13 +311,13 @@ mod tests {
         .unwrap()
     }
 
-    /// What a good run of one goal says: it ends once, and nothing is written for it afterwards.
+    /// A valid run of one goal: it ends once, and no plan is published for it afterwards.
     fn good() -> Invariants {
         let mut invariants = Invariants::default();
         invariants.goal(&goal("a", "Accepted", None));
         invariants.plan(&plan("a", 9.0));
         invariants.goal(&goal("a", "Succeeded", Some(10.0)));
-        // One that was under way, and a late joiner's copy of the end.
+        // A plan in transit, and a late joiner's copy of the end.
         invariants.plan(&plan("a", 10.1));
         invariants.goal(&goal("a", "Succeeded", Some(10.0)));
         invariants.findings.motions = 1;

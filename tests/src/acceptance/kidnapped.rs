@@ -1,7 +1,7 @@
-//! Kidnappings. Does a robot that is carried away while it drives notice, and where is it then found?
+//! Kidnappings. Whether a robot that is carried away while it drives notices that, and is localised again.
 //!
-//! In lockstep, in rooms that look different: a robot drives to a goal; at a random moment it stands somewhere else. It has a map of the
-//! rooms, or makes its own: then it visits some places first, and is carried to where it has been.
+//! In lockstep, in rooms that look different: a robot drives to a goal and at a random moment is moved elsewhere. It has a map of the
+//! rooms, or maps by SLAM: then it first visits some places, and is moved to one where it has been.
 
 use std::fmt::Write as _;
 
@@ -26,58 +26,58 @@ use super::worlds::{Rng, outer_walls, wall};
 const HOUSE: (f64, f64) = (16.0, 10.0);
 /// Cells of the known map, m.
 const RESOLUTION: f64 = 0.05;
-/// A robot is right where it is so near to the truth, m and rad.
+/// Largest error of a pose that counts as right, m and rad.
 const RIGHT: (f64, f64) = (0.1, 0.035);
-/// How long a robot may stay unfound until it counts as never found, s.
+/// Time after which a robot counts as never found, s.
 const LONGEST: f64 = 30.0;
-/// It is carried at least so far, m.
+/// Least distance of a kidnapping, m.
 const FAR: f64 = 1.5;
-/// A robot without a map visits so many places first.
+/// Places that a robot without a map visits first.
 const VISITS: usize = 3;
-/// Where it has been is noted so often, m.
+/// Spacing of the recorded poses where it has been, m.
 const BEEN: f64 = 0.5;
 
-/// What became of a kidnapping.
+/// The result of a kidnapping.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Kidnapping {
     /// The seed.
     pub seed: u64,
-    /// Time until the robot no longer trusted its place, or was right again, s; `None`: never.
+    /// Time until the robot no longer trusted its pose, or was right again, s; `None`: never.
     pub noticed_after: Option<f64>,
-    /// Way driven until then, m.
+    /// Distance driven until then, m.
     pub driven: f64,
-    /// Time from the kidnapping until it was right again, s; `None`: not within half a minute.
+    /// Time from the kidnapping until its pose was right again, s; `None`: not within half a minute.
     pub found_after: Option<f64>,
-    /// Time in which it drove by a plan while its place was not trusted, s.
+    /// Time during which it drove by a plan without trusting its pose, s.
     pub drove_lost: f64,
-    /// Whether it ever trusted a wrong place after it had noticed.
+    /// Whether it ever trusted a wrong pose after it had noticed.
     pub trusted_wrong: bool,
-    /// Whether the goal that it was on the way to ended well.
+    /// Whether its goal succeeded.
     pub succeeded: bool,
-    /// How the goal ended.
+    /// End of the goal, with its reason.
     pub end: String,
-    /// Distance of what it believes from the truth at the end, m.
+    /// Error of the estimated position at the end, m.
     pub off: f64,
-    /// Where it stood at the end.
+    /// True pose at the end.
     pub truth: Pose2,
     /// Contacts.
     pub collisions: u32,
 }
 
 impl Kidnapping {
-    /// Noticed within a second or half a metre, right again within three seconds of that, no plan driven while lost.
+    /// Noticed and localised again in time, no plan driven while lost, no wrong pose trusted, no contact.
     #[must_use]
     pub fn is_good(&self) -> bool {
         self.is_noticed() && self.is_found() && self.drove_lost == 0.0 && !self.trusted_wrong && self.collisions == 0
     }
 
-    /// Whether it was noticed in time.
+    /// Whether it was noticed within a second or half a metre.
     #[must_use]
     pub fn is_noticed(&self) -> bool {
         self.noticed_after.is_some_and(|secs| secs <= 1.0 || self.driven <= 0.5)
     }
 
-    /// Whether it was found in time.
+    /// Whether the robot was localised again within three seconds of noticing.
     #[must_use]
     pub fn is_found(&self) -> bool {
         let both = self.found_after.zip(self.noticed_after);
@@ -85,10 +85,10 @@ impl Kidnapping {
     }
 }
 
-/// One kidnapping, by a seed, of a robot that is localised in a known map, or maps by SLAM.
+/// Runs the kidnapping of a seed, of a robot that is localised in a known map, or maps by SLAM.
 ///
 /// # Errors
-/// What cannot be set up.
+/// When the world or the robot cannot be set up.
 pub fn kidnap(seed: u64, source: PoseSource) -> Result<Kidnapping, String> {
     let is_mapping = source == PoseSource::Slam;
     let mut rng = Rng::new(seed, 11);
@@ -158,7 +158,7 @@ pub fn kidnap(seed: u64, source: PoseSource) -> Result<Kidnapping, String> {
         seed,
         ..Kidnapping::default()
     };
-    // When it was carried away, and the way driven until then.
+    // Time of the kidnapping, and the distance driven until then.
     let mut carried: Option<(f64, f64)> = None;
     let tick = stage.simulation.tick().as_secs_f64();
     while stage.now().as_secs() - begun_at < 120.0 {
@@ -218,7 +218,7 @@ pub fn kidnap(seed: u64, source: PoseSource) -> Result<Kidnapping, String> {
     Ok(told)
 }
 
-/// Has the robot drive to places, one after the other, and returns where it has been.
+/// Drives the robot to places, one after the other, and returns the poses where it has been.
 fn visit(stage: &mut ClosedLoop, places: &[Pose2]) -> Result<Vec<Pose2>, String> {
     let mut been: Vec<Pose2> = Vec::new();
     for (nth, place) in places.iter().enumerate() {

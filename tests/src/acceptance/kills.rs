@@ -1,5 +1,5 @@
-//! Kills of the mission. Is any goal lost when the mission is killed, whenever that is? `kill -9` at random instants of drives, with real
-//! processes.
+//! Kills of the mission. Whether a goal is lost when the mission is killed at any instant: `kill -9` at random instants of drives, with
+//! real processes.
 
 use std::path::Path;
 use std::time::Duration;
@@ -15,10 +15,10 @@ use crate::deployment::{CORRIDOR, Deployment, ROBOT};
 const SPEED: f64 = 4.0;
 /// Longest life of a mission, s of wall time. A drive takes about three.
 const LONGEST_LIFE: f64 = 2.5;
-/// A store that is to be tampered with is left alone after so many kills.
+/// Kills after which a store is no longer tampered with.
 const MOST_KILLS: usize = 100;
 
-/// Kills the mission of a robot so many times, at instants drawn from the seed, while goals come in; then lets it finish.
+/// Kills the mission of a robot `kills` times, at instants drawn from the seed, while goals are submitted; then lets it finish.
 ///
 /// # Errors
 /// When the parts cannot be started or joined.
@@ -26,8 +26,8 @@ pub async fn run(binary: &str, kills: usize, seed: u64) -> Result<Findings, Stri
     run_tampered(binary, kills, seed, |_, _| true).await
 }
 
-/// The same, and after every kill `tamper` may change the mission's store, of which it gets the file and the goals that were acknowledged,
-/// until it returns true: the negative control of the invariants.
+/// Like [`run`], but after every kill until it returns true `tamper` may change the mission's store; it gets the store's file and the
+/// acknowledged goals. This is the negative control of the invariants.
 ///
 /// # Errors
 /// When the parts cannot be started or joined, or the store could not be tampered with.

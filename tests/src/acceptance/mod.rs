@@ -1,5 +1,5 @@
-//! Acceptance runs: the robot's side in simulated worlds by the thousand, in lockstep and without a network; and processes that are killed by
-//! the hundred.
+//! Acceptance runs: the robot's side in thousands of simulated worlds, in lockstep without a network; and real processes that are killed
+//! hundreds of times.
 //!
 //! | module | holds |
 //! |---|---|
@@ -7,17 +7,17 @@
 //! | [`worlds`] | random worlds, and the seeded random numbers that they are drawn with |
 //! | [`pose`] | consistency of the pose estimate (NEES, NIS) |
 //! | [`closure`] | a loop closure that moves the map while the robot drives |
-//! | [`everywhere`] | a robot that is looked for in a whole map |
+//! | [`everywhere`] | global localisation |
 //! | [`tracking`] | path error of every tracker |
 //! | [`footprint`] | size, processor time, memory and lateness of the robot's binary |
-//! | [`kidnapped`] | robots that are carried away while they drive |
+//! | [`kidnapped`] | robots that are kidnapped while they drive |
 //! | [`kills`] | missions killed at random instants |
-//! | [`handover`] | missions that take over from one that dies or freezes |
+//! | [`handover`] | missions that take over from a dead or frozen one |
 //! | [`faults`] | bad links, and parts that are killed, frozen, or started in any order |
 //! | [`fleet`] | many robots' missions in one process |
 //! | [`workers`] | motion requests of many robots, to one worker, two, and two of which one is frozen |
 //! | [`page`] | the mission-control page with many robots, and with many browsers that do not read |
-//! | [`invariants`] | what holds of goals and of the robot meanwhile |
+//! | [`invariants`] | invariants of goals and of the robot meanwhile |
 //! | [`guard`] | the collision monitor under adversarial commands |
 
 mod benign;

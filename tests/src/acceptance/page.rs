@@ -1,5 +1,5 @@
-//! The page under load. What do many robots and many browsers that do not read cost the gateway? A router and `zenav gateway` as processes of
-//! their own; robots that this process makes up, with state, pose and scan at 10 Hz each as a real one's.
+//! The page under load. The gateway's cost with many robots, and with many browsers that do not read: a router and `zenav gateway` as
+//! separate processes, and fake robots of this process with state, pose and scan at 10 Hz each, as real ones.
 
 use std::io::{Read as _, Write as _};
 use std::net::TcpStream;
@@ -17,15 +17,15 @@ use crate::browser::Browser;
 use crate::process::{Process, free_endpoint};
 use crate::usage::{Unknown, cpu_secs, memory};
 
-/// As often as a robot publishes.
+/// Publishing period of a robot.
 const PERIOD: Duration = Duration::from_millis(100);
-/// Beams of a made-up scan.
+/// Beams of a fake scan.
 const BEAMS: usize = 360;
 /// Longest wait for a process to come up.
 const PATIENCE: Duration = Duration::from_secs(60);
 /// Time at the beginning that is not measured.
 const SETTLING: Duration = Duration::from_secs(3);
-/// Pause between two looks at the memory.
+/// Sampling interval of the memory.
 const LOOK: Duration = Duration::from_millis(500);
 
 /// Why nothing was measured.
@@ -37,7 +37,7 @@ pub enum PageError {
     /// A socket or a file.
     #[error(transparent)]
     Io(#[from] std::io::Error),
-    /// A made-up message that is none.
+    /// An invalid fake message.
     #[error(transparent)]
     Message(#[from] serde_json::Error),
     /// `/proc` cannot be read; only Linux has it.
@@ -48,7 +48,7 @@ pub enum PageError {
     Refused(String),
 }
 
-/// A router, a gateway, and robots that are made up; all end when this is dropped.
+/// A router, a gateway, and fake robots; all end when this is dropped.
 #[derive(Debug)]
 pub struct MadeUpFleet {
     /// The gateway's own process.
@@ -60,10 +60,10 @@ pub struct MadeUpFleet {
 }
 
 impl MadeUpFleet {
-    /// Starts everything; `zenav` is the program, `folder` its place for files.
+    /// Starts everything; `zenav` is the program, `folder` holds its files.
     ///
     /// # Errors
-    /// [`PageError`] when a file or a key cannot be made.
+    /// [`PageError`] when a file or a key cannot be created.
     ///
     /// # Panics
     /// When a process does not come up.
@@ -101,7 +101,7 @@ impl Drop for MadeUpFleet {
     }
 }
 
-/// What a robot says of itself after `secs` of driving in a circle.
+/// The messages of a robot after `secs` of driving in a circle.
 fn messages(number: usize, secs: f64) -> Result<(EdgeState, PoseEstimate, Scan), serde_json::Error> {
     let (radius, stamp) = (1.0 + 0.2 * number as f64, (secs * 1e9) as u64);
     let angle = 0.4 * secs / radius;
@@ -155,22 +155,22 @@ async fn publish(bus: Bus, robots: usize) {
     }
 }
 
-/// What a browser and the gateway did for a while.
+/// Rates and load while a browser shows the fleet.
 #[derive(Clone, Copy, Debug)]
 pub struct Watched {
     /// Processor time of the gateway over wall time: share of one core.
     pub core: f64,
-    /// Pictures that the page drew a second.
+    /// Frames that the page drew per second.
     pub drawn_hz: f64,
-    /// Screen frames that the browser offered it a second.
+    /// Animation frames that the browser offered per second.
     pub screen_hz: f64,
-    /// Frames of data that came a second.
+    /// Data frames received per second.
     pub frames_hz: f64,
-    /// Robots that the page shows and that moved.
+    /// Robots that the page showed moving.
     pub moving: u64,
 }
 
-/// Looks at the fleet in a browser for `secs`.
+/// Shows the fleet in a browser for a time.
 ///
 /// # Errors
 /// [`PageError`] without `/proc`.
@@ -211,22 +211,22 @@ pub fn watch(fleet: &MadeUpFleet, browser: &Browser, robots: usize, time: Durati
     })
 }
 
-/// What sockets that do not read do to the gateway.
+/// Effect of sockets that do not read on the gateway.
 #[derive(Clone, Copy, Debug)]
 pub struct Slow {
-    /// Resident memory before the first of them, bytes.
+    /// Resident memory before the first socket, bytes.
     pub before: u64,
-    /// Most while they were there, bytes.
+    /// Most resident memory while they were open, bytes.
     pub most: u64,
-    /// Resident memory in the last look, bytes.
+    /// Resident memory in the last sample, bytes.
     pub last: u64,
-    /// How many the gateway had closed by then.
+    /// Number of sockets that the gateway had closed by then.
     pub closed: usize,
-    /// Longest answer to a request of somebody else meanwhile, s.
+    /// Longest answer to another client's request meanwhile, s.
     pub answer: f64,
 }
 
-/// Opens so many WebSockets that watch a robot and never read, and keeps them for a while.
+/// Opens `count` WebSockets that watch a robot and never read, and keeps them for a time.
 ///
 /// # Errors
 /// [`PageError`] when one is refused.
@@ -267,7 +267,7 @@ pub async fn slow_sockets(fleet: &MadeUpFleet, count: usize, time: Duration) -> 
     Ok(found)
 }
 
-/// A WebSocket that has been accepted, and asked for a robot.
+/// Opens a WebSocket and watches a robot on it.
 fn open_socket(host: &str, robot: &str) -> Result<TcpStream, PageError> {
     let mut stream = TcpStream::connect(host)?;
     write!(
@@ -293,7 +293,7 @@ fn open_socket(host: &str, robot: &str) -> Result<TcpStream, PageError> {
     Ok(stream)
 }
 
-/// One plain request on a connection of its own.
+/// One plain request on its own connection.
 fn health(host: &str) -> Result<(), PageError> {
     let mut stream = TcpStream::connect(host)?;
     write!(
@@ -313,7 +313,7 @@ fn health(host: &str) -> Result<(), PageError> {
 fn is_closed(socket: &mut TcpStream) -> Result<bool, PageError> {
     socket.set_read_timeout(Some(Duration::from_millis(20)))?;
     let mut buffer = vec![0; 1 << 16];
-    // The other side sends ten times a second: what is there ends, or it would have closed.
+    // The gateway sends ten times a second, so the received data is soon drained if the connection is still open.
     for _ in 0..1000 {
         match socket.read(&mut buffer) {
             Ok(0) => return Ok(true),

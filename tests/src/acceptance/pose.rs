@@ -1,10 +1,11 @@
-//! Consistency of the pose estimate. Is the error as large as the covariance says? Many seeded drives, each with its own start error, gyro
+//! Consistency of the pose estimate. Compares the error with the covariance over many seeded drives, each with its own start error, gyro
 //! bias and wheel errors, drawn from the filter's own priors; at every step the errors of all drives are averaged.
 //!
 //! Consistency after Bar-Shalom, Li, Kirubarajan 2001, ch. 5.4: the mean normalised estimation error squared (NEES) of `runs`
 //! drives with three states lies in the two-sided 95 % band of chi-square / runs, [2.54, 3.50] for 100; so does, with its own
-//! degrees of freedom, the normalised innovation squared (NIS) of each sensor. Errors pass slowly, so that the steps of a short drive are
-//! few samples: of a perfect filter too, the share of steps in the band is 95 % only on the average over long drives or many seeds.
+//! degrees of freedom, the normalised innovation squared (NIS) of each sensor. Errors are strongly correlated in time, so the steps of a
+//! short drive are few independent samples: even for a perfect filter the share of steps in the band is 95 % only on average over long
+//! drives or many seeds.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -31,7 +32,7 @@ const WHEELS: f64 = 0.01;
 const SEPARATION: f64 = 0.02;
 /// Standard deviation of the gyro bias, rad/s: the filter's prior.
 const GYRO_BIAS: f64 = 0.001;
-/// Wheel slip, m for each square root of a metre; the robot file says so, too.
+/// Wheel slip, m per square root of a metre; the robot file has the same value.
 const SLIP: f64 = 1e-3;
 /// Standard deviation of corrections from the cloud: m and rad.
 const CORRECTION: (f64, f64) = (0.03, 0.02);
@@ -49,7 +50,7 @@ pub struct Conditions {
     pub imu_latency: f64,
     /// Share of GPS, gyro and compass readings that are lost.
     pub dropout: f64,
-    /// Least and greatest latency of corrections, s: they overtake one another.
+    /// Least and greatest latency of corrections, s; corrections may overtake one another.
     pub corrected: Option<(f64, f64)>,
     /// No GPS between these seconds of every minute.
     pub gps_lost: Option<(f64, f64)>,
@@ -67,7 +68,7 @@ const ON_TIME: Conditions = Conditions {
     imu_lost: None,
 };
 
-/// The conditions that are tried.
+/// The tested conditions.
 pub const CONDITIONS: [Conditions; 5] = [
     ON_TIME,
     Conditions {
@@ -100,21 +101,21 @@ pub const CONDITIONS: [Conditions; 5] = [
 pub struct Sums {
     /// NEES of (x, y, yaw).
     pub nees: Vec<f64>,
-    /// NIS of compass, GPS and corrections, with how many drives had one in the step.
+    /// NIS of compass, GPS and corrections, with the number of drives that had one in the step.
     pub nis: [Vec<(f64, u32)>; 3],
-    /// Steps at which the position error was within three standard deviations, and all.
+    /// Number of steps with a position error within three standard deviations, and of all steps.
     pub within: (u32, u32),
     /// Largest position error, m.
     pub worst: f64,
-    /// The largest position error that the covariance allowed for when it was largest: three standard deviations, m.
+    /// Largest value of three standard deviations of the position, m.
     pub allowed: f64,
-    /// How the filter took its inputs.
+    /// How the filter handled its inputs.
     pub tally: Tally,
     /// Time that each step of the filter took, s.
     pub took: Vec<f64>,
 }
 
-/// Corrections on their way, and when they arrive.
+/// Corrections on their way, with their arrival times.
 #[derive(Default)]
 struct OffBoard {
     waiting: VecDeque<(Stamp, Correction)>,
@@ -153,22 +154,22 @@ impl OffBoard {
     }
 }
 
-/// An estimator that knows its start as well as it is drawn.
+/// Estimator settings with the prior that the start poses are drawn from.
 fn known_start() -> EstimatorSettings {
     EstimatorSettings {
         start_std: START.0,
         start_yaw_std: START.1,
-        // These corrections have no map behind them: their errors do not add up.
+        // These corrections come from no map, so their errors do not accumulate.
         map_walk: 0.0,
         map_turn_walk: 0.0,
         ..EstimatorSettings::default()
     }
 }
 
-/// Drives for `secs` and adds up. `clock` tells the time since any fixed moment.
+/// Drives for `secs` and adds to the sums. `clock`: time since any fixed moment.
 ///
 /// # Errors
-/// [`SimRigError`] for a robot or world that cannot be.
+/// [`SimRigError`] for an invalid robot or world.
 pub fn drive(
     sums: &mut Sums,
     conditions: &Conditions,
@@ -238,11 +239,10 @@ pub fn drive(
     Ok(())
 }
 
-/// Time that each step takes, s, when a correction comes with it that is nearly as late as the window allows: all that came since is
-/// applied again.
+/// Time of each step, s, with a correction that is nearly as late as the window allows, so that all later inputs are reapplied.
 ///
 /// # Errors
-/// [`SimRigError`] for a robot or world that cannot be.
+/// [`SimRigError`] for an invalid robot or world.
 pub fn latest(clock: &dyn Fn() -> Duration) -> Result<Vec<f64>, SimRigError> {
     const LATE: f64 = 1.95;
     let model: RobotModel = robot("tiago");
@@ -318,12 +318,12 @@ pub fn band(freedom: f64, runs: f64) -> (f64, f64) {
     (at(-1.96), at(1.96))
 }
 
-/// Mean of each step at which about as many drives as usual had a reading, and how many those are. Readings that come at scattered times
-/// are taken together, in their order, until there are as many as `runs`.
+/// Mean of each step at which about the usual number of drives had a reading, and that number. Readings at scattered times are pooled in
+/// order until there are `runs` of them.
 #[must_use]
 pub fn means(sums: &[(f64, u32)], runs: u64) -> (Vec<f64>, f64) {
     let usual = sums.iter().map(|(_, readings)| *readings).max().unwrap_or(0);
-    // Late and lost readings: no step has one of most drives.
+    // With late and lost readings no step has a reading of most drives.
     let pool = u64::from(usual) * 2 < runs;
     let mut pooled: Vec<(f64, u32)> = Vec::new();
     if pool {

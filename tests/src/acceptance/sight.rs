@@ -1,4 +1,4 @@
-//! Sight. Whom could the robot's lidars have seen, by truth? The collision monitor answers for nobody else.
+//! Sight. The movers that the robot's lidars could have seen, by ground truth. The collision monitor is responsible only for these.
 
 use nalgebra::Point2;
 use zenav_protocol::robot::RobotModel;
@@ -8,7 +8,7 @@ use zenav_sim::shape::Shape;
 
 use super::sim_rig::SimRig;
 
-/// A beam that ends this near to a mover's disc ended on it, m: the noise of a range, and the way of both since the sweep.
+/// A beam that ends this near to a mover's disc ended on it, m: range noise plus the motion of both since the sweep.
 const ON_DISC: f64 = 0.1;
 /// A mover this near to the robot's outline touches it, m.
 const TOUCH: f64 = 0.02;
@@ -20,7 +20,7 @@ pub struct Sight {
 }
 
 impl Sight {
-    /// Before the first sweep. Movers are discs.
+    /// No mover has been seen yet. Movers are discs.
     #[must_use]
     pub fn new(world: &World) -> Self {
         let radius = |shape: &Shape| match shape {
@@ -34,7 +34,7 @@ impl Sight {
         }
     }
 
-    /// Takes in what the lidars measured in the tick that the rig is in.
+    /// Processes the sweeps of the rig's current tick.
     pub fn see(&mut self, rig: &SimRig, sweeps: &[Sweep]) {
         let map_from_base = rig.truth().map_from_base;
         let movers: Vec<Point2<f64>> = rig.sim.movers().collect();
@@ -48,7 +48,7 @@ impl Sight {
         }
     }
 
-    /// Whether whoever touches the robot now was never in sight; nothing else touches it, then.
+    /// Whether the robot is touched now, and only by movers that were never in sight.
     #[must_use]
     pub fn is_touched_unseen(&self, rig: &SimRig) -> bool {
         let base_from_map = rig.truth().map_from_base.inverse();

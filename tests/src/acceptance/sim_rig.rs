@@ -1,4 +1,4 @@
-//! Simulated rig. How do a world, a robot and its pilot step together? In lockstep, with a small mission or operator that holds the lease.
+//! Simulated rig. A world, a robot and its pilot in lockstep, with a small mission or operator that holds the lease.
 
 use std::time::Duration;
 
@@ -23,7 +23,7 @@ pub enum SimRigError {
     /// The robot's name.
     #[error(transparent)]
     Id(#[from] InvalidId),
-    /// Both together.
+    /// The robot in the world.
     #[error(transparent)]
     Sim(#[from] SimError),
     /// The world has no start pose, or no free path.
@@ -47,17 +47,17 @@ pub struct SimRig {
     pub events: Vec<EventKind>,
     /// Whether the holder of the lease sends heartbeats.
     pub sends_heartbeats: bool,
-    /// The plan, which is renewed every second.
+    /// The plan in force; it is renewed every second.
     pub plan: Option<Plan>,
     counter: u64,
     ticks: u64,
 }
 
 impl SimRig {
-    /// A robot at `start`, which its pilot knows; `role` holds the lease with epoch 1.
+    /// A robot at `start`, its pilot's initial pose; `role` holds the lease with epoch 1.
     ///
     /// # Errors
-    /// [`SimRigError`] when the robot cannot stand there.
+    /// [`SimRigError`] when the robot does not fit there.
     pub fn new(
         world: &World,
         model: &RobotModel,
@@ -130,7 +130,7 @@ impl SimRig {
         }
     }
 
-    /// Ticks with nothing new.
+    /// Ticks for `secs` without messages.
     pub fn run(&mut self, secs: f64) {
         for _ in 0..(secs / self.sim.tick().as_secs_f64()) as u64 {
             self.tick(Inbox::default(), |_| {});

@@ -1,8 +1,8 @@
-//! Path error of the trackers. How near does each tracker keep the robot to the reference that it was given? Random paths through a map,
-//! planned and smoothed as missions do, each driven at full speed by every law, with simulated sensors; the error is by the true pose.
+//! Path error of the trackers. Random paths through a map, planned and smoothed as missions do, each driven at full speed by every law with
+//! simulated sensors; the error is the distance of the true pose from the law's own reference.
 //!
-//! The wheel law and the heading-first law are given corner points: their error is the distance from the straight legs between them. The others
-//! are given the smoothed trajectory.
+//! The wheel law and the heading-first law follow corner points: their error is the distance from the straight legs between them. The
+//! others follow the smoothed trajectory.
 
 use nalgebra::Point2;
 use zenav_edge::Inbox;
@@ -26,7 +26,7 @@ const CORRECTION: (f64, f64) = (0.02, 0.01);
 /// Least distance from start to goal, m.
 const LEAST_LENGTH: f64 = 2.0;
 
-/// Every law, by its name in the robot's file.
+/// Names of all laws in the robot file.
 pub const LAWS: [&str; 5] = ["time_law", "pure_pursuit", "pid", "wheel_law", "heading_first"];
 
 /// A path to be driven, and its trajectory.
@@ -42,12 +42,12 @@ pub struct PlannedPath {
     pub forecast_j: f64,
 }
 
-/// What a drive along a path found.
+/// The result of a drive along a path.
 #[derive(Clone, Debug)]
 pub struct Drive {
     /// Distance of the true base from the law's own reference, each tick, m.
     pub errors: Vec<f64>,
-    /// Time until the robot was at rest at the end, s; `None` when that took more than twice the planned time.
+    /// Time until the robot was at rest at the end, s; `None` if that took more than twice the planned time.
     pub secs: Option<f64>,
     /// Distance driven, m.
     pub length: f64,
@@ -157,7 +157,7 @@ pub fn planned_paths(
     found
 }
 
-/// What the robot knows of its pose during a drive.
+/// Source of the robot's pose estimate during a drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Localised {
     /// Its own sensors.
@@ -213,7 +213,7 @@ pub fn drive(
     })
 }
 
-/// Where the robot is, give or take.
+/// A correction: the true pose with a random error.
 fn correction(rig: &SimRig, rng: &mut Rng) -> Correction {
     let truth = rig.truth().map_from_base;
     let mut about = |value: f64, error: f64| value + rng.between(-error, error);
@@ -235,7 +235,7 @@ fn correction(rig: &SimRig, rng: &mut Rng) -> Correction {
 }
 
 impl PlannedPath {
-    /// The points between which a law is to drive straight on.
+    /// The points of a law's reference, joined by straight legs.
     fn reference(&self, law: &str) -> Vec<Point2<f64>> {
         match law {
             "wheel_law" | "heading_first" => std::iter::once(self.start.position())
@@ -265,7 +265,7 @@ fn off_path(path: &[Point2<f64>], place: Point2<f64>) -> f64 {
     distances.fold(f64::INFINITY, f64::min)
 }
 
-/// The value that this share of all values does not exceed.
+/// The value that a share of all values does not exceed.
 #[must_use]
 pub fn percentile(values: &mut [f64], share: f64) -> f64 {
     values.sort_by(f64::total_cmp);

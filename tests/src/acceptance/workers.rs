@@ -1,5 +1,5 @@
-//! Motion workers. What does one more of them bring, and what does one cost that freezes? Real workers as processes of their own; robots that
-//! ask for a trajectory across a hall of pillars once a second.
+//! Motion workers. The gain from a second worker, and the cost of a frozen one: real worker processes, and robots that ask for a trajectory
+//! across a hall of pillars once a second.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -31,23 +31,23 @@ const HALL: GridSpec = GridSpec {
     width: 512,
     height: 512,
 };
-/// Distance of pillars, and their width, cells.
+/// Spacing of pillars, and their width, cells.
 const PILLARS: (u32, u32) = (50, 8);
-/// Each robot asks so often.
+/// Period of each robot's requests.
 const PERIOD: Duration = Duration::from_secs(1);
 /// Longest wait for an answer.
 const PATIENCE: Duration = Duration::from_secs(10);
 /// Longest wait until all workers are there.
 const READY: Duration = Duration::from_secs(30);
 
-/// What was found with so many workers.
+/// The results with a number of workers.
 #[derive(Clone, Debug, Default)]
 pub struct Findings {
     /// Workers.
     pub workers: usize,
     /// Time to each answer while every robot asks once a second, s.
     pub answers: Vec<f64>,
-    /// Answers a second when robots ask again at once.
+    /// Answers per second when robots ask again at once.
     pub throughput: f64,
     /// Time to each answer while one worker is frozen, s.
     pub frozen: Vec<f64>,
@@ -55,7 +55,7 @@ pub struct Findings {
     pub lost: usize,
 }
 
-/// Runs so many workers, and robots that ask them, for `secs` in each of three phases; in the last one the first worker is frozen.
+/// Runs `workers` workers, and robots that ask them, for `secs` in each of three phases; in the last one the first worker is frozen.
 ///
 /// # Errors
 /// When a part cannot be started or joined.
@@ -93,7 +93,7 @@ pub async fn run(binary: &str, workers: usize, robots: usize, secs: f64, seed: u
     for (nth, name) in names.iter().enumerate() {
         clients.push(Client {
             bus: bus.clone(),
-            // As in the mission: each robot has a pool of its own.
+            // As in the mission, each robot has its own pool.
             workers: Workers::watch(&bus, SERVICE).map_err(text)?,
             robot: name.clone(),
             model: robot("tiago"),
@@ -124,7 +124,7 @@ pub async fn run(binary: &str, workers: usize, robots: usize, secs: f64, seed: u
     Ok(findings)
 }
 
-/// A robot's mission, as far as it asks for motions.
+/// The part of a robot's mission that asks for motions.
 struct Client {
     bus: Bus,
     workers: Workers,
@@ -135,7 +135,7 @@ struct Client {
 }
 
 impl Client {
-    /// Time until a trajectory came, s.
+    /// Asks for a trajectory and returns the time until it came, s.
     async fn ask(&mut self) -> Option<f64> {
         let [start, goal] = [(); 2].map(|()| {
             // In a lane between pillars.
@@ -174,7 +174,7 @@ impl Client {
     }
 }
 
-/// All robots ask for a time, each once a period, or again at once; answers, and the robots.
+/// All robots ask for `secs`, each once per period, or again at once without one. Returns the answers and the robots.
 async fn ask(clients: Vec<Client>, secs: f64, period: Option<Duration>) -> (Vec<Option<f64>>, Vec<Client>) {
     let count = clients.len().max(1) as u32;
     let end = Instant::now() + Duration::from_secs_f64(secs);
@@ -182,7 +182,7 @@ async fn ask(clients: Vec<Client>, secs: f64, period: Option<Duration>) -> (Vec<
     for (nth, mut client) in (0_u32..).zip(clients) {
         asking.spawn(async move {
             let mut answers = Vec::new();
-            // Robots do not ask in step.
+            // The robots' requests are staggered.
             let first = Instant::now() + period.unwrap_or_default() * nth / count;
             let mut pace = interval_at(first, period.unwrap_or(Duration::from_micros(1)));
             pace.set_missed_tick_behavior(MissedTickBehavior::Delay);

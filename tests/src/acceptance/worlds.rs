@@ -1,4 +1,4 @@
-//! Random worlds. What may surround a robot? A walled square with table legs, posts, boxes and partitions, and movers among them.
+//! Random worlds. A walled square with table legs, posts, boxes and partitions, and movers among them.
 
 use std::fmt::Write as _;
 
@@ -13,7 +13,7 @@ use super::sim_rig::SimRigError;
 
 /// Half the side of the world, m.
 pub const HALF: f64 = 4.0;
-/// Paths drawn for a mover; where none is free it walks at random.
+/// Paths drawn for a mover; if none is free it walks at random.
 const PATHS: u32 = 50;
 /// Spacing of collision checks along a path, m.
 const STEP: f64 = 0.05;
@@ -27,7 +27,7 @@ impl Rng {
     pub fn new(seed: u64, purpose: u64) -> Self {
         let spread = u128::from(seed).wrapping_mul(0x9e37_79b9_7f4a_7c15_f39c_c060_5ced_c835);
         let mut rng = Pcg64Mcg::new(spread ^ (u128::from(purpose) << 64) | 1);
-        // The first draws of neighbouring states are alike.
+        // The first draws of neighbouring states are similar.
         for _ in 0..8 {
             let _: u64 = rng.random();
         }
@@ -56,7 +56,7 @@ impl Rng {
     }
 }
 
-/// A random world. Movers go at up to `mover_speed` (m/s); zero for a static world.
+/// A random world. Movers move at up to `mover_speed` (m/s); zero for a static world.
 ///
 /// # Errors
 /// [`SimRigError::World`] when the generated file is not a valid world.

@@ -1,8 +1,8 @@
-//! Writes `BENCHMARKS.md`. What does every bench and acceptance run print, on which machine, at which commit?
+//! Writes `BENCHMARKS.md`: the figures of every bench and acceptance run, with machine and commit.
 //!
-//! `cargo run --release -p zenav-tests --bin benchmarks [NAME…]` runs all benches, or those named, and writes the page; what was not run here stays on
-//! it as it was. Each run's own output is kept in `target/benchmarks/NAME.txt`; a figure is a line `row: NAME | VALUE | UNIT [| PEER | PEER'S VALUE]`
-//! ([`zenav_fixtures::Row`]) or criterion's `NAME time: [LOW ESTIMATE HIGH]`, and every one becomes a row of the page.
+//! `cargo run --release -p zenav-tests --bin benchmarks [NAME…]` runs all benches, or those named, and writes the page; sections of other
+//! runs stay unchanged. Each run's own output is kept in `target/benchmarks/NAME.txt`. A figure is a line `row: NAME | VALUE | UNIT [| PEER
+//! | PEER'S VALUE]` ([`zenav_fixtures::Row`]) or criterion's `NAME time: [LOW ESTIMATE HIGH]`; each becomes a row of the page.
 
 #![expect(clippy::print_stdout, reason = "a command that says what it runs")]
 
@@ -19,7 +19,7 @@ struct Run {
     name: &'static str,
     /// What it measures.
     title: &'static str,
-    /// After `cargo`.
+    /// Arguments of `cargo`.
     arguments: &'static [&'static str],
 }
 
@@ -198,7 +198,7 @@ const RUNS: &[Run] = &[
 struct Args {
     /// Benches to run; all by default
     names: Vec<String>,
-    /// Run nothing: write the page from what was found last
+    /// Run nothing: write the page from the last outputs
     #[arg(long)]
     write_only: bool,
     /// The page
@@ -262,13 +262,13 @@ fn cargo_arguments(run: &Run) -> Vec<&'static str> {
     }
 }
 
-/// What has cargo run a binary of a package.
+/// Arguments with which cargo runs a binary of a package.
 fn built(package: &'static str, binary: &'static str, arguments: &[&'static str]) -> Vec<&'static str> {
     let cargo = ["run", "--release", "-q", "-p", package, "--bin", binary, "--"];
     [&cargo, arguments].concat()
 }
 
-/// The command as a person types it.
+/// The command as it is typed.
 fn command_line(run: &Run) -> String {
     match run.arguments {
         ["acceptance" | "zenav", ..] => format!("target/release/{}", run.arguments.join(" ")),
@@ -292,7 +292,7 @@ fn cargo(arguments: &[&str]) -> std::io::Result<(String, bool)> {
     Ok((output, child.wait()?.success()))
 }
 
-/// Where and of what a run was made.
+/// Machine, toolchain and commit of a run.
 fn provenance() -> String {
     let first = |program: &str, arguments: &[&str]| {
         let output = Command::new(program).args(arguments).output().ok();
@@ -322,7 +322,7 @@ fn section<'a>(page: &'a str, title: &str) -> Option<&'a str> {
     Some(&after[..end.unwrap_or(after.len())])
 }
 
-/// The page, from the runs' outputs; what has no output here is taken from the last page.
+/// The page, from the runs' outputs; sections without an output are taken from the last page.
 fn page(folder: &Path, last: &str) -> String {
     let mut page = String::from(
         "# Benchmarks\n\nWritten by `cargo run --release -p zenav-tests --bin benchmarks` from the output of the commands below: every row that they print, \

@@ -1,4 +1,4 @@
-//! Containers. The rendered compose file on this machine's engine: one container a part, each with an address of its own.
+//! Containers. The rendered compose file on this machine's engine: one container per part, each with its own address.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -11,19 +11,19 @@ use super::{HOSTS, KEYS, NETWORKS, OPERATOR, Site, answers, checked, render};
 /// The runtime stage of the image begins here.
 const RUNTIME_STAGE: &str = "FROM scratch";
 
-/// The user of the containers, who reads their keys.
+/// The containers' user, which must be able to read the keys.
 const USER: &str = "65532:65532";
-/// Parts that this process dials, each with the network where it does.
+/// Parts that this process dials, with the network it uses.
 const DIALLED: [(&str, &str); 3] = [
     ("fleet-a-router", "fleet"),
     ("fleet-b-router", "fleet"),
     ("hall-world", "bodies"),
 ];
 
-/// What parts log here: Zenoh's word too when it closes a link.
+/// Log filter of the parts; includes Zenoh's message when it closes a link.
 const LOGGED: &str = "info,zenoh=off,zenoh_link=off,zenoh_transport=error";
 
-/// A second compose file: parts that this process dials have fixed addresses, for certificates name who is dialled.
+/// A second compose file with fixed addresses for the parts that this process dials, because certificates name the dialled address.
 fn additions<'a>(site: u8, parts: impl Iterator<Item = &'a str>) -> Value {
     let services: Map<String, Value> = parts
         .map(|part| {
@@ -47,11 +47,11 @@ fn additions<'a>(site: u8, parts: impl Iterator<Item = &'a str>) -> Value {
     json!({ "services": services, "networks": networks })
 }
 
-/// A deployment as containers; all of it goes when this is dropped.
+/// A deployment as containers; dropping it removes everything.
 #[derive(Debug)]
 pub struct Containers {
     folder: TempDir,
-    /// `docker compose` or `docker-compose`, and which file and project.
+    /// `docker compose` or `docker-compose`, with its file and project.
     compose: Vec<String>,
     project: String,
     /// Number of this site on this machine: part of its addresses.
@@ -80,10 +80,10 @@ fn compose() -> Option<Vec<String>> {
 }
 
 impl Containers {
-    /// Builds the image out of a binary, and starts the deployment.
+    /// Builds the image from a binary, and starts the deployment.
     ///
     /// # Errors
-    /// What the engine says.
+    /// The engine's error.
     pub fn start(binary: &Path, speed: f64) -> Result<Self, String> {
         if let Some(missing) = missing() {
             return Err(missing);
@@ -131,7 +131,7 @@ impl Containers {
         Ok(site)
     }
 
-    /// The image's last stage, from the binary that was built already: no registry is needed. A second tag stands for the next version.
+    /// Builds only the image's last stage, from the existing binary, so no registry is needed. A second tag stands for the next version.
     fn build(&self, binary: &Path) -> Result<(), String> {
         let context = self.folder.path().join("context");
         let sources = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../deploy/container");

@@ -1,13 +1,13 @@
-//! Deployments of many hosts, really started: as containers, or in network namespaces. Each part is started as `zenav deploy render` writes it,
-//! has an address of its own and proves who it is, and can be killed, paused, cut off and replaced.
+//! Multi-host deployments, run as containers or in network namespaces. Each part is started as `zenav deploy render` writes it, has its own
+//! address and identity, and can be killed, paused, cut off and replaced.
 //!
 //! | module | holds |
 //! |---|---|
 //! | [`containers`] | the compose file on this machine's engine |
 //! | [`namespaces`] | the units' commands, each host in a network namespace |
-//! | [`truth`] | what the robots' bodies did, by the word of their world |
-//! | [`soak`] | faults for a long time, and what the parts hold on to meanwhile |
-//! | [`trial`] | missions of three robots, faults, and what must hold meanwhile |
+//! | [`truth`] | ground truth of the robots' bodies, from their world |
+//! | [`soak`] | faults for a long time, and the parts' resources meanwhile |
+//! | [`trial`] | missions of three robots under faults, and the checks meanwhile |
 
 pub mod containers;
 pub mod namespaces;
@@ -24,11 +24,11 @@ use crate::process::run;
 
 /// Longest run of a command that prepares a site.
 const COMMAND: Duration = Duration::from_secs(120);
-/// Longest wait for a session with it.
+/// Longest wait for a session with a site.
 const JOINED: Duration = Duration::from_secs(90);
 
-/// Three robots in a hall, each with a lane of its own; two of everything that another may have to stand in for. Nothing is said of security: its
-/// links are encrypted, and each part proves who it is.
+/// Three robots in a hall, each in its own lane, with two of every redundant part. It has no security section: the default encrypts links
+/// and authenticates each part.
 const DEPLOYMENT: &str = r#"
 # All parts share the cores of one machine, and come from a debug build.
 [mapping]
@@ -77,11 +77,11 @@ role = "operator"
 address = "desk.example"
 "#;
 
-/// The folder of the fleet's keys, and who gives goals and looks on.
+/// The folder of the fleet's keys, and the identity of this process, which submits goals and observes.
 const KEYS: &str = "fleet-keys";
 const OPERATOR: &str = "operator.desk";
 
-/// A hall of 14 m by 9 m without anything in it.
+/// An empty hall of 14 m by 9 m.
 const HALL: &str = r#"
 name = "hall"
 size = [14.0, 9.0]
@@ -108,12 +108,12 @@ to = [12.4, 4.4]
 thickness = 0.1
 "#;
 
-/// Names of the hosts that run something.
+/// Names of the hosts with parts.
 pub const HOSTS: [&str; 6] = ["fleet-a", "fleet-b", "hall", "robot-a", "robot-b", "robot-c"];
 
-/// A deployment of many hosts that runs on this machine. Parts are named `HOST-PART`, such as `fleet-a-router`.
+/// A multi-host deployment on this machine. Parts are named `HOST-PART`, such as `fleet-a-router`.
 pub trait Site: Send {
-    /// What it is made of.
+    /// Its kind: containers or network namespaces.
     fn kind(&self) -> String;
 
     /// Names of its parts.
@@ -131,43 +131,43 @@ pub trait Site: Send {
     /// Kills a part at once.
     ///
     /// # Errors
-    /// What the machine says.
+    /// The system's error.
     fn kill(&mut self, part: &str) -> Result<(), String>;
 
     /// Starts a part that was killed.
     ///
     /// # Errors
-    /// What the machine says.
+    /// The system's error.
     fn start(&mut self, part: &str) -> Result<(), String>;
 
     /// Freezes a part.
     ///
     /// # Errors
-    /// What the machine says.
+    /// The system's error.
     fn pause(&mut self, part: &str) -> Result<(), String>;
 
-    /// Wakes it.
+    /// Resumes a frozen part.
     ///
     /// # Errors
-    /// What the machine says.
+    /// The system's error.
     fn resume(&mut self, part: &str) -> Result<(), String>;
 
     /// Cuts the part's host off from the fleet's network.
     ///
     /// # Errors
-    /// What the machine says.
+    /// The system's error.
     fn cut(&mut self, part: &str) -> Result<(), String>;
 
-    /// Puts it back.
+    /// Reconnects the part's host.
     ///
     /// # Errors
-    /// What the machine says.
+    /// The system's error.
     fn heal(&mut self, part: &str) -> Result<(), String>;
 
-    /// Replaces a part as an update does: it is asked to end, and the new one is started.
+    /// Replaces a part as an update does: asks it to end, then starts the new one.
     ///
     /// # Errors
-    /// What the machine says.
+    /// The system's error.
     fn update(&mut self, part: &str) -> Result<(), String>;
 
     /// The process of a part on this machine.
@@ -176,7 +176,7 @@ pub trait Site: Send {
     /// When it does not run.
     fn process_id(&self, part: &str) -> Result<u32, String>;
 
-    /// What a part has logged.
+    /// The log of a part.
     fn log(&mut self, part: &str) -> String;
 }
 
@@ -203,11 +203,11 @@ fn address(site: u8, host: &str, network: &str) -> String {
     numbered(site, network, number + 10)
 }
 
-/// A site on this machine, whose world goes at this speed: containers where there is an engine, else network namespaces. `ZENAV_SITE` chooses,
-/// `containers` or `namespaces`.
+/// Opens a site on this machine, with its world at this speed: containers if there is an engine, else network namespaces. `ZENAV_SITE`
+/// overrides this with `containers` or `namespaces`.
 ///
 /// # Errors
-/// Why neither is possible here.
+/// The reason why neither is possible here.
 pub fn open(binary: &Path, speed: f64) -> Result<Box<dyn Site>, String> {
     let chosen = std::env::var("ZENAV_SITE").unwrap_or_default();
     let containers = || containers::Containers::start(binary, speed).map(|site| Box::new(site) as Box<dyn Site>);
@@ -226,8 +226,8 @@ pub fn open(binary: &Path, speed: f64) -> Result<Box<dyn Site>, String> {
     }
 }
 
-/// Renders the deployment into a folder, with each host at the address that `address` gives it, and makes the keys that its `README.md` asks for.
-/// `reached` is where this process reaches a host, when that is not where other parts do.
+/// Renders the deployment into a folder, with the hosts' addresses from `address`, and makes the keys that its `README.md` asks for.
+/// `reached`: the address at which this process reaches a host, if it differs from that of other parts.
 fn render(
     binary: &Path,
     folder: &Path,
@@ -279,7 +279,7 @@ async fn join(name: &'static str, endpoints: &str, identity: &Path) -> Result<Bu
         .map_err(|error| error.to_string())
 }
 
-/// What a command prints.
+/// Runs a command and returns its output.
 fn checked(program: impl AsRef<std::ffi::OsStr>, arguments: &[&str], folder: &Path) -> Result<String, String> {
     let output = run(program.as_ref(), arguments, folder, COMMAND);
     if output.status.success() {
@@ -294,7 +294,7 @@ fn checked(program: impl AsRef<std::ffi::OsStr>, arguments: &[&str], folder: &Pa
     ))
 }
 
-/// Whether a program is there, and succeeds.
+/// Whether a program exists and succeeds.
 fn answers(program: &str, arguments: &[&str]) -> bool {
     let mut command = std::process::Command::new(program);
     command

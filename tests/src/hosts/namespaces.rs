@@ -1,4 +1,5 @@
-//! Network namespaces. The rendered units' commands, each host with a network of its own: for machines without an engine. Needs root, and `ip`.
+//! Network namespaces. The rendered units' commands, each host in its own network namespace, for machines without a container engine. Needs
+//! root and `ip`.
 //!
 //! ```text
 //! this process ── wire ── [switch: fleet ─┬─ fleet-a   bodies ─┬─ hall
@@ -14,10 +15,10 @@ use tempfile::TempDir;
 use super::{HOSTS, KEYS, NETWORKS, OPERATOR, Site, answers, checked, render};
 use crate::process::Process;
 
-/// Longest time for a part to end when it is asked to.
+/// Time limit for a part to end on request.
 const ENDING: Duration = Duration::from_secs(15);
 
-/// A deployment in network namespaces; all of it goes when this is dropped.
+/// A deployment in network namespaces; dropping it removes everything.
 #[derive(Debug)]
 pub struct Namespaces {
     folder: TempDir,
@@ -30,7 +31,7 @@ pub struct Namespaces {
     processes: BTreeMap<String, Process>,
 }
 
-/// Why no namespaces can be made here; `None` when they can.
+/// Why no namespaces can be created here; `None` when they can.
 #[must_use]
 pub fn missing() -> Option<String> {
     let name = format!("zenav-probe-{}", std::process::id());
@@ -42,10 +43,10 @@ pub fn missing() -> Option<String> {
 }
 
 impl Namespaces {
-    /// Makes the hosts, and starts every part.
+    /// Creates the hosts, and starts every part.
     ///
     /// # Errors
-    /// What the machine says.
+    /// The system's error.
     pub fn start(binary: &Path, speed: f64) -> Result<Self, String> {
         if let Some(missing) = missing() {
             return Err(missing);
@@ -61,7 +62,7 @@ impl Namespaces {
         };
         site.wire()?;
         let address = |host: &str| match host {
-            // Nobody but the robots in it dials the world.
+            // Only the robots in the world dial it.
             "hall" => super::address(site.site, host, "bodies"),
             host => super::address(site.site, host, "fleet"),
         };
@@ -92,7 +93,7 @@ impl Namespaces {
         format!("{}-{host}", self.prefix)
     }
 
-    /// A switch in a namespace of its own, where no firewall rule of this machine holds; a wire from it to each host, and one to this process.
+    /// A switch in its own namespace, where no firewall rule of this machine applies, with a wire to each host and one to this process.
     fn wire(&self) -> Result<(), String> {
         let switch = self.namespace("switch");
         self.ip(&["netns", "add", &switch])?;
@@ -133,14 +134,14 @@ impl Namespaces {
         Ok(())
     }
 
-    /// The arguments of a unit's command, with this site's folders for the host's.
+    /// The arguments of a unit's command, with the host's folders replaced by this site's.
     fn command(&self, host: &str, unit: &str, rendered: &Path) -> Vec<String> {
         let line = unit
             .lines()
             .find_map(|line| line.strip_prefix("ExecStart=/usr/bin/zenav "));
         let state = self.folder.path().join(host).display().to_string();
         let config = rendered.join("etc").display().to_string();
-        // A service manager gives the part a copy of its identity.
+        // systemd gives the part a copy of its identity.
         let member = unit.lines().find_map(|line| {
             line.strip_prefix("LoadCredential=cert.pem:/etc/zenav-identity/")?
                 .strip_suffix("/cert.pem")
@@ -210,7 +211,7 @@ impl Site for Namespaces {
         let (namespace, binary) = (self.namespace(host), self.binary.display().to_string());
         let begin = ["netns", "exec", &namespace, &binary];
         let arguments: Vec<&str> = begin.into_iter().chain(command.iter().map(String::as_str)).collect();
-        // Where the deployment's files are looked for by name.
+        // Relative file names of the deployment are resolved here.
         let folder = self.folder.path().join("rendered/etc");
         let process = Process::start("ip", &arguments, &folder);
         self.processes.insert(part.to_owned(), process);

@@ -1,4 +1,4 @@
-//! Soak. Do the parts of a deployment keep their size, while three robots drive from goal to goal and faults hit parts for a long time?
+//! Soak. Whether the parts of a deployment keep their size while three robots drive from goal to goal under faults for a long time.
 
 use std::time::{Duration, Instant};
 
@@ -11,10 +11,10 @@ use crate::usage::Held;
 
 /// Bytes of a MiB.
 const MIB: f64 = 1024.0 * 1024.0;
-/// Faults in a third of a run, at least: fewer tell nothing of growth.
+/// Fewest faults in a third of a run: fewer do not show growth.
 const FEWEST: usize = 5;
 
-/// Parts that run from beginning to end: what they hold on to shows what only grows.
+/// Parts that run from beginning to end, so that growth shows in their resources.
 const LASTING: [&str; 5] = [
     "fleet-a-router",
     "fleet-a-motion",
@@ -40,7 +40,7 @@ const CUT: [(&str, &str); 3] = [
 /// Longest freeze, s of the world's time.
 const FREEZE: u32 = 4;
 
-/// Faults in a random order, for so long.
+/// Faults in a random order, for a duration of `time`.
 pub fn faults(time: Duration, seed: u64) -> impl Iterator<Item = Fault> + Send {
     let mut random = Pcg64Mcg::seed_from_u64(seed);
     let end = Instant::now() + time;
@@ -65,19 +65,19 @@ pub fn faults(time: Duration, seed: u64) -> impl Iterator<Item = Fault> + Send {
     })
 }
 
-/// What a lasting part held on to in the second third of a run, and in the last: medians.
+/// Resources of a lasting part: medians of the second third of a run and of the last.
 #[derive(Clone, Debug)]
 pub struct Growth {
     /// The part.
     pub part: &'static str,
-    /// Then, and at the end.
+    /// Medians of the second third and of the last.
     pub held: [Held; 2],
-    /// Processor time for each second of wall time.
+    /// Processor time per second of wall time.
     pub cores: f64,
 }
 
 impl Growth {
-    /// Resident memory then and at the end, MiB.
+    /// Resident memory in the second third and in the last, MiB.
     #[must_use]
     pub fn memory(&self) -> [f64; 2] {
         self.held.map(|held| held.memory as f64 / MIB)
@@ -94,7 +94,7 @@ impl Growth {
 /// Growth of all lasting parts.
 ///
 /// # Errors
-/// Which part was started anew by somebody else, or too short a run.
+/// A lasting part that was restarted, or a run that is too short.
 pub fn growth(findings: &Findings) -> Result<Vec<Growth>, String> {
     let third = findings.rows.len() / 3;
     if third < FEWEST {

@@ -1,5 +1,5 @@
-//! Trials. Do the missions of three robots get done while parts of a deployment die, freeze, are cut off and replaced? No goal is lost, nothing
-//! is touched, and where another part can stand in no robot rests longer than a plan's horizon.
+//! Trials. Missions of three robots while parts of a deployment are killed, frozen, cut off and replaced. No goal may be lost, nothing
+//! touched, and no robot may rest longer than a plan's horizon if another part can take over.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -23,27 +23,27 @@ use crate::usage::{Held, held};
 const LANES: [(&str, f64); 3] = [("anna", 3.0), ("bert", 0.0), ("carl", -3.0)];
 /// The ends of a lane, m.
 const ENDS: [f64; 2] = [0.0, 10.5];
-/// Where the first goal of each robot is, m: near.
+/// The first goal of each robot, near its start, m.
 const FIRST: f64 = 3.0;
-/// Validity of a plan without a slow link, s: what a robot drives on that hears nothing more.
+/// Validity of a plan without a slow link, s: for this long a robot drives on without its cloud.
 pub const HORIZON: f64 = 5.0;
-/// Wall time for anything to happen: much more than it takes on a busy machine.
+/// Longest wait for any event, wall time: ample even on a busy machine.
 const LONG: Duration = Duration::from_secs(90);
-/// Wall time for an answer, until the same is asked anew.
+/// Wall time to wait for an answer before the request is repeated.
 const ANSWERED: Duration = Duration::from_secs(2);
-/// Goals of a robot that wait or run at a time.
+/// Unfinished goals of a robot at a time.
 const OUTSTANDING: usize = 3;
-/// A robot that rested less than this drives.
+/// A robot that has rested for less than this is driving, s.
 const DRIVES: f64 = 0.5;
 
-/// Something that happens to a part.
+/// A fault of a part.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fault {
     /// Killed, and started again once the robots drive.
     Kill(&'static str),
-    /// Frozen for so many seconds.
+    /// Frozen for a number of seconds.
     Pause(&'static str, u32),
-    /// Its host is cut off until its robot rests, then put back.
+    /// Its host is cut off until its robot rests, then reconnected.
     Cut(&'static str, &'static str),
     /// Replaced by a new one.
     Update(&'static str),
@@ -60,37 +60,37 @@ impl fmt::Display for Fault {
     }
 }
 
-/// What a fault did.
+/// The effect of a fault.
 #[derive(Clone, Debug)]
 pub struct Row {
-    /// What happened.
+    /// The fault.
     pub fault: Fault,
     /// Longest rest of a robot until all drove again, s of the world's time.
     pub rest: f64,
-    /// Whose it was.
+    /// The robot with that rest.
     pub robot: String,
-    /// Wall time that all of it took, s.
+    /// Duration of the fault and the recovery, wall time, s.
     pub took: f64,
 }
 
-/// What a trial found.
+/// The results of a trial.
 #[derive(Clone, Debug, Default)]
 pub struct Findings {
     /// Wall time from the first part's start until three robots had finished a goal each, s.
     pub first_mission: f64,
-    /// One row a fault.
+    /// One row per fault.
     pub rows: Vec<Row>,
     /// Goals acknowledged.
     pub goals: usize,
-    /// How many ended in which phase.
+    /// Number of ended goals by phase.
     pub ends: BTreeMap<String, usize>,
-    /// What each part held on to after each fault since its start, with its process, and the wall time since the trial began, s.
+    /// For each part its process id and, after each fault since its start, the wall time since the trial began, s, and its resources.
     pub held: BTreeMap<String, (u32, Vec<(f64, Held)>)>,
-    /// What is not as it should be.
+    /// Violated expectations.
     pub failures: Vec<String>,
 }
 
-/// A fault of each kind, and a rolling update of all parts: what fits into a run of the tests.
+/// A fault of each kind, and a rolling update of all parts: short enough for the tests.
 #[must_use]
 pub fn short() -> Vec<Fault> {
     vec![
@@ -110,7 +110,7 @@ pub fn short() -> Vec<Fault> {
     ]
 }
 
-/// Every part killed, frozen, cut off and replaced, so many times.
+/// Every part killed, frozen, cut off and replaced, `rounds` times.
 #[must_use]
 pub fn long(rounds: usize) -> Vec<Fault> {
     let parts = [
@@ -143,7 +143,7 @@ pub fn long(rounds: usize) -> Vec<Fault> {
 /// Runs the missions, and the faults one after the other.
 ///
 /// # Errors
-/// What keeps the trial from being run, or a robot from driving on.
+/// An error that prevents the trial from running, or a robot from driving on.
 pub async fn run(
     site: &mut dyn Site,
     faults: impl IntoIterator<Item = Fault, IntoIter: Send>,
@@ -166,7 +166,7 @@ pub async fn run(
     });
     let happened = happen(site, faults, begun, &mut truth, &mut findings).await;
     ending.store(true, Ordering::Relaxed);
-    // Robots without goals rest: why they got none comes first.
+    // Robots without goals rest, so an error in submitting goals is reported first.
     feeding.await.map_err(|error| error.to_string())??;
     happened?;
     client.all_end(2 * LONG).await?;
@@ -175,7 +175,7 @@ pub async fn run(
     Ok(findings)
 }
 
-/// One fault after the other, each once all robots drive.
+/// Injects the faults one after the other, each once all robots drive.
 async fn happen(
     site: &mut dyn Site,
     faults: impl IntoIterator<Item = Fault, IntoIter: Send>,
@@ -227,7 +227,7 @@ async fn happen(
 }
 
 impl Fault {
-    /// Longest rest that it may cause, s of the world's time; none where a robot cannot but rest: its own side is gone, or cut off.
+    /// Longest rest that it may cause, s of the world's time; `None` if a robot must rest because its own side is down or cut off.
     fn most(self) -> Option<f64> {
         match self {
             Self::Cut(..) => None,
@@ -238,7 +238,7 @@ impl Fault {
 }
 
 impl Findings {
-    /// Notes what each part holds on to: anew for one that was started anew.
+    /// Records the resources of each part; a restarted part begins a new record.
     fn weigh(&mut self, site: &dyn Site, begun: Instant) {
         for part in site.parts() {
             let Ok(process) = site.process_id(&part) else { continue };
@@ -292,7 +292,7 @@ impl Findings {
     }
 }
 
-/// Who gives the robots their goals: a client of whichever router is there.
+/// Submits the robots' goals, as a client of any router that is up.
 struct Client {
     bus: Bus,
     acknowledged: std::sync::Mutex<Vec<String>>,
@@ -310,7 +310,7 @@ impl Client {
         self.acknowledged.lock().map(|ids| ids.clone()).unwrap_or_default()
     }
 
-    /// Submits the goal of this number of a robot, again until it is acknowledged: at the one end of its lane, then at the other.
+    /// Submits a robot's goal with this number, alternating between the ends of its lane, until it is acknowledged.
     async fn submit(&self, robot: &str, number: usize) -> Result<(), String> {
         let lane = LANES.iter().find(|(name, _)| *name == robot).map_or(0.0, |(_, y)| *y);
         let id = format!("{robot}-{number}");
@@ -329,7 +329,7 @@ impl Client {
         Ok(())
     }
 
-    /// Asks again and again: an answer may be lost with the router that it came over.
+    /// Repeats a request until it is answered, because an answer may be lost with a router.
     async fn asked<Q: Serialize, R: DeserializeOwned>(
         &self,
         ask: &Ask<Q, R>,
@@ -351,7 +351,7 @@ impl Client {
         Ok(reply.goals.into_iter().map(|goal| (goal.id, goal.state)).collect())
     }
 
-    /// Keeps goals outstanding until the end.
+    /// Keeps [`OUTSTANDING`] goals per robot until the end.
     async fn feed(&self, ending: &AtomicBool) -> Result<(), String> {
         let mut next = [1; LANES.len()];
         while !ending.load(Ordering::Relaxed) {

@@ -1,4 +1,5 @@
-//! Truth. What did the robots' bodies do? By the readings that their world gives each robot: faults of the fleet's network do not touch them.
+//! Truth. Ground truth of the robots' bodies, from the readings that their world publishes, which faults of the fleet's network do not
+//! affect.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -10,12 +11,12 @@ use zenav_protocol::readings::Readings;
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
 
-/// A wheel that turns less than this between two looks is at rest, rad: noise of encoders is below it.
+/// A wheel that turns less than this between two samples is at rest, rad; encoder noise is below it.
 const TURNED: f64 = 0.02;
-/// Time between two looks at a wheel, s of the world's time.
+/// Sampling interval of the wheels, s of the world's time.
 const LOOK: f64 = 0.1;
 
-/// One body, as it was seen.
+/// The observations of one body.
 #[derive(Clone, Copy, Debug)]
 struct Seen {
     now: Stamp,
@@ -40,7 +41,7 @@ impl Truth {
     /// Listens at the world's endpoint of a site, as its operator.
     ///
     /// # Errors
-    /// When nobody serves a world there.
+    /// When no world is served there.
     pub async fn listen(world: &str, operator: &Path) -> Result<Self, String> {
         let bus = super::join("truth", world, operator).await?;
         let readings = bus
@@ -53,10 +54,10 @@ impl Truth {
         })
     }
 
-    /// Listens until `enough` holds of every robot's rest up to now, in seconds of the world's time.
+    /// Listens until `enough` holds for every robot's current rest, s of the world's time.
     ///
     /// # Errors
-    /// When that does not come within `limit` of wall time: which robots it does not hold of.
+    /// The robots for which it does not hold within `limit` of wall time.
     pub async fn until(
         &mut self,
         what: &str,
@@ -85,7 +86,7 @@ impl Truth {
         }
     }
 
-    /// Listens for so long, in seconds of the world's time.
+    /// Listens for a duration, s of the world's time.
     ///
     /// # Errors
     /// When the world stands still.
@@ -130,14 +131,14 @@ impl Truth {
         (seen.looked, seen.wheels) = (now, readings.wheels);
     }
 
-    /// Counts rests anew from now on.
+    /// Resets the longest rests.
     pub fn reset(&mut self) {
         for seen in self.bodies.values_mut() {
             (seen.moved, seen.rest) = (seen.now, 0.0);
         }
     }
 
-    /// The longest rest of any robot since the last reset, s of the world's time, and whose.
+    /// The longest rest of any robot since the last reset, s of the world's time, and that robot.
     #[must_use]
     pub fn longest_rest(&self) -> (f64, String) {
         let longest = self.bodies.iter().max_by(|(_, a), (_, b)| a.rest.total_cmp(&b.rest));

@@ -1,12 +1,12 @@
-//! Does the house stand as `ARCHITECTURE.md` says?
+//! Does the workspace follow `ARCHITECTURE.md`?
 //!
 //! | file | checks |
 //! |---|---|
-//! | `packages` | which package may depend on which, directly and through others; licences; what a published crate says of itself |
-//! | `purity` | where time, files, threads, the network and chance come in |
+//! | `packages` | which package may depend on which, directly and transitively; licences; metadata of published crates |
+//! | `purity` | where clocks, files, threads, the network and randomness are used |
 //! | `pages` | the key table and the links of every page |
-//! | `workspace` | the metadata that Cargo gives of the workspace |
-//! | `sources` | the files that a crate is built of without its tests, and every path that they name |
+//! | `workspace` | Cargo's metadata of the workspace |
+//! | `sources` | the files of a crate without its tests, and the paths that they name |
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 

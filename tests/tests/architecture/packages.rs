@@ -1,10 +1,10 @@
-//! Which package may depend on which? The walls are Cargo's: this reads what Cargo says of them.
+//! Which package may depend on which? Checked with Cargo's own metadata.
 
 use std::collections::BTreeMap;
 
 use crate::workspace::{built_of, metadata, root};
 
-/// What a package of this workspace may use of the others: in its code, and in its tests besides.
+/// What a package of this workspace may use of the others: in its code, and additionally in its tests.
 type Arrows = (&'static str, &'static [&'static str], &'static [&'static str]);
 
 const ARROWS: &[Arrows] = &[
@@ -100,7 +100,7 @@ const ARROWS: &[Arrows] = &[
     ),
 ];
 
-/// What a package is never built of, however many packages lie between.
+/// Packages that a package must never contain, not even transitively.
 const WALLS: &[(&str, &[&str])] = &[
     ("zenav-observability", &["zenoh", "axum", "hyper"]),
     ("zenav-protocol", &["zenoh", "zenoh-ext", "tokio"]),
@@ -154,7 +154,7 @@ fn packages_depend_on_each_other_along_the_arrows_only_in_tests_too() {
         .iter()
         .map(|(name, code, tests)| (*name, (*code, *tests)))
         .collect();
-    // What is not for others may use everything.
+    // The test package is not published, and may use everything.
     for package in metadata().members().filter(|package| package.name != "zenav-tests") {
         let name = package.name.as_str();
         let (code, tests) = arrows
@@ -191,7 +191,7 @@ fn libraries_are_built_without_what_their_job_does_not_need() {
     }
 }
 
-/// Licences under which anybody may use the program in anything.
+/// Licences that allow any use of the program.
 const PERMISSIVE: &[&str] = &[
     "0BSD",
     "Apache-2.0",
@@ -207,7 +207,7 @@ const PERMISSIVE: &[&str] = &[
     "Zlib",
 ];
 
-/// Packages under another licence, and why they are there.
+/// Packages under other licences, with the reason for the exception.
 const EXCEPTIONS: &[(&str, &str, &str)] = &[
     (
         "option-ext",
@@ -221,9 +221,9 @@ const EXCEPTIONS: &[(&str, &str, &str)] = &[
     ),
 ];
 
-/// Whether one may choose permissive licences alone in an SPDX expression; `/` is an old way to write `OR`.
+/// Whether permissive licences can be chosen in an SPDX expression; `/` is an old form of `OR`.
 fn is_permissive(expression: &str) -> bool {
-    // Parentheses enclose choices that all hold (`(A OR B) AND C`) in what there is.
+    // In all licences in use, parentheses enclose alternatives that are joined by AND: `(A OR B) AND C`.
     let all = expression.replace('/', " OR ");
     if all.contains('(') {
         return all
@@ -279,10 +279,10 @@ fn nothing_asks_for_a_newer_rust_than_the_workspace_says() {
     }
 }
 
-/// Crates that do not yet say of themselves what a user looks for. None is to be added.
+/// Crates whose metadata are still incomplete. Do not add any.
 const UNFINISHED: &[&str] = &["zenav-sim", "zenav-edge", "zenav-cloud", "zenav"];
 
-/// Crates without a README yet. None is to be added.
+/// Crates without a README. Do not add any.
 const WITHOUT_README: &[&str] = &["zenav-sim", "zenav-edge", "zenav-cloud", "zenav", "zenav-smoothing"];
 
 #[test]

@@ -1,4 +1,4 @@
-//! Is what the pages say true of the house? The key table, and every link to a file.
+//! Are the pages correct? The key table, and every link to a file.
 
 use std::path::{Path, PathBuf};
 
@@ -52,7 +52,7 @@ fn links(text: &str) -> Vec<(usize, String)> {
     found
 }
 
-/// The anchor that a heading has on the pages of GitHub and mdBook.
+/// The anchor of a heading on GitHub and in mdBook.
 fn anchor(heading: &str) -> String {
     let kept = heading.to_lowercase();
     let kept = kept.chars().filter(|c| c.is_alphanumeric() || " -_".contains(*c));

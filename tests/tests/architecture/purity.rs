@@ -1,10 +1,10 @@
-//! Where do time, files, threads, the network and chance come in? In the files that say so here, each with its reason, and nowhere else.
+//! Where are clocks, files, threads, the network and randomness used? Only in the files listed here, each with its reason.
 
 use std::collections::BTreeSet;
 
 use crate::sources::{files, modules_of, sources};
 
-/// What a core does not do: it is given all of it.
+/// Effects that a core must not have: it gets their results passed in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Effect {
     Clock,
@@ -16,7 +16,7 @@ enum Effect {
 }
 use Effect::{Chance, Clock, Disk, Network, Process, Threads};
 
-/// Segments of a path that tell of an effect.
+/// Path segments that indicate an effect.
 const SIGNS: &[(Effect, &[&[&str]])] = &[
     (
         Clock,
@@ -75,7 +75,7 @@ const SIGNS: &[(Effect, &[&[&str]])] = &[
     ),
 ];
 
-/// Folders whose code is pure but for the exemptions. The services of `cloud/src`, and `deploy`, are shells.
+/// Folders whose code is pure except for the exemptions. The services of `cloud/src`, and `deploy`, are shells.
 const CORES: &[&str] = &[
     "protocol",
     "sim",
@@ -94,7 +94,7 @@ const CORES: &[&str] = &[
     "tests/fixtures",
 ];
 
-/// Files and folders (which end in `/`) that have effects, and why.
+/// Files and folders (which end in `/`) with effects, and why.
 const EXEMPT: &[(&str, &[Effect], &str)] = &[
     ("protocol/src/bus/", &[Network, Clock], "the bus itself"),
     (
@@ -244,7 +244,7 @@ fn cores_are_pure_and_every_exemption_is_used() {
     }
 }
 
-/// Where alone Zenoh is named.
+/// The only folder that may name Zenoh.
 const ZENOH: &str = "protocol/src/bus/";
 
 #[test]

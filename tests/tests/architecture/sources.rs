@@ -1,5 +1,5 @@
-//! Which files is a crate built of without its tests, and what does each name? From `lib.rs` and `main.rs` along every `mod` that is not
-//! `#[cfg(test)]`, and whole files: what stands behind the first test is read, too.
+//! Which files belong to a crate without its tests, and which paths do they name? Follows every `mod` from `lib.rs` and `main.rs` that is
+//! not `#[cfg(test)]`. Files are read whole: code behind the first test counts too.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -12,9 +12,9 @@ use crate::workspace::{relative, root};
 /// A file of production code.
 #[derive(Debug)]
 pub struct Source {
-    /// From the workspace's root.
+    /// Path from the workspace root.
     pub path: String,
-    /// Every path of at least two segments that it names, `use` groups taken apart.
+    /// Every path of at least two segments in it, `use` groups expanded.
     pub names: Vec<Name>,
 }
 
@@ -26,7 +26,7 @@ pub struct Name {
 }
 
 impl Name {
-    /// Whether these segments stand in it, one after the other.
+    /// Whether it contains these segments in sequence.
     pub fn has(&self, wanted: &[&str]) -> bool {
         self.segments
             .windows(wanted.len())
@@ -48,7 +48,7 @@ pub fn sources(folder: &str) -> Vec<Source> {
     found
 }
 
-/// Every `.rs` file below a folder, tests included; from the workspace's root.
+/// Every `.rs` file below a folder, tests included; paths from the workspace root.
 pub fn files(folder: &str) -> Vec<String> {
     fn collect(folder: &Path, found: &mut Vec<String>) {
         let Ok(entries) = std::fs::read_dir(folder) else { return };
@@ -66,7 +66,7 @@ pub fn files(folder: &str) -> Vec<String> {
     found
 }
 
-/// Modules of a file that stand in files of their own, tests included.
+/// Modules of a file that have files of their own, tests included.
 pub fn modules_of(path: &str) -> Vec<String> {
     read(&root().join(path), true).modules
 }
@@ -136,7 +136,7 @@ impl Reader {
         }
     }
 
-    /// Reads what begins at a token, and returns where the next begins.
+    /// Reads the item at a token, and returns the index behind it.
     fn item(&mut self, tokens: &[TokenTree], at: usize) -> usize {
         if !self.with_tests && is_test_attribute(tokens, at) {
             return end_of_item(tokens, at);
@@ -160,7 +160,7 @@ impl Reader {
         }
     }
 
-    /// Reads a path that goes on from `before`, and returns what comes after it.
+    /// Reads a path that continues `before`, and returns the index behind it.
     fn path(&mut self, tokens: &[TokenTree], mut at: usize, before: &[String]) -> usize {
         let mut segments = before.to_vec();
         let mut line = 0;
@@ -218,7 +218,7 @@ fn is_test_attribute(tokens: &[TokenTree], at: usize) -> bool {
     hash.as_char() == '#' && attribute.stream().to_string().replace(' ', "") == "cfg(test)"
 }
 
-/// Behind the item that an attribute stands before: behind its braces, or its semicolon.
+/// Index behind the item of an attribute: behind its braces, or its semicolon.
 fn end_of_item(tokens: &[TokenTree], at: usize) -> usize {
     let ends = |token: &TokenTree| match token {
         TokenTree::Punct(punct) => punct.as_char() == ';',

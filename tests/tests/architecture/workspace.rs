@@ -1,4 +1,4 @@
-//! What does Cargo say of the workspace? Its own metadata and trees, so that nothing here reads a manifest.
+//! Cargo's metadata and dependency trees of the workspace, so that no test parses a manifest.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -6,7 +6,7 @@ use std::sync::OnceLock;
 
 use serde::Deserialize;
 
-/// What `cargo metadata` says.
+/// Output of `cargo metadata`.
 #[derive(Debug, Deserialize)]
 pub struct Metadata {
     pub packages: Vec<Package>,
@@ -26,18 +26,18 @@ pub struct Package {
     pub repository: Option<String>,
     pub manifest_path: PathBuf,
     pub dependencies: Vec<Dependency>,
-    /// Registries that it may be published to: all (`None`), or none (`Some([])`).
+    /// Registries to which it may be published: all (`None`), or none (`Some([])`).
     pub publish: Option<Vec<String>>,
     pub targets: Vec<Target>,
 }
 
-/// What a manifest declares.
+/// A dependency declared in a manifest.
 #[derive(Debug, Deserialize)]
 pub struct Dependency {
     pub name: String,
-    /// `None` for an ordinary one, else `dev` or `build`.
+    /// `None` for a normal dependency, otherwise `dev` or `build`.
     pub kind: Option<String>,
-    /// Set for packages of this workspace.
+    /// Set for packages of this workspace only.
     pub path: Option<PathBuf>,
 }
 
@@ -47,20 +47,20 @@ pub struct Target {
 }
 
 impl Package {
-    /// The folder of its manifest, from the workspace's root.
+    /// Folder of its manifest, from the workspace root.
     pub fn folder(&self) -> String {
         let folder = self.manifest_path.parent().unwrap();
         relative(folder)
     }
 
-    /// Whether others can depend on it.
+    /// Whether other packages can depend on it.
     pub fn is_library(&self) -> bool {
         self.targets
             .iter()
             .any(|target| target.kind.iter().any(|kind| kind == "lib"))
     }
 
-    /// Whether it is meant for others than this workspace.
+    /// Whether it is published for use outside this workspace.
     pub fn is_published(&self) -> bool {
         self.publish.as_ref().is_none_or(|registries| !registries.is_empty())
     }
@@ -75,7 +75,7 @@ impl Metadata {
     }
 }
 
-/// The workspace's root.
+/// The workspace root.
 pub fn root() -> &'static Path {
     static ROOT: OnceLock<PathBuf> = OnceLock::new();
     ROOT.get_or_init(|| {
@@ -84,7 +84,7 @@ pub fn root() -> &'static Path {
     })
 }
 
-/// A path from the workspace's root, with `/` on every system.
+/// A path from the workspace root, with `/` on every system.
 pub fn relative(path: &Path) -> String {
     let inside = path.strip_prefix(root()).unwrap_or(path);
     inside.to_string_lossy().replace('\\', "/")
@@ -102,7 +102,7 @@ fn cargo(arguments: &[&str]) -> String {
     String::from_utf8(output.stdout).unwrap()
 }
 
-/// Every package that is built on this machine, dependencies included.
+/// Every package built on this machine, dependencies included.
 pub fn metadata() -> &'static Metadata {
     static METADATA: OnceLock<Metadata> = OnceLock::new();
     METADATA.get_or_init(|| {
@@ -121,7 +121,7 @@ pub fn metadata() -> &'static Metadata {
     })
 }
 
-/// Names of everything that a package is built of, without the features that only other packages ask for.
+/// Names of all packages in the build of one, without features that only other packages enable.
 pub fn built_of(package: &str) -> Vec<String> {
     let tree = cargo(&[
         "tree",

@@ -1,6 +1,6 @@
-//! A disk that takes no more: who goes on, what is told, and what is stored once there is room?
+//! A full disk: which parts keep running, what is reported, and what is stored once there is space again?
 //!
-//! A limit on the size of files stands for the full disk: it needs no rights, and is lifted from outside.
+//! A file size limit stands in for the full disk: it needs no privileges, and can be lifted from outside.
 
 use std::path::Path;
 
@@ -12,14 +12,14 @@ use zenav_tests::process::Process;
 
 use super::{LONG, ZENAV, drive, said};
 
-/// Starts a command that gets an error, and no signal, from a write that finds no room; with room at first or not.
+/// Starts a command for which a failing write returns an error instead of raising a signal; with or without space at first.
 fn start(arguments: &[&str], folder: &Path, room: bool) -> Process {
     let limit = if room { "" } else { "ulimit -S -f 0;" };
     let script = format!("trap '' XFSZ; {limit} exec \"$0\" \"$@\"");
     Process::start("sh", &[&["-c", &script, ZENAV], arguments].concat(), folder)
 }
 
-/// Lets a process write files, or not.
+/// Allows or forbids a process to write files.
 fn set_room(process: &Process, room: bool) {
     let pid = Pid::from_raw(i32::try_from(process.id()).unwrap());
     let current = if room { None } else { Some(0) };

@@ -1,4 +1,4 @@
-//! Does a router remember every goal that ever was?
+//! Does a router accumulate memory for goals of the past?
 
 use zenav_protocol::bus::Bus;
 use zenav_protocol::messages::GoalState;
@@ -8,7 +8,7 @@ use zenav_tests::process::Process;
 
 use super::{LONG, ZENAV};
 
-/// Goals of one measurement.
+/// Goals per measurement.
 const GOALS: usize = 4000;
 
 /// Resident memory of a process, bytes.
@@ -24,7 +24,7 @@ fn goal(id: &str) -> GoalState {
     .unwrap()
 }
 
-/// Until the router has carried everything that was sent before.
+/// Waits until the router has forwarded everything sent before.
 async fn settle(bus: &Bus, other: &Bus) {
     let mut last = other.latest(&topics::MISSION, &["settled"]).unwrap();
     let publisher = bus.publisher(&topics::MISSION, &["settled"]).unwrap();
@@ -46,7 +46,7 @@ async fn a_router_keeps_nothing_of_a_goal_that_has_ended() {
     let _all = reader.subscribe(&topics::GOAL_STATE, &["*", "*"], 100).unwrap();
     let publisher = writer.keyed_publisher(&topics::GOAL_STATE, &["r1", "*"], 64).unwrap();
     let mut grown = Vec::new();
-    // The first round fills what is kept for good: buffers, caches.
+    // The first round fills permanent buffers and caches.
     for round in 0..2 {
         settle(&writer, &reader).await;
         let before = resident(&router);

@@ -1,4 +1,4 @@
-//! Numbers at their limits, in every field of every ask: does the robot still drive?
+//! Extreme numbers in every field of every ask: does the robot still drive?
 
 use std::time::{Duration, Instant};
 
@@ -11,12 +11,12 @@ use zenav_tests::observer::Observer;
 
 use super::{LONG, ZENAV, drive, said};
 
-/// One example of every message, a line each: its type, and its JSON.
+/// One example of every message, one per line: its type, and its JSON.
 const EXAMPLES: &str = include_str!("../../../protocol/tests/wire.golden");
-/// Time for servers to answer, wall time; none has to.
+/// Time for servers to answer, wall time; an answer is not required.
 const SHORT: Duration = Duration::from_millis(500);
 
-/// Numbers that a field may not expect, as JSON texts: one of them is no JSON, one no finite number.
+/// Extreme numbers as JSON texts; one of them is not JSON, one is not finite.
 const LIMITS: [&str; 12] = [
     "0",
     "-1",
@@ -32,7 +32,7 @@ const LIMITS: [&str; 12] = [
     "4294967296",
 ];
 
-/// Every example of a request, with each of its numbers replaced by each limit, and with all of them.
+/// Every example of a request, with each of its numbers, and with all of them, replaced by each extreme.
 fn requests(name: &str) -> Vec<String> {
     let of = |line: &'static str| line.strip_prefix(name)?.strip_prefix(' ');
     let mut all = Vec::new();
@@ -41,7 +41,7 @@ fn requests(name: &str) -> Vec<String> {
         let numbers = count(&value);
         for limit in LIMITS {
             all.push(replaced(&value, None, limit));
-            // Long ones, such as a robot's model, have many alike.
+            // Long examples, such as a robot's model, have many similar numbers.
             all.extend((0..numbers.min(12)).map(|nth| replaced(&value, Some(nth), limit)));
         }
     }
@@ -57,7 +57,7 @@ fn count(value: &Value) -> usize {
     }
 }
 
-/// The text of a value with its nth number, or every one, replaced.
+/// The text of a value with its nth number, or every number, replaced.
 fn replaced(value: &Value, nth: Option<usize>, limit: &str) -> String {
     fn mark(value: &mut Value, nth: Option<usize>, at: &mut usize) {
         match value {
@@ -110,7 +110,7 @@ async fn numbers_at_their_limits_in_every_field_of_every_ask_leave_the_robot_dri
         eprintln!("{key}: {:?}", begun.elapsed());
     }
     assert!(sent > 1000, "{sent}");
-    // A stop and an operator's lease are among the examples: they are obeyed.
+    // The examples include a stop and an operator's lease, which the robot obeyed.
     let resumed = deployment.client(&["resume"]);
     assert_eq!(resumed.status.code(), Some(0), "{}", said(&resumed));
     let free = |state: &EdgeState| state.lease.live && state.lease.role == Some(LeaseRole::Mission);

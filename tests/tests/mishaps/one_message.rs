@@ -1,4 +1,4 @@
-//! One message from anybody on the bus: does the robot still drive?
+//! A single message from anybody on the bus: does the robot still drive?
 
 use tokio::time::timeout;
 use zenav_protocol::SCHEMA_VERSION;
@@ -16,7 +16,7 @@ use zenav_tests::process::Process;
 
 use super::{LONG, ZENAV, drive, said};
 
-/// The robot of the served world, with an endpoint of its own.
+/// A robot in the served world, with its own endpoint.
 fn attached(deployment: &Deployment) -> Process {
     let edge = &deployment.edge;
     deployment.start_up_attached(&format!(
@@ -24,7 +24,7 @@ fn attached(deployment: &Deployment) -> Process {
     ))
 }
 
-/// Waits until somebody hears what is published.
+/// Waits until a subscriber receives the publisher's messages.
 async fn heard<T>(publisher: &Publisher<T>) {
     let heard = async {
         while !publisher.may_be_heard() {
@@ -55,7 +55,7 @@ async fn readings_of_the_far_future_are_not_believed_and_a_silent_body_is_named_
     let resumed = deployment.client(&["resume"]);
     assert_eq!(resumed.status.code(), Some(0), "{}", said(&resumed));
 
-    // The world freezes, and the router with it: nothing comes from the body any more.
+    // The world freezes, and its router too: no more readings from the body.
     world.pause().unwrap();
     let own = deployment.bus_at(&deployment.edge).await;
     let mut alone = Observer::new(&own, ROBOT);
@@ -77,13 +77,13 @@ async fn readings_of_the_far_future_are_not_believed_and_a_silent_body_is_named_
     parts.assert_running();
 }
 
-/// The lease as the robot shows it.
+/// The leader in the robot's lease.
 async fn leader(robot: &mut Observer) -> Leader {
     let leads = |state: &EdgeState| state.lease.live && state.lease.leader.is_some();
     robot.until("a mission leads", LONG, leads).await.lease.leader.unwrap()
 }
 
-/// A plan that says it is the holder's last word for ever, and cannot be driven.
+/// A plan with the holder's highest possible revision that cannot be driven.
 fn last_word(plan: &Plan) -> Plan {
     Plan {
         revision: Revision {
@@ -143,7 +143,7 @@ async fn plans_reports_and_clocks_that_leap_change_nothing() {
     }
     drive(&deployment, "-0.9", "-0.2");
 
-    // A mission of a restart leads the same store, and the robot still drives.
+    // After a restart the mission leads with the same store, and the robot still drives.
     up.kill();
     let _up = deployment.start_up();
     bus.close().await;
@@ -156,7 +156,7 @@ async fn a_stranger_s_word_neither_ends_a_goal_nor_the_mission() {
     let deployment = Deployment::new(ZENAV, zenav_tests::deployment::CORRIDOR, 4.0);
     let _router = deployment.start_router();
     let bus = deployment.bus().await;
-    // A stranger answers for the robot, before it is there and as long as it is asked.
+    // A stranger answers in the robot's name, from before the robot starts on.
     let mut stranger = bus.serve(&topics::EDGE_INFO, &[ROBOT]).unwrap();
     let lying = tokio::spawn(async move {
         while let Some(request) = stranger.next().await {

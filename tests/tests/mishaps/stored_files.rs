@@ -1,4 +1,4 @@
-//! Spoiled files: is a goal store or a map that was changed ever believed?
+//! Corrupted files: is a modified goal store or map ever trusted?
 
 use std::path::PathBuf;
 

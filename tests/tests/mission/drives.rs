@@ -105,7 +105,7 @@ fn cancel_ends_it_canceled_and_the_robot_soon_stands() {
     let stands = rig.pose();
     rig.run(3.0);
     let after = &rig.plans[before..];
-    // The one plan after it shortens the motion to the time that braking takes.
+    // The one later plan shortens the motion to the braking time.
     assert!(
         after.len() == 1 && after[0].trajectory_id == motion && after[0].valid_for < 2.0,
         "{after:?}"
@@ -160,8 +160,7 @@ fn a_lapsed_lease_is_taken_again_and_the_motion_goes_on_under_the_new_epoch() {
     );
     let goal = rig.success_of("a", 30.0);
     assert!(rig.plans.iter().any(|plan| plan.epoch > epoch));
-    // A renewal that came too late is refused: then the next plan goes on from the motion in force.
-    // A renewal that comes after the lapse is refused: then the next plan goes on from the motion in force, which does not end.
+    // A renewal after the lapse is refused: the next plan then continues from the motion in force, which does not end.
     let expired = |event: &EventKind| matches!(event, EventKind::PlanExpired { .. });
     assert!(
         goal.feedback.plans <= 2 && !rig.events.iter().any(expired),
@@ -226,7 +225,7 @@ fn a_robot_that_does_not_get_on_fails_the_drive() {
 
 #[test]
 fn refused_plans_are_not_repeated_for_ever() {
-    // The robot sees what the map does not tell, and cannot back up.
+    // The robot sees an obstacle that is not in the map, and cannot back up.
     let mut rig = Rig::on(room(|at| at.y.abs() > 0.8 || at.x < -0.4));
     rig.stage.robots[0].mapping.mapper.hold();
     rig.occupy(1.2, 0.0, 0.45);
@@ -252,7 +251,7 @@ fn without_a_motion_worker_the_goal_waits_until_its_deadline() {
     })
     .unwrap();
     rig.submit(to(3.0, 1.0, "b")).unwrap();
-    // Tried anew from time to time, so at any moment of some seconds.
+    // Retried periodically, so look repeatedly over some seconds.
     let says = |rig: &mut Rig, id: &str| {
         (0..25).any(|_| {
             rig.run(0.2);
@@ -325,7 +324,7 @@ fn a_goal_beyond_a_growing_map_is_driven_to_through_the_unknown() {
 
 #[test]
 fn a_goal_without_a_path_is_given_up_after_some_tries_that_are_counted() {
-    // The way is barred after the goal was taken.
+    // The way is blocked after the goal was accepted.
     let mut rig = Rig::on(room(|at| at.y.abs() > 0.8));
     (rig.config.settings.patience, rig.config.settings.linger) = (0.0, 0.0);
     rig.start();
@@ -352,7 +351,7 @@ fn a_goal_without_a_path_is_given_up_after_some_tries_that_are_counted() {
 
 #[test]
 fn a_robot_that_by_the_map_stands_in_something_leaves_it_by_the_nearest_free_place() {
-    // Something stood there when the map was made, and the map is held.
+    // An obstacle stood there when the map was made, and the map is held.
     let mut rig = Rig::with(room(|_| false), room(|at| at.coords.norm() < 0.1), 0.1);
     rig.stage.robots[0].mapping.mapper.hold();
     rig.submit(to(5.0, 0.0, "a")).unwrap();

@@ -1,4 +1,4 @@
-//! Claims about which goals are taken.
+//! Claims about which goals are accepted.
 
 use std::sync::Arc;
 
@@ -196,7 +196,7 @@ fn a_place_that_is_added_is_a_goal_and_a_zone_that_is_added_closes_one() {
     rig.annotate(annotations.clone());
     let refused = rig.submit(to_fridge("b")).unwrap_err().to_string();
     assert!(refused.contains("keep-out zone: wet"), "{refused}");
-    // One that cannot be is not taken, and takes none away.
+    // An invalid zone is refused, and the existing ones stay.
     annotations.zones[0].points.truncate(2);
     rig.annotate(annotations);
     assert!(rig.submit(to_fridge("c")).is_err());
@@ -223,7 +223,7 @@ fn a_goal_to_a_place_that_was_added_is_kept_while_nobody_tells_where_that_is() {
         ..GoalRequest::default()
     })
     .unwrap();
-    // The mission begins again, and who keeps the places does not.
+    // The mission restarts; mapping, which stores the places, does not.
     rig.kill();
     rig.start();
     rig.success_of("first", 30.0);

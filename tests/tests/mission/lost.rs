@@ -1,4 +1,4 @@
-//! A robot that does not know where it is.
+//! Claims about a robot without a valid pose.
 
 use zenav_mission::Ask;
 use zenav_protocol::geometry::Pose2;
@@ -34,7 +34,7 @@ fn a_robot_that_is_lost_is_looked_for_turns_and_ends_its_goal_as_lost() {
         reason.starts_with("Lost: nobody knows where the robot is (lost)"),
         "{reason}"
     );
-    // It was still turning.
+    // The robot was still turning.
     rig.run(1.0);
     assert!(rig.is_at_rest() && rig.driven() < 1.5, "{}", rig.driven());
     let asked = |is: fn(&Ask) -> bool| rig.asked.iter().filter(|ask| is(ask)).count();

@@ -1,4 +1,4 @@
-//! A mission with the robot's real side, mapper and motion worker in a simulated room: claims about what it does to the robot.
+//! A mission with the real edge code, mapper and motion worker in a simulated room: claims about its effects on the robot.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 

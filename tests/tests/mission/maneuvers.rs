@@ -1,4 +1,4 @@
-//! Claims about motions that the robot carries out by itself.
+//! Claims about maneuvers that the robot executes itself.
 
 use std::collections::BTreeSet;
 
@@ -11,7 +11,7 @@ const TREE: &str = r#"<root BTCPP_format="4"><BehaviorTree ID="Main"><Sequence>
     <Spin spin_dist="1.0"/><BackUp backup_dist="0.3" backup_speed="0.05"/><DriveOnHeading dist_to_travel="0.4" speed="0.2"/>
     <DriveToFree clearance="0.2" within="1.5"/></Sequence></BehaviorTree></root>"#;
 
-/// Executions that the robot was asked to begin, in order, each once.
+/// Executions that the robot was asked to start, in order, each once.
 fn begun(rig: &Rig) -> Vec<BehaviourAction> {
     let mut seen = BTreeSet::new();
     let asked = rig.asked.iter().filter_map(|ask| match ask {

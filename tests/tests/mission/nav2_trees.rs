@@ -1,4 +1,4 @@
-//! Claims about trees of Nav2's kinds on this stack: written anew here, with the nodes and the shapes that Nav2's have.
+//! Claims about trees in the style of Nav2 on this stack: rewritten with the nodes and structure of Nav2's own.
 
 use nalgebra::Point2;
 use zenav_protocol::messages::{GoalPhase, GoalRequest, MapAction};
@@ -12,14 +12,14 @@ const SELECT: &str = r#"<ControllerSelector selected_controller="{controller}" d
 const PLAN: &str = r#"<ComputePathToPose goal="{goal}" path="{path}" planner_id="{planner}" error_code_id="{plan_code}" error_msg="{plan_msg}"/>"#;
 const FOLLOW: &str = r#"<FollowPath path="{path}" controller_id="{controller}" error_code_id="{follow_code}" error_msg="{follow_msg}" tracking_feedback="{tracking}"/>"#;
 
-/// A whole file around the nodes of a tree.
+/// A complete tree file around these nodes.
 fn file(nodes: &str) -> String {
     format!(
         "<root BTCPP_format=\"4\" main_tree_to_execute=\"Main\"><BehaviorTree ID=\"Main\">{nodes}</BehaviorTree></root>"
     )
 }
 
-/// Planning again while driving, in the rhythm of a decorator.
+/// A tree that replans while driving, at the rate of a decorator.
 fn replanning(open: &str, close: &str) -> String {
     file(&format!(
         "<PipelineSequence>{SELECT}{open}{PLAN}{close}{FOLLOW}</PipelineSequence>"
@@ -33,7 +33,7 @@ fn goal(tree: &str, x: f64, y: f64) -> GoalRequest {
     }
 }
 
-/// A rig that drives a tree.
+/// A rig with a tree as its goal, started.
 fn begin(request: GoalRequest) -> Rig {
     let mut rig = Rig::new();
     rig.submit(request).unwrap();
@@ -47,7 +47,7 @@ fn drive(request: GoalRequest) -> Rig {
     rig
 }
 
-/// Drives a tree to a point.
+/// Runs a tree that must drive to this point.
 #[track_caller]
 fn assert_there(rig: &mut Rig, x: f64, y: f64) {
     rig.success_of("g", 60.0);
@@ -201,7 +201,7 @@ fn a_tree_that_checks_the_bounds_of_the_path_drives_within_them() {
         "<Sequence>{PLAN}<ReactiveSequence><IsWithinPathTrackingBounds max_error_left=\"0.2\" max_error_right=\"0.2\" max_error_heading=\"3.14\" tracking_feedback=\"{{tracking}}\"/>{FOLLOW}</ReactiveSequence></Sequence>"
     ));
     assert_there(&mut begin(goal(&tree, 4.0, 1.0)), 4.0, 1.0);
-    // A robot that swerves is out of them.
+    // A robot that swerves leaves the bounds.
     let mut rig = begin(goal(&tree, 6.0, 0.0));
     rig.run(4.0);
     rig.wheels = Some([2.0, 4.0]);
@@ -225,7 +225,7 @@ fn a_much_longer_path_near_the_goal_is_waited_out() {
             {FOLLOW}
           </ReactiveSequence></PipelineSequence>"#
     ));
-    // A wall with a door ahead, and one far aside.
+    // A wall with a door ahead, and another door far to the side.
     let is_door = |y: f64| y.abs() < 0.6 || (3.0..4.2).contains(&y);
     let mut rig = Rig::on(room(|at| (at.x - 3.85).abs() < 0.1 && !is_door(at.y)));
     rig.submit(goal(&tree, 5.0, 0.0)).unwrap();

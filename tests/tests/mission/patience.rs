@@ -1,11 +1,11 @@
-//! What may leave is waited for; what stays is not.
+//! Obstacles that may leave are waited for; those that stay are not.
 
 use zenav_protocol::messages::{GoalPhase, GoalRequest};
 
 use super::rig::Rig;
 
-/// Two rooms, from (0, 0) to (6.4, 5), with a door 0.9 m wide at (4, 2.5) between them; the robot starts at (1, 2.5), from where its lidar reaches the
-/// last wall.
+/// Two rooms, from (0, 0) to (6.4, 5), with a door 0.9 m wide at (4, 2.5) between them; the robot starts at (1, 2.5), from where its lidar
+/// reaches the last wall.
 const ROOMS: &str = "size = [6.8, 5.4]\norigin = [-0.2, -0.2]\n[start]\nx = 1\ny = 2.5\n\
     [[wall]]\nfrom = [-0.1, -0.1]\nto = [6.5, -0.1]\nthickness = 0.2\n\
     [[wall]]\nfrom = [-0.1, 5.1]\nto = [6.5, 5.1]\nthickness = 0.2\n\
@@ -14,7 +14,7 @@ const ROOMS: &str = "size = [6.8, 5.4]\norigin = [-0.2, -0.2]\n[start]\nx = 1\ny
     [[polygon]]\npoints = [[3.9, 0], [4.1, 0], [4.1, 2.05], [3.9, 2.05]]\n\
     [[polygon]]\npoints = [[3.9, 2.95], [4.1, 2.95], [4.1, 5], [3.9, 5]]\n";
 
-/// Somebody who stands at a place for some time, and then goes away.
+/// A person who stands at a place for some time, and then leaves.
 fn somebody(x: f64, y: f64, secs: f64) -> String {
     format!(
         "[[mover]]\nradius = 0.25\nspeed = 0.8\npath = [[{x:.2}, {y:.2}], [{x:.2}, 0.6], [6.0, 0.6]]\nrest_secs = [{secs}, 0, 10000]\n"
@@ -98,7 +98,7 @@ fn a_door_that_shuts_in_its_face_is_waited_for_by_nav2_s_tree_too() {
         tree: Some("navigate_with_recovery".to_owned()),
         ..to(5.5, 2.5)
     };
-    // It has seen the door open, and shut again.
+    // The robot has seen the door open, and shut again.
     rig.run(15.0);
     rig.submit(goal).unwrap();
     rig.run(1.0);
@@ -109,7 +109,7 @@ fn a_door_that_shuts_in_its_face_is_waited_for_by_nav2_s_tree_too() {
 
 #[test]
 fn a_door_that_shut_and_is_out_of_sight_is_driven_to() {
-    // A hall before the door: from its far end no beam reaches there.
+    // A hall before the door: from its far end the lidar cannot see the door.
     let hall = ROOMS
         .replace(
             "size = [6.8, 5.4]\norigin = [-0.2, -0.2]",
@@ -119,7 +119,7 @@ fn a_door_that_shut_and_is_out_of_sight_is_driven_to() {
         .replace("to = [-0.1, 5.1]", "to = [-7.1, 5.1]");
     let door = "[[door]]\nfrom = [4, 2.05]\nto = [4, 2.95]\nthickness = 0.1\nclosed_secs = 30\nopen_secs = 10\nslide_secs = 1\n";
     let mut rig = Rig::in_world(&format!("{hall}{door}"));
-    // It has seen the door open, and shut again.
+    // The robot has seen the door open, and shut again.
     rig.run(46.0);
     let away = GoalRequest {
         id: Some("away".to_owned()),

@@ -1,4 +1,4 @@
-//! Claims about actions that other programs do.
+//! Claims about actions carried out by other programs.
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
@@ -13,12 +13,12 @@ const TREE: &str = r#"<root BTCPP_format="4"><BehaviorTree ID="Main"><Sequence>
     <ScriptCondition code="weight == 7"/>
 </Sequence></BehaviorTree></root>"#;
 
-/// What a program has been asked: requests for each execution, and those it was told to stop.
+/// Requests that the program received, by execution, and the executions it was told to cancel.
 #[derive(Default)]
 struct Gripper {
     asked: BTreeMap<String, Vec<RemoteRequest>>,
     canceled: Vec<String>,
-    /// Answers until the end.
+    /// Number of answers until the end.
     takes: usize,
     fails: bool,
 }

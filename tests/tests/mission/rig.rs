@@ -1,4 +1,4 @@
-//! The closed loop that the claims are tested in: a lockstep run whose parts fail on demand, the mission's file, and what went over the wire.
+//! Test rig for the claims: a closed loop in lockstep whose parts fail on demand, with the mission's store and all messages recorded.
 
 use std::collections::BTreeMap;
 
@@ -24,11 +24,11 @@ use zenav_protocol::robot::{Footprint, RobotModel};
 use zenav_protocol::topics::{EdgeReply, EdgeRequest, MissionReply, MissionRequest};
 use zenav_sim::{RobotSpec, Simulation, Truth, World};
 
-/// The key of the one remote action that a program may do.
+/// Key of the remote action that a program carries out.
 pub const GRIPPER: &str = "kitchen/gripper";
-/// Asks the robot something besides the mission.
+/// Ticket of requests to the robot that are not the mission's.
 const OPERATOR: Ticket = Ticket(u64::MAX);
-/// Ticks between two heartbeats.
+/// Ticks per heartbeat.
 const BEAT: u64 = 5;
 const SPEC: GridSpec = GridSpec {
     origin: Point2::new(-5.0, -5.0),
@@ -40,7 +40,7 @@ const SPEC: GridSpec = GridSpec {
 /// Answers remote actions.
 pub type RemoteServer = Box<dyn FnMut(&RemoteRequest) -> RemoteReply>;
 
-/// A shipped robot that looks behind itself, too: it may back up. Few beams are enough for a known room of coarse cells.
+/// A shipped robot that also looks behind itself, so it may back up. Few beams are enough for a known room of coarse cells.
 fn model(beams: usize) -> RobotModel {
     let mut model = zenav_fixtures::robot("tiago");
     let lidar = model.lidar.as_mut().unwrap();
@@ -48,17 +48,17 @@ fn model(beams: usize) -> RobotModel {
     model
 }
 
-/// Beams in a known room, and where the robot maps.
+/// Beams in a known room, and for a robot that maps.
 const BEAMS: [usize; 2] = [180, 720];
 
-/// A walled room from (-4.9, -4.9) to (7.7, 7.7), where these points are walls besides.
+/// A walled room from (-4.9, -4.9) to (7.7, 7.7), with additional walls at these points.
 pub fn room(is_wall: impl Fn(Point2<f64>) -> bool) -> OccupancyGrid {
     zenav_fixtures::walled_room(SPEC, is_wall)
 }
 
 pub struct Rig {
     pub stage: ClosedLoop,
-    /// Of the next life of the mission.
+    /// Configuration of the mission's next process.
     pub config: MissionConfig,
     edge: EdgeConfig,
     world: World,
@@ -68,51 +68,51 @@ pub struct Rig {
     boots: u32,
     ticks: u64,
 
-    /// Plans as they were published.
+    /// All plans published.
     pub plans: Vec<Plan>,
-    /// Goals as they were published last.
+    /// The last published state of each goal.
     pub goals: BTreeMap<String, GoalState>,
-    /// How often each goal was stored as ended.
+    /// Number of times each goal was stored as ended.
     pub ends: BTreeMap<String, usize>,
-    /// What the mission asked for.
+    /// Requests of the mission.
     pub asked: Vec<Ask>,
     pub replies: BTreeMap<Client, Result<MissionReply, Refusal>>,
     pub status: Option<MissionStatus>,
-    /// The robot's state and events as they were published.
+    /// The robot's published state and events.
     pub state: Option<EdgeState>,
     pub events: Vec<EventKind>,
     robot_reply: Option<Result<EdgeReply, Refusal>>,
-    /// Writes of the mission's so far.
+    /// Number of writes by the mission.
     pub writes: usize,
 
     pub worker_up: bool,
     mapper_up: bool,
-    /// Wheel speeds that the wheels have whatever the robot wants, rad/s.
+    /// Forced wheel speeds, whatever the robot commands, rad/s.
     pub wheels: Option<[f64; 2]>,
-    /// Plans are spoiled on their way to the robot.
+    /// Whether plans are corrupted on their way to the robot.
     pub plans_are_spoiled: bool,
-    /// Heartbeats do not reach the robot.
+    /// Whether heartbeats to the robot are lost.
     pub is_mute: bool,
-    /// Another holder of the lease, its epoch and its heartbeats so far.
+    /// Another holder of the lease, its epoch, and the number of its heartbeats.
     other: Option<(String, u64, u64)>,
-    /// Does the remote actions on [`GRIPPER`].
+    /// Server of the remote actions on [`GRIPPER`].
     pub remote: Option<RemoteServer>,
-    /// Writes after which the process dies, once; counted from the next one.
+    /// Number of writes, from the next one on, after which the process dies once.
     pub dies_after_writes: Option<usize>,
 }
 
 impl Rig {
-    /// In an empty room whose map is known.
+    /// A rig in an empty room with a known map.
     pub fn new() -> Self {
         Self::on(room(|_| false))
     }
 
-    /// In a world that is this map, which is known.
+    /// A rig in a world made of this map, which is known.
     pub fn on(map: OccupancyGrid) -> Self {
         Self::with(map.clone(), map, 0.1)
     }
 
-    /// In a world that is a map, where perhaps another one is taken for known; `delay` from scan to plan, s.
+    /// A rig in a world made of one map, with another one as the known map; `delay` from scan to plan, s.
     pub fn with(map: OccupancyGrid, known: OccupancyGrid, delay: f64) -> Self {
         let world = World::from_map("room", map, Pose2::IDENTITY);
         let mut rig = Self::of(world, Some(known), delay);
@@ -126,12 +126,12 @@ impl Rig {
         rig
     }
 
-    /// In a shipped world without a map.
+    /// A rig in a shipped world, without a map.
     pub fn within(world: &str) -> Self {
         Self::of(World::shipped(world).unwrap(), None, 0.1)
     }
 
-    /// In a world of a file's text, without a map.
+    /// A rig in a world from a file's text, without a map.
     pub fn in_world(text: &str) -> Self {
         let world = World::from_toml(text, "world", &|_| Err("no map".to_owned())).unwrap();
         Self::of(world, None, 0.1)
@@ -191,7 +191,7 @@ impl Rig {
         rig
     }
 
-    /// A (new) process of the mission.
+    /// Starts a new process of the mission.
     pub fn start(&mut self) {
         self.kill();
         let store = Store::open(&self.folder.path().join("mission.redb"), self.config.robot.as_str()).unwrap();
@@ -205,7 +205,7 @@ impl Rig {
         self.store = None;
     }
 
-    /// The robot's side starts anew, where the robot stands.
+    /// Restarts the edge, with the robot at its present pose.
     pub fn reboot(&mut self) {
         self.boots += 1;
         let edge = EdgeConfig {
@@ -215,7 +215,7 @@ impl Rig {
         self.stage.robots[0].pilot = Pilot::new(edge, format!("boot-{}", self.boots), self.persisted.clone());
     }
 
-    /// Puts something round into the room, for good.
+    /// Adds a permanent disc to the room.
     pub fn occupy(&mut self, x: f64, y: f64, radius: f64) {
         let mut model = model(BEAMS[0]);
         model.footprint = Footprint::Radius(radius);
@@ -225,7 +225,7 @@ impl Rig {
         self.stage.simulation.add(&self.world, spec).unwrap();
     }
 
-    /// The mapper's process ends, or is back.
+    /// Stops or starts the mapper's process.
     pub fn set_mapper(&mut self, is_up: bool) {
         self.mapper_up = is_up;
         self.stage.robots[0].inputs.mapper_alive = Some(is_up);
@@ -236,7 +236,7 @@ impl Rig {
         self.stage.robots[0].ask(request)
     }
 
-    /// Asks and runs until the answer; again, as a client does, while the mission does not know yet whether it leads.
+    /// Sends a request and runs until the answer; repeats it, as a client does, while the mission does not know whether it leads.
     pub fn answer(&mut self, request: MissionRequest) -> Result<MissionReply, Refusal> {
         for _ in 0..10 {
             let client = self.ask(request.clone());
@@ -252,7 +252,7 @@ impl Rig {
         panic!("the mission does not lead");
     }
 
-    /// The map's places and zones come.
+    /// Delivers the map's places and zones.
     pub fn annotate(&mut self, annotations: Annotations) {
         self.stage.robots[0].inputs.annotations = Some(annotations);
     }
@@ -273,14 +273,14 @@ impl Rig {
         self.answer(MissionRequest::Pause(request)).unwrap();
     }
 
-    /// Asks the robot itself.
+    /// Sends a request to the robot itself.
     pub fn ask_robot(&mut self, request: EdgeRequest) -> Result<EdgeReply, Refusal> {
         self.stage.robots[0].inbox.requests.push((OPERATOR, request));
         self.step();
         self.robot_reply.take().expect("the robot answers in its next tick")
     }
 
-    /// Another holder takes the lease and keeps it alive; its epoch.
+    /// Lets another holder take the lease and keep it alive; returns its epoch.
     pub fn take_lease(&mut self, holder: &str, role: LeaseRole) -> u64 {
         let request = LeaseRequest::new(holder, role, LeaseAction::Acquire, "1");
         let EdgeReply::Lease(granted) = self.ask_robot(EdgeRequest::Lease(request)).unwrap() else {
@@ -290,7 +290,7 @@ impl Rig {
         granted.epoch
     }
 
-    /// The other holder sends no more heartbeats.
+    /// Stops the other holder's heartbeats.
     pub fn drop_lease(&mut self) {
         self.other = None;
     }
@@ -328,7 +328,7 @@ impl Rig {
         self.goal(id).state
     }
 
-    /// What the mission asked of the mapper, but for the map.
+    /// Requests of the mission to the mapper, except for the map itself.
     pub fn map_actions(&self) -> Vec<MapAction> {
         let actions = self.asked.iter().filter_map(|ask| match ask {
             Ask::Map(request) if request.action != MapAction::Get => {
@@ -340,7 +340,7 @@ impl Rig {
         actions.collect()
     }
 
-    /// Trajectories that were published.
+    /// Number of trajectories published.
     pub fn trajectories(&self) -> usize {
         let mut ids: Vec<u64> = self.plans.iter().map(|plan| plan.trajectory_id).collect();
         ids.dedup();
@@ -351,7 +351,7 @@ impl Rig {
         self.run_until(secs, |_| false);
     }
 
-    /// Runs until something holds; whether it came to hold in time.
+    /// Runs until a condition holds; returns whether it did in time.
     pub fn run_until(&mut self, secs: f64, holds: impl Fn(&Self) -> bool) -> bool {
         let end = self.stage.now().plus_secs(secs);
         while self.stage.now() < end {
@@ -363,7 +363,7 @@ impl Rig {
         holds(self)
     }
 
-    /// Runs until a goal has ended, which it must in time.
+    /// Runs until a goal has ended; it must end in time.
     #[track_caller]
     pub fn end_of(&mut self, id: &str, secs: f64) -> GoalState {
         let ends = self.run_until(secs, |rig| rig.phase(id).is_end());
@@ -371,7 +371,7 @@ impl Rig {
         self.goal(id).clone()
     }
 
-    /// Runs until a goal has succeeded, untouched by anything.
+    /// Runs until a goal has succeeded, without any contact.
     #[track_caller]
     pub fn success_of(&mut self, id: &str, secs: f64) -> GoalState {
         let goal = self.end_of(id, secs);
@@ -380,7 +380,7 @@ impl Rig {
         goal
     }
 
-    /// Drives to a goal; the nearest that the robot came to each of these points on the way, m.
+    /// Drives to a goal; returns the smallest distance to each of these points on the way, m.
     #[track_caller]
     pub fn success_past(&mut self, id: &str, secs: f64, points: &[(f64, f64)]) -> Vec<f64> {
         let mut nearest = vec![f64::INFINITY; points.len()];
@@ -501,7 +501,7 @@ pub fn to(x: f64, y: f64, id: &str) -> GoalRequest {
     }
 }
 
-/// A goal that is a tree, alone.
+/// A goal that consists of a tree.
 pub fn tree(tree: &str, id: &str) -> GoalRequest {
     GoalRequest {
         id: Some(id.into()),

@@ -1,8 +1,8 @@
-//! The link to the cloud is slow: the robot drives nevertheless, and what it refuses is heard however late.
+//! Claims about a slow link to the cloud: the robot still drives, and its refusals arrive, however late.
 
 use super::rig::{Rig, room, to};
 
-/// Simulated time to a goal 4 m away over a round trip, s.
+/// Simulated time to a goal 4 m away with this round trip, s.
 fn time_over(round_trip: f64) -> f64 {
     let mut rig = Rig::with(room(|_| false), room(|_| false), round_trip);
     rig.submit(to(4.0, 0.0, "a")).unwrap();

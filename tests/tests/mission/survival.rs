@@ -50,7 +50,7 @@ fn a_paused_goal_is_still_paused_after_a_restart() {
     rig.success_of("a", 30.0);
 }
 
-/// Dies at its `n`th write, for every `n` there is, during a mission of three goals of which the second is cancelled.
+/// Dies at its `n`th write, for every possible `n`, during a mission of three goals of which the second is cancelled.
 #[test]
 fn a_mission_killed_at_every_write_loses_no_goal_ends_none_twice_and_commands_under_its_own_lease_alone() {
     let mut write = 0;
@@ -70,7 +70,7 @@ fn a_mission_killed_at_every_write_loses_no_goal_ends_none_twice_and_commands_un
                 rig.start();
             }
         }
-        // Once it is driven; sent until it is acknowledged, as a client does.
+        // Cancelled once it is driven; repeated until acknowledged, as a client does.
         let mut canceled = !acknowledged.contains_key("b");
         let mut cancel_sent = false;
         for _ in 0..3000 {
@@ -80,7 +80,7 @@ fn a_mission_killed_at_every_write_loses_no_goal_ends_none_twice_and_commands_un
                 rig.ask(cancel(Some("b"), "cancel-b"));
             }
             rig.step();
-            // The answer may come with a later step than the request's.
+            // The answer may come a step later than the request.
             let answers = rig.replies.values().rev();
             if let Some(Ok(MissionReply::Cancel(reply))) = answers.take(3).find(|answer| answer.is_ok()) {
                 assert_eq!(reply.state, GoalPhase::Canceled, "write {write}");
@@ -128,7 +128,7 @@ fn a_mission_that_was_only_paused_does_not_command_on_waking() {
     rig.run(3.0);
     let sleeping = rig.stage.robots[0].mission.take();
     rig.run(20.0);
-    // Somebody else has taken over meanwhile.
+    // Another holder has taken over in the meantime.
     rig.take_lease("anna", LeaseRole::Operator);
     let plans = rig.plans.len();
     rig.stage.robots[0].mission = sleeping;

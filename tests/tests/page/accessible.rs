@@ -1,11 +1,11 @@
-//! Can everybody use the page? By the rules of axe, in every panel, both themes, and the sizes of a screen and a tablet.
+//! Is the page accessible? Checked by axe's rules in every panel, in both themes, and at the sizes of a screen and a tablet.
 
 use serde_json::Value;
 use zenav_tests::browser::Browser;
 
 use crate::site::{Site, my_turn};
 
-/// Findings of axe, one a line.
+/// Findings of axe, one per line.
 fn findings(page: &Browser, axe: &str, place: &str) -> Vec<String> {
     let _ = page.script(&format!("{axe}; window.axe = axe"));
     let found =

@@ -1,4 +1,4 @@
-//! Is the robot seen, sent, stopped and driven by hand, and is a person told when the cloud or the gateway is gone?
+//! Can a user see the robot, send it, stop it and drive it by hand, and does the page report a lost cloud or gateway?
 
 use std::time::Duration;
 
@@ -6,7 +6,7 @@ use zenav_tests::deployment::ROBOT;
 
 use crate::site::{DRIVE, ESCAPE, SOON, STATE, Site, my_turn, number, start_gateway, until};
 
-/// How many pixels of the map show a wall, free floor and the scan, of its sample of every third.
+/// Number of pixels of the map that show wall, free floor and scan, in a sample of every third pixel.
 const PIXELS: &str = r"
     const canvas = document.getElementById('map');
     const style = getComputedStyle(document.documentElement);
@@ -25,18 +25,18 @@ fn a_person_sees_the_robot_sends_it_stops_it_and_is_told_when_the_cloud_is_gone(
     let _turn = my_turn();
     let mut site = Site::open();
 
-    // The map is drawn, with what the robot sees.
+    // The map is drawn, with the scan over it.
     until("walls, floor and scan are drawn", SOON, || {
         let counts = site.browser.script(PIXELS);
         number(&counts[0]) > 300.0 && number(&counts[1]) > 5000.0 && number(&counts[2]) > 30.0
     });
 
-    // A drag is a goal with a heading, sent as soon as it ends. The robot arrives there.
+    // A drag makes a goal with a heading, sent as soon as the drag ends. The robot arrives there.
     let from = site.in_window([0.88, 0.09]);
     let to = [from[0], from[1] - 60.0];
     site.browser.drag(from, to);
     site.browser.until("the goal runs", SOON, "zenav.store.runningGoal()");
-    // Another one meanwhile is asked about: dropped by Escape, it changes nothing.
+    // For a second goal the page asks first; Escape drops it without any change.
     site.click_at([-1.3, -1.1]);
     site.browser
         .until("the draft shows", SOON, "!document.getElementById('draft').hidden");
@@ -69,7 +69,7 @@ fn a_person_sees_the_robot_sends_it_stops_it_and_is_told_when_the_cloud_is_gone(
     );
     site.shoot("arrived");
 
-    // Stop stops, and stays until it is resumed on purpose.
+    // Stop takes effect, and lasts until it is resumed deliberately.
     let _ = site.browser.script("document.getElementById('place').value = 'corner'");
     site.browser.click("#go-place");
     site.browser
@@ -110,7 +110,8 @@ fn a_person_sees_the_robot_sends_it_stops_it_and_is_told_when_the_cloud_is_gone(
     site.shoot("tablet");
     site.browser.resize(1280, 860);
 
-    // Hand control is armed by the robot's name; a held key turns the robot, a released one leaves it at rest, and the mission gets it back.
+    // Hand control is armed by the robot's name; a held key turns the robot, a released one leaves it at rest, and the mission gets
+    // control back.
     site.browser.click("#tab-drive");
     site.browser.click("#panel-drive button.primary");
     site.browser
@@ -144,7 +145,7 @@ fn a_person_sees_the_robot_sends_it_stops_it_and_is_told_when_the_cloud_is_gone(
         &format!("{STATE}.lease.role === 'mission' && {STATE}.lease.live"),
     );
 
-    // Without the cloud the badge turns, and a stop works all the same.
+    // Without the cloud the badge changes, and a stop still works.
     site.cloud.kill();
     site.browser.until(
         "the badge turns",
@@ -159,7 +160,7 @@ fn a_person_sees_the_robot_sends_it_stops_it_and_is_told_when_the_cloud_is_gone(
         &format!("{STATE}.mode === 'stopped'"),
     );
 
-    // Without the gateway the page says so, and is back by itself.
+    // Without the gateway the page says so, and it recovers by itself.
     site.gateway.kill();
     site.browser.until(
         "the page says that the gateway is gone",

@@ -1,13 +1,13 @@
-//! What does a person draw on the map, and what does the robot make of it?
+//! Does the robot use what a user draws on the map?
 
 use serde_json::Value;
 
 use crate::site::{DRIVE, ENTER, SOON, STATE, Site, my_turn, number};
 
-/// Corners of a band across the passage on the left of the kitchen's island; the other passage stays.
+/// Corners of a band across the passage on the left of the kitchen's island; the other passage stays open.
 const PASSAGE: [[f64; 2]; 4] = [[-2.1, -1.6], [-0.75, -1.6], [-0.75, -2.0], [-2.1, -2.0]];
 
-/// Sends the robot to a named place by the panel, and waits for the plan; its points.
+/// Sends the robot to a named place through the panel, waits for the plan, and returns its points.
 fn plan_to(site: &Site, place: &str) -> Vec<[f64; 2]> {
     let before = site
         .browser
@@ -26,7 +26,7 @@ fn plan_to(site: &Site, place: &str) -> Vec<[f64; 2]> {
     numbers.chunks_exact(3).map(|point| [point[0], point[1]]).collect()
 }
 
-/// Whether a plan leads through the band of [`PASSAGE`].
+/// Whether a plan crosses the band of [`PASSAGE`].
 fn is_through(plan: &[[f64; 2]]) -> bool {
     plan.iter()
         .any(|[x, y]| (-2.1..-0.75).contains(x) && (-2.0..-1.6).contains(y))
@@ -44,7 +44,7 @@ fn cancel(site: &Site) {
 #[ignore = "needs Chromium and chromedriver; .ci/run installs them"]
 fn a_zone_drawn_bends_the_next_plan_and_places_and_pose_are_set_by_a_click() {
     let _turn = my_turn();
-    // Slowly: the robot must not have passed where the zone will be before its goal is cancelled.
+    // Slowly: the goal must be cancelled before the robot passes the place of the zone.
     let site = Site::open_at(1.0);
     let page = &site.browser;
     let plan = plan_to(&site, "corner");
@@ -71,7 +71,7 @@ fn a_zone_drawn_bends_the_next_plan_and_places_and_pose_are_set_by_a_click() {
     site.shoot("zone_bends_plan");
     cancel(&site);
 
-    // It is edited: a corner moved, its rule changed; then renamed and removed.
+    // Editing: a corner moved, the rule changed; then renamed and removed.
     page.click("#tab-map");
     page.click("#zones button");
     page.until("its corners show", SOON, "zenav.tools.draft?.original === 'wet'");
@@ -115,7 +115,7 @@ fn a_zone_drawn_bends_the_next_plan_and_places_and_pose_are_set_by_a_click() {
         "{place}"
     );
 
-    // The pose: 30 cm from where the robot takes itself to be.
+    // Setting the pose: 30 cm from the robot's own estimate.
     let pose = page.script("return zenav.store.data('pose')");
     let told = [number(&pose["x"]) + 0.3, number(&pose["y"])];
     page.click("#tool-pose");
@@ -132,7 +132,7 @@ fn a_zone_drawn_bends_the_next_plan_and_places_and_pose_are_set_by_a_click() {
         SOON,
         "document.getElementById('toasts').innerText.includes('goes on from')",
     );
-    // Where it is then, `at_run_time` tests: this robot's GPS takes it back at once.
+    // The resulting pose is for the `at_run_time` tests: this robot's GPS corrects it at once.
     page.until(
         "under the operator's lease",
         SOON,

@@ -1,4 +1,4 @@
-//! Twenty robots at 10 Hz in a browser, and browsers that do not read: is all shown, and is anybody held up?
+//! Twenty robots at 10 Hz in one browser, and browsers that do not read: is everything shown, and is anybody delayed?
 
 use std::path::Path;
 use std::time::Duration;
@@ -26,7 +26,7 @@ fn twenty_robots_at_10_hz_all_move_on_the_page() {
     let found = watch(&fleet, &browser, ROBOTS, Duration::from_secs(5)).unwrap();
     println!("{found:?}");
     assert_eq!(found.moving, ROBOTS as u64);
-    // What it costs and how smooth it is, is for `acceptance page` to say, on a machine that does nothing else.
+    // Cost and frame rate are measured by `acceptance page`, on an otherwise idle machine.
     assert!(found.frames_hz > 1.0 && found.drawn_hz > 1.0, "{found:?}");
 }
 

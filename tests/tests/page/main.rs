@@ -1,11 +1,11 @@
-//! Does the mission-control page do what a person expects of it? In a real browser, against a router, a robot, a cloud and a gateway that are
-//! processes of their own. The screenshots stay in `target/tmp/page`.
+//! Does the mission-control page do what users expect? In a real browser, against separate processes for router, robot, cloud and gateway.
+//! The screenshots stay in `target/tmp/page`.
 //!
 //! | file | claims |
 //! |---|---|
-//! | `control` | the robot is seen, sent, stopped, driven by hand; the page says what is gone |
+//! | `control` | see, send, stop and hand-drive the robot; the page reports lost parts |
 //! | `drawing` | places, zones, the pose and the order of the queue |
-//! | `accessible` | everybody can use it |
+//! | `accessible` | the page is accessible |
 //! | `fleet` | twenty robots at 10 Hz; a thousand browsers that do not read |
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]

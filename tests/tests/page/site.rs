@@ -1,4 +1,4 @@
-//! A site with a page. How does a test open it, and how does it use the map?
+//! A site with a page: starts it, and operates its map.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -10,20 +10,20 @@ use zenav_tests::deployment::Deployment;
 use zenav_tests::process::{Process, free_endpoint};
 
 pub const ZENAV: &str = env!("CARGO_BIN_EXE_zenav-under-test");
-/// Simulated seconds a second.
+/// Simulated seconds per second.
 const SPEED: f64 = 3.0;
-/// Longest wait for what takes a moment.
+/// Longest wait for a quick reaction.
 pub const SOON: Duration = Duration::from_secs(30);
 /// Longest wait for a drive.
 pub const DRIVE: Duration = Duration::from_secs(120);
 pub const ENTER: &str = "\u{E007}";
 pub const ESCAPE: &str = "\u{E00C}";
-/// The robot's state, in the page.
+/// The robot's state in the page, as JavaScript.
 pub const STATE: &str = "zenav.store.data('state')";
 
 static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
-/// Waits until no other test of this file drives a browser: each wants a machine.
+/// Waits until no other test of this file drives a browser: each needs the whole machine.
 pub fn my_turn() -> MutexGuard<'static, ()> {
     ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -43,7 +43,7 @@ pub fn start_gateway(folder: &Path, router: &str, more: &[&str]) -> (Process, St
     (gateway, address.to_owned())
 }
 
-/// A kitchen with its robot, and a browser that looks at it.
+/// A kitchen with its robot, and a browser on the page.
 pub struct Site {
     pub browser: Browser,
     pub gateway: Process,
@@ -51,18 +51,18 @@ pub struct Site {
     _edge: Process,
     _router: Process,
     pub deployment: Deployment,
-    /// Where the gateway listens.
+    /// Address of the gateway.
     pub listen: String,
     pictures: PathBuf,
 }
 
 impl Site {
-    /// Starts everything, and waits until the map shows and the mission commands.
+    /// Starts everything, and waits until the map is shown and the mission is in command.
     pub fn open() -> Self {
         Self::open_at(SPEED)
     }
 
-    /// The same, so many times as fast as life.
+    /// The same at this simulation speed.
     pub fn open_at(speed: f64) -> Self {
         let deployment = Deployment::new(ZENAV, "kitchen", speed);
         let (router, edge, cloud) = (
@@ -94,7 +94,7 @@ impl Site {
         }
     }
 
-    /// Keeps a picture of the page.
+    /// Saves a screenshot of the page.
     pub fn shoot(&self, name: &str) {
         let _ = self
             .browser
@@ -102,7 +102,7 @@ impl Site {
         self.browser.screenshot(&self.pictures.join(format!("{name}.png")));
     }
 
-    /// Where a place of the map is in the window, pixels.
+    /// Window position of a map position, pixels.
     pub fn in_window(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let place = self.browser.script(&format!(
             "const box = document.getElementById('map').getBoundingClientRect(); const at = zenav.view.camera.toScreen({x}, {y}); \
@@ -111,18 +111,18 @@ impl Site {
         [number(&place[0]), number(&place[1])]
     }
 
-    /// Clicks at a place of the map.
+    /// Clicks on a map position.
     pub fn click_at(&self, place: [f64; 2]) {
         let at = self.in_window(place);
         self.browser.drag(at, at);
     }
 
-    /// Presses at a place of the map and drags to another one.
+    /// Presses on a map position and drags to another one.
     pub fn drag(&self, from: [f64; 2], to: [f64; 2]) {
         self.browser.drag(self.in_window(from), self.in_window(to));
     }
 
-    /// Types into the field that has the focus.
+    /// Types into the focused field.
     pub fn write(&self, text: &str) {
         for letter in text.chars() {
             self.browser.key(&letter.to_string());
@@ -136,7 +136,7 @@ impl Site {
             .until("it draws", SOON, &format!("zenav.view.drawn > {drawn} + 5"));
     }
 
-    /// What the page threw since this was asked last.
+    /// Errors thrown by the page since the last call.
     pub fn thrown(&self) -> Vec<String> {
         let lines = self.browser.errors().into_iter();
         lines
@@ -149,7 +149,7 @@ pub fn number(value: &Value) -> f64 {
     value.as_f64().unwrap_or_else(|| panic!("{value} is no number"))
 }
 
-/// Waits until something of the machine's own is so.
+/// Waits until a condition outside the page holds.
 pub fn until(what: &str, limit: Duration, mut is_so: impl FnMut() -> bool) {
     let start = Instant::now();
     while !is_so() {

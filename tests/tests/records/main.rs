@@ -1,5 +1,4 @@
-//! Is a run recorded so that it can be read, replayed byte for byte, computed again and told, also when the recorder is killed? With real
-//! processes.
+//! Can a recorded run be read, replayed byte for byte, recomputed and reported, also if the recorder was killed? With real processes.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 
@@ -17,12 +16,12 @@ use zenav_tests::deployment::{Deployment, ROBOT};
 use zenav_tests::process::{Process, free_endpoint, run};
 
 const ZENAV: &str = env!("CARGO_BIN_EXE_zenav-under-test");
-/// Longest wait for anything, wall.
+/// Longest wait, wall time.
 const LIMIT: Duration = Duration::from_secs(60);
 const ENDED: &str = "ended.mcap";
 const KILLED: &str = "killed.mcap";
 
-/// A drive with two recorders, one of which is killed; what the other one printed.
+/// A drive with two recorders, one of which is killed, and the output of the other one.
 struct Drive {
     deployment: Deployment,
     _running: Vec<Process>,
@@ -46,7 +45,7 @@ impl Drive {
         let deployment = Deployment::new(ZENAV, "kitchen", 3.0);
         let mut running = vec![deployment.start_router()];
         wait_for(&deployment.router);
-        // Before the robot: a map can be computed again from its beginning only.
+        // Started before the robot: a map can only be recomputed from its beginning.
         let (mut ended, mut killed) = (recorder(&deployment, ENDED), recorder(&deployment, KILLED));
         running.push(deployment.start_edge());
         running.push(deployment.start_cloud());
@@ -76,7 +75,7 @@ impl Drive {
         self.deployment.folder().join(name)
     }
 
-    /// Runs `zenav` on the record; its exit code, and what it printed.
+    /// Runs `zenav` on the record; exit code, and both outputs.
     fn zenav(&self, arguments: &[&str]) -> (i32, String, String) {
         let output = run(ZENAV, arguments, self.deployment.folder(), LIMIT);
         let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
@@ -88,7 +87,7 @@ impl Drive {
     }
 }
 
-/// Waits until somebody listens at an endpoint.
+/// Waits until an endpoint accepts connections.
 fn wait_for(endpoint: &str) {
     let address = endpoint.trim_start_matches("tcp/");
     let begun = Instant::now();
@@ -143,7 +142,7 @@ async fn a_drive_is_recorded_read_replayed_computed_again_and_told() {
         samples.iter().any(|sample| sample.reply(&topics::EDGE_INFO).is_some()),
         "the robot's model is in the record"
     );
-    // What was heard is in order; answers to the recorder's own questions come between.
+    // Samples are in order of arrival; answers to the recorder's own requests are interleaved.
     let heard: Vec<u64> = samples
         .iter()
         .filter(|sample| sample.kind != Kind::Reply)
@@ -151,7 +150,7 @@ async fn a_drive_is_recorded_read_replayed_computed_again_and_told() {
         .collect();
     assert!(heard.windows(2).all(|pair| pair[0] <= pair[1] + 50_000_000));
 
-    // What a killed recorder leaves lacks its last second at most.
+    // The record of a killed recorder lacks at most its last second.
     let (rest, cut_off) = read(&drive.file(KILLED));
     assert!(cut_off);
     let (end, rest_end) = (samples.last().unwrap().logged, rest.last().unwrap().logged);
@@ -159,13 +158,13 @@ async fn a_drive_is_recorded_read_replayed_computed_again_and_told() {
     let events = format!("zenav/{ROBOT}/edge/event");
     assert!(payloads(&rest)[&events].len() + 10 > keys[&events].len());
 
-    // The robot is alive: nothing of it is published there.
+    // The robot is alive, so none of its keys may be published.
     let router = drive.deployment.router.clone();
     let (code, _, why) = drive.zenav(&["replay", ENDED, "--connect", &router]);
     assert_eq!(code, 7, "{why}");
     assert!(why.contains(ROBOT) && why.contains("--to-live-robot"), "{why}");
 
-    // Of the recorded scans comes the recorded map, and of the recorded requests come the recorded trajectories.
+    // The recorded scans give the recorded map, and the recorded requests give the recorded trajectories.
     let (code, told, why) = drive.zenav(&["replay", ENDED, "--recompute", "mapping,motion", "-o", "json"]);
     let told: Value = serde_json::from_str(&told).unwrap_or_else(|error| panic!("{error}: {told} {why}"));
     assert_eq!(code, 0, "{told:#}\n{why}");
@@ -181,7 +180,7 @@ async fn a_drive_is_recorded_read_replayed_computed_again_and_told() {
     assert_eq!((code, &told["largest"]), (0, &serde_json::json!([])), "{told:#}");
     assert_eq!(told["robots"][0]["goals"][0]["a"], "succeeded", "{told:#}");
 
-    // Told as one page, without anything from elsewhere.
+    // Reported as one self-contained page.
     let (code, _, why) = drive.zenav(&["report", ENDED, "--out", "page.html"]);
     assert_eq!(code, 0, "{why}");
     let page = std::fs::read_to_string(drive.file("page.html")).unwrap();
@@ -201,7 +200,7 @@ async fn a_drive_is_recorded_read_replayed_computed_again_and_told() {
     replayed(&drive, &keys).await;
 }
 
-/// On another router everything comes again, byte for byte and in order, and not before its time.
+/// On another router everything is replayed byte for byte, in order, and not early.
 async fn replayed(drive: &Drive, keys: &BTreeMap<String, Vec<Vec<u8>>>) {
     const SPEED: f64 = 4.0;
     let endpoint = free_endpoint();
@@ -230,7 +229,7 @@ async fn replayed(drive: &Drive, keys: &BTreeMap<String, Vec<Vec<u8>>>) {
     assert_eq!(heard.keys().collect::<Vec<_>>(), keys.keys().collect::<Vec<_>>());
     for (key, recorded) in keys {
         let heard = &heard[key];
-        // What is sent with congestion control "drop" may be dropped on a loaded machine; the order stays.
+        // Samples with congestion control "drop" may be lost on a loaded machine; the order stays.
         let mut rest = recorded.iter();
         assert!(heard.iter().all(|one| rest.any(|other| other == one)), "{key}");
         let must_be_whole = ["/cloud/", "/edge/event"].iter().any(|part| key.contains(part));
@@ -244,7 +243,7 @@ async fn replayed(drive: &Drive, keys: &BTreeMap<String, Vec<Vec<u8>>>) {
     bus.close().await;
 }
 
-/// A Python with `mcap` in it: `PYTHON`, else `python3`.
+/// A Python with the package `mcap`: `PYTHON`, otherwise `python3`.
 fn python() -> PathBuf {
     let python = PathBuf::from(std::env::var_os("PYTHON").unwrap_or_else(|| "python3".into()));
     let check = Command::new(&python).args(["-c", "import mcap"]).output();

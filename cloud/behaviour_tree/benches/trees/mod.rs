@@ -1,4 +1,4 @@
-//! Trees to measure the engine with.
+//! Trees for benchmarks of the engine.
 
 use zenav_behaviour_tree::{Leaf, LeafIo, NodeSpec, PortType, Registry, Status, Tree, TreeErrors, build};
 
@@ -17,8 +17,8 @@ impl Leaf<u64> for Add {
     }
 }
 
-/// A tree of `nodes` nodes (at least 10), all of which every tick visits: reactive branches of conditions, inverters and
-/// leaves from outside that read a port, and an action that runs for ever. Its context counts the leaves' ticks.
+/// A tree of `nodes` nodes (at least 10), all visited in every tick: reactive branches of conditions, inverters and external leaves that
+/// read a port, and an action that runs forever. Its context counts the leaves' ticks.
 ///
 /// # Errors
 /// More nodes than a tree may have.

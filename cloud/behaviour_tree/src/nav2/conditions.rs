@@ -1,6 +1,6 @@
-//! Nav2's conditions. Which need nothing but the blackboard and the time? Whether a goal has changed, whether an error
-//! code is among those that a recovery can mend, whether time is over (nav2_behavior_tree 1.5); and, for a robot that is
-//! only played, whether it keeps to its path and whether poses are near each other.
+//! Nav2's conditions. Which need only the blackboard and the time? Whether a goal has changed, whether an error code is one that a recovery
+//! can fix, whether time has expired (nav2_behavior_tree 1.5); and, for a simulated robot, whether it keeps to its path and whether poses
+//! are near each other.
 
 use serde::Deserialize;
 
@@ -11,10 +11,10 @@ use crate::ports::parse_ints;
 use crate::status::Status;
 use crate::value::Value;
 
-/// What makes a condition.
+/// Constructor of a condition.
 pub type MakeCondition<C> = fn() -> Box<dyn Leaf<C>>;
 
-/// What makes the condition of that id, if the blackboard and the time decide it.
+/// Constructor of the condition with this id, if it depends only on the blackboard and the time.
 pub fn condition<C>(id: &str) -> Option<MakeCondition<C>> {
     Some(match id {
         "GoalUpdated" => || Box::new(GoalUpdated { for_life: false }),
@@ -24,7 +24,7 @@ pub fn condition<C>(id: &str) -> Option<MakeCondition<C>> {
         "InitialPoseReceived" => || Box::new(InitialPoseReceived),
         // Unknown, patience exceeded, no progress, no valid control.
         "WouldAControllerRecoveryHelp" => || Box::new(CodeIsAmong(&[100, 104, 105, 106])),
-        // Unknown, time-out, no valid path; to one pose and through many.
+        // Unknown, time-out, no valid path; to one pose and through several.
         "WouldAPlannerRecoveryHelp" => || Box::new(CodeIsAmong(&[200, 207, 208, 300, 307, 308])),
         // Unknown, time-out, smoothed path in collision, failed to smooth.
         "WouldASmootherRecoveryHelp" => || Box::new(CodeIsAmong(&[500, 502, 503, 504])),
@@ -35,7 +35,7 @@ pub fn condition<C>(id: &str) -> Option<MakeCondition<C>> {
     })
 }
 
-/// The condition of that id, if the blackboard decides it for a robot that stands at the origin.
+/// The condition with this id, if it depends only on the blackboard, for a robot at the origin.
 pub(super) fn scripted_condition<C>(id: &str) -> Option<Box<dyn Leaf<C>>> {
     Some(match id {
         "IsWithinPathTrackingBounds" => Box::new(WithinBounds),
@@ -44,15 +44,15 @@ pub(super) fn scripted_condition<C>(id: &str) -> Option<Box<dyn Leaf<C>>> {
     })
 }
 
-/// The goal and the goals, from the ports or, as Nav2 does, from entries of these names.
+/// The goal and the goals, from the ports or, as in Nav2, from entries with these names.
 pub(super) fn goals(io: &LeafIo<'_>) -> [Option<Value>; 2] {
     ["goal", "goals"].map(|name| io.value(name).ok().or_else(|| io.entry(name)).cloned())
 }
 
-/// `Success` if goal or goals differ from those remembered, which they then replace.
+/// `Success` if goal or goals differ from the remembered ones, which they then replace.
 ///
-/// GoalUpdated remembers from its activation on: its first tick after its parent has reset it is
-/// `Failure`. GlobalUpdatedGoal remembers for life: its very first tick is `Success`.
+/// GoalUpdated remembers from its activation: its first tick after a reset by its parent is `Failure`. GlobalUpdatedGoal remembers for the
+/// life of the tree: its very first tick is `Success`.
 struct GoalUpdated {
     for_life: bool,
 }
@@ -76,7 +76,7 @@ impl<C> Leaf<C> for GoalUpdated {
     }
 }
 
-/// `Success` if `error_code` is among `error_codes_to_check`, or among these.
+/// `Success` if `error_code` is among `error_codes_to_check`, or by default among these.
 struct CodeIsAmong(&'static [i64]);
 
 impl<C> Leaf<C> for CodeIsAmong {
@@ -92,7 +92,7 @@ impl<C> Leaf<C> for CodeIsAmong {
     }
 }
 
-/// `Success` if the port `initial_pose_received` says so.
+/// `Success` if the port `initial_pose_received` is true.
 struct InitialPoseReceived;
 
 impl<C> Leaf<C> for InitialPoseReceived {
@@ -101,7 +101,7 @@ impl<C> Leaf<C> for InitialPoseReceived {
     }
 }
 
-/// `Failure` until `seconds` have passed since its activation, then `Success` once, and again after as long.
+/// `Failure` until `seconds` have passed since its activation, then `Success` once, and again after each such period.
 #[derive(Default)]
 struct TimeExpired {
     since: Option<f64>,
@@ -123,7 +123,7 @@ impl<C> Leaf<C> for TimeExpired {
     }
 }
 
-/// `Failure` until `seconds` have passed since `path` was written last; then `Success` once, and again after as long.
+/// `Failure` until `seconds` have passed since `path` was last written, then `Success` once, and again after each such period.
 #[derive(Default)]
 struct PathExpiringTimer {
     began: Option<(u64, f64)>,
@@ -145,20 +145,20 @@ impl<C> Leaf<C> for PathExpiringTimer {
     }
 }
 
-/// What IsWithinPathTrackingBounds reads of Nav2's TrackingFeedback.
+/// The part of Nav2's TrackingFeedback that IsWithinPathTrackingBounds reads.
 #[derive(Deserialize)]
 struct Feedback {
-    /// m; positive left of the path.
+    /// m; positive to the left of the path.
     position_tracking_error: f64,
     /// rad.
     heading_tracking_error: f64,
 }
 
-/// How far beside its path the tracking feedback says that the robot is, m, if that is out of the bounds on the ports of
-/// IsWithinPathTrackingBounds. Without feedback nothing is out of bounds.
+/// Distance from the path according to the tracking feedback, m, if it is outside the bounds on the ports of IsWithinPathTrackingBounds.
+/// Without feedback, nothing is out of bounds.
 ///
 /// # Errors
-/// A port, or the feedback, is of another type.
+/// A port, or the feedback, has another type.
 pub fn off_path(io: &LeafIo<'_>) -> Result<Option<f64>, String> {
     if io.value("tracking_feedback").is_err() {
         return Ok(None);
@@ -172,7 +172,7 @@ pub fn off_path(io: &LeafIo<'_>) -> Result<Option<f64>, String> {
     Ok(if within { None } else { Some(error) })
 }
 
-/// `Success` while the tracking feedback lies within bounds, or there is none.
+/// `Success` while the tracking feedback is within bounds, or missing.
 struct WithinBounds;
 
 impl<C> Leaf<C> for WithinBounds {
@@ -185,7 +185,7 @@ impl<C> Leaf<C> for WithinBounds {
     }
 }
 
-/// `Success` if `ref_pose` (without one, the origin) and `target_pose` are within `tolerance`, m.
+/// `Success` if `ref_pose` (default: the origin) and `target_pose` are within `tolerance`, m.
 struct PosesNear;
 
 impl<C> Leaf<C> for PosesNear {

@@ -1,6 +1,5 @@
-//! The controls and decorators that Nav2 adds and that need no robot: `PipelineSequence`,
-//! `RecoveryNode`, `RoundRobin`, `NonblockingSequence`, `PersistentSequence`, `RateController`,
-//! `SingleTrigger` (nav2_behavior_tree 1.5).
+//! Nav2's controls and decorators that need no robot: `PipelineSequence`, `RecoveryNode`, `RoundRobin`, `NonblockingSequence`,
+//! `PersistentSequence`, `RateController`, `SingleTrigger` (nav2_behavior_tree 1.5).
 
 use crate::node::{NodeId, bump};
 use crate::nodes::Builtin;
@@ -9,8 +8,8 @@ use crate::status::Status;
 use crate::tick::{Answer, Run, Stop};
 use crate::value::Value;
 
-/// From child 0 in every tick. `Running` ends the tick unless a later child has been reached
-/// before (`cursor`): then the earlier one runs beside it. `Failure`: resets all, `Failure`.
+/// Starts from child 0 in every tick. `Running` ends the tick unless a later child has been reached before (`cursor`): then the earlier
+/// child runs in parallel. `Failure`: resets all, `Failure`.
 pub(crate) struct PipelineSequence;
 
 impl<C> Builtin<C> for PipelineSequence {
@@ -32,9 +31,8 @@ impl<C> Builtin<C> for PipelineSequence {
     }
 }
 
-/// Child 0; when it fails, child 1 mends and child 0 is tried again in the same tick, at most
-/// `number_of_retries` times (`count`). Failure of child 1 is the answer. A skipped child 1
-/// is a failure that keeps the count. `cursor` is the child whose turn it is.
+/// Runs child 0; when it fails, child 1 recovers and child 0 is tried again in the same tick, at most `number_of_retries` times (`count`).
+/// Failure of child 1 is the answer. A skipped child 1 is a failure that keeps the count. `cursor` is the current child.
 pub(crate) struct RecoveryNode {
     pub(crate) number_of_retries: Source,
 }
@@ -74,13 +72,11 @@ impl<C> Builtin<C> for RecoveryNode {
     }
 }
 
-/// One child an activation, in turn: `Success` of a child is the answer, and the next
-/// activation starts with the next child (`cursor` is kept). `Failure` or `Skipped`: the next
-/// child at once, until all have failed.
+/// Runs the children in turn: `Success` of a child is the answer, and the next activation starts with the next child (`cursor` is kept). On
+/// `Failure` or `Skipped` the next child follows at once, until all have failed.
 ///
-/// As in Nav2, without `wrap_around` the last child's answer is not looked at: even its
-/// `Success` makes the node fail and start over. With `last_may_succeed` (not in Nav2) it
-/// counts, and the activation after it fails.
+/// As in Nav2, without `wrap_around` the last child's answer is ignored: even its `Success` makes the node fail and start over. With
+/// `last_may_succeed` (not in Nav2) it counts, and the activation after it fails.
 pub(crate) struct RoundRobin {
     pub(crate) wrap_around: Source,
     pub(crate) last_may_succeed: Source,
@@ -119,8 +115,7 @@ impl<C> Builtin<C> for RoundRobin {
     }
 }
 
-/// Every child in every tick. Any `Failure`: resets all, `Failure`. Any `Running`: `Running`.
-/// A child that is skipped is an error.
+/// Ticks every child in every tick. Any `Failure`: resets all, `Failure`. Any `Running`: `Running`. A skipped child is an error.
 pub(crate) struct NonblockingSequence;
 
 impl<C> Builtin<C> for NonblockingSequence {
@@ -147,8 +142,7 @@ impl<C> Builtin<C> for NonblockingSequence {
     }
 }
 
-/// A Sequence whose index is a blackboard entry, so that it outlives halts. `Failure` and the
-/// end set it back to 0.
+/// A Sequence whose index is a blackboard entry, so that it survives halts. `Failure` and the end reset it to 0.
 pub(crate) struct PersistentSequence {
     pub(crate) current_child_idx: Source,
 }
@@ -193,8 +187,8 @@ impl PersistentSequence {
     }
 }
 
-/// Ticks the child on activation, while it runs, and once `1/hz` has passed since it last
-/// succeeded; otherwise `Running`. `flag`: ticked in this activation; `mark`: last success.
+/// Ticks the child on activation, while it runs, and once `1/hz` has passed since its last success; otherwise `Running`. `flag`: ticked in
+/// this activation; `mark`: last success.
 pub(crate) struct RateController {
     pub(crate) hz: Source,
 }
@@ -226,8 +220,7 @@ impl<C> Builtin<C> for RateController {
     }
 }
 
-/// Runs the child to its end once an activation; afterwards `Failure` until the parent resets
-/// the node. `flag`: done.
+/// Runs the child to completion once per activation; afterwards `Failure` until the parent resets the node. `flag`: done.
 pub(crate) struct SingleTrigger;
 
 impl<C> Builtin<C> for SingleTrigger {

@@ -1,8 +1,7 @@
-//! Nav2's decorators that follow a robot or its goals. When is the child ticked? They tick their child when the robot has
-//! come far enough, in a rhythm that goes with its speed, when its goal has changed, or when its
-//! path has become much longer (nav2_behavior_tree 1.5).
+//! Nav2's decorators that follow a robot or its goals. When is the child ticked? When the robot has driven far enough, at a rate that
+//! depends on its speed, when its goal has changed, or when its path has become much longer (nav2_behavior_tree 1.5).
 //!
-//! What they need of a context is [`Travel`]; a simulation has a robot that stands still.
+//! They access the context through [`Travel`]; a simulation has a stationary robot.
 
 use super::conditions::goals;
 use crate::leaf::{Decorator, Enter, LeafIo};
@@ -10,31 +9,31 @@ use crate::node::nanos;
 use crate::status::Status;
 use crate::value::Value;
 
-/// What is known of the robot that a tree drives. Map frame.
+/// What is known about the robot driven by a tree. Map frame.
 pub trait Travel {
-    /// Where it is, m; `None` while nobody knows.
+    /// Its position, m; `None` if unknown.
     fn position(&self) -> Option<[f64; 2]>;
-    /// How fast it is, m/s, whatever its direction.
+    /// Its speed regardless of direction, m/s.
     fn speed(&self) -> f64;
-    /// A path as it stands on the blackboard; `None` for what is no path, or an empty one.
+    /// Measures a path from the blackboard; `None` for an invalid or empty path.
     fn measure(&self, path: &Value) -> Option<Measure>;
 }
 
-/// What is to be known of a path.
+/// Measures of a path.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Measure {
-    /// Where it leads, m.
+    /// Its end point, m.
     pub end: [f64; 2],
     /// Its length, m.
     pub length: f64,
-    /// Its length from where the robot is, m.
+    /// Its length from the robot's position, m.
     pub left: f64,
 }
 
-/// What makes a decorator.
+/// Constructor of a decorator.
 pub type MakeDecorator<C> = fn() -> Box<dyn Decorator<C>>;
 
-/// What makes the decorator of that id, if it is one of these.
+/// Constructor of the decorator with this id, if it is one of these.
 pub fn decorator<C: Travel>(id: &str) -> Option<MakeDecorator<C>> {
     Some(match id {
         "DistanceController" => || Box::new(DistanceController),
@@ -46,7 +45,7 @@ pub fn decorator<C: Travel>(id: &str) -> Option<MakeDecorator<C>> {
     })
 }
 
-/// A number on a port, or what a node without it goes by.
+/// The number on a port, or the node's default.
 pub(super) fn number(io: &LeafIo<'_>, port: &str, otherwise: f64) -> Result<f64, String> {
     match io.get_optional::<f64>(port) {
         Ok(value) => Ok(value.unwrap_or(otherwise)),
@@ -54,8 +53,8 @@ pub(super) fn number(io: &LeafIo<'_>, port: &str, otherwise: f64) -> Result<f64,
     }
 }
 
-/// Ticks the child on activation, while it runs, and when the robot is `distance` (m, straight)
-/// from where the child last succeeded; otherwise `Running`. Without a position: `Failure`.
+/// Ticks the child on activation, while it runs, and when the robot is `distance` (m, straight) from where the child last succeeded;
+/// otherwise `Running`. Without a position: `Failure`.
 struct DistanceController;
 
 impl<C: Travel> Decorator<C> for DistanceController {
@@ -70,7 +69,7 @@ impl<C: Travel> Decorator<C> for DistanceController {
         let from: Option<[f64; 2]> = io.recall();
         let first = !io.previous().is_active();
         if first {
-            // A pair of numbers has a stored form.
+            // A pair of numbers is always serialisable.
             let _ = io.remember(&here);
         }
         let come = from.is_some_and(|from| (here[0] - from[0]).hypot(here[1] - from[1]) >= distance);
@@ -85,8 +84,8 @@ impl<C: Travel> Decorator<C> for DistanceController {
     }
 }
 
-/// Ticks the child on activation, while it runs, and once a period: `max_rate` at first and after
-/// a new goal, then the rate that the speed stands for at the end of each period.
+/// Ticks the child on activation, while it runs, and once per period: `max_rate` at first and after a new goal, then the rate for the speed
+/// at the end of each period.
 #[derive(Default)]
 struct SpeedController {
     goals: [Option<Value>; 2],
@@ -155,13 +154,12 @@ impl<C> Decorator<C> for GoalUpdatedController {
     }
 }
 
-/// Puts the newest of a goal and its update on the output and ticks the child. Nav2 hears updates
-/// on the topics `goal_update` and `goals_update`; here they are entries of these names on the
-/// root blackboard, JSON with a `stamp`. An update that is older than its input, or has no stamp,
-/// is not taken.
+/// Writes the newer of a goal and its update to the output and ticks the child. Nav2 receives updates on the topics `goal_update` and
+/// `goals_update`; here they are entries with these names on the root blackboard, JSON with a `stamp`. An update that is older than its
+/// input, or has no stamp, is ignored.
 struct GoalUpdater;
 
-/// When a goal was given, where it says so.
+/// Time at which a goal was given, if stated.
 fn stamp(goal: &Value) -> Option<f64> {
     match goal {
         Value::Data(data) => data.get("stamp")?.as_f64(),
@@ -188,7 +186,7 @@ impl<C> Decorator<C> for GoalUpdater {
                 let before = given.as_ref().and_then(stamp).unwrap_or(0.0);
                 stamp(update).is_some_and(|stamp| stamp >= before)
             });
-            // Goals have many forms of the same, and an equal write is no news.
+            // Equal goals can have different forms, and writing an equal value is not an update.
             let chosen = newer.or(given);
             if let Some(chosen) = chosen
                 && let Err(wrong) = io.set(output, chosen)
@@ -200,8 +198,8 @@ impl<C> Decorator<C> for GoalUpdater {
     }
 }
 
-/// Ticks the child while the path to the same goal is newly more than `length_factor` times as long
-/// as the one before, and the robot was within `prox_len` (m of path) of the goal; otherwise `Success`.
+/// Ticks the child while the path to the same goal has just become more than `length_factor` times as long, and the robot was within
+/// `prox_len` (m of path) of the goal; otherwise `Success`.
 #[derive(Default)]
 struct PathLongerOnApproach {
     old: Option<Value>,

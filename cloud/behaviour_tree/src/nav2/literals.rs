@@ -1,6 +1,6 @@
-//! Literals. How are poses, lists of them and paths written in a tree? As `x;y` or `x;y;yaw`, several separated by `|`; as Nav2 1.5
-//! writes them, `stamp;frame;x;y;z;qx;qy;qz;qw` (`nav2_behavior_tree/bt_utils.hpp`); or as JSON. Where a pose is wanted, a
-//! place may be named.
+//! Literals. How are poses, lists of poses and paths written in a tree? As `x;y` or `x;y;yaw`, several separated by `|`; in the format of
+//! Nav2 1.5, `stamp;frame;x;y;z;qx;qy;qz;qw` (`nav2_behavior_tree/bt_utils.hpp`); or as JSON. A pose can also be given by the name of a
+//! place.
 
 use std::f64::consts::TAU;
 
@@ -10,18 +10,18 @@ use serde_json::Value as Json;
 use crate::ports::LiteralRules;
 use crate::value::Value;
 
-/// A pose as a tree has it: m, rad.
+/// A pose in a tree: m, rad.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 pub struct Pose {
     /// Position, m.
     pub x: f64,
     /// Position, m.
     pub y: f64,
-    /// Heading, rad, if one is wanted.
+    /// Heading, rad, if given.
     pub yaw: Option<f64>,
 }
 
-/// What a tree file may write on ports of Nav2's types.
+/// Literal formats on ports of Nav2's types.
 pub(super) const RULES: LiteralRules = LiteralRules {
     fits,
     form,
@@ -29,10 +29,10 @@ pub(super) const RULES: LiteralRules = LiteralRules {
     doubt,
 };
 
-/// Numbers and words of one of Nav2's poses.
+/// Number of fields of a pose in Nav2's format.
 const FIELDS: usize = 9;
 
-/// The JSON that a literal is: after `json:`, or begun by a bracket.
+/// The JSON of a literal: after `json:`, or starting with a bracket.
 fn json_of(text: &str) -> Option<&str> {
     let text = text.trim_start();
     text.strip_prefix("json:")
@@ -44,17 +44,17 @@ fn number(text: &str) -> Option<f64> {
     text.trim().parse().ok().filter(|number: &f64| number.is_finite())
 }
 
-/// So many finite numbers, separated by `;`.
+/// Finite numbers separated by `;`.
 fn numbers(text: &str) -> Option<Vec<f64>> {
     text.split(';').map(number).collect()
 }
 
-/// Whether a pose can be meant: finite, with a heading in radians within a full turn.
+/// Whether a pose is plausible: finite, with a heading in radians within a full turn.
 fn is_meant(pose: &Pose) -> bool {
     pose.x.is_finite() && pose.y.is_finite() && pose.yaw.is_none_or(|yaw| yaw.abs() <= TAU)
 }
 
-/// A pose that is written out; `None` for a name and for what is neither.
+/// Parses a pose given by coordinates; `None` for a name and for invalid text.
 pub fn pose(text: &str) -> Option<Pose> {
     if let Some(json) = json_of(text) {
         return pose_of_json(&serde_json::from_str(json).ok()?);
@@ -80,7 +80,7 @@ pub(super) fn pose_of(value: &Value) -> Option<Pose> {
     }
 }
 
-/// `{"x": .., "y": .., "yaw": ..}`, or Nav2's, in which `position` and `orientation` stand below `pose`.
+/// `{"x": .., "y": .., "yaw": ..}`, or Nav2's form, with `position` and `orientation` under `pose`.
 pub fn pose_of_json(json: &Json) -> Option<Pose> {
     let pose = json.get("pose").unwrap_or(json);
     let found = match pose.get("position") {
@@ -103,7 +103,7 @@ pub fn pose_of_json(json: &Json) -> Option<Pose> {
     is_meant(&found).then_some(found)
 }
 
-/// Heading of a quaternion.
+/// Yaw of a quaternion.
 fn heading([x, y, z, w]: [f64; 4]) -> f64 {
     (2.0 * (w * z + x * y)).atan2(1.0 - 2.0 * (y * y + z * z))
 }
@@ -122,7 +122,7 @@ fn nav2_pose(fields: &[&str]) -> Option<Pose> {
     }
 }
 
-/// A list as Nav2 writes it: poses one after the other, perhaps with a stamp and a frame before the first.
+/// A list in Nav2's format: poses in sequence, optionally preceded by a stamp and a frame.
 pub fn nav2_list(text: &str) -> Option<Vec<Pose>> {
     let fields: Vec<&str> = text.split(';').collect();
     let poses = match fields.as_slice() {
@@ -136,7 +136,7 @@ pub fn nav2_list(text: &str) -> Option<Vec<Pose>> {
     poses.chunks(FIELDS).map(nav2_pose).collect()
 }
 
-/// Whether a text can be the name of a place: it has a letter in it, is no number, and does not look like a list.
+/// Whether a text can be the name of a place: it contains a letter, is not a number, and does not look like a list.
 fn is_name(text: &str) -> bool {
     let text = text.trim();
     text.chars().any(char::is_alphabetic)
@@ -144,7 +144,7 @@ fn is_name(text: &str) -> bool {
         && !text.contains([';', ',', '{', '}', '[', ']'])
 }
 
-/// Each goal of a list that is a text.
+/// Each goal of a textual list.
 fn goals(text: &str) -> impl Iterator<Item = &str> {
     text.split('|').map(str::trim).filter(|goal| !goal.is_empty())
 }
@@ -154,7 +154,7 @@ fn is_list(text: &str, fits: impl Fn(&Json) -> bool) -> Option<bool> {
     Some(json.as_array().is_some_and(|items| items.iter().all(fits)))
 }
 
-/// Whether a literal can be a value of the type of this name. Nothing is known of types that are not Nav2's.
+/// Whether a literal can be a value of the named type. Types other than Nav2's are not checked.
 fn fits(kind: &str, text: &str) -> bool {
     match kind {
         "PoseStamped" => pose(text).is_some() || is_name(text),
@@ -167,7 +167,7 @@ fn fits(kind: &str, text: &str) -> bool {
                 nav2_list(text).is_some() || goals(text).all(|goal| pose(goal).is_some() || is_name(goal))
             })
         }
-        // Points, or a route as ComputePathToPose makes it.
+        // Points, or a route written by ComputePathToPose.
         "Path" => match json_of(text) {
             Some(json) => serde_json::from_str(json).is_ok_and(|json: Json| json.is_array() || json.is_object()),
             None => nav2_list(text).is_some(),
@@ -184,7 +184,7 @@ fn fits(kind: &str, text: &str) -> bool {
     }
 }
 
-/// How a literal of the type of this name is written.
+/// Format of literals of the named type.
 fn form(kind: &str) -> Option<&'static str> {
     Some(match kind {
         "PoseStamped" => "`x;y`, `x;y;yaw` (radians within a full turn), the name of a place, or JSON",
@@ -199,7 +199,7 @@ fn form(kind: &str) -> Option<&'static str> {
     })
 }
 
-/// What in a number on one of Nav2's ports was hardly meant.
+/// Why a number on one of Nav2's ports is probably a mistake.
 fn doubt(port: &str, number: f64) -> Option<&'static str> {
     match port {
         "spin_dist" if number.abs() > TAU => Some("more than a full turn; 90 degrees are 1.571 rad"),
@@ -208,7 +208,7 @@ fn doubt(port: &str, number: f64) -> Option<&'static str> {
     }
 }
 
-/// The first place that a literal of the type of this name takes by its name.
+/// The first place name in a literal of the named type.
 fn named<'t>(kind: &str, text: &'t str) -> Option<&'t str> {
     match kind {
         "PoseStamped" => Some(text.trim()).filter(|name| is_name(name) && pose(name).is_none()),

@@ -1,13 +1,13 @@
-//! Nav2's nodes (nav2_behavior_tree 1.5). What does a tree of Nav2's need besides BehaviorTree.CPP's nodes?
+//! Nav2's nodes (nav2_behavior_tree 1.5). Which nodes does a Nav2 tree need besides BehaviorTree.CPP's?
 //!
 //! | module | answers |
 //! |---|---|
 //! | `controls`, `pause` | controls and decorators that need no robot |
 //! | `decorators` | decorators that follow a robot or its goals, over [`Travel`] |
-//! | `conditions` | conditions that the blackboard and the time decide |
-//! | `specs` | every other node of Nav2's, declared with its ports |
-//! | `literals` | how poses, lists of them and paths are written in a tree |
-//! | `scripted` | the same against scripted leaves ([`crate::simulate`]) |
+//! | `conditions` | conditions that depend only on the blackboard and the time |
+//! | `specs` | all other Nav2 nodes, declared with their ports |
+//! | `literals` | how poses, lists of poses and paths are written in a tree |
+//! | `scripted` | the same nodes against scripted leaves ([`crate::simulate`]) |
 //!
 //! Known Nav2 bugs are reproduced by default; a port selects the corrected behaviour (`last_may_succeed` of RoundRobin).
 
@@ -34,7 +34,7 @@ use controls::{
 };
 use pause::PauseResume;
 
-/// BehaviorTree.CPP's nodes, and Nav2's controls and decorators that need no robot; literals as Nav2 writes them.
+/// BehaviorTree.CPP's nodes, and Nav2's controls and decorators that need no robot; literals in Nav2's format.
 ///
 /// ```
 /// use zenav_behaviour_tree::{Status, build, nav2};
@@ -54,8 +54,8 @@ pub fn controls<C>() -> Registry<C> {
     registry
 }
 
-/// All of Nav2's nodes for trees that drive the robot of a context: [`controls`], the decorators, and the conditions that
-/// the blackboard decides. The rest is declared: a leaf registered under the same id implements it.
+/// All of Nav2's nodes for trees that drive the robot of a context: [`controls`], the decorators, and the conditions that depend only on
+/// the blackboard. All others are declared: a leaf registered under the same id implements them.
 pub fn registry<C: Travel + 'static>() -> Registry<C> {
     let mut registry = controls();
     for spec in specs() {

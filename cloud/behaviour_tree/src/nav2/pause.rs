@@ -1,10 +1,8 @@
-//! A tree that can be held and let go on from outside: Nav2's `PauseResumeController`
-//! (nav2_behavior_tree 1.5).
+//! A control that pauses and resumes on request: Nav2's `PauseResumeController` (nav2_behavior_tree 1.5).
 //!
-//! Nav2 offers two services; here a request is a write to the entry of that name on the root
-//! blackboard, whatever is written. `cursor` is the child whose turn it is: 0 resumed, 1 paused,
-//! 2 on pausing, 3 on going on. `mark` and `count` are the requests served, to pause and to go on:
-//! those made while the node is not active wait for it, as Nav2's services queue them.
+//! Nav2 offers two services; here a request is a write of any value to the entry with that name on the root blackboard. `cursor` is the
+//! current child: 0 resumed, 1 paused, 2 on pausing, 3 on resuming. `mark` and `count` are the numbers of served requests to pause and to
+//! resume: requests made while the node is not active wait for it, as Nav2's services queue them.
 
 use std::cmp::Ordering;
 
@@ -13,15 +11,15 @@ use crate::nodes::{Builtin, PauseEntries};
 use crate::status::Status;
 use crate::tick::{Answer, Run};
 
-/// Children by their place.
+/// Indices of the children.
 const RESUMED: u32 = 0;
 const PAUSED: u32 = 1;
 const ON_PAUSE: u32 = 2;
 const ON_RESUME: u32 = 3;
 
-/// Ticks the child of the present state. A request resets every child and goes through the
-/// child for the change, if there is one; a state without a child is `Running`. `Success` of
-/// the resumed child is the answer, `Failure` of any child too; other successes go on.
+/// Ticks the child of the present state. A request resets every child and goes through the child for the transition, if there is one; a
+/// state without a child is `Running`. `Success` of the resumed child is the answer, and so is `Failure` of any child; any other success
+/// continues.
 pub(crate) struct PauseResume(pub(crate) PauseEntries);
 
 impl<C> Builtin<C> for PauseResume {
@@ -31,7 +29,7 @@ impl<C> Builtin<C> for PauseResume {
         if before != Status::Running {
             state.cursor = RESUMED;
         }
-        // A pause and a resume since the last tick leave everything as it is.
+        // A pause and a resume since the last tick cancel out.
         let pauses = requests[0].wrapping_sub(state.mark) as i64;
         let resumes = (requests[1] as u32).wrapping_sub(state.count) as i32;
         (state.mark, state.count) = (requests[0], requests[1] as u32);
@@ -44,7 +42,7 @@ impl<C> Builtin<C> for PauseResume {
         let at = run.states[id as usize].cursor;
         let status = match run.kids(id).get(at as usize) {
             Some(child) => run.exec_and_reset(*child)?,
-            // Nothing is to be done in this state.
+            // This state has no child.
             None => Status::Success,
         };
         match (status, at) {
@@ -65,7 +63,7 @@ impl<C> Builtin<C> for PauseResume {
     }
 
     fn after_halt(&self, state: &mut NodeState) {
-        // What was served stays served.
+        // Served requests stay served.
         let served = (state.mark, state.count);
         state.clear();
         (state.mark, state.count) = served;

@@ -1,4 +1,4 @@
-//! Nav2's nodes against scripted leaves. What do they answer where the script says nothing?
+//! Nav2's nodes against scripted leaves. How do they answer if the script does not name them?
 
 use super::conditions;
 use super::decorators::{Measure, Travel, decorator};
@@ -9,7 +9,7 @@ use crate::simulate::Simulation;
 use crate::status::Status;
 use crate::value::Value;
 
-/// Nav2's nodes; those that have leaves are declared, for the simulation to script.
+/// Nav2's nodes; those with leaves are declared, for the simulation to script.
 pub(crate) fn registry() -> Registry<Simulation> {
     let mut registry = controls();
     for spec in specs() {
@@ -24,14 +24,14 @@ pub(crate) fn registry() -> Registry<Simulation> {
     registry
 }
 
-/// The condition of that id, if the blackboard decides it for a robot that stands at the origin.
+/// The condition with this id, if it depends only on the blackboard, for a robot at the origin.
 pub(crate) fn scripted_condition(id: &str) -> Option<Box<dyn Leaf<Simulation>>> {
     conditions::scripted_condition(id)
 }
 
-/// Writes what every Nav2 node writes when it succeeds: no error; a selector its default.
+/// Writes what every Nav2 node writes on success: no error; a selector also writes its default.
 pub(crate) fn succeed(io: &mut LeafIo<'_>) -> Status {
-    // Entries of another type are the tree's affair: nothing but these ports is written.
+    // Failures are ignored: an entry of another type is an error in the tree.
     let _ = io.set("error_code_id", 0_i64);
     let _ = io.set("error_msg", "");
     if let Some(selector) = io.id().strip_suffix("Selector") {
@@ -52,7 +52,7 @@ pub(crate) fn succeed(io: &mut LeafIo<'_>) -> Status {
     Status::Success
 }
 
-/// A robot that stands still, and paths that have no length.
+/// A stationary robot, and paths without a length.
 impl Travel for Simulation {
     fn position(&self) -> Option<[f64; 2]> {
         Some([0.0, 0.0])

@@ -1,14 +1,13 @@
-//! Nav2's other nodes. Which are there, and which ports do they have? Names, kinds,
-//! types and defaults of nav2_behavior_tree 1.5, as data.
+//! Nav2's other nodes. Which nodes are there, and what are their ports? Names, kinds, types and defaults of nav2_behavior_tree 1.5, as
+//! data.
 //!
-//! A tree that uses a declared node can be read, checked and drawn; a leaf registered under the same id
-//! implements it.
+//! A tree that uses a declared node can be read, checked and drawn; a leaf registered under the same id implements the node.
 
 use crate::ports::{Direction, PortType};
 use crate::registry::{Category, NodeSpec};
 
-/// A node a line: category, id, ports. A port is `name:type=default`, `>` before an output;
-/// `@server`, `@service` and `@error` are the ports that many share.
+/// One node per line: category, id, ports. A port is `name:type=default`, with `>` before an output; `@server`, `@service` and `@error` are
+/// common groups of ports.
 const NODES: &str = "\
 Action BackUp backup_dist:double=0.15 backup_speed:double=0.025 time_allowance:double=10.0 disable_collision_checks:bool=false @server @error
 Action DriveOnHeading dist_to_travel:double=0.15 speed:double=0.025 time_allowance:double=10.0 disable_collision_checks:bool=false @server @error

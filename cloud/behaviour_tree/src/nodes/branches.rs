@@ -1,5 +1,4 @@
-//! Nodes that choose between children: BehaviorTree.CPP's `IfThenElse`, `WhileDoElse`,
-//! `Switch2` … `Switch6`, `TryCatch`.
+//! Controls that choose between children: BehaviorTree.CPP's `IfThenElse`, `WhileDoElse`, `Switch2` … `Switch6`, `TryCatch`.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -12,8 +11,8 @@ use crate::status::Status;
 use crate::tick::{Answer, Run};
 use crate::value::Value;
 
-/// Asks child 0 once, then runs child 1 on `Success` or child 2 on `Failure` to its end
-/// (`cursor` is the branch). Without a third child, `Failure` of the first is the answer.
+/// Ticks child 0 until it completes, then runs child 1 on `Success` or child 2 on `Failure` to completion (`cursor` is the branch). Without
+/// a third child, `Failure` of the first is the answer.
 pub(crate) struct IfThenElse;
 
 impl<C> Builtin<C> for IfThenElse {
@@ -39,8 +38,8 @@ impl<C> Builtin<C> for IfThenElse {
     }
 }
 
-/// Asks child 0 in every tick and runs child 1 while it succeeds, child 2 while it fails; the
-/// other branch is halted. Without a third child, `Failure` of the first is the answer.
+/// Ticks child 0 in every tick and runs child 1 while it succeeds, child 2 while it fails; the other branch is halted. Without a third
+/// child, `Failure` of the first is the answer.
 pub(crate) struct WhileDoElse;
 
 impl<C> Builtin<C> for WhileDoElse {
@@ -68,12 +67,12 @@ impl<C> Builtin<C> for WhileDoElse {
     }
 }
 
-/// Runs the child whose `case_N` equals `variable`, the last child if none does. When another
-/// child matches, the one that runs is halted. `cursor` is the running child plus one.
+/// Runs the child whose `case_N` equals `variable`, or the last child if none does. When another child matches, the running one is halted.
+/// `cursor` is the running child plus one.
 pub(crate) struct Switch {
     pub(crate) variable: Source,
     pub(crate) cases: Vec<Source>,
-    /// The numbers that names in them stand for.
+    /// Numbers of the names in the cases.
     pub(crate) enums: Arc<BTreeMap<String, i64>>,
 }
 
@@ -101,8 +100,8 @@ impl<C> Builtin<C> for Switch {
     }
 }
 
-/// All children but the last as a Sequence. If one fails, the last runs to its end as
-/// clean-up, and the answer is `Failure` whatever it said. `flag`: cleaning up.
+/// All children but the last as a Sequence. If one fails, the last runs to completion as clean-up, and the answer is `Failure` regardless
+/// of its result. `flag`: cleaning up.
 pub(crate) struct TryCatch {
     pub(crate) catch_on_halt: Source,
 }
@@ -141,8 +140,8 @@ impl<C> Builtin<C> for TryCatch {
         Ok(run.finish(id, Status::Failure))
     }
 
-    /// With `catch_on_halt`, a halt in the middle of the attempt stops it and ticks the clean-up
-    /// once; what that does not finish is halted with the rest.
+    /// With `catch_on_halt`, a halt during the attempt stops it and ticks the clean-up once; if that does not finish, it is halted with the
+    /// rest.
     fn before_halt(&self, run: &mut Run<'_, C>, id: NodeId) {
         let wanted = run.value(&self.catch_on_halt).and_then(Value::as_bool).unwrap_or(false);
         if !wanted || run.states[id as usize].flag {
@@ -158,7 +157,7 @@ impl<C> Builtin<C> for TryCatch {
     }
 }
 
-/// Equal as text, as numbers (nearly), or by the number that a name stands for.
+/// Equal as text, as numbers (nearly), or by the number of a name.
 fn same(one: &Value, two: &Value, enums: &BTreeMap<String, i64>) -> bool {
     if one == two {
         return true;

@@ -1,8 +1,7 @@
-//! Nodes around one child that change its answer or repeat it: BehaviorTree.CPP's `Inverter`,
-//! `ForceSuccess`, `ForceFailure`, `RetryUntilSuccessful`, `Repeat`, `KeepRunningUntilFailure`,
-//! `RunOnce`, `Precondition`.
+//! Decorators that change the answer of their child or repeat it: BehaviorTree.CPP's `Inverter`, `ForceSuccess`, `ForceFailure`,
+//! `RetryUntilSuccessful`, `Repeat`, `KeepRunningUntilFailure`, `RunOnce`, `Precondition`.
 //!
-//! A child that has completed is reset at once. `count` holds attempts or cycles.
+//! A completed child is reset at once. `count` holds attempts or cycles.
 
 use super::Builtin;
 use crate::node::{NodeId, NodeState, bump};
@@ -11,7 +10,7 @@ use crate::script::Program;
 use crate::status::Status;
 use crate::tick::{Answer, Run};
 
-/// `Success` for `Failure` and the other way round; `Running` and `Skipped` pass.
+/// Swaps `Success` and `Failure`; `Running` and `Skipped` pass.
 pub(crate) struct Inverter;
 
 impl<C> Builtin<C> for Inverter {
@@ -34,8 +33,8 @@ impl<C> Builtin<C> for Force {
     }
 }
 
-/// Tries again on `Failure`, at most `num_attempts` times in all (-1: for ever); exhausted:
-/// `Failure`. The port is read again before every attempt. `Skipped` passes and keeps count.
+/// Retries on `Failure`, at most `num_attempts` attempts in all (-1: unlimited); then `Failure`. The port is read again before every
+/// attempt. `Skipped` passes and keeps the count.
 pub(crate) struct Retry(pub(crate) Source);
 
 impl<C> Builtin<C> for Retry {
@@ -48,8 +47,7 @@ impl<C> Builtin<C> for Retry {
     }
 }
 
-/// Repeats on `Success`, `num_cycles` times (-1: for ever), then `Success`. `Failure` ends it.
-/// `Skipped` passes and keeps count.
+/// Repeats on `Success`, `num_cycles` times (-1: unlimited), then `Success`. `Failure` ends it. `Skipped` passes and keeps the count.
 pub(crate) struct Repeat(pub(crate) Source);
 
 impl<C> Builtin<C> for Repeat {
@@ -62,11 +60,11 @@ impl<C> Builtin<C> for Repeat {
     }
 }
 
-/// Of attempts and cycles; other negative numbers are none, as in BehaviorTree.CPP.
+/// Unlimited attempts or cycles; other negative numbers mean none, as in BehaviorTree.CPP.
 const UNLIMITED: i64 = -1;
 
-/// Ticks the child again while it answers `again`. After a child that completed in its first
-/// tick it yields `Running` and asks to be woken, so that it stays interruptible.
+/// Ticks the child again while it answers `again`. After a child that completed in its first tick, it yields `Running` and asks to be
+/// woken, so that it stays interruptible.
 fn again<C>(run: &mut Run<'_, C>, id: NodeId, port: &str, limit: &Source, again: Status) -> Answer {
     let child = run.child(id, 0)?;
     loop {
@@ -95,7 +93,7 @@ fn again<C>(run: &mut Run<'_, C>, id: NodeId, port: &str, limit: &Source, again:
     }
 }
 
-/// `Failure` of the child is the answer; everything else is `Running`.
+/// `Failure` of the child is the answer; any other answer becomes `Running`.
 pub(crate) struct KeepRunningUntilFailure;
 
 impl<C> Builtin<C> for KeepRunningUntilFailure {
@@ -107,8 +105,8 @@ impl<C> Builtin<C> for KeepRunningUntilFailure {
     }
 }
 
-/// Runs the child to its end once in the life of the tree; afterwards `Skipped`, or with
-/// `then_skip=false` the same answer again. `flag` is the latch, `mark` 1 for `Success`.
+/// Runs the child to completion once in the life of the tree; afterwards `Skipped`, or with `then_skip=false` the same answer again. `flag`
+/// is the latch, `mark` is 1 for `Success`.
 pub(crate) struct RunOnce {
     pub(crate) then_skip: Source,
 }
@@ -136,9 +134,8 @@ impl<C> Builtin<C> for RunOnce {
     }
 }
 
-/// Ticks the child if the script holds, else answers `else`. Once the child runs, the script
-/// is not asked again until it has completed (as in the source; the manual says otherwise).
-/// `flag`: the child runs.
+/// Ticks the child if the script is true, otherwise answers `else`. While the child runs, the script is not evaluated again until the child
+/// has completed (as in BehaviorTree.CPP's source; its manual says otherwise). `flag`: the child is running.
 pub(crate) struct Precondition {
     pub(crate) condition: Program,
     pub(crate) otherwise: Source,
@@ -159,7 +156,7 @@ impl<C> Builtin<C> for Precondition {
     }
 }
 
-/// Another tree: the status of its root passes.
+/// Another tree: passes the status of its root.
 pub(crate) struct SubTree;
 
 impl<C> Builtin<C> for SubTree {

@@ -1,5 +1,5 @@
-//! Leaves that need nothing from outside: BehaviorTree.CPP's `AlwaysSuccess`, `AlwaysFailure`, `SetBlackboard`,
-//! `UnsetBlackboard`, `Script`, `ScriptCondition`. (`Sleep` stands with the clocks.)
+//! Leaves without external code: BehaviorTree.CPP's `AlwaysSuccess`, `AlwaysFailure`, `SetBlackboard`, `UnsetBlackboard`, `Script`,
+//! `ScriptCondition`. (`Sleep` is in `timing`.)
 
 use super::Builtin;
 use crate::blackboard::Slot;
@@ -19,8 +19,8 @@ impl<C> Builtin<C> for Always {
     }
 }
 
-/// Copies a literal or another entry into an entry, which keeps its type: `Success`. A literal does not
-/// give a new entry a type: the first typed assignment does. A value of another type is an error.
+/// Copies a literal or another entry into an entry, which keeps its type: `Success`. A literal does not give a new entry a type; the first
+/// typed assignment does. A value of another type is an error.
 pub(crate) struct SetBlackboard {
     pub(crate) value: Source,
     pub(crate) slot: Slot,

@@ -1,8 +1,7 @@
-//! Nodes that tick their child once for each item of a list: BehaviorTree.CPP's `LoopInt`,
-//! `LoopBool`, `LoopDouble`, `LoopString`.
+//! Decorators that tick their child once for each item of a list: BehaviorTree.CPP's `LoopInt`, `LoopBool`, `LoopDouble`, `LoopString`.
 //!
-//! A list in the tree file (`1;2;3`) is gone through by index (`cursor`); a list on the blackboard
-//! is consumed. `flag`: the child runs with the current item.
+//! A list in the tree file (`1;2;3`) is traversed by index (`cursor`); a list on the blackboard is consumed. `flag`: the child runs with
+//! the current item.
 
 use super::Builtin;
 use crate::node::NodeId;
@@ -11,8 +10,8 @@ use crate::status::Status;
 use crate::tick::{Answer, Run, Stop};
 use crate::value::{Value, ValueType};
 
-/// Takes an item into `value` and ticks the child; `Running` between items, so one item a
-/// tick at most. `Failure` of the child ends the loop. No item left: `if_empty`.
+/// Takes an item into `value` and ticks the child; answers `Running` between items, so at most one item per tick. `Failure` of the child
+/// ends the loop. When no item is left: `if_empty`.
 pub(crate) struct LoopOver {
     pub(crate) queue: Source,
     pub(crate) value: Source,

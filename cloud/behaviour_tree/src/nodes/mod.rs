@@ -1,9 +1,9 @@
-//! Built-in nodes. Which nodes need no registration, and what makes each of them?
+//! Built-in nodes. Which nodes need no registration, and how is each constructed?
 //!
-//! One row a node, specification and constructor together; what a node does stands in the file of its family, in the
-//! documentation of its type. Names, ports and defaults are BehaviorTree.CPP's 4.10; Nav2's stand in `nav2`.
+//! One row per node, with specification and constructor; the behaviour of a node is described at its type, in the file of its family.
+//! Names, ports and defaults are those of BehaviorTree.CPP 4.10; Nav2's nodes are in `nav2`.
 //!
-//! **A new control or decorator**: a type that is [`Builtin`] in its family's file, and a row here.
+//! **A new control or decorator**: a type that implements [`Builtin`] in its family's file, and a row here.
 
 mod branches;
 mod decorators;
@@ -32,62 +32,62 @@ pub(crate) use leaves::Always;
 
 use PortType::{Any, Bool, Double, Int, Key, Script, Text, Unsigned};
 
-/// A node of the engine's own. It is fixed when the tree is built; what it is doing stands in its [`NodeState`], whose
-/// counters mean what the type's documentation says.
+/// A built-in node. Fixed when the tree is built; its run-time state is its [`NodeState`], whose counters have the meaning given in the
+/// type's documentation.
 pub(crate) trait Builtin<C>: Send {
-    /// One tick. `before` is its status as its parent has left it: anything but `Running` makes this an activation.
+    /// One tick. `before` is its status as its parent left it: anything but `Running` makes this an activation.
     fn tick(&self, run: &mut Run<'_, C>, id: NodeId, before: Status) -> Answer;
 
-    /// Called when it is halted while `Running`, before its children are.
+    /// Called when it is halted while `Running`, before its children are halted.
     fn before_halt(&self, _run: &mut Run<'_, C>, _id: NodeId) {}
 
-    /// What a halt leaves of its state, once its children are halted. Unless overridden, nothing.
+    /// What remains of its state after a halt, once its children are halted. Nothing, unless overridden.
     fn after_halt(&self, state: &mut NodeState) {
         state.clear();
     }
 
-    /// Called when its parent resets it while it has a `count`, running or not. Unless overridden, the count is kept.
+    /// Called when its parent resets it while it has a `count`, running or not. The count is kept, unless overridden.
     fn on_reset(&self, _state: &mut NodeState) {}
 
-    /// The entries by which it is asked to pause and to go on, if it can be.
+    /// The entries for requests to pause and resume, if the node supports them.
     fn pause_entries(&self) -> Option<PauseEntries> {
         None
     }
 }
 
-/// Entries of the root blackboard; any write to one is the request.
+/// Entries of the root blackboard; any write to one is a request.
 #[derive(Clone, Copy)]
 pub(crate) struct PauseEntries {
     pub(crate) pause: Slot,
     pub(crate) resume: Slot,
 }
 
-/// What the tree builder offers to make a node from: its ports in the scope where it stands.
+/// The tree builder's interface for constructing a node: its ports in the scope of its use.
 pub(crate) trait Ports {
-    /// What is on a port.
+    /// The binding of a port.
     fn source(&mut self, port: &str) -> Source;
-    /// What is on each port whose name begins so, in the order of the specification.
+    /// The bindings of all ports whose names have this prefix, in the order of the specification.
     fn sources(&mut self, prefix: &str) -> Vec<Source>;
     /// The type of a port's value.
     fn value_type(&self, port: &str) -> ValueType;
-    /// The entry that a port of type [`PortType::Key`] names.
+    /// The entry named by a port of type [`PortType::Key`].
     fn slot(&mut self, port: &str) -> Slot;
-    /// The entry of the root blackboard that the text on a port names.
+    /// The entry of the root blackboard named by the text on a port.
     #[cfg(feature = "nav2")]
     fn root_slot(&mut self, port: &str) -> Slot;
     /// The script on a port of type [`PortType::Script`].
     fn program(&mut self, port: &str) -> Program;
-    /// The numbers that names stand for.
+    /// Numbers by name.
     fn enums(&self) -> Arc<BTreeMap<String, i64>>;
 }
 
-/// What makes a built-in node of its ports.
+/// Constructor of a built-in node from its ports.
 pub(crate) type MakeBuiltin<C> = fn(&mut dyn Ports) -> Box<dyn Builtin<C>>;
 
-/// A built-in node: what it offers, and what makes it.
+/// A built-in node: its specification and constructor.
 pub(crate) type Row<C> = (NodeSpec, MakeBuiltin<C>);
 
-/// Rows of the table: `specification => node;`, the node made of its `ports`.
+/// Rows of the table: `specification => node;`, where the node is constructed from its `ports`.
 macro_rules! table {
     ($ports:ident: $($spec:expr => $node:expr;)*) => {
         vec![$({
@@ -102,7 +102,7 @@ macro_rules! table {
 #[cfg(feature = "nav2")]
 pub(crate) use table;
 
-/// A control node of one child or more.
+/// A control node with at least one child.
 pub(crate) fn control(id: &str, doc: &str) -> NodeSpec {
     NodeSpec::control(id, doc, 1, usize::MAX)
 }

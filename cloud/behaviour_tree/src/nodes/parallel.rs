@@ -1,8 +1,7 @@
-//! Nodes whose children run side by side: BehaviorTree.CPP's `Parallel` and `ParallelAll`, and
-//! `ParallelAny`, which is py_trees' Parallel with the policy SuccessOnOne.
+//! Controls whose children run in parallel: BehaviorTree.CPP's `Parallel` and `ParallelAll`, and `ParallelAny`, which is py_trees' Parallel
+//! with the policy SuccessOnOne.
 //!
-//! A child that has completed is marked `done` and not ticked again until all are reset; `count`
-//! holds failures, `cursor` successes.
+//! A completed child is marked `done` and not ticked again until all are reset; `count` holds failures, `cursor` successes.
 
 use super::Builtin;
 use crate::node::{NodeId, bump};
@@ -20,9 +19,8 @@ fn of_children(threshold: i64, children: usize) -> i64 {
     }
 }
 
-/// Ticks every child that is not done, in order, and ends as soon as `success_count` have
-/// succeeded, `failure_count` have failed, or success has become impossible; then resets all.
-/// Under a negative success threshold skipped children count as succeeded.
+/// Ticks every child that is not done, in order, and ends as soon as `success_count` have succeeded, `failure_count` have failed, or
+/// success has become impossible; then resets all. With a negative success threshold, skipped children count as succeeded.
 pub(crate) struct Parallel {
     pub(crate) success_count: Source,
     pub(crate) failure_count: Source,
@@ -69,8 +67,7 @@ impl<C> Builtin<C> for Parallel {
     }
 }
 
-/// Runs every child to its end; `Failure` if at least `max_failures` failed. All skipped:
-/// `Skipped`.
+/// Runs every child to completion; `Failure` if at least `max_failures` failed. All skipped: `Skipped`.
 pub(crate) struct ParallelAll {
     pub(crate) max_failures: Source,
 }
@@ -110,8 +107,8 @@ impl<C> Builtin<C> for ParallelAll {
     }
 }
 
-/// Ticks every child in every tick, then: any failed, `Failure`; else any succeeded,
-/// `Success`; either halts the others. All skipped: `Skipped`.
+/// Ticks every child in every tick. If any failed: `Failure`; otherwise, if any succeeded: `Success`; both halt the others. All skipped:
+/// `Skipped`.
 pub(crate) struct ParallelAny;
 
 impl<C> Builtin<C> for ParallelAny {

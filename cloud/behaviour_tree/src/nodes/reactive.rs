@@ -10,10 +10,10 @@ use crate::tick::{Answer, Run};
 ///
 /// | child | ReactiveSequence |
 /// |---|---|
-/// | `Success` | goes on to the next child |
+/// | `Success` | continues with the next child |
 /// | `Running` | halts all others, `Running` |
 /// | `Failure` | resets all, `Failure` |
-/// | `Skipped` | resets it, goes on; all skipped: `Skipped` |
+/// | `Skipped` | resets it and continues; all skipped: `Skipped` |
 pub(crate) struct ReactiveSequence;
 
 /// [`ReactiveSequence`] with `Success` and `Failure` swapped.

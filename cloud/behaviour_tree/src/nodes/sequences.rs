@@ -1,5 +1,5 @@
-//! Sequences and fallbacks that remember where they were: BehaviorTree.CPP's `Sequence`,
-//! `AsyncSequence`, `SequenceWithMemory`, `Fallback`, `AsyncFallback`.
+//! Sequences and fallbacks that remember their position: BehaviorTree.CPP's `Sequence`, `AsyncSequence`, `SequenceWithMemory`, `Fallback`,
+//! `AsyncFallback`.
 //!
 //! All keep the index of the current child in `cursor` and count skipped children in `skipped`.
 
@@ -12,13 +12,13 @@ use crate::tick::{Answer, Run};
 ///
 /// | child | Sequence |
 /// |---|---|
-/// | `Success`, `Skipped` | goes on to the next child in the same tick |
+/// | `Success`, `Skipped` | continues with the next child in the same tick |
 /// | `Running` | `Running`, resumes there |
 /// | `Failure` | resets all, `Failure` |
 /// | all `Skipped` | `Skipped` |
 ///
-/// `yields` (AsyncSequence): after a child that succeeds in its first tick, answers `Running`
-/// and asks to be woken, so that it stays interruptible.
+/// `yields` (AsyncSequence): after a child that succeeds in its first tick, answers `Running` and asks to be woken, so that it stays
+/// interruptible.
 pub(crate) struct Sequence {
     pub(crate) yields: bool,
 }
@@ -40,7 +40,7 @@ impl<C> Builtin<C> for Fallback {
     }
 }
 
-/// Goes through the children until one answers `end`.
+/// Ticks the children in order until one answers `end`.
 fn until<C>(run: &mut Run<'_, C>, id: NodeId, end: Status, yields: bool, before: Status) -> Answer {
     let kids = run.kids(id);
     if !before.is_active() {
@@ -72,8 +72,8 @@ fn until<C>(run: &mut Run<'_, C>, id: NodeId, end: Status, yields: bool, before:
     Ok(run.finish(id, otherwise.unless_skipped(skipped)))
 }
 
-/// [`Sequence`], but `Failure` keeps the index, so that the next activation retries the failed
-/// child; a halt keeps it too. Only reaching the end sets it back.
+/// [`Sequence`], but `Failure` keeps the index, so that the next activation retries the failed child; so does a halt. The index is reset
+/// only at the end.
 pub(crate) struct SequenceWithMemory;
 
 impl<C> Builtin<C> for SequenceWithMemory {

@@ -1,7 +1,7 @@
-//! Nodes that wait or watch the clock: BehaviorTree.CPP's `Timeout`, `Delay`, and the leaf
-//! `Sleep`. Time is what the tree is ticked with, so simulated time works as well.
+//! Nodes that depend on the clock: BehaviorTree.CPP's `Timeout`, `Delay`, and the leaf `Sleep`. Time is the time passed to the tick, so
+//! simulated time works as well.
 //!
-//! `flag`: the clock is running; `mark`: when it ends, ns.
+//! `flag`: the clock is running; `mark`: its end, ns.
 
 use super::Builtin;
 use crate::node::{NodeId, millis};
@@ -9,8 +9,7 @@ use crate::ports::Source;
 use crate::status::Status;
 use crate::tick::{Answer, Run, Stop};
 
-/// Halts a child that is still `Running` `msec` after it was started, and answers `Failure`; every other status passes.
-/// 0 never halts.
+/// Halts a child that is still `Running` `msec` after its start, and answers `Failure`; every other status passes. 0 means no limit.
 pub(crate) struct Timeout(pub(crate) Source);
 
 impl<C> Builtin<C> for Timeout {
@@ -67,7 +66,7 @@ impl<C> Builtin<C> for Sleep {
     }
 }
 
-/// Sets `mark` to the end of a span from now; 0 or less has no end (`u64::MAX`).
+/// Sets `mark` to the end of a time span from now; 0 or less has no end (`u64::MAX`).
 fn start_clock<C>(run: &mut Run<'_, C>, id: NodeId, port: &str, ms: &Source) -> Result<(), Stop> {
     let ms: i64 = run.read(id, port, ms)?;
     let end = if ms > 0 {

@@ -1,7 +1,7 @@
-//! Nodes that ask whether a blackboard entry has been written since they last looked:
-//! BehaviorTree.CPP's `SkipUnlessUpdated`, `WaitValueUpdate`, `WasEntryUpdated`.
+//! Nodes that check whether a blackboard entry has been written since their last check: BehaviorTree.CPP's `SkipUnlessUpdated`,
+//! `WaitValueUpdate`, `WasEntryUpdated`.
 //!
-//! `mark` is the sequence number seen last; it survives halts.
+//! `mark` is the last seen sequence number; it survives halts.
 
 use super::Builtin;
 use crate::blackboard::Slot;
@@ -9,8 +9,8 @@ use crate::node::{NodeId, NodeState};
 use crate::status::Status;
 use crate::tick::{Answer, Run};
 
-/// Ticks the child if the entry was written since the last look, or while the child is `Running`
-/// (`flag`), and passes its status; answers `otherwise` if not.
+/// Ticks the child if the entry was written since the last check, or while the child is `Running` (`flag`), and passes its status;
+/// otherwise answers `otherwise`.
 pub(crate) struct IfUpdated {
     pub(crate) slot: Slot,
     pub(crate) otherwise: Status,
@@ -33,7 +33,7 @@ impl<C> Builtin<C> for IfUpdated {
     }
 }
 
-/// `Success` if the entry was written since the last look, else `Failure`.
+/// `Success` if the entry was written since the last check, else `Failure`.
 pub(crate) struct WasEntryUpdated(pub(crate) Slot);
 
 impl<C> Builtin<C> for WasEntryUpdated {

@@ -1,16 +1,16 @@
-//! What is the value of a script? As in BehaviorTree.CPP, an integer is an integer only as it stands in the script;
-//! whatever is computed (sums, signs, comparisons, truth) and every named number is a float. Text joins with `..`.
+//! Evaluation. What is the value of a script? As in BehaviorTree.CPP, only an integer literal is an integer; everything computed (sums,
+//! signs, comparisons, truth values) and every named number is a float. `..` joins text.
 
 use super::{Assignment, Binary, Comparison, Enums, Expression, ScriptError, Unary, Variable};
 use crate::blackboard::Blackboard;
 use crate::value::{Value, ValueType, truth_word};
 
-/// Longest text that a script may make, bytes: `s = s .. s` must not eat the memory.
+/// Longest text that a script may create, bytes: `s = s .. s` must not exhaust the memory.
 const TEXT: usize = 64 * 1024;
 
 type Computed = Result<Value, ScriptError>;
 
-/// What a condition makes of a value: numbers hold if they are not 0.
+/// A value as a condition: numbers are true if they are not 0.
 pub(crate) fn truth(value: &Value) -> Option<bool> {
     match value {
         Value::Int(value) => Some(*value != 0),
@@ -28,7 +28,7 @@ pub(super) fn evaluate(expression: &Expression<Variable>, board: &mut Blackboard
         Expression::Literal(value) => Ok(value.clone()),
         Expression::Variable(variable) => read(variable, board).cloned(),
         Expression::Unary(operator, inner) => unary(*operator, evaluate(inner, board, enums)?),
-        // Both sides are worked out, whatever the left one says, as in BehaviorTree.CPP.
+        // Both sides are always evaluated, as in BehaviorTree.CPP.
         Expression::Binary(operator @ (Binary::And | Binary::Or), left, right) => {
             let (left, right) = (condition(left, board, enums)?, condition(right, board, enums)?);
             Ok(said(match operator {
@@ -61,7 +61,7 @@ pub(super) fn evaluate(expression: &Expression<Variable>, board: &mut Blackboard
             let value = match operator {
                 Assignment::Create => value,
                 Assignment::Existing => {
-                    // A port that names an entry makes it.
+                    // An entry named by a port exists.
                     if !board.is_declared(to.slot) {
                         read(to, board)?;
                     }
@@ -69,7 +69,7 @@ pub(super) fn evaluate(expression: &Expression<Variable>, board: &mut Blackboard
                 }
                 Assignment::Update(operator) => binary(*operator, read(to, board)?.clone(), value)?,
             };
-            // Text for an entry that holds a number may name one.
+            // Text for an entry that holds a number may be the name of a number.
             let value = match (&value, board.kind(to.slot)) {
                 (Value::Text(text), Some(ValueType::Int | ValueType::Double)) => {
                     enums.get(&**text).map_or(value, |number| Value::Int(*number))
@@ -105,7 +105,7 @@ fn unfit(value: &Value, expected: &'static str) -> ScriptError {
     ScriptError::Type(value.to_string().chars().take(60).collect(), kind, expected)
 }
 
-/// A value as the arithmetic sees it. Integers beyond 2^53 are rounded.
+/// A value as a number for arithmetic. Integers beyond 2^53 are rounded.
 fn number(value: &Value) -> Result<f64, ScriptError> {
     match value {
         Value::Int(value) => Ok(*value as f64),
@@ -139,7 +139,7 @@ fn binary(operator: Binary, left: Value, right: Value) -> Computed {
         Binary::Add => number(&left)? + number(&right)?,
         Binary::Subtract => number(&left)? - number(&right)?,
         Binary::Multiply => number(&left)? * number(&right)?,
-        // By zero it is infinite, as in BehaviorTree.CPP.
+        // Division by zero gives infinity, as in BehaviorTree.CPP.
         Binary::Divide => number(&left)? / number(&right)?,
         Binary::And | Binary::Or => return Err(unfit(&left, "a number")),
     }))
@@ -153,7 +153,7 @@ fn join(left: &Value, right: &Value) -> Computed {
     Ok(Value::from(joined))
 }
 
-/// A side of a comparison as a number; text that is compared with one may be `true`, `false` or the name of a number.
+/// A side of a comparison as a number; text compared with a number may be `true`, `false` or the name of a number.
 fn compared(value: &Value, enums: &Enums) -> Option<f64> {
     match value {
         Value::Text(text) => truth_word(text)
@@ -175,7 +175,7 @@ fn compare(comparison: Comparison, left: &Value, right: &Value, enums: &Enums) -
                 Comparison::NotEqual => return Ok(!is_same(left, right)),
                 _ => left.partial_cmp(&right),
             },
-            // Text that is no number equals none.
+            // Text that is not a number equals none.
             _ if matches!(comparison, Comparison::Equal | Comparison::NotEqual) => {
                 return Ok((left == right) == matches!(comparison, Comparison::Equal));
             }
@@ -193,7 +193,7 @@ fn compare(comparison: Comparison, left: &Value, right: &Value, enums: &Enums) -
     })
 }
 
-/// Numbers that differ by no more than a 32-bit float can tell are the same, as in BehaviorTree.CPP.
+/// Numbers that differ by no more than the precision of a 32-bit float are the same, as in BehaviorTree.CPP.
 pub(crate) fn is_same(left: f64, right: f64) -> bool {
     left == right || (left - right).abs() <= f64::from(f32::EPSILON)
 }
@@ -298,7 +298,7 @@ mod tests {
         ] {
             assert_eq!(run(&mut board, script), Ok(Value::Double(1.0)), "{script}");
         }
-        // Equal is nearly equal; more and less are exact.
+        // Equality is approximate; greater and less are exact.
         assert_eq!(value("0.3 < 0.1 + 0.2"), Value::Double(1.0));
     }
 

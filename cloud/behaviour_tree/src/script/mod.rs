@@ -1,8 +1,8 @@
-//! Scripts. What does `x := a + 1; y = x > 3 ? 'far' : 'near'` do? The scripting language of
-//! BehaviorTree.CPP v4, for `Script`, `ScriptCondition` and the conditions around nodes.
+//! Scripts. What does `x := a + 1; y = x > 3 ? 'far' : 'near'` do? The scripting language of BehaviorTree.CPP v4, for `Script`,
+//! `ScriptCondition` and the conditions around nodes.
 //!
-//! A script is parsed when the tree is checked, its names become slots of the blackboard when the
-//! tree is built, and a run only computes. Length, nesting and the text it can make are bounded.
+//! A script is parsed when the tree is checked, its names are resolved to slots of the blackboard when the tree is built, and a run only
+//! evaluates it. Its length, its nesting and the text it can create are bounded.
 
 mod evaluate;
 mod parse;
@@ -17,7 +17,7 @@ use super::value::Value;
 pub(crate) use evaluate::{is_same, truth};
 pub(crate) use parse::parse;
 
-/// What a script consists of; `V` is how variables are named: text when parsed, slots when bound.
+/// An expression; `V` is the type of variables: text when parsed, slots when bound.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Expression<V> {
     Literal(Value),
@@ -67,9 +67,9 @@ pub(crate) enum Comparison {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Assignment {
-    /// `:=`, makes the entry if it is new.
+    /// `:=`, creates the entry if necessary.
     Create,
-    /// `=`, only an entry that has a value.
+    /// `=`, only for an entry that has a value.
     Existing,
     /// `+=` and the like.
     Update(Binary),
@@ -81,13 +81,13 @@ pub(crate) enum Assignment {
 pub(crate) struct ScriptSyntax {
     /// Character of the script, from 1.
     pub(crate) at: usize,
-    /// What is wrong.
+    /// The error.
     pub(crate) message: String,
-    /// What should stand there.
+    /// What was expected.
     pub(crate) expected: String,
 }
 
-/// Why a script could not be computed.
+/// Why a script could not be evaluated.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub(crate) enum ScriptError {
     #[error("the entry `{0}` has no value")]
@@ -115,12 +115,12 @@ pub(crate) type Enums = BTreeMap<String, i64>;
 pub(crate) struct Program {
     text: Box<str>,
     statements: Vec<Expression<Variable>>,
-    /// What text may stand for where a number is wanted.
+    /// Names that text may contain where a number is required.
     enums: Arc<Enums>,
 }
 
 impl Program {
-    /// Gives every variable its slot; names in `enums` are numbers.
+    /// Assigns a slot to every variable; names in `enums` are numbers.
     pub(crate) fn bind(
         text: &str,
         statements: Vec<Expression<String>>,
@@ -138,12 +138,12 @@ impl Program {
         }
     }
 
-    /// The script as it was written.
+    /// The original text of the script.
     pub(crate) fn text(&self) -> &str {
         &self.text
     }
 
-    /// Computes every statement; the value of the last is the value of the script.
+    /// Evaluates every statement; the value of the last one is the value of the script.
     pub(crate) fn run(&self, board: &mut Blackboard) -> Result<Value, ScriptError> {
         let mut last = Value::Bool(true);
         for statement in &self.statements {

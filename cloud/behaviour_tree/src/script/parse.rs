@@ -1,6 +1,5 @@
-//! In which order does a script compute? Precedence from weakest to strongest, as in
-//! BehaviorTree.CPP: assignment, `?:`, `||`, `&&`, comparison, `| ^`, `&`, `..`, `+ -`, `* /`,
-//! prefixes.
+//! Parser. In which order is a script evaluated? Precedence from weakest to strongest, as in BehaviorTree.CPP: assignment, `?:`, `||`,
+//! `&&`, comparison, `| ^`, `&`, `..`, `+ -`, `* /`, prefixes.
 
 use super::token::{Token, Word, tokens, wrong};
 use super::{Assignment, Binary, Comparison, Expression, ScriptSyntax, Unary};
@@ -8,12 +7,12 @@ use crate::value::Value;
 
 /// Deepest nesting of brackets and prefixes.
 const NESTING: usize = 32;
-/// Most words of one script: a chain of operators is as deep a tree as it is long.
+/// Most words in a script: a chain of operators gives a tree as deep as the chain is long.
 const WORDS: usize = 500;
 
 type Parsed = Result<Expression<String>, ScriptSyntax>;
 
-/// The statements of a script, at least one.
+/// Parses a script into its statements, at least one.
 pub(crate) fn parse(text: &str) -> Result<Vec<Expression<String>>, ScriptSyntax> {
     let words = tokens(text)?;
     if let Some((_, at)) = words.get(WORDS) {

@@ -1,4 +1,4 @@
-//! Which words does a script consist of? Names, numbers, text, operators.
+//! Tokens. Which words does a script consist of? Names, numbers, text, operators.
 
 use super::ScriptSyntax;
 
@@ -17,7 +17,7 @@ pub(super) enum Word {
 /// A word and the character where it starts, from 1.
 pub(super) type Token = (Word, usize);
 
-/// Longer ones first, so that `<=` is not `<` and `=`.
+/// Longer operators first, so that `<=` is not read as `<` and `=`.
 const OPERATORS: [&str; 29] = [
     ":=", "+=", "-=", "*=", "/=", "==", "!=", "<=", ">=", "&&", "||", "..", "=", "<", ">", "+", "-", "*", "/", "!",
     "~", "&", "|", "^", "?", ":", "(", ")", ";",
@@ -89,7 +89,7 @@ fn number(chars: &[char], at: &mut usize) -> Result<Word, ScriptSyntax> {
     }
     digits(at);
     let mut whole = true;
-    // `1..2` joins two numbers, it is not `1.` and `.2`.
+    // `1..2` joins two numbers; it is not `1.` and `.2`.
     if chars.get(*at) == Some(&'.') && chars.get(*at + 1) != Some(&'.') {
         whole = false;
         *at += 1;

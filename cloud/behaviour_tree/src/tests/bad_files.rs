@@ -1,4 +1,4 @@
-//! A tree is data, so bad trees are input.
+//! Tests of invalid files: a tree is data, so invalid trees are input.
 
 use super::rig::{World, registry};
 use crate::{Limits, TreeErrors, build, build_within, check};
@@ -134,7 +134,7 @@ fn all_errors_are_told_at_once_also_of_trees_that_are_not_used() {
 </root>",
     );
     assert_eq!(errors.len(), 5, "{errors:#?}");
-    // Of trees with too many children, of an id that is taken, and without an id.
+    // Errors for a tree with too many children, a duplicate id, and a missing id.
     let errors = errors_of(
         "<root BTCPP_format=\"4\" main_tree_to_execute=\"A\">
 <BehaviorTree ID=\"A\"><Foo/><Sleep msec=\"x\"/></BehaviorTree>
@@ -270,7 +270,7 @@ fn depth_size_and_number_are_bounded() {
     assert!(in_tree(&deep(256))[0].contains("257 levels with its SubTrees"));
     assert!(in_tree(&deep(257))[0].contains("too deeply"));
     assert!(in_tree(&deep(10_000))[0].contains("too deeply"));
-    // Deep only once its SubTrees are unfolded.
+    // Deep only after its SubTrees are unfolded.
     let chain: String = (0..300)
         .map(|level| {
             format!(
@@ -323,7 +323,7 @@ fn ports_that_exclude_one_another_cannot_share_an_entry() {
     .unwrap_err();
     let told = "bad.xml:2:38: port `wait_duration` and the port at bad.xml:2:20 share an entry: expected the same type, not a number and a Path";
     assert_eq!(errors.to_string(), told);
-    // Checked alone too, once though the tree is unfolded twice, and beside other errors.
+    // Also checked alone, reported once although the tree is unfolded twice, and beside other errors.
     let text = String::from_utf8_lossy(text).replace("<root>", "<root main_tree_to_execute=\"M\">").replace(
         "</root>",
         "<BehaviorTree ID=\"M\"><Sequence><SubTree ID=\"A\"/><SubTree ID=\"A\"/><Sleep/></Sequence></BehaviorTree></root>",
@@ -467,7 +467,7 @@ fn copies_of_long_attributes_are_bounded_before_they_are_made() {
         <BehaviorTree ID=\"Long\"><T name=\"{long}\"/></BehaviorTree></root>"
     );
     assert!(errors_of(&text)[0].contains("bytes of attributes with its SubTrees"));
-    // Neither are messages as long as what they quote.
+    // Nor are messages as long as the text they quote.
     let errors = errors_of(&format!("<root><BehaviorTree ID=\"A\"><{long}/></BehaviorTree></root>"));
     assert!(errors[0].len() < 1_000);
 }
@@ -490,7 +490,7 @@ fn the_files_that_cost_most_are_refused() {
         ("comments", fill("<!---->")),
         ("scripts", fill("<Script code='a+a+a+a+a+a+a+a+a+a+a+a+a+a+a+a+a+a'/>")),
     ] {
-        // What is quadratic would take minutes, and be noticed; no time is asserted, since machines are busy.
+        // A quadratic algorithm would take minutes, and be noticed; no time is asserted, because the machine may be busy.
         assert!(!errors_of(&text).is_empty(), "{what}");
     }
 }

@@ -1,4 +1,4 @@
-//! Nodes that choose.
+//! Tests of the controls that choose between children.
 
 use super::rig::{Rig, plays};
 

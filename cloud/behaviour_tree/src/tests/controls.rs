@@ -1,4 +1,4 @@
-//! Sequences, fallbacks, parallels.
+//! Tests of sequences, fallbacks and parallels.
 
 use super::rig::{Rig, plays};
 
@@ -41,7 +41,7 @@ fn a_halted_sequence_halts_what_runs_and_starts_over() {
 fn async_sequence_yields_after_each_child_that_succeeds_at_once() {
     let body = r#"<ReactiveSequence><T name="watch"/><AsyncSequence>
         <T name="a"/><T name="b" plan="RS"/><T name="c"/></AsyncSequence></ReactiveSequence>"#;
-    // Woken in the same tick, so the reactive parent asks again; b was running, so no yield.
+    // Woken in the same tick, so the reactive parent is ticked again; b was running, so it does not yield.
     plays(body, "RS", "watch a watch b watch b. c");
     let mut rig = Rig::new(r#"<AsyncSequence><T name="a"/><T name="b"/></AsyncSequence>"#);
     let once = rig
@@ -144,7 +144,7 @@ fn parallel_ticks_what_is_not_done_and_ends_as_soon_as_it_can() {
         "F",
         "a b a!",
     );
-    // Enough successes end it before the last child is asked.
+    // Enough successes end it before the last child is ticked.
     plays(
         r#"<Parallel success_count="1"><T name="a"/><T name="b"/></Parallel>"#,
         "S",

@@ -1,4 +1,4 @@
-//! Nodes around one child, clocks, loops, leaves.
+//! Tests of decorators, clocks, loops and leaves.
 
 use super::rig::{Rig, plays};
 use crate::{Status, Value};
@@ -90,7 +90,7 @@ fn timeout_halts_a_child_that_takes_longer() {
     assert_eq!(rig.at(99), Status::Running);
     assert_eq!(rig.at(100), Status::Failure);
     assert_eq!(rig.log(), "a a. a!");
-    // The clock starts anew with the next activation.
+    // The clock restarts with the next activation.
     assert_eq!(rig.at(110), Status::Running);
     assert_eq!(rig.at(209), Status::Running);
 }
@@ -197,7 +197,7 @@ fn an_error_in_a_script_ends_the_tree_and_names_the_node() {
         error,
         "try/both/sum (node 4): script `y := x + 1`: the entry `x` has no value"
     );
-    // What ran has been halted, and the fallback was not asked.
+    // The running leaf has been halted, and the fallback was not ticked.
     assert_eq!(rig.log(), "a a!");
     assert!(rig.tree.statuses().all(|(_, status, _)| status == Status::Idle));
 }

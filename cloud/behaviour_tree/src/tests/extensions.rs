@@ -1,4 +1,4 @@
-//! Leaves and decorators from outside.
+//! Tests of external leaves and decorators.
 
 use std::time::Duration;
 
@@ -7,7 +7,7 @@ use crate::{
     Value, build,
 };
 
-/// How far the robot has come, m.
+/// Distance driven by the robot, m.
 type Metres = f64;
 
 /// Ticks its child on activation and after every metre.
@@ -48,7 +48,7 @@ fn a_decorator_from_outside_decides_when_its_child_is_ticked() {
         tree.tick(Duration::ZERO, &mut way.clone()).unwrap();
         assert_eq!(planned(&tree), plans, "{way}");
     }
-    // What it remembers is part of the snapshot.
+    // Its memory is part of the snapshot.
     let mut fresh = make(&registry, body);
     fresh.restore(tree.snapshot()).unwrap();
     fresh.tick(Duration::ZERO, &mut 2.2).unwrap();

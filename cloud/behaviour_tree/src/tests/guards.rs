@@ -1,4 +1,4 @@
-//! Scripts around a node.
+//! Tests of the scripts around a node.
 
 use super::rig::{Rig, plays};
 use crate::Value;

@@ -1,4 +1,4 @@
-//! Nav2's controls and decorators.
+//! Tests of Nav2's controls and decorators.
 
 use super::rig::{Rig, play, plays};
 use crate::Status;

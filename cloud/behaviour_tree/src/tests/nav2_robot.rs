@@ -1,5 +1,4 @@
-//! Nav2's decorators that follow a robot or its goals, its conditions that look at the blackboard, and the control that can be
-//! held from outside.
+//! Tests of Nav2's decorators that follow a robot or its goals, its blackboard conditions, and the control that pauses on request.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -7,7 +6,7 @@ use std::time::Duration;
 use crate::nav2::{self, Measure, Travel};
 use crate::{Leaf, LeafIo, NodeSpec, PortType, Status, Tree, Value, build};
 
-/// A robot on a line; paths are texts `from;to;length`, the robot being at the start of all of them.
+/// A robot on a line; paths are texts `from;to;length`, and the robot is at the start of each.
 #[derive(Default)]
 struct Robot {
     at: f64,
@@ -35,7 +34,7 @@ impl Travel for Robot {
     }
 }
 
-/// As the leaves of the other tests: one letter a call, the last for ever.
+/// As the leaves of the other tests: one letter per call, the last repeats forever.
 struct Planned;
 
 impl Leaf<Robot> for Planned {
@@ -140,14 +139,14 @@ fn speed_controller_goes_by_the_speed_at_the_end_of_each_period_and_begins_anew_
     stand.at(0);
     stand.at(990);
     assert_eq!(stand.log(), "a b b");
-    // The first period is that of the greatest rate; at rest the next is that of the least.
+    // The first period is that of the greatest rate; at rest the next is that of the least rate.
     stand.at(1000);
     stand.at(10_990);
     assert_eq!(stand.log(), "a b b");
     stand.robot.speed = 0.25;
     stand.at(11_000);
     assert_eq!(stand.log(), "a b");
-    // 0.55 a second.
+    // 0.55 per second.
     stand.at(11_000 + 1810);
     assert_eq!(stand.log(), "b");
     stand.at(11_000 + 1820);
@@ -225,7 +224,7 @@ fn path_longer_on_approach_ticks_its_child_for_a_much_longer_path_to_the_same_go
         let expected = if ticked { (Running, "a") } else { (Success, "") };
         assert_eq!((stand.at(10), stand.log().as_str()), expected, "{old} {new}");
         if ticked {
-            // To its end, and not again for the same path.
+            // To completion, and not again for the same path.
             assert_eq!((stand.at(20), stand.log().as_str()), (Success, "a"));
             assert_eq!((stand.at(30), stand.log().as_str()), (Success, ""));
         }

@@ -56,7 +56,7 @@ fn all_leaves_succeed() {
 
 #[test]
 fn all_leaves_fail() {
-    // Codes that a recovery may help: the planner's own recovery fails, then every one of the round robin in turn.
+    // Codes that a recovery may fix: the planner's own recovery fails, then each one of the round robin in turn.
     let outcome = run(
         TREE,
         r#"{"leaves": {"ComputePathToPose": {"status": "FAILURE", "set": {"error_code_id": "207"}},
@@ -74,7 +74,7 @@ fn the_planner_fails_for_ever_and_every_recovery_succeeds() {
         r#"{"leaves": {"ComputePathToPose": {"status": "FAILURE", "set": {"error_code_id": "207"}}}}"#,
     );
     assert_eq!(outcome.status, Status::Failure);
-    // Four passes of two tries with the map cleared in between; the first recovery clears both maps, the last ends it.
+    // Four passes of two tries with the map cleared in between; the first recovery clears both maps, the last one ends it.
     assert_eq!(counts(&outcome), [8, 0, 6, 1, 1, 1]);
 }
 
@@ -117,7 +117,7 @@ fn a_controller_that_keeps_failing_ends_after_the_last_recovery_succeeds() {
 }
 
 /// Counts of plans, drives, cleared maps, spins, waits and retreats that Nav2 states for its own tree in `nav2_system_tests`
-/// (`test_behavior_tree_node.cpp`, 2026-08). Its servers fail the first so many goals; clearing a map always succeeds.
+/// (`test_behavior_tree_node.cpp`, 2026-08). Its servers fail a given number of first goals; clearing a map always succeeds.
 #[test]
 fn leaves_start_as_often_as_in_nav2_s_own_system_tests() {
     let plan =
@@ -189,8 +189,8 @@ fn a_new_goal_during_a_recovery_does_not_disturb_it() {
     let outcome = run(TREE, script);
     assert_eq!(outcome.status, Status::Success);
     assert_eq!(counts(&outcome), [3, 5, 4, 1, 0, 0]);
-    // GoalUpdated is reset by its reactive parent in every tick that Spin runs, so it never sees
-    // a change there; GlobalUpdatedGoal, which remembers for life, does.
+    // GoalUpdated is reset by its reactive parent in every tick that Spin runs, so it never sees a change there; GlobalUpdatedGoal, which
+    // remembers for the life of the tree, does.
     assert_eq!(outcome.sim_time_ms, 500);
     let mended = TREE.replace("<GoalUpdated/>", "<GlobalUpdatedGoal/>");
     let outcome = run(&mended, &script.replace("[1, 4]", "[1, 6]"));

@@ -1,4 +1,4 @@
-//! Claims about every tree.
+//! Properties of every tree.
 
 use std::collections::BTreeMap;
 
@@ -75,7 +75,7 @@ fn tree() -> impl Strategy<Value = String> {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 300, ..ProptestConfig::default() })]
 
-    /// A leaf that was started ends, or is halted exactly once; nothing else is ever halted.
+    /// Every started leaf ends or is halted exactly once; nothing else is ever halted.
     #[test]
     fn every_start_ends_once(body in tree(), ticks in 1_usize..12) {
         let mut rig = Rig::new(&body);
@@ -108,7 +108,7 @@ proptest! {
         prop_assert!(rig.tree.statuses().all(|(_, status, _)| status == Status::Idle));
     }
 
-    /// Stored and restored after any tick, a tree goes on as if nothing had happened.
+    /// Stored and restored after any tick, a tree continues as if nothing had happened.
     #[test]
     fn a_restart_changes_nothing(body in tree(), before in 1_usize..8, after in 1_usize..8) {
         let mut whole = Rig::new(&body);
@@ -130,7 +130,7 @@ proptest! {
         prop_assert_eq!(resumed, again.world.log.split_off(log));
     }
 
-    /// Nothing that looks like a tree file makes the reader panic.
+    /// No variation of a tree file makes the reader panic.
     #[test]
     fn a_damaged_file_is_read_or_refused(body in tree(), at in 0_usize..2000, byte in any::<u8>(), cut in any::<bool>()) {
         let mut bytes = format!("<root BTCPP_format=\"4\"><BehaviorTree ID=\"Main\">{body}</BehaviorTree></root>").into_bytes();

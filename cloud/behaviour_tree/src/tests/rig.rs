@@ -1,18 +1,18 @@
-//! Leaves that answer by a plan and write down what happens to them.
+//! Test leaves that answer according to a plan and log their calls.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
 
 use crate::{Leaf, LeafIo, NodeSpec, PortType, Registry, Status, Tree, build};
 
-/// What has happened: `a` started, `a.` ticked again, `a!` halted, `a~` resumed.
+/// Log of calls: `a` started, `a.` ticked again, `a!` halted, `a~` resumed.
 #[derive(Default)]
 pub(super) struct World {
     pub(super) log: Vec<String>,
     calls: BTreeMap<String, usize>,
 }
 
-/// `<T name="a" plan="RRS"/>`: one letter a call, the last for ever. S, F, R, K (skipped).
+/// `<T name="a" plan="RRS"/>`: one letter per call, the last repeats forever. S, F, R, K (skipped).
 struct Planned;
 
 impl Planned {
@@ -74,7 +74,7 @@ pub(super) struct Rig {
 }
 
 impl Rig {
-    /// `body` is what stands inside `<BehaviorTree ID="Main">`, and perhaps further trees.
+    /// `body` is the content of `<BehaviorTree ID="Main">`, possibly followed by further trees.
     pub(super) fn new(body: &str) -> Rig {
         let text = format!(
             "<root BTCPP_format=\"4\" main_tree_to_execute=\"Main\"><BehaviorTree ID=\"Main\">{body}</BehaviorTree></root>"
@@ -124,7 +124,7 @@ impl Rig {
             .unwrap();
     }
 
-    /// What has happened since the last look.
+    /// Log entries since the last call.
     pub(super) fn log(&mut self) -> String {
         std::mem::take(&mut self.world.log).join(" ")
     }
@@ -135,14 +135,14 @@ impl Rig {
     }
 }
 
-/// The answers of so many ticks, and what happened.
+/// The answers of this many ticks, and the log.
 pub(super) fn play(body: &str, ticks: usize) -> (String, String) {
     let mut rig = Rig::new(body);
     let answers = rig.ticks(ticks);
     (answers, rig.log())
 }
 
-/// Compares with (answers, what happened).
+/// Compares with the expected answers and log.
 #[track_caller]
 pub(super) fn plays(body: &str, answers: &str, log: &str) {
     let (got_answers, got_log) = play(body, answers.len());

@@ -1,4 +1,4 @@
-//! What is stored comes back.
+//! Tests of snapshots: stored state is restored.
 
 use std::time::Duration;
 
@@ -18,7 +18,7 @@ fn a_restored_tree_goes_on_and_resumes_what_ran() {
     assert_eq!(fresh.tree.snapshot(), rig.tree.snapshot());
     fresh.now_ms = rig.now_ms;
     assert_eq!(fresh.ticks(2), "RS");
-    // The fresh leaf has its own plan, so it starts it anew; it is resumed once, not started.
+    // The fresh leaf has its own plan, so the plan starts over; the leaf is resumed once, not started.
     assert_eq!(fresh.log(), "a~ a. a a b");
 }
 

@@ -1,4 +1,4 @@
-//! Trees inside trees, and what they see of the blackboard.
+//! Tests of SubTrees and their view of the blackboard.
 
 use super::rig::Rig;
 use crate::Value;
@@ -120,7 +120,7 @@ fn the_model_of_a_subtree_gives_defaults_to_what_is_not_remapped() {
     assert_eq!(rig.log(), "4");
 }
 
-/// Groot2's own notes, both forms of a node, models of nodes that are known anyway.
+/// Groot2's own annotations, both forms of a node, and models of nodes that are already known.
 #[cfg(feature = "nav2")]
 #[test]
 fn a_file_as_groot2_writes_it_is_read() {

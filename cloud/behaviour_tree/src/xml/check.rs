@@ -13,22 +13,22 @@ use crate::registry::{Category, NodeSpec, Registry};
 use crate::script;
 use crate::value::{Value, parse_bool};
 
-/// What a file holds that passed.
+/// Summary of a valid file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Summary {
-    /// Id of every tree, and how many nodes it has with its SubTrees unfolded.
+    /// Id of every tree, with its number of nodes after unfolding SubTrees.
     pub trees: BTreeMap<String, u64>,
-    /// What is not wrong, but may be refused where the tree is to run: `file:line:column: what`.
+    /// Valid but possibly refused where the tree is to run: `file:line:column: what`.
     pub warnings: Vec<String>,
 }
 
-/// What `check` has found of the trees.
+/// Results of `check`.
 pub(super) struct Checked {
-    /// Nodes of each with its SubTrees unfolded.
+    /// Number of nodes of each tree with its SubTrees unfolded.
     pub(super) trees: BTreeMap<String, u64>,
-    /// Those that no other tree contains.
+    /// Trees that no other tree contains.
     pub(super) roots: Vec<String>,
-    /// Whether all of them can be unfolded.
+    /// Whether all trees can be unfolded.
     pub(super) is_bounded: bool,
 }
 
@@ -44,13 +44,13 @@ pub(super) const GUARDS: [&str; 8] = [
     "_post",
 ];
 
-/// `{key}` as the key; `{=}` is the name of the port.
+/// `{key}` as the key; `{=}` means the name of the port.
 pub(super) fn pointer<'v>(value: &'v str, port: &'v str) -> Option<&'v str> {
     let key = value.trim().strip_prefix('{')?.strip_suffix('}')?.trim();
     Some(if key == "=" { port } else { key })
 }
 
-/// The node that an element means: its specification, or an error, in words if it will be told.
+/// The specification of the node that an element stands for, or an error, with a message only if it will be reported (`told`).
 pub(super) fn specification<'f, C>(
     element: &'f Element,
     forest: &'f Forest,
@@ -115,7 +115,7 @@ pub(super) fn specification<'f, C>(
 pub(super) fn check<C>(forest: &Forest, registry: &Registry<C>, limits: &Limits, errors: &mut Collector) -> Checked {
     let mut sizes = BTreeMap::new();
     for (id, tree) in &forest.trees {
-        // As in BehaviorTree.CPP: `<Sequence/>` could mean both.
+        // As in BehaviorTree.CPP: `<Sequence/>` would be ambiguous.
         if registry.spec(id).is_some() {
             errors.add(
                 tree.at,
@@ -154,7 +154,7 @@ pub(super) fn check<C>(forest: &Forest, registry: &Registry<C>, limits: &Limits,
     }
 }
 
-/// Checks what stands below a `<BehaviorTree>`.
+/// Checks the content of a `<BehaviorTree>`.
 fn nodes<C>(body: &[ElementId], forest: &Forest, registry: &Registry<C>, errors: &mut Collector) -> Size {
     let mut size = Size::default();
     let mut todo: Vec<(ElementId, usize)> = body.iter().rev().map(|root| (*root, 1)).collect();
@@ -284,11 +284,11 @@ fn node(element: &Element, spec: &NodeSpec, forest: &Forest, literals: Option<Li
     }
 }
 
-/// Attributes that begin with `_`: scripts around the node, `_autoremap`; others belong to editors.
+/// Checks attributes that begin with `_`: scripts around the node, `_autoremap`; others belong to editors.
 fn special(attribute: &Attribute, spec: &NodeSpec, errors: &mut Collector) {
     let name = attribute.name.as_str();
     if GUARDS.contains(&name) {
-        // An editor's empty field: no script.
+        // An empty field of an editor: no script.
         if !attribute.value.trim().is_empty()
             && let Err(wrong) = script::parse(&attribute.value)
         {

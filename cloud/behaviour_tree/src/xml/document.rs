@@ -1,4 +1,4 @@
-//! Document. What do the files say? Elements with their places, trees by id, models of nodes.
+//! Document. What is the content of the files? Elements with their positions, trees by id, models of nodes.
 
 use std::collections::BTreeMap;
 
@@ -9,7 +9,7 @@ use super::{Include, Limits};
 use crate::ports::{Direction, PortSpec, PortType};
 use crate::registry::{Category, NodeSpec};
 
-/// XML nodes (elements, texts, comments) of one file.
+/// Most XML nodes (elements, texts, comments) of one file.
 const XML_NODES: u32 = 300_000;
 
 pub(super) type ElementId = usize;
@@ -33,7 +33,7 @@ impl Element {
         self.attributes.iter().find(|attribute| attribute.name == name)
     }
 
-    /// Attributes that name an entry or a port of the node's own.
+    /// Attributes that name an entry or one of the node's own ports.
     pub(super) fn remappings(&self) -> impl Iterator<Item = &Attribute> {
         let is_own = |name: &str| !matches!(name, "ID" | "name") && !name.starts_with('_');
         self.attributes.iter().filter(move |attribute| is_own(&attribute.name))
@@ -43,26 +43,26 @@ impl Element {
 /// A `<BehaviorTree>`.
 pub(super) struct Definition {
     pub(super) at: Place,
-    /// Its one child; `None` if that is wrong.
+    /// Its only child; `None` unless there is exactly one.
     pub(super) root: Option<ElementId>,
     /// All its children.
     pub(super) body: Vec<ElementId>,
 }
 
-/// All files together.
+/// The content of all files.
 #[derive(Default)]
 pub(super) struct Forest {
     pub(super) elements: Vec<Element>,
     pub(super) trees: BTreeMap<String, Definition>,
-    /// Children of trees that have no id of their own: nothing can run them, but they are checked.
+    /// Children of trees without a usable id: they cannot run, but are checked.
     pub(super) stray: Vec<ElementId>,
-    /// What `TreeNodesModel` says of nodes.
+    /// Models of nodes in `TreeNodesModel`.
     pub(super) models: BTreeMap<String, NodeSpec>,
-    /// What `TreeNodesModel` says of SubTrees.
+    /// Models of SubTrees in `TreeNodesModel`.
     pub(super) subtree_models: BTreeMap<String, NodeSpec>,
     /// `main_tree_to_execute` of the first file.
     pub(super) main: Option<(String, Place)>,
-    /// Where the first file's root stands.
+    /// Position of the first file's root.
     pub(super) start: Place,
 }
 
@@ -86,7 +86,7 @@ pub(super) fn read(
     let mut budget = limits.bytes;
     let mut includes = limits.includes;
     let mut graph = Includes::default();
-    // Files still to be read: name, index, bytes.
+    // Files yet to be read: name, index, bytes.
     let mut todo = vec![(file.to_owned(), index, bytes.to_vec())];
     while let Some((name, index, bytes)) = todo.pop() {
         let start = Place { file: index, offset: 0 };
@@ -108,7 +108,7 @@ pub(super) fn read(
             match include(&name, &path) {
                 Err(why) => errors.add(at, format!("include `{path}`: {why}"), "a file that can be read"),
                 Ok((found, bytes)) => {
-                    // Included twice, or including one another: read once.
+                    // Files included twice, or including one another, are read once.
                     let known = errors.file_index(&found);
                     let target = known.unwrap_or_else(|| errors.add_file(&found));
                     graph.edges.push((index, target, at));
@@ -135,7 +135,7 @@ struct Includes {
 }
 
 impl Includes {
-    /// Files from one to another, both of them named; `None` if the one does not lead to the other.
+    /// Chain of includes from one file to another, both ends included; `None` if there is none.
     fn way(&self, from: u16, to: u16) -> Option<Vec<u16>> {
         let mut ways = vec![vec![from]];
         let mut seen = vec![from];
@@ -154,7 +154,7 @@ impl Includes {
         None
     }
 
-    /// Files that include one another are read once each, which is worth a word: BehaviorTree.CPP never ends on them.
+    /// Warns about files that include one another: they are read once each here, but BehaviorTree.CPP never finishes reading them.
     fn tell_cycles(&self, errors: &mut Collector) {
         let mut told: Vec<u16> = Vec::new();
         for (from, to, at) in &self.edges {
@@ -171,7 +171,7 @@ impl Includes {
     }
 }
 
-/// Reads one file into elements; the id of its root.
+/// Reads one file into elements; returns the id of its root.
 fn parse(bytes: &[u8], file: u16, limits: &Limits, forest: &mut Forest, errors: &mut Collector) -> Option<ElementId> {
     let text = match std::str::from_utf8(bytes) {
         Ok(text) => text.strip_prefix('\u{feff}').unwrap_or(text),
@@ -187,7 +187,7 @@ fn parse(bytes: &[u8], file: u16, limits: &Limits, forest: &mut Forest, errors: 
         file,
         offset: offset as u32,
     };
-    // Two levels are `root` and `BehaviorTree`.
+    // Two more levels for `root` and `BehaviorTree`.
     if let Err(refused) = guard(text, limits.depth() + 2) {
         errors.add(place(refused.at), refused.message, refused.expected);
         return None;
@@ -245,7 +245,7 @@ fn parse(bytes: &[u8], file: u16, limits: &Limits, forest: &mut Forest, errors: 
     known.get(&document.root_element().id().get_usize()).copied()
 }
 
-/// Sorts what stands below a root into trees and models; answers the includes.
+/// Sorts the children of a root into trees and models; returns the includes.
 fn sort(root: ElementId, first: bool, forest: &mut Forest, errors: &mut Collector) -> Vec<(String, Place)> {
     let mut includes = Vec::new();
     let Some(element) = forest.elements.get(root) else {
@@ -315,7 +315,7 @@ fn define(id: ElementId, forest: &mut Forest, errors: &mut Collector) {
     let Some(element) = forest.elements.get(id) else { return };
     let at = element.at;
     for attribute in &element.attributes {
-        // Groot2 notes what it may edit.
+        // Groot2 marks editable trees.
         if !matches!(attribute.name.as_str(), "ID" | "editable") && !attribute.name.starts_with('_') {
             errors.add(
                 attribute.at,
@@ -386,7 +386,7 @@ fn models(id: ElementId, forest: &mut Forest, errors: &mut Collector) {
         } else {
             &mut forest.models
         };
-        // The same node may be described in several included files.
+        // Several included files may describe the same node.
         models.entry(name).or_insert(spec);
     }
 }
@@ -415,7 +415,7 @@ fn port_model(port: &Element, errors: &mut Collector) -> Option<PortSpec> {
         return None;
     };
     let kind = PortType::from_name(port.attribute("type").map_or("", |kind| kind.value.as_str()));
-    // Nav2's model writes text defaults in quotation marks, and C++ where it has no literal.
+    // Nav2's model writes text defaults in quotation marks, and C++ code where it has no literal.
     let default = port
         .attribute("default")
         .map(|default| default.value.trim_matches('"').to_owned())

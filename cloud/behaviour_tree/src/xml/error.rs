@@ -1,8 +1,8 @@
-//! What is wrong with a tree file: where, what, and what was expected.
+//! Errors of a tree file: position, message, and what was expected.
 
 use std::collections::{BTreeMap, BTreeSet};
 
-/// One thing that is wrong.
+/// One error.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{file}:{line}:{column}: {message}: expected {expected}")]
 pub struct TreeError {
@@ -12,13 +12,13 @@ pub struct TreeError {
     pub line: u32,
     /// Character of the line, from 1.
     pub column: u32,
-    /// What is wrong.
+    /// The error.
     pub message: String,
-    /// What should stand there.
+    /// What was expected.
     pub expected: String,
 }
 
-/// Everything that is wrong, in the order of the checks; at least one.
+/// All errors, in the order of the checks; at least one.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct TreeErrors {
     /// The first ones.
@@ -44,8 +44,7 @@ impl std::fmt::Display for TreeErrors {
 
 impl std::error::Error for TreeErrors {}
 
-/// Where something stands; `file` is an index into the files read. Line and column are counted
-/// only for what is told.
+/// Position of something; `file` is an index into the files read. Line and column are computed only for reported errors.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Place {
     pub(super) file: u16,
@@ -73,14 +72,14 @@ impl File {
     }
 }
 
-/// Errors so far.
+/// Errors found so far.
 pub(super) struct Collector {
     files: Vec<File>,
     found: TreeErrors,
     limit: usize,
-    /// What is not wrong but worth a word, without its place; with it, at most `limit`.
+    /// Warnings by their message without position; the value is the message with position. At most `limit`.
     doubts: BTreeMap<String, String>,
-    /// Pairs of ports that have been told.
+    /// Pairs of ports that have been reported.
     clashes: BTreeSet<(Place, Place)>,
 }
 
@@ -99,7 +98,7 @@ impl Collector {
         }
     }
 
-    /// Makes a file known and gives its index.
+    /// Registers a file and returns its index.
     pub(super) fn add_file(&mut self, name: &str) -> u16 {
         self.files.push(File {
             name: name.to_owned(),
@@ -109,7 +108,7 @@ impl Collector {
         (self.files.len() - 1) as u16
     }
 
-    /// What a file says, so that places in it have lines.
+    /// Sets the text of a file, so that positions in it have lines.
     pub(super) fn add_text(&mut self, file: u16, text: &str) {
         if let Some(file) = self.files.get_mut(usize::from(file)) {
             file.text = text.to_owned();
@@ -129,7 +128,7 @@ impl Collector {
         self.files.get(usize::from(index)).map_or("", |file| &file.name)
     }
 
-    /// A place in words, for messages about another place.
+    /// A position as text, for messages about another position.
     pub(super) fn describe(&self, at: Place) -> String {
         let Some(file) = self.files.get(usize::from(at.file)) else {
             return String::new();
@@ -146,7 +145,7 @@ impl Collector {
         self.add_at(at.file, position, message, expected);
     }
 
-    /// Keeps a word of warning; the same word about another place is not said again.
+    /// Adds a warning; the same warning about another position is not repeated.
     pub(super) fn warn(&mut self, at: Place, message: &str) {
         let message = shortened(message, MESSAGE);
         if self.doubts.len() < self.limit && !self.doubts.contains_key(&message) {
@@ -155,17 +154,17 @@ impl Collector {
         }
     }
 
-    /// The words of warning, sorted.
+    /// The warnings, sorted.
     pub(super) fn warnings(&self) -> Vec<String> {
         self.doubts.values().cloned().collect()
     }
 
-    /// Whether this is the first word about these two ports: a SubTree that is used twice is unfolded twice.
+    /// Whether these two ports are reported for the first time: a SubTree that is used twice is unfolded twice.
     pub(super) fn is_new_clash(&mut self, one: Place, other: Place) -> bool {
         self.clashes.insert((one, other))
     }
 
-    /// As `add`, where line and column are known.
+    /// As `add`, with known line and column.
     pub(super) fn add_at(
         &mut self,
         file: u16,
@@ -190,12 +189,12 @@ impl Collector {
         });
     }
 
-    /// Whether further errors are only counted: then no work should go into their words.
+    /// Whether further errors are only counted: then their messages need not be composed.
     pub(super) fn is_full(&self) -> bool {
         self.found.errors.len() >= self.limit
     }
 
-    /// Errors so far, told or not.
+    /// Number of errors so far, reported or not.
     pub(super) fn count(&self) -> usize {
         self.found.errors.len() + self.found.more
     }

@@ -1,5 +1,5 @@
-//! Expansion. How does a checked file become an arena of nodes? Depth first, SubTrees unfolded, names of
-//! entries resolved to slots of the blackboard.
+//! Expansion. How does a checked file become an arena of nodes? Depth first, with SubTrees unfolded and entry names resolved to slots of
+//! the blackboard.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -19,8 +19,8 @@ use crate::tick::Body;
 use crate::tree::Tree;
 use crate::value::{ValueType, parse_bool};
 
-/// Unfolds the tree `main`. The file has been checked: its depth and size are bounded. What nothing implements is an
-/// error, or, where the tree is only `looked_at`, worth a warning. Errors that have been told are passed over.
+/// Unfolds the tree `main`. The file has been checked: its depth and size are bounded. A node without an implementation is an error, or
+/// only a warning if the tree is merely `looked_at`. Errors already reported are skipped.
 pub(super) fn expand<C>(
     forest: &Forest,
     registry: &Registry<C>,
@@ -81,7 +81,7 @@ struct Builder<'f, C> {
     enums: Arc<BTreeMap<String, i64>>,
     errors: &'f mut Collector,
     board: Blackboard,
-    /// What the first port that uses an entry says it holds.
+    /// Type of each entry according to the first port that uses it.
     kinds: BTreeMap<u32, (PortType, Place)>,
     nodes: Vec<Node<C>>,
     infos: Vec<Info>,
@@ -153,7 +153,7 @@ impl<C> Builder<'_, C> {
         }
     }
 
-    /// The scope of a SubTree: remapped names, and literals as entries of its own.
+    /// The scope of a SubTree: remapped names, and literals as its own entries.
     fn scope(&mut self, element: &Element, tree: &str, name: &str, outer: ScopeId) -> ScopeId {
         let autoremap = element
             .attribute("_autoremap")
@@ -187,7 +187,7 @@ impl<C> Builder<'_, C> {
         inner
     }
 
-    /// One entry must not serve ports of types that exclude one another.
+    /// Reports an entry shared by ports of incompatible types.
     fn entry_of(&mut self, slot: Slot, kind: &PortType, port: &str, at: Place) {
         if matches!(kind, PortType::Any | PortType::Text | PortType::Key | PortType::List(_)) {
             return;
@@ -212,7 +212,7 @@ impl<C> Builder<'_, C> {
     }
 }
 
-/// One node in the making.
+/// One node under construction.
 struct Site<'s, 'f, C> {
     builder: &'s mut Builder<'f, C>,
     element: &'s Element,
@@ -293,7 +293,7 @@ impl<C> Site<'_, '_, C> {
         ports.into()
     }
 
-    /// What the tree file or the specification puts on a port.
+    /// The text on a port, from the tree file or the specification.
     fn text(&self, port: &str) -> Option<(String, Place)> {
         if let Some(attribute) = self.element.attribute(port) {
             return Some((attribute.value.clone(), attribute.at));

@@ -1,11 +1,11 @@
-//! May this text be given to the XML parser? One pass over the bytes refuses what costs a parser
-//! more than linear time or memory: document types and entities, namespaces, great depth, and
-//! crowds of attributes. What is not XML at all is left for the parser to tell.
+//! Guard. Is this text safe for the XML parser? One pass over the bytes refuses constructs that cost a parser more than linear time or
+//! memory: document types and entities, namespaces, great depth, and very many attributes. Text that is not XML at all is left to the
+//! parser.
 
-/// Most attributes of one element: they are compared with one another.
+/// Most attributes of one element: the parser compares them pairwise.
 const ATTRIBUTES: usize = 256;
 
-/// What is refused, and the byte where it stands.
+/// The refused construct and its byte position.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Refused {
     pub(super) at: usize,
@@ -13,7 +13,7 @@ pub(super) struct Refused {
     pub(super) expected: String,
 }
 
-/// Looks through a text. `depth` is the most levels of elements.
+/// Scans a text. `depth` is the greatest number of element levels.
 pub(super) fn guard(text: &str, depth: usize) -> Result<(), Refused> {
     let refuse = |at, message: &str, expected: String| {
         Err(Refused {
@@ -58,7 +58,7 @@ pub(super) fn guard(text: &str, depth: usize) -> Result<(), Refused> {
             }
             tag.end
         };
-        // An unfinished construct: the parser says so.
+        // An unfinished construct: the parser reports it.
         let Some(end) = end else { return Ok(()) };
         at = end;
     }
@@ -72,7 +72,7 @@ struct Tag {
     end: Option<usize>,
 }
 
-/// Goes to the end of a start tag, over quoted values.
+/// Scans to the end of a start tag, skipping quoted values.
 fn tag(bytes: &[u8], mut at: usize) -> Tag {
     let mut tag = Tag {
         attributes: 0,

@@ -1,15 +1,15 @@
-//! Inlining. How is a tree sent whose file includes others? As one text: the lines of the file itself stay where they are, what it includes
-//! follows them.
+//! Inlining. How is a tree sent whose file includes others? As one text: the lines of the file itself keep their positions, and the
+//! included content follows.
 
 use std::collections::BTreeSet;
 
 use super::{Include, Limits};
 
-/// The text of a file with what it includes put in, each file once. What is no XML, or has nothing to include, stays as it is: whoever
-/// builds the tree tells what is wrong with it.
+/// The text of a file with its includes inserted, each file once. Text that is not XML, or has no includes, is returned unchanged: building
+/// the tree reports its errors.
 ///
 /// # Errors
-/// A message that names the including file and the path, when an included file cannot be read, or all together are too large.
+/// A message with the including file and the path, when an included file cannot be read, or when the files are too large together.
 pub fn inline(file: &str, text: &str, include: &mut Include<'_>) -> Result<String, String> {
     let limits = Limits::default();
     let (mut whole, mut included) = (text.to_owned(), String::new());
@@ -54,7 +54,7 @@ pub fn inline(file: &str, text: &str, include: &mut Include<'_>) -> Result<Strin
                 let blank = part.range();
                 let lines = text.get(blank.clone()).unwrap_or_default();
                 let lines: String = lines.chars().map(|c| if c == '\n' { '\n' } else { ' ' }).collect();
-                // As many bytes as before, or what follows moves.
+                // The same number of bytes as before, so that nothing after it moves.
                 let lines = format!("{lines}{}", " ".repeat(blank.len().saturating_sub(lines.len())));
                 whole.replace_range(blank, &lines);
             }
@@ -69,7 +69,7 @@ pub fn inline(file: &str, text: &str, include: &mut Include<'_>) -> Result<Strin
     Ok(whole)
 }
 
-/// The id of a file's only tree, which is the main one unless the file says otherwise, and where in the root's tag to say so.
+/// The id of a file's only tree, which is the main one unless stated otherwise, and the position in the root's tag where to state it.
 fn only_tree(text: &str) -> Option<(usize, String)> {
     let document = roxmltree::Document::parse(text).ok()?;
     let root = document.root_element();

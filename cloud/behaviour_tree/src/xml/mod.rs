@@ -1,9 +1,8 @@
-//! XML. How does a file become a tree, or a list of everything that is wrong with it?
+//! XML. How does a file become a tree, or a list of all its errors?
 //!
-//! In four steps, each of bounded time and memory: `guard` refuses what an XML parser should not
-//! be given, `document` reads files and their includes, `check` compares every tree with the
-//! registry, `expand` unfolds SubTrees into the arena of nodes. Errors are collected, not thrown:
-//! a tree file is input.
+//! In four steps, each of bounded time and memory: `guard` refuses text that is unsafe for an XML parser, `document` reads files and their
+//! includes, `check` compares every tree with the registry, `expand` unfolds SubTrees into the arena of nodes. Errors are collected, not
+//! thrown: a tree file is external input.
 
 mod check;
 mod document;
@@ -22,22 +21,21 @@ pub(crate) use error::shortened;
 pub use error::{TreeError, TreeErrors};
 pub use inline::inline;
 
-/// Finds an included file: given the including file and the `path` attribute, the name by which
-/// to know it and its bytes, or what went wrong.
+/// Finds an included file: given the including file and the `path` attribute, returns its name and its bytes, or an error message.
 pub type Include<'a> = dyn FnMut(&str, &str) -> Result<(String, Vec<u8>), String> + 'a;
 
-/// How large a tree file may be.
+/// Limits of a tree file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {
-    /// Bytes of all files together. A caller that reads a file should look at its size first.
+    /// Bytes of all files together. A caller that reads a file should check its size first.
     pub bytes: usize,
-    /// Levels of nodes, SubTrees unfolded. At most 512.
+    /// Levels of nodes with SubTrees unfolded. At most 512.
     pub depth: usize,
-    /// Nodes, SubTrees unfolded. At most 65,534: a uid has 16 bits.
+    /// Nodes with SubTrees unfolded. At most 65,534: a uid has 16 bits.
     pub nodes: usize,
     /// Included files.
     pub includes: usize,
-    /// Errors that are told one by one.
+    /// Errors that are reported individually.
     pub errors: usize,
 }
 
@@ -64,14 +62,14 @@ impl Limits {
     }
 }
 
-/// Most nodes that [`check`] unfolds, in trees of `Limits::nodes`: a file has many trees, and each may contain the largest.
+/// Most nodes that [`check`] unfolds, as a multiple of `Limits::nodes`: a file may have many trees, each containing the largest.
 const UNFOLDED: u64 = 20;
 
-/// Checks every tree of a file as [`build`] would, whichever of them were to run. `file` is its name for messages. A node
-/// that the registry does not implement but it, or the file's `TreeNodesModel`, describes is accepted with a warning.
+/// Checks every tree of a file as [`build`] would, whichever of them is to run. `file` is its name for messages. A node without an
+/// implementation in the registry is accepted with a warning if the registry or the file's `TreeNodesModel` describes it.
 ///
 /// # Errors
-/// Everything that is wrong with it.
+/// All errors in the file.
 pub fn check<C>(
     file: &str,
     bytes: &[u8],
@@ -106,11 +104,10 @@ pub fn check<C>(
     errors.into_result(summary)
 }
 
-/// Makes a tree from a file: `tree_id`, else the one that `main_tree_to_execute` names, else the
-/// only one.
+/// Builds a tree from a file: `tree_id`, or else the one named by `main_tree_to_execute`, or else the only one.
 ///
 /// # Errors
-/// Everything that is wrong with the file, whether this tree uses it or not.
+/// All errors in the file, whether or not they concern this tree.
 pub fn build<C>(
     file: &str,
     bytes: &[u8],
@@ -124,7 +121,7 @@ pub fn build<C>(
 /// As [`build`], with other limits.
 ///
 /// # Errors
-/// Everything that is wrong with the file, whether this tree uses it or not.
+/// All errors in the file, whether or not they concern this tree.
 pub fn build_within<C>(
     file: &str,
     bytes: &[u8],
@@ -136,7 +133,7 @@ pub fn build_within<C>(
     let mut errors = error::Collector::new(limits.errors);
     let forest = document::read(file, bytes, include, &limits, &mut errors);
     let checked = check::check(&forest, registry, &limits, &mut errors);
-    // A tree with errors is unfolded too, as long as it can be: all errors are told at once.
+    // A tree with errors is unfolded too, if possible: all errors are reported at once.
     let main = check::main_tree(&forest, tree_id, &mut errors).filter(|_| checked.is_bounded);
     match main.and_then(|main| expand::expand(&forest, registry, &main, false, &mut errors)) {
         Some(tree) => errors.into_result(tree),

@@ -1,9 +1,9 @@
 //! Suggestions. Which known name did the author mean? The one with the fewest edits (Levenshtein).
 
-/// Longer names are not compared: the cost is the product of two lengths.
+/// Longer names are not compared: the cost is the product of the two lengths.
 const LONGEST: usize = 64;
 
-/// The nearest of `names`, if it is near enough to be a slip.
+/// The nearest of `names`, if it is near enough to be a typing mistake.
 pub(super) fn nearest<'n>(name: &str, names: impl Iterator<Item = &'n str>) -> Option<&'n str> {
     let length = name.chars().count();
     if length > LONGEST {

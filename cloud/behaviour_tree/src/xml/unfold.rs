@@ -1,6 +1,5 @@
-//! Expansion size. How large is a tree with its SubTrees unfolded? Counted without unfolding it: first the trees
-//! that have no SubTrees, then those that have only these, and so on. What is left over is
-//! cyclic.
+//! Expansion size. How large is a tree with its SubTrees unfolded? Computed without unfolding it: first the trees without SubTrees, then
+//! those that contain only these, and so on. The remaining trees are cyclic.
 
 use std::collections::BTreeMap;
 
@@ -8,18 +7,18 @@ use super::Limits;
 use super::document::Forest;
 use super::error::{Collector, Place};
 
-/// One tree, its SubTrees not unfolded.
+/// Size of one tree, its SubTrees not unfolded.
 #[derive(Default)]
 pub(super) struct Size {
     pub(super) nodes: u64,
-    /// Of attribute values: what every copy of the tree costs at least.
+    /// Size of all attribute values: the least cost of every copy of the tree.
     pub(super) bytes: u64,
     pub(super) depth: usize,
     /// SubTrees: id, place, depth below the root of this tree. All of them exist.
     pub(super) subtrees: Vec<(String, Place, usize)>,
 }
 
-/// One tree, its SubTrees unfolded.
+/// Size of one tree, its SubTrees unfolded.
 #[derive(Clone, Copy)]
 struct Whole {
     nodes: u64,
@@ -27,7 +26,7 @@ struct Whole {
     depth: usize,
 }
 
-/// Nodes of every tree that can be unfolded; reports what is too large or cyclic.
+/// Number of nodes of every tree that can be unfolded; reports trees that are too large or cyclic.
 pub(super) fn unfold(
     sizes: &BTreeMap<&str, Size>,
     forest: &Forest,
@@ -64,7 +63,7 @@ pub(super) fn unfold(
             }
         }
         done.insert(id, whole);
-        // A tree that is too large makes all its users too large: the first is enough.
+        // A tree that is too large makes all its users too large: reporting the first is enough.
         if !told && let Some((message, expected)) = excess(&whole, limits) {
             told = true;
             let at = forest.trees.get(id).map(|tree| tree.at).unwrap_or_default();

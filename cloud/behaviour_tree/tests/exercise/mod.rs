@@ -1,20 +1,20 @@
-//! What the fuzzer does with bytes, and the ordinary tests with its corpus.
+//! Test procedure shared by the fuzzer and by the ordinary tests of its corpus.
 
 use std::time::Duration;
 
 use zenav_behaviour_tree::simulate::{Script, Simulation, registry};
 use zenav_behaviour_tree::{Limits, Status, TreeErrors, build, check};
 
-/// Ticks of a tree that is tried.
+/// Ticks per tested tree.
 const TICKS: u64 = 50;
 
-/// Tries bytes as a tree file: reads and checks them, and if they are a tree, ticks it against leaves that succeed,
-/// stores it half-way, continues from what was stored, and halts it.
+/// Tests bytes as a tree file: reads and checks them, and if they are a tree, ticks it against leaves that succeed, stores it half-way,
+/// continues from the snapshot, and halts it.
 ///
-/// Whatever the bytes are, it returns, soon, and without a panic.
+/// For any bytes it returns, soon, and without a panic.
 ///
 /// # Errors
-/// Everything that is wrong with the file.
+/// All errors in the file.
 pub fn exercise(bytes: &[u8]) -> Result<Status, TreeErrors> {
     let registry = registry();
     let none = &mut |_: &str, _: &str| Err("there are no other files".to_owned());
@@ -24,7 +24,7 @@ pub fn exercise(bytes: &[u8]) -> Result<Status, TreeErrors> {
     let mut status = Status::Idle;
     for tick in 0..TICKS {
         let now = Duration::from_millis(10 * tick);
-        // A tree in error has been halted, and starts anew.
+        // A tree with an error has been halted, and starts over.
         status = tree.tick(now, &mut simulation).unwrap_or(Status::Failure);
         if tick == TICKS / 2 {
             let stored = tree.snapshot();

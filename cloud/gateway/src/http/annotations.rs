@@ -1,4 +1,4 @@
-//! Annotations. How are places and zones drawn on a robot's map, and how is the robot told where it is?
+//! Annotations. How are places and zones added to a robot's map, and how is the robot's pose set?
 
 use axum::extract::State;
 use axum::http::StatusCode;
@@ -25,7 +25,7 @@ pub(super) struct PlaceBody {
     yaw: Option<f64>,
 }
 
-/// Where the robot is.
+/// The robot's pose.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct PoseBody {
@@ -34,7 +34,7 @@ pub(super) struct PoseBody {
     yaw: f64,
 }
 
-/// A zone; its name stands in the path.
+/// A zone; its name is in the URL path.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct ZoneBody {
@@ -58,7 +58,7 @@ async fn annotate(shared: &Shared, robot: &str, action: AnnotateAction) -> Resul
     Ok(shared.operator.annotate(robot, action).await?)
 }
 
-/// Carries out a change; the reply is all there is then.
+/// Carries out a change; the reply contains all annotations after it.
 async fn change(shared: &Shared, robot: &str, action: AnnotateAction) -> Result<Response, ApiError> {
     let annotations = annotate(shared, robot, action).await?;
     Ok(super::json(StatusCode::OK, &annotations))

@@ -1,5 +1,5 @@
-//! Connections. How many are open at once, and how long may a request take to arrive? Whoever connects and says nothing, or says it letter by
-//! letter, keeps nobody else out.
+//! Connections. How many may be open at once, and how long may a request take to arrive? Idle and very slow clients must not keep others
+//! out.
 
 use std::future::Future;
 use std::pin::pin;
@@ -13,21 +13,21 @@ use hyper_util::service::TowerToHyperService;
 use tokio::net::TcpListener;
 use tokio::sync::{Semaphore, watch};
 
-/// After a connection could not be accepted, s: the process may be out of file descriptors.
+/// Pause after a connection could not be accepted, s: the process may be out of file descriptors.
 const PAUSE: Duration = Duration::from_secs(1);
-/// Longest wait at the end for what is being answered, s.
+/// Longest wait at the end for answers in progress, s.
 const ENDING: Duration = Duration::from_secs(5);
 
-/// What a connection may take.
+/// Limits of connections.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Limits {
-    /// Connections that are open at once; who comes later waits in the kernel's queue. A WebSocket counts among the browsers instead.
+    /// Most connections open at once; later ones wait in the kernel's queue. A WebSocket counts as a browser instead.
     pub(super) most: u32,
-    /// Time from one answer, or the connection's begin, to the next request's last header.
+    /// Time from an answer, or from the start of the connection, to the last header of the next request.
     pub(super) head_within: Duration,
 }
 
-/// Serves connections until `ended`; then those that are open are closed.
+/// Serves connections until `ended`; then closes open connections.
 pub(super) async fn serve(
     listener: TcpListener,
     router: Router,
@@ -57,7 +57,7 @@ pub(super) async fn serve(
             let mut end = ending.subscribe();
             tokio::spawn(async move {
                 let mut connection = pin!(connection);
-                // A client that breaks off is no error of this side.
+                // A client that disconnects is not an error of this side.
                 tokio::select! {
                     _ = connection.as_mut() => {}
                     _ = end.changed() => {
@@ -78,7 +78,7 @@ pub(super) async fn serve(
     Ok(())
 }
 
-/// Whether an error is that of one connection: its client was gone before it was accepted.
+/// Whether an error concerns a single connection: its client disconnected before it was accepted.
 fn is_of_one(error: &std::io::Error) -> bool {
     use std::io::ErrorKind::{ConnectionAborted, ConnectionRefused, ConnectionReset};
     matches!(error.kind(), ConnectionAborted | ConnectionRefused | ConnectionReset)

@@ -1,4 +1,4 @@
-//! Errors of the API. Which status and which words? JSON always: `{"error": NAME, "reason": WORDS}`.
+//! Errors of the API. Which status and which message? Always JSON: `{"error": NAME, "reason": WORDS}`.
 
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
@@ -88,7 +88,7 @@ impl From<Refusal> for ApiError {
                 error.body.nearest_free = nearest_free;
                 error
             }
-            // It was read: whoever was asked finds that it cannot be meant.
+            // The request was well-formed; the server found its content invalid.
             Refusal::BadRequest { reason } => Self::new(StatusCode::UNPROCESSABLE_ENTITY, "Rejected", reason),
             Refusal::TooLarge { .. } => Self::new(StatusCode::PAYLOAD_TOO_LARGE, "TooLarge", reason),
             Refusal::NotFound { .. } => Self::not_found(reason),

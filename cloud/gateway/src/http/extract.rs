@@ -1,4 +1,4 @@
-//! Extractors. How does a request become typed values? With a reason in words for what does not.
+//! Extractors. How does a request become typed values, and what is the reason if it cannot?
 
 use std::sync::Arc;
 
@@ -20,7 +20,7 @@ fn text<'h>(headers: &'h HeaderMap, name: &header::HeaderName) -> Option<&'h str
     headers.get(name)?.to_str().ok()
 }
 
-/// The token that a request carries, as a header or as the subprotocol of a WebSocket.
+/// The token of a request, from a header or from the subprotocol of a WebSocket.
 fn token(headers: &HeaderMap) -> Option<&str> {
     let bearer = text(headers, &header::AUTHORIZATION).and_then(|value| value.strip_prefix("Bearer "));
     let protocols = text(headers, &header::SEC_WEBSOCKET_PROTOCOL);
@@ -32,7 +32,7 @@ fn token(headers: &HeaderMap) -> Option<&str> {
     bearer.or_else(offered).map(str::trim)
 }
 
-/// Turns away requests for data that may not pass, before anything is read of them.
+/// Refuses requests for data that may not pass, before any of them is read.
 pub(super) async fn guard(
     axum::extract::State(shared): axum::extract::State<Arc<Shared>>,
     request: Request,
@@ -40,12 +40,12 @@ pub(super) async fn guard(
 ) -> Response {
     let headers = request.headers();
     let host = text(headers, &header::HOST);
-    // An origin that is no text is nobody's.
+    // An origin that is not text matches none.
     let origin = headers
         .get(header::ORIGIN)
         .map(|origin| origin.to_str().unwrap_or("null"));
-    // A picture or a script of another site carries no origin; browsers say so all the same (Fetch Metadata).
-    // Who follows a link there sees what it says; the other site does not.
+    // Images and scripts embedded by another site carry no `Origin`, but browsers mark them (Fetch Metadata). Following a link from there
+    // is harmless: the user sees the answer, the other site does not.
     let is_followed = request.method() == Method::GET
         && ["sec-fetch-mode", "sec-fetch-dest"].map(|name| headers.get(name).map(|value| value.as_bytes()))
             == [Some(b"navigate".as_slice()), Some(b"document".as_slice())];
@@ -60,7 +60,7 @@ pub(super) async fn guard(
     if let Err(denied) = shared.access.admit(host, origin, token(headers)) {
         return ApiError::from(denied).into_response();
     }
-    // A stop is never one too many.
+    // Stops are never rate-limited.
     let is_stop = request.method() == Method::POST && request.uri().path().ends_with("/stop");
     if !is_stop && !shared.hub.admits() {
         return ApiError::too_many().into_response();
@@ -68,7 +68,7 @@ pub(super) async fn guard(
     next.run(request).await
 }
 
-/// Turns away requests for the page under a name that is not the gateway's.
+/// Refuses requests for the page under a host name that is not the gateway's.
 pub(super) async fn guard_page(
     axum::extract::State(shared): axum::extract::State<Arc<Shared>>,
     request: Request,
@@ -80,7 +80,7 @@ pub(super) async fn guard_page(
     }
 }
 
-/// Names in the path, checked: `{robot}`, and `{goal}` where there is one.
+/// Names in the path, validated: `{robot}`, and `{goal}` if present.
 #[derive(Debug)]
 pub(super) struct Named<const N: usize>(pub(super) [String; N]);
 
@@ -96,7 +96,7 @@ impl<const N: usize, S: Send + Sync> FromRequestParts<S> for Named<N> {
     }
 }
 
-/// A robot, and a name that people gave to something on its map: it stands in no key, so whoever keeps it says what it may hold.
+/// A robot, and a name that people gave to something on its map: it is not part of a key, so the mapping service decides what is valid.
 #[derive(Debug)]
 pub(super) struct RobotAnd(pub(super) String, pub(super) String);
 

@@ -24,7 +24,7 @@ const MAX_LISTED: usize = 200;
 /// Most waypoints of a goal.
 const MAX_WAYPOINTS: usize = 1000;
 
-/// A goal as it is submitted; a field that is none of these is an error, not a slip that nobody sees.
+/// A submitted goal; an unknown field is an error, so that typing mistakes do not pass unnoticed.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct GoalBody {
@@ -47,7 +47,7 @@ pub(super) struct GoalBody {
     profile: Option<DrivingProfile>,
 }
 
-/// A whole number is one however it is written: JSON knows no integers.
+/// Accepts a whole number in any notation: JSON has no integers.
 fn whole<'de, D: Deserializer<'de>>(from: D) -> Result<i32, D::Error> {
     let number = f64::deserialize(from)?;
     if number.fract() == 0.0 && (f64::from(i32::MIN)..=f64::from(i32::MAX)).contains(&number) {
@@ -92,13 +92,13 @@ impl GoalBody {
     }
 }
 
-/// A heading in degrees is a slip.
+/// A heading in degrees is probably a mistake.
 pub(super) fn in_radians(yaw: f64) -> Result<(), ApiError> {
     let checked = Expected::Angle.check(yaw).map(drop);
     checked.map_err(|why| ApiError::bad_request(format!("`yaw` is {why}")))
 }
 
-/// Where in the queue a goal is moved to.
+/// New position of a goal in the queue.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct MoveBody {

@@ -1,7 +1,7 @@
-//! Live feed. What goes over a browser's WebSocket?
+//! Live feed. What is sent over a browser's WebSocket?
 //!
-//! Out: `hello` once, then a frame whenever something changed, at most `live_hz` times a second, each with the newest of everything that the
-//! browser lacks ([`crate::client`]). The next frame is made when the one before is sent: a browser that does not read holds one frame.
+//! Out: `hello` once, then a frame whenever something changed, at most `live_hz` times a second, each with the newest values that the
+//! browser lacks ([`crate::client`]). The next frame is made after the previous one was sent: a browser that does not read costs one frame.
 //! In: `{"type": "watch", "robot": …}`, `{"type": "ping", "t": …}`, and hand control: `arm`, `drive`, `disarm`.
 
 use std::sync::Arc;
@@ -27,19 +27,19 @@ use crate::hub::Joined;
 use crate::operator::Drive;
 use crate::rate::TokenBucket;
 
-/// The subprotocol that a browser asks for; it may offer its token beside it.
+/// Requested subprotocol; a browser may offer its token beside it.
 const PROTOCOL: &str = "zenav.v1";
 /// Largest message from a browser, bytes.
 const MAX_MESSAGE: usize = 4096;
-/// Most messages a second from a browser; a held key sends 20.
+/// Most messages per second from a browser; a held key sends 20.
 const MESSAGES_HZ: f64 = 100.0;
-/// Messages in a row that are left out: so many gather on a link that is held up for a while.
+/// Most consecutive messages that are ignored: about as many as accumulate on a link that is held up for a while.
 const MOST_LEFT_OUT: u32 = 500;
-/// A browser that has not taken a frame after this time is gone.
+/// Time after which a browser that has not taken a frame counts as gone.
 const SEND_WITHIN: Duration = Duration::from_secs(20);
-/// Hand control is given back when no key was held for this long, s.
+/// Time without a held key after which hand control is released, s.
 const IDLE_DRIVE: f64 = 30.0;
-/// A browser that drives and says nothing for this long is lost, s: it pings each second.
+/// Silence after which a driving browser counts as lost, s: it pings each second.
 const SILENT_DRIVE: f64 = 3.0;
 
 /// A message from a browser.
@@ -55,7 +55,7 @@ enum Incoming {
     Arm {
         robot: String,
     },
-    /// m/s and rad/s, and when it was sent by the clock that frames tell, s.
+    /// Velocities, m/s and rad/s, and the time of sending by the clock given in frames, s.
     Drive {
         v: f64,
         w: f64,
@@ -97,11 +97,11 @@ pub(super) async fn upgrade(
         })
 }
 
-/// A robot that this browser drives by hand.
+/// A robot driven by hand from this browser.
 struct Driving {
     robot: String,
     drive: Drive,
-    /// When a key was held last, s.
+    /// Last time at which a key was held, s.
     held: f64,
 }
 
@@ -110,14 +110,14 @@ struct Session {
     client: Client,
     joined: Joined,
     drive: Option<Driving>,
-    /// When it said anything last, s.
+    /// Last time at which it sent anything, s.
     heard: f64,
     rate: TokenBucket,
-    /// Messages in a row that did not pass.
+    /// Consecutive ignored messages.
     left_out: u32,
 }
 
-/// The other side is gone.
+/// The browser is gone.
 struct Gone;
 
 impl Session {
@@ -134,7 +134,7 @@ impl Session {
         let mut ended = hub.ended();
         loop {
             let done = tokio::select! {
-                // What was said while a frame went out comes before the question whether anything was said.
+                // Messages that arrived while a frame was sent are read before silence is checked.
                 biased;
                 () = over(&mut ended) => return,
                 message = socket.recv() => match message {
@@ -189,7 +189,7 @@ impl Session {
             Incoming::Drive { v, w, sent } => {
                 if let Some(driving) = &mut self.drive {
                     driving.held = now;
-                    // What was long on its way is as old as it is.
+                    // The age of a command counts from its sending, however long it was under way.
                     let sent = sent.filter(|sent| sent.is_finite()).map_or(now, |sent| sent.min(now));
                     let hold = Hold::new(Twist2::new(v, w), sent);
                     driving.drive.commands.send_replace(Some(hold));
@@ -203,8 +203,8 @@ impl Session {
         }
     }
 
-    /// Whether a message may pass. A slow link delivers many at once: those are left out, and only a client that goes on like that is turned
-    /// away.
+    /// Whether a message may pass. A slow link delivers many at once: the excess is ignored, and only a client that continues at that rate
+    /// is disconnected.
     fn admit(&mut self, now: f64) -> Result<bool, Gone> {
         let passes = self.rate.take(now);
         self.left_out = if passes { 0 } else { self.left_out + 1 };
@@ -234,7 +234,7 @@ impl Session {
         }
     }
 
-    /// Ends a drive that the robot ended, or that nobody uses.
+    /// Ends a drive that the robot ended, or that is not in use.
     async fn look_after_drive(&mut self, socket: &mut WebSocket) -> Result<(), Gone> {
         let Some(driving) = &self.drive else { return Ok(()) };
         if self.shared.hub.now() - self.heard > SILENT_DRIVE {
@@ -252,7 +252,7 @@ impl Session {
         send_json(socket, &told).await
     }
 
-    /// A browser that is lost while it drives leaves the robot stopped: nobody would be looking.
+    /// If a browser is lost while driving, the robot is stopped: nobody is watching it any more.
     fn leave(self) {
         if let Some(driving) = self.drive {
             let stopping = self
@@ -270,7 +270,7 @@ impl Session {
 
 /// Waits until the gateway ends.
 async fn over(ended: &mut watch::Receiver<bool>) {
-    // What it returns holds a lock: it must not live on.
+    // The returned value holds a lock and must not live on.
     let _ = ended.wait_for(|ended| *ended).await.is_ok();
 }
 

@@ -1,14 +1,14 @@
-//! HTTP face. How do browsers and programs reach the gateway?
+//! HTTP interface. How do browsers and programs reach the gateway?
 //!
 //! | file | answers |
 //! |---|---|
 //! | `robots` | robots, their events and maps; stop and resume |
 //! | `goals` | goals: submit, list, cancel, pause, move in the queue |
-//! | `annotations` | places and zones of a robot's map, and where the robot is said to be |
-//! | `live` | the WebSocket: frames out; which robot is watched, and hand control, in |
-//! | `connections` | how many connections are open, and how long may a request take to arrive? |
+//! | `annotations` | places and zones of a robot's map, and setting the robot's pose |
+//! | `live` | the WebSocket: frames out; the watched robot and hand control in |
+//! | `connections` | how many connections may be open, and how long may a request take to arrive? |
 //! | `extract` | how does a request become typed values, and may it pass? |
-//! | `error` | which status and which words? |
+//! | `error` | which status and which message? |
 //! | `openapi` | what does the API look like? |
 
 mod annotations;
@@ -47,19 +47,19 @@ use error::ApiError;
 
 /// Largest body of a request, bytes: a goal may hold a behaviour tree.
 const MAX_BODY: usize = 512 * 1024;
-/// Of a thousand connections each may hold a body in memory; a browser opens six.
+/// A body is held in memory, for each of up to a thousand connections; a browser opens six.
 const LIMITS: connections::Limits = connections::Limits {
     most: 1024,
-    // Longer than proxies keep connections that nobody uses.
+    // Longer than proxies keep idle connections.
     head_within: Duration::from_secs(75),
 };
-/// Time that a request's body may take.
+/// Time limit for receiving a request's body.
 const BODY_WITHIN: Duration = Duration::from_secs(30);
-/// The page runs its own scripts and styles, talks to where it came from, and is framed by nobody.
+/// The page runs only its own scripts and styles, connects only to its own origin, and cannot be framed.
 const CONTENT_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; \
                               base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
-/// What every handler shares.
+/// State shared by all handlers.
 pub(crate) struct Shared {
     pub(crate) hub: Arc<Hub>,
     pub(crate) operator: Arc<dyn Operator>,
@@ -131,7 +131,7 @@ pub fn router(hub: Arc<Hub>, operator: Arc<dyn Operator>, access: Access) -> Rou
         .with_state(shared)
 }
 
-/// Serves connections until `ended`; then those that are open are closed.
+/// Serves connections until `ended`; then closes open connections.
 ///
 /// # Errors
 /// When the listener fails.
@@ -143,10 +143,10 @@ pub async fn serve(
     connections::serve(listener, router, LIMITS, ended).await
 }
 
-/// Listens at an address; port 0 takes a free one.
+/// Listens on an address; port 0 picks a free one.
 ///
 /// # Errors
-/// When it is no address, or taken.
+/// When the address is invalid or in use.
 pub async fn listen(address: &str) -> std::io::Result<(TcpListener, SocketAddr)> {
     let listener = TcpListener::bind(address).await?;
     let address = listener.local_addr()?;
@@ -166,7 +166,7 @@ async fn wrong_method() -> ApiError {
     )
 }
 
-/// Whatever a layer answers in words of its own becomes JSON too.
+/// Converts plain-text answers of other layers to JSON.
 async fn in_json(response: Response) -> Response {
     let status = response.status();
     let is_text = response
@@ -197,12 +197,12 @@ fn json(status: StatusCode, value: &impl Serialize) -> Response {
     }
 }
 
-/// A reply that is JSON already.
+/// A reply that is already JSON.
 fn json_text(status: StatusCode, text: String) -> Response {
     (status, [(header::CONTENT_TYPE, "application/json")], text).into_response()
 }
 
-/// A file of the page that is not there.
+/// A missing file of the page.
 pub(crate) fn no_such_file(name: &str) -> Response {
     let name: String = name.chars().take(100).collect();
     ApiError::not_found(format!("the page has no file `{name}`")).into_response()

@@ -1,6 +1,6 @@
-//! OpenAPI document. What does the API look like to a program that has never seen it?
+//! OpenAPI document. How is the API described to unknown programs?
 //!
-//! Written by hand beside the routes, and held to them by the tests: every path here answers, and every route is here.
+//! Written by hand beside the routes, and compared with them by tests: every path here answers, and every route is here.
 
 use std::f64::consts::TAU;
 
@@ -12,7 +12,7 @@ pub(super) async fn document() -> Response {
     super::json(StatusCode::OK, &openapi())
 }
 
-/// A reply by its schema's name.
+/// A reply with the named schema.
 fn reply(schema: &str, description: &str) -> Value {
     json!({
         "description": description,
@@ -20,7 +20,7 @@ fn reply(schema: &str, description: &str) -> Value {
     })
 }
 
-/// An operation: what it does, its replies by status, and the errors that it may end with besides those that all share.
+/// An operation: its summary, its replies by status, and its errors besides the common ones.
 fn operation(id: &str, summary: &str, replies: &[(&str, &str, &str)], errors: &[(&str, &str)]) -> Value {
     let shared = [
         ("401", "The token is missing or wrong."),
@@ -38,7 +38,7 @@ fn operation(id: &str, summary: &str, replies: &[(&str, &str, &str)], errors: &[
     json!({ "operationId": id, "summary": summary, "responses": responses })
 }
 
-/// What asking a robot or its mission may end with.
+/// Errors of requests to a robot or its mission.
 const ASKED: &[(&str, &str)] = &[
     ("409", "Somebody else holds the lease."),
     ("422", "Understood and refused, with the reason."),
@@ -51,7 +51,7 @@ fn asked(id: &str, summary: &str, status: &str, schema: &str) -> Value {
     operation(id, summary, &[(status, schema, "Done.")], ASKED)
 }
 
-/// The body of a request, by its schema's name, and what is answered to one that is none.
+/// Adds a request body with the named schema, and the errors of invalid bodies.
 fn takes(operation: &mut Value, schema: &str) {
     for (status, why) in [
         ("400", "Not what is expected."),
@@ -66,7 +66,7 @@ fn takes(operation: &mut Value, schema: &str) {
     });
 }
 
-/// A name that people gave.
+/// A name given by people.
 fn given_name(name: &str) -> Value {
     json!({
         "name": name, "in": "path", "required": true,
@@ -81,7 +81,7 @@ fn name_in_path(name: &str) -> Value {
     })
 }
 
-/// The document.
+/// The OpenAPI document.
 pub(super) fn openapi() -> Value {
     let (robot, goal) = (name_in_path("robot"), name_in_path("goal"));
     let mut submit = asked(

@@ -1,4 +1,4 @@
-//! Robots. Which are there, how are they, and how are they stopped?
+//! Robots. Which robots are there, what is their state, and how are they stopped?
 
 use axum::extract::State;
 use axum::http::StatusCode;
@@ -10,12 +10,12 @@ use super::error::ApiError;
 use super::extract::Named;
 use super::{App, Shared, json_text};
 
-/// In whose name the gateway stops and resumes.
+/// Name under which the gateway stops and resumes robots.
 pub(super) const BY: &str = "gateway";
-/// Silence after which a robot is not taken for present, s.
+/// Silence after which a robot no longer counts as present, s.
 const SILENT: f64 = 3.0;
 
-/// A robot's name, if there is such a robot.
+/// Checks that there is a robot of this name.
 pub(super) fn known(shared: &Shared, robot: &str) -> Result<(), ApiError> {
     let view = shared.hub.view();
     if view.knows(robot) {
@@ -85,7 +85,7 @@ pub(super) async fn map(State(shared): App, Named([robot]): Named<1>) -> Result<
 }
 
 pub(super) async fn stop(State(shared): App, Named([robot]): Named<1>) -> Result<Response, ApiError> {
-    // Not looked for first: a robot may hear a stop that nobody has heard of lately.
+    // Not looked up first: a robot may receive a stop even if it was not heard recently.
     match shared.operator.stop(&robot, BY).await {
         Ok(reply) => {
             shared.hub.view().forget_stops(&robot);

@@ -1,4 +1,4 @@
-//! What does the HTTP face promise? Asked without a network.
+//! Tests of the HTTP interface, without a network.
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
@@ -21,7 +21,7 @@ use crate::operator::{Answer, AskFailure, Drive};
 use crate::settings::GatewaySettings;
 use crate::view::Update;
 
-/// Writes down what it is asked; refuses goals with x above 100, and never answers for the robot `mute`.
+/// Records all requests; refuses goals with x above 100, and never answers for the robot `mute`.
 #[derive(Debug, Default)]
 struct Scribe {
     asked: Mutex<Vec<String>>,
@@ -225,7 +225,7 @@ async fn goals_stop_and_resume_reach_the_robot() {
     let (status, reply) = site.ask(Method::POST, "/api/v1/stop", None).await;
     assert_eq!(status, StatusCode::GATEWAY_TIMEOUT, "one robot does not answer");
     assert_eq!(reply["robots"][1], json!({ "robot": "tiago", "stopped": true }));
-    // Where none is known, nothing was stopped.
+    // Without known robots, nothing was stopped.
     let hub = Hub::new(GatewaySettings::default(), BTreeMap::new());
     let access = Access::new(HOST.parse().unwrap(), None, Vec::new()).unwrap();
     let empty = Site {

@@ -1,23 +1,23 @@
-//! Compact messages. What of a robot's messages does the page draw?
+//! Compact messages. Which parts of a robot's messages does the page draw?
 //!
-//! Positions in metres of the map frame with millimetres, angles in radians; a long trajectory thinned out. What a person reads (state,
-//! events, goals, the behaviour tree) goes through as it is.
+//! Positions in metres of the map frame, rounded to millimetres; angles in radians; long trajectories thinned out. Messages that people
+//! read (state, events, goals, the behaviour tree) are passed on unchanged.
 
 use nalgebra::Point2;
 use serde::Serialize;
 use zenav_protocol::messages::{InfoReply, Obstacles, Plan, PoseEstimate, Scan, SearchTree};
 use zenav_protocol::robot::Footprint;
 
-/// Most points of a plan that are drawn.
+/// Most points drawn of a plan.
 const MAX_PLAN_POINTS: usize = 400;
-/// Most edges of a search tree that are drawn.
+/// Most edges drawn of a search tree.
 const MAX_EDGES: usize = 4000;
-/// Most beams of a scan that are drawn.
+/// Most beams drawn of a scan.
 const MAX_BEAMS: usize = 1440;
-/// Sides of the polygon that stands for a round footprint.
+/// Sides of the polygon that represents a round footprint.
 const ROUND: u32 = 32;
 
-/// A number with three digits after the point; what is not finite is zero.
+/// A number rounded to three decimals; zero if it is not finite.
 fn milli(value: f64) -> f64 {
     if value.is_finite() {
         (value * 1e3).round() / 1e3
@@ -26,12 +26,12 @@ fn milli(value: f64) -> f64 {
     }
 }
 
-/// Every how many of `count` things one is kept, so that at most `most` are.
+/// Step with which at most `most` of `count` items are kept.
 fn stride(count: usize, most: usize) -> usize {
     count.div_ceil(most).max(1)
 }
 
-/// Where a robot is: `x`, `y` (m), `yaw` (rad), `v` (m/s), `w` (rad/s), and the standard deviation of the position, m.
+/// Pose and velocity of a robot: `x`, `y` (m), `yaw` (rad), `v` (m/s), `w` (rad/s), and the standard deviation of the position, m.
 #[derive(Debug, Serialize)]
 pub(super) struct CompactPose {
     x: f64,
@@ -86,7 +86,7 @@ impl From<&Scan> for CompactScan {
     }
 }
 
-/// A plan: its path as `x`, `y`, `v` after one another, and what a person asks of it.
+/// A plan: its path as a flat list of `x`, `y`, `v`, and figures for display.
 #[derive(Debug, Serialize)]
 pub(super) struct CompactPlan<'a> {
     goal_id: &'a str,
@@ -96,7 +96,7 @@ pub(super) struct CompactPlan<'a> {
     length: f64,
     duration: f64,
     min_clearance: Option<f64>,
-    /// Least width of the corridor across the path that the robot's centre has, m.
+    /// Least width of the corridor across the path available to the robot's centre, m.
     corridor_width: Option<f64>,
     /// x, y (m), speed (m/s) of each point.
     points: Vec<f64>,
@@ -141,7 +141,7 @@ pub(super) fn obstacles(obstacles: &Obstacles) -> Vec<[f64; 5]> {
     each.map(|o| [o.x, o.y, o.vx, o.vy, o.radius].map(milli)).collect()
 }
 
-/// A search tree: edges as `x0, y0, x1, y1` after one another, and the best path as `x, y`.
+/// A search tree: edges as a flat list of `x0, y0, x1, y1`, and the best path of `x, y`.
 #[derive(Debug, Serialize)]
 pub(super) struct CompactTree {
     edges: Vec<f64>,
@@ -160,7 +160,7 @@ impl From<&SearchTree> for CompactTree {
     }
 }
 
-/// What a robot is: its outline in the base frame, m, and its top speeds, m/s and rad/s.
+/// Model of a robot: its outline in the base frame, m, and its top speeds, m/s and rad/s.
 #[derive(Debug, Serialize)]
 pub(super) struct CompactModel {
     name: String,
@@ -170,7 +170,7 @@ pub(super) struct CompactModel {
 }
 
 impl CompactModel {
-    /// From an edge's word about itself; `None` where it tells no model.
+    /// From an edge's info reply; `None` if it contains no model.
     pub(super) fn of(info: &InfoReply) -> Option<Self> {
         let model = info.model.as_ref()?;
         let outline = match &model.footprint {

@@ -1,7 +1,7 @@
 //! Map tiles of a client. Which part of the map does it lack, and what is sent next?
 //!
-//! A client remembers which revision it was told of and which tiles are still owed: coordinates, never cells. So a map of any size goes out
-//! in pieces, the newest cells of each, and a client that does not read owes nothing but its list.
+//! A client's state is the last revision it was told of and the list of tiles it still lacks: coordinates, never cells. So a map of any
+//! size is sent in pieces with their newest cells, and a client that does not read costs only its list.
 
 use std::collections::BTreeSet;
 
@@ -24,7 +24,7 @@ pub(crate) struct TileCursor {
 
 impl TileCursor {
     /// The next message for the client: length of the header (4 bytes, little-endian), the header in JSON, then 4096 cells for each of the
-    /// header's tiles, row by row from the lowest; -1 is unknown, 0 free, 100 occupied. `None` when the client has it all.
+    /// header's tiles, row by row from the lowest; -1 is unknown, 0 free, 100 occupied. `None` when the client is up to date.
     pub(crate) fn next(&mut self, robot: &str, view: &RobotView) -> Option<Vec<u8>> {
         let replica = &view.map;
         if !replica.has_map() {

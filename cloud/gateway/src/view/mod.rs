@@ -1,8 +1,8 @@
 //! Fleet view. What is the latest state of every robot?
 //!
-//! A pure core: messages in with the time at which they were heard, the newest of each kind kept as JSON text with the number of the change
-//! that brought it. A client is then told what changed after the change that it saw last ([`crate::client`]): nothing is queued for anybody,
-//! and a slow client costs no memory.
+//! A pure core: takes messages with their time of arrival, and keeps the newest of each kind as JSON text, with the number of the change
+//! that brought it. A client is then sent what changed after the last change it saw ([`crate::client`]): there are no queues, and a slow
+//! client costs no memory.
 
 mod compact;
 mod map_tiles;
@@ -20,7 +20,7 @@ use compact::{CompactModel, CompactPlan, CompactPose, CompactScan, CompactTree};
 pub(crate) use map_tiles::TileCursor;
 pub(crate) use robot::{Entry, RobotView};
 
-/// Most robots that are kept; beyond that the one that has been silent longest goes.
+/// Most robots kept; beyond that the one silent for longest is dropped.
 const MAX_ROBOTS: usize = 1024;
 
 /// A message about one robot.
@@ -29,40 +29,40 @@ const MAX_ROBOTS: usize = 1024;
 pub enum Update {
     /// Mode, link, lease, progress.
     State(EdgeState),
-    /// Where it is.
+    /// Pose and velocity.
     Pose(PoseEstimate),
-    /// What a lidar sees; the name is empty for the main one.
+    /// A sweep of a lidar; the name is empty for the main one.
     Scan(String, Scan),
-    /// What it is to drive.
+    /// The plan it is to follow.
     Plan(Plan),
-    /// What its behaviour tree does.
+    /// State of its behaviour tree.
     Mission(MissionStatus),
     /// A goal and its progress.
     Goal(GoalState),
-    /// What happened on it.
+    /// An event on the robot.
     Event(Event),
     /// A shape to draw.
     Marker(Marker),
-    /// What moves around it.
+    /// Moving obstacles around it.
     Obstacles(Obstacles),
     /// A planner's search.
     Tree(SearchTree),
     /// Its whole map.
     Map(MapReply),
-    /// What changed in its map.
+    /// Changes of its map.
     Patch(MapPatch),
-    /// What it is.
+    /// Its identity and model.
     Info(InfoReply),
     /// Places and zones of its map.
     Annotations(Annotations),
-    /// A component of it came or went.
+    /// One of its components appeared or disappeared.
     Part {
         /// `edge`, `mapping`, `mission`.
         component: String,
         /// Whether it is alive.
         alive: bool,
     },
-    /// Round trip of a request to the robot and back, s; `None` for one that was not answered.
+    /// Round trip of a request to the robot and back, s; `None` for an unanswered one.
     RoundTrip(Option<f64>),
 }
 
@@ -72,27 +72,27 @@ pub struct FleetView {
     pub(crate) robots: BTreeMap<String, RobotView>,
     /// Number of the latest change.
     pub(crate) version: u64,
-    /// Number of the change that brought or took a robot.
+    /// Number of the change that added or removed a robot.
     pub(crate) names_version: u64,
     /// Newest round trips, by robot.
     round_trips: BTreeMap<String, Vec<Option<f64>>>,
 }
 
-/// Round trips that are kept for a robot.
+/// Round trips kept per robot.
 const ROUND_TRIPS: usize = 60;
 
 impl FleetView {
-    /// A view of no robot.
+    /// A view without robots.
     #[must_use]
     pub fn new() -> Self {
-        // A client that has been told of nothing has seen change 1.
+        // A client that has been told nothing has seen change 1.
         Self {
             version: 1,
             ..Self::default()
         }
     }
 
-    /// Takes in a message about a robot that was heard at `now`, in seconds of the gateway's own clock.
+    /// Takes a message about a robot that arrived at `now`, in seconds of the gateway's own clock.
     pub fn take(&mut self, robot: &str, update: Update, now: f64) {
         self.version += 1;
         let version = self.version;
@@ -141,7 +141,7 @@ impl FleetView {
             }
             Update::Event(event) => {
                 let this = (event.boot_id.clone(), event.sequence);
-                // An event that is sent again, to a subscriber that came late, is not a second event.
+                // An event sent again to a late subscriber is not a second event.
                 let known = view
                     .last_event
                     .as_ref()
@@ -213,25 +213,25 @@ impl FleetView {
         self.robots.keys().map(String::as_str)
     }
 
-    /// Whether there is such a robot.
+    /// Whether the robot is known.
     #[must_use]
     pub fn knows(&self, robot: &str) -> bool {
         self.robots.contains_key(robot)
     }
 
-    /// How often this robot was told to stop, as far as it has told.
+    /// Number of this robot's stops, as far as it has reported.
     pub(crate) fn stops(&self, robot: &str) -> Option<u64> {
         self.robots.get(robot)?.stops
     }
 
-    /// The robot was told to stop just now: how often, its next state says.
+    /// The robot was just told to stop: its next state reports the new number.
     pub(crate) fn forget_stops(&mut self, robot: &str) {
         if let Some(robot) = self.robots.get_mut(robot) {
             robot.stops = None;
         }
     }
 
-    /// Whether the whole map of this robot has to be asked for.
+    /// Whether the whole map of this robot must be requested.
     #[must_use]
     pub fn wants_map(&self, robot: &str) -> bool {
         self.robots
@@ -239,7 +239,7 @@ impl FleetView {
             .is_some_and(|view| view.map_gap || !view.map.has_map())
     }
 
-    /// Drops what only those need who watch the robot.
+    /// Drops the data needed only by watchers of the robot.
     pub fn forget_details(&mut self, robot: &str) {
         if let Some(view) = self.robots.get_mut(robot) {
             view.map = zenav_protocol::map_replica::MapReplica::new();
@@ -249,7 +249,7 @@ impl FleetView {
         }
     }
 
-    /// What is known of a robot, as JSON: every channel with its age.
+    /// Everything known about a robot, as JSON: every channel with its age.
     #[must_use]
     pub fn robot_json(&self, robot: &str, now: f64) -> Option<String> {
         let view = self.robots.get(robot)?;
@@ -287,7 +287,7 @@ fn put(channels: &mut BTreeMap<String, Entry>, name: &str, entry: Option<Entry>)
     }
 }
 
-/// The channel that a detail goes to, and its entry.
+/// The channel of a detail, and its entry.
 fn detail(update: Update, version: u64, now: f64) -> Option<(String, Entry)> {
     let fixed = |name: &str, entry: Option<Entry>| Some((name.to_owned(), entry?));
     match update {
@@ -312,7 +312,7 @@ fn detail(update: Update, version: u64, now: f64) -> Option<(String, Entry)> {
     }
 }
 
-/// Median and 95th percentile of the answered round trips in ms, and the share that was not answered.
+/// Median and 95th percentile of the answered round trips in ms, and the share of unanswered ones.
 fn trip_summary(trips: &[Option<f64>]) -> serde_json::Value {
     let mut answered: Vec<f64> = trips.iter().copied().flatten().collect();
     answered.sort_by(f64::total_cmp);

@@ -1,4 +1,4 @@
-//! One robot's latest state. What was heard of it last, and when? Bounded, whatever it publishes.
+//! One robot's latest state. What was its last message of each kind, and when did it arrive? Bounded, whatever the robot publishes.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -6,20 +6,20 @@ use std::sync::Arc;
 use serde::Serialize;
 use zenav_protocol::map_replica::MapReplica;
 
-/// Most goals that are kept; beyond that the one that was heard of longest ago goes.
+/// Most goals kept; beyond that the least recently updated one is dropped.
 const MAX_GOALS: usize = 100;
-/// Most events that are kept; beyond that the oldest goes.
+/// Most events kept; beyond that the oldest is dropped.
 const MAX_EVENTS: usize = 300;
-/// Most places of the trail that are kept.
+/// Most points of the trail kept.
 const MAX_TRAIL: usize = 4000;
 /// Most channels besides the fixed ones: markers by name, lidars by name.
 const MAX_CHANNELS: usize = 64;
-/// Least distance between two places of the trail, m.
+/// Least distance between two points of the trail, m.
 const TRAIL_STEP: f64 = 0.05;
-/// A jump of the pose by more than this is no drive, m: the trail is broken there.
+/// A larger jump of the pose is not motion, m: the trail is interrupted there.
 const TRAIL_JUMP: f64 = 1.0;
 
-/// A message as JSON text, the number of the change that brought it, and when it was heard.
+/// A message as JSON text, the number of the change that brought it, and its time of arrival.
 #[derive(Clone, Debug)]
 pub(crate) struct Entry {
     pub(crate) version: u64,
@@ -29,7 +29,7 @@ pub(crate) struct Entry {
 }
 
 impl Entry {
-    /// `None` for what cannot be written as JSON.
+    /// `None` for a message that cannot be serialised.
     pub(super) fn new(version: u64, heard: f64, message: &impl Serialize) -> Option<Self> {
         let text = serde_json::to_string(message).ok()?;
         Some(Self {
@@ -40,28 +40,28 @@ impl Entry {
     }
 }
 
-/// What is known of a robot.
+/// What is known about a robot.
 #[derive(Debug, Default)]
 pub(crate) struct RobotView {
-    /// What every client gets of every robot: `state`, `pose`, `parts`.
+    /// Channels sent to every client for every robot: `state`, `pose`, `parts`.
     pub(crate) summary: BTreeMap<String, Entry>,
-    /// What the clients get that watch this robot: `plan`, `mission`, `scan`, …
+    /// Channels sent to the clients that watch this robot: `plan`, `mission`, `scan`, …
     pub(crate) detail: BTreeMap<String, Entry>,
-    /// How often it was told to stop, by its newest state.
+    /// Number of its stops, by its newest state.
     pub(super) stops: Option<u64>,
     /// Goals by id.
     pub(crate) goals: BTreeMap<String, Entry>,
     /// Events, oldest first.
     pub(crate) events: VecDeque<Entry>,
-    /// Where it drove: number of the change, x, y in m of the map frame; a NaN breaks the line.
+    /// Driven path: number of the change, x, y in m of the map frame; a NaN interrupts the line.
     pub(crate) trail: VecDeque<(u64, [f64; 2])>,
-    /// Copy of its map, while somebody watches.
+    /// Copy of its map, while it is watched.
     pub(crate) map: MapReplica,
     /// Whether a patch of the map is missing.
     pub(crate) map_gap: bool,
     /// Components that are alive: `edge`, `mapping`, `mission`.
     pub(crate) parts: Vec<String>,
-    /// When anything was heard of it, s.
+    /// Time of its last message, s.
     pub(crate) heard: f64,
     /// Sequence of the newest event and its boot, so that a repeated event is not shown twice.
     pub(crate) last_event: Option<(String, u64)>,
@@ -70,7 +70,7 @@ pub(crate) struct RobotView {
 impl RobotView {
     pub(super) fn set_detail(&mut self, name: &str, entry: Entry) {
         if self.detail.len() >= MAX_CHANNELS && !self.detail.contains_key(name) {
-            // The fixed ones are few, and some are told only once.
+            // The fixed channels are few, and some are sent only once.
             let named = self.detail.iter().filter(|(name, _)| name.contains('/'));
             let oldest = named.min_by_key(|(_, entry)| entry.version);
             if let Some(oldest) = oldest.map(|(name, _)| name.clone()) {

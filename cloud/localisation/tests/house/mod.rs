@@ -1,4 +1,4 @@
-//! A house of a map, and what a lidar sees in it.
+//! The map of a house, and the scans of a lidar in it.
 
 use nalgebra::{Point2, Vector2};
 use zenav_fixtures::{scan, spec, walled_room};
@@ -6,7 +6,7 @@ use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::{Occupancy, OccupancyGrid};
 use zenav_protocol::messages::Scan;
 
-/// Three rooms, no two of which look alike, of 12 m by 8 m.
+/// Three rooms of distinct shape, 12 m by 8 m.
 pub fn house() -> OccupancyGrid {
     walled_room(spec(240, 160, 0.05), |at| {
         let is_in = |x: [f64; 2], y: [f64; 2]| (x[0]..x[1]).contains(&at.x) && (y[0]..y[1]).contains(&at.y);
@@ -19,7 +19,7 @@ pub fn house() -> OccupancyGrid {
     })
 }
 
-/// What a lidar all around sees from a pose, to the nearest centimetre; `odom_from_base` is told, and so is the guess for the first scan.
+/// The scan of a full-circle lidar at a pose, to the nearest centimetre, with this `odom_from_base`, and this guess for the first scan.
 pub fn look(map: &OccupancyGrid, stamp: u64, truth: Pose2, odom_from_base: Pose2, guess: Pose2) -> Scan {
     let beams = 240;
     let at = truth.position();
@@ -30,7 +30,7 @@ pub fn look(map: &OccupancyGrid, stamp: u64, truth: Pose2, odom_from_base: Pose2
             let cell = map.at(Point2::from(at.coords + way * (0.01 * f64::from(*step))));
             cell.is_none_or(|value| *value >= Occupancy::OCCUPIED_FROM)
         };
-        // Beyond the range nothing comes back.
+        // No return beyond the range.
         (2..800).find(meets).map_or(f32::INFINITY, |step| 0.01 * step as f32)
     });
     Scan {
@@ -40,7 +40,7 @@ pub fn look(map: &OccupancyGrid, stamp: u64, truth: Pose2, odom_from_base: Pose2
     }
 }
 
-/// A way through two rooms: each truth with odometry that believes every step to be 3 % longer and turns a little.
+/// A drive through two rooms: true poses with odometry that overestimates every step by 3 % and turns a little.
 pub fn drive() -> Vec<(Pose2, Pose2)> {
     let mut pairs = vec![(Pose2::new(1.0, 2.0, 0.6), Pose2::IDENTITY)];
     for number in 0..260 {

@@ -1,4 +1,4 @@
-//! Grey images. How does an image file become pixels, and back?
+//! Grey images. Converts image files to pixels and back.
 //!
 //! Portable graymaps (P2, P5) and PNG, rows from the top.
 
@@ -19,9 +19,9 @@ pub struct GrayImage {
     pub width: u32,
     /// Height in pixels, that is, rows.
     pub height: u32,
-    /// Brightness of every pixel, 255 is white; of a coloured pixel, the mean of its colours.
+    /// Brightness of every pixel, 255 is white; for a coloured pixel, the mean of its colours.
     pub gray: Vec<u8>,
-    /// Opacity of every pixel, 255 is opaque; `None` where the file has none.
+    /// Opacity of every pixel, 255 is opaque; `None` if the file has none.
     pub opacity: Option<Vec<u8>>,
     /// Comments of a graymap, one for each line.
     pub comments: Vec<String>,
@@ -72,7 +72,7 @@ pub enum ImageError {
     Png(String),
 }
 
-/// Decodes a PGM or a PNG, by its first bytes.
+/// Decodes a PGM or a PNG, told apart by the first bytes.
 ///
 /// # Errors
 /// [`ImageError`]. A size beyond the limits is refused before anything is allocated.

@@ -1,11 +1,11 @@
-//! Portable graymaps. How is a PGM read and written?
+//! Portable graymaps. Reads and writes PGM files.
 //!
 //! Written here rather than taken from a crate: readers of the `image` family drop the comments, which carry a map's place and revision
-//! ([`map_file`](crate::map_file)), do not name the line of a mistake, and cost far more code than these lines.
+//! ([`map_file`](crate::map_file)), do not give the line of an error, and need far more code.
 
 use super::{GrayImage, ImageError, checked_size};
 
-/// The words of a graymap; its comments are gathered on the way.
+/// The words of a graymap; comments are collected along the way.
 struct Words<'b> {
     bytes: &'b [u8],
     at: usize,

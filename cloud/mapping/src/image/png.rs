@@ -1,4 +1,4 @@
-//! PNG. How is a grey PNG read and written?
+//! PNG. Reads and writes grey PNG files.
 
 use std::io::Cursor;
 
@@ -6,7 +6,7 @@ use zenav_protocol::grid::MAX_CELLS;
 
 use super::{GrayImage, ImageError, checked_size};
 
-/// Decodes a PNG of any kind; sixteen bits become eight.
+/// Decodes a PNG of any kind; sixteen bits are reduced to eight.
 pub(super) fn decode(bytes: &[u8]) -> Result<GrayImage, ImageError> {
     let broken = |error: png::DecodingError| ImageError::Png(error.to_string());
     let mut decoder = png::Decoder::new_with_limits(
@@ -63,7 +63,7 @@ pub(super) fn decode(bytes: &[u8]) -> Result<GrayImage, ImageError> {
     })
 }
 
-/// Encodes a PNG, with opacity where the image has it.
+/// Encodes a PNG, with opacity if the image has it.
 ///
 /// # Errors
 /// [`ImageError::Png`] for an image without pixels, which PNG cannot express.

@@ -1,15 +1,15 @@
-//! Temporal decay. Which obstacles are gone although no beam saw them go?
+//! Temporal decay. Frees obstacles that left while no beam saw them go.
 //!
-//! Beams clear the cells that they pass, but nothing clears the cells that the robot does not look at any more: a passer-by in a door would
-//! block it for ever. So an obstacle that appears on cells that had long been free is transient at first, and one of three things happens:
+//! Beams clear the cells that they pass, but nothing clears cells that the robot no longer looks at: a passer-by in a doorway would block
+//! it forever. So an obstacle that appears on cells that had long been free is transient at first, and one of three things happens:
 //!
 //! 1. beams pass its cells, and the sensor model frees them;
 //! 2. it is hit for longer than the decay time: it is furniture, and permanent;
 //! 3. it is not hit for the decay time: its cells decay to free.
 //!
-//! Cells beside a permanent obstacle are never transient: no robot fits there, and a wall that a wrong pose or a grazing beam once showed as
-//! free must not decay. The idea is that of Nav2's decaying obstacle layers (Macenski et al., "Spatio-Temporal Voxel Layer", 2020), applied
-//! to one map that keeps permanent and transient obstacles. Time is that of the scans' stamps.
+//! Cells beside a permanent obstacle are never transient: no robot fits there, and a wall that a wrong pose or a grazing beam once showed
+//! as free must not decay. The idea is that of Nav2's decaying obstacle layers (Macenski et al., "Spatio-Temporal Voxel Layer", 2020),
+//! applied to one map that holds permanent and transient obstacles. Time is measured by the scans' stamps.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -21,9 +21,9 @@ use super::tile::Bits;
 use super::tiles::{TILE_SIDE, Tiles};
 use crate::sensor_model::QuantizedModel;
 
-/// Cells this near to a permanent obstacle on each axis are never transient, m.
+/// Cells this close to a permanent obstacle on each axis are never transient, m.
 const BESIDE: f64 = 0.1;
-/// A stamp so long before the newest one is of a clock that began anew.
+/// A stamp this long before the newest one means that the clock restarted.
 const CLOCK_RESTART: Duration = Duration::from_secs(10);
 
 /// Transient obstacles of a map.
@@ -33,7 +33,7 @@ pub(super) struct Decay {
     /// Time by the scans' stamps, since the first scan.
     now: Duration,
     newest: Option<Stamp>,
-    /// Time of the next round, which finds the cells that stayed free since the last one.
+    /// Time of the next round, which collects the cells that stayed free since the last one.
     next_round: Duration,
     /// Time of the next decay.
     due: Duration,
@@ -43,9 +43,9 @@ pub(super) struct Decay {
 /// Free cells and transient obstacles of a tile.
 #[derive(Clone, Debug)]
 struct TileHistory {
-    /// Cells with the least log-odds ever since the last round.
+    /// Cells at the lowest log-odds ever since the last round.
     free: Bits,
-    /// Cells that had them for the whole round before, too.
+    /// Cells that also had them during the whole previous round.
     long_free: Bits,
     /// Transient cells by row and column: times of the first and the last hit.
     transient: BTreeMap<(usize, usize), [Duration; 2]>,
@@ -72,13 +72,13 @@ impl Decay {
         }
     }
 
-    /// The same decay for a map that is drawn anew.
+    /// The same decay for a map that is redrawn.
     pub(super) fn restarted(&self) -> Self {
         Self::new(self.after)
     }
 
-    /// Advances to a scan's stamp, and frees what is due. A stamp before the newest one does not advance time: scans of several lidars come out of
-    /// their order; where it is before that by far, the robot's clock began anew.
+    /// Advances to a scan's stamp and frees what is due. A stamp before the newest one does not advance time, since scans of several lidars
+    /// arrive out of order; a stamp far before it means that the robot's clock restarted.
     pub(super) fn advance(&mut self, stamp: Stamp, map: &mut Tiles, model: &QuantizedModel) {
         let before = self.newest.unwrap_or(stamp);
         let is_late = stamp <= before && before.since(stamp) <= CLOCK_RESTART;
@@ -150,7 +150,7 @@ impl Decay {
                     history.long_free[row] ^= bit;
                     new.push((row, column));
                 } else if let Some([first, last]) = history.transient.get_mut(&(row, column)) {
-                    // Beams freed the cell in between: this is another obstacle.
+                    // Beams freed the cell in between, so this is another obstacle.
                     if !is_occupied(map.byte(at, row, column), model) {
                         *first = self.now;
                     }
@@ -231,7 +231,7 @@ mod tests {
             }
         }
 
-        /// Looks along `yaw`, where the nearest thing is at `range`.
+        /// Looks along `yaw`, where the nearest obstacle is at `range`.
         fn look(&mut self, secs: f64, yaw: f64, range: f32) {
             for _ in 0..(2.0 * secs) as u64 {
                 self.stamp += SECOND / 2;
@@ -261,7 +261,7 @@ mod tests {
     const AHEAD: f64 = 0.0;
     const AWAY: f64 = 3.0;
 
-    /// A wall has been seen at 4 m for long, and somebody was at 2 m for a while.
+    /// A wall was seen at 4 m for a long time, then a person stood at 2 m for a while.
     fn somebody_passed(decay_after: f64, secs: f64) -> Robot {
         let mut robot = Robot::new(decay_after);
         robot.look(5.0 * AFTER, AHEAD, 4.0);
@@ -328,7 +328,7 @@ mod tests {
         robot.look(1.0, AHEAD, 4.0);
         robot.look(100.0 * AFTER, AWAY, 1.0);
         assert_eq!(robot.at(4.01), Occupancy::Occupied);
-        // A cell that was found free only just before is never transient.
+        // A cell that became free only shortly before is never transient.
         let mut robot = Robot::new(AFTER);
         robot.look(0.5 * AFTER, AHEAD, 4.0);
         robot.look(1.0, AHEAD, 2.0);

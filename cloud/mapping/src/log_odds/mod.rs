@@ -1,4 +1,4 @@
-//! Log-odds occupancy grid. What is where, by all scans so far?
+//! Log-odds occupancy grid. Occupancy of each cell from all scans so far.
 //!
 //! The grid grows by whole tiles. The sensor model is applied once for each cell and scan: a cell in which any beam of the scan ended takes
 //! one hit, every other cell that any beam passed takes one miss. Beams of one scan are not independent observations, and a hit must not be
@@ -38,12 +38,12 @@ pub enum InsertMode {
     /// Every beam is drawn exactly.
     #[default]
     Reference,
-    /// Wedges between neighbouring beams are filled as far as a beam meets every cell in them, and only the rest is drawn beam by beam.
+    /// Wedges between neighbouring beams are filled as far as the beams meet every cell in them, and only the rest is drawn beam by beam.
     /// Cells beside surfaces may differ: [`agreement`](crate::build::agreement) measures how many.
     Fast,
 }
 
-/// Number of beams of a scan that were inserted, and that were not.
+/// Numbers of beams of a scan that were inserted and left out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BeamCount {
     /// Number of beams inserted.
@@ -95,7 +95,7 @@ pub struct LogOddsGrid {
 }
 
 impl LogOddsGrid {
-    /// An empty grid with cells of this side (m); the corner of a tile lies at the map frame's origin.
+    /// An empty grid with cells of this side (m); a tile's corner lies at the origin of the map frame.
     #[must_use]
     pub fn new(resolution: f64, model: &SensorModel) -> Self {
         Self::of_tiles(
@@ -118,7 +118,7 @@ impl LogOddsGrid {
         }
     }
 
-    /// A grid that begins with a known map, padded with unknown cells to whole tiles. All that is known counts as changed.
+    /// A grid that starts with a known map, padded with unknown cells to whole tiles. All known cells count as changed.
     #[must_use]
     pub fn from_occupancy(grid: &OccupancyGrid, model: &SensorModel) -> Self {
         let spec = *grid.spec();
@@ -144,22 +144,22 @@ impl LogOddsGrid {
         map
     }
 
-    /// The same grid, with temporal decay: an obstacle that appeared where it had long been free, and that nobody sees any more, is free
-    /// again after this time, by the scans' stamps.
+    /// The same grid, with temporal decay: an obstacle that appeared where it had long been free, and that is no longer seen, is freed
+    /// after this time, by the scans' stamps.
     #[must_use]
     pub fn with_decay(mut self, after: Duration) -> Self {
         self.decay = Some(Decay::new(after));
         self
     }
 
-    /// Lets every obstacle decay at once that would decay in time; without [decay](Self::with_decay), none.
+    /// Decays at once every obstacle that would decay in time; none without [decay](Self::with_decay).
     pub fn decay_now(&mut self) {
         if let Some(decay) = &mut self.decay {
             decay.all_now(&mut self.tiles, &self.model);
         }
     }
 
-    /// A grid of the same geometry, model and decay, all unknown: to draw the same scans into from other poses.
+    /// An unknown grid of the same geometry, model and decay, for redrawing the same scans from other poses.
     #[must_use]
     pub fn unseen(&self) -> Self {
         Self {
@@ -169,8 +169,8 @@ impl LogOddsGrid {
         }
     }
 
-    /// Takes the place of `other`, of which it was made by [`Self::unseen`]: all that either knows counts as changed. `false`, and nothing
-    /// changes, where both together would be too large.
+    /// Replaces `other`, from which it was made by [`Self::unseen`]: every cell known in either counts as changed. Returns `false`, with no
+    /// change, if both together would be too large.
     pub fn succeed(&mut self, other: &Self) -> bool {
         self.tiles.succeed(&other.tiles)
     }
@@ -181,10 +181,10 @@ impl LogOddsGrid {
         self.tiles.spec()
     }
 
-    /// Inserts a scan, and clears the cells under the robot's footprint where one is given.
+    /// Inserts a scan, and clears the cells under the robot's footprint if one is given.
     ///
-    /// The scan must be [sane](Scan::is_sane). Beams that end beyond the largest map are left out. `None`, and nothing changes, for a scan
-    /// that was taken beyond it. Cost: proportional to the cells that the beams pass.
+    /// The scan must be [sane](Scan::is_sane). Beams that end beyond the largest map are left out. A scan taken beyond it changes nothing
+    /// and returns `None`. Cost: proportional to the cells that the beams pass.
     pub fn insert(
         &mut self,
         scan: &Scan,
@@ -270,7 +270,7 @@ impl LogOddsGrid {
         })
     }
 
-    /// Marks the cells between two corners as passed whose centre the robot covers.
+    /// Marks the cells between two corners as passed if the robot covers their centre.
     fn clear_footprint(&mut self, footprint: &Footprint, base: Pose2, [low, high]: [Point2<f64>; 2]) {
         let base_from_map = base.inverse();
         let corner = self.bitmap.corner();
@@ -292,7 +292,7 @@ impl LogOddsGrid {
         self.tiles.dirty.contains(&true)
     }
 
-    /// Takes the changed tiles, `at_most` so many, in row-major order; the others remain changed.
+    /// Takes up to `at_most` changed tiles, in row-major order; the others remain changed.
     pub fn take_dirty(&mut self, at_most: usize) -> Vec<Tile> {
         let mut taken = Vec::new();
         for index in 0..self.tiles.dirty.len() {
@@ -309,7 +309,7 @@ impl LogOddsGrid {
         taken
     }
 
-    /// The grid at this moment: costs a pointer for each tile, and shares the cells with this grid until they change.
+    /// The grid at this moment. Costs a pointer per tile; the cells are shared with this grid until they change.
     #[must_use]
     pub fn snapshot(&self) -> GridSnapshot {
         GridSnapshot::new(self.tiles.clone(), self.model.clone())

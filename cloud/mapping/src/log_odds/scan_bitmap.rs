@@ -1,4 +1,4 @@
-//! Scan bitmap. Which cells did one scan pass, and which did it hit?
+//! Scan bitmap. The cells that one scan passed, and those that it hit.
 //!
 //! Beams only set bits in bitmaps over the scan's bounding box; the map itself is updated once for each scan, tile by tile.
 
@@ -12,7 +12,7 @@ use crate::beams::Beam;
 /// Bits for the tiles that one scan can touch, all clear between two scans.
 ///
 /// The words are stored by columns: first all rows of the first column of tiles. So a rising ray goes from word to word, and the words of a
-/// tile lie together. Coordinates are in cells from the bitmap's lower-left corner.
+/// tile are contiguous. Coordinates are in cells from the bitmap's lower-left corner.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ScanBitmap {
     /// Tile column and row of the lower-left corner, from the map's anchor.
@@ -43,7 +43,7 @@ const ONE_SURFACE: f64 = 1.0;
 /// Beams at most this far apart, in cells, miss hardly any cell of a surface on which they ended.
 const CLOSE: f64 = 0.7;
 
-/// Between beams at most this far apart, m, hardly anything stands that neither of them meets; who comes nearer sees what is thinner.
+/// Between beams at most this far apart, m, hardly any obstacle fits that neither beam hits; thinner ones are seen from closer up.
 const APART: f64 = 0.1;
 
 /// A cell that a ray meets has its centre at most this far along the ray, cells.
@@ -62,7 +62,7 @@ fn whole(cells: f64) -> i64 {
     fixed(cells) >> FRACTION
 }
 
-/// Distances from the origin, cells, up to which neighbouring beams are near to one another.
+/// Distances from the origin, cells, up to which neighbouring beams are close to each other.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Spacing {
     /// At most one cell.
@@ -72,7 +72,7 @@ pub(super) struct Spacing {
 }
 
 impl Spacing {
-    /// Of beams with an angle between them, rad, in cells with a side, m.
+    /// For beams with this angle between them, rad, and cells with this side, m.
     pub(super) fn new(angle: f64, resolution: f64) -> Self {
         Self {
             dense: angle.recip(),
@@ -81,7 +81,7 @@ impl Spacing {
     }
 }
 
-/// How far two beams both passed what lies between them, cells; 0 unless they are neighbours. Where they end there may be a surface.
+/// How far two beams have both passed the space between them, cells; 0 unless they are neighbours. Near their ends there may be a surface.
 fn passed_between(a: &Beam, b: &Beam, spacing: Spacing) -> f64 {
     if a.number + 1 == b.number {
         (a.length.min(b.length) - ONE_SURFACE).clamp(0.0, spacing.close)
@@ -147,8 +147,8 @@ impl ScanBitmap {
         }
     }
 
-    /// Marks the cells that the beams passed and in which they ended. What lies between two beams that are close and both pass it was passed
-    /// too: no beam is a line.
+    /// Marks the cells that the beams passed and in which they ended. The space between two close beams that both pass it counts as passed
+    /// too, since a beam has a width.
     pub(super) fn draw(&mut self, origin: Point2<f64>, beams: &[Beam], spacing: Spacing, mode: InsertMode) {
         let corner = self.corner();
         let origin = origin - corner;
@@ -176,7 +176,7 @@ impl ScanBitmap {
                 continue;
             };
             let passed = passed_between(&last, &beam, spacing);
-            // So many that none is farther than a cell from the next.
+            // Enough rays that neighbours are at most a cell apart.
             let between = (passed / dense).ceil().max(1.0);
             for nth in 1..between as u32 {
                 let direction = last.direction.lerp(&beam.direction, f64::from(nth) / between);
@@ -237,8 +237,8 @@ impl ScanBitmap {
         }
     }
 
-    /// Marks every cell that a segment touches: the cells of `GridSpec::walk`, found row by row instead of cell by cell. (Within rounding of a
-    /// corner the two may differ in the cells beside it.)
+    /// Marks every cell that a segment touches: the cells of `GridSpec::walk`, found row by row instead of cell by cell. (Within rounding
+    /// of a corner the two may differ in the cells beside it.)
     fn ray(&mut self, a: Point2<f64>, b: Point2<f64>) {
         let (a, b) = if a.y <= b.y { (a, b) } else { (b, a) };
         let (first, last) = (whole(a.y).max(0) as usize, whole(b.y).max(0) as usize);
@@ -258,13 +258,14 @@ impl ScanBitmap {
         self.run(last, enter.min(end), enter.max(end));
     }
 
-    /// Marks nearly the cells that [`rays`](Self::rays) marks.
+    /// Marks nearly the same cells as [`rays`](Self::rays).
     ///
     /// Between two neighbouring beams that are nowhere more than one cell apart, one of the two meets every cell whose centre lies between
-    /// them: a line within half a cell of a centre meets that cell. So wedges are filled, 64 cells at a time, as far as both beams reach and
-    /// the beams are dense, or as far as they passed what is between them; each beam is drawn only from the end of the shorter of its two
-    /// wedges. Where neighbours end close together on one surface, the wedge is filled up to that surface and nothing is drawn: the cells missed thereby
-    /// lie within the last cell length of a beam with their centre behind the surface, and nearly all of them are hit themselves.
+    /// them: a line within half a cell of a centre meets that cell. So wedges are filled, 64 cells at a time, as far as both beams reach
+    /// and the beams are dense, or as far as they passed the space between them; each beam is drawn only from the end of the shorter of its
+    /// two wedges. Where neighbours end close together on one surface, the wedge is filled up to that surface and nothing is drawn. The
+    /// cells missed thereby lie within the last cell length of a beam, with their centre behind the surface, and nearly all of them are hit
+    /// themselves.
     fn fill(&mut self, origin: Point2<f64>, beams: impl Iterator<Item = Beam>, spacing: Spacing) {
         let dense = spacing.dense;
         let home = Corner::at(origin);

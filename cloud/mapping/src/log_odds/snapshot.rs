@@ -1,4 +1,4 @@
-//! Snapshot. What does the grid say at one moment, in ROS's occupancy values?
+//! Snapshot. The grid at one moment, in ROS's occupancy values.
 
 use zenav_protocol::grid::{GridSpec, Occupancy, OccupancyGrid};
 
@@ -39,7 +39,7 @@ impl CellCounts {
     }
 }
 
-/// A grid at one moment. It shares its cells with the grid that it was taken from until they change there.
+/// A grid at one moment. It shares its cells with the source grid until they change there.
 #[derive(Clone, Debug)]
 pub struct GridSnapshot {
     tiles: Tiles,

@@ -1,4 +1,4 @@
-//! Does the grid hold what the beams saw?
+//! Tests of inserting beams into the grid.
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
@@ -61,7 +61,7 @@ proptest::proptest! {
                 seen.extend(whole.walk(Point2::new(x, y), end).map(|cell| whole.index(cell)));
                 hit.extend((f64::from(*range) <= scan.range_max).then(|| whole.index(whole.cell_at(end).unwrap())));
             }
-            // Where neighbours are at most 0.1 m apart, so many rays between them that none is farther than a cell from the next.
+            // Where neighbours are at most 0.1 m apart, enough rays between them that none is farther than a cell from the next.
             for (beam, pair) in scan.ranges.windows(2).enumerate() {
                 let nearest = f64::from(pair[0].min(pair[1])).min(scan.range_max);
                 let passed = (nearest / whole.resolution - 1.0).clamp(0.0, 0.1 / (whole.resolution * step));
@@ -147,7 +147,7 @@ fn a_beam_without_a_return_frees_its_whole_range() {
 #[test]
 fn a_hit_is_not_erased_by_another_beam_of_its_scan() {
     let mut map = empty();
-    // The second beam goes on through the cell that the first one ended in.
+    // The second beam continues through the cell in which the first one ended.
     map.insert(
         &scan(Pose2::new(0.01, 0.01, 0.0), 1e-4, vec![1.0, 2.0]),
         &BEAMS,
@@ -233,7 +233,7 @@ fn changed_tiles_are_given_once() {
     assert_eq!(tiles.len(), 1);
     assert_eq!(tiles[0].values, map.to_occupancy().values());
     assert!(!map.is_dirty());
-    // A scene that does not change any more is not told again.
+    // A scene that no longer changes is not sent again.
     for _ in 0..100 {
         map.insert(&still, &BEAMS, InsertMode::Reference, None);
     }

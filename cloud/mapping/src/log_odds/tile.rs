@@ -1,7 +1,7 @@
-//! Tile. What is known of one block of cells?
+//! Tile. Log-odds of one block of cells.
 //!
-//! One byte of log-odds for each cell. Most observations change nothing: a cell at the lower clamp is seen free once more. One bit for each
-//! clamped cell spares its byte: a scan's whole area is compared 64 cells at a time, and only bytes that change are touched.
+//! One byte of log-odds for each cell. Most observations change nothing: a cell at the lower clamp is seen free again. One bit for each
+//! clamped cell saves touching its byte: a scan's whole area is compared 64 cells at a time, and only bytes that change are touched.
 
 use zenav_protocol::grid::Occupancy;
 
@@ -87,7 +87,7 @@ impl LogOddsTile {
         changed
     }
 
-    /// Number of free and occupied cells; cheap when they were [cached](Self::cache_counts) since the last change.
+    /// Number of free and occupied cells; cheap if they were [cached](Self::cache_counts) since the last change.
     pub(super) fn counts(&self, model: &QuantizedModel) -> [u16; 2] {
         self.counted.unwrap_or_else(|| {
             let mut histogram = [0_u16; 256];

@@ -1,7 +1,7 @@
-//! Tile store. How does a map grow?
+//! Tile store. Storage of a growing map.
 //!
-//! By whole tiles from a fixed anchor: known cells stay where they are, to the last bit, and only tiles that were seen take memory. Tiles are
-//! shared with snapshots and copied when they change.
+//! The map grows by whole tiles from a fixed anchor: known cells stay where they are, bit for bit, and only tiles that were seen take
+//! memory. Tiles are shared with snapshots and copied on write.
 
 use std::sync::Arc;
 
@@ -19,7 +19,7 @@ pub(super) const TILE_SIDE: usize = TILE as usize;
 /// A growing rectangle of tiles.
 #[derive(Clone, Debug)]
 pub(super) struct Tiles {
-    /// Corner of tile (0, 0), however the grid grows, and the side of a cell.
+    /// Corner of tile (0, 0), fixed while the grid grows, and the side of a cell.
     pub(super) frame: CellFrame,
     /// Tile column and row of the grid's lower-left corner, counted from the anchor.
     first: [i64; 2],
@@ -62,8 +62,8 @@ impl Tiles {
         }
     }
 
-    /// Takes the place of another store of the same frame: it covers that too, and whatever is known in either counts as changed.
-    /// `false`, and nothing changes, where both together would be too large.
+    /// Replaces another store of the same frame: grows to cover it, and every tile known in either counts as changed. Returns `false`, with
+    /// no change, if both together would be too large.
     pub(super) fn succeed(&mut self, other: &Self) -> bool {
         if other.counts.contains(&0) {
             return true;
@@ -112,7 +112,7 @@ impl Tiles {
         Some(row * self.counts[0] + column)
     }
 
-    /// The tile at an index of storage, to be changed; an unseen one is created.
+    /// The tile at an index of storage, for writing; an unseen tile is created.
     #[inline]
     pub(super) fn tile_mut(&mut self, index: usize) -> &mut LogOddsTile {
         Arc::make_mut(self.tiles[index].get_or_insert_with(|| Arc::new(LogOddsTile::UNSEEN)))
@@ -148,7 +148,7 @@ impl Tiles {
         tiles.filter_map(move |(index, tile)| Some((place(index), tile.as_deref()?)))
     }
 
-    /// Grows the grid by whole tiles until it covers a rectangle; `false`, and nothing changes, when it would become too large.
+    /// Grows the grid by whole tiles until it covers a rectangle. Returns `false`, with no change, if it would become too large.
     pub(super) fn cover(&mut self, bounds: &Bounds) -> bool {
         let Some((first, counts)) = self.covering(bounds) else {
             return false;
@@ -159,7 +159,7 @@ impl Tiles {
         true
     }
 
-    /// First tile and number of tiles of the grid that covers a rectangle and the present grid; `None` when it would be too large.
+    /// First tile and number of tiles of the grid that covers a rectangle and the present grid; `None` if it would be too large.
     fn covering(&self, bounds: &Bounds) -> Option<([i64; 2], [usize; 2])> {
         let (low, high) = (bounds.low / TILE_SIDE as f64, bounds.high / TILE_SIDE as f64);
         let (mut first, mut end) = (

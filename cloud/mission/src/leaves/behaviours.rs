@@ -1,4 +1,4 @@
-//! Spin, BackUp, DriveOnHeading, DriveToFree: motions that the robot carries out by itself, by an execution id that it knows again.
+//! Spin, BackUp, DriveOnHeading, DriveToFree: manoeuvres that the robot executes on its own, identified by an execution id.
 
 use std::f64::consts::PI;
 
@@ -13,15 +13,15 @@ use crate::context::Context;
 use crate::io::{Answer, NoAnswer, Ticket};
 use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 
-/// For so long a robot that does not answer is asked again, s.
+/// Time for which an unanswered request is repeated, s.
 const PATIENCE: f64 = 10.0;
-/// How often the robot is asked how it goes, s.
+/// Period at which the robot is asked for progress, s.
 const PERIOD: f64 = 0.2;
 
-/// Of a motion that a pause ended so little may be left that it is done, m and rad.
+/// Remainder below which a manoeuvre interrupted by a pause counts as done, m and rad.
 const ALL_BUT: (f64, f64) = (0.02, 0.03);
 
-/// Nav2's codes of why a motion was not carried out, by registration id.
+/// Nav2's error codes of manoeuvres, by registration id.
 #[derive(Clone, Copy)]
 struct Codes {
     unknown: i64,
@@ -42,7 +42,7 @@ impl Codes {
     }
 }
 
-/// One motion of the robot's own.
+/// A manoeuvre of the robot.
 #[derive(Default)]
 pub struct Behaviour {
     ticket: Option<Ticket>,
@@ -52,21 +52,21 @@ pub struct Behaviour {
     cancels: u64,
 }
 
-/// The execution, stored before its effect.
+/// The execution, stored before it has an effect.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct Execution {
     id: String,
     action: BehaviourAction,
-    /// It is given up then, s of the tree's time.
+    /// Time at which it is given up, s of the tree's time.
     #[serde(default)]
     until: Option<f64>,
-    /// Where the robot was at its begin, map frame.
+    /// Where it began, map frame.
     #[serde(default)]
     from: Option<Pose2>,
 }
 
 impl Execution {
-    /// What is left of it for a robot that has come to `here`; `None` where nothing is.
+    /// The rest of it for a robot that has reached `here`; `None` if nothing is left.
     fn rest(&self, here: Option<Pose2>) -> Option<BehaviourAction> {
         let (Some(from), Some(here)) = (self.from, here) else {
             return Some(self.action.clone());
@@ -114,7 +114,7 @@ impl Leaf<Context> for Behaviour {
         if let Err(error) = io.remember(&execution) {
             return fail(io, ctx, Some(codes.unknown), error.to_string());
         }
-        // The ask follows in the next tick, when the execution's id is stored.
+        // The request follows in the next tick, when the execution's id is stored.
         step(io, ctx, "begins")
     }
 
@@ -198,7 +198,8 @@ impl Leaf<Context> for Behaviour {
 }
 
 impl Behaviour {
-    /// The status that a report of the robot means; `None` while it goes on. What a pause of the goal left of one is begun anew.
+    /// The status that a report of the robot means; `None` while the manoeuvre runs. After a pause of the goal, the rest of the manoeuvre
+    /// is started again.
     fn ended(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, report: &BehaviourReport) -> Option<Status> {
         if report.state != BehaviourState::Canceled || !ctx.is_held_up(&report.id) {
             return judge(io, ctx, report);
@@ -226,7 +227,7 @@ impl Behaviour {
     }
 }
 
-/// What the node's ports ask for.
+/// The manoeuvre requested by the node's ports.
 fn action(io: &LeafIo<'_>) -> Result<BehaviourAction, String> {
     let get = |port: &str, default: f64| match io.get_optional::<f64>(port) {
         Ok(value) => Ok(value.unwrap_or(default)).and_then(|value| {
@@ -257,7 +258,7 @@ fn action(io: &LeafIo<'_>) -> Result<BehaviourAction, String> {
     })
 }
 
-/// The status that an ended behaviour means; `None` while it runs.
+/// The status of an ended manoeuvre; `None` while it runs.
 fn judge(io: &mut LeafIo<'_>, ctx: &mut Context, report: &BehaviourReport) -> Option<Status> {
     match report.state {
         BehaviourState::Running => None,

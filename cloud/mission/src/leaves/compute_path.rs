@@ -1,5 +1,5 @@
-//! ComputePathToPose, ComputePathThroughPoses: a path to the goal or through goals, planned and smoothed by workers, put on
-//! the blackboard. With `start` it begins there, not where the robot is: then it is a path without a trajectory.
+//! ComputePathToPose, ComputePathThroughPoses: plan and smooth a path to the goal or through goals with a motion worker, and write it to
+//! the blackboard. With `start` the path begins there instead of at the robot, and has no trajectory.
 
 use nalgebra::Point2;
 use zenav_protocol::messages::GoalPoint;
@@ -11,27 +11,27 @@ use crate::context::Context;
 use crate::route::{Route, RouteData, RouteRequest, Search, Searching, error_code, look_at};
 use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 
-/// Nav2's codes of the same reasons are so much higher for a path through poses.
+/// Offset of Nav2's error codes for a path through poses.
 const THROUGH_POSES: i64 = 100;
-/// The path on the blackboard leaves the motion by at most so much, m.
+/// Greatest deviation of the path on the blackboard from the motion, m.
 const EXACT: f64 = 0.01;
-/// A goal that began just now is not given up after so many tries that failed: it is looked for a path each so many s.
+/// A recently started goal is not given up after this many failed tries; a path is then searched at this period, s.
 const LOOKS: u32 = 2;
 const LOOK_AGAIN: f64 = 0.5;
-/// Nav2's code for no goals at all, ComputePathThroughPoses.
+/// Nav2's error code of ComputePathThroughPoses for an empty list of goals.
 const NO_VIAPOINTS_GIVEN: i64 = 309;
 
-/// Plans; `path` gets the path, `error_code_id` and `error_msg` why there is none.
+/// Plans; writes the path to `path`, or the reason for failure to `error_code_id` and `error_msg`.
 #[derive(Default)]
 pub struct ComputePath {
     search: Option<(Search, RouteRequest)>,
-    /// Where to, and how often in a row no path was found.
+    /// Last goal, and number of consecutive tries without a path.
     tried: Option<(GoalPoint, u32)>,
-    /// The frame of the map in which the goal was read.
+    /// Frame of the map in which the goal was read.
     frame: u64,
 }
 
-/// Nav2's code of this node for a reason.
+/// This node's Nav2 error code for a reason.
 fn code(io: &LeafIo<'_>, code: i64) -> i64 {
     if is_through(io) { code + THROUGH_POSES } else { code }
 }
@@ -40,7 +40,7 @@ fn is_through(io: &LeafIo<'_>) -> bool {
     io.id() == "ComputePathThroughPoses"
 }
 
-/// What the ports ask for; the code and the reason if that is nothing.
+/// The route requested by the ports, or an error code and reason.
 fn route_request(io: &LeafIo<'_>, ctx: &Context) -> Result<RouteRequest, (i64, String)> {
     let unknown = |why: String| (code(io, error_code::UNKNOWN), why);
     let mut stops = if is_through(io) {
@@ -76,7 +76,7 @@ fn route_request(io: &LeafIo<'_>, ctx: &Context) -> Result<RouteRequest, (i64, S
     })
 }
 
-/// The path as it will be driven: the trajectory cuts the corners of what the planner found.
+/// The path as driven: the trajectory cuts the corners of the planner's path.
 fn driven(route: &Route) -> Vec<Point2<f64>> {
     let trajectory = &route.plan.trajectory;
     if trajectory.is_empty() {
@@ -120,7 +120,7 @@ impl Leaf<Context> for ComputePath {
             return fail(io, ctx, Some(code(io, error_code::TF_ERROR)), why);
         }
         if self.frame != ctx.frames.at() && self.search.is_some() {
-            // The goal's numbers are others now.
+            // The goal's coordinates have changed.
             return self.start(io, ctx);
         }
         let Some((search, request)) = &mut self.search else {
@@ -187,7 +187,7 @@ impl Leaf<Context> for ComputePath {
         }
     }
 
-    /// What was asked before a restart is asked anew: an answer that is late moves nobody.
+    /// A request from before a restart is sent again: a late answer moves no robot.
     fn resume(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
         self.start(io, ctx)
     }

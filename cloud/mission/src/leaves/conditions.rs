@@ -11,8 +11,7 @@ fn status(holds: bool) -> Status {
     if holds { Status::Success } else { Status::Failure }
 }
 
-/// FAILURE until the robot is `distance` (straight) from where it was at its activation, then SUCCESS once, and again from
-/// there.
+/// FAILURE until the robot is `distance` (straight) from its position at activation, then SUCCESS once, and again from there.
 #[derive(Default)]
 pub struct DistanceTraveled {
     from: Option<Point2<f64>>,
@@ -30,7 +29,7 @@ impl SyncLeaf for DistanceTraveled {
     }
 }
 
-/// SUCCESS for a while (`bump_memory`) after the robot has touched something. Nav2 takes a jolt of the odometry for it.
+/// SUCCESS for a while (`bump_memory`) after the robot touched something. Nav2 detects this from a jolt in the odometry.
 pub struct IsStuck;
 
 impl SyncLeaf for IsStuck {
@@ -41,7 +40,7 @@ impl SyncLeaf for IsStuck {
     }
 }
 
-/// SUCCESS while the robot says where it is in the map: the one transform that there is between parts.
+/// SUCCESS while the robot reports its pose in the map: the only transform between components.
 pub struct TransformAvailable;
 
 impl SyncLeaf for TransformAvailable {
@@ -50,8 +49,7 @@ impl SyncLeaf for TransformAvailable {
     }
 }
 
-/// RUNNING while the robot has been slower than `velocity_threshold` for less than `duration_stopped`, SUCCESS after that;
-/// FAILURE if it moves.
+/// RUNNING while the robot has been slower than `velocity_threshold` for less than `duration_stopped`, then SUCCESS; FAILURE if it moves.
 #[derive(Default)]
 pub struct CheckStopStatus {
     since: Option<f64>,

@@ -1,7 +1,7 @@
-//! FollowPath: a path is driven to its end, rechecked and renewed as the map grows, replaced when it is blocked.
+//! FollowPath: drives a path to its end; rechecks and renews the plan as the map grows, and replans when it is blocked.
 //!
-//! SUCCESS at the goal, within its tolerance; FAILURE when the robot does not get on, when no path leads round what
-//! blocks it, or when the robot refuses plan after plan. Without the lease, while stopped or driven by hand, it waits.
+//! SUCCESS at the goal, within its tolerance; FAILURE when the robot makes no progress, when no path leads round an obstacle, or when the
+//! robot refuses plan after plan. Without the lease, or while the robot is stopped or driven by hand, it waits.
 
 use std::sync::Arc;
 
@@ -21,7 +21,7 @@ use crate::route::{Route, RouteData, RouteRequest, Search, Searching};
 use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 use zenav_smoothing::Limits;
 
-/// Nav2's codes of why a path is not followed.
+/// Nav2's error codes of path following.
 mod error_code {
     pub const INVALID_CONTROLLER: i64 = 101;
     pub const TF_ERROR: i64 = 102;
@@ -30,26 +30,26 @@ mod error_code {
     pub const NO_VALID_CONTROL: i64 = 106;
 }
 
-/// A way past other robots is taken if it saves this much of the wait for them, s; and looked for this often, s.
+/// A path past other robots is taken if it saves at least this much time over waiting for them, s; time between two searches for one, s.
 const WORTH_IT: f64 = 1.0;
 const LOOK_PERIOD: f64 = 1.0;
-/// Wait before a route is looked for again that could not be checked, s.
+/// Wait before searching again after a route could not be checked, s.
 const AFTER_UNCHECKED: f64 = 1.0;
-/// A route from rest is good only where the robot still stands, m.
+/// Greatest distance of the robot from the start of a route from rest, m.
 const BEGIN_DISTANCE: f64 = 0.15;
 
-/// Ports that choose how a path is followed, and what there is to choose.
+/// Ports that choose how a path is followed, and their choices.
 const CHOICES: [(&str, Choice); 4] = [
     ("controller_id", Choice::Controller),
     ("goal_checker_id", Choice::GoalChecker),
     ("progress_checker_id", Choice::ProgressChecker),
     ("path_handler_id", Choice::PathHandler),
 ];
-/// A goal that has moved this much otherwise than the robot's surroundings is planned to anew, m.
+/// Motion of a goal relative to the robot's surroundings above which it is planned to again, m.
 const PARTED: f64 = 0.01;
-/// Why a path is of no use.
+/// Why a path cannot be used.
 const OLD_FRAME: &str = "the path is of a frame of the map that is too long ago";
-/// Nearer than this to its goal a robot at rest is there, as a share of the tolerance.
+/// Distance from the goal at which a robot at rest has arrived, as a share of the tolerance.
 const THERE: f64 = 0.5;
 
 /// Drives `path`.
@@ -57,7 +57,7 @@ const THERE: f64 = 0.5;
 pub struct FollowPath {
     progress: Progress,
     search: Option<Search>,
-    /// A way past the robots that this one gives way to, and when one may be looked for again.
+    /// Search for a path past the robots that this one gives way to, and the earliest time of the next one.
     detour: Option<Search>,
     next_detour: Stamp,
     refusals: u32,
@@ -66,29 +66,29 @@ pub struct FollowPath {
     tracking: Tracking,
     cancels: u64,
     rechecked: u64,
-    /// Changes of the map's zones that the motion in force knows of.
+    /// Count of zone changes known to the motion in force.
     zone_changes: u64,
-    /// A better route than the one being driven, from the tree.
+    /// A better route than the driven one, from the tree.
     offered: Option<Arc<Route>>,
-    /// Plan time of the motion in force at which something stands on the trajectory, s.
+    /// Plan time at which an obstacle blocks the motion in force, s.
     blocked_at: Option<f64>,
-    /// Until then what stands far ahead can wait.
+    /// Until then, obstacles far ahead need no replanning.
     gathered: Stamp,
-    /// The frame of the map that its numbers are in.
+    /// Frame of the map that its coordinates are in.
     frame: u64,
 }
 
-/// What must not be forgotten over a restart.
+/// State that must survive a restart.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct Memory {
     goal: GoalPoint,
     motion: Option<u64>,
-    /// The frame of the map that the goal's numbers are in.
+    /// Frame of the map that the goal's coordinates are in.
     #[serde(default)]
     frame: u64,
 }
 
-/// Whether the robot stands at a goal that asks for no heading.
+/// Whether the robot stands at a goal without a heading.
 fn is_there(ctx: &Context, goal: &GoalPoint) -> bool {
     let near = |pose: Pose2| (pose.x - goal.x).hypot(pose.y - goal.y) <= THERE * ctx.goal.tolerance;
     goal.yaw.is_none() && ctx.robot.is_at_rest() && ctx.robot.pose().is_some_and(near)
@@ -115,13 +115,13 @@ impl Leaf<Context> for FollowPath {
         self.frame = ctx.frames.at();
         self.path_sequence = io.sequence("path");
         if is_there(ctx, &data.goal) {
-            // A path whose end the robot keeps to, as one that follows something does.
+            // A path whose end stays near the robot, as when it follows something.
             no_error(io);
             io.say("arrived");
             return Status::Success;
         }
         self.offered = ctx.route(data.route);
-        // A robot that drove nearer to what barred the way goes on from there.
+        // A robot that approached the obstacle continues from there.
         let goes_on = |route: &Arc<Route>| {
             let splice = route.plan.splice.as_ref();
             splice.is_some_and(|splice| Some(splice.trajectory_id) == ctx.motion.id())
@@ -129,7 +129,7 @@ impl Leaf<Context> for FollowPath {
         if !self.offered.as_ref().is_some_and(goes_on) {
             ctx.motion.clear();
         }
-        // A drive is called what its node is called, else after the place that it leads to.
+        // A drive is named after its node, or, if the node has no name, after its destination.
         let named = data.place.as_deref().filter(|_| io.name() == io.id());
         ctx.begin_leg(named.unwrap_or(io.name()), Some(data.goal), data.length);
         self.remember(
@@ -193,7 +193,7 @@ impl Leaf<Context> for FollowPath {
                 return self.drive(io, ctx, memory, &route);
             }
             if memory.motion != ctx.motion.id() {
-                // What it was to go on from.
+                // The motion that the route was to continue from.
                 ctx.hold();
                 ctx.motion.clear();
             }
@@ -254,8 +254,8 @@ impl Leaf<Context> for FollowPath {
 }
 
 impl FollowPath {
-    /// Takes over the present frame of the map. The plan in force goes on; where its goal has moved otherwise than the robot's surroundings,
-    /// another one to that is looked for meanwhile. `false` where the frame of the goal is too long ago.
+    /// Switches to the present frame of the map. The plan in force continues; if its goal has moved relative to the robot's surroundings, a
+    /// new route to the goal is searched meanwhile. `false` if the goal's frame is too old.
     fn settle(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, memory: &mut Memory) -> bool {
         let Some(moved) = ctx.frames.robot(memory.frame) else {
             return false;
@@ -274,7 +274,7 @@ impl FollowPath {
         true
     }
 
-    /// The tree may put a newer path on the port while this one is driven.
+    /// The tree may write a newer path to the port while this one is driven.
     fn look_for_offer(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, memory: &mut Memory) {
         let sequence = io.sequence("path");
         if sequence == self.path_sequence {
@@ -296,7 +296,7 @@ impl FollowPath {
         }
     }
 
-    /// Makes a motion of a path that came without one.
+    /// Searches a motion along a path that came without one.
     fn follow_points(&mut self, ctx: &mut Context, data: &RouteData) {
         self.stop_search(ctx);
         let request = RouteRequest {
@@ -326,7 +326,7 @@ impl FollowPath {
         }
     }
 
-    /// Puts a route into force, if it is free by the newest map.
+    /// Puts a route into force if it is free on the newest map.
     fn drive(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, mut memory: Memory, route: &Route) -> Status {
         match ctx
             .space_now()
@@ -352,7 +352,7 @@ impl FollowPath {
         step(io, ctx, "driving")
     }
 
-    /// The plan in force: rechecked once a period, and sooner when the map has changed; renewed when it is free.
+    /// Supervises the plan in force: rechecked once a period, and sooner when the map changes; renewed while it is free.
     fn supervise(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, memory: Memory) -> Status {
         let taken = ctx.motion.status() == Some(&PlanStatus::Taken);
         if taken && !ctx.motion.is_held() {
@@ -376,14 +376,14 @@ impl FollowPath {
                 .space_now()
                 .map(|space| ctx.motion.recheck(&space, time, ctx.config.settings.escape))
             {
-                // The speed limits may be others, or the way shorter: this motion goes on until there is a better one.
+                // Speed limits may have changed, or the path may be shorter: this motion continues until there is a better one.
                 Ok(Recheck::Free) if rezoned => {
                     self.begin_search(ctx, memory.goal, 0.0);
                     return step(io, ctx, "replanning: the zones of the map have changed");
                 }
                 Ok(Recheck::Free) if due => ctx.renew(),
                 Ok(Recheck::Free) => {}
-                // It runs out: the robot is at rest by its expiry, and goes on once the plan can be checked again.
+                // The plan runs out: the robot is at rest by its expiry, and continues once the plan can be checked again.
                 Err(why) => return step(io, ctx, &format!("plan not renewed, it cannot be checked: {why}")),
                 Ok(Recheck::Blocked(ahead)) if ahead > ctx.config.settings.obstacle.far && ctx.now < self.gathered => {}
                 Ok(Recheck::Blocked(ahead)) => {
@@ -403,7 +403,7 @@ impl FollowPath {
         step(io, ctx, what)
     }
 
-    /// Looks for a way past the robots that this one gives way to, and takes it if it is there sooner than by waiting.
+    /// Searches for a path past the robots that this one gives way to, and takes it if the robot arrives sooner than by waiting.
     fn give_way(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, memory: Memory) -> Option<Status> {
         let yields = ctx
             .motion
@@ -478,7 +478,7 @@ impl FollowPath {
             Searching::Failed(no_route)
                 if !ctx.robot.is_at_rest() && ctx.motion.status() == Some(&PlanStatus::Taken) =>
             {
-                // Perhaps only not at this speed.
+                // The failure may only apply at this speed.
                 ctx.hold();
                 self.begin_search(ctx, memory.goal, 0.0);
                 self.search = self.search.take().map(Search::from_rest);
@@ -495,7 +495,7 @@ impl FollowPath {
         }
     }
 
-    /// Holds the motion in force once what stands on the trajectory comes near.
+    /// Holds the motion in force once the obstacle on the trajectory comes near.
     fn brake_in_time(&mut self, ctx: &mut Context) {
         if let (Some(at), Some(model)) = (self.blocked_at, ctx.robot.model()) {
             let braking = Limits::of(model).braking_time(ctx.robot.velocity());

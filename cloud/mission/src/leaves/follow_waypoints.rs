@@ -1,7 +1,7 @@
-//! FollowWaypoints: places are passed in order by the robot's waypoint law, without a planner and without a map.
+//! FollowWaypoints: passes places in order with the robot's waypoint law, without a planner or a map.
 //!
-//! The collision monitor keeps the robot from obstacles. SUCCESS at the last place; FAILURE when the robot does not get
-//! on or refuses the plan. After a loss of the lease or a restart it goes on with the first place not passed.
+//! The collision monitor keeps the robot from obstacles. SUCCESS at the last place; FAILURE when the robot makes no progress or refuses the
+//! plan. After a loss of the lease or a restart it continues with the first place not yet passed.
 
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
@@ -14,7 +14,7 @@ use crate::context::Context;
 use crate::motion::{PlanDraft, PlanStatus};
 use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 
-/// Nav2's codes.
+/// Nav2's error codes.
 const FAILED_TO_MAKE_PROGRESS: i64 = 105;
 const NO_VALID_CONTROL: i64 = 106;
 const UNKNOWN: i64 = 100;
@@ -28,7 +28,7 @@ pub struct FollowWaypoints {
     not_before: zenav_protocol::time::Stamp,
 }
 
-/// What must not be forgotten over a restart.
+/// State that must survive a restart.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 struct Memory {
     /// Places passed before the motion in force began.

@@ -1,5 +1,5 @@
-//! RemovePassedGoals, RemoveInCollisionGoals, AppendGoalPoseToGoals, GetNextFewGoals, GetCurrentPose, ArePosesNear,
-//! CheckPoseOccupancy: what can be asked of goals and done with lists of them.
+//! RemovePassedGoals, RemoveInCollisionGoals, AppendGoalPoseToGoals, GetNextFewGoals, GetCurrentPose, ArePosesNear, CheckPoseOccupancy:
+//! queries about goals, and operations on lists of goals.
 
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::Occupancy;
@@ -10,11 +10,11 @@ use super::{SyncLeaf, step};
 use crate::context::Context;
 use zenav_behaviour_tree::{LeafIo, Status, Value};
 
-/// Nav2's states of a waypoint.
+/// Nav2's statuses of a waypoint.
 const COMPLETED: u64 = 1;
 const SKIPPED: u64 = 2;
 
-/// Drops leading goals within `radius` of the robot, never the last one.
+/// Drops leading goals within `radius` of the robot, but never the last one.
 pub struct RemovePassedGoals;
 
 impl SyncLeaf for RemovePassedGoals {
@@ -30,7 +30,7 @@ impl SyncLeaf for RemovePassedGoals {
     }
 }
 
-/// Drops the goals where the robot does not fit by the map.
+/// Drops goals where the robot does not fit according to the map.
 pub struct RemoveInCollisionGoals;
 
 impl SyncLeaf for RemoveInCollisionGoals {
@@ -52,7 +52,7 @@ impl SyncLeaf for RemoveInCollisionGoals {
     }
 }
 
-/// SUCCESS if the robot does not fit at `pose` by the map: it is occupied.
+/// SUCCESS if the robot does not fit at `pose` according to the map: the pose is occupied.
 pub struct CheckPoseOccupancy;
 
 impl SyncLeaf for CheckPoseOccupancy {
@@ -66,8 +66,8 @@ impl SyncLeaf for CheckPoseOccupancy {
     }
 }
 
-/// Whether the robot fits at a goal: its body with `use_footprint`, else its centre. Nav2's `cost_threshold` is a cost of
-/// its maps, which have more values than free and occupied; here every obstacle counts.
+/// Whether the robot fits at a goal: its footprint with `use_footprint`, otherwise its centre. Nav2's `cost_threshold` refers to the cost
+/// values of its maps; here every obstacle counts.
 fn fits(io: &LeafIo<'_>, ctx: &mut Context, goal: &GoalPoint) -> Result<bool, String> {
     let flag = |port: &str, otherwise: bool| io.get_optional(port).ok().flatten().unwrap_or(otherwise);
     let (model, space) = ground(ctx).ok_or("the robot or its map is not known")?;
@@ -81,12 +81,12 @@ fn fits(io: &LeafIo<'_>, ctx: &mut Context, goal: &GoalPoint) -> Result<bool, St
     }
     Ok(match goal.yaw {
         Some(_) => space.footprint_clearance(pose) > 0.0,
-        // It may turn there as it likes.
+        // Without a given heading, the robot may choose one.
         None => space.clearance(pose.position()) > model.footprint.inscribed_radius(),
     })
 }
 
-/// Marks the waypoints of dropped goals, of those that are neither completed nor skipped yet, where the tree keeps statuses.
+/// Marks the waypoints of dropped goals, counted over those neither completed nor skipped, if the tree keeps statuses.
 fn mark(io: &mut LeafIo<'_>, dropped: &[usize], status: u64) -> Result<(), String> {
     let Ok(mut statuses) = io.get_data::<Vec<serde_json::Value>>("input_waypoint_statuses") else {
         return Ok(());
@@ -104,7 +104,7 @@ fn mark(io: &mut LeafIo<'_>, dropped: &[usize], status: u64) -> Result<(), Strin
     write(io, "output_waypoint_statuses", value).map(|_| ())
 }
 
-/// Adds a goal to the end of a list.
+/// Appends a goal to a list.
 pub struct AppendGoalPoseToGoals;
 
 impl SyncLeaf for AppendGoalPoseToGoals {
@@ -130,7 +130,7 @@ impl SyncLeaf for GetNextFewGoals {
     }
 }
 
-/// Where the robot is.
+/// The robot's pose.
 pub struct GetCurrentPose;
 
 impl SyncLeaf for GetCurrentPose {
@@ -145,7 +145,7 @@ impl SyncLeaf for GetCurrentPose {
     }
 }
 
-/// SUCCESS if two poses are within `tolerance` of each other; without `ref_pose`, it is the robot's.
+/// SUCCESS if two poses are within `tolerance` of each other; the default of `ref_pose` is the robot's pose.
 pub struct ArePosesNear;
 
 impl SyncLeaf for ArePosesNear {

@@ -1,7 +1,6 @@
-//! ReinitializeGlobalLocalization, IsLocalised, WaitForLocalisation: a robot that does not know where it is has itself looked for.
+//! ReinitializeGlobalLocalization, IsLocalised, WaitForLocalisation: a robot with unknown pose has mapping search for it.
 //!
-//! Nav2's service call succeeds once the search has begun, and so does the leaf; whether the robot was found is the business of the one
-//! after it.
+//! Nav2's service call succeeds once the search has begun, and so does the leaf; the next leaf checks whether the robot was found.
 
 use zenav_protocol::messages::{LocaliseAction, LocaliseRequest, Refusal};
 use zenav_protocol::time::Stamp;
@@ -11,16 +10,16 @@ use crate::context::Context;
 use crate::io::{Ask, NoAnswer, Ticket};
 use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 
-/// Nav2's code for a server that cannot be reached.
+/// Nav2's error code for an unreachable server.
 const SEND_GOAL_FAILURE: i64 = 2;
-/// For so long mapping is asked again, s.
+/// Time for which mapping is asked repeatedly, s.
 const PATIENCE: f64 = 10.0;
-/// Mapping may take so long to hear of a new grant, s.
+/// Pause for mapping to learn of a new grant, s.
 const EPOCH_WAIT: f64 = 0.3;
-/// For so long a robot is looked for unless the tree says otherwise, s.
+/// Default time limit of a search, s.
 const ALLOWANCE: f64 = 5.0;
 
-/// Has the robot looked for in the whole map: SUCCESS once that has begun, FAILURE where nobody localises.
+/// Starts a search for the robot in the whole map: SUCCESS once it has begun, FAILURE without localisation.
 #[derive(Default)]
 pub struct Reinitialize {
     since: Stamp,
@@ -59,12 +58,12 @@ impl Leaf<Context> for Reinitialize {
                 io.say("the robot is being looked for in the whole map");
                 return Status::Success;
             }
-            // Mapping has not heard of the grant yet.
+            // Mapping does not know the grant yet.
             Some(Err(NoAnswer::Refused(Refusal::WrongEpoch { .. }))) if waits => "waiting for mapping".to_owned(),
             Some(Err(NoAnswer::Silent(why))) if waits => why,
             Some(Err(no)) => {
                 let status = fail(io, ctx, Some(SEND_GOAL_FAILURE), no.to_string());
-                // That it is lost is why the goal ends, not that nobody looks.
+                // The goal's end reports that the robot is lost, rather than that no search was possible.
                 if let Some(lost) = ctx.robot.lost() {
                     ctx.goal.failure = Some(format!("{lost}; {no}"));
                 }
@@ -76,7 +75,7 @@ impl Leaf<Context> for Reinitialize {
         step(io, ctx, &why)
     }
 
-    /// To look once more does no harm.
+    /// Searching again does no harm.
     fn resume(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
         self.start(io, ctx)
     }
@@ -88,20 +87,20 @@ impl Leaf<Context> for Reinitialize {
     }
 }
 
-/// SUCCESS unless it is known that the robot does not know where it is.
+/// SUCCESS unless the robot is known to be lost.
 pub struct IsLocalised;
 
 impl Leaf<Context> for IsLocalised {
     fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
         match ctx.robot.lost() {
             None => Status::Success,
-            // Not `fail`: that it is lost is an answer, no fault.
+            // Not `fail`: being lost is an answer, not an error.
             Some(why) => io.fail(why),
         }
     }
 }
 
-/// SUCCESS once the robot knows where it is by a word that came after the start, FAILURE when none did within `time_allowance`.
+/// SUCCESS once a report after the start says that the robot is localised, FAILURE if none does within `time_allowance`.
 #[derive(Default)]
 pub struct WaitForLocalisation {
     since: Stamp,

@@ -1,4 +1,4 @@
-//! Is there a map, and how does there come to be one?
+//! DoesMapExist, MapEnvironment, SaveMap: is there a map, and how is one made?
 
 use serde::{Deserialize, Serialize};
 use zenav_protocol::messages::{MapAction, MapRequest, Refusal};
@@ -9,14 +9,14 @@ use crate::context::Context;
 use crate::io::{Ask, NoAnswer, Ticket};
 use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 
-/// For so long a mapping service that is just starting is waited for, s.
+/// Time to wait for a mapping service that is just starting, s.
 const PATIENCE: f64 = 10.0;
-/// For so long an action on the map is asked for again, s.
+/// Time for which an action on the map is requested repeatedly, s.
 const ACTION_PATIENCE: f64 = 30.0;
-/// For so long mapping may take to hear of a new grant, s.
+/// Pause for mapping to learn of a new grant, s.
 const EPOCH_WAIT: f64 = 0.3;
 
-/// SUCCESS when the map that mapping serves is stored, FAILURE when it is not or nobody serves one.
+/// SUCCESS if mapping serves a stored map, FAILURE if the map is not stored or none is served.
 #[derive(Default)]
 pub struct DoesMapExist {
     since: Option<Stamp>,
@@ -35,7 +35,7 @@ impl Leaf<Context> for DoesMapExist {
                 io.say("a map is stored");
                 Status::Success
             }
-            // Not `fail`: that there is no map yet is an answer, no fault.
+            // Not `fail`: a missing map is an answer, not an error.
             Some(_) => io.fail("no map is stored yet"),
             None if ctx.now.secs_since(since) < PATIENCE => step(io, ctx, "waiting for the mapping service"),
             None => io.fail("no mapping service answers"),
@@ -43,7 +43,7 @@ impl Leaf<Context> for DoesMapExist {
     }
 }
 
-/// An ask that changes the map, repeated under one id until it is answered.
+/// A request that changes the map, repeated under one id until it is answered.
 #[derive(Default)]
 pub struct Action {
     ticket: Option<Ticket>,
@@ -51,25 +51,25 @@ pub struct Action {
     not_before: Stamp,
 }
 
-/// The execution, stored before its effect.
+/// The execution, stored before it has an effect.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct Execution {
     id: String,
     done: bool,
 }
 
-/// How an ask that changes the map goes.
+/// State of a request that changes the map.
 pub enum Acting {
     /// Not answered yet.
     Busy,
     /// Done.
     Done,
-    /// Refused, or nobody answers.
+    /// Refused, or unanswered.
     Failed(String),
 }
 
 impl Action {
-    /// A new ask; it goes out with the first step.
+    /// A new request; it is sent in the first step.
     pub fn begin(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) {
         *self = Self {
             since: ctx.now,
@@ -84,7 +84,7 @@ impl Action {
         }
     }
 
-    /// The same ask after a restart.
+    /// The same request after a restart.
     pub fn resume(&mut self, ctx: &Context) {
         *self = Self {
             since: ctx.now,
@@ -92,7 +92,7 @@ impl Action {
         };
     }
 
-    /// Asks, and asks again.
+    /// Sends the request, repeatedly if necessary.
     pub fn step(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, action: MapAction) -> Acting {
         let Some(mut execution) = io.recall::<Execution>() else {
             return Acting::Failed("the execution id is lost".to_owned());
@@ -100,7 +100,7 @@ impl Action {
         if execution.done {
             return Acting::Done;
         }
-        // The request changes nothing of a robot, but only its mission may order it.
+        // The request moves no robot, but only the robot's mission may send it.
         let Some(epoch) = ctx.lease.epoch() else {
             return Acting::Busy;
         };
@@ -124,7 +124,7 @@ impl Action {
                 Acting::Done
             }
             Some(Err(NoAnswer::Refused(refusal @ Refusal::WrongEpoch { .. }))) => {
-                // Mapping has not heard of the grant yet.
+                // Mapping does not know the grant yet.
                 self.ticket = None;
                 if ctx.now.secs_since(self.since) > ACTION_PATIENCE {
                     return Acting::Failed(refusal.to_string());
@@ -144,7 +144,7 @@ impl Action {
         }
     }
 
-    /// Waits no longer.
+    /// Stops waiting.
     pub fn forget(&mut self, ctx: &mut Context) {
         if let Some(ticket) = self.ticket.take() {
             ctx.asks.forget(ticket);
@@ -152,7 +152,7 @@ impl Action {
     }
 }
 
-/// Begins a new map and stays RUNNING while scans are inserted; the one beside it decides when that is enough.
+/// Starts a new map and stays RUNNING while scans are inserted; a parallel node decides when the map is complete.
 #[derive(Default)]
 pub struct MapEnvironment {
     action: Action,
@@ -163,12 +163,12 @@ impl Leaf<Context> for MapEnvironment {
     fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
         self.resumed = false;
         self.action.begin(io, ctx);
-        // The ask follows in the next tick, when the execution's id is stored.
+        // The request follows in the next tick, when the execution's id is stored.
         step(io, ctx, "starting a new map")
     }
 
     fn tick(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
-        // What has been mapped before a restart is kept.
+        // What was mapped before a restart is kept.
         let action = if self.resumed {
             MapAction::Resume
         } else {
@@ -200,7 +200,7 @@ impl Leaf<Context> for MapEnvironment {
     }
 }
 
-/// Asks mapping for one action on the map, and waits until it is done.
+/// Requests an action on the map from mapping, and waits until it is done.
 pub struct OnMap {
     action: Action,
     which: MapAction,
@@ -209,13 +209,13 @@ pub struct OnMap {
 }
 
 impl OnMap {
-    /// Stores the map: from then on it exists.
+    /// Stores the map, which then exists.
     #[must_use]
     pub fn save() -> Self {
         Self::new(MapAction::Save, "storing the map", "stored")
     }
 
-    /// Takes for gone what may only have passed by; what is still there is seen again.
+    /// Removes obstacles that may have been temporary; those still there will be seen again.
     #[must_use]
     pub fn forget() -> Self {
         Self::new(MapAction::Forget, "clearing the map", "cleared")
@@ -234,7 +234,7 @@ impl OnMap {
 impl Leaf<Context> for OnMap {
     fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
         self.action.begin(io, ctx);
-        // The ask follows in the next tick, when the execution's id is stored.
+        // The request follows in the next tick, when the execution's id is stored.
         step(io, ctx, self.doing)
     }
 

@@ -1,18 +1,19 @@
-//! Which of Nav2's nodes ask for what nobody does here? They can stand in a tree; ticked, they fail and name what is missing.
+//! Missing capabilities. Which of Nav2's nodes need something that this stack does not have? They may be in a tree; when ticked, they fail
+//! and name what is missing.
 
 use super::fail;
 use crate::context::Context;
 use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 
-/// Nav2's code for a server that cannot be reached.
+/// Nav2's error code for an unreachable server.
 const SEND_GOAL_FAILURE: i64 = 2;
-/// Nav2's code for a route server without a graph: no recovery helps.
+/// Nav2's error code for a route server without a graph: no recovery helps.
 const NO_VALID_GRAPH: i64 = 402;
 
-/// A node of Nav2 whose job nobody does here.
+/// A Nav2 node whose capability this stack does not have.
 pub struct Missing;
 
-/// What a node of that registration id needs.
+/// The capability that a node with this registration id needs.
 fn capability(id: &str) -> (&'static str, i64) {
     match id {
         "ComputeRoute" | "ComputeAndTrackRoute" | "CancelComputeAndTrackRoute" | "ExtractRouteNodesAsGoals" => {

@@ -2,12 +2,12 @@
 //!
 //! | file | leaves |
 //! |---|---|
-//! | `ports`, [`path`] | how goals, lists of them and paths are written in a tree; what there is to know of a path |
+//! | `ports`, [`path`] | how goals, lists of goals and paths are written in a tree; geometry of a path |
 //! | `compute_path` | ComputePathToPose, ComputePathThroughPoses |
 //! | `smooth_path` | SmoothPath |
-//! | `follow_path`, `tracking` | FollowPath, and where on its path the robot is |
+//! | `follow_path`, `tracking` | FollowPath, and the robot's position on its path |
 //! | `follow_waypoints` | FollowWaypoints |
-//! | `mapping` | DoesMapExist, MapEnvironment, SaveMap and what else is done to a map |
+//! | `mapping` | DoesMapExist, MapEnvironment, SaveMap and other actions on a map |
 //! | `localisation` | ReinitializeGlobalLocalization, IsLocalised, WaitForLocalisation |
 //! | `behaviours` | Spin, BackUp, DriveOnHeading, DriveToFree |
 //! | `simple` | Wait, GoalReached, IsBatteryLow |
@@ -16,12 +16,12 @@
 //! | `goal_leaves` | RemovePassedGoals, RemoveInCollisionGoals, AppendGoalPoseToGoals, GetNextFewGoals, ArePosesNear, … |
 //! | `selectors` | PlannerSelector, ControllerSelector, … |
 //! | `services` | ClearEntireCostmap, CancelControl, …, ToggleCollisionMonitor |
-//! | [`remote`] | RemoteAction: what another program does |
+//! | [`remote`] | RemoteAction: an action of another program |
 //! | `navigate` | NavigateToPose, NavigateThroughPoses |
-//! | `missing` | DockRobot, ComputeRoute, …: what this stack does not have |
+//! | `missing` | DockRobot, ComputeRoute, …: nodes without a counterpart in this stack |
 //!
-//! Names and ports are Nav2's where Nav2 has the node, so that every Nav2 tree loads. A node that this stack cannot serve
-//! fails when it is ticked and names what is missing.
+//! Names and ports are Nav2's where Nav2 has the node, so that every Nav2 tree loads. A node that this stack cannot serve fails when ticked
+//! and names what is missing.
 
 mod behaviours;
 mod compute_path;
@@ -52,12 +52,12 @@ use zenav_behaviour_tree::{DuplicateNode, Leaf, LeafIo, LeafSite, NodeSpec, Port
 
 pub use ports::{Places, goal_text, goals_value, parse_goal, parse_goals, parse_path, parse_points};
 
-/// The nodes of a mission's trees: BehaviorTree.CPP's, Nav2's and this stack's.
+/// The nodes available to a mission's trees: BehaviorTree.CPP's, Nav2's and this stack's.
 #[must_use]
 pub fn registry() -> Registry<Context> {
     let mut registry = nav2::registry();
     if let Err(duplicate) = fill(&mut registry) {
-        // Ids are constants: this is a slip of the table below, which a test catches.
+        // Ids are constants: a duplicate is an error in the table below, which a test catches.
         tracing::error!(%duplicate, "two leaves of one name");
     }
     registry
@@ -179,7 +179,7 @@ fn nav2_leaf(site: LeafSite<'_>) -> Box<dyn Leaf<Context>> {
         "ReinitializeGlobalLocalization" => Box::<localisation::Reinitialize>::default(),
         "SmoothPath" => Box::<smooth_path::SmoothPath>::default(),
         "NavigateToPose" | "NavigateThroughPoses" => Box::<navigate::Navigate>::default(),
-        // Its name until Nav2's Kilted.
+        // The node's name up to Nav2 Kilted.
         "ValidatePath" | "IsPathValid" => sync(path_leaves::ValidatePath),
         "IsGoalNearby" => sync(path_leaves::IsGoalNearby::default()),
         "TruncatePath" => sync(path_leaves::TruncatePath),
@@ -250,7 +250,7 @@ impl Travel for Context {
 fn fail(io: &mut LeafIo<'_>, ctx: &mut Context, code: Option<i64>, why: impl Into<String>) -> Status {
     let why = why.into();
     if let Some(code) = code {
-        // A tree that has put something else on these ports gets no code; the reason stands in the feedback.
+        // A tree with other types of entries on these ports gets no code; the reason is in the feedback.
         let _ = io.set("error_code_id", code);
         let _ = io.set("error_msg", why.as_str());
     }
@@ -264,7 +264,7 @@ fn no_error(io: &mut LeafIo<'_>) {
     let _ = io.set("error_msg", "");
 }
 
-/// `Running`, with what the node does as its feedback and the goal's.
+/// `Running`, with a description of what the node does as its feedback and the goal's.
 fn step(io: &mut LeafIo<'_>, ctx: &mut Context, what: &str) -> Status {
     io.say(what);
     let said = format!("{}: {what}", io.name());

@@ -1,7 +1,7 @@
-//! NavigateToPose, NavigateThroughPoses: a whole tree as one action, with a blackboard of its own.
+//! NavigateToPose, NavigateThroughPoses: a whole tree as one action, with its own blackboard.
 //!
-//! `behavior_tree` is the name of a shipped tree, or XML; without it, the tree of a goal of that kind. The inner tree is stored
-//! with the outer one and goes on after a restart.
+//! `behavior_tree` is the name of a shipped tree, or XML; without it, the default tree for a goal of that kind. The inner tree is stored
+//! with the outer one and continues after a restart.
 
 use serde::{Deserialize, Serialize};
 
@@ -11,13 +11,13 @@ use crate::context::Context;
 use crate::trees;
 use zenav_behaviour_tree::{Leaf, LeafIo, Status, Tree, TreeSnapshot, Value};
 
-/// Trees inside one another, at most: one that contains itself has no end.
+/// Greatest nesting depth: a tree that contains itself would never end.
 const MAX_NESTED: u32 = 4;
 
-/// Nodes of all inner trees of a goal that run at the same time, at most.
+/// Most nodes of all inner trees of a goal that run at the same time.
 const MAX_NODES: usize = 20_000;
 
-/// Nav2's codes, for one pose; through poses they are so much higher.
+/// Nav2's error codes for one pose, and their offset for several poses.
 mod error_code {
     pub const UNKNOWN: i64 = 9000;
     pub const FAILED_TO_LOAD_BEHAVIOR_TREE: i64 = 9001;
@@ -31,7 +31,7 @@ pub struct Navigate {
     stored: u64,
 }
 
-/// What must not be forgotten over a restart.
+/// State that must survive a restart.
 #[derive(Serialize, Deserialize)]
 struct Memory {
     tree: String,
@@ -94,7 +94,7 @@ impl Navigate {
         }
     }
 
-    /// Keeps the inner tree with the outer one, if it has changed.
+    /// Stores the inner tree with the outer one, if it has changed.
     fn keep(&mut self, io: &mut LeafIo<'_>, name: String) -> Result<(), String> {
         let Some(tree) = &self.tree else { return Ok(()) };
         self.stored = tree.revision();
@@ -146,7 +146,7 @@ impl Leaf<Context> for Navigate {
                 Status::Running
             }
             Ok(Status::Failure | Status::Skipped) => {
-                // The leaf inside has told why; here it is told again, for the code.
+                // The inner leaf has reported the reason; it is repeated here with the code.
                 let why = ctx.goal.failure.clone().unwrap_or_else(|| "its tree failed".to_owned());
                 let code = code(io, error_code::UNKNOWN);
                 fail(io, ctx, code, why)

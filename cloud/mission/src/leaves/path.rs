@@ -1,18 +1,17 @@
-//! Where on a path is the robot, how much of it is left, and what is a part of it? A path is a polyline, m, map frame.
+//! Polyline path. Where on a path is the robot, how much of it is left, and what is a part of it? In m, map frame.
 //!
-//! Nav2's paths have a pose every few centimetres, and its nodes look for the closest pose; here the closest point of the
-//! line itself is taken.
+//! Nav2's paths have a pose every few centimetres, and its nodes search the closest pose; here the closest point of the line is used.
 
 use nalgebra::Point2;
 
-/// The point of a path that is nearest to a place.
+/// The point of a path nearest to a place.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Nearest {
-    /// Path from the start to it, m.
+    /// Length of the path up to the point, m.
     pub along: f64,
     /// Distance from the place, m.
     pub distance: f64,
-    /// The same, positive where the place lies left of the path; before its beginning, only what lies aside of it.
+    /// Signed distance, positive to the left of the path; before its beginning, only the lateral part.
     pub left: f64,
     /// Heading of the path there, rad.
     pub heading: f64,
@@ -24,7 +23,7 @@ pub fn length(points: &[Point2<f64>]) -> f64 {
     segments(points).map(|(_, a, b)| (b - a).norm()).sum()
 }
 
-/// Every segment of a path: where it begins, m along the path, and its ends.
+/// Every segment of a path: its beginning, m along the path, and its ends.
 fn segments(points: &[Point2<f64>]) -> impl Iterator<Item = (f64, Point2<f64>, Point2<f64>)> {
     let mut along = 0.0;
     points.iter().zip(points.iter().skip(1)).map(move |(a, b)| {
@@ -34,8 +33,7 @@ fn segments(points: &[Point2<f64>]) -> impl Iterator<Item = (f64, Point2<f64>, P
     })
 }
 
-/// The point nearest to `place` between `from` and `to` m of the path; `None` for a path without points or a part that is
-/// empty.
+/// The point nearest to `place` between `from` and `to` m of the path; `None` for a path without points or an empty part.
 #[must_use]
 pub fn nearest(points: &[Point2<f64>], place: Point2<f64>, from: f64, to: f64) -> Option<Nearest> {
     if let [only] = points {
@@ -76,7 +74,7 @@ pub fn nearest(points: &[Point2<f64>], place: Point2<f64>, from: f64, to: f64) -
     best
 }
 
-/// The part from `from` to `to` m of the path, cut ends included. A part without length is one point.
+/// The part from `from` to `to` m of the path, including the cut ends. A part without length is one point.
 #[must_use]
 pub fn part(points: &[Point2<f64>], from: f64, to: f64) -> Vec<Point2<f64>> {
     let Some(first) = points.first() else { return Vec::new() };
@@ -103,7 +101,7 @@ pub fn part(points: &[Point2<f64>], from: f64, to: f64) -> Vec<Point2<f64>> {
     cut
 }
 
-/// The corners without which the path would be more than `tolerance` m off (Douglas and Peucker, 1973); both ends always.
+/// The corners needed to keep the path within `tolerance` m (Douglas and Peucker, 1973); always includes both ends.
 #[must_use]
 pub fn simplified(points: &[Point2<f64>], tolerance: f64) -> Vec<Point2<f64>> {
     let Some(last) = points.len().checked_sub(1) else {
@@ -136,7 +134,7 @@ pub fn simplified(points: &[Point2<f64>], tolerance: f64) -> Vec<Point2<f64>> {
         .collect()
 }
 
-/// Points on a path, at most `spacing` m apart, ends and corners included, each with its heading; at most `most`.
+/// Points on a path, at most `spacing` m apart, including ends and corners, each with its heading; at most `most`.
 #[must_use]
 pub fn spaced(points: &[Point2<f64>], spacing: f64, most: usize) -> Vec<(Point2<f64>, f64)> {
     let mut poses = Vec::new();
@@ -183,7 +181,7 @@ mod tests {
 
     #[test]
     fn a_search_that_is_bounded_does_not_jump_ahead() {
-        // The path comes back beside itself.
+        // The path returns beside itself.
         let path = [(0.0, 0.0), (4.0, 0.0), (4.0, 0.5), (0.0, 0.5)].map(|(x, y)| Point2::new(x, y));
         let place = Point2::new(0.2, 0.4);
         assert!(nearest(&path, place, 0.0, f64::INFINITY).unwrap().along > 8.0);

@@ -1,5 +1,5 @@
-//! ValidatePath, IsGoalNearby, TruncatePath, TruncatePathLocal, GetPoseFromPath, ConcatenatePaths,
-//! IsWithinPathTrackingBounds: what can be asked of a path and done with it.
+//! ValidatePath, IsGoalNearby, TruncatePath, TruncatePathLocal, GetPoseFromPath, ConcatenatePaths, IsWithinPathTrackingBounds: queries
+//! about a path, and operations on it.
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;
@@ -15,15 +15,15 @@ use crate::route::RouteData;
 use zenav_behaviour_tree::nav2::off_path;
 use zenav_behaviour_tree::{LeafIo, Status, Value};
 
-/// Spacing of the places of a path that are looked at one by one, m.
+/// Spacing of the points checked along a path, m.
 const SPACING: f64 = 0.05;
-/// Places of a path that are looked at.
+/// Most points checked.
 const MOST: usize = 20_000;
-/// Collisions that are told.
+/// Most collisions reported.
 const TOLD: usize = 100;
 
-/// Where on a path the robot is. With a bound, the search goes on from where it was found last, so that it does not jump
-/// where a path comes near itself.
+/// Position of the robot on a path. With a bound, the search continues from the last position found, so that it does not jump where a path
+/// passes near itself.
 #[derive(Default)]
 struct Pursuit {
     sequence: Option<u64>,
@@ -32,7 +32,7 @@ struct Pursuit {
 
 impl Pursuit {
     fn find(&mut self, sequence: u64, points: &[Point2<f64>], here: Pose2, reach: f64) -> Option<Nearest> {
-        // After a restart, too, nothing is known of where it was.
+        // Also after a restart the previous position is unknown.
         let begin = match self.sequence.replace(sequence) {
             Some(known) if known == sequence => self.along,
             Some(_) => 0.0,
@@ -50,7 +50,7 @@ impl Pursuit {
     }
 }
 
-/// SUCCESS if what is left of `path` is shorter than `proximity_threshold`.
+/// SUCCESS if the rest of `path` is shorter than `proximity_threshold`.
 #[derive(Default)]
 pub struct IsGoalNearby(Pursuit);
 
@@ -69,7 +69,7 @@ impl SyncLeaf for IsGoalNearby {
     }
 }
 
-/// Cuts `input_path` to so much before and behind the robot; -1 is all.
+/// Cuts `input_path` to these lengths before and behind the robot; -1 keeps all.
 #[derive(Default)]
 pub struct TruncatePathLocal(Pursuit);
 
@@ -96,7 +96,7 @@ impl SyncLeaf for TruncatePathLocal {
         let from = if backward < 0.0 { 0.0 } else { near.along - backward };
         let to = if forward < 0.0 { whole } else { near.along + forward };
         let points = path::part(&data.points, from, to);
-        // What leads to the same goal is still the same route.
+        // A path to the same goal is still the same route.
         let cut = if to >= whole {
             RouteData {
                 length: path::length(&points),
@@ -110,7 +110,7 @@ impl SyncLeaf for TruncatePathLocal {
     }
 }
 
-/// Cuts `distance` off the end of `input_path`; at least its first point is left.
+/// Cuts `distance` off the end of `input_path`; at least its first point remains.
 pub struct TruncatePath;
 
 impl SyncLeaf for TruncatePath {
@@ -159,7 +159,7 @@ impl SyncLeaf for GetPoseFromPath {
     }
 }
 
-/// One path after the other.
+/// Joins two paths.
 pub struct ConcatenatePaths;
 
 impl SyncLeaf for ConcatenatePaths {
@@ -188,8 +188,7 @@ impl SyncLeaf for ConcatenatePaths {
     }
 }
 
-/// SUCCESS if the robot can still drive `path`: by the motion that was made of it where there is one, else as the disc that
-/// fits into its body.
+/// SUCCESS if the robot can still drive `path`: checked along its motion if it has one, otherwise with the disc inscribed in the footprint.
 pub struct ValidatePath;
 
 impl SyncLeaf for ValidatePath {
@@ -252,7 +251,7 @@ impl SyncLeaf for ValidatePath {
     }
 }
 
-/// SUCCESS while FollowPath's tracking feedback lies within bounds, or there is none.
+/// SUCCESS while FollowPath's tracking feedback is within bounds, or missing.
 pub struct IsWithinPathTrackingBounds;
 
 impl SyncLeaf for IsWithinPathTrackingBounds {

@@ -1,6 +1,5 @@
-//! How are goals, lists of them and paths written in a tree? Goals are `x;y` or `x;y;yaw`, the name of a
-//! place, JSON, or as Nav2 writes them; a list of them is separated by `|`, or JSON; a path is what ComputePathToPose puts on the
-//! blackboard, or a JSON list of points.
+//! Ports. How are goals, lists of goals and paths written in a tree? Goals are `x;y` or `x;y;yaw`, the name of a place, JSON, or Nav2's
+//! format; lists are separated by `|`, or JSON; a path is what ComputePathToPose writes to the blackboard, or a JSON list of points.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -20,10 +19,10 @@ use zenav_space::ConfigurationSpace;
 /// Named goals.
 pub type Places = BTreeMap<String, GoalPoint>;
 
-/// Places in one list.
+/// Most places in a list.
 const MAX_POINTS: usize = 10_000;
 
-/// A goal from a port's value.
+/// Parses a goal from a port's value.
 ///
 /// # Errors
 /// What was expected.
@@ -86,7 +85,7 @@ fn parse_json(json: &serde_json::Value) -> Result<GoalPoint, String> {
     })
 }
 
-/// A goal as it stands in a tree.
+/// A goal as written in a tree.
 #[must_use]
 pub fn goal_text(goal: &GoalPoint) -> String {
     match goal.yaw {
@@ -104,7 +103,7 @@ pub fn goal_on(io: &LeafIo<'_>, ctx: &Context, port: &str) -> Result<GoalPoint, 
     parse_goal(value, &ctx.config.places)
 }
 
-/// Goals from a port's value: a JSON list of goals or of their texts, or places separated by `|`.
+/// Parses goals from a port's value: a JSON list of goals or of their texts, or places separated by `|`.
 ///
 /// # Errors
 /// What was expected.
@@ -153,7 +152,7 @@ pub fn goals_on(io: &LeafIo<'_>, ctx: &Context, port: &str) -> Result<Vec<GoalPo
     parse_goals(value, &ctx.config.places)
 }
 
-/// Goals as they stand on the blackboard: a list of texts, which `LoopString` can go through.
+/// Goals as stored on the blackboard: a list of texts, which `LoopString` can iterate over.
 ///
 /// # Errors
 /// None in practice: texts have a stored form.
@@ -162,7 +161,7 @@ pub fn goals_value(goals: &[GoalPoint]) -> Result<Value, String> {
     Value::data(&texts).map_err(|error| error.to_string())
 }
 
-/// A path from a port's value: what is not a route's is a list of points, `[[x, y], …]`.
+/// Parses a path from a port's value: a route's data, or a list of points, `[[x, y], …]`.
 ///
 /// # Errors
 /// What was expected.
@@ -201,7 +200,7 @@ pub fn path_on(io: &LeafIo<'_>, port: &str) -> Result<RouteData, String> {
 }
 
 impl RouteData {
-    /// A path that is nobody's route, to its last point. `yaw` is the heading wanted there.
+    /// A path that does not come from a route, to its last point. `yaw` is the heading there.
     #[must_use]
     pub fn of(points: Vec<Point2<f64>>, yaw: Option<f64>) -> Self {
         let end = points.last().copied().unwrap_or_else(Point2::origin);
@@ -220,7 +219,7 @@ impl RouteData {
         }
     }
 
-    /// As it stands on the blackboard.
+    /// The path as stored on the blackboard.
     ///
     /// # Errors
     /// None in practice: numbers have a stored form.
@@ -229,13 +228,13 @@ impl RouteData {
     }
 }
 
-/// A goal as a pose; one without a heading faces along x.
+/// A goal as a pose; a goal without a heading faces along x.
 #[must_use]
 pub fn pose_of(goal: &GoalPoint) -> Pose2 {
     Pose2::new(goal.x, goal.y, goal.yaw.unwrap_or(0.0))
 }
 
-/// The number on a port; `otherwise` where there is none.
+/// The number on a port, or `otherwise` if it has none.
 ///
 /// # Errors
 /// What was expected.
@@ -244,7 +243,7 @@ pub fn number(io: &LeafIo<'_>, port: &str, otherwise: f64) -> Result<f64, String
     Ok(value.unwrap_or(otherwise))
 }
 
-/// Puts a value on a port: SUCCESS.
+/// Writes a value to a port: SUCCESS.
 ///
 /// # Errors
 /// What the entry behind the port expects.
@@ -253,24 +252,24 @@ pub fn write(io: &mut LeafIo<'_>, port: &str, value: Result<Value, String>) -> R
     Ok(Status::Success)
 }
 
-/// Where the robot is.
+/// The robot's pose.
 ///
 /// # Errors
-/// It has not been heard.
+/// The pose is unknown.
 pub fn here(ctx: &Context) -> Result<Pose2, String> {
     ctx.robot
         .pose()
         .ok_or_else(|| "nobody knows where the robot is".to_owned())
 }
 
-/// The robot's build and where it may be by its map; `None` while one of them is not known.
+/// The robot's model and its configuration space; `None` if either is unknown.
 pub fn ground(ctx: &mut Context) -> Option<(RobotModel, Arc<ConfigurationSpace>)> {
     let model = ctx.robot.model().cloned()?;
     let space = ctx.map.space(&model.footprint)?;
     Some((model, space))
 }
 
-/// Waypoints from a port's value, `laps` times.
+/// Parses waypoints from a port's value, repeated `laps` times.
 ///
 /// # Errors
 /// What was expected.

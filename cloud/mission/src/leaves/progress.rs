@@ -1,4 +1,4 @@
-//! Does the robot get on? Without enough distance or turn in time, a drive has failed (Nav2's PoseProgressChecker).
+//! Progress. Does the robot advance? A drive fails without enough distance or rotation in time (Nav2's PoseProgressChecker).
 
 use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::time::Stamp;
@@ -6,29 +6,29 @@ use zenav_protocol::time::Stamp;
 use crate::context::Context;
 use crate::settings::ProgressSettings;
 
-/// Time in which a robot makes way for another one counts for so much less: that one may have to come through a lane first.
+/// Weight of time in which a robot makes way for another one, which may first have to come through a lane.
 const MAKING_WAY: f64 = 0.25;
 
-/// How long the robot has not got on.
+/// Time since the robot last made progress.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Progress {
     anchor: Option<Anchor>,
 }
 
-/// Where the robot was seen to get on last.
+/// Where the robot last made progress.
 #[derive(Clone, Copy, Debug)]
 struct Anchor {
     pose: Pose2,
-    /// When it was looked at last, and for how long it has not got on, s.
+    /// Time of the last check, and time without progress so far, s.
     looked: Stamp,
     stuck: f64,
 }
 
-/// Nobody looks for longer than this between two ticks, s: the goal was paused, and the robot told to stand.
+/// Longest time counted between two ticks, s: more means that the goal was paused and the robot told to stand.
 pub(super) const LONGEST_LOOK: f64 = 1.0;
 
 impl Progress {
-    /// Begins to count anew: what holds the robot now is no fault of the drive's.
+    /// Starts over: what holds the robot up now is not the drive's fault.
     pub fn reset(&mut self) {
         self.anchor = None;
     }
@@ -85,7 +85,7 @@ mod tests {
         let is = |found: Option<f64>, secs: f64| found.is_some_and(|found| (found - secs).abs() < 0.3);
         assert!(is(stuck_after(|_| false, stands), settings.timeout));
         assert!(is(stuck_after(|_| true, stands), settings.timeout / MAKING_WAY));
-        // Who has waited long is not stuck as soon as the way is free.
+        // A robot that waited for long is not stuck as soon as the way is free.
         assert!(is(
             stuck_after(|secs| secs < 16.0, stands),
             16.0 + settings.timeout - 16.0 * MAKING_WAY

@@ -1,15 +1,15 @@
-//! RemoteAction: an action that a program somewhere else does, in any language, by queries on a Zenoh key.
+//! RemoteAction: an action executed by another program, in any language, through queries on a Zenoh key.
 //!
 //! ```xml
 //! <RemoteAction name="Grab" server="kitchen/gripper" item="{item}" weight="{weight}"/>
 //! ```
 //!
-//! `server` is the key; `period_ms` (100) is how often it is asked how the action goes, `timeout_ms` (10,000) for how long it may
-//! be silent. All other ports are the action's own: those with a value are its inputs, and its outputs are written to those that
-//! lead to entries. What goes over the wire is [`zenav_protocol::messages::RemoteRequest`] and its reply, which is where the
-//! protocol is told; `cloud/examples/remote_action.py` is a server.
+//! `server` is the key; `period_ms` (100) is the polling period, `timeout_ms` (10,000) the longest silence. All other ports belong to the
+//! action: ports with a value are its inputs, and its outputs are written to ports that lead to entries. The wire messages are
+//! [`zenav_protocol::messages::RemoteRequest`] and its reply, where the protocol is described; `cloud/examples/remote_action.py` is a
+//! server.
 //!
-//! The execution's id is stored before the first request, so that a restart of the mission asks on under the same id.
+//! The execution's id is stored before the first request, so that after a restart the mission continues under the same id.
 
 use std::collections::BTreeMap;
 
@@ -24,16 +24,16 @@ use crate::context::Context;
 use crate::io::{Answer, Ask, NoAnswer, Ticket};
 use zenav_behaviour_tree::{Leaf, LeafIo, NodeSpec, PortType, Status, Value};
 
-/// Ports that are not the action's own.
+/// Ports that do not belong to the action.
 const SERVER: &str = "server";
 const PERIOD: &str = "period_ms";
 const TIMEOUT: &str = "timeout_ms";
 /// Longest key, bytes.
 const LONGEST_KEY: usize = 256;
-/// Longest inputs, bytes of JSON.
+/// Largest inputs, bytes of JSON.
 const MAX_INPUTS: usize = 32 * 1024;
 
-/// How the node stands in a tree.
+/// Specification of the node.
 #[must_use]
 pub fn spec() -> NodeSpec {
     NodeSpec {
@@ -45,17 +45,17 @@ pub fn spec() -> NodeSpec {
     }
 }
 
-/// One action of another program's.
+/// An action of another program.
 #[derive(Default)]
 pub struct Remote {
     ticket: Option<Ticket>,
     next_ask: Stamp,
-    /// When it was looked at last, and for how long nothing was heard, s: a pause does not count.
+    /// Time of the last tick, and time without an answer, s: a pause does not count.
     looked: Stamp,
     silent: f64,
 }
 
-/// The execution, stored before its effect.
+/// The execution, stored before it has an effect.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct Execution {
     id: String,
@@ -92,7 +92,7 @@ impl Execution {
     }
 }
 
-/// A tree may come from anybody, so it may not ask on the keys by which robots and services are commanded.
+/// A tree may come from anybody, so it must not send asks on the keys that command robots and services.
 fn check_key(key: &str) -> Result<(), String> {
     let chunks: Vec<&str> = key.split('/').collect();
     let wild = key.contains(['*', '$', '?', '#']) || chunks.iter().any(|chunk| chunk.is_empty());
@@ -193,7 +193,7 @@ impl Leaf<Context> for Remote {
     }
 }
 
-/// The status that an ended execution means; `None` while it runs.
+/// The status of an ended execution; `None` while it runs.
 fn ended(io: &mut LeafIo<'_>, ctx: &mut Context, reply: &RemoteReply) -> Option<Status> {
     if reply.status == RemoteStatus::Running {
         return None;

@@ -1,8 +1,8 @@
-//! Which planner, controller, checker, smoother? Selectors put a choice on the blackboard, the nodes that use it look what
-//! it means here.
+//! Selectors. Which planner, controller, checker or smoother is used? Selectors write a choice to the blackboard; the nodes that use it
+//! look up its meaning here.
 //!
-//! Nav2's selectors listen to a topic and keep the last name it carried; here that is the entry of the topic's name on the
-//! root blackboard, which a goal may bring along. Names of Nav2's own default configuration mean what this stack has.
+//! Nav2's selectors listen to a topic and keep its last name; here that is the entry with the topic's name on the root blackboard, which a
+//! goal may set. Names from Nav2's default configuration mean this stack's own components.
 
 use super::SyncLeaf;
 use super::ports::write;
@@ -10,25 +10,25 @@ use crate::context::Context;
 use zenav_behaviour_tree::{LeafIo, Status};
 use zenav_planning::Planner;
 
-/// What is chosen.
+/// The component to choose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Choice {
-    /// How a path is looked for.
+    /// Searches a path.
     Planner,
-    /// How it is followed.
+    /// Follows a path.
     Controller,
-    /// How it is made smooth.
+    /// Smooths a path.
     Smoother,
-    /// When the goal counts as reached.
+    /// Decides when the goal is reached.
     GoalChecker,
-    /// When the robot counts as stuck.
+    /// Decides when the robot is stuck.
     ProgressChecker,
-    /// Which part of a path is looked at.
+    /// Selects the relevant part of a path.
     PathHandler,
 }
 
 impl Choice {
-    /// Nav2's selector of that registration id.
+    /// The choice made by Nav2's selector with this registration id.
     #[must_use]
     pub fn of_selector(id: &str) -> Option<Self> {
         Some(match id {
@@ -42,7 +42,7 @@ impl Choice {
         })
     }
 
-    /// As it stands in ports and topics.
+    /// Name in ports and topics.
     const fn name(self) -> &'static str {
         match self {
             Self::Planner => "planner",
@@ -54,7 +54,7 @@ impl Choice {
         }
     }
 
-    /// Names that mean what the stack does by itself.
+    /// Names that mean the stack's own component.
     const fn own(self) -> &'static [&'static str] {
         match self {
             Self::Planner => &["GridBased"],
@@ -66,10 +66,10 @@ impl Choice {
         }
     }
 
-    /// What a chosen name means: `None` is what the stack does by itself, `Some` a planner.
+    /// The meaning of a chosen name: `None` is the stack's own component, `Some` a planner.
     ///
     /// # Errors
-    /// The names that there are.
+    /// The known names.
     pub fn check(self, name: Option<String>) -> Result<Option<String>, String> {
         let Some(name) = name.filter(|name| !name.is_empty() && !self.own().contains(&name.as_str())) else {
             return Ok(None);
@@ -87,7 +87,7 @@ impl Choice {
     }
 }
 
-/// Puts the entry that `topic_name` names, else the default, on the output; FAILURE without either.
+/// Writes the entry named by `topic_name`, or else the default, to the output; FAILURE without either.
 pub struct Selector(pub Choice);
 
 impl SyncLeaf for Selector {

@@ -1,4 +1,4 @@
-//! Claims about single nodes that look at a robot, its paths and its goals: a test a row of Nav2's semantics.
+//! Tests of single nodes that depend on a robot, its paths and its goals: one test per row of Nav2's semantics.
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
@@ -33,7 +33,7 @@ const SPEC: GridSpec = GridSpec {
     height: 128,
 };
 
-/// One node, and a robot that is put where a test wants it.
+/// A single node, and a robot placed where a test needs it.
 struct Stand {
     tree: Tree<Context>,
     ctx: Context,
@@ -88,7 +88,7 @@ impl Stand {
         }
     }
 
-    /// Puts an entry on the blackboard.
+    /// Sets an entry on the blackboard.
     fn with(mut self, key: &str, value: &str) -> Stand {
         self.tree.blackboard_mut().set(key, value).unwrap();
         self
@@ -99,7 +99,7 @@ impl Stand {
         self
     }
 
-    /// Time goes on, s; then a tick.
+    /// Advances the time by `secs`, then ticks.
     fn after(&mut self, secs: f64) -> Status {
         self.ms += (secs * 1e3) as u64;
         let now = Stamp::from_secs(self.ms as f64 * 1e-3);
@@ -269,7 +269,7 @@ fn path_expiring_timer_counts_from_the_last_path_and_again_after_each_success() 
 
 #[test]
 fn time_expired_and_distance_traveled_hold_once_and_begin_again() {
-    // A parent that does not reset what it asks.
+    // A parent that does not reset its condition.
     let asked =
         |node: &str| format!("<WhileDoElse>{node}<Sleep msec=\"100000\"/><Sleep msec=\"100000\"/></WhileDoElse>");
     let told = |stand: &Stand| stand.tree.report()[1].last;

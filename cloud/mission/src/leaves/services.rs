@@ -1,13 +1,13 @@
-//! ClearEntireCostmap and its kin, Cancel*, ToggleCollisionMonitor: Nav2's services to other parts, as far as they have a
-//! meaning here.
+//! ClearEntireCostmap and similar, Cancel*, ToggleCollisionMonitor: Nav2's services to other components, as far as they have a meaning
+//! here.
 
 use super::SyncLeaf;
 use super::mapping::OnMap;
 use crate::context::Context;
 use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 
-/// A costmap is thrown away and filled anew. What this stack has of the global one is the map ([`OnMap::forget`]). A local one there
-/// is not: the robot's guard goes by the newest scan alone, so that nothing old is left to clear.
+/// Clears a costmap, to be filled again. The counterpart of the global costmap is the map ([`OnMap::forget`]). There is no local costmap:
+/// the robot's collision monitor uses the newest scan only, so there is nothing to clear.
 pub struct ClearCostmap(OnMap);
 
 impl Default for ClearCostmap {
@@ -39,10 +39,10 @@ impl Leaf<Context> for ClearCostmap {
     }
 }
 
-/// Ends what leaves of a registration id are doing elsewhere in the tree; SUCCESS also where none is.
+/// Ends the work of all leaves of a registration id in the tree; SUCCESS also if there is none.
 pub struct Cancel(pub &'static str);
 
-/// Which leaf each of Nav2's cancelling actions ends.
+/// The leaf that each of Nav2's cancelling actions ends.
 #[must_use]
 pub fn canceled_by(id: &str) -> Option<&'static str> {
     Some(match id {
@@ -62,7 +62,7 @@ impl SyncLeaf for Cancel {
     }
 }
 
-/// The robot's guard is always on: SUCCESS to switch it on.
+/// The robot's collision monitor is always on: SUCCESS to switch it on.
 pub struct ToggleCollisionMonitor;
 
 impl SyncLeaf for ToggleCollisionMonitor {

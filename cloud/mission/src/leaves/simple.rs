@@ -1,4 +1,4 @@
-//! Wait, GoalReached, IsBatteryLow: leaves that only look, at the clock and at the robot.
+//! Wait, GoalReached, IsBatteryLow: leaves that only read the clock and the robot's state.
 
 use super::ports::goal_on;
 use super::{fail, no_error, step};

@@ -1,5 +1,5 @@
-//! SmoothPath. A motion worker smooths a path, as from rest at its beginning. What comes out is a path of its corners; FollowPath
-//! drives it from where the robot is.
+//! SmoothPath: a motion worker smooths a path, starting at rest. The result is a path of corner points; FollowPath drives it from the
+//! robot's position.
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2};
@@ -14,7 +14,7 @@ use crate::io::{Answer, Ask, NoAnswer, Ticket};
 use crate::route::RouteData;
 use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 
-/// Nav2's codes of why there is no smooth path.
+/// Nav2's error codes of path smoothing.
 mod error_code {
     pub const UNKNOWN: i64 = 500;
     pub const INVALID_SMOOTHER: i64 = 501;
@@ -25,9 +25,9 @@ mod error_code {
 
 /// A worker answered another request.
 const OFF_TOPIC: &str = "the motion worker answered another request";
-/// What comes out leaves the smooth curve by at most so much, m.
+/// Greatest deviation of the result from the smooth curve, m.
 const EXACT: f64 = 0.01;
-/// Least time that a worker is waited for, s: to hold through a network.
+/// Least time to wait for a worker, s: enough for a network.
 const PATIENCE: f64 = 3.0;
 
 /// Smooths `unsmoothed_path`.
@@ -129,7 +129,7 @@ impl Leaf<Context> for SmoothPath {
         if let Err(why) = written {
             return fail(io, ctx, Some(error_code::UNKNOWN), why);
         }
-        // A tree that has put something else on these ports goes without.
+        // A tree with other types of entries on these ports gets no values.
         let _ = io.set("smoothing_duration", waited);
         let _ = io.set("was_completed", true);
         no_error(io);
@@ -147,7 +147,7 @@ impl Leaf<Context> for SmoothPath {
     }
 }
 
-/// The beginning of a path, looking along it.
+/// The first point of a path, heading along it.
 fn start(points: &[Point2<f64>]) -> Pose2 {
     let begin = points.first().copied().unwrap_or_else(Point2::origin);
     let along = points.iter().map(|point| point - begin).find(|step| step.norm() > 1e-6);

@@ -1,4 +1,4 @@
-//! Where on its path is the robot that follows it, and how exactly does it keep to it?
+//! Tracking. Where on its path is the robot, and how closely does it follow?
 
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
@@ -11,19 +11,19 @@ use crate::context::Context;
 use crate::route::RouteData;
 use zenav_behaviour_tree::{LeafIo, Value};
 
-/// How far ahead on the path the robot is looked for, m.
+/// How far ahead on the path the robot is searched, m.
 const AHEAD: f64 = 2.0;
-/// A goal to pass counts as passed so far before it, m.
+/// Distance before a goal on the way at which it counts as passed, m.
 const AT_VIA: f64 = 0.1;
-/// Time between two words on how exactly the path is kept to, s.
+/// Period of the tracking feedback, s.
 const PERIOD: f64 = 0.1;
 
 /// Nav2's TrackingFeedback, as IsWithinPathTrackingBounds reads it.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct TrackingFeedback {
-    /// Distance from the path, m; positive left of it.
+    /// Distance from the path, m; positive to the left of it.
     pub position_tracking_error: f64,
-    /// Heading beside the path's, rad.
+    /// Heading relative to the path, rad.
     pub heading_tracking_error: f64,
     /// Straight distance to the goal, m.
     #[serde(default)]
@@ -36,7 +36,7 @@ pub struct TrackingFeedback {
     pub speed: f64,
 }
 
-/// The path that is followed, and how much of it lies behind the robot.
+/// The followed path, and how much of it is behind the robot.
 #[derive(Debug, Default)]
 pub struct Tracking {
     path: Option<RouteData>,
@@ -45,7 +45,7 @@ pub struct Tracking {
 }
 
 impl Tracking {
-    /// Follows a path from its beginning. Whether it is another one than before.
+    /// Follows a path from its beginning. Returns whether it differs from the previous one.
     pub fn follow(&mut self, data: RouteData) -> bool {
         let other = self.path.as_ref() != Some(&data);
         if other {
@@ -54,7 +54,7 @@ impl Tracking {
         other
     }
 
-    /// Follows a path on from where the robot is, wherever that is on it.
+    /// Follows a path from the robot's present position on it.
     pub fn take_up(&mut self, data: RouteData, ctx: &Context) {
         let pose = ctx.robot.pose();
         let near = pose.and_then(|pose| path::nearest(&data.points, pose.position(), 0.0, f64::INFINITY));
@@ -73,7 +73,7 @@ impl Tracking {
         });
     }
 
-    /// Looks where the robot is by now, and tells it on the port for those who listen.
+    /// Updates the robot's position, and writes it to the port if connected.
     pub fn observe(&mut self, io: &mut LeafIo<'_>, ctx: &Context) {
         let (Some(pose), Some(data)) = (ctx.robot.pose(), &self.path) else {
             return;
@@ -95,13 +95,13 @@ impl Tracking {
             remaining_path_length: whole - near.along,
             speed: ctx.robot.velocity().v,
         };
-        // A tree that has put something else on this port gets no feedback.
+        // A tree with another type of entry on this port gets no feedback.
         if let Ok(value) = Value::data(&feedback) {
             let _ = io.set_fleeting("tracking_feedback", value);
         }
     }
 
-    /// Goals on the path that the robot has yet to pass.
+    /// Goals on the path that the robot has not passed yet.
     #[must_use]
     pub fn goals_ahead(&self) -> Vec<GoalPoint> {
         let Some(data) = &self.path else { return Vec::new() };

@@ -1,7 +1,7 @@
-//! Active plan. Which plan is in force, and is it still good? Published, renewed, held, and what the robot says of it.
+//! Active plan. Which plan is in force, and is it still valid? Tracks publication, renewal, holding, and the robot's reports.
 //!
-//! A trajectory keeps its name while its plan is renewed; the robot goes on where it is. A new trajectory gets a new name.
-//! Nothing here decides to move: leaves do.
+//! A trajectory keeps its id while its plan is renewed; the robot continues along it. A new trajectory gets a new id. The decision to move
+//! is made by leaves, not here.
 
 mod pace;
 mod recheck;
@@ -20,75 +20,75 @@ use super::frames::Frames;
 use super::lease::newer;
 use super::robot::is_rest;
 
-/// A robot that says nothing of an accepted plan for this long has dropped it, s.
+/// A robot that does not report an accepted plan for this long has dropped it, s.
 const DROPPED: f64 = 0.6;
 
-/// What a new plan consists of.
+/// Content of a new plan.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PlanDraft {
-    /// The map that it was made on.
+    /// The map that the plan was made on.
     pub map: MapRef,
     /// Corner points.
     pub waypoints: Vec<Point2<f64>>,
     /// Trajectory; empty for plain waypoints.
     pub trajectory: Trajectory,
-    /// Where on the trajectory before it begins.
+    /// Point on the previous trajectory at which this one begins.
     pub splice: Option<Splice>,
-    /// How it came about.
+    /// How the plan was computed.
     pub statistics: PlanStatistics,
 }
 
-/// What the robot says of the plan in force.
+/// The robot's response to the plan in force.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PlanStatus {
-    /// Nothing yet.
+    /// No response yet.
     Sent,
-    /// It drives it, or will go on once renewed.
+    /// The robot drives it, or will continue once it is renewed.
     Taken,
-    /// It is at rest at the end.
+    /// The robot is at rest at its end.
     Finished,
-    /// It refused it.
+    /// The robot refused it.
     Refused(String),
-    /// It threw it away.
+    /// The robot discarded it.
     Void(String),
 }
 
 #[derive(Clone, Debug)]
 struct ActivePlan {
-    /// As it was published, in the frame that it names.
+    /// The plan as published, in the frame that it names.
     plan: Plan,
     /// Its trajectory in the mission's frame of the map.
     here: Trajectory,
     status: PlanStatus,
-    /// When it was published, renewed or held last.
+    /// Time of the last publication, renewal or hold.
     published: Stamp,
-    /// When the robot was last heard to have it.
+    /// Time at which the robot last reported the plan.
     confirmed: Stamp,
     held: bool,
-    /// Whether the robot has accepted this trajectory: then a refusal is of a renewal.
+    /// Whether the robot has accepted this trajectory: then a refusal refers to a renewal.
     was_taken: bool,
-    /// How fast the robot goes on.
+    /// Rate at which the robot advances.
     pace: Pace,
-    /// The newest revision when a refusal came last: over a slow link others were under way then, whose refusals tell nothing new.
+    /// The newest revision at the last refusal: over a slow link older ones were still under way, and their refusals are not news.
     refused: Option<Revision>,
 }
 
-/// Keeps the plan in force.
+/// Maintains the plan in force.
 #[derive(Clone, Debug)]
 pub struct MotionKeeper {
     incarnation: u64,
     revisions: u64,
     motions: u64,
     current: Option<ActivePlan>,
-    /// What was in force before, while the robot has not taken the new plan.
+    /// The previous plan, while the robot has not accepted the new one.
     previous: Option<ActivePlan>,
     changed: bool,
-    /// Whether the present drive has had a plan already: the next one replaces it.
+    /// Whether the present drive has already had a plan: the next one replaces it.
     pub was_begun_for_leg: bool,
 }
 
 impl MotionKeeper {
-    /// Nothing in force.
+    /// No plan in force.
     #[must_use]
     pub fn new(incarnation: u64) -> Self {
         Self {
@@ -102,7 +102,7 @@ impl MotionKeeper {
         }
     }
 
-    /// Takes up what was in force before a restart: it counts as taken until the robot says otherwise.
+    /// Restores the plan that was in force before a restart: it counts as accepted until the robot reports otherwise.
     pub fn restore(&mut self, plan: Plan) {
         self.was_begun_for_leg = true;
         let long_ago = Stamp::ZERO;
@@ -119,19 +119,19 @@ impl MotionKeeper {
         });
     }
 
-    /// Name of the trajectory in force.
+    /// Id of the trajectory in force.
     #[must_use]
     pub fn id(&self) -> Option<u64> {
         self.current.as_ref().map(|current| current.plan.trajectory_id)
     }
 
-    /// What the robot says of it; `None` when nothing is in force.
+    /// The robot's response; `None` when no plan is in force.
     #[must_use]
     pub fn status(&self) -> Option<&PlanStatus> {
         self.current.as_ref().map(|current| &current.status)
     }
 
-    /// The plan as published last.
+    /// The plan as last published.
     #[must_use]
     pub fn plan(&self) -> Option<&Plan> {
         self.current.as_ref().map(|current| &current.plan)
@@ -143,7 +143,7 @@ impl MotionKeeper {
         self.current.as_ref().map(|current| &current.here)
     }
 
-    /// Takes over the present frame of the map: what is driven moves with the robot's surroundings, as it does on the robot.
+    /// Switches to the present frame of the map: the driven path moves with the robot's surroundings, as it does on the robot.
     pub fn settle(&mut self, frames: &Frames) {
         for active in self.current.iter_mut().chain(&mut self.previous) {
             match frames.robot(active.plan.map.frame) {
@@ -153,13 +153,13 @@ impl MotionKeeper {
         }
     }
 
-    /// Whether it is being let run out.
+    /// Whether the plan is held, to run out.
     #[must_use]
     pub fn is_held(&self) -> bool {
         self.current.as_ref().is_some_and(|current| current.held)
     }
 
-    /// Time since it was published or renewed, s.
+    /// Time since its last publication or renewal, s.
     #[must_use]
     pub fn age(&self, now: Stamp) -> f64 {
         self.current
@@ -167,12 +167,12 @@ impl MotionKeeper {
             .map_or(f64::INFINITY, |current| now.secs_since(current.published))
     }
 
-    /// Whether what is to be stored has changed since it was asked last; and that.
+    /// The plan to store, if it has changed since the last call.
     pub fn take_changed(&mut self) -> Option<Option<Box<Plan>>> {
         std::mem::take(&mut self.changed).then(|| self.current.as_ref().map(|current| Box::new(current.plan.clone())))
     }
 
-    /// A new plan comes into force.
+    /// Puts a new plan into force.
     pub fn begin(
         &mut self,
         draft: PlanDraft,
@@ -219,12 +219,12 @@ impl MotionKeeper {
         plan
     }
 
-    /// The same trajectory for longer, under the present epoch. `None` when nothing is in force that could be renewed.
+    /// Renews the validity of the same trajectory, under the present epoch. `None` without a renewable plan.
     pub fn renew(&mut self, epoch: u64, based_on: BasedOn, valid_for: f64, now: Stamp) -> Option<Plan> {
         self.publish(epoch, based_on, valid_for, now, false)
     }
 
-    /// The same trajectory, to run out soon. `None` when it is held already or nothing is in force.
+    /// Shortens the validity of the same trajectory. `None` if it is already held, or no plan is in force.
     pub fn hold(&mut self, epoch: u64, based_on: BasedOn, valid_for: f64, now: Stamp) -> Option<Plan> {
         if self.is_held() {
             None
@@ -251,7 +251,8 @@ impl MotionKeeper {
         Some(current.plan.clone())
     }
 
-    /// The robot has refused the plan: what was in force before still is, if it drove, be it the same trajectory. Whether there is such.
+    /// Handles a refusal: the previous plan, or the same trajectory if the robot already drove it, is in force again. Returns whether there
+    /// is one.
     pub fn revert(&mut self) -> bool {
         if let Some(current) = self.current.as_mut().filter(|current| current.was_taken) {
             current.status = PlanStatus::Taken;
@@ -264,7 +265,7 @@ impl MotionKeeper {
         reverts
     }
 
-    /// Nothing is in force any more.
+    /// Takes the plan out of force.
     pub fn clear(&mut self) {
         self.previous = None;
         self.changed |= self.current.take().is_some();
@@ -278,7 +279,7 @@ impl MotionKeeper {
         }
     }
 
-    /// Takes in what the robot says.
+    /// Observes the robot's reports.
     pub fn observe(&mut self, now: Stamp, state: Option<&EdgeState>, events: &[Event]) {
         let Some(current) = &mut self.current else { return };
         for event in events {
@@ -295,7 +296,7 @@ impl MotionKeeper {
                 current.pace.observe(state.stamp, progress.time);
                 if matches!(current.status, PlanStatus::Sent | PlanStatus::Taken) {
                     current.was_taken = true;
-                    // By the state alone: an event may be anybody's, and names no revision.
+                    // Based on the state alone: an event may be from anybody, and names no revision.
                     let is_ours = (progress.epoch, progress.revision) <= (current.plan.epoch, current.plan.revision);
                     current.status = if progress.finished && is_ours && is_rest(state.velocity) {
                         PlanStatus::Finished
@@ -311,8 +312,8 @@ impl MotionKeeper {
         }
     }
 
-    /// Plan time that the robot, whose state is of so many seconds ago, has reached after another `ahead` s if it goes on as it does, s; `None`
-    /// unless it is driving this trajectory.
+    /// Plan time that the robot reaches in `ahead` s if it continues at its pace, given a state that is `age` s old, s; `None` unless it
+    /// drives this trajectory.
     #[must_use]
     pub fn time(&self, state: &EdgeState, age: f64, ahead: f64) -> Option<f64> {
         let current = self.current.as_ref()?;
@@ -356,7 +357,7 @@ impl ActivePlan {
                 self.refused = Some(self.plan.revision);
                 self.status = PlanStatus::Refused(reason.clone());
             }
-            // Before the plan was taken this is about the one before it.
+            // Before the plan was accepted, this refers to the previous one.
             EventKind::PlanDiscarded { goal_id, reason }
                 if *goal_id == self.plan.goal_id && self.status == PlanStatus::Taken =>
             {

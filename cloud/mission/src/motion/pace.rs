@@ -1,18 +1,18 @@
-//! Pace. Where will the robot be on its plan when the next one reaches it?
+//! Pace. Where will the robot be on its plan when the next plan reaches it?
 
 use zenav_protocol::time::Stamp;
 
-/// The rate of plan time is taken over this time, s.
+/// Time over which the rate of plan time is measured, s.
 const PACE: f64 = 0.3;
-/// A robot takes a plan whose begin is this long ago, s.
+/// Greatest age of a plan's start that a robot accepts, s.
 const LATE: f64 = 1.0;
 
-/// How fast plan time runs: more slowly where something holds the robot back.
+/// Rate of plan time: lower where the robot is held up.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Pace {
-    /// The robot's time and its plan time, when the rate was taken last.
+    /// The robot's time and plan time at the last measurement.
     taken: Option<(Stamp, f64)>,
-    /// Seconds of plan time a second, 0 to 1.
+    /// Seconds of plan time per second, 0 to 1.
     rate: Option<f64>,
 }
 
@@ -31,13 +31,13 @@ impl Pace {
         }
     }
 
-    /// The pace on the plan that is spliced to this one: what holds the robot back holds it there too.
+    /// The pace on a plan spliced to this one: the robot is held up there in the same way.
     pub(super) fn carried_over(self) -> Self {
         Self { taken: None, ..self }
     }
 
-    /// Plan time that goes by in so many seconds, s; as many before the rate is known. A robot may go on at full pace at once: then it is
-    /// [`LATE`] farther at most.
+    /// Plan time that passes in this many seconds, s; the same number before the rate is known. A robot may resume full pace at any time:
+    /// then it is at most [`LATE`] farther.
     pub(super) fn within(&self, secs: f64) -> f64 {
         (secs * self.rate.unwrap_or(1.0)).max(secs - LATE)
     }

@@ -1,33 +1,33 @@
-//! Recheck. Does the body fit along the rest of a trajectory, as far as the newest map knows?
+//! Recheck. Does the footprint fit along the rest of a trajectory, according to the newest map?
 
 use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::robot::Footprint;
 use zenav_protocol::trajectory::Trajectory;
 use zenav_space::ConfigurationSpace;
 
-/// Spacing of the poses that are rechecked, m and rad: between two poses the check is exact at constant velocity.
+/// Spacing of the rechecked poses, m and rad: between two poses the check is exact at constant velocity.
 const SPACING: (f64, f64) = (0.05, 0.1);
-/// Until a point of the outline has gone this far the path is not rechecked: what stands there is the collision monitor's business, m.
+/// Distance travelled by a point of the outline before the recheck begins, m: obstacles nearer than that are left to the collision monitor.
 const NEAR: f64 = 0.1;
-/// Poses rechecked at once; the first block that collides tells when.
+/// Poses rechecked at once; the first block that collides gives the time.
 const BLOCK: usize = 16;
-/// Clearances above this are all the same to a recheck, m.
+/// Clearances above this are equivalent for a recheck, m.
 const CONTACT: f64 = 2e-3;
 
-/// What a recheck says.
+/// Result of a recheck.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Recheck {
-    /// Free as far as the map knows.
+    /// Free according to the map.
     Free,
-    /// Something stands on the path, this many seconds of plan time ahead.
+    /// An obstacle is on the path, this many seconds of plan time ahead.
     Blocked(f64),
 }
 
-/// Rechecks a trajectory from plan time `from` on, with the true footprint. A robot that by the map stands in an obstacle may leave it for
-/// `escape` m.
+/// Rechecks a trajectory from plan time `from` on, with the true footprint. A robot that stands in an obstacle according to the map may
+/// leave it within `escape` m.
 #[must_use]
 pub fn recheck(trajectory: &Trajectory, space: &ConfigurationSpace, from: f64, escape: f64) -> Recheck {
-    // A disc turns in its place.
+    // A disc turns in place.
     let arm = match space.footprint() {
         Footprint::Radius(_) => 0.0,
         Footprint::Polygon(_) => space.footprint().circumscribed_radius(),
@@ -42,7 +42,7 @@ pub fn recheck(trajectory: &Trajectory, space: &ConfigurationSpace, from: f64, e
             way += before.distance(&pose) + arm * wrap_angle(pose.yaw - before.yaw).abs();
         }
         before = Some(pose);
-        // A robot that by the map stands in something must be let out of it.
+        // A robot that stands in an obstacle according to the map must be able to leave it.
         leaving = leaving && way < escape && space.footprint_clearance(pose) <= 0.0;
         if leaving {
             continue;
@@ -116,7 +116,7 @@ mod tests {
         assert!(matches!(recheck(&turn, &space, 0.0, 0.6), Recheck::Blocked(ahead) if ahead > 0.5));
     }
 
-    /// Straight on at 0.5 m/s for 8 m.
+    /// Straight ahead at 0.5 m/s for 8 m.
     fn straight() -> Trajectory {
         (0..=320)
             .map(|i| f64::from(i) * 0.05)

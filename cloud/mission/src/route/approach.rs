@@ -1,8 +1,8 @@
-//! Approach. What bars the way is out of sight from here, and nobody would see it leave: where along the way is it seen, and how does the robot
-//! get there?
+//! Approach. The obstacle on the way is out of sight, so its departure would go unnoticed: from which place along the way is it visible,
+//! and how does the robot get there?
 //!
-//! The robot drives there by a plan of its own, checked and renewed like any other, while the search goes on. A goal has so many tries, each later
-//! after the one before; as long as one is under way, the time that what bars the way has stood there does not count.
+//! The robot drives there by a separate plan, checked and renewed like any other, while the search continues. A goal has a limited number
+//! of tries, with growing pauses; while an approach is under way, the time that the obstacle has been there does not count.
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;
@@ -19,25 +19,25 @@ use crate::io::{Answer, Ask, NoAnswer, Ticket};
 use crate::leaves::path;
 use crate::motion::{PlanStatus, Recheck, recheck};
 
-/// A lidar sees what is as near as this, as a share of its range, and no farther than this, m: fewer beams than one a cell meet what is.
+/// A lidar sees an obstacle within this share of its range, and within this distance, m: farther away there is less than one beam per cell.
 const SEEN: (f64, f64) = (0.7, 12.0);
-/// So near to what is waited for nothing that belongs to it hides it, m.
+/// Cells this near to the obstacle belong to it and do not hide it, m.
 const ITSELF: f64 = 0.4;
-/// Line of sight is looked at so often, m, to so many of its cells.
+/// Step along a line of sight, m, and number of the obstacle's cells that are checked.
 const SIGHT_STEP: f64 = 0.05;
 const SIGHTS: usize = 8;
-/// Places along the way are this far apart, m; nearer than this the robot need not go.
+/// Spacing of the places checked along the way, m; also the least distance worth driving.
 const STEP: f64 = 0.25;
 const MOST_PLACES: usize = 2000;
-/// The robot keeps this far away from what is waited for, beyond its circumscribed radius, m: it must be able to leave.
+/// Distance that the robot keeps from the obstacle, beyond its circumscribed radius, m: the obstacle must be able to leave.
 const KEPT: f64 = 0.5;
-/// It sets out where its plan begins, m.
+/// Greatest distance of the robot from the start of its plan when it sets out, m.
 const BEGINS: f64 = 0.15;
-/// Tries of a goal; each waits so much longer than the one before, s.
+/// Most tries of a goal; each waits this much longer than the one before, s.
 const MOST_TRIES: u32 = 12;
 const LATER: f64 = 1.0;
 
-/// How often a goal's robot has been brought nearer, and when it may be the next time.
+/// Number of approaches made for a goal, and earliest time of the next.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Tries {
     count: u32,
@@ -45,17 +45,17 @@ pub struct Tries {
 }
 
 impl Tries {
-    /// Whether there are any left.
+    /// Whether any tries are left.
     pub(super) fn are_left(&self) -> bool {
         self.count < MOST_TRIES
     }
 }
 
-/// How far an approach is.
+/// State of an approach.
 #[derive(Clone, Debug)]
 pub(super) enum Approach {
     Asked(Ticket, Begin, GoalPoint),
-    /// This trajectory leads there; checked on a map's revision, by zones changed so often.
+    /// The trajectory that leads there; checked on a map revision and a count of zone changes.
     Driving {
         id: u64,
         revision: u64,
@@ -64,7 +64,7 @@ pub(super) enum Approach {
 }
 
 impl Search {
-    /// Brings the robot to where what it waits for is in sight; a route to be driven, once there is one. `None` too where there is nothing to do.
+    /// Continues the approach to a place where the obstacle is in sight; returns a route to drive, once there is one. Otherwise `None`.
     pub(super) fn come_nearer(&mut self, ctx: &mut Context, waiting: &Waiting) -> Option<Box<Route>> {
         match self.approach.take()? {
             Approach::Asked(ticket, begin, goal) => match ctx.asks.take(ticket) {
@@ -92,7 +92,7 @@ impl Search {
             && matches!(ctx.motion.status(), Some(PlanStatus::Sent | PlanStatus::Taken))
     }
 
-    /// Whether the robot is being brought nearer.
+    /// Whether an approach is under way.
     pub(super) fn is_approaching(&self) -> bool {
         self.approach.is_some()
     }
@@ -113,7 +113,7 @@ impl Search {
         });
     }
 
-    /// Ends the approach: the robot comes to rest on the plan that leads there.
+    /// Ends the approach: the robot comes to rest on its plan.
     pub(super) fn end_approach(&mut self, ctx: &mut Context) {
         match self.approach.take() {
             Some(Approach::Asked(ticket, ..)) => ctx.asks.forget(ticket),
@@ -125,7 +125,7 @@ impl Search {
         }
     }
 
-    /// Asks for a way to where what is waited for is in sight. Whether it did.
+    /// Requests a path to a place where the obstacle is in sight; returns whether it did.
     pub(super) fn ask_for_approach(&mut self, ctx: &mut Context, waiting: &Waiting) -> bool {
         let (Some(model), Some(map)) = (ctx.robot.model().cloned(), ctx.map.newest()) else {
             return false;
@@ -166,7 +166,7 @@ impl Search {
 }
 
 impl Waiting {
-    /// Whether some of what is waited for is in sight from where the robot is, whichever way it looks.
+    /// Whether part of the obstacle is in sight from the robot's position, in any direction.
     pub(super) fn is_in_sight(&self, ctx: &Context) -> bool {
         let (Some(pose), Some(model)) = (ctx.robot.pose(), ctx.robot.model()) else {
             return true;
@@ -190,7 +190,8 @@ impl Waiting {
         })
     }
 
-    /// The first place on the way from which some of it is in sight; `None` where the robot would come too near to it, or is there.
+    /// The first place on the way from which part of the obstacle is in sight; `None` if it is too near to the obstacle, or the robot is
+    /// already there.
     fn seen_from(&self, ctx: &Context, model: &RobotModel) -> Option<Point2<f64>> {
         let from = ctx.robot.pose()?.position();
         let kept = model.footprint.circumscribed_radius() + KEPT;
@@ -204,7 +205,7 @@ impl Waiting {
     }
 }
 
-/// Whether the robot stands, and nothing keeps it from driving.
+/// Whether the robot is at rest, and nothing prevents driving.
 fn may_set_out(ctx: &Context) -> bool {
     ctx.robot.is_at_rest()
         && ctx.obstacle_to_driving().is_none()
@@ -212,7 +213,7 @@ fn may_set_out(ctx: &Context) -> bool {
         && ctx.robot.frame() == ctx.frames.at()
 }
 
-/// The route of an answer, if it can be driven by now.
+/// The route of an answer, if it can be driven now.
 fn approach(ctx: &mut Context, begin: Begin, goal: GoalPoint, answer: Result<Answer, NoAnswer>) -> Option<Box<Route>> {
     let Ok(Answer::Motion(reply)) = answer else { return None };
     let MotionReply::Trajectory(reply) = *reply else {
@@ -242,7 +243,7 @@ fn approach(ctx: &mut Context, begin: Begin, goal: GoalPoint, answer: Result<Ans
     })
 }
 
-/// Renews the plan in force, when it is due and while it is free; where something has come into its way, the robot brakes, and the approach has ended.
+/// Renews the plan in force when due and free; if an obstacle has come into its way, the robot brakes, and the approach ends.
 fn keep_up(ctx: &mut Context, id: u64, (revision, zones): (u64, u64)) -> Option<Approach> {
     let newest = ctx.map.newest().map_or(0, |map| map.revision);
     let checked = Approach::Driving {
@@ -263,7 +264,7 @@ fn keep_up(ctx: &mut Context, id: u64, (revision, zones): (u64, u64)) -> Option<
             ctx.hold_within(ahead);
             return None;
         }
-        // What cannot be checked runs out.
+        // A plan that cannot be checked runs out.
         Ok(Recheck::Free) | Err(_) => {}
     }
     Some(checked)

@@ -1,4 +1,4 @@
-//! Predicted start. Where will the robot be when a plan made now comes into force? At rest where it stands, or on its trajectory.
+//! Predicted start. In which state will the robot be when a plan made now comes into force? At rest where it stands, or on its trajectory.
 
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::messages::{Mode, Splice};
@@ -6,7 +6,7 @@ use zenav_protocol::messages::{Mode, Splice};
 use crate::context::Context;
 use crate::motion::PlanStatus;
 
-/// A trajectory with less than this left is driven to its end before the next begins, s.
+/// A trajectory with less time left than this is driven to its end before the next one begins, s.
 const SHORT_REST: f64 = 0.4;
 
 /// The state that a route begins in.
@@ -14,7 +14,7 @@ const SHORT_REST: f64 = 0.4;
 pub(super) struct Begin {
     pub pose: Pose2,
     pub twist: Twist2,
-    /// Where on the trajectory before it; `None` from rest.
+    /// Point on the previous trajectory; `None` from rest.
     pub splice: Option<Splice>,
 }
 
@@ -29,12 +29,12 @@ impl Begin {
     }
 }
 
-/// The state that the robot will be in when a plan made now comes into force.
+/// The predicted state of the robot when a plan made now comes into force.
 pub(super) fn predicted(ctx: &mut Context, from_rest: bool) -> Result<Begin, &'static str> {
     let (Some(pose), Some(state)) = (ctx.robot.pose(), ctx.robot.state()) else {
         return Err("waits for the robot");
     };
-    // Also in the middle of a trajectory: something may hold the robot there.
+    // Also in the middle of a trajectory, where the robot may be held up.
     if ctx.robot.is_at_rest() {
         return Ok(Begin::at_rest(pose));
     }
@@ -42,7 +42,7 @@ pub(super) fn predicted(ctx: &mut Context, from_rest: bool) -> Result<Begin, &'s
         .motion
         .time(state, ctx.robot.state_age(ctx.now), ctx.latency_budget())
         .filter(|_| ctx.motion.status() == Some(&PlanStatus::Taken));
-    // A trajectory that is held runs on to where the new one begins, if slower.
+    // A held trajectory still runs to the point where the new one begins, only slower.
     let follows = state.mode == Mode::Follow && !from_rest;
     if let (Some(time), true, Some(trajectory), Some(trajectory_id)) =
         (ahead, follows, ctx.motion.here(), ctx.motion.id())

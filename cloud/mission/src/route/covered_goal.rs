@@ -1,7 +1,8 @@
-//! Covered goal. Does what stands before the goal reach over it?
+//! Covered goal. Does an obstacle in front of the goal extend over it?
 //!
-//! A lidar sees the near side of somebody only, so the floor where she stands looks free, and a goal there can be reached from behind. The
-//! robot takes her to be as deep as she is wide and waits; after [`linger`](crate::settings::MissionSettings::linger) it goes and looks.
+//! A lidar sees only the near side of a person, so the floor she stands on looks free, and a goal there seems reachable from behind. The
+//! robot assumes that she is as deep as she is wide and waits; after [`linger`](crate::settings::MissionSettings::linger) it drives there
+//! to look.
 
 use nalgebra::{Point2, Vector2};
 
@@ -10,11 +11,12 @@ use super::{NEARBY, Search};
 use crate::context::Context;
 use crate::transient::{LARGEST, TransientCell};
 
-/// What was not seen to cover the goal in so long has left, and what covers it then is another one, s: longer than to drive round it and look.
+/// An obstacle not seen covering the goal for this long has left, and the next one is a new one, s: longer than driving round it to look
+/// takes.
 const FORGOTTEN: f64 = 60.0;
 
 impl Search {
-    /// The cells of what may leave and, seen from `from`, covers the goal; none once it has been waited for long enough.
+    /// Cells of the transient obstacle that covers the goal as seen from `from`; none once the robot has waited for it long enough.
     pub(super) fn covers_goal(&self, ctx: &mut Context, from: Point2<f64>) -> Vec<TransientCell> {
         let goal = Point2::new(self.request.goal.x, self.request.goal.y);
         let Some(model) = ctx.robot.model() else {
@@ -42,8 +44,8 @@ impl Search {
     }
 }
 
-/// The cells of the thing nearest to a goal, if a disc as deep as it is wide, seen from `from`, comes nearer to the goal than `gap`, m (negative:
-/// reaches farther over it than that).
+/// Cells of the obstacle nearest to a goal, if a disc as deep as the obstacle is wide, seen from `from`, comes nearer to the goal than
+/// `gap`, m (negative: extends over it by more than that).
 fn covering(cells: &[TransientCell], from: Point2<f64>, goal: Point2<f64>, gap: f64) -> Vec<TransientCell> {
     let distance = |cell: &TransientCell| (cell.center - goal).norm();
     let nearest = cells.iter().min_by(|a, b| distance(a).total_cmp(&distance(b)));
@@ -66,7 +68,7 @@ fn covering(cells: &[TransientCell], from: Point2<f64>, goal: Point2<f64>, gap: 
     };
     let ((front, _), (right, left)) = (span(ahead), span(across));
     if left - right > LARGEST {
-        // No person is so wide; a door that shut is.
+        // Too wide for a person: a closed door, for example.
         return Vec::new();
     }
     let radius = 0.5 * (left - right);
@@ -104,7 +106,7 @@ mod tests {
         assert!(!covers(2.9, 1.3));
         assert!(!covers(2.7, 0.9));
         assert!(covering(&[], Point2::origin(), Point2::new(3.0, 1.0), 0.0).is_empty());
-        // So wide is nobody.
+        // Too wide for a person.
         assert!(
             covering(
                 &seen(Point2::new(3.0, 1.0), 0.45),
@@ -114,7 +116,7 @@ mod tests {
             )
             .is_empty()
         );
-        // Nothing is seen from where it stands itself.
+        // From its own position, nothing is seen.
         assert!(covering(&person[9..10], person[9].center, Point2::new(2.8, 0.9), 0.0).is_empty());
     }
 

@@ -1,10 +1,10 @@
-//! Route. How does a goal become a plan? A motion worker is asked for a path and its trajectory, in one request.
+//! Route. How does a goal become a plan? A motion worker computes a path and its trajectory in a single request.
 //!
-//! A robot that drives is planned for from the state predicted on its trajectory, one latency budget ahead; one that stands,
-//! from where it stands; one that moves otherwise is waited for.
+//! For a robot that follows a trajectory, the route starts from the state predicted on it, one latency budget ahead; for a robot at rest,
+//! from where it stands; a robot that moves otherwise is waited for.
 //!
-//! Where there is no path, the worker is asked once more, as if what may leave ([`transient`](crate::transient)) had left. If there is one then,
-//! the search waits for it: it asks again once something leaves, and each second.
+//! If there is no path, the worker is asked again as if the transient obstacles ([`transient`](crate::transient)) had left. If there is a
+//! path then, the search waits for them: it asks again when one of them leaves, and each second.
 
 mod approach;
 mod begin;
@@ -37,21 +37,21 @@ pub use approach::Tries;
 pub use request::RouteRequest;
 pub(crate) use waiting::look_at;
 
-/// Nav2's codes of why there is no path.
+/// Nav2's error codes of path planning.
 pub mod error_code {
-    /// There is one.
+    /// No error.
     pub const NONE: i64 = 0;
-    /// Something else.
+    /// Any other reason.
     pub const UNKNOWN: i64 = 200;
-    /// It is not known where the robot is.
+    /// The robot's pose is unknown.
     pub const TF_ERROR: i64 = 202;
-    /// There is no such planner.
+    /// The planner does not exist.
     pub const INVALID_PLANNER: i64 = 201;
-    /// The start lies outside the map.
+    /// The start is outside the map.
     pub const OUTSIDE_MAP: i64 = 204;
     /// The robot does not fit where it stands.
     pub const START_OCCUPIED: i64 = 205;
-    /// It does not fit where it is to go.
+    /// The robot does not fit at the goal.
     pub const GOAL_OCCUPIED: i64 = 206;
     /// The search took too long.
     pub const TIMEOUT: i64 = 207;
@@ -61,55 +61,55 @@ pub mod error_code {
 
 /// A robot that does not fit at its goal may end this near to it, as a share of the goal's tolerance.
 pub(crate) const NEARBY: f64 = 0.8;
-/// A path shorter than this is none, m.
+/// A path shorter than this counts as being at the goal, m.
 const AT_GOAL: f64 = 0.05;
-/// What a search does whose request nobody answers.
+/// State of a search without an answering motion worker.
 const NO_WORKER: &str = "waits for a motion worker";
 
 /// A path and its trajectory.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Route {
-    /// Its name.
+    /// Identifies the route.
     pub id: u64,
-    /// Where to.
+    /// Goal of the route.
     pub goal: GoalPoint,
-    /// Corner points, start and goal included.
+    /// Corner points, including start and goal.
     pub path: Vec<Point2<f64>>,
     /// Length of the path, m.
     pub length: f64,
-    /// Where it begins.
+    /// Start pose.
     pub begin: Pose2,
-    /// What is to be published.
+    /// The plan to publish.
     pub plan: PlanDraft,
-    /// When the robot is at the goal if it leads past others, their waits included, s.
+    /// Predicted time of arrival of a path past other robots, waits for them included, s.
     pub arrival_secs: Option<f64>,
 }
 
-/// A route as it stands on the blackboard.
+/// A route as stored on the blackboard.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RouteData {
-    /// Name of the route; unknown after a restart.
+    /// Id of the route; unknown after a restart.
     pub route: u64,
-    /// Where to.
+    /// Goal of the route.
     pub goal: GoalPoint,
     /// Corner points, map frame.
     pub points: Vec<Point2<f64>>,
     /// Length, m.
     pub length: f64,
-    /// Goals that it passes, in order.
+    /// Goals on the way, in order.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub via: Vec<GoalPoint>,
-    /// The place that the goal is, where it was named.
+    /// Name of the goal's place, if it has one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub place: Option<String>,
-    /// The frame of the map that its numbers are in; without it, the present one.
+    /// Frame of the map that the coordinates are in; without it, the present one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub frame: Option<u64>,
 }
 
 impl RouteData {
-    /// The same in the present frame of the map: the way with the robot's surroundings, the goals with theirs. `None` where it is of a frame
-    /// that is too long ago.
+    /// The same in the present frame of the map: the path moved with the robot's surroundings, the goals with theirs. `None` if its frame
+    /// is too old.
     #[must_use]
     pub fn here(self, frames: &Frames) -> Option<Self> {
         let from = self.frame.unwrap_or(frames.at());
@@ -132,12 +132,12 @@ impl RouteData {
 pub struct NoRoute {
     /// Nav2's code.
     pub code: i64,
-    /// In words.
+    /// The reason as text.
     pub reason: String,
 }
 
 impl NoRoute {
-    /// Whether neither another place of the robot nor another try on the same map would help.
+    /// Whether neither another position of the robot nor another attempt on the same map would help.
     #[must_use]
     pub fn is_final(&self) -> bool {
         [
@@ -149,14 +149,14 @@ impl NoRoute {
     }
 }
 
-/// How a search stands.
+/// State of a search.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Searching {
-    /// Not done; what it waits for.
+    /// Not finished; what it waits for.
     Wait(&'static str),
-    /// Something bars the way that may leave: what, and for how long it has.
+    /// A transient obstacle blocks the way: where, and for how long.
     Blocked(String),
-    /// It is out of sight, and this leads to where it is seen: to be driven with [`Search::approaches`] meanwhile.
+    /// The obstacle is out of sight, and this route leads to where it is visible: drive it with [`Search::approaches`] meanwhile.
     Nearer(Box<Route>),
     /// Found.
     Found(Box<Route>),
@@ -166,12 +166,12 @@ pub enum Searching {
 
 #[derive(Clone, Debug)]
 enum Stage {
-    /// Until this time nothing is asked.
+    /// No request before this time.
     Idle(Stamp),
     Asked(Ticket, Begin),
-    /// Why there is no path; asked whether there would be one without what may leave.
+    /// Why there is no path; asked whether there would be one without the transient obstacles.
     Cleared(Ticket, NoRoute),
-    /// The trajectory along the path that was given, joined.
+    /// The trajectory along the given path, joined from the robot's position.
     Given(Ticket, Begin, Vec<Point2<f64>>),
 }
 
@@ -182,28 +182,28 @@ pub struct Search {
     planner: String,
     stage: Stage,
     begun: Stamp,
-    /// Only from where the robot stands.
+    /// Plan only from rest.
     from_rest: bool,
-    /// What may leave, as it was asked for last.
+    /// Transient cells of the last request.
     cleared: Vec<TransientCell>,
-    /// Whether some of it was met by a beam or two, at a goal far away.
+    /// Whether some of them are one or two beam returns near a goal far away.
     doubts: bool,
     waiting: Option<Waiting>,
-    /// On the way to where that is in sight; whether the robot may be brought there.
+    /// The approach to where the obstacle is in sight; whether the robot may be driven there.
     approach: Option<Approach>,
     may_approach: bool,
-    /// When a path was asked for last.
+    /// Time of the last path request.
     asked: Stamp,
-    /// The frame of the map in which it was asked for.
+    /// Frame of the map of that request.
     frame: u64,
-    /// Whether no motion worker answered last time.
+    /// Whether the last request was not answered by any motion worker.
     unanswered: bool,
-    /// When the robot is at the goal by the last answer, past others, s.
+    /// Predicted time of arrival in the last answer, of a path past other robots, s.
     arrival_secs: Option<f64>,
 }
 
 impl Search {
-    /// Begins at `from` (now, or later).
+    /// Starts at `from` (now, or later).
     #[must_use]
     pub fn new(ctx: &Context, request: RouteRequest, planner: Option<String>, from: Stamp) -> Self {
         let planner = planner
@@ -227,7 +227,7 @@ impl Search {
         }
     }
 
-    /// Does not bring the robot anywhere while it waits: somebody else drives it.
+    /// Does not drive the robot anywhere while it waits: another leaf drives it.
     #[must_use]
     pub fn standing(self) -> Self {
         Self {
@@ -236,7 +236,7 @@ impl Search {
         }
     }
 
-    /// Waits until the robot stands, and begins there.
+    /// Waits until the robot is at rest, and plans from there.
     #[must_use]
     pub fn from_rest(self) -> Self {
         Self {
@@ -245,7 +245,7 @@ impl Search {
         }
     }
 
-    /// Gives the search up.
+    /// Cancels the search.
     pub fn cancel(mut self, ctx: &mut Context) {
         self.end_approach(ctx);
         if self.waiting.is_some() {
@@ -257,12 +257,12 @@ impl Search {
         }
     }
 
-    /// Tries once more from a time on.
+    /// Tries again from a time on.
     pub fn again_at(&mut self, from: Stamp) {
         (self.stage, self.begun) = (Stage::Idle(from), from);
     }
 
-    /// Goes on as far as the answers that are there allow.
+    /// Advances as far as the available answers allow.
     pub fn step(&mut self, ctx: &mut Context) -> Searching {
         let state = self.advance(ctx);
         match (state, self.waiting.take()) {
@@ -281,7 +281,8 @@ impl Search {
         }
     }
 
-    /// What the robot does meanwhile: it makes room, comes nearer, or looks there. A route that leads nearer, once there is one.
+    /// What the robot does while waiting: it makes room, approaches the obstacle, or turns towards it. Returns a route for an approach,
+    /// once there is one.
     fn waits(&mut self, ctx: &mut Context, waiting: &Waiting) -> Option<Box<Route>> {
         if self.is_approaching() {
             return self.come_nearer(ctx, waiting);
@@ -379,7 +380,7 @@ impl Search {
         self.awaits(ctx, "plans")
     }
 
-    /// An answer is awaited. After as long as a search may take, nobody may be there to give it.
+    /// Waits for an answer. After the time limit of a search, the motion worker counts as missing.
     fn awaits(&self, ctx: &Context, what: &'static str) -> Searching {
         let late = ctx.now.secs_since(self.asked) > ctx.config.settings.search_budget;
         Searching::Wait(if late || self.unanswered { NO_WORKER } else { what })
@@ -405,7 +406,7 @@ impl Search {
         }
     }
 
-    /// The courses of the robots to lead past, with times from so many s later on.
+    /// The courses of the robots to pass, with times relative to `later` s from now.
     fn yield_to(&self, later: f64) -> Vec<KnownCourse> {
         let mut courses = self.request.yield_to.clone();
         for place in courses.iter_mut().flat_map(|course| &mut course.places) {
@@ -422,7 +423,7 @@ impl Search {
                 return failed(error_code::UNKNOWN, format!("the motion worker refuses: {refusal}"));
             }
             Err(NoAnswer::Silent(_)) => {
-                // The goal's own deadline bounds this.
+                // Bounded by the goal's own deadline.
                 return self.again(ctx, NO_WORKER);
             }
             Ok(_) => return off_topic(),
@@ -470,7 +471,7 @@ impl Search {
                 statistics(PlanStatistics::default()),
             ),
             None => off_topic(),
-            // Where there is nothing to drive, the goal itself is the one waypoint.
+            // If there is nothing to drive, the goal is the only waypoint.
             Some(smooth) if smooth.trajectory.is_empty() && path::length(&path) >= AT_GOAL => {
                 let goal = named(&self.request.goal);
                 let reason = format!("the path to {goal} cannot be driven: {}", smooth.statistics.status);
@@ -485,7 +486,7 @@ impl Search {
         }
     }
 
-    /// The trajectory along the given path; where there is none, another path is planned.
+    /// Handles the trajectory along the given path; without one, another path is planned.
     fn smoothed(
         &mut self,
         ctx: &mut Context,
@@ -595,7 +596,7 @@ fn route(
     }
 }
 
-/// A goal, in words.
+/// Text of a goal.
 fn named(goal: &GoalPoint) -> String {
     format!("({:.2}, {:.2})", goal.x, goal.y)
 }

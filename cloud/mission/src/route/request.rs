@@ -1,4 +1,4 @@
-//! Route request. Where is a route to lead: to a goal, perhaps through others, from the robot or from elsewhere, or along a given path?
+//! Route request. Which route is wanted: to a goal, possibly through others, from the robot or from elsewhere, or along a given path?
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;
@@ -6,28 +6,28 @@ use zenav_protocol::messages::{GoalPoint, KnownCourse};
 
 use crate::leaves::path;
 
-/// A given path that is farther than this from the robot is not joined, m.
+/// Greatest distance of a given path from the robot at which it is joined, m.
 const JOIN: f64 = 0.5;
-/// Points of a given path nearer together than this are one, m.
+/// Distance below which points of a given path are merged, m.
 const APART: f64 = 1e-3;
 
-/// What is to be found.
+/// The requested route.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RouteRequest {
-    /// Goals to pass, in order.
+    /// Goals on the way, in order.
     pub via: Vec<GoalPoint>,
-    /// Where to.
+    /// Final goal.
     pub goal: GoalPoint,
-    /// From there, not from where the robot is: there is a path then, and no trajectory.
+    /// Start pose other than the robot's: gives a path without a trajectory.
     pub from: Option<Pose2>,
-    /// A path that is there already: it is driven, if it leads past the robot and can be.
+    /// An existing path: it is driven if it passes the robot and is drivable.
     pub given: Vec<Point2<f64>>,
-    /// Robots to lead past, with times from now on.
+    /// Courses of robots that the path must pass, times relative to now.
     pub yield_to: Vec<KnownCourse>,
 }
 
 impl RouteRequest {
-    /// To a goal, from where the robot is.
+    /// To a goal, from the robot's position.
     #[must_use]
     pub fn to(goal: GoalPoint) -> Self {
         Self {
@@ -39,7 +39,7 @@ impl RouteRequest {
         }
     }
 
-    /// The given path from where the robot will be; one that does not lead past there is dropped.
+    /// The given path from the robot's predicted position; a path that does not pass there is dropped.
     pub(super) fn join_given(&mut self, here: Point2<f64>) -> Option<Vec<Point2<f64>>> {
         let whole = path::length(&self.given);
         let near = path::nearest(&self.given, here, 0.0, whole).filter(|near| near.distance <= JOIN);
@@ -54,7 +54,7 @@ impl RouteRequest {
             }
         }
         if joined.len() == 1 {
-            // The robot is there.
+            // The robot is at its end.
             joined.push(here);
         }
         Some(joined)

@@ -1,4 +1,4 @@
-//! Waiting. What that may leave bars the way, and is it still worth waiting for?
+//! Waiting. Which transient obstacle blocks the way, and is it still worth waiting for?
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::wrap_angle;
@@ -15,46 +15,47 @@ use crate::io::{Answer, Ask, NoAnswer};
 use crate::leaves::path;
 use crate::transient::TransientCell;
 
-/// Time between two tries while something is waited for, s: at least, when it gives way, and at most.
+/// Time between two attempts while waiting, s: at least, used when the obstacle gives way, and at most.
 const RETRY: [f64; 2] = [0.2, 1.0];
-/// What gives way leaves traces for a while: a path that is not there yet is asked for so much longer, s.
+/// A departing obstacle leaves traces in the map for a while: for this long a missing path is requested again, s.
 const TRACES: f64 = 5.0;
-/// So much inside the border of its view a lidar sees what is waited for, rad; the robot turns to it at most so often, s.
+/// Margin inside the edge of its view within which a lidar sees the obstacle, rad; least time between turns of the robot towards it, s.
 const VIEW: (f64, f64) = (0.3, 10.0);
-/// What bumped into the robot within this time, s, and leans on it for so long, s, is made room for: this much clearance, m, within so far, m.
+/// An obstacle that bumped the robot within this time, s, and has leaned on it for this long, s, is made room for: with this clearance, m,
+/// found within this radius, m.
 const BUMPED: f64 = 60.0;
 const LEANS: f64 = 6.0;
 const ROOM: (f64, f64) = (0.3, 2.0);
-/// Most goals that things are looked for around.
+/// Most goals around which transient obstacles are searched.
 const MAX_GOALS: usize = 8;
-/// From so near a lidar tells a person or a robot from a wall, m.
+/// Distance within which a lidar can tell a person or a robot from a wall, m.
 const TOLD_WITHIN: f64 = 3.0;
-/// What may touch a robot beyond its circumscribed disc, m: some cells.
+/// Distance beyond the circumscribed disc at which an obstacle may touch a robot, m: a few cells.
 const BESIDE: f64 = 0.08;
-/// Cells this near to one another bar the way as one thing, m.
+/// Distance within which cells that block the way belong to one obstacle, m.
 pub(super) const ONE_THING: f64 = 0.8;
-/// A blockage this near to the one before is the same, m …
+/// A blockage this near to the previous one is the same, m …
 pub(super) const SAME_PLACE: f64 = 1.0;
-/// … unless it was not waited for in so long, s.
+/// … unless the wait for it ended more than this long ago, s.
 const FORGOTTEN: f64 = 10.0;
 
-/// What a search waits for.
+/// The obstacle that a search waits for.
 #[derive(Clone, Debug)]
 pub(super) struct Waiting {
     pub(super) blockage: Blockage,
     /// Its cells, map frame, m.
     pub(super) cells: Vec<Point2<f64>>,
-    /// The way that it bars.
+    /// The path that it blocks.
     pub(super) way: Vec<Point2<f64>>,
-    /// From farther away nobody can tell what it is, m.
+    /// Distance beyond which it cannot be identified, m.
     pub(super) told_within: f64,
-    /// How many of them were occupied when a path was asked for last.
+    /// How many of its cells were occupied at the last path request.
     occupied: usize,
 }
 
 impl Waiting {
-    /// What bars a path that is there only without these cells, for a robot that touches what is nearer to its middle than `radius`, m:
-    /// the first thing on the way.
+    /// The first obstacle on a path that exists only without these cells, for a robot that touches everything nearer to its centre than
+    /// `radius`, m.
     pub(super) fn on(path: &[Point2<f64>], cells: &[TransientCell], radius: f64, now: Stamp) -> Option<Self> {
         let touched = cells.iter().filter_map(|cell| {
             let near = path::nearest(path, cell.center, 0.0, f64::INFINITY)?;
@@ -70,7 +71,7 @@ impl Waiting {
             .iter()
             .fold([0.0; 2], |[x, y], cell| [x + cell.center.x, y + cell.center.y]);
         let [x, y] = sum.map(|sum| sum / thing.len() as f64);
-        // Its cells come one after the other: the one in the middle tells when.
+        // Its cells become occupied one after the other: the median gives the time.
         let mut since: Vec<Stamp> = thing.iter().filter_map(|cell| cell.since).collect();
         since.sort_unstable();
         let since = since.get(since.len() / 2).copied().unwrap_or(now);
@@ -83,7 +84,7 @@ impl Waiting {
         })
     }
 
-    /// Notes in the goal that this is waited for. What stood there when it was waited for before still does.
+    /// Records in the goal that the robot waits for this obstacle. If it was waited for before, it keeps its first time.
     pub(super) fn note(&mut self, ctx: &mut Context) {
         let goal = &mut ctx.goal;
         if let Some((before, last)) = goal.waited
@@ -95,17 +96,17 @@ impl Waiting {
         goal.waited = Some((self.blockage, ctx.now));
     }
 
-    /// How long it has stood there, s.
+    /// How long the obstacle has been there, s.
     pub(super) fn stood(&self, now: Stamp) -> f64 {
         now.secs_since(self.blockage.since).max(0.0)
     }
 
-    /// Whether some of it has left since a path was asked for last.
+    /// Whether part of it has left since the last path request.
     pub(super) fn gives_way(&self, ctx: &Context) -> bool {
         self.count(ctx) < self.occupied
     }
 
-    /// A path is asked for with what stands there now.
+    /// Records the cells occupied at a path request.
     pub(super) fn asked(&mut self, ctx: &Context) {
         self.occupied = self.count(ctx);
     }
@@ -115,7 +116,8 @@ impl Waiting {
         self.cells.iter().filter(stands).count()
     }
 
-    /// Drives a robot aside into which it has run, and on which it has leaned for a while: it waits for the robot, too. Says whether it did.
+    /// Moves the robot aside if it is in contact with another robot that has leaned on it for a while: that robot waits for this one, too.
+    /// Returns whether it did.
     pub(super) fn make_room(&self, ctx: &mut Context) -> bool {
         let (Some(pose), Some(model)) = (ctx.robot.pose(), ctx.robot.model()) else {
             return false;
@@ -136,7 +138,7 @@ impl Waiting {
         drives
     }
 
-    /// What is waited for, in words.
+    /// Description of the wait.
     pub(super) fn said(&self, now: Stamp) -> String {
         let Blockage { x, y, .. } = self.blockage;
         format!(
@@ -145,7 +147,7 @@ impl Waiting {
         )
     }
 
-    /// Why it is waited for no longer.
+    /// Why the wait was given up.
     pub(super) fn given_up(&self, now: Stamp) -> String {
         let Blockage { x, y, .. } = self.blockage;
         format!(
@@ -156,13 +158,13 @@ impl Waiting {
 }
 
 impl Search {
-    /// Whether what is waited for gives way.
+    /// Whether the obstacle gives way.
     pub(super) fn may_go_on(&self, ctx: &Context) -> bool {
         let due = ctx.now.secs_since(self.asked) >= RETRY[0];
         due && self.waiting.as_ref().is_some_and(|waiting| waiting.gives_way(ctx))
     }
 
-    /// There is no path. Would there be one without what may leave?
+    /// No path was found: asks whether there would be one without the transient obstacles.
     pub(super) fn unless_it_leaves(&mut self, ctx: &mut Context, begin: &Begin, no_route: NoRoute) -> Searching {
         let may_pass = [error_code::GOAL_OCCUPIED, error_code::NO_VALID_PATH].contains(&no_route.code);
         let (Some(model), Some(map)) = (ctx.robot.model().cloned(), ctx.map.newest()) else {
@@ -175,7 +177,7 @@ impl Search {
         let near = goals.map(|goal| Point2::new(goal.x, goal.y)).take(MAX_GOALS);
         let near: Vec<Point2<f64>> = [begin.pose.position()].into_iter().chain(near).collect();
         self.cleared = ctx.map.transient(&near);
-        // What a beam or two met at a goal far away may be anything.
+        // One or two beam returns near a goal far away are not enough to tell what they hit.
         let goal = Point2::new(self.request.goal.x, self.request.goal.y);
         let reach = model.footprint.circumscribed_radius() + BESIDE;
         let is_far = (goal - begin.pose.position()).norm() > TOLD_WITHIN + reach;
@@ -195,7 +197,7 @@ impl Search {
         Searching::Wait("asks what bars the way")
     }
 
-    /// The answer to that.
+    /// The answer to that request.
     pub(super) fn without_what_may_leave(
         &mut self,
         ctx: &mut Context,
@@ -216,8 +218,8 @@ impl Search {
         self.wait(ctx, &path, &cells, no_route)
     }
 
-    /// There is a path, and it cannot be driven. Perhaps somebody stands at one of its ends, seen from one side only: at the goal, or so near
-    /// to the robot that it has no room to set out.
+    /// There is a path, but it cannot be driven. Somebody seen from one side only may stand at one of its ends: at the goal, or so near to
+    /// the robot that it has no room to set out.
     pub(super) fn unless_an_end_is_taken(
         &mut self,
         ctx: &mut Context,
@@ -237,7 +239,7 @@ impl Search {
         self.wait(ctx, path, &cells, no_route)
     }
 
-    /// There is a path, and what may leave covers the goal: waits for it, unless it has stood there for too long.
+    /// There is a path, but a transient obstacle covers the goal: waits for it, unless it has been there for too long.
     pub(super) fn until_the_goal_is_uncovered(
         &mut self,
         ctx: &mut Context,
@@ -245,7 +247,7 @@ impl Search {
         path: &[Point2<f64>],
     ) -> Option<Searching> {
         let cells = self.covers_goal(ctx, begin.pose.position());
-        // Where the way would touch it.
+        // Where the path would touch it.
         let touches = cells.first()?.center;
         let path: Vec<Point2<f64>> = path.iter().copied().chain([touches]).collect();
         let goal = named(&self.request.goal);
@@ -258,7 +260,7 @@ impl Search {
         (!matches!(waits, Searching::Failed(_))).then_some(waits)
     }
 
-    /// Waits for the first thing on a path that may leave; gives up if there is none, or if it has stood there for too long.
+    /// Waits for the first transient obstacle on a path; gives up if there is none, or if it has been there for too long.
     fn wait(
         &mut self,
         ctx: &mut Context,
@@ -308,7 +310,7 @@ impl Search {
     }
 }
 
-/// Turns a robot at rest to a place that none of its lidars sees: what leaves there would stay in the map.
+/// Turns a robot at rest towards a place outside the view of all its lidars: an obstacle that leaves there would stay in the map.
 pub(crate) fn look_at(ctx: &mut Context, place: Point2<f64>) {
     let looked = ctx.goal.looked.is_some_and(|at| ctx.now.secs_since(at) < VIEW.1);
     let (Some(pose), Some(model)) = (ctx.robot.pose(), ctx.robot.model()) else {
@@ -323,7 +325,7 @@ pub(crate) fn look_at(ctx: &mut Context, place: Point2<f64>) {
     }
 }
 
-/// Asks a robot at rest for a manoeuvre, if it may be asked. Whether it is done is seen by the robot's pose.
+/// Requests a manoeuvre of a robot at rest, if allowed. Its completion shows in the robot's pose.
 fn ask_behaviour(ctx: &mut Context, action: BehaviourAction) -> bool {
     let Some(epoch) = ctx.lease.epoch() else {
         return false;

@@ -1,6 +1,6 @@
-//! Checksum of a store. Are its records those that were written? It finds damage, not malice.
+//! Checksum of a store. Are its records those that were written? It detects damage, not tampering.
 
-/// Sum of the hashes of all records, in whatever order they come.
+/// Sum of the hashes of all records, independent of their order.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Checksum(pub(super) u64);
 

@@ -1,4 +1,4 @@
-//! Claims about the store: what was written is there, and what is not whole is refused.
+//! Tests of the store: written records are kept, and damaged files are refused.
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
@@ -212,7 +212,7 @@ fn every_byte_that_is_spoilt_costs_no_goal_in_silence() {
         let store = Store::open(&path, "r").unwrap();
         store.goals().unwrap()
     };
-    // Wherever a goal's text stands in the file.
+    // Every position of a goal's text in the file.
     let places: Vec<usize> = (0..whole.len() - 8)
         .filter(|at| whole[*at..].starts_with(b"accepted"))
         .collect();

@@ -1,12 +1,12 @@
-//! Transient obstacles. What of the map may leave again, and since when has it stood there?
+//! Transient obstacles. Which obstacles on the map may leave again, and how long have they been there?
 //!
 //! | may leave | because |
 //! |---|---|
-//! | what stands where the map was free, all around | it came |
-//! | what is no larger than a person, with free space around it, in a map that grows | people and carts stand so; walls do not |
+//! | an obstacle in space that was free, on all sides | it arrived |
+//! | an object no larger than a person, surrounded by free space, in a map that grows | people and carts look like this; walls do not |
 //!
-//! Beams that graze a wall show its surface as free now and then. But behind a wall nothing was ever free: that is why all around counts. What
-//! stands in a stored map has stood there long, and stays.
+//! Beams that graze a wall sometimes show its surface as free. But the space behind a wall is never seen free, so all sides are checked.
+//! Obstacles of a stored map have been there for long, and stay.
 
 mod window;
 
@@ -20,46 +20,46 @@ use zenav_protocol::time::Stamp;
 pub(crate) use self::window::LARGEST;
 use self::window::Window;
 
-/// Side of a tile, cells: one word a row.
+/// Side of a tile, cells: one machine word per row.
 const SIDE: usize = 64;
 const _: () = assert!(TILE as usize == SIDE, "a row of a tile is a word");
-/// Up to this percentage a cell was seen free, and not by one grazing beam: two observations with the usual sensor model.
+/// Largest occupancy percentage of a cell that was seen free by more than one grazing beam: two observations with the usual sensor model.
 const SEEN_FREE: i8 = 15;
-/// Most cells that are told of.
+/// Most cells returned.
 const MAX_CELLS: usize = 20_000;
 
 /// A cell's column and row, counted from the origin of the map's first grid.
 type Place = (i64, i64);
 
-/// A cell of a thing that may leave.
+/// A cell of a transient obstacle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TransientCell {
     /// Its centre, map frame, m.
     pub center: Point2<f64>,
-    /// Since when it has been occupied, by the mission's time; `None` if it was never seen free.
+    /// Time since which it has been occupied, on the mission's clock; `None` if it was never seen free.
     pub since: Option<Stamp>,
 }
 
-/// What was free once, and what has been occupied since.
+/// History of the map: cells that were free once, and cells occupied since.
 #[derive(Clone, Debug, Default)]
 pub struct Transients {
     /// Geometry of the grid that cells are counted from.
     anchor: Option<(String, GridSpec)>,
     tiles: BTreeMap<Place, Tile>,
-    /// When cells that had been free became occupied, by row and column.
+    /// Times at which free cells became occupied, by row and column.
     since: BTreeMap<Place, Stamp>,
 }
 
-/// One word a row.
+/// One machine word per row.
 #[derive(Clone, Debug)]
 struct Tile {
     was_free: [u64; SIDE],
-    /// Occupied after that.
+    /// Occupied after having been free.
     taken: [u64; SIDE],
 }
 
 impl Transients {
-    /// Takes a patch that has been applied to the replica.
+    /// Observes a patch that was applied to the replica.
     pub fn observe(&mut self, now: Stamp, patch: &MapPatch) {
         let Some((x, y)) = self.offset(&patch.map.id, &patch.spec) else {
             return;
@@ -72,7 +72,7 @@ impl Transients {
         }
     }
 
-    /// Takes a whole map.
+    /// Observes a whole map.
     pub fn observe_all(&mut self, now: Stamp, map: &str, grid: &OccupancyGrid) {
         let Some((x, y)) = self.offset(map, grid.spec()) else {
             return;
@@ -85,7 +85,7 @@ impl Transients {
         }
     }
 
-    /// Up to 64 cells of a row, the first of them at the left border of a tile.
+    /// Up to 64 cells of a row, beginning at the left border of a tile.
     fn row(&mut self, now: Stamp, (x, y): Place, values: &[i8]) {
         let mask = |is: fn(i8) -> bool| {
             let bits = values.iter().take(SIDE).enumerate();
@@ -118,15 +118,15 @@ impl Transients {
         }
     }
 
-    /// Whether a cell (row and column) was free once.
+    /// Whether a cell (row and column) was ever free.
     fn was_free(&self, (y, x): Place) -> bool {
         let side = SIDE as i64;
         let tile = self.tiles.get(&(x.div_euclid(side), y.div_euclid(side)));
         tile.is_some_and(|tile| tile.was_free[y.rem_euclid(side) as usize] >> x.rem_euclid(side) & 1 == 1)
     }
 
-    /// Column and row of a grid's first cell. Of another map, or of a grid whose tiles lie elsewhere, nothing is known yet; `None` for one
-    /// that is out of all bounds.
+    /// Column and row of a grid's first cell. Starts over for another map, or for a grid with other tile positions; `None` for a grid out
+    /// of all bounds.
     fn offset(&mut self, map: &str, spec: &GridSpec) -> Option<Place> {
         let known = self.anchor.as_ref().filter(|(id, _)| id == map);
         if let Some(offset) = known.and_then(|(_, anchor)| between(anchor, spec)) {
@@ -138,7 +138,7 @@ impl Transients {
         Some(offset)
     }
 
-    /// Cells of what may leave, near these places, row by row. `grid` is the map; where it `grows`, what stands alone may leave, too.
+    /// Transient cells near these places, row by row. `grid` is the map; if it `grows`, lone objects count as well.
     #[must_use]
     pub fn cells(&self, grid: &OccupancyGrid, grows: bool, near: &[Point2<f64>]) -> Vec<TransientCell> {
         let spec = grid.spec();

@@ -1,4 +1,4 @@
-//! What may leave, as a map is shown from time to time.
+//! Transient obstacles, on a sequence of map states.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use zenav_protocol::messages::{MapRef, Tile};
@@ -12,7 +12,7 @@ const SPEC: GridSpec = GridSpec {
     height: 128,
 };
 
-/// A map as it was shown from time to time, and what may leave now.
+/// A sequence of map states, and the transient cells at the end.
 struct Shown {
     transients: Transients,
     grid: OccupancyGrid,
@@ -28,7 +28,7 @@ impl Shown {
         }
     }
 
-    /// Ten seconds later these cells have a value.
+    /// Ten seconds later these cells have this value.
     fn show(&mut self, value: i8, columns: std::ops::Range<u32>, rows: std::ops::Range<u32>) -> &mut Self {
         for (x, y) in rows.flat_map(|y| columns.clone().map(move |x| (x, y))) {
             self.grid[zenav_protocol::grid::Cell::new(x, y)] = value;
@@ -72,7 +72,7 @@ fn what_came_may_leave_and_is_known_since_when() {
     assert!(cells.iter().all(|cell| cell.since == Some(Stamp::from_secs(20.0))));
     let first = SPEC.from_cells(Point2::new(60.5, 62.5));
     assert!((cells[0].center - first).norm() < 1e-9, "{:?}", cells[0]);
-    // A whole map, told anew, is no other.
+    // A repeated whole map changes nothing.
     shown.transients.observe_all(Stamp::from_secs(30.0), "m", &shown.grid);
     assert_eq!(shown.cells(false), cells);
     shown.show(0, 60..68, 62..66);
@@ -111,7 +111,7 @@ fn a_door_may_leave_and_the_surface_of_a_wall_may_not_though_both_were_seen_free
         cells.iter().all(|cell| cell.center > low && cell.center < high),
         "{cells:?}"
     );
-    // A wall whose surface a grazing beam once showed as free, and behind which nothing was ever seen.
+    // A wall whose surface a grazing beam once showed as free, with never any free space seen behind it.
     let mut shown = Shown::new();
     shown.show(0, 20..110, 20..65).show(100, 20..110, 64..65);
     assert!(shown.cells(true).is_empty());
@@ -134,7 +134,7 @@ fn the_last_cells_of_who_went_on_may_leave_and_noise_at_a_wall_may_not() {
 fn what_stands_alone_may_leave_unless_it_is_large_or_in_a_stored_map() {
     let mut shown = Shown::new();
     shown.show(100, 60..68, 62..64).show(100, 20..40, 62..64);
-    // So may be a piece of a wall.
+    // The same holds for a piece of a wall.
     assert!(shown.cells(true).is_empty());
     shown
         .show(0, 50..60, 52..70)

@@ -1,4 +1,4 @@
-//! Which cells of a part of a map belong to a thing that may leave?
+//! Window. Which cells of a part of a map belong to a transient obstacle?
 
 use std::collections::VecDeque;
 
@@ -7,22 +7,22 @@ use zenav_protocol::grid::{Occupancy, OccupancyGrid};
 
 use super::Place;
 
-/// Cells whose centres are this near belong to one thing: beams are farther apart than cells where it is far away, m.
+/// Distance of cell centres within one object, m: far away, beams are farther apart than cells.
 const LINK: f64 = 0.1;
-/// What is larger than this is not taken for a person, m.
+/// Largest size of a person, m.
 pub(crate) const LARGEST: f64 = 0.8;
-/// Longer side of the box around a thing, m: less is noise at the edge of a wall.
+/// Longer side of the bounding box of an object, m: a smaller one is noise at the edge of a wall.
 const SIZES: std::ops::RangeInclusive<f64> = 0.2..=LARGEST;
-/// Cells that a thing must have at least, unless all around it was free.
+/// Fewest cells of an object, unless all cells around it were free.
 const MIN_CELLS: usize = 4;
-/// Share of the cells around a cell that were free once, for what stands there to have come: all around a person, eight in nine along a wall of
-/// which 10 cm were grazed.
+/// Share of the cells around a cell that must once have been free for its object to count as arrived: all around a person, eight in nine
+/// along a wall of which 10 cm were grazed.
 const FREE_AROUND: f64 = 0.92;
-/// What is this near to a cell on each axis is around it, m.
+/// Extent of the surroundings of a cell on each axis, m.
 const AROUND: f64 = 0.1;
-/// Share of the box around a lone thing that must be free, itself left out: half of it beside a piece of a wall.
+/// Share of the bounding box around a lone object that must be free, without the object itself: beside a piece of a wall it is half.
 const FREE_BESIDE: f64 = 0.42;
-/// Things are looked for this near to the robot and to its goals, m, and not beyond so many cells.
+/// Objects are searched within this distance of the robot and its goals, m, and within this many cells.
 const WINDOW: (f64, i64) = (12.0, 480);
 
 /// A part of a map.
@@ -34,7 +34,7 @@ pub(super) struct Window {
     resolution: f64,
 }
 
-/// A thing: its cells, and the box around them.
+/// An object: its cells and their bounding box.
 struct Thing {
     cells: Vec<Place>,
     low: Place,
@@ -64,7 +64,7 @@ impl Window {
         inside.then(|| (y * self.width + x) as usize)
     }
 
-    /// Cells (column and row in the map) of what may leave. `is_new`: occupied, and free before; `was_free`: free once.
+    /// Transient cells (column and row in the map). `is_new`: occupied now, and free before; `was_free`: free at some time.
     pub(super) fn transient(
         &self,
         grid: &OccupancyGrid,
@@ -98,12 +98,12 @@ impl Window {
             .zip(&new)
             .map(|(cell, new)| *new && openness(cell) >= FREE_AROUND)
             .collect();
-        // The last cells of who went on, which nobody has looked through since, are small.
+        // The last cells of somebody who moved on, not yet cleared by a beam, are few.
         let may_leave =
             |thing: &&Thing| self.is_large_enough(thing) || thing.cells.iter().all(|cell| openness(*cell) >= 1.0);
         let mut cells = Vec::new();
         for thing in self.things(&come).iter().filter(may_leave) {
-            // It may touch a wall: there its last cells are not in the open.
+            // The object may touch a wall: its cells there are not surrounded by free space.
             let reach = beside(self.cells(AROUND + LINK));
             let touched = reach.flat_map(|(dx, dy)| thing.cells.iter().map(move |(x, y)| (x + dx, y + dy)));
             let is_new = |cell: &Place| self.index(*cell).is_some_and(|index| new[index]);
@@ -133,7 +133,8 @@ impl Window {
         thing.cells.len() >= MIN_CELLS && self.size(thing) >= *SIZES.start()
     }
 
-    /// Whether most of what is known around a thing is free: beside a person one sees past her; beside a piece of a wall the wall goes on.
+    /// Whether most of the known cells around an object are free: beside a person there is free space, beside a piece of a wall the wall
+    /// continues.
     fn is_free_around(&self, thing: &Thing, values: &[Occupancy]) -> bool {
         let beyond = self.cells(AROUND);
         let columns = thing.low.0 - beyond..=thing.high.0 + beyond;
@@ -153,7 +154,7 @@ impl Window {
         side as f64 * self.resolution
     }
 
-    /// Marked cells that are near each other, as things.
+    /// Groups marked cells that are near each other into objects.
     fn things(&self, marks: &[bool]) -> Vec<Thing> {
         let mut left = marks.to_vec();
         let mut things = Vec::new();
@@ -188,7 +189,7 @@ impl Window {
     }
 }
 
-/// A cell and its neighbours up to so many away, as steps to them.
+/// Steps from a cell to itself and to its neighbours up to this many cells away.
 fn beside(cells: i64) -> impl Iterator<Item = Place> {
     (-cells..=cells).flat_map(move |dy| (-cells..=cells).map(move |dx| (dx, dy)))
 }

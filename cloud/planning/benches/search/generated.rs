@@ -1,4 +1,4 @@
-//! On which maps are searches compared, where none are given? Five kinds of a million cells, made from a seed.
+//! Generated maps. Five kinds of a million cells each, made from a seed, for runs without given maps.
 
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
@@ -36,7 +36,7 @@ pub fn maps(only: &str) -> Vec<Case> {
         .collect()
 }
 
-/// All free within a wall.
+/// Free space within an outer wall.
 fn open() -> BitGrid {
     BitGrid::from_fn(SIDE, SIDE, |cell| {
         cell.x > 0 && cell.y > 0 && cell.x + 1 < SIDE && cell.y + 1 < SIDE
@@ -51,7 +51,7 @@ fn fill(free: &mut BitGrid, [x, y]: [u32; 2], [width, height]: [u32; 2], value: 
     }
 }
 
-/// Rooms of 5 m at 5 cm in blocks of two by two between corridors; a door a room, furniture in each.
+/// Rooms of 5 m at 5 cm in blocks of two by two between corridors; each room has a door and furniture.
 fn office(random: &mut Pcg64Mcg) -> BitGrid {
     const ROOM: u32 = 100;
     const CORRIDOR: u32 = 40;
@@ -64,7 +64,7 @@ fn office(random: &mut Pcg64Mcg) -> BitGrid {
             for (i, j) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
                 let [x, y] = [corner[0] + i * ROOM, corner[1] + j * ROOM];
                 fill(&mut free, [x + 2, y + 2], [ROOM - 4; 2], true);
-                // To the corridor at the left or right of the block, or through to the room beside.
+                // To the corridor at the left or right of the block, or through to the neighbouring room.
                 let door = y + random.random_range(10..ROOM - 30);
                 fill(&mut free, [if i == 0 { x } else { x + ROOM - 2 }, door], [2, 18], true);
                 if random.random_bool(0.3) {
@@ -89,12 +89,12 @@ fn office(random: &mut Pcg64Mcg) -> BitGrid {
     free
 }
 
-/// Single blocked cells, everywhere with the same chance.
+/// Single blocked cells, uniformly distributed.
 fn clutter(random: &mut Pcg64Mcg, share: f64) -> BitGrid {
     BitGrid::from_fn(SIDE, SIDE, |_| !random.random_bool(share))
 }
 
-/// Paths of 8 cells between walls of 2, without loops.
+/// Corridors of 8 cells between walls of 2, without loops.
 fn maze(random: &mut Pcg64Mcg) -> BitGrid {
     const WAY: u32 = 8;
     const PITCH: u32 = WAY + 2;

@@ -1,16 +1,16 @@
-//! How much faster than a peer are the grid searches, and are their paths as short? `cargo bench -p zenav-planning --bench search`
+//! Grid searches compared with a peer: speed and path length. `cargo bench -p zenav-planning --bench search`
 //!
-//! A*, jump point search and A* of the crate `pathfinding` answer the same queries in the same run: a point robot, no corner cut, a
-//! diagonal step costs the square root of two. The table gives the median (95th percentile) over a map's queries of the least thread
-//! CPU time of three runs each, and the median of the ratio, query by query. A path that is not as short as the peer's ends the bench.
+//! A*, jump point search and A* of the crate `pathfinding` answer the same queries in the same run: a point robot, no corner cutting, a
+//! diagonal step costs the square root of two. The table gives the median (95th percentile) over a map's queries of the least thread CPU
+//! time of three runs each, and the median of the ratio, query by query. A path whose length differs from the peer's ends the bench.
 //!
 //! | variable | does |
 //! |---|---|
 //! | `ZENAV_BENCH_MAPS=DIR` | adds every `.map`, `.pgm` and `.png` of a folder |
-//! | `ZENAV_BENCH_ONLY=NAME` | only maps whose name holds this |
+//! | `ZENAV_BENCH_ONLY=NAME` | only maps whose name contains this |
 //!
-//! Queries: the 50 with the longest published optimum where a scenario file (`NAME.map.scen`) lies beside the map; else the 50 longest
-//! of 1000 pairs of connected free cells, drawn with [`queries::SEED`]. Unknown cells are blocked.
+//! Queries: the 50 with the longest published optimum if a scenario file (`NAME.map.scen`) lies beside the map; else the 50 longest of
+//! 1000 pairs of connected free cells, drawn with [`queries::SEED`]. Unknown cells are blocked.
 
 #![allow(missing_docs, reason = "a bench has no users")]
 #![allow(
@@ -35,7 +35,7 @@ use zenav_planning::{Budget, Planner, Query, Searcher};
 use zenav_protocol::grid::Occupancy;
 use zenav_space::{BitGrid, PointLineOfSight};
 
-/// Runs of each query by each solver, of which the least time counts.
+/// Runs of each query by each solver; the least time counts.
 const RUNS: usize = 3;
 const SOLVERS: [Solver; 3] = [Solver::Peer, Solver::Ours(Planner::AStar), Solver::Ours(Planner::Jps)];
 
@@ -45,7 +45,7 @@ enum Solver {
     Ours(Planner),
 }
 
-/// A map and what is asked on it.
+/// A map and its queries.
 struct Case {
     name: String,
     free: BitGrid,
@@ -83,7 +83,7 @@ fn compare(case: &Case) {
     let began = cpu();
     let mut searcher = Searcher::new(&case.free).unwrap();
     if let Some(query) = case.queries.first() {
-        // The first query prepares what only jump point search needs: to the start itself it costs nothing else.
+        // The first query prepares the jump points; with the start as its goal it costs nothing else.
         let stay = Query {
             goal: query.start,
             ..*query
@@ -137,7 +137,7 @@ fn compare(case: &Case) {
     );
 }
 
-/// All of a map's queries in a row, followed from run to run by criterion.
+/// All queries of a map in a row, tracked from run to run by criterion.
 fn follow(criterion: &mut Criterion, case: &Case) {
     let mut searcher = Searcher::new(&case.free).unwrap();
     let sight = PointLineOfSight::new(&case.free);
@@ -191,7 +191,7 @@ fn quantile(values: &[f64], share: f64) -> f64 {
         .unwrap_or(f64::NAN)
 }
 
-/// CPU time of this thread, ms: what others do on a shared machine does not count.
+/// CPU time of this thread, ms: other load on a shared machine does not count.
 fn cpu() -> f64 {
     let time = clock_gettime(ClockId::ThreadCPUTime);
     time.tv_sec as f64 * 1e3 + time.tv_nsec as f64 * 1e-6

@@ -1,4 +1,4 @@
-//! How does the crate `pathfinding` find a path over the same grid? With costs in millionths of a cell.
+//! Peer. A* of the crate `pathfinding` over the same grid, with costs in millionths of a cell.
 
 use pathfinding::prelude::astar;
 use zenav_planning::Query;
@@ -18,7 +18,7 @@ pub fn length(free: &BitGrid, query: &Query) -> f64 {
         |at| *at == goal,
     )
     .unwrap();
-    // Counted anew: a sum of rounded costs would not compare.
+    // The length is counted from the steps: a sum of rounded costs would not compare.
     let diagonal = |step: &[(i32, i32)]| step[0].0 != step[1].0 && step[0].1 != step[1].1;
     path.windows(2)
         .map(|step| if diagonal(step) { 2.0_f64.sqrt() } else { 1.0 })

@@ -1,4 +1,4 @@
-//! Which paths are asked for on a map? The longest that are published, or the longest of many drawn pairs.
+//! Queries of a map. The longest published ones, or the longest of many random pairs.
 
 use nalgebra::Point2;
 use rand::{RngExt as _, SeedableRng as _};
@@ -8,14 +8,14 @@ use zenav_planning::{Budget, Planner, Query, Searcher};
 use zenav_protocol::grid::{Cell, GridSpec};
 use zenav_space::{BitGrid, PointLineOfSight};
 
-/// Queries a map.
+/// Queries per map.
 const COUNT: usize = 50;
-/// Pairs drawn where nothing is published.
+/// Number of pairs drawn if nothing is published.
 const DRAWN: usize = 1000;
 /// Seed of the drawn pairs.
 pub const SEED: u64 = 1;
 
-/// The hardest of a scenario file; of equally long ones the first.
+/// The hardest queries of a scenario file; ties in file order.
 pub fn published(spec: &GridSpec, scenarios: &[u8]) -> Vec<Query> {
     let mut scenarios = moving_ai::parse_scenarios(scenarios).unwrap();
     scenarios.sort_by(|a, b| b.optimum.total_cmp(&a.optimum));
@@ -27,7 +27,7 @@ pub fn published(spec: &GridSpec, scenarios: &[u8]) -> Vec<Query> {
         .collect()
 }
 
-/// The longest of pairs drawn from the free cells, as far as they are connected.
+/// The longest connected pairs of those drawn from the free cells.
 pub fn drawn(free: &BitGrid) -> Vec<Query> {
     let rows = 0..free.height();
     let cells: Vec<Cell> = rows

@@ -1,4 +1,4 @@
-//! Path planning for a robot. Is there a path from here to there that its footprint can drive?
+//! Path planning for a robot. A path from start to goal that the true footprint can drive.
 //!
 //! See [`plan`] for the order in which searches are tried.
 
@@ -25,10 +25,10 @@ use straight_out::straight_out;
 
 /// Points closer together than this are one, m.
 const ROUNDING: f64 = 1e-9;
-/// Where the footprint does not stand at the goal, the nearest place where it does is looked for so far around, m.
+/// Search range for the nearest place where the footprint fits, around a goal where it does not, m.
 const BESIDE_GOAL: f64 = 0.5;
 
-/// What stood for the footprint in the search that found a path.
+/// Model of the footprint in the search that found a path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FootprintSearch {
     /// The circumscribed disc: the robot may turn anywhere on the path.
@@ -41,12 +41,12 @@ pub enum FootprintSearch {
     Se2,
 }
 
-/// An answer, and what it took.
+/// A plan and its effort.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Planned {
     /// The path, or why there is none.
     pub outcome: PlanOutcome,
-    /// Legs of the path that are driven backwards, by the corner that they begin at, rising.
+    /// Legs of the path that are driven backwards, by the index of the corner where they begin, ascending.
     pub backwards: Vec<usize>,
     /// Which search found the path; `None` without a path.
     pub found_by: Option<FootprintSearch>,
@@ -73,22 +73,22 @@ impl Planned {
 
 /// A path that the robot can drive from one pose to another. `searcher` was made from `space.free()`.
 ///
-/// The path leads from the exact start to the exact goal (m, map frame). The footprint can drive it as it stands: legs straight, turns on
-/// the spot at the corners, the first one from the start's heading ([`PlanOptions::any_heading`] leaves that free); the SE(2) search may
-/// have legs driven backwards ([`Planned::backwards`]). The goal's heading is not looked at. A robot that stands a little inside the margin
-/// that its footprint asks for leaves by the nearest free cell; it is refused only where it stands in an obstacle, and
-/// [`PlanOptions::escape`] lets it leave even that: straight ahead or back where its outline is no disc, else by the nearest free place. A goal
-/// where it does not fit is refused, but for [`PlanOptions::goal_tolerance`].
+/// The path leads from the exact start to the exact goal (m, map frame), and the footprint can drive it: straight legs, and turns on the
+/// spot at the corners, the first one from the start's heading (ignored with [`PlanOptions::any_heading`]). A path of the SE(2) search
+/// may have legs driven backwards ([`Planned::backwards`]). The goal's heading is ignored. A robot that stands slightly inside its
+/// footprint's margin leaves through the nearest free cell. A start in an obstacle is refused unless [`PlanOptions::escape`] lets the
+/// robot leave it: straight ahead or back if its footprint is not a disc, else to the nearest free place. A goal where the robot does not
+/// fit is refused unless it is within [`PlanOptions::goal_tolerance`] of a free place.
 ///
-/// A round robot takes one search. For a polygon the searches are tried in a fixed order, until one gives a path that the footprint can
-/// drive; [`Planned::found_by`] tells which one it was.
+/// A round robot takes one search. For a polygon the searches are tried in a fixed order until one gives a path that the footprint can
+/// drive; [`Planned::found_by`] names that search.
 ///
 /// | planner | 1 | 2 | 3 | 4 |
 /// |---|---|---|---|---|
-/// | one that keeps clear of obstacles by itself ([`Planner::keeps_clear`](super::Planner::keeps_clear)) | inscribed disc | A* for the circumscribed disc, taken if at most 10 % longer than 1 | SE(2) search | |
-/// | any other: its paths pass obstacles as closely as they may | circumscribed disc | disc halfway | inscribed disc | SE(2) search |
+/// | keeps clear of obstacles ([`Planner::keeps_clear`](super::Planner::keeps_clear)) | inscribed disc | A* for the circumscribed disc, if at most 10 % longer than 1 | SE(2) search | |
+/// | any other: its paths pass obstacles as close as possible | circumscribed disc | disc halfway | inscribed disc | SE(2) search |
 ///
-/// The budget is that of each search, not of all together. A search that runs out of it ends the whole with [`PlanOutcome::TimedOut`].
+/// The budget applies to each search, not to their sum. A search that exhausts it ends the plan with [`PlanOutcome::TimedOut`].
 pub fn plan(
     space: &ConfigurationSpace,
     searcher: &mut Searcher,
@@ -114,7 +114,7 @@ pub fn plan(
 /// Finds a path between two ends for a disc, in the space made for it.
 pub(super) type Find<'a> = dyn FnMut(FootprintSearch, &ConfigurationSpace, End, End) -> (Searched, PlanOrigin) + 'a;
 
-/// A path between two poses, by searches for discs that `find` makes.
+/// A path between two poses; `find` runs the searches for discs.
 pub(super) fn answer(
     space: &ConfigurationSpace,
     start: Pose2,
@@ -140,7 +140,7 @@ pub(super) fn answer(
     planned
 }
 
-/// A path whose search begins at `first`, where the robot gets to by a straight leg from where it stands.
+/// A path whose search begins at `first`, which the robot reaches from `start` by a straight leg.
 fn from_place(
     space: &ConfigurationSpace,
     start: Pose2,
@@ -168,7 +168,7 @@ fn from_place(
             _ => break,
         }
         let before = planned.expansions;
-        // What it has been moved by is used up.
+        // The distance by which the goal was moved is used up.
         let tolerance = options.goal_tolerance - last.distance(&goal);
         planned = drivable(space, first, last, tolerance, options, budget, find);
         planned.expansions += before;
@@ -188,7 +188,7 @@ fn from_place(
     planned
 }
 
-/// The searches of [`plan`] in their order; beside obstacles the path may end `tolerance` metres from the goal.
+/// The searches of [`plan`] in their order; if the goal has no room to turn, the SE(2) search may end within `tolerance` metres of it.
 fn drivable(
     space: &ConfigurationSpace,
     start: Pose2,
@@ -233,10 +233,10 @@ fn drivable(
     planned
 }
 
-/// Whether no other search would better this outcome of one for a disc.
+/// Whether no other search can improve on this outcome of a search for a disc.
 fn is_final(space: &ConfigurationSpace, outcome: &PlanOutcome, query: &se2_search::Query) -> bool {
     match outcome {
-        // A robot that stands where it does not fit by the map leaves by the disc's path, as far as it gets.
+        // A robot that, by the map, does not fit at its start leaves along the disc's path.
         PlanOutcome::Found { path, .. } => {
             se2_search::is_drivable(space, path, &[], query.heading)
                 || !se2_search::can_stand(space, query.start, query.heading)
@@ -246,7 +246,7 @@ fn is_final(space: &ConfigurationSpace, outcome: &PlanOutcome, query: &se2_searc
     }
 }
 
-/// Puts a path that the footprint can drive, if there is one, in place of one that only the inscribed disc can.
+/// Replaces a path that only the inscribed disc can drive by one that the footprint can drive, if there is one.
 fn fit_footprint(
     space: &ConfigurationSpace,
     query: &se2_search::Query,
@@ -295,7 +295,7 @@ fn fit_footprint(
     }
 }
 
-/// The cell nearest to a place on which the footprint stands with some heading, [`BESIDE_GOAL`] away at most.
+/// The centre of the nearest cell, at most [`BESIDE_GOAL`] away, where the footprint fits with some heading.
 fn nearest_standing(space: &ConfigurationSpace, place: Point2<f64>) -> Option<Point2<f64>> {
     let spec = space.spec();
     let home = spec.cell_at(place)?;
@@ -354,7 +354,7 @@ fn for_disc(
         Ok(path) => {
             let corners = path.corners.iter().map(|corner| space.spec().from_cells(*corner));
             let mut path = vec![start];
-            // Ends that were searched from come back rounded.
+            // The search returns its ends rounded.
             path.extend(
                 corners.filter(|corner| (corner - start).norm() > ROUNDING && (corner - goal).norm() > ROUNDING),
             );
@@ -362,7 +362,7 @@ fn for_disc(
             found(path)
         }
         Err(NotFound::TimedOut | NotFound::TooLong) => PlanOutcome::TimedOut,
-        // Both ends were found free above; a searcher of another map says so by the last three.
+        // Both ends are free, as checked above; the last three occur only if the searcher belongs to another map.
         Err(NotFound::NoPath | NotFound::OutOfMap | NotFound::StartBlocked | NotFound::GoalBlocked) => {
             PlanOutcome::NoPath
         }
@@ -377,7 +377,7 @@ fn for_disc(
     }
 }
 
-/// A path between two ends, as the options ask for it.
+/// Runs the planner of the options between two ends.
 pub(super) fn between(
     space: &ConfigurationSpace,
     searcher: &mut Searcher,
@@ -395,7 +395,7 @@ pub(super) fn between(
     searcher.search(options.planner, space, &Query { start, goal, seed }, budget)
 }
 
-/// The costs of clearance, for a planner that knows costs.
+/// Clearance costs, for a planner that takes them into account.
 pub(super) fn costs_of<'a>(space: &'a ConfigurationSpace, options: &PlanOptions) -> Option<DistanceCost<'a>> {
     options
         .planner

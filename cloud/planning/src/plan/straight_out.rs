@@ -1,4 +1,4 @@
-//! Straight out. How does a body that needs room to turn leave an obstacle of the map? Along its own heading, forwards or backwards.
+//! Straight out. A robot that is not round leaves an obstacle of the map along its own heading, forwards or backwards.
 
 use nalgebra::{Point2, Vector2};
 use zenav_protocol::geometry::Pose2;
@@ -10,13 +10,13 @@ use crate::se2_search::can_stand;
 
 /// Step of the search, in cells.
 const STEP: f64 = 0.5;
-/// An obstacle's middle may be this much deeper inside the outline on the way than it is at the start, m.
+/// An obstacle's centre may be this much deeper inside the outline on the way than at the start, m.
 const DEEPER: f64 = 0.01;
 
-/// The nearest place straight ahead of a robot or behind it where its footprint fits again, at most `farthest` m away.
+/// The nearest place straight ahead of or behind a robot where its footprint fits again, at most `farthest` m away.
 ///
-/// `None` where the footprint fits as it stands, where each way leads farther into an obstacle, and for a round robot, which turns where it
-/// stands.
+/// `None` if the footprint fits at the start, if both directions lead deeper into an obstacle, and for a round robot, which turns on the
+/// spot.
 pub(super) fn straight_out(space: &ConfigurationSpace, start: Pose2, farthest: f64) -> Option<Point2<f64>> {
     let footprint = space.footprint();
     if matches!(footprint, Footprint::Radius(_)) || can_stand(space, start.position(), Some(start.yaw)) {
@@ -36,7 +36,7 @@ pub(super) fn straight_out(space: &ConfigurationSpace, start: Pose2, farthest: f
     })
 }
 
-/// Middles of the obstacles around a robot, base frame, m.
+/// Centres of the occupied cells around a robot, base frame, m.
 fn around(space: &ConfigurationSpace, start: Pose2, reach: f64) -> Vec<Point2<f64>> {
     let (spec, base_from_map) = (space.spec(), start.inverse());
     let center = spec.to_cells(start.position());
@@ -51,7 +51,7 @@ fn around(space: &ConfigurationSpace, start: Pose2, reach: f64) -> Vec<Point2<f6
     .collect()
 }
 
-/// Whether a body that has moved by `off` (base frame, m) is deeper in one of the obstacles than where it began.
+/// Whether the footprint, moved by `off` (base frame, m), overlaps an obstacle deeper than at its start.
 fn leads_farther_in(footprint: &Footprint, obstacles: &[Point2<f64>], off: Vector2<f64>) -> bool {
     obstacles
         .iter()

@@ -1,4 +1,4 @@
-//! Claims about the paths that robots get.
+//! Tests of the paths that robots get.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use super::*;
@@ -133,7 +133,7 @@ fn long_outline() -> Footprint {
     Footprint::Polygon(corners.map(|(x, y)| Point2::new(x, y)).to_vec())
 }
 
-/// That robot in the room, whose wall across has a door of `gap` cells.
+/// The long robot in the room, where the dividing wall has a door of `gap` cells.
 fn ask_long(gap: u32, start: Pose2, goal: (f64, f64), planner: Planner) -> Planned {
     let mut grid = room();
     for y in 1..79 {
@@ -171,7 +171,7 @@ fn every_path_of_every_planner_can_be_driven_by_a_robot_that_is_longer_than_wide
         } else {
             FootprintSearch::Circumscribed
         };
-        // With a door of 1 m there is room to turn; through one of 45 cm it goes lengthways; one of 25 cm is too narrow.
+        // A door of 1 m has room to turn; one of 45 cm can be passed lengthways; one of 25 cm is too narrow.
         assert_eq!(by(19, *planner).0, Some(first), "{planner}");
         assert!(by(9, *planner).0.is_some(), "{planner}");
         assert_eq!(by(5, *planner), (None, PlanOutcome::NoPath), "{planner}");

@@ -1,6 +1,6 @@
-//! A*. What is the cheapest path over the grid graph? Octile estimates, exactly optimal for whole-number costs.
+//! A*. The cheapest path over the grid graph: octile heuristic, exactly optimal for whole-number costs.
 //!
-//! A node whose cost is improved is put in again; the search ends when nothing open can be better than the goal's cost.
+//! A node whose cost improves is pushed again; the search ends when no open node can be better than the goal's cost.
 //!
 //! Source: Hart, Nilsson and Raphael, "A Formal Basis for the Heuristic Determination of Minimum Cost Paths", 1968.
 
@@ -19,7 +19,7 @@ use crate::searcher::{NotFound, Query, Searched};
 /// Working memory, kept from one search to the next.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Memory {
-    /// Cost of the best path known to each node, turned over: 0 stands for none.
+    /// Cost of the best path known to each node, bits inverted: 0 means none.
     costs: NodeTable<u32>,
     open: OpenList,
 }
@@ -30,12 +30,12 @@ impl Memory {
         !self.costs.get(node)
     }
 
-    /// Notes a better path to a node.
+    /// Records a better path to a node.
     fn reach(&mut self, node: u32, cost: u32) {
         self.costs.set(node, !cost);
     }
 
-    /// Where the last search had been, and a little more.
+    /// Nodes touched by the last search, rounded up to cache lines.
     pub(crate) fn reached(&self) -> Written {
         self.costs.written()
     }
@@ -88,7 +88,7 @@ fn expand(
         let cell = named(open);
         let cost = estimate - octile(cell, goal);
         let node = graph.padded(Cell::new(cell.x + 1, cell.y + 1));
-        // Else a better path came later, to it or to the goal.
+        // Otherwise the entry is stale: a better path to the node or to the goal was found later.
         if memory.cost(node) != cost || estimate >= best {
             continue;
         }
@@ -127,7 +127,7 @@ fn expand(
     Ok(GridPath::through(&cells))
 }
 
-/// Name of an open node: its cell, of which a graph has at most 2^15 a side.
+/// Identifier of an open node: its cell; a graph has at most 2^15 cells a side.
 const fn name(cell: Cell) -> u32 {
     cell.y << 16 | cell.x
 }
@@ -136,7 +136,7 @@ const fn named(name: u32) -> Cell {
     Cell::new(name & 0xFFFF, name >> 16)
 }
 
-/// The cells of the cheapest path, start first: from the goal back, always to the neighbour that makes up its cost.
+/// The cells of the cheapest path, start first: traced back from the goal, always to the neighbour that accounts for the cost.
 fn trace(graph: &GridGraph, costs: &impl CellCost, start: u32, goal: u32, memory: &Memory) -> Vec<Cell> {
     let mut cells = vec![graph.cell(goal)];
     let mut node = goal;
@@ -155,13 +155,13 @@ fn trace(graph: &GridGraph, costs: &impl CellCost, start: u32, goal: u32, memory
             }
             let extra = costs.extra(STEPS[i].after(cell));
             let total = known.saturating_add(weighted(STEPS[i].cost, here, extra));
-            // Among equals, straight on: fewer corners.
+            // Ties go straight on: fewer corners.
             if total < best.0 || (total == best.0 && i == last_step && !best.2) {
                 best = (total, i, i == last_step);
             }
         }
         if best.0 > memory.cost(node) {
-            // Cannot happen while costs are symmetric; rather a short path than an endless one.
+            // Cannot happen while costs are symmetric; a truncated path is better than an endless loop.
             break;
         }
         last_step = best.1;
@@ -180,7 +180,7 @@ mod tests {
     use proptest::prelude::*;
     use zenav_space::BitGrid;
 
-    /// Dijkstra over all cells, in floating point, by repeated sweeps.
+    /// Reference costs over all cells, in floating point, by repeated sweeps.
     fn reference(free: &BitGrid, extra: &impl CellCost, start: Cell, goal: Cell) -> Option<f64> {
         let (w, h) = (free.width(), free.height());
         let mut cost = vec![f64::INFINITY; (w * h) as usize];

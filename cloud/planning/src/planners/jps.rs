@@ -1,9 +1,9 @@
-//! Jump point search. What is the shortest path, where every cell costs the same? On blocks of bits, exactly optimal.
+//! Jump point search. The shortest path where every cell costs the same, on blocks of bits, exactly optimal.
 //!
-//! Of all equally short paths only those that go diagonally first are looked at: then a straight run needs a stop only where an obstacle
-//! beside it ends (a jump point). Jump points in the middle of a diagonal run are not kept either: what is found straight ahead of them
-//! is reached from the run's beginning. Corners are not cut, so a diagonal run has no jump points of its own. Runs go from stop to stop
-//! on the bitmaps of [`JumpGrid`]; the goal is no stop there, but seen from any run that crosses its row or column.
+//! Of all equally short paths only those that go diagonally first are considered: then a straight run has to stop only where an obstacle
+//! beside it ends (a jump point). Intermediate points of a diagonal run are pruned: the jump points straight ahead of them become
+//! successors of the run's beginning. Corners are not cut, so a diagonal run has no jump points of its own. Runs go from stop to stop on
+//! the bitmaps of [`JumpGrid`]; the goal is not a stop there, but is detected by any run that crosses its row or column.
 //!
 //! Sources: Harabor and Grastien, "Online Graph Pruning for Pathfinding on Grid Maps", AAAI 2011; the same, "Improving Jump Point
 //! Search", ICAPS 2014 (block scanning, pruning).
@@ -20,11 +20,11 @@ use crate::node_table::NodeTable;
 use crate::open_list::{Open, OpenList, is_past};
 use crate::searcher::{NotFound, Query, Searched};
 
-/// Jump point search, prepared for a map when it is first asked.
+/// Jump point search; its bitmaps are prepared by the first search on a map.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Jps {
     memory: Memory,
-    /// For this revision of the graph.
+    /// The graph's revision, and the bitmaps prepared from it.
     prepared: Option<(u64, JumpGrid)>,
 }
 
@@ -40,14 +40,14 @@ impl PathSearch for Jps {
     }
 }
 
-/// Working memory, kept from one search to the next. All cells in it count from the graph's border.
+/// Working memory, kept from one search to the next. All cells in it are in padded coordinates.
 #[derive(Clone, Debug, Default)]
 struct Memory {
     states: NodeTable<u64>,
     open: OpenList,
     /// The cells expanded, in order.
     expanded: Vec<Cell>,
-    /// Jump points that the cell being expanded leads to.
+    /// Jump points reached from the cell being expanded.
     seen: Vec<Seen>,
 }
 
@@ -60,11 +60,11 @@ struct Seen {
     direction: usize,
 }
 
-/// Jump points that are seen before they are looked up.
+/// Number of jump points collected before they are looked up.
 const BATCH: usize = 64;
 
-/// What is known of a jump point, in one word, so that 0 stands for nothing: its cost turned over, where in [`Memory::expanded`] the
-/// cell lies from which it was reached, and the directions of runs that reached it at this cost.
+/// State of a jump point in one word, 0 if unknown: its cost with bits inverted, the index in [`Memory::expanded`] of the cell from which
+/// it was reached, and the directions of the runs that reached it at this cost.
 #[derive(Clone, Copy)]
 struct State(u64);
 
@@ -93,7 +93,7 @@ impl State {
     }
 }
 
-/// Name of an open node: its cell, of which a graph has at most 2^15 a side, and the direction that it was reached in.
+/// Identifier of an open node: its cell (a graph has at most 2^15 cells a side) and the direction in which it was reached.
 const fn name(cell: Cell, direction: usize) -> u32 {
     (cell.y - 1) << 17 | (cell.x - 1) << 2 | direction as u32
 }
@@ -105,8 +105,8 @@ const fn named(name: u32) -> (Cell, usize) {
     )
 }
 
-/// Which steps go on from a jump point, by the direction that it was reached in and the steps that can be made: straight on, and to a
-/// side and between where an obstacle ends just here.
+/// Successor steps of a jump point, by the direction in which it was reached and the steps that are possible: straight on, and sideways
+/// and diagonally ahead where an obstacle ends beside it.
 const SUCCESSORS: [[u8; 256]; 4] = {
     let mut table = [[0; 256]; 4];
     let mut direction = 0;
@@ -118,7 +118,7 @@ const SUCCESSORS: [[u8; 256]; 4] = {
             let mut side = -1;
             while side <= 1 {
                 let (sx, sy) = (dy * side, dx * side);
-                // The cell that the run came from is free: only an obstacle can forbid the step back to that side.
+                // The cell before is free, so only an obstacle beside it can forbid the step back to that side.
                 if can >> step_of(sx - dx, sy - dy) & 1 == 0 {
                     on |= 1 << step_of(sx, sy) | 1 << step_of(sx + dx, sy + dy);
                 }
@@ -176,7 +176,7 @@ fn search(
     }
 }
 
-/// The column or row of the first obstacle in a direction.
+/// The column (east, west) or row (north, south) of the first obstacle in a direction.
 fn obstacle(graph: &GridGraph, grid: &JumpGrid, direction: usize, from: Cell) -> u32 {
     let ray = grid.ray(direction);
     let mut at = from;
@@ -188,7 +188,7 @@ fn obstacle(graph: &GridGraph, grid: &JumpGrid, direction: usize, from: Cell) ->
     }
 }
 
-/// One search under way.
+/// A search in progress.
 struct Run<'a> {
     graph: &'a GridGraph,
     grid: &'a JumpGrid,
@@ -197,12 +197,12 @@ struct Run<'a> {
     sides: [u32; 4],
     memory: &'a mut Memory,
     budget: Budget<'a>,
-    /// What is being expanded, and its cost.
+    /// The cell being expanded, and its cost.
     here: Cell,
     cost: u32,
-    /// Least cost known to the goal.
+    /// Least known cost to the goal.
     best: u32,
-    /// A path was given up because its cost could not be counted.
+    /// Whether a path was dropped because its cost overflowed.
     too_long: bool,
 }
 
@@ -218,7 +218,7 @@ impl Run<'_> {
             let (cell, direction) = named(name);
             let cost = estimate - octile(cell, self.goal);
             let node = self.graph.padded(cell);
-            // Else a better path came later, to it or to the goal.
+            // Otherwise the entry is stale: a better path to the node or to the goal was found later.
             if State(self.memory.states.get(node)).cost() == cost && estimate < self.best {
                 let can = self.graph.steps(node) as usize;
                 self.expand(cell, cost, u32::from(SUCCESSORS[direction][can & 0xFF]))?;
@@ -233,7 +233,7 @@ impl Run<'_> {
         }
     }
 
-    /// Goes on from a cell by the given steps.
+    /// Expands a cell by the given steps.
     fn expand(&mut self, here: Cell, cost: u32, mut steps: u32) -> Result<(), NotFound> {
         let expansions = self.memory.expanded.len();
         if self.budget.is_spent(expansions as u64) || expansions == MAX_EXPANDED {
@@ -258,7 +258,7 @@ impl Run<'_> {
         Ok(())
     }
 
-    /// Sees the jump point that lies straight ahead of a cell, if any.
+    /// Collects the jump point straight ahead of a cell, if any.
     #[inline]
     fn straight(&mut self, direction: usize, from: Cell, cost: u32) {
         let ray = self.grid.ray(direction);
@@ -276,7 +276,7 @@ impl Run<'_> {
         }
     }
 
-    /// Goes on diagonally as long as it goes, and sees what lies straight ahead of each cell passed.
+    /// Follows a diagonal to its end, and collects the jump points straight ahead of each stop on it.
     fn diagonal(&mut self, direction: usize) -> Result<(), NotFound> {
         let grid = self.grid;
         let ray = grid.ray(direction);
@@ -299,7 +299,7 @@ impl Run<'_> {
                 break;
             }
         }
-        // Where the run crosses the goal's row or column, whichever comes first, the goal may lie straight ahead.
+        // The goal may lie straight ahead where the run crosses the goal's row or column, whichever comes first.
         let ahead = |from: u32, to: u32, step: i32| {
             if (to > from) == (step > 0) {
                 to.abs_diff(from)
@@ -314,14 +314,14 @@ impl Run<'_> {
         Ok(())
     }
 
-    /// Whether nothing lies between a cell and the goal on its row or column.
+    /// Whether the goal is in sight along the cell's row or column.
     fn sees_goal(&self, cell: Cell) -> bool {
         let [east, west, north, south] = self.sides;
         (cell.y == self.goal.y && west < cell.x && cell.x < east)
             || (cell.x == self.goal.x && south < cell.y && cell.y < north)
     }
 
-    /// Notes a path from what is being expanded to the goal: diagonally first, then straight.
+    /// Records a path from the cell being expanded to the goal: diagonal first, then straight.
     fn found(&mut self) {
         let cost = self.cost.saturating_add(octile(self.here, self.goal));
         if cost < self.best {
@@ -333,7 +333,7 @@ impl Run<'_> {
         }
     }
 
-    /// Notes the paths from what is being expanded to the jump points seen: diagonally first, then straight.
+    /// Records the paths from the cell being expanded to the jump points collected: diagonal first, then straight.
     fn settle(&mut self) {
         let Memory {
             states,
@@ -341,7 +341,7 @@ impl Run<'_> {
             expanded,
             seen,
         } = &mut *self.memory;
-        // Two passes, of which the first, that waits for memory, has nothing to decide.
+        // Two passes: the first one, which waits for memory, has no branches.
         let mut better = 0;
         for i in 0..seen.len() {
             let Seen {

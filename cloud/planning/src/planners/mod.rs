@@ -1,4 +1,4 @@
-//! Planners. Which are there, by which names?
+//! Planners. The registry of all planners and their names.
 //!
 //! To add one: a file in this folder with a type that implements [`PathSearch`], its `mod` line, and its row in `planners!` below. The
 //! worker, the batch command and the missions find it by its name.
@@ -21,24 +21,24 @@ use super::grid_graph::GridGraph;
 use super::searcher::{Query, Searched};
 use super::settings::SamplingSettings;
 
-/// What a planner plans on.
+/// Input of a planner.
 #[derive(Debug)]
 pub(crate) struct Map<'a, S> {
     /// The free cells and the steps between them.
     pub(crate) graph: &'a GridGraph,
-    /// The space that they belong to.
+    /// The space of the free cells.
     pub(crate) sight: &'a S,
-    /// For planners that draw samples.
+    /// Settings of sampling planners.
     pub(crate) sampling: &'a SamplingSettings,
     /// The box that samples are drawn from, cells.
     pub(crate) domain: Option<[Point2<f64>; 2]>,
-    /// The line of sight alone may be asked.
+    /// Only the line of sight may be queried.
     pub(crate) black_box: bool,
 }
 
-/// A planner, with the memory that it keeps from one search to the next.
+/// A planner with the memory that it keeps from one search to the next.
 pub(crate) trait PathSearch {
-    /// A path between two points on a grid. The same answer whatever was searched before.
+    /// A path between two points on a grid; independent of earlier searches.
     fn search<S: LineOfSight>(&mut self, map: &Map<'_, S>, query: &Query, budget: Budget<'_>) -> Searched;
 
     /// Edges of the trees of the last search, cells, at most `limit` of them.
@@ -47,7 +47,7 @@ pub(crate) trait PathSearch {
     }
 }
 
-/// What a planner's paths are made of.
+/// Structure of a planner's paths.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
     /// Steps over the grid graph, by cost.
@@ -62,7 +62,7 @@ enum Kind {
 
 macro_rules! planners {
     ($($(#[$doc:meta])* $variant:ident = $name:ident: $search:ty, $kind:ident;)*) => {
-        /// The planners that there are.
+        /// The available planners.
         ///
         /// ```
         /// use zenav_planning::Planner;
@@ -116,17 +116,17 @@ macro_rules! planners {
 }
 
 planners! {
-    /// A* over eight neighbours; the one whose paths keep clear of obstacles where there is room.
+    /// A* over eight neighbours; the only planner whose paths keep clear of obstacles where there is room.
     AStar = astar: astar::Memory, CostGrid;
     /// Jump point search: the shortest path on the grid, fastest where the map is open.
     Jps = jps: jps::Jps, Grid;
-    /// Lazy Theta*: a short path in any direction, from cell centre to cell centre.
+    /// Lazy Theta*: a short any-angle path from cell centre to cell centre.
     Theta = theta: theta::Memory, AnyAngle;
     /// RRT: one random tree from the start, its first path.
     Rrt = rrt: rrt::Rrt, Tree;
-    /// RRT-Connect: two random trees, the first path by which they meet.
+    /// RRT-Connect: two random trees, the first path on which they meet.
     RrtConnect = rrt_connect: rrt_connect::RrtConnect, Tree;
-    /// RRT*: a random tree with costs, whose path becomes shorter for as long as it may.
+    /// RRT*: a random tree with costs, whose path gets shorter until the budget ends.
     RrtStar = rrt_star: rrt_star::RrtStar, Tree;
 }
 
@@ -142,7 +142,7 @@ impl Planner {
         matches!(self.kind(), Kind::CostGrid | Kind::Grid)
     }
 
-    /// Whether its paths keep clear of obstacles where there is room; those of the others may pass as close as the robot fits.
+    /// Whether its paths keep clear of obstacles where there is room; paths of the others may pass as close as the robot fits.
     #[must_use]
     pub fn keeps_clear(self) -> bool {
         self.kind() == Kind::CostGrid
@@ -173,7 +173,7 @@ impl fmt::Display for Planner {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("unknown planner `{name}`: expected one of {}", names())]
 pub struct UnknownPlanner {
-    /// What was asked for.
+    /// The requested name.
     pub name: String,
 }
 

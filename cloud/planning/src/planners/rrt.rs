@@ -1,7 +1,7 @@
-//! RRT. How does one tree find the goal? It grows from the start towards samples, now and then towards the goal itself.
+//! RRT. One tree grows from the start towards samples, and now and then towards the goal.
 //!
-//! Source: LaValle, "Rapidly-Exploring Random Trees: A New Tool for Path Planning", 1998. Once the first samples have not been enough, every other
-//! one leads the tree out of what it has covered ([`Tree::explore`]), and each new vertex looks whether it sees the goal.
+//! Source: LaValle, "Rapidly-Exploring Random Trees: A New Tool for Path Planning", 1998. If the first samples do not find a path, every
+//! other sample steers the tree out of the region it covers ([`Tree::explore`]). Each new vertex tries to connect to the goal.
 
 use nalgebra::Point2;
 use zenav_space::LineOfSight;
@@ -34,7 +34,7 @@ impl PathSearch for Rrt {
     }
 }
 
-/// Grows a planted tree until it reaches the goal: the path from its root.
+/// Grows a planted tree until it reaches the goal; returns the path from its root.
 fn grow<S: LineOfSight>(
     ground: &Ground<'_, S>,
     tree: &mut Tree,

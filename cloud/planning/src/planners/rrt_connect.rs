@@ -1,8 +1,8 @@
-//! RRT-Connect. How do two trees meet? One from the start and one from the goal take turns; whatever one gains, the other tries to connect to.
+//! RRT-Connect. Two trees, from start and goal, grow in turns; each tries to connect to the new vertices of the other.
 //!
-//! Source: Kuffner and LaValle, "RRT-Connect: An Efficient Approach to Single-Query Path Planning", 2000. Once the first samples have not been
-//! enough, every other one leads a tree out of what it has covered ([`Tree::explore`]): a hybrid with a sweep over the map's bitmap, which
-//! [`Searcher::black_box`](crate::Searcher::black_box) turns off.
+//! Source: Kuffner and LaValle, "RRT-Connect: An Efficient Approach to Single-Query Path Planning", 2000. If the first samples do not
+//! find a path, every other sample steers a tree out of the region it covers ([`Tree::explore`]): a hybrid with a sweep over the map's
+//! bitmap, which [`Searcher::black_box`](crate::Searcher::black_box) turns off.
 
 use nalgebra::Point2;
 use zenav_space::LineOfSight;
@@ -38,7 +38,7 @@ impl RrtConnect {
         self.trees.iter_mut().for_each(Tree::clear);
     }
 
-    /// The path by which the trees meet, without needless corners.
+    /// The path on which the trees meet, without redundant corners.
     pub(super) fn first_path<S: LineOfSight>(
         &mut self,
         ground: &Ground<'_, S>,
@@ -53,7 +53,7 @@ impl RrtConnect {
     }
 }
 
-/// Grows two trees that have been planted until they meet: the path from the first one's root to the other's.
+/// Grows two planted trees until they meet; returns the path from the first root to the second.
 fn meet<S: LineOfSight>(
     ground: &Ground<'_, S>,
     trees: &mut [Tree; 2],
@@ -85,7 +85,7 @@ fn meet<S: LineOfSight>(
     }
 }
 
-/// The path from the first tree's root to the other's, by the vertices at which one tree and the other one met.
+/// The path from the first root to the second, through the vertices at which the trees met.
 fn join(trees: &[Tree; 2], side: usize, vertex: u32, met: u32) -> Vec<Point2<f64>> {
     let [here, there] = if side == 0 { [vertex, met] } else { [met, vertex] };
     let mut path: Vec<Point2<f64>> = trees[0].back(here).collect();

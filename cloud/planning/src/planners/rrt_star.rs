@@ -1,10 +1,9 @@
-//! RRT*. How does the path that was found become the shortest one? A tree with costs, new vertices where they can still help, for as long
-//! as there is time.
+//! RRT*. Shortens the first path: a tree with costs, and new vertices only where they can still help, until the budget ends.
 //!
-//! Sources: Karaman and Frazzoli, "Sampling-Based Algorithms for Optimal Motion Planning", 2011 (RRT*, the radius within which vertices are
-//! rewired); Gammell, Srinivasa and Barfoot, "Informed RRT*", 2014 (samples and vertices only where a shorter path can lead). The first path is that
-//! of [`RrtConnect`]. The string of each better path is pulled, and its corners become vertices. A share of the samples is drawn at the
-//! convex corners of obstacles, where shortest paths bend; the rest stays uniform, which is what optimality in the limit rests on.
+//! Sources: Karaman and Frazzoli, "Sampling-Based Algorithms for Optimal Motion Planning", 2011 (RRT*, the rewiring radius); Gammell,
+//! Srinivasa and Barfoot, "Informed RRT*", 2014 (samples and vertices only where a shorter path can lead). The first path is that of
+//! [`RrtConnect`]. Each better path is pulled taut, and its corners become vertices. A share of the samples is drawn at convex corners of
+//! obstacles, where shortest paths bend; the rest stays uniform, as optimality in the limit requires.
 
 use nalgebra::Point2;
 use zenav_space::LineOfSight;
@@ -19,7 +18,7 @@ use crate::sampling::tree::Ground;
 use crate::sampling::{self, Sampling};
 use crate::searcher::{Query, Searched};
 
-/// Two trees for the first path, and the tree that improves on it.
+/// Two trees for the first path, and the tree that improves it.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct RrtStar {
     first: RrtConnect,
@@ -44,9 +43,9 @@ impl PathSearch for RrtStar {
     }
 }
 
-/// Samples between two looks at whether the tree knows a better path.
+/// Samples between two checks for a better path in the tree.
 const PERIOD: u64 = 128;
-/// Better by less than this share is not worth pulling taut.
+/// A gain below this share is not worth string pulling.
 const WORTH: f64 = 1e-5;
 
 /// Improves a path until the search's budget ends; never longer than it was.
@@ -65,7 +64,7 @@ fn improve<S: LineOfSight>(
     tree.plant(ground.sight.size(), &best);
     sampling.sampler.narrow(Ellipse::new([start, goal], bound));
     let last = sampling.samples.saturating_add(sampling.settings.improving);
-    // Nothing is shorter than straight.
+    // The straight line is a lower bound.
     while bound > (goal - start).norm() * (1.0 + 1e-9) && sampling.samples < last && sampling.next().is_ok() {
         let corner = sampling.sampler.unit() < sampling.corners();
         let sample = if corner {
@@ -90,8 +89,8 @@ fn improve<S: LineOfSight>(
     if tree.cost() < bound { tree.path() } else { best }
 }
 
-/// The radius within which `vertices` that are spread over an area are rewired, cells: the least one that optimality in the limit asks for
-/// (Karaman and Frazzoli, theorem 38), and a tenth.
+/// Rewiring radius for `vertices` spread over an area, cells: 1.1 times the least radius that optimality in the limit requires (Karaman
+/// and Frazzoli, theorem 38).
 fn radius(area: f64, vertices: usize) -> f64 {
     let n = vertices.max(2) as f64;
     1.1 * 2.0 * (1.5 * area / std::f64::consts::PI).sqrt() * (n.ln() / n).sqrt()

@@ -1,8 +1,8 @@
-//! Lazy Theta*. What is a short path in any direction? From cell centre to cell centre, as far as one sees.
+//! Lazy Theta*. A short any-angle path from cell centre to cell centre, along lines of sight.
 //!
-//! As A*, but a cell's parent may be any cell that it is seen from. That a cell is seen is assumed until it is its turn: one look an
-//! expansion. Where it is not seen, the best of its neighbours that had their turn takes over; and where that makes its path longer, it has
-//! to wait for its new turn. At the end the corners are moved to where the path is taut.
+//! Like A*, but a cell's parent may be any cell that sees it. Sight is assumed until the cell is expanded: one check per expansion. If
+//! the parent does not see the cell, the best expanded neighbour becomes its parent; if that makes the path longer, the cell returns to
+//! the open list. At the end string pulling makes the path taut.
 //!
 //! Sources: Nash, Koenig and Tovey, "Lazy Theta*: Any-Angle Path Planning and Path Length Analysis in 3D", AAAI 2010; Daniel, Nash,
 //! Koenig and Felner, "Theta*: Any-Angle Path Planning on Grids", JAIR 2010.
@@ -27,15 +27,15 @@ pub(crate) struct Memory {
     open: OpenList,
 }
 
-/// Cost that no cell is noted with: about 374,000 cells. A longer path is [`NotFound::TooLong`].
+/// Bound of all costs: about 374,000 cells. A longer path is [`NotFound::TooLong`].
 const LONGEST: u32 = u32::MAX >> 1;
 
-/// What is known of a cell; nothing at first.
+/// State of a cell; zero at first.
 #[derive(Clone, Copy, Debug, Default)]
 struct Reached {
-    /// Length of the best path to it, turned over so that 0 stands for none; the lowest bit tells that it had its turn.
+    /// Length of the best path to it, bits inverted so that 0 means none; the lowest bit is set once the cell was expanded.
     mark: u32,
-    /// Node that it is seen from, or so it is assumed.
+    /// Parent node; sight from it is assumed until it is checked.
     parent: u32,
 }
 
@@ -69,7 +69,7 @@ impl PathSearch for Memory {
     }
 }
 
-/// A short path between two points; `sight` is the space that the graph's free cells belong to. Deterministic.
+/// A short path between two points; `sight` is the space of the graph's free cells. Deterministic.
 fn search(
     graph: &GridGraph,
     sight: &impl LineOfSight,
@@ -163,7 +163,7 @@ fn expand(
     Err(if too_long { NotFound::TooLong } else { NotFound::NoPath })
 }
 
-/// The best path to a cell over one of its neighbours that had their turn; the cell's own parent is not seen.
+/// The best path to a cell through one of its expanded neighbours, for a cell that its parent does not see.
 fn beside(graph: &GridGraph, memory: &Memory, node: u32) -> Reached {
     let mut best = Reached::default();
     let mut steps = graph.steps(node);
@@ -197,7 +197,7 @@ fn path(graph: &GridGraph, memory: &Memory, sight: &impl LineOfSight, query: &Qu
     Path::through(corners)
 }
 
-/// Straight distance, in parts of a step along an axis like the graph's costs.
+/// Euclidean distance, in units of the graph's costs.
 fn distance(from: Cell, to: Cell) -> u32 {
     let (dx, dy) = (f64::from(from.x) - f64::from(to.x), f64::from(from.y) - f64::from(to.y));
     ((dx * dx + dy * dy).sqrt() * f64::from(STRAIGHT) + 0.5) as u32
@@ -220,7 +220,7 @@ mod tests {
 
     const SIDE: u32 = 48;
 
-    /// Walls and dots that are blocked; ends that may be.
+    /// Blocked walls and dots; the ends may be blocked too.
     #[derive(Clone, Debug)]
     struct World {
         blocked: BitGrid,
@@ -253,7 +253,7 @@ mod tests {
         }
     }
 
-    /// Found where A* finds one, all of it in sight, and never longer than the graph's shortest.
+    /// A path is found exactly where A* finds one, is in sight throughout, and is never longer than the graph's shortest path.
     fn check(free: &BitGrid, sight: &impl LineOfSight, world: &World) -> Result<(), TestCaseError> {
         let graph = GridGraph::new(free).unwrap();
         let mut memory = Memory::default();

@@ -1,20 +1,22 @@
-//! Replanning for one disc. Does a path still stand when the map has changed or the robot has moved on, and if not, what of it can be kept?
+//! Replanning for one disc. Decides whether an earlier path is still good enough after the map has changed or the robot has moved on, and
+//! repairs it if not.
 //!
-//! With each answer a bound is kept that no path costs less than. At first it is what the path costs. It holds while the map changes, but
-//! for cells that became cheaper or free: a path over such a cell `c` costs at least the octile distance from the start to `c` and on to
-//! the goal, and the bound falls to the least of these. A cell with no neighbour that the search had reached does not even count: a path
-//! to it leaves the cells expanded by one that was left open because no path over it was cheaper. And from a cell `s'` no path costs less
-//! than the bound without what it costs to go from the start to `s'`, which along the path is just the part that was left behind.
+//! Each answer is kept with a lower bound on the cost of any path. At first it is the cost of the path itself. It stays valid while the
+//! map changes, except for cells that became cheaper or free: a path through such a cell `c` costs at least the octile distance from the
+//! start to `c` and on to the goal, and the bound drops to the least of these. A cell without a neighbour that the search had reached
+//! does not count: a path to it leaves the expanded cells through a cell that stayed open because no path through it was cheaper. From a
+//! cell `s'` no path costs less than the bound minus the cost from the start to `s'`; along the path, that is the cost of the part left
+//! behind.
 //!
-//! So an old path, or the rest of it, is as good as one that is searched for as long as it costs no more than the bound; to find this out
-//! takes a comparison of two bitmaps and a walk along the path. Where the path is cut, a piece around the cut is searched for; the result
-//! is taken when the bound proves it at most 2 % too expensive (`[planning.replanning]`). All else is searched for from the beginning.
+//! So an earlier path, or the rest of it, is as good as a new search while it costs no more than the bound; the check takes a comparison
+//! of two bitmaps and a walk along the path. If the path is cut, a piece around the cut is searched for; the result is taken if the bound
+//! proves it at most 2 % too expensive (`[planning.replanning]`). Everything else is searched for from scratch.
 //!
-//! Paths over the grid have such costs. Those of the other planners stand while nothing is in their way and no cell became free over
-//! which they could have been shorter.
+//! These costs exist for paths over the grid. Paths of the other planners stay valid while nothing blocks them and no cell became free
+//! through which they could have been shorter.
 //!
-//! The bounds are those of the estimates of Hart, Nilsson and Raphael, 1968; that a local repair is enough in most cases is the idea
-//! of Stentz, "The Focussed D* Algorithm for Real-Time Replanning", IJCAI 1995.
+//! The bounds are those of the estimates of Hart, Nilsson and Raphael, 1968; that a local repair is enough in most cases is the idea of
+//! Stentz, "The Focussed D* Algorithm for Real-Time Replanning", IJCAI 1995.
 
 use std::collections::VecDeque;
 
@@ -35,15 +37,15 @@ use crate::planners::Planner;
 use crate::searcher::{NotFound, Searched, Searcher};
 use zenav_space::{BitGrid, ConfigurationSpace, LineOfSight};
 
-/// Answers that are kept.
+/// Number of answers that are kept.
 const KEPT: usize = 16;
-/// How far a robot may be beside the path, cells.
+/// Largest distance of the robot from the path, cells.
 const BESIDE: u32 = 6;
 
-/// Paths for one disc on one map as it changes.
+/// Paths for one disc on one changing map.
 #[derive(Clone, Debug)]
 pub(super) struct DiscReplanner {
-    /// Searches for what is not known.
+    /// Runs the searches for what is not known.
     pub(super) searcher: Searcher,
     spec: GridSpec,
     pub(super) free: BitGrid,
@@ -51,27 +53,27 @@ pub(super) struct DiscReplanner {
     pub(super) kept: VecDeque<Kept>,
 }
 
-/// An answer, and what it answered.
+/// An answer and its query.
 #[derive(Clone, Debug)]
 pub(super) struct Kept {
     options: PlanOptions,
-    /// The goal that it leads to, in cells.
+    /// The goal of the path, in cells.
     goal: Point2<f64>,
     pub(super) known: Known,
 }
 
 #[derive(Clone, Debug)]
 pub(super) enum Known {
-    /// By a search over the grid.
+    /// A result of a search over the grid.
     Grid {
-        /// The path, cell by cell; the start alone where there is none.
+        /// The path, cell by cell; only the start if there is no path.
         cells: Vec<Cell>,
-        /// No path from the first of them to the goal costs less; [`UNREACHED`] where there is none.
+        /// No path from the first cell to the goal costs less; [`UNREACHED`] if there is no path.
         bound: u32,
-        /// Where the search had been; `None` where that was not noted.
+        /// Nodes reached by the search; `None` if they were not recorded.
         reached: Option<Written>,
     },
-    /// By a planner that is not bound to the grid.
+    /// A path of a planner that is not bound to the grid.
     Free { path: Path },
 }
 
@@ -90,7 +92,7 @@ impl DiscReplanner {
         })
     }
 
-    /// Takes over the space's present state: words that have changed, and what that means for the answers.
+    /// Updates to the present state of the space: the words that have changed, and the bounds of the answers.
     pub(super) fn follow(&mut self, space: &ConfigurationSpace) -> Result<(), TooManyCells> {
         if *space.spec() != self.spec {
             *self = Self::new(space)?;
@@ -116,7 +118,7 @@ impl DiscReplanner {
         Ok(())
     }
 
-    /// Brings the answers' bounds down by what became free and what is no obstacle any more in one word of a row.
+    /// Lowers the bounds of the answers for one word of a row: cells that became free, and obstacles that disappeared.
     fn ease(&mut self, space: &ConfigurationSpace, y: u32, word: usize, freed: u64, gone: u64) {
         if freed | gone == 0 {
             return;
@@ -129,7 +131,7 @@ impl DiscReplanner {
                 margin,
             })
         };
-        // As far as costs reach from obstacles.
+        // Range of clearance costs around obstacles.
         let reach = space.field().reach_cells();
         let pitch = self.searcher.graph().pitch();
         self.kept.retain_mut(|kept| {
@@ -161,7 +163,7 @@ impl DiscReplanner {
         });
     }
 
-    /// The path between two cells, and where it is from.
+    /// The path between two ends, and its origin.
     pub(super) fn find(
         &mut self,
         space: &ConfigurationSpace,
@@ -204,7 +206,7 @@ impl DiscReplanner {
         (searched, PlanOrigin::Searched)
     }
 
-    /// What is to be kept of a search's result.
+    /// The part of a search's result that is kept.
     fn known(
         &self,
         space: &ConfigurationSpace,
@@ -231,7 +233,7 @@ impl DiscReplanner {
         }
     }
 
-    /// The path that is known, or what is left of it, or that with a new piece, from `first` on; `None` where it is not good enough.
+    /// The known path, or the rest of it from `first` on, or a repaired one; `None` if it is not good enough.
     fn grid_path(
         &mut self,
         space: &ConfigurationSpace,
@@ -255,7 +257,7 @@ impl DiscReplanner {
             *expansions += searched.expansions;
             searched.result.ok().map(|path| cells_along(&path))
         };
-        // To where the robot is now.
+        // Connect to the robot's present position.
         let beside = |cell: &Cell| cell.x.abs_diff(first.x).max(cell.y.abs_diff(first.y));
         let (at, away) = (0..)
             .zip(cells.iter().map(beside))
@@ -279,7 +281,7 @@ impl DiscReplanner {
             *bound = bound.saturating_sub(left[at]);
             cells.drain(..at);
         }
-        // Around what is in the way now.
+        // Repair around the cells that are blocked now.
         if let Some([from, to]) = cut(&self.searcher, cells) {
             let [from, to] = [
                 from.saturating_sub(settings.around),
@@ -299,7 +301,7 @@ impl DiscReplanner {
     }
 }
 
-/// Places of the last cell before and of the first after what cannot be gone any more.
+/// Indices of the last cell before and the first cell after the part that is blocked now.
 fn cut(searcher: &Searcher, cells: &[Cell]) -> Option<[usize; 2]> {
     let is_cut = |at: &usize| costs_along(searcher.graph(), &Uniform, &cells[*at..=at + 1]).is_none();
     let first = (0..cells.len() - 1).find(is_cut)?;
@@ -307,7 +309,7 @@ fn cut(searcher: &Searcher, cells: &[Cell]) -> Option<[usize; 2]> {
     Some([first, last + 1])
 }
 
-/// The path from a point on or close to it to its end, where nothing is in the way.
+/// The path from a point on it or close to it to its end, if nothing blocks it.
 fn rest(space: &ConfigurationSpace, path: &Path, from: Point2<f64>) -> Option<Path> {
     let near = |leg: &[Point2<f64>]| {
         let (along, to) = (leg[1] - leg[0], from - leg[0]);

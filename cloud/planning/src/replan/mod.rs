@@ -1,4 +1,4 @@
-//! Replanning. Does an answer still stand when the map has changed or the robot has moved on?
+//! Replanning. Reuses or repairs an earlier answer after the map has changed or the robot has moved on.
 
 mod disc;
 mod span;
@@ -19,7 +19,7 @@ use super::options::PlanOptions;
 use super::plan::{FootprintSearch, Planned, answer};
 use super::searcher::{NotFound, Searched};
 
-/// Answers for one robot on one map as it changes: [`plan`](super::plan()), and what was found before is kept where it still stands.
+/// Plans for one robot on one changing map: like [`plan`](super::plan()), but earlier answers are kept where they are still valid.
 ///
 /// ```
 /// use nalgebra::Point2;
@@ -62,10 +62,10 @@ impl Replanner {
         })
     }
 
-    /// As [`plan`](super::plan()), on a later state of the space: the same footprint, policy and margin.
+    /// Like [`plan`](super::plan()), on a later state of the space with the same footprint, policy and margin.
     ///
     /// # Errors
-    /// [`TooManyCells`], where the map has grown.
+    /// [`TooManyCells`] if the map has grown.
     pub fn plan(
         &mut self,
         space: &ConfigurationSpace,
@@ -80,13 +80,13 @@ impl Replanner {
         let mut find = |by: FootprintSearch, disc: &ConfigurationSpace, first: End, last: End| {
             self.disc(by, disc)
                 .map(|replanner| replanner.find(disc, first, last, options, budget))
-                // All discs have the map's own number of cells, which is not too large.
+                // All discs have the map's own number of cells, which was accepted in `new`.
                 .unwrap_or((Searched::failed(NotFound::OutOfMap), PlanOrigin::Searched))
         };
         Ok(answer(space, start, goal, options, budget, &mut find))
     }
 
-    /// What is known for a disc, brought up to the present state of its space.
+    /// The replanner of a disc, updated to the present state of its space.
     fn disc(&mut self, by: FootprintSearch, space: &ConfigurationSpace) -> Result<&mut DiscReplanner, TooManyCells> {
         let known = self.discs.iter().position(|(known, _)| *known == by);
         let mut disc = match known.map(|at| self.discs.remove(at)) {
@@ -98,7 +98,7 @@ impl Replanner {
         Ok(&mut self.discs[0].1)
     }
 
-    /// Edges of the trees that the last search grew, m, map frame, at most `limit` of them; none after a search without trees.
+    /// Edges of the trees of the last search, m, map frame, at most `limit` of them; empty after a search without trees.
     #[must_use]
     pub fn tree(&self, limit: usize) -> Vec<[Point2<f64>; 2]> {
         let edges = self.discs.first().map(|(_, disc)| disc.searcher.tree(limit));

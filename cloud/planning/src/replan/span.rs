@@ -1,4 +1,4 @@
-//! Changed cells. How near is what changed to a path? Cells of one row, and all around them that the change is felt in.
+//! Changed cells. Cells of one row with the margin around them in which the change matters, and their distance to a path.
 
 use nalgebra::Point2;
 use zenav_protocol::grid::Cell;
@@ -6,7 +6,7 @@ use zenav_protocol::grid::Cell;
 use crate::grid_graph::octile;
 use crate::node_table::Written;
 
-/// Cells of a row, and all within a margin of them.
+/// Cells of a row, and all cells within a margin of them.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Span {
     pub columns: [u32; 2],
@@ -15,7 +15,7 @@ pub(super) struct Span {
 }
 
 impl Span {
-    /// Columns and rows between a cell and the nearest of these.
+    /// Columns and rows between a cell and the nearest cell of the span.
     pub fn gaps(&self, cell: Cell) -> [u32; 2] {
         let x = self.columns[0]
             .saturating_sub(cell.x)
@@ -23,13 +23,13 @@ impl Span {
         [x, cell.y.abs_diff(self.row)].map(|gap| gap.saturating_sub(self.margin))
     }
 
-    /// Least cost between a cell and these.
+    /// Least cost between a cell and the span.
     pub fn distance(&self, cell: Cell) -> u32 {
         let [x, y] = self.gaps(cell);
         octile(Cell::new(0, 0), Cell::new(x, y))
     }
 
-    /// Least distance between a point and the squares of these, in cells.
+    /// Least distance between a point and the squares of the span, in cells.
     pub fn length(&self, p: Point2<f64>) -> f64 {
         let [x, y] = self
             .gaps(Cell::new(p.x as u32, p.y as u32))
@@ -37,12 +37,12 @@ impl Span {
         x.hypot(y)
     }
 
-    /// Whether a search may have reached any of these or one beside them.
+    /// Whether a search may have reached a cell of the span or one beside it.
     pub fn touches(&self, reached: &Written, pitch: u32) -> bool {
         let around = self.margin + 1;
         let rows = self.row.saturating_sub(around)..=self.row + around;
         let columns = [self.columns[0].saturating_sub(around), self.columns[1] + around];
-        // The graph's border comes first.
+        // Rows and columns are shifted by the graph's border.
         rows.into_iter().any(|row| {
             let [first, last] = columns.map(|column| (row + 1) * pitch + (column + 1).min(pitch - 1));
             reached.any(first, last)

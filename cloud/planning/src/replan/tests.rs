@@ -1,4 +1,4 @@
-//! An answer that is kept is as good as one that is searched for.
+//! Tests of replanning: a kept answer is as good as a new search.
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
@@ -26,7 +26,7 @@ fn end(cell: Cell) -> End {
     }
 }
 
-/// A room of metre-wide cells without obstacles.
+/// An empty room of metre-wide cells.
 fn room() -> OccupancyGrid {
     zenav_fixtures::free_map(zenav_fixtures::spec(SIDE, SIDE, 1.0))
 }
@@ -69,7 +69,7 @@ proptest! {
         for (x, y, long, thick) in walls {
             (0..long * thick).for_each(|i| set(&mut grid, (x + i % long).min(SIDE - 1), (y + i / long).min(SIDE - 1), false));
         }
-        // Now and then no path at all leads past it, until a door opens in it.
+        // With a fence there is no path at all until a door opens in it.
         (0..SIDE).filter(|_| fence).for_each(|y| set(&mut grid, 45, y, false));
         let goal = Cell::new(SIDE - 3, SIDE - 4);
         let mut replanner = DiscReplanner::new(&space(&grid)).unwrap();
@@ -94,7 +94,7 @@ proptest! {
                 let (found, origin) = replanner.find(&space, end(*start), end(goal), options, Budget::UNLIMITED);
                 let anew = between(&space, &mut Searcher::new(space.free()).unwrap(), end(*start), end(goal), options, Budget::UNLIMITED);
                 if let (Planner::Theta, PlanOrigin::Reused, Ok(path)) = (options.planner, origin, &found.result) {
-                    // It may lead where no path over the grid does any more.
+                    // A reused path may lead where no path over the grid leads any more.
                     prop_assert!(path.corners.windows(2).all(|leg| space.sees(leg[0], leg[1])));
                     continue;
                 }
@@ -122,7 +122,7 @@ proptest! {
     }
 }
 
-/// From the left to the right through a room; a wall with a door in the middle of it.
+/// A plan from the left to the right of a room; the map has a wall with a door in the middle.
 fn asked(replanner: &mut Replanner, grid: &OccupancyGrid, x: f64, options: &PlanOptions) -> Planned {
     let [start, goal] = [x, 80.5].map(|x| Pose2::new(x, 45.5, 0.0));
     replanner
@@ -145,7 +145,7 @@ fn what_the_path_has_nothing_to_do_with_changes_nothing() {
         let mut replanner = Replanner::new(&space(&grid)).unwrap();
         let first = asked(&mut replanner, &grid, 10.5, &options);
         assert_eq!(first.origin, PlanOrigin::Searched);
-        // An obstacle that comes, and one that goes, far away.
+        // An obstacle appears and disappears, far away.
         set(&mut grid, 60, 2, false);
         assert_eq!(asked(&mut replanner, &grid, 10.5, &options).outcome, first.outcome);
         set(&mut grid, 60, 2, true);
@@ -219,7 +219,7 @@ fn a_cut_is_mended_and_a_closed_door_is_found_out() {
         (closed.outcome, closed.origin),
         (PlanOutcome::NoPath, PlanOrigin::Searched)
     );
-    // And stays closed, until something opens.
+    // It stays closed until something opens.
     set(&mut grid, 20, 20, false);
     assert_eq!(asked(&mut replanner, &grid, 10.5, &options).origin, PlanOrigin::Reused);
     set(&mut grid, 20, 20, true);

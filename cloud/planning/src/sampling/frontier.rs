@@ -1,37 +1,37 @@
-//! Frontier. What has a tree not seen yet, and how does it get there? Runs of free cells, row by row, next to those in which the tree has a place.
+//! Frontier. The runs of free cells that a tree has not covered yet, row by row, next to those that it has.
 //!
-//! All cells of a run (free cells side by side in one row) are seen from each of them, and two runs of neighbouring rows that share a column
-//! are connected by a step. So a run counts as covered once the tree has a place in it, the runs above and below that are not covered make
-//! up its frontier, and a tree that always takes one of them reaches every cell that it can ever reach after at most as many steps as the map
-//! has runs: chance alone needs very many samples to meet a passage of one cell. The idea, to prefer samples at the border of what is covered
-//! in a projection, is KPIECE's (Sucan and Kavraki, "A Sampling-Based Tree Planner for Systems With Complex Dynamics", 2012); the
-//! decomposition is that of a sweep line.
+//! All cells of a run (adjacent free cells of one row) see each other, and two runs of neighbouring rows that share a column are
+//! connected by a step. So a run counts as covered once the tree has a point in it, and the uncovered runs above and below form its
+//! frontier. A tree that always takes one of them reaches every reachable cell after at most as many steps as the map has runs; random
+//! samples alone need very many tries to hit a passage of one cell. Preferring samples at the border of what is covered in a projection
+//! is the idea of KPIECE (Sucan and Kavraki, "A Sampling-Based Tree Planner for Systems With Complex Dynamics", 2012); the decomposition
+//! is that of a sweep line.
 
 use crate::grid_graph::GridGraph;
 
-/// A path out of what is covered.
+/// A way out of the covered region.
 #[derive(Clone, Copy, Debug)]
 pub struct Exit {
-    /// The vertex of the tree from which `via` is seen.
+    /// The vertex of the tree that sees `via`.
     pub vertex: u32,
-    /// The cell of a covered run in which the tree has a place (a graph's node).
+    /// A cell of a covered run (a graph's node).
     pub via: u32,
-    /// A cell that was not covered, in a row next to that of `via`.
+    /// An uncovered cell in a row next to that of `via`.
     pub cell: u32,
 }
 
-/// The covered cells of one tree, and what lies next to them.
+/// The covered cells of one tree, and its exits.
 #[derive(Clone, Debug, Default)]
 pub struct Frontier {
     /// One bit for each of the graph's nodes.
     covered: Vec<u64>,
-    /// Words of `covered` that are not zero, some of them more than once.
+    /// Words of `covered` that are not zero, possibly with duplicates.
     touched: Vec<u32>,
     exits: Vec<Exit>,
 }
 
 impl Frontier {
-    /// Nothing is covered any more.
+    /// Marks every cell as uncovered.
     pub fn clear(&mut self, graph: &GridGraph) {
         let len = graph.words().len();
         if self.covered.len() == len {
@@ -52,7 +52,7 @@ impl Frontier {
         self.covered[(cell >> 6) as usize] >> (cell & 63) & 1 == 1
     }
 
-    /// Covers the run of a free cell whose centre is seen from a vertex; returns the run.
+    /// Covers the run of a free cell whose centre a vertex sees; returns the run.
     pub fn cover(&mut self, graph: &GridGraph, vertex: u32, via: u32) -> [u32; 2] {
         let words = graph.words();
         let run = graph.run(via);
@@ -68,7 +68,7 @@ impl Frontier {
                 let word = (beside(word << 6) >> 6) as usize;
                 words[word] & !covered[word]
             };
-            // From where the tree is, straight over where it can be.
+            // Cross to the next row as close to `via` as possible.
             let exit = |[first, last]: [u32; 2]| Exit {
                 vertex,
                 via,
@@ -79,13 +79,13 @@ impl Frontier {
         run
     }
 
-    /// Exits, some of which may have been covered since.
+    /// The exits; some may have been covered since.
     #[must_use]
     pub fn exits(&self) -> &[Exit] {
         &self.exits
     }
 
-    /// Takes an exit; `None` when it has been covered since.
+    /// Takes an exit; `None` if it has been covered since.
     pub fn take(&mut self, number: usize) -> Option<Exit> {
         let exit = self.exits.swap_remove(number);
         (!self.covers(exit.cell)).then_some(exit)

@@ -1,14 +1,14 @@
-//! Sampling. What do planners share that grow trees towards samples? Straight edges between any two points that see each other, on no grid
-//! of directions.
+//! Sampling. Shared parts of the planners that grow trees towards samples, with straight edges between any two points that see each
+//! other.
 //!
 //! | file | answers |
 //! |---|---|
-//! | [`tree`] | what grows, and how? |
+//! | [`tree`] | how does a tree grow? |
 //! | [`rewiring`] | what is the cheapest path to each vertex? |
-//! | [`frontier`] | what has a tree not seen yet, and how does it get there? |
+//! | [`frontier`] | which free cells has a tree not covered yet, and how does it get there? |
 //! | [`nearest`] | which vertex is nearest? |
 //! | [`sampler`] | where are samples drawn? |
-//! | [`shortcut`] | how does a path with needless corners become a short one? |
+//! | [`shortcut`] | how is a path with redundant corners shortened? |
 
 mod frontier;
 mod nearest;
@@ -44,17 +44,17 @@ pub(crate) struct Sampling<'a> {
 }
 
 impl Sampling<'_> {
-    /// Counts a sample; whether it is to lead a tree out of what it has covered.
+    /// Counts a sample; returns whether it is to steer a tree out of the region it covers.
     pub(crate) fn next(&mut self) -> Result<bool, NotFound> {
         if self.samples >= self.budget.max_samples || self.budget.is_cancelled() {
             return Err(NotFound::TimedOut);
         }
         self.samples += 1;
-        // Both trees have a turn before it is chance's turn again.
+        // Both trees explore before plain sampling resumes.
         Ok(!self.black_box && self.samples > self.settings.patience && self.samples & 2 == 0)
     }
 
-    /// A point in a free cell, `None` where none was met by chance; any point where the map is a black box.
+    /// A point in a free cell, `None` if no draw hit one; any point if the map is a black box.
     pub(crate) fn sample<S>(&mut self, ground: &Ground<'_, S>) -> Option<Point2<f64>> {
         if self.black_box {
             Some(self.sampler.anywhere())
@@ -63,14 +63,14 @@ impl Sampling<'_> {
         }
     }
 
-    /// Leaves out needless corners.
+    /// Removes redundant corners.
     pub(crate) fn prune<S: LineOfSight>(&self, ground: &Ground<'_, S>, path: &mut Vec<Point2<f64>>) {
         if !self.black_box {
             shortcut::prune(ground.sight, path, || self.budget.is_cancelled());
         }
     }
 
-    /// Pulls the path's string.
+    /// Pulls the path taut.
     pub(crate) fn pull_string<S: LineOfSight>(&self, ground: &Ground<'_, S>, path: &mut Vec<Point2<f64>>) {
         if !self.black_box {
             shortcut::pull_string(ground.sight, path, || self.budget.is_cancelled());
@@ -83,7 +83,8 @@ impl Sampling<'_> {
     }
 }
 
-/// A path between two points by `grow`, unless one sees the other; always the same one for the same query, settings and number of samples.
+/// A path between two points by `grow`, or the straight line if one sees the other. Deterministic for the same query, settings and number
+/// of samples.
 pub(crate) fn search<S: LineOfSight>(
     map: &Map<'_, S>,
     query: &Query,

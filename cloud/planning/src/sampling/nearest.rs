@@ -1,16 +1,16 @@
-//! k-d tree. Which point of a growing set is nearest, and which lie within a radius? A k-d tree whose leaves hold sixteen points side by side.
+//! k-d tree. The nearest point of a growing set, and all points within a radius; a leaf holds sixteen points side by side.
 //!
-//! A full leaf is cut in the middle of its region, so that depth does not depend on the order in which points come. They are kept in single
-//! precision, which is enough to choose among them: whatever is chosen is checked exactly. Source: Bentley, "K-d Trees for Semidynamic Point
-//! Sets", 1990.
+//! A full leaf is split in the middle of its region, so the depth does not depend on the order of insertion. Coordinates are in single
+//! precision, which is enough to choose among points: every choice is checked exactly afterwards. Source: Bentley, "K-d Trees for
+//! Semidynamic Point Sets", 1990.
 
 use nalgebra::Point2;
 
 /// Points that a leaf holds.
 const LEAF: usize = 16;
-/// Marks a leaf among the numbers of nodes.
+/// Bit that marks a leaf among the numbers of nodes.
 const IS_LEAF: u32 = 1 << 31;
-/// Regions are not cut below this side, cells: points that lie so close together are not all kept.
+/// Regions are not split below this side, cells: of points that lie so close together, some are dropped.
 const LEAST_SIDE: f32 = 1.0 / 64.0;
 /// More than twice the halvings from the largest map to [`LEAST_SIDE`].
 const DEPTH: usize = 64;
@@ -27,7 +27,7 @@ struct Leaf {
 
 impl Leaf {
     fn new(low: [f32; 2], high: [f32; 2]) -> Self {
-        // What is not there is infinitely far away: scans have a fixed length.
+        // Empty slots are infinitely far away, so that scans have a fixed length.
         Self {
             x: [f32::INFINITY; LEAF],
             y: [f32::INFINITY; LEAF],
@@ -70,7 +70,7 @@ pub struct Nearest {
 }
 
 impl Nearest {
-    /// Forgets all points; those to come lie on a map of this size, cells.
+    /// Removes all points; the next ones lie on a map of this size, cells.
     pub fn clear(&mut self, size: [u32; 2]) {
         self.cuts.clear();
         self.leaves.clear();
@@ -78,11 +78,11 @@ impl Nearest {
         self.root = IS_LEAF;
     }
 
-    /// Adds a point under a number.
+    /// Adds a point with an id.
     pub fn insert(&mut self, p: Point2<f64>, id: u32) {
         let (x, y) = (p.x as f32, p.y as f32);
         let mut at = self.root;
-        // The cut that led here, and on which side.
+        // The cut that led here, and the side taken.
         let mut from: Option<(usize, bool)> = None;
         loop {
             if at & IS_LEAF == 0 {
@@ -107,7 +107,7 @@ impl Nearest {
         }
     }
 
-    /// Cuts a full leaf in the middle of its longer side; `None` when that would be too small.
+    /// Splits a full leaf in the middle of its longer side; `None` if that is too short.
     fn split(&mut self, leaf: usize) -> Option<u32> {
         let full = self.leaves[leaf].clone();
         let side = [full.high[0] - full.low[0], full.high[1] - full.low[1]];
@@ -136,7 +136,7 @@ impl Nearest {
         Some((self.cuts.len() - 1) as u32)
     }
 
-    /// The point nearest to another; `None` when there are none.
+    /// The point nearest to another; `None` if the set is empty.
     #[must_use]
     pub fn nearest(&self, p: Point2<f64>) -> Option<u32> {
         let mut best = (f32::INFINITY, None);
@@ -152,7 +152,7 @@ impl Nearest {
         best.1
     }
 
-    /// All points within a radius of another, and the squares of their distances, cells.
+    /// All points within a radius of another, with their squared distances, cells.
     pub fn within(&self, p: Point2<f64>, radius: f64, found: &mut Vec<(f32, u32)>) {
         found.clear();
         let limit = (radius * radius) as f32;
@@ -167,10 +167,10 @@ impl Nearest {
         });
     }
 
-    /// Looks at all leaves whose region comes within a distance (squared) of a point; `look` returns what that distance is from then on.
+    /// Visits all leaves whose region lies within a squared distance of a point; `look` returns the new squared distance.
     fn visit(&self, p: Point2<f64>, mut limit: f32, mut look: impl FnMut(&Leaf, f32, f32) -> f32) {
         let q = [p.x as f32, p.y as f32];
-        // What is still to be looked at, and how far the point is from it along each axis.
+        // Subtrees still to be visited, and their offsets from the point along each axis.
         let mut open = [(0_u32, [0.0_f32; 2]); DEPTH];
         let mut len = 0;
         let (mut at, mut off) = (self.root, [0.0_f32; 2]);

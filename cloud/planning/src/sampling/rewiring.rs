@@ -1,22 +1,22 @@
-//! Rewiring. What is the cheapest path to each vertex, as far as the tree knows? A tree with costs whose branches move to better parents.
+//! Rewiring. The cheapest known path to each vertex: a tree with costs whose branches move to better parents.
 //!
-//! Source: Karaman and Frazzoli, "Sampling-Based Algorithms for Optimal Motion Planning", 2011 (RRT*): a new vertex takes the parent that makes it
-//! cheapest among those nearby, and becomes the parent of those that are cheaper by it.
+//! Source: Karaman and Frazzoli, "Sampling-Based Algorithms for Optimal Motion Planning", 2011 (RRT*): a new vertex takes the nearby
+//! parent that makes it cheapest, and becomes the parent of nearby vertices that get cheaper through it.
 
 use nalgebra::Point2;
 
 use super::nearest::Nearest;
 use zenav_space::LineOfSight;
 
-/// Stands for no vertex.
+/// No vertex.
 const NONE: u32 = u32::MAX;
-/// Vertices are no closer together than this, cells.
+/// Least distance between vertices, cells.
 const LEAST_DISTANCE: f64 = 0.125;
 /// Gains below this are rounding, cells.
 const ROUNDING: f64 = 1e-9;
 
-/// How many of the nearest vertices are looked at, where points are denser than the radius expects: the least number that optimality in the limit
-/// asks for (k-nearest RRT*), and a tenth.
+/// Number of nearest vertices that are considered at most, where points are denser than the radius assumes: 1.1 times the least number
+/// that optimality in the limit requires (k-nearest RRT*).
 fn neighbours(vertices: usize) -> usize {
     (1.1 * 1.5 * std::f64::consts::E * (vertices as f64).ln()).ceil() as usize
 }
@@ -28,11 +28,11 @@ struct Vertex {
     cost: f64,
     parent: u32,
     first_child: u32,
-    /// Before and after it among its parent's children.
+    /// Its previous and next sibling.
     siblings: [u32; 2],
 }
 
-/// A tree from a root (vertex 0) to a goal (vertex 1), and whatever else is known.
+/// A tree with a root (vertex 0), a goal (vertex 1) and further vertices.
 #[derive(Clone, Debug, Default)]
 pub struct CostTree {
     vertices: Vec<Vertex>,
@@ -43,12 +43,12 @@ pub struct CostTree {
 }
 
 impl CostTree {
-    /// Forgets everything.
+    /// Removes all vertices.
     pub fn clear(&mut self) {
         self.vertices.clear();
     }
 
-    /// Begins with a path on a map of some size: its ends are root and goal.
+    /// Starts from a path on a map of the given size: its ends are root and goal.
     pub fn plant(&mut self, size: [u32; 2], path: &[Point2<f64>]) {
         self.vertices.clear();
         self.nearest.clear(size);
@@ -107,8 +107,9 @@ impl CostTree {
             .filter_map(move |vertex| Some([parent(vertex)?, vertex.point]))
     }
 
-    /// Adds a point by the cheapest parent among the nearest vertices within a radius, or a step towards it from the nearest one; the others take
-    /// it for their parent where that is cheaper. A vertex over which no path can be shorter than `bound` is not added.
+    /// Adds a point below the cheapest parent among the nearest vertices within a radius; if there are none, a point one step from the
+    /// nearest vertex towards it. Nearby vertices become its children if that is cheaper. A point through which no path can be shorter
+    /// than `bound` is not added.
     pub fn insert(&mut self, sight: &impl LineOfSight, point: Point2<f64>, radius: f64, step: f64, bound: f64) {
         let mut point = point;
         self.nearest.within(point, radius, &mut self.near);
@@ -157,7 +158,7 @@ impl CostTree {
         }
     }
 
-    /// Makes a path that is known to be free part of the tree; its ends are root and goal.
+    /// Adds a path that is known to be free; its ends are root and goal.
     pub fn lay(&mut self, sight: &impl LineOfSight, path: &[Point2<f64>], radius: f64) {
         let mut last = 0;
         for point in path.iter().skip(1).take(path.len().saturating_sub(2)) {
@@ -171,7 +172,7 @@ impl CostTree {
         }
     }
 
-    /// Offers a vertex as parent to the others nearby.
+    /// Offers a vertex as parent to the vertices nearby.
     fn rewire(&mut self, sight: &impl LineOfSight, vertex: u32) {
         let Vertex {
             point, cost, parent, ..
@@ -204,7 +205,7 @@ impl CostTree {
         vertex
     }
 
-    /// Gives a vertex without a parent one.
+    /// Attaches a vertex without a parent.
     fn hang(&mut self, vertex: u32, parent: u32) {
         let next = std::mem::replace(&mut self.vertices[parent as usize].first_child, vertex);
         if let Some(next) = self.vertices.get_mut(next as usize) {
@@ -215,7 +216,7 @@ impl CostTree {
         child.siblings = [NONE, next];
     }
 
-    /// Moves a branch to a better parent: everything on it becomes cheaper.
+    /// Moves a branch to a better parent; all its vertices get cheaper.
     fn move_to(&mut self, vertex: u32, parent: u32, cost: f64) {
         let Vertex {
             parent: old,

@@ -1,8 +1,8 @@
-//! Sampler. Where are samples drawn? Uniformly from the free cells, once a path is known only where a shorter one can lead.
+//! Sampler. Draws samples uniformly from the free cells; once a path is known, only where a shorter one can lead.
 //!
-//! Points are drawn from the bitmap's box, or from the ellipse of all points over which a path can be shorter than the best one, whichever is
-//! smaller, and rejected where the cell is not free: uniform over the free cells of both. Source: Gammell, Srinivasa and Barfoot,
-//! "Informed RRT*", 2014.
+//! Points are drawn from the bitmap's box or from the ellipse of all points through which a path can be shorter than the best one,
+//! whichever is smaller, and rejected if the cell is not free: uniform over the free cells of both. Source: Gammell, Srinivasa and
+//! Barfoot, "Informed RRT*", 2014.
 
 use nalgebra::{Matrix2, Point2, Vector2};
 use rand::Rng;
@@ -10,19 +10,19 @@ use rand_pcg::Pcg64Mcg;
 
 use crate::grid_graph::GridGraph;
 
-/// Draws before a sampler gives up for this time.
+/// Draws before the sampler gives up on a sample.
 const TRIES: u32 = 64;
-/// Samples keep this far from the border of their cell: no square is touched by accident.
+/// Samples keep this far from the border of their cell, so that they touch no neighbouring square.
 const INSET: f64 = 1.0 / 64.0;
 
-/// The points over which a path between two foci can be shorter than a length.
+/// The points through which a path between two foci can be shorter than a length.
 #[derive(Clone, Copy, Debug)]
 pub struct Ellipse {
     foci: [Point2<f64>; 2],
     /// Length of the path to beat.
     length: f64,
     center: Point2<f64>,
-    /// From the unit disc.
+    /// Maps the unit disc to the ellipse.
     shape: Matrix2<f64>,
 }
 
@@ -60,14 +60,14 @@ impl Ellipse {
         std::f64::consts::PI * self.shape.determinant().abs()
     }
 
-    /// Whether a path over a point can be shorter.
+    /// Whether a path through a point can be shorter.
     #[must_use]
     pub fn contains(&self, p: Point2<f64>) -> bool {
         (p - self.foci[0]).norm() + (self.foci[1] - p).norm() < self.length
     }
 }
 
-/// Draws points of the map from a seed.
+/// Draws points of the map by a seeded generator.
 #[derive(Clone, Debug)]
 pub struct Sampler {
     rng: Pcg64Mcg,
@@ -79,7 +79,7 @@ pub struct Sampler {
 }
 
 impl Sampler {
-    /// Draws from a box (low and high corner, cells), always the same points for the same seed.
+    /// A sampler of a box (low and high corner, cells); the same seed gives the same points.
     #[must_use]
     pub fn new(seed: u64, domain: [Point2<f64>; 2]) -> Self {
         Self {
@@ -92,7 +92,7 @@ impl Sampler {
         }
     }
 
-    /// From now on only where a path can be shorter.
+    /// Restricts further samples to the ellipse.
     pub fn narrow(&mut self, ellipse: Ellipse) {
         self.ellipse = Some(ellipse);
         (self.tries, self.hits) = (0, 0);
@@ -113,7 +113,7 @@ impl Sampler {
         self.low + Vector2::new(self.unit() * self.side.x, self.unit() * self.side.y)
     }
 
-    /// A point in a free cell; `None` where none was met by chance.
+    /// A point in a free cell; `None` if no draw hit one.
     pub fn free(&mut self, graph: &GridGraph) -> Option<Point2<f64>> {
         for _ in 0..TRIES {
             self.tries += 1;
@@ -128,7 +128,7 @@ impl Sampler {
         None
     }
 
-    /// A point beside the convex corner of an obstacle; `None` where none was met by chance.
+    /// A point beside the convex corner of an obstacle; `None` if no draw hit one.
     pub fn corner(&mut self, graph: &GridGraph) -> Option<Point2<f64>> {
         for _ in 0..TRIES {
             let p = self.point();
@@ -136,7 +136,7 @@ impl Sampler {
             let [x, y] = [self.next() & 1 == 0, self.next() & 1 == 0];
             let corners = graph.corners(node >> 6, x, y);
             if corners != 0 {
-                // Any of the word's.
+                // A random one of the word's corners.
                 let turn = self.below(64) as u32;
                 let bit = (corners.rotate_right(turn).trailing_zeros() + turn) & 63;
                 let cell = graph.cell((node & !63) | bit);
@@ -154,7 +154,7 @@ impl Sampler {
         self.rng.next_u64() >> 32
     }
 
-    /// Free cells that samples are drawn from, about, by the share of points that were free.
+    /// Estimated number of free cells that samples are drawn from, by the share of draws that were free.
     #[must_use]
     pub fn free_area(&self) -> f64 {
         let from = match &self.ellipse {

@@ -1,17 +1,17 @@
-//! Shortcuts and string pulling between any points. How does a path with needless corners become a short one? Corners that are not needed are left
-//! out, the others are pulled in until the path runs around the obstacles like a tight string.
+//! Shortcuts and string pulling between any points. Removes redundant corners, and pulls the others in until the path runs around the
+//! obstacles like a taut string.
 //!
-//! Every step replaces two legs by a shorter connection that is seen (triangle inequality), so a path never becomes longer.
+//! Every step replaces two legs by a shorter connection in sight (triangle inequality), so a path never becomes longer.
 
 use nalgebra::Point2;
 
 use zenav_space::LineOfSight;
 
-/// Corners are pulled in to within this distance, cells.
+/// Precision of pulled corners, cells.
 const PRECISION: f64 = 1.0 / 128.0;
-/// Rounds that gain less than this share of the length are the last ones.
+/// A round that gains less than this share of the length is the last one.
 const LEAST_GAIN: f64 = 1e-5;
-/// Rounds of string pulling, at most.
+/// Largest number of rounds of string pulling.
 const ROUNDS: usize = 64;
 
 /// Length of a path, cells.
@@ -20,8 +20,8 @@ pub fn length(path: &[Point2<f64>]) -> f64 {
     path.windows(2).map(|leg| (leg[1] - leg[0]).norm()).sum()
 }
 
-/// Leaves out corners, from the front and from the back: from each corner that is kept the path goes to the farthest one that is seen, as far as
-/// a search in doubling steps finds it. Ends soon after `stops` says so.
+/// Removes corners, from the front and from the back: from each kept corner the path goes to the farthest corner in sight that a search
+/// with doubling steps finds. Ends soon after `stops` returns true.
 pub fn prune(sight: &impl LineOfSight, path: &mut Vec<Point2<f64>>, stops: impl Fn() -> bool) {
     if path.len() < 3 {
         return;
@@ -46,13 +46,13 @@ pub fn prune(sight: &impl LineOfSight, path: &mut Vec<Point2<f64>>, stops: impl 
             kept += 1;
             at = to;
         }
-        // What was not looked at any more stays as it is.
+        // The part that was not examined stays as it is.
         path.drain(kept..=at);
         path.reverse();
     }
 }
 
-/// Pulls a path taut: afterwards no corner can be moved towards its neighbours by more than `PRECISION`, or `stops` has said so.
+/// Pulls a path taut: moves corners towards their neighbours, round by round, until the gain is negligible or `stops` returns true.
 pub fn pull_string(sight: &impl LineOfSight, path: &mut Vec<Point2<f64>>, stops: impl Fn() -> bool) {
     for _ in 0..ROUNDS {
         let before = length(path);
@@ -87,12 +87,12 @@ pub fn pull_string(sight: &impl LineOfSight, path: &mut Vec<Point2<f64>>, stops:
     prune(sight, path, &stops);
 }
 
-/// The last point from `a` towards `b` that is seen, as far as halving finds it.
+/// The last point in sight from `a` towards `b`, by bisection.
 fn seen(a: Point2<f64>, b: Point2<f64>, sees: impl Fn(Point2<f64>) -> bool) -> Point2<f64> {
     a + (b - a) * share_seen((b - a).norm(), |share| sees(a + (b - a) * share))
 }
 
-/// The largest share of a length, up to [`PRECISION`], at which something is seen, as far as halving finds it; nothing is lost at 0.
+/// The largest share of a length at which `sees` holds, by bisection to within [`PRECISION`]; 0 is taken as seen.
 fn share_seen(length: f64, sees: impl Fn(f64) -> bool) -> f64 {
     let (mut free, mut blocked) = (0.0, 1.0);
     while (blocked - free) * length > PRECISION {

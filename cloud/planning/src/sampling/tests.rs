@@ -1,4 +1,4 @@
-//! What is true of every planner that grows trees.
+//! Properties of every planner that grows trees.
 
 use std::sync::atomic::AtomicBool;
 
@@ -12,7 +12,7 @@ use zenav_space::{BitGrid, ConfigurationSpace, LineOfSight as _, PointLineOfSigh
 
 const PLANNERS: [Planner; 3] = [Planner::Rrt, Planner::RrtConnect, Planner::RrtStar];
 
-/// As many samples as a search needs to cover any of the small maps here, and some more.
+/// Enough samples for a search to cover any of the small maps here, and some more.
 const SAMPLES: u64 = 2000;
 
 fn budget(samples: u64) -> Budget<'static> {
@@ -59,7 +59,7 @@ fn is_free(free: &BitGrid, path: &Path) -> bool {
         })
 }
 
-/// Maps with free ends: clutter of any density, the sides up to a bit more than a word.
+/// Maps with free ends: clutter of any density, with sides of up to slightly more than a word.
 fn map() -> impl Strategy<Value = (BitGrid, Query)> {
     (
         1_u32..70,
@@ -87,7 +87,7 @@ fn map() -> impl Strategy<Value = (BitGrid, Query)> {
         })
 }
 
-/// A room of some size with a wall across it, with one cell's door at a height.
+/// A room with a wall across it; the wall has a door of one cell at the given height.
 fn room(width: u32, height: u32, door: Option<u32>) -> BitGrid {
     BitGrid::from_fn(width, height, |cell| cell.x != width / 2 || Some(cell.y) == door)
 }
@@ -184,7 +184,7 @@ fn a_closed_room_has_no_path_out_and_one_cell_is_a_door() {
 
 #[test]
 fn rrt_star_comes_close_to_the_shortest_path() {
-    // Over the only door's two nearer corners: its cell is one wide.
+    // The shortest path runs over the two nearer corners of the only door, whose cell is one wide.
     let free = room(101, 80, Some(60));
     let query = query(Cell::new(10, 10), Cell::new(90, 20));
     let (left, right) = (Point2::new(50.0, 60.0), Point2::new(51.0, 60.0));

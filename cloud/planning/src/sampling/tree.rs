@@ -1,7 +1,7 @@
-//! Random tree. What grows? A tree of points from a root, each seen from its parent, that is extended towards samples or out of what it has covered.
+//! Random tree. A tree of points from a root, each in sight of its parent, extended towards samples or out of the region it covers.
 //!
-//! Source: LaValle, "Rapidly-Exploring Random Trees", 1998. An extension that meets an obstacle is dropped: vertices in front of obstacles would be
-//! nearest to whatever lies behind and see none of it.
+//! Source: LaValle, "Rapidly-Exploring Random Trees", 1998. An extension that meets an obstacle is dropped: vertices in front of an
+//! obstacle would be nearest to everything behind it and see none of it.
 
 use nalgebra::Point2;
 use zenav_protocol::grid::Cell;
@@ -15,10 +15,10 @@ use zenav_space::LineOfSight;
 /// The root's parent.
 const NONE: u32 = u32::MAX;
 
-/// Where trees grow.
+/// The map that trees grow on.
 #[derive(Debug)]
 pub struct Ground<'a, S> {
-    /// What is seen from where.
+    /// Line of sight.
     pub sight: &'a S,
     /// Free cells.
     pub graph: &'a GridGraph,
@@ -38,14 +38,14 @@ impl<S: LineOfSight> Ground<'_, S> {
     }
 }
 
-/// How far an extension came.
+/// Result of an extension.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Extended {
-    /// To where it was led: this vertex.
+    /// The target was reached, as this vertex.
     Arrived(u32),
-    /// A whole step, to this vertex.
+    /// A whole step was made, to this vertex.
     Stepped(u32),
-    /// Nowhere: something is in the way.
+    /// An obstacle blocks the step.
     Trapped,
 }
 
@@ -56,32 +56,32 @@ pub struct Tree {
     parents: Vec<u32>,
     nearest: Nearest,
     frontier: Frontier,
-    /// Vertices that the frontier knows.
+    /// Number of vertices processed by the frontier.
     covered: usize,
-    /// Whether no place next to a covered one was lost: what is not covered in the end cannot be reached.
+    /// Whether no exit was lost: cells that stay uncovered to the end are then unreachable.
     complete: bool,
 }
 
-/// What came of leading a tree out of what it has covered.
+/// Result of steering a tree out of the region it covers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Explored {
     /// There was an exit.
     Left,
-    /// There is none left: the tree has a place in every run of free cells that can be reached from its root.
+    /// No exit is left: the tree covers every run of free cells that is reachable from its root.
     Everything,
-    /// There is none that it can take.
+    /// No exit is left, but some could not be taken.
     Stuck,
 }
 
 impl Tree {
-    /// Begins anew from a point.
+    /// Starts a new tree at a root.
     pub fn plant<S: LineOfSight>(&mut self, ground: &Ground<'_, S>, root: Point2<f64>) {
         self.clear();
         self.nearest.clear(ground.sight.size());
         self.add(root, NONE);
     }
 
-    /// Fells it.
+    /// Removes all vertices.
     pub fn clear(&mut self) {
         self.points.clear();
         self.parents.clear();
@@ -95,7 +95,7 @@ impl Tree {
         self.points.len() as u32
     }
 
-    /// Where a vertex is.
+    /// Position of a vertex.
     #[must_use]
     pub fn point(&self, vertex: u32) -> Point2<f64> {
         self.points[vertex as usize]
@@ -129,7 +129,7 @@ impl Tree {
         }
     }
 
-    /// Grows from the nearest vertex towards a point until it is reached or something is in the way.
+    /// Grows from the nearest vertex towards a point until it is reached or an obstacle blocks the way.
     pub fn connect<S: LineOfSight>(&mut self, ground: &Ground<'_, S>, to: Point2<f64>) -> Option<u32> {
         let mut near = self.nearest.nearest(to)?;
         loop {
@@ -159,8 +159,8 @@ impl Tree {
         Extended::Trapped
     }
 
-    /// Grows out of what the tree covers, by the one of some exits drawn by chance that is nearest to `target`, and straight on as far as there
-    /// is something new. The cell `target` is met as soon as its run is covered.
+    /// Grows out of the covered region: through the exit nearest to `target` among some drawn at random, and straight on while the next
+    /// run is uncovered. The cell `target` is connected as soon as its run is covered.
     pub fn explore<S: LineOfSight>(
         &mut self,
         ground: &Ground<'_, S>,
@@ -203,7 +203,7 @@ impl Tree {
         }
     }
 
-    /// Leads the tree through an exit.
+    /// Steers the tree through an exit.
     fn leave<S: LineOfSight>(&mut self, ground: &Ground<'_, S>, exit: Exit, target: Option<u32>) {
         let pitch = ground.graph.pitch();
         let up = exit.cell > exit.via;
@@ -231,7 +231,7 @@ impl Tree {
         }
     }
 
-    /// Adds a path from a vertex over the centres of cells to the last one of them, with as few of the others as are needed.
+    /// Adds a path from a vertex to the last of some cells, through the centres of as few of the others as needed.
     fn thread<S: LineOfSight>(&mut self, ground: &Ground<'_, S>, vertex: u32, cells: &[u32]) -> Option<u32> {
         let (mut at, mut done) = (vertex, 0);
         while done < cells.len() {

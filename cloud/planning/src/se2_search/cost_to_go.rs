@@ -1,4 +1,4 @@
-//! Cost to go. What is left to the goal at least? Costs backwards from the goal, over the cells where the footprint stands with any heading.
+//! Cost to go. The cost from each cell to the goal, by a search backwards over the cells where the footprint fits with some heading.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -11,13 +11,13 @@ use crate::cell_cost::{CellCost, PARTS};
 use crate::searcher::NotFound;
 use zenav_space::BitGrid;
 
-/// Costs are whole numbers of this part of a cell's side.
+/// Costs are integers in units of this part of a cell's side.
 pub(super) const UNIT: f64 = 1024.0;
-/// What is left to the goal at least, from each cell.
+/// Cost to the goal from each cell.
 pub(super) struct CostToGo {
     width: u32,
     cost: Vec<u32>,
-    /// Cells that were not looked at are not nearer than this.
+    /// Cells that were not expanded cost at least this.
     beyond: u32,
 }
 
@@ -25,7 +25,7 @@ pub(super) struct CostToGo {
 pub(super) const NEVER: u32 = u32::MAX;
 
 impl CostToGo {
-    /// From the goal backwards until the start; `None` when it is not reached.
+    /// Searches from the goal back to the start; `None` if the start is not reached.
     pub(super) fn new(
         masks: &FootprintMasks<'_>,
         costs: &impl CellCost,
@@ -35,7 +35,7 @@ impl CostToGo {
         expansions: &mut u64,
     ) -> Result<Option<Self>, NotFound> {
         let spec = masks.space.spec();
-        // The robot stands there, though from the middle of the cell it may be too near to something.
+        // The robot stands at the start, even if its footprint does not fit at the centres of the cells there.
         let is_beside_start = |cell: Cell| cell.x.abs_diff(start.x) <= 1 && cell.y.abs_diff(start.y) <= 1;
         let mut cost = vec![NEVER; spec.len()];
         let mut refused = BitGrid::new(spec.width, spec.height);

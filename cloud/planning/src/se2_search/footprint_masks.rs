@@ -1,4 +1,4 @@
-//! Footprint masks. Where does the footprint stand, and can it step and turn there?
+//! Footprint masks. Whether the footprint fits at a place, and can step and turn there.
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, wrap_angle};
@@ -7,7 +7,7 @@ use zenav_protocol::robot::Footprint;
 
 use zenav_space::{ConfigurationSpace, convex_hull, swept_corners};
 
-/// The steps along the headings, in places, counter-clockwise.
+/// Steps along the headings, in places, counter-clockwise.
 pub(super) const STEPS: [(i64, i64); 16] = [
     (1, 0),
     (2, 1),
@@ -26,32 +26,32 @@ pub(super) const STEPS: [(i64, i64); 16] = [
     (1, -1),
     (2, -1),
 ];
-/// Places are at most about this far apart, m, and at most this many to a cell's side (an odd number: one lies at its centre).
+/// Places are at most about this far apart, m, and at most this many to a cell's side (an odd number, so that one lies at its centre).
 pub(super) const SPACING: f64 = 0.06;
 pub(super) const MOST_PLACES: u32 = 9;
-/// Outlines for which the turn to the next heading is taken as convex.
+/// Number of convex outlines that cover the turn to the next heading.
 pub(super) const PARTS_OF_TURN: u32 = 3;
-/// Kept clear around the footprint, m: later rounding stays free.
+/// Margin around the footprint, m: later rounding causes no contact.
 pub(super) const MARGIN: f64 = 5e-4;
 pub(super) fn yaw_of(heading: usize) -> f64 {
     let (x, y) = STEPS[heading];
     (y as f64).atan2(x as f64)
 }
 
-/// Where the footprint stands, how it steps and turns. Lengths in cells.
+/// The footprint at every heading, and its sweeps by steps and turns. Lengths in cells.
 pub(super) struct FootprintMasks<'a> {
     pub(super) space: &'a ConfigurationSpace,
-    /// Places to a cell's side, and their distance.
+    /// Places per side of a cell, and their spacing.
     places: i64,
     pub(super) spacing: f64,
     pub(super) width: i64,
     height: i64,
-    /// What a step along each heading sweeps, and a turn to the next one, about the place.
+    /// Areas swept by a step along each heading, and by a turn to the next one, relative to the place.
     steps: Vec<Vec<Point2<f64>>>,
     turns: Vec<[Vec<Point2<f64>>; PARTS_OF_TURN as usize]>,
-    /// The footprint itself with each heading, about the place.
+    /// The footprint at each heading, relative to the place.
     standing: Vec<Vec<Point2<f64>>>,
-    /// With so much to the nearest obstacle at the cell's centre, m, nothing that starts in the cell collides.
+    /// With this distance between the cell's centre and the nearest obstacle, m, no step or turn from the cell collides.
     room_to_turn: f64,
 }
 
@@ -63,7 +63,7 @@ impl<'a> FootprintMasks<'a> {
         let spec = space.spec();
         let places = (spec.resolution / SPACING).ceil().clamp(1.0, f64::from(MOST_PLACES)) as u32 | 1;
         let spacing = 1.0 / f64::from(places);
-        // A little larger on all sides than what is asked for afterwards.
+        // Slightly larger on all sides than later checks require.
         let grown = 1.0 + 2.0 * MARGIN / space.footprint().inscribed_radius();
         let corners: Vec<_> = corners
             .iter()
@@ -77,7 +77,7 @@ impl<'a> FootprintMasks<'a> {
         let turn = |i: usize| {
             let (from, turn) = (yaw_of(i), wrap_angle(yaw_of((i + 1) % STEPS.len()) - yaw_of(i)));
             let part = turn / f64::from(PARTS_OF_TURN);
-            // Between two of the outlines a corner runs on an arc: it stays inside the tangents at both ends.
+            // Between two outlines a corner moves on an arc, which stays inside the tangents at both ends.
             let bulge = 1.0 / (0.125 * part).cos();
             std::array::from_fn(|j| {
                 let yaws = [0.0, 0.25, 0.5, 0.75, 1.0].map(|share| from + part * (j as f64 + share));
@@ -140,7 +140,7 @@ impl<'a> FootprintMasks<'a> {
         })
     }
 
-    /// Whether the footprint stands anywhere in a cell, with any heading.
+    /// Whether the footprint fits somewhere in a cell, with any heading.
     pub(super) fn admits_cell(&self, cell: Cell) -> bool {
         let distance = self.space.field().distance(cell);
         let beside = 0.5 * std::f64::consts::SQRT_2 * self.space.spec().resolution;
@@ -170,7 +170,7 @@ impl<'a> FootprintMasks<'a> {
         (0..STEPS.len()).all(|heading| self.can_turn(place, heading))
     }
 
-    /// From `heading` to the next one, or back.
+    /// Whether the footprint can turn from `heading` to the next one, or back.
     pub(super) fn can_turn(&self, place: (i64, i64), heading: usize) -> bool {
         self.has_room_to_turn(place)
             || self.turns[heading]

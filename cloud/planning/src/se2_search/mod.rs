@@ -1,10 +1,9 @@
-//! SE(2) search. Is there a path for a robot that is longer than wide? A* over places and headings, with the true footprint.
+//! SE(2) search. A path for a robot that is longer than wide: A* over positions and headings, with the true footprint.
 //!
-//! Sixteen headings, each with the steps that lead along it forwards and backwards, and turns on the spot from one to the next: whatever
-//! comes out is driven as stop, turn and go without touching anything, through gaps that a disc around the robot would be shut out of, and
-//! out of lanes in which there is no room to turn. Where cells are coarse for
-//! the robot, places lie between their centres as well. What is left to the goal is told by a search backwards over the cells
-//! where the robot can stand with any heading: it can do no better, and where there is room it does as well.
+//! There are sixteen headings, each with steps forwards and backwards along it, and turns on the spot to the next heading on either side.
+//! The result can be driven as stop, turn, go without contact: through gaps that are too narrow for a disc around the robot, and out of
+//! lanes without room to turn. If cells are coarse for the robot, places (the positions of the lattice) also lie between the cell
+//! centres. The cost to go comes from a search backwards from the goal over the cells where the robot fits with some heading.
 //!
 //! Sources: Pivtoraiko, Knepper and Kelly, "Differentially Constrained Mobile Robot Motion Planning in State Lattices", J. Field Robotics
 //! 2009; Likhachev and Ferguson, "Planning Long Dynamically Feasible Maneuvers for Autonomous Vehicles", IJRR 2009 (the estimate).
@@ -31,12 +30,12 @@ use super::searcher::{NotFound, Searched};
 use super::settings::Se2Settings;
 use zenav_space::ConfigurationSpace;
 
-/// Apart from one another, the places behind the start from which it is tried to go on, m.
+/// Spacing of the places behind the start from which the search may begin, m.
 const BACK: f64 = 0.1;
-/// The last leg to a goal that lies between places, and the first leg from a start, may be this long, m: a longer leg comes in at a smaller
-/// angle, at which a robot fits beside a wall.
+/// Longest last leg to a goal between places, and longest first leg from a start, m: the longer the leg, the smaller the angle, and at a
+/// small angle a robot fits beside a wall.
 const FAR: f64 = 0.5;
-/// The roomiest end of a path is looked for in so many directions from the goal, at this share of the tolerance: the robot does not come to
+/// The roomiest end of a path is sought in this many directions from the goal, at this share of the tolerance: the robot does not reach
 /// its ends exactly.
 const ENDS: u32 = 16;
 const END_SHARE: f64 = 0.5;
@@ -45,10 +44,10 @@ const END_SHARE: f64 = 0.5;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Query {
     pub(super) start: Point2<f64>,
-    /// Heading at the start, rad; any without.
+    /// Heading at the start, rad; `None`: any.
     pub(super) heading: Option<f64>,
     pub(super) goal: Point2<f64>,
-    /// Beside obstacles the path may end this near to the goal, m.
+    /// If the goal has no room to turn, the path may end this close to it, m.
     pub(super) tolerance: f64,
 }
 
@@ -57,11 +56,11 @@ pub(super) struct Query {
 pub(super) struct DrivenPath {
     /// Corner by corner, start and goal included.
     pub(super) corners: Vec<Point2<f64>>,
-    /// Legs that are driven backwards, by the corner that they begin at, rising.
+    /// Legs that are driven backwards, by the index of the corner where they begin, ascending.
     pub(super) backwards: Vec<usize>,
 }
 
-/// Whether the true footprint can drive a path as it stands: legs straight, turns on the spot, some legs backwards.
+/// Whether the true footprint can drive a path: straight legs, turns on the spot, some legs backwards.
 pub(super) fn is_drivable(
     space: &ConfigurationSpace,
     path: &[Point2<f64>],
@@ -70,7 +69,7 @@ pub(super) fn is_drivable(
 ) -> bool {
     let mut heading = heading;
     for (number, leg) in path.windows(2).enumerate() {
-        // Backwards is forwards from the other end.
+        // Driving backwards is driving forwards from the other end.
         let [from, to] = if backwards.contains(&number) {
             [leg[1], leg[0]]
         } else {
@@ -91,16 +90,16 @@ pub(super) fn is_drivable(
     true
 }
 
-/// Turns of this much and more: the shorter way round may be the other one, rad.
+/// From this turn on, the shorter way round may be the other one, rad.
 const HALF_TURN: f32 = 3.1;
 
-/// Whether the footprint stands free with a heading that the robot may begin with.
+/// Whether the footprint fits at a point with the heading, or with any of the sixteen if there is none.
 pub(super) fn can_stand(space: &ConfigurationSpace, at: Point2<f64>, heading: Option<f64>) -> bool {
     let stands = |yaw: f64| space.is_valid(Pose2::new(at.x, at.y, yaw));
     heading.map_or_else(|| (0..STEPS.len()).any(|i| stands(yaw_of(i))), stands)
 }
 
-/// A path that the true footprint can drive, corner by corner; `costs` as for the cells of the map.
+/// A path that the true footprint can drive, corner by corner; `costs` are those of the map's cells.
 pub(super) fn search(
     space: &ConfigurationSpace,
     costs: &impl CellCost,
@@ -116,22 +115,22 @@ pub(super) fn search(
     Searched { result, expansions }
 }
 
-/// A place and a heading.
+/// A place (position of the lattice) and a heading.
 type Node = u64;
 
 /// The best path known to a node.
 struct Reached {
     cost: u32,
-    /// The node before; a start's own number beyond [`STARTS`].
+    /// The previous node, or, from [`STARTS`] on, the number of a start.
     before: u64,
-    /// Turned since the place was come to, rad: robots turn the shorter way round.
+    /// Angle turned since the place was reached, rad: robots turn the shorter way round.
     turned: f32,
-    /// Whether the last step was one backwards.
+    /// Whether the last step was driven backwards.
     backwards: bool,
     closed: bool,
 }
 
-/// Nodes before the first ones are numbers of starts from here on.
+/// Values of `Reached::before` from here on are numbers of starts.
 const STARTS: u64 = 1 << 63;
 
 /// Hashes a node: one multiplication, its high bits first.
@@ -154,7 +153,7 @@ impl Hasher for NodeHasher {
     }
 }
 
-/// A place and heading takes as long as so many cells of a search.
+/// Expanding a node takes as long as expanding this many cells of a grid search.
 const CELLS_A_NODE: u64 = 16;
 
 fn expand(
@@ -184,7 +183,7 @@ fn expand(
     let node = |(x, y): (i64, i64), heading: usize| ((y * masks.width + x) as u64) << 4 | heading as u64;
     let mut reached: HashMap<Node, Reached, BuildHasherDefault<NodeHasher>> = HashMap::default();
     let mut open: BinaryHeap<Reverse<(u32, Node)>> = BinaryHeap::new();
-    // Whole numbers to the end: the same order everywhere.
+    // Integers throughout: the same order on every platform.
     let weight = (settings.heuristic_weight * 256.0) as u64;
     let estimate = |cost: u32, left: u32| {
         let left = (u64::from(left) * weight) >> 8;
@@ -209,7 +208,7 @@ fn expand(
         }
     }
     let mut nodes = 0;
-    // So that the budget's flag is looked at now and then.
+    // Multiples only, so that the budget checks its flag regularly.
     *expansions = expansions.next_multiple_of(CELLS_A_NODE);
     let turn_cost = (settings.turn_cost / spec.resolution * UNIT) as u32;
     let cusp_cost = settings.cusp_cost / spec.resolution;
@@ -261,7 +260,7 @@ fn expand(
             } else {
                 (place.0 + x, place.1 + y)
             };
-            // Backwards is forwards from the other end.
+            // Driving backwards is driving forwards from the other end.
             let (from, until) = if backwards { (to, place) } else { (place, to) };
             if masks.contains(to) && masks.can_step(from, until, heading) {
                 let extra = f64::from(costs.extra(masks.cell(to))) / f64::from(PARTS);
@@ -284,20 +283,20 @@ fn expand(
     Err(NotFound::NoPath)
 }
 
-/// How a search begins: at a place with a heading, after a few straight legs from the start.
+/// Beginning of a search: a place with a heading, reached by a few straight legs from the start.
 struct Start {
     corners: Vec<Point2<f64>>,
     /// Whether the first leg is driven backwards.
     backwards: bool,
-    /// Of the legs, m.
+    /// Cost of the legs, m.
     cost: f64,
     place: (i64, i64),
     heading: usize,
-    /// Turned at the place into the heading, rad.
+    /// Turn at the place into the heading, rad.
     turned: f64,
 }
 
-/// Every place beside the start, or straight on from it or straight back, where the robot can turn to a heading.
+/// All places beside the start, or straight ahead of or behind it, where the robot can turn to a heading of the lattice.
 fn starts(masks: &FootprintMasks<'_>, query: &Query, settings: &Se2Settings) -> Vec<Start> {
     let mut starts = Vec::new();
     match query.heading {
@@ -330,7 +329,7 @@ fn starts_with(
         if i > 0 && (space.leg_clearance(start, from, MARGIN) < MARGIN || !space.is_permitted_between(start, from)) {
             break;
         }
-        // Places beside the line ahead take a small turn only.
+        // Places beside the line ahead, for which a small turn is enough.
         for leg in [0.0, FAR.min(10.0 * spacing), FAR] {
             let near = from + ahead * leg;
             starts_beside(masks, (start, heading), from, near, (way, false), starts);
@@ -339,7 +338,7 @@ fn starts_with(
             break;
         }
     }
-    // One that cannot turn where it stands may have to back out, whichever way its lane runs.
+    // A robot that cannot turn round at the start may have to back out, whichever way its lane runs.
     if masks.can_turn_round(masks.nearest(spec.to_cells(start))) {
         return;
     }
@@ -354,8 +353,8 @@ fn starts_with(
     }
 }
 
-/// The places around `near` that a robot turns and goes to straight, once it has come from the start to `from`: at which cost (m), and whether
-/// backwards.
+/// The places around `near` that a robot can reach by a turn at `from` and a straight leg. `cost` (m) and `backwards` describe the leg
+/// from the start to `from`.
 fn starts_beside(
     masks: &FootprintMasks<'_>,
     (start, heading): (Point2<f64>, f64),
@@ -386,7 +385,7 @@ fn starts_beside(
         };
         for into in 0..STEPS.len() {
             let turned = wrap_angle(yaw_of(into) - along);
-            // What is farther off comes by turns from heading to heading.
+            // Larger turns are made of turns from heading to heading.
             if turned.abs() < 0.5 && space.turn_is_free(to, along, yaw_of(into)) {
                 starts.push(Start {
                     corners: corners.clone(),
@@ -401,7 +400,7 @@ fn starts_beside(
     }
 }
 
-/// The place within the query's tolerance that has the most room, if it is not the goal: the robot comes to it at more angles.
+/// The place within the query's tolerance with the most clearance, if it has more than the goal: the robot can reach it at more angles.
 fn roomiest_end(space: &ConfigurationSpace, query: &Query) -> Option<Point2<f64>> {
     let around = (0..ENDS).map(|i| {
         let (sin, cos) = (f64::from(i) * std::f64::consts::TAU / f64::from(ENDS)).sin_cos();
@@ -411,7 +410,7 @@ fn roomiest_end(space: &ConfigurationSpace, query: &Query) -> Option<Point2<f64>
     (space.clearance(roomiest) > space.clearance(query.goal)).then_some(roomiest)
 }
 
-/// Whether an end of a path is at a place that was come to with a heading (rad), or a last turn and a last leg away.
+/// Whether an end of the path lies at a place that was reached with a heading (rad), or one turn and one leg away.
 fn arrives(masks: &FootprintMasks<'_>, place: (i64, i64), heading: f64, to: Point2<f64>) -> bool {
     let space = masks.space;
     let spec = space.spec();
@@ -422,7 +421,7 @@ fn arrives(masks: &FootprintMasks<'_>, place: (i64, i64), heading: f64, to: Poin
     }
     let is_beside = leg.amax() < 1.01 * masks.spacing * spec.resolution;
     let turn = wrap_angle(leg.y.atan2(leg.x) - heading).abs();
-    // From farther away with a small turn only.
+    // From farther away only with a small turn.
     if !is_beside && (leg.norm() > FAR || turn > 0.2) {
         return false;
     }
@@ -431,7 +430,7 @@ fn arrives(masks: &FootprintMasks<'_>, place: (i64, i64), heading: f64, to: Poin
         && space.turn_is_free(from, heading, leg.y.atan2(leg.x))
 }
 
-/// The path to a node, and on to the goal.
+/// The path to a node, and on to the end.
 fn trace<S>(
     masks: &FootprintMasks<'_>,
     reached: &HashMap<Node, Reached, S>,
@@ -443,7 +442,7 @@ where
     S: std::hash::BuildHasher,
 {
     let spec = masks.space.spec();
-    // Each with whether the leg to it is driven backwards.
+    // Each point with whether the leg to it is driven backwards.
     let mut points = vec![(end, false)];
     let mut at = last;
     loop {

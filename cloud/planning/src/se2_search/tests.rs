@@ -1,4 +1,4 @@
-//! Claims about paths for robots that are longer than wide.
+//! Tests of paths for robots that are longer than wide.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use proptest::prelude::*;
@@ -9,13 +9,13 @@ use super::*;
 use crate::cell_cost::Uniform;
 use zenav_space::UnknownPolicy;
 
-/// 0.8 m long, 0.3 m wide, the base at a third of its length.
+/// 0.8 m long, 0.3 m wide; the base is off the middle.
 fn long() -> Footprint {
     let outline = [(-0.5, -0.15), (0.3, -0.15), (0.3, 0.15), (-0.5, 0.15)];
     Footprint::Polygon(outline.iter().map(|(x, y)| Point2::new(*x, *y)).collect())
 }
 
-/// A room of 6 m by 4 m, 5 cm cells, of which `is_wall` says where the walls are (m).
+/// A room of 6 m by 4 m with 5 cm cells; `is_wall` gives the walls (m).
 fn room(is_wall: impl Fn(f64, f64) -> bool) -> OccupancyGrid {
     zenav_fixtures::walled_room(zenav_fixtures::spec(120, 80, 0.05), |at| is_wall(at.x, at.y))
 }

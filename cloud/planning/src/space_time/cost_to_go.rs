@@ -1,4 +1,4 @@
-//! Cost to go. The time to the goal among static obstacles, from every place of the coarse grid that a search may need.
+//! Cost to go. The time to the goal among static obstacles, from every position that a search may need.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -8,11 +8,11 @@ use rustc_hash::FxHashMap;
 use super::super::budget::Budget;
 use super::{CoarseGrid, STEPS};
 
-/// Ticks to the goal, by place.
+/// Ticks to the goal, by position.
 pub(super) struct CostToGo(FxHashMap<(i32, i32), u32>);
 
 impl CostToGo {
-    /// Dijkstra from the goal until the start is reached, and for `slack` ticks beyond. `None` where the start cannot be reached.
+    /// Dijkstra from the goal until the start is reached, and for `slack` ticks beyond. `None` if the start cannot be reached.
     pub(super) fn new(
         grid: &CoarseGrid<'_>,
         goal: (i32, i32),
@@ -53,7 +53,7 @@ impl CostToGo {
         ticks.contains_key(&start).then_some(Self(ticks))
     }
 
-    /// Ticks from a place to the goal; `None` where the search need not go.
+    /// Ticks from a position to the goal; `None` for positions that the search does not need.
     pub(super) fn at(&self, place: (i32, i32)) -> Option<u32> {
         self.0.get(&place).copied()
     }

@@ -1,12 +1,12 @@
 //! Space-time search. A path past robots whose courses are known, with the time of arrival.
 //!
 //! A* over positions and times on a coarse grid, on which waiting is a move (Silver, "Cooperative pathfinding", AIIDE 2005). The robot is the
-//! disc around its footprint and moves at one speed. A place counts as taken from some time before another robot's disc comes near until some
-//! time after it has left; it may be crossed at a cost, so a robot that already stands in somebody's way gets out of it. A course that has
-//! ended takes no place any more. The cost to go is the time among static obstacles alone, exact on the same grid.
+//! disc around its footprint and moves at one speed. A place is taken from some time before another robot's disc comes near until some time
+//! after it has left. A taken place may be crossed at a cost, so a robot that already stands in the way of another one gets out of it. After
+//! the end of a course nothing is taken. The cost to go is the time among static obstacles alone, exact on the same grid.
 //!
-//! The path is then pulled taut between discs that stand for the other robots where the robot meets them ([`SpaceTimePath::meets`]), so it
-//! stays on the side of each that the search chose.
+//! [`SpaceTimePath::meets`] marks where the other robots are when this one passes them. A path that is pulled taut among these discs
+//! ([`pulled`]) stays on the side of each robot that the search chose.
 
 mod cost_to_go;
 
@@ -37,14 +37,14 @@ const STEPS: [(i32, i32, u32); 8] = [
     (-1, 1, DIAGONAL),
     (-1, -1, DIAGONAL),
 ];
-/// A meeting is looked for this far around the path, beyond what is kept, m.
+/// Other robots are marked up to this far beyond the distance kept from them, m.
 const BESIDE: f64 = 1.0;
-/// Spacing of the discs that stand for a robot on its course, m.
+/// Spacing of the discs that mark a robot on its course, m.
 const SPACING: f64 = 0.1;
-/// Corners of the path are moved by this much at the least, cells.
+/// Least distance by which string pulling moves a corner, cells.
 const FINEST: f64 = 0.5;
 
-/// From where to where, how fast, and whom to give way to.
+/// Start, goal, speed, and the robots to give way to.
 #[derive(Clone, Copy, Debug)]
 pub struct SpaceTimeQuery<'a> {
     /// Map frame.
@@ -55,14 +55,14 @@ pub struct SpaceTimeQuery<'a> {
     pub speed: f64,
     /// Radius of the disc around the footprint, m.
     pub radius: f64,
-    /// Robots with right of way.
+    /// Courses of the robots with right of way.
     pub courses: &'a [KnownCourse],
 }
 
 /// A path in space and time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SpaceTimePath {
-    /// When the robot is where, s from the start, map frame.
+    /// Times, s from the start, and positions, map frame.
     pub places: Vec<(f64, Point2<f64>)>,
     /// Time that the robot waits on the way, s.
     pub waits: f64,
@@ -73,14 +73,14 @@ pub struct SpaceTimePath {
 }
 
 impl SpaceTimePath {
-    /// When the robot is at the goal, s.
+    /// Time of arrival at the goal, s.
     #[must_use]
     pub fn arrival(&self) -> f64 {
         self.places.last().map_or(0.0, |(secs, _)| *secs)
     }
 
-    /// Discs, center and radius (m), that the other robots take while this one passes them. None of them reaches the path itself, less
-    /// than `kept` m beside it.
+    /// Discs, center and radius (m), that the other robots occupy while this one passes them. Each leaves room for this robot's own disc on
+    /// the path, and `kept` m beside it.
     #[must_use]
     pub fn meets(
         &self,
@@ -111,7 +111,7 @@ impl SpaceTimePath {
     }
 }
 
-/// The corners of a path, pulled taut in a space of the same disc in which what it meets stands as an obstacle.
+/// The corners of a path, pulled taut in a space for the same disc in which [`SpaceTimePath::meets`] is occupied.
 #[must_use]
 pub fn pulled(space: &ConfigurationSpace, path: &SpaceTimePath) -> Vec<Point2<f64>> {
     let spec = space.spec();
@@ -121,7 +121,7 @@ pub fn pulled(space: &ConfigurationSpace, path: &SpaceTimePath) -> Vec<Point2<f6
     corners.into_iter().map(|corner| spec.from_cells(corner)).collect()
 }
 
-/// Distance of a point from a line of straight pieces, m.
+/// Distance of a point from a polyline, m.
 fn distance_to_line(point: Point2<f64>, line: &[Point2<f64>]) -> f64 {
     let first = line.first().map_or(f64::INFINITY, |at| (at - point).norm());
     let pieces = line.windows(2).map(|leg| distance_to_leg(point, leg[0], leg[1]));
@@ -134,7 +134,7 @@ fn distance_to_leg(point: Point2<f64>, from: Point2<f64>, to: Point2<f64>) -> f6
     (from + along * share.clamp(0.0, 1.0) - point).norm()
 }
 
-/// The pieces of a course within some time, s: straight, from place to place.
+/// The straight legs of a course between two times, s.
 fn pieces(course: &KnownCourse, from: f64, to: f64) -> impl Iterator<Item = (Point2<f64>, Point2<f64>)> + '_ {
     let at = |leg: &[zenav_protocol::messages::CoursePlace], secs: f64| {
         let (first, last) = (leg[0], leg[1]);
@@ -148,7 +148,7 @@ fn pieces(course: &KnownCourse, from: f64, to: f64) -> impl Iterator<Item = (Poi
         .map(move |leg| (at(leg, from), at(leg, to)))
 }
 
-/// Places of a course within some time, s, no farther apart than `spacing`, m.
+/// Positions on a course between two times, s, at most `spacing` m apart.
 fn positions(course: &KnownCourse, from: f64, to: f64, spacing: f64) -> impl Iterator<Item = Point2<f64>> + '_ {
     pieces(course, from, to).flat_map(move |(first, last)| {
         let count = ((last - first).norm() / spacing).ceil().max(1.0);
@@ -156,7 +156,7 @@ fn positions(course: &KnownCourse, from: f64, to: f64, spacing: f64) -> impl Ite
     })
 }
 
-/// Whether a place is taken by one of the robots at a time, s.
+/// Whether one of the robots takes a place at a time, s.
 fn is_taken(query: &SpaceTimeQuery<'_>, settings: &SpaceTimeSettings, place: Point2<f64>, secs: f64) -> bool {
     query.courses.iter().any(|course| {
         let near = query.radius + course.radius + settings.clearance;
@@ -165,21 +165,21 @@ fn is_taken(query: &SpaceTimeQuery<'_>, settings: &SpaceTimeSettings, place: Poi
     })
 }
 
-/// A node of the search: where, and in which slice of time.
+/// A node of the search: column, row, and time slice.
 type Node = (i32, i32, u32);
 
 /// How a node was reached.
 #[derive(Clone, Copy, Debug)]
 struct Reached {
     from: Option<Node>,
-    /// Ticks from the start, and of those the ones in somebody's way.
+    /// Ticks from the start, and how many of them were in the way of another robot.
     ticks: u32,
     taken: u32,
     cost: u32,
 }
 
-/// The path that arrives first, with the time on other robots' ways counted several times. `None` where no path is free of static obstacles on
-/// the coarse grid, or the budget is used up. `space`: of the disc around the footprint.
+/// The path that costs least: time of arrival, plus a penalty for time in the way of other robots. `None` if no path on the coarse grid is
+/// free of static obstacles, or the budget is spent. `space`: for the disc around the footprint.
 #[must_use]
 pub fn search(
     space: &ConfigurationSpace,
@@ -282,7 +282,7 @@ fn found(
     }
 }
 
-/// Places some distance apart, counted from the start of the search.
+/// A grid of positions around the start of the search.
 struct CoarseGrid<'a> {
     space: &'a ConfigurationSpace,
     origin: Point2<f64>,
@@ -306,7 +306,7 @@ impl<'a> CoarseGrid<'a> {
         (off.x.round() as i32, off.y.round() as i32)
     }
 
-    /// Whether the robot can move straight between two nodes.
+    /// Whether the robot can move straight between two positions.
     fn is_free(&self, from_x: i32, from_y: i32, to_x: i32, to_y: i32) -> bool {
         let spec = self.space.spec();
         let [from, to] = [(from_x, from_y), (to_x, to_y)].map(|node| spec.to_cells(self.point(node)));

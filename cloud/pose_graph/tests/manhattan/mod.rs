@@ -1,4 +1,4 @@
-//! Manhattan graphs. Which seeded graphs do tests, benches and the example share?
+//! Manhattan graphs. Seeded graphs shared by tests, benches and the example.
 
 #![allow(
     dead_code,
@@ -17,7 +17,7 @@ use zenav_protocol::geometry::Pose2;
 pub const SIGMA: [f64; 3] = [0.05, 0.05, 0.02];
 /// Steps between two corners of the streets.
 const BLOCK: usize = 4;
-/// Closures join nodes that are nearer than this, m.
+/// Closures connect nodes closer than this, m.
 const NEAR: f64 = 0.5;
 
 /// The inverse of the covariance of all measurements.
@@ -34,7 +34,7 @@ fn noisy(pose: Pose2, random: &mut Pcg64Mcg) -> Pose2 {
 }
 
 /// A walk of `nodes` steps of 1 m through streets of 4 m within a square of 40 m: odometry, and a closure wherever a node comes within half
-/// a metre of an older one. Returns the graph, its nodes where odometry leads, and the true poses.
+/// a metre of an older one. Returns the graph, with its nodes at the poses by odometry, and the true poses.
 pub fn walk(nodes: usize, seed: u64) -> (PoseGraph, Vec<Pose2>) {
     let mut random = Pcg64Mcg::seed_from_u64(seed);
     let mut truth = vec![Pose2::IDENTITY];
@@ -81,7 +81,7 @@ pub fn walk(nodes: usize, seed: u64) -> (PoseGraph, Vec<Pose2>) {
     (graph, truth)
 }
 
-/// Adds false closures between drawn nodes, as many as there are closures times `share`; half of them claim a place within a metre.
+/// Adds false closures between random nodes, as many as there are closures times `share`; half of them claim a place within a metre.
 pub fn add_false(graph: &mut PoseGraph, share: f64, seed: u64) {
     let mut random = Pcg64Mcg::seed_from_u64(seed);
     let closures = graph.edges().iter().filter(|edge| edge.kind == EdgeKind::Closure);

@@ -1,4 +1,4 @@
-//! Join. How do two graphs become one?
+//! Join. Combines two graphs into one.
 
 use nalgebra::{Matrix3, Vector3};
 use zenav_pose_graph::{Edge, EdgeKind, GraphError};
@@ -7,15 +7,15 @@ use zenav_protocol::geometry::Pose2;
 use crate::closure::{Around, Seen, closure, seen_again};
 use crate::slam::Slam;
 
-/// How well the votes alone say where one map lies in the other, m and rad. This measurement is trusted and holds the graph together; the
-/// closures beside it are a hundred times as exact, and say where.
+/// Standard deviation of one map's pose in the other by votes alone, m and rad. This measurement is trusted and holds the graph together;
+/// the closures beside it are a hundred times as exact and determine the pose.
 const SIGMA: (f64, f64) = (0.5, 0.2);
-/// Scans that are seen again, of those that were looked for, at least. Many are not even where both maps are true: people stand about, and a
-/// submap knows a few metres.
+/// Least share of the scans looked for that are seen again. Many are not, even in true matches: people stand in the way, and a submap
+/// covers only a few metres.
 const SEEN_AGAIN: f64 = 0.05;
 
-/// Closures between the nodes of two maps: scans of `newer` that were seen again in submaps of `older`, as `older_from_newer` leads one to
-/// expect. Ends are indices in their own maps. Nothing where too few were.
+/// Closures between the nodes of two maps: scans of `newer` found again in submaps of `older`, near where `older_from_newer` predicts. Ends
+/// are indices in their own maps. Empty if too few were found.
 pub(crate) fn closures(older: &mut Slam, newer: &Slam, older_from_newer: Pose2) -> Vec<Edge> {
     let settings = older.settings;
     let limits = &settings.closure;
@@ -39,7 +39,7 @@ pub(crate) fn closures(older: &mut Slam, newer: &Slam, older_from_newer: Pose2) 
     found
 }
 
-/// One map of two: `newer`, which goes on, after `older`, with the closures between them.
+/// Joins two maps: `newer`, the current one, after `older`, with the closures between them.
 pub(crate) fn joined(older: Slam, newer: Slam, older_from_newer: Pose2, closures: &[Edge]) -> Result<Slam, GraphError> {
     let offset = older.scans.len();
     let mut back_end = older.back_end;

@@ -1,4 +1,4 @@
-//! Merge. Are two maps of one building, and how do they lie to each other?
+//! Merge. Decides whether two maps show one building, and joins them.
 
 use thiserror::Error;
 use zenav_pose_graph::{EdgeKind, RobustSolution};
@@ -10,23 +10,23 @@ use super::vote::{Count, count};
 use crate::slam::Slam;
 use crate::step::SlamError;
 
-/// Searches, at most; submaps evenly out of all.
+/// Most searches; submaps are picked evenly.
 const SEARCHES: usize = 20;
-/// Searches that agree, at least.
+/// Least number of searches that agree.
 const VOTES: usize = 3;
-/// Share of the scans whose beams pass through the other map's walls, at most: more is another building.
+/// Largest share of scans whose beams pass through the other map's walls: more means another building.
 const CONTRADICTING: f64 = 0.2;
-/// A scan contradicts where this share of its beams passes through walls: people and open doors are less.
+/// A scan contradicts if this share of its beams passes through walls: people and open doors cause less.
 const THROUGH_WALLS: f64 = 0.4;
-/// One scan of so many is judged.
+/// One scan in this many is judged.
 const JUDGED: usize = 5;
-/// Share of the closures between the maps that agree with everything else, at least.
+/// Least share of the closures between the maps that agree with everything else.
 const KEPT: f64 = 0.6;
 
 /// Why two maps were not merged.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum MergeError {
-    /// They see nothing alike, or too little: drive through a place that both know.
+    /// The maps share no place, or too little of one: drive through a place that both know.
     #[error("no common place was found: {votes} of {searches} searches agree on a place, expected at least {VOTES}")]
     NoCommonPlace {
         /// Searches that agree.
@@ -34,7 +34,7 @@ pub enum MergeError {
         /// All searches.
         searches: usize,
     },
-    /// Rooms or floors that look alike: drive where they differ.
+    /// Rooms or floors look alike: drive where they differ.
     #[error("two alignments explain it as well: {best} searches agree on one, {second} on another")]
     Ambiguous {
         /// Searches that agree on the best alignment.
@@ -42,7 +42,7 @@ pub enum MergeError {
         /// Searches that agree on the second best.
         second: usize,
     },
-    /// A place looks alike, the rest does not: two buildings, or one that was rebuilt.
+    /// One place looks alike, the rest does not: two buildings, or one that was rebuilt.
     #[error(
         "the maps contradict each other where they lie best: {share:.0} % of the scans look through walls of the other map"
     )]
@@ -58,7 +58,7 @@ pub enum MergeError {
         /// All closures between the maps.
         found: usize,
     },
-    /// A session that was not located is no part of its map yet: let it drive on.
+    /// A session that has not been located is not part of its map yet: let it drive on.
     #[error("expected maps in which every session was located")]
     Unlocated,
     /// The merged graph has no solution.
@@ -66,21 +66,21 @@ pub enum MergeError {
     Slam(#[from] SlamError),
 }
 
-/// One map of two sessions' maps, in the frame of the first, finished and solved. Nothing need be known of how they lie to each other.
+/// Merges two sessions' maps into one, in the frame of the first, finished and solved. Their relative pose need not be known.
 ///
-/// Submaps of `b` are searched for in all of `a`. They are merged where at least three searches agree on one alignment, no other has more
-/// than half of its votes, at most a fifth of the scans of either contradicts the other map, and closures between single scans and submaps
-/// hold in the robust solution.
+/// Submaps of `b` are searched for in all of `a`. The maps are merged if at least three searches agree on one alignment, no other alignment
+/// has more than half of its votes, at most a fifth of the scans of either map contradict the other, and closures between single scans and
+/// submaps hold in the robust solution.
 ///
 /// # Errors
-/// See [`MergeError`]: where it is not sure, nothing is merged.
+/// See [`MergeError`]: unless the result is certain, nothing is merged.
 pub fn merge(mut a: Slam, b: Slam) -> Result<(Slam, RobustSolution), MergeError> {
     if !a.is_located() || !b.is_located() {
         return Err(MergeError::Unlocated);
     }
     let overview = Overview::new(&a);
     let step = b.submaps.len().div_ceil(SEARCHES).max(2);
-    // Neighbouring submaps share half of their scans: every second one speaks for itself.
+    // Neighbouring submaps share half of their scans; every second one is independent.
     let searches: Vec<_> = b
         .submaps
         .iter()
@@ -126,7 +126,7 @@ pub fn merge(mut a: Slam, b: Slam) -> Result<(Slam, RobustSolution), MergeError>
     Ok((merged, solved))
 }
 
-/// Share of the scans of a map, of those near another one, that look through walls of that.
+/// Share of the scans near another map whose beams pass through that map's walls.
 fn contradicting(map: &Slam, other: &Slam, map_from_other: Pose2) -> f64 {
     let nodes = (0..other.scans.len()).step_by(JUDGED);
     let verdicts: Vec<f64> = nodes

@@ -1,4 +1,4 @@
-//! Overview. Where in the whole of a map does something fit?
+//! Overview. Searches the whole of a map for a submap of another one.
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, wrap_angle};
@@ -10,34 +10,34 @@ use crate::settings::SlamSettings;
 use crate::slam::Slam;
 use crate::submap::{Submap, thinned};
 
-/// Levels of the pyramid: blocks of 512 cells. Points far out are looked up some levels above the rest.
+/// Levels of the pyramid: blocks of 512 cells. Distant points are looked up some levels higher than the rest.
 const LEVELS: u32 = 9;
-/// Points of a submap that are searched for.
+/// Points of a submap used for the search.
 const POINTS: usize = 100;
-/// Points nearer to each other than this, m, are one: what was looked at for long counts no more than the rest.
+/// Points closer than this, m, are merged: places looked at for long count no more than the rest.
 const SPACING: f64 = 0.15;
-/// A robot that sees the same as an older one did stands no farther from where that stood, m.
+/// A robot that sees the same as an earlier one stands within this distance of the earlier trajectory, m.
 const FROM_THE_WAY: f64 = 2.5;
-/// Points farther from the middle of the submap than this, m, are not searched for: a small turn moves them far.
+/// Points farther from the submap's middle than this, m, are not used: a small turn moves them far.
 const REACH: f64 = 10.0;
-/// Headings are tried on steps by which points so far out, m, move a cell.
+/// Step of the headings: a point this far out, m, moves by one cell.
 const LEVER: f64 = 4.0;
-/// Places that score this much less than the best one are asked too: moved furniture may cost the right one so much.
+/// Places within this much of the best score are checked too: moved furniture may cost the right place that much.
 const WITHIN: f64 = 0.08;
-/// Places that are asked, at most.
+/// Most places checked.
 const PLACES: usize = 12;
-/// Places nearer than this, m and rad, are one.
+/// Places closer than this, m and rad, count as one.
 const APART: (f64, f64) = (0.5, 0.3);
-/// Least score of a place: the whole of a map has seen most of what is there.
+/// Least score of a place: the whole map has seen most of what is there.
 const MIN_SCORE: f64 = 0.8;
-/// Share of a submap's beams through walls, at most: doors open and close between two days.
+/// Largest share of a submap's beams through walls: doors open and close between two days.
 const THROUGH_WALLS: f64 = 0.25;
 /// Blocks that one search may score.
 const BUDGET: usize = 12_000_000;
-/// Scans of a submap that are judged, one of so many.
+/// One scan of a submap in this many is judged.
 const JUDGED: usize = 4;
 
-/// All of a map in one field.
+/// The whole of a map in one field.
 #[derive(Clone, Debug)]
 pub(crate) struct Overview {
     pyramid: Pyramid,
@@ -47,14 +47,14 @@ pub(crate) struct Overview {
 }
 
 impl Overview {
-    /// The overview of all nodes of a map, where they lie now.
+    /// The overview of all nodes of a map, at their present poses.
     pub(crate) fn new(slam: &Slam) -> Self {
         let mut field = LikelihoodField::new(&slam.settings.field);
         for (pose, scan) in slam.nodes().iter().zip(&slam.scans) {
             field.insert(*pose, scan);
         }
         let places = near(slam.nodes(), field.spec());
-        // As many values as cells: they were made so.
+        // Cannot fail: there is one value for each cell.
         let places = LikelihoodField::from_values(*field.spec(), places).unwrap_or_else(|| field.clone());
         Self {
             pyramid: Pyramid::new(field, LEVELS),
@@ -63,8 +63,8 @@ impl Overview {
         }
     }
 
-    /// The places in this map from which a submap of another one may have been seen, as `map_from_other`; nothing where the search was cut
-    /// short. `around`: where it is expected, with how far it may be off, m and rad.
+    /// Places in this map from which a submap of another map may have been seen, as `map_from_other`; empty if the search was cut short.
+    /// `around`: the expected place and its possible error, m and rad.
     pub(crate) fn places(
         &self,
         map: &Slam,
@@ -141,7 +141,7 @@ impl Overview {
             let pose = map_from_other * other.nodes()[node];
             let (laser, scan) = (other.laser_of(node), &other.scans[node]);
             sum.explained += judge(self.pyramid.field(), laser, scan, pose, &self.settings.verdict).explained;
-            // Everything that ever stood or went somewhere is in the whole map: what is a wall says a submap.
+            // The whole map contains everything that ever stood or moved somewhere, so walls are taken from a submap.
             let around = verdict(map, other, node, map_from_other);
             sum.through_walls += around.map_or(1.0, |verdict| verdict.through_walls);
             count += 1.0;
@@ -153,7 +153,7 @@ impl Overview {
     }
 }
 
-/// The verdict of the nearest submap of a map on a node of another one; `None` where there is none near.
+/// The verdict of a map's nearest submap on a node of another map; `None` if there is none near.
 pub(crate) fn verdict(map: &Slam, other: &Slam, node: usize, map_from_other: Pose2) -> Option<Verdict> {
     let map_from_node = map_from_other * other.nodes()[node];
     let submap = &map.submaps[map.nearest_submap(map_from_node)?];
@@ -166,7 +166,7 @@ pub(crate) fn verdict(map: &Slam, other: &Slam, node: usize, map_from_other: Pos
     ))
 }
 
-/// The points of a submap about its middle node, in the frame of that, no two close together.
+/// The points of a submap around its middle node, in that node's frame, no two close together.
 fn gathered(slam: &Slam, submap: &Submap) -> Vec<Point2<f64>> {
     let cell = |point: &Point2<f64>| ((point.x / SPACING).floor() as i64, (point.y / SPACING).floor() as i64);
     let middle_from_map = slam.nodes()[submap.middle()].inverse();
@@ -177,19 +177,19 @@ fn gathered(slam: &Slam, submap: &Submap) -> Vec<Point2<f64>> {
     });
     let near = placed.filter(|point| point.coords.norm() <= REACH);
     let mut points: Vec<((i64, i64), Point2<f64>)> = near.map(|point| (cell(&point), point)).collect();
-    // The first of each cell, and the cells in an order of their own.
+    // The first point of each cell; sorting makes the order of cells deterministic.
     points.sort_by_key(|(cell, _)| *cell);
     points.dedup_by_key(|(cell, _)| *cell);
     points.into_iter().map(|(_, point)| point).collect()
 }
 
-/// The cells near some of these poses.
+/// Marks the cells near any of these poses.
 fn near(poses: &[Pose2], spec: &GridSpec) -> Vec<u8> {
     let mut values = vec![0; spec.len()];
     let reach = (FROM_THE_WAY / spec.resolution) as i64;
     let mut before: Option<Pose2> = None;
     for pose in poses {
-        // Neighbours stand near each other.
+        // Skips poses close to the last one.
         if before.is_some_and(|before| before.distance(pose) < 0.1 * FROM_THE_WAY) {
             continue;
         }

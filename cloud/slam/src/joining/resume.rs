@@ -1,4 +1,4 @@
-//! Resume. Where in the older map does the session that goes on lie?
+//! Resume. Finds the pose of the present session in the older map.
 
 use nalgebra::{Matrix3, Point2, Vector3};
 use zenav_pose_graph::GraphError;
@@ -14,35 +14,36 @@ use crate::session::{laser_of, on_grid};
 use crate::slam::Slam;
 use crate::step::{Effects, SlamError};
 
-/// Searches that agree, at least, where no start is given.
+/// Least number of searches that agree when no start is given.
 const VOTES: usize = 2;
-/// How far a given start may be off, m and rad.
+/// Largest error of a given start, m and rad.
 const AROUND: (f64, f64) = (1.0, 0.5);
-/// The search about a start may score so many times as many blocks as that of a closure: its window is as much larger.
+/// Budget of the search around a start, in closure budgets: its window is that much larger.
 const BUDGET: usize = 4;
 
-/// The map of earlier sessions, in which this one was not found yet.
+/// The map of earlier sessions, in which the present one has not been found yet.
 #[derive(Clone, Debug)]
 pub(crate) struct Older {
     slam: Slam,
     overview: Overview,
-    /// Where the session begins, `older_from_session`, as far as somebody knows.
+    /// The session's pose, `older_from_session`, if it was given.
     start: Option<Pose2>,
-    /// What each search so far allows.
+    /// The places that each search so far allows.
     searches: Vec<Vec<Vote>>,
 }
 
 impl Slam {
-    /// Begins the next session in this map: another drive, with odometry that begins anew, somewhere in the same building.
+    /// Begins the next session in this map: another drive, with fresh odometry, somewhere in the same building.
     ///
-    /// `start`: `map_from_base` at its first scan to within 1 m and 0.5 rad, where somebody knows. Without it the whole map is searched, twice
-    /// for each submap that the session sees: it is found where two searches agree on a place and no other place has as many, its scans are
-    /// explained, and its beams pass through no walls. Until then the session is a map of its own, and [`Self::is_located`] is false:
-    /// [`Self::trajectory`], [`Self::graph`], [`Self::nodes`] and what [`Self::finish`] certifies are the session's alone, in the frame of its
-    /// first scan. When it is found, [`Effects::moved`](crate::Effects::moved) leads from that frame into the map's, and both are one graph.
+    /// `start`: `map_from_base` at its first scan to within 1 m and 0.5 rad, if known. Without it the whole map is searched each time the
+    /// session begins a submap. The session is found where two searches agree on a place, no other place has more than half as many votes,
+    /// its scans are explained, and its beams pass through no walls. Until then the session is a map of its own, and [`Self::is_located`]
+    /// is false: [`Self::trajectory`], [`Self::graph`], [`Self::nodes`] and the certificate of [`Self::finish`] cover the session alone, in
+    /// the frame of its first scan. When it is found, [`Effects::moved`](crate::Effects::moved) leads from that frame into the map's, and
+    /// both become one graph.
     #[must_use]
     pub fn begin_session(mut self, start: Option<Pose2>) -> Self {
-        // They were placed by the finish of their session.
+        // The finish of their session has placed them.
         for stand in &mut self.stands {
             stand.points = Vec::new();
         }
@@ -68,8 +69,8 @@ impl Slam {
         }
     }
 
-    /// The map that goes on where the robot was carried to: `map_from_base` at this scan, to within 1 m and 0.5 rad. The drive from there is a
-    /// session of its own, joined to the others at once. `None` where the scan does not say that this is the place.
+    /// Continues where the robot was carried to: `map_from_base` at this scan, to within 1 m and 0.5 rad. The drive from there is a new
+    /// session, joined to the others at once. `None` if the scan does not confirm the place.
     ///
     /// # Errors
     /// As [`Self::step`].
@@ -77,7 +78,7 @@ impl Slam {
         if self.scans.is_empty() || !self.is_located() || !self.is_seen_from(map_from_base, scan) {
             return Ok(None);
         }
-        // As well as a closure is known.
+        // The certainty of a closure.
         let front = &self.settings.front;
         let variance = Vector3::new(front.floor, front.floor, front.floor_turn).map(|sigma| (DOUBT * sigma).powi(2));
         let mut odometry = self.odometry;
@@ -90,7 +91,7 @@ impl Slam {
         };
         let mut slam = session.in_older(self.clone(), Some(map_from_base));
         let effects = slam.step(scan)?;
-        // Nobody was told of the frame that the session began in.
+        // The session's first frame was never published.
         let effects = Effects {
             moved: None,
             covariance: Some(Matrix3::from_diagonal(&variance)),
@@ -99,19 +100,19 @@ impl Slam {
         Ok(slam.is_located().then_some((slam, effects)))
     }
 
-    /// Whether the session that goes on was found in the map that it began in; true for the first one.
+    /// Whether the present session has been found in the map it began in; true for the first session.
     #[must_use]
     pub fn is_located(&self) -> bool {
         self.older.is_none()
     }
 
-    /// How many nodes come from each session, in their order: those of one follow each other.
+    /// Number of nodes of each session, in order; nodes of one session are consecutive.
     #[must_use]
     pub fn sessions(&self) -> Vec<usize> {
         self.sessions.iter().map(|session| session.nodes).collect()
     }
 
-    /// Where the beams of a node's scan begin, in the frame of its base, m.
+    /// Origin of the beams of a node's scan in the base frame, m.
     #[must_use]
     pub fn laser_of(&self, node: usize) -> Point2<f64> {
         laser_of(&self.sessions, node)
@@ -119,7 +120,7 @@ impl Slam {
 }
 
 impl Slam {
-    /// Whether the submap about a pose has seen what a scan sees, to within as much as a start may be off.
+    /// Whether the submap around a pose has seen what a scan sees, within the error allowed for a start.
     fn is_seen_from(&self, map_from_base: Pose2, scan: &Scan) -> bool {
         let Some(index) = self.nearest_submap(map_from_base).filter(|_| scan.is_sane()) else {
             return false;
@@ -137,7 +138,7 @@ impl Slam {
         matches!(seen, Seen::At(..))
     }
 
-    /// The submap whose middle lies nearest to a pose in the map, if one is near.
+    /// The submap whose middle is nearest to a pose in the map, if one is near.
     pub(crate) fn nearest_submap(&self, pose: Pose2) -> Option<usize> {
         let distances = self
             .submaps
@@ -148,13 +149,13 @@ impl Slam {
     }
 }
 
-/// Looks for the session in the older map, and joins both where it is found. `is_half`: whether the newest submap has just begun. Returns
+/// Searches for the session in the older map, and joins both when it is found. `is_half`: whether the newest submap has just begun. Returns
 /// how the session moved, `older_from_session`.
 pub(crate) fn locate(slam: &mut Slam, is_half: bool) -> Result<Option<Pose2>, GraphError> {
     let Some(mut older) = slam.older.take() else {
         return Ok(None);
     };
-    // A submap that has only begun says too little, but where it is known where to look.
+    // A submap that has only begun says too little, unless the place to search is known.
     let start = older.start.filter(|_| slam.submaps.len() < 2);
     if !is_half && start.is_none() {
         slam.older = Some(older);

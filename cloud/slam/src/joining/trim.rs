@@ -1,4 +1,4 @@
-//! Trim. Which submaps are no longer needed, because newer ones show the same?
+//! Trim. Drops submaps whose content newer ones show again.
 
 use std::collections::BTreeSet;
 
@@ -9,28 +9,29 @@ use crate::back_end::BackEnd;
 use crate::slam::Slam;
 use crate::submap::Submap;
 
-/// Side of the cells in which is asked what was seen, m.
+/// Cell size for comparing what was seen, m.
 const CELL: f64 = 0.5;
-/// What was seen from farther away than this, m, is not covered by that.
+/// Parts of a beam beyond this distance, m, cover nothing.
 const NEAR: f64 = 5.0;
-/// Share of what a submap saw that newer ones saw too, at least.
+/// Least share of a submap's cells that newer ones have seen too.
 const COVERED: f64 = 0.95;
 
 /// Cells that beams went through or ended in.
 type Seen = BTreeSet<(i64, i64)>;
 
 impl Slam {
-    /// Drops what newer sessions have seen again: a map of the same building does not grow with every session, and where furniture was moved
-    /// the newest scans say how it stands.
+    /// Drops what newer sessions have seen again: the map of a building does not grow with every session, and where furniture was moved the
+    /// newest scans count.
     ///
-    /// A submap of an earlier session goes where 95 % of the half-metre cells that its beams saw from within 5 m were seen from as near by
-    /// submaps that stay, all of them newer; with it go the nodes that are in no other submap, and their scans. What they measured between
-    /// nodes that stay is put together ([`zenav_pose_graph::composed_edges`]). The last session stays whole. Returns how many nodes went.
+    /// A submap of an earlier session is dropped if submaps that stay, all of them newer, have seen 95 % of the half-metre cells that its
+    /// beams saw from within 5 m, from as near. With it go the nodes that are in no other submap, and their scans. Measurements between
+    /// remaining nodes through dropped ones are composed ([`zenav_pose_graph::composed_edges`]). The last session stays whole. Returns the
+    /// number of dropped nodes.
     ///
-    /// Trim when a session is finished.
+    /// Call it when a session is finished.
     ///
     /// # Errors
-    /// A graph that cannot be put together; the map is as it was.
+    /// A graph that cannot be composed; the map is then unchanged.
     pub fn trim(&mut self) -> Result<usize, GraphError> {
         let session = self.session_start();
         let (mut seen, mut stays) = (Seen::new(), vec![false; self.submaps.len()]);
@@ -54,7 +55,7 @@ impl Slam {
         Ok(dropped)
     }
 
-    /// What a submap saw from near.
+    /// The cells that a submap saw from near.
     fn seen(&self, submap: &Submap) -> Seen {
         let mut seen = Seen::new();
         for node in submap.nodes() {
@@ -96,7 +97,7 @@ impl Slam {
         Ok(back_end)
     }
 
-    /// Drops scans, submaps and stands with the nodes that have no group.
+    /// Drops scans, submaps and stands of the nodes without a group.
     fn renumber(&mut self, groups: &[Option<usize>], stays: &[bool]) {
         let numbers = numbers(groups);
         let mut kept = groups.iter().map(Option::is_some);

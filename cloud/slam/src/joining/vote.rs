@@ -1,8 +1,9 @@
-//! Vote. Which place of one map in another do several searches agree on?
+//! Vote. Finds the place of one map in another that several searches agree on.
 
 use zenav_protocol::geometry::{Pose2, wrap_angle};
 
-/// Votes nearer than this, m and rad, where they were cast, agree; more by [`DRIFT`] for each metre between the places.
+/// Votes closer than this at the place where they were cast, m and rad, agree; the limit grows by [`DRIFT`] for each metre between these
+/// places.
 const AGREEING: (f64, f64) = (0.3, 0.1);
 /// How far a map may be bent over a distance, m/m.
 const DRIFT: f64 = 0.02;
@@ -10,7 +11,7 @@ const DRIFT: f64 = 0.02;
 /// A place that a search allows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Vote {
-    /// Where the other map lies.
+    /// Pose of the other map.
     pub(crate) map_from_other: Pose2,
     /// Where in this map the vote was cast.
     pub(crate) seen_from: Pose2,
@@ -18,18 +19,18 @@ pub(crate) struct Vote {
     pub(crate) explained: f64,
 }
 
-/// What the searches say together.
+/// The combined result of the searches.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Count {
-    /// The vote of the place with most votes that explains most.
+    /// The vote that explains most, of those for the place with most votes.
     pub(crate) best: Vote,
     /// Searches that allow that place.
     pub(crate) votes: usize,
-    /// Searches that allow the place with most votes beside it.
+    /// Searches that allow the runner-up.
     pub(crate) second: usize,
 }
 
-/// Counts the votes of searches, each of which may allow several places. `None` where none allows any.
+/// Counts the votes of searches, each of which may allow several places. `None` if none allows any.
 pub(crate) fn count(searches: &[Vec<Vote>]) -> Option<Count> {
     let votes_for = |place: &Vote| {
         let allows = |search: &&Vec<Vote>| search.iter().any(|vote| agree(vote, place));
@@ -50,7 +51,7 @@ pub(crate) fn count(searches: &[Vec<Vote>]) -> Option<Count> {
     })
 }
 
-/// Whether two votes mean one place: the other map lies alike there where they were cast.
+/// Whether two votes mean one place: they agree on the other map's pose where they were cast.
 fn agree(a: &Vote, b: &Vote) -> bool {
     let moved = a.map_from_other * b.map_from_other.inverse() * b.seen_from;
     let way = a.seen_from.distance(&b.seen_from);

@@ -1,4 +1,4 @@
-//! Content of a session. What of a map is kept, and what is made anew?
+//! Content of a session. What of a map is stored; the rest is recomputed.
 
 use std::sync::Arc;
 
@@ -21,7 +21,7 @@ use crate::submap::Submap;
 /// x, y (m), yaw (rad).
 type Row = [f64; 3];
 
-/// All of a map but what follows from the rest.
+/// Everything of a map that cannot be recomputed.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct Content {
     settings: SlamSettings,
@@ -48,16 +48,16 @@ pub(super) struct Content {
     counts: Counts,
 }
 
-/// An edge: its ends, the measurement, the upper triangle of the information, its weight, whether it is trusted, and whether it is a match of
-/// a finish.
+/// An edge: its ends, the measurement, the upper triangle of the information, its weight, whether it is trusted, and whether it is a match
+/// of a finish.
 #[derive(Debug, Serialize, Deserialize)]
 struct Measured(usize, usize, Row, [f64; 6], f64, bool, bool);
 
-/// A submap: its anchor, and where the scans from that on were inserted.
+/// A submap: its anchor, and where the scans from there on were inserted.
 #[derive(Debug, Serialize, Deserialize)]
 struct Drawn(usize, Vec<Row>);
 
-/// A scan: its time, a node, the pose in that node's frame, its points where it is no node.
+/// A scan: its time, a node, the pose in that node's frame, its points if it is not a node.
 #[derive(Debug, Serialize, Deserialize)]
 struct Stood(f64, usize, Row, Vec<i32>);
 
@@ -72,7 +72,7 @@ fn expected(what: &str) -> SessionError {
     SessionError::Content(what.to_owned())
 }
 
-/// A pose bit for bit as it was.
+/// A pose, restored bit for bit.
 fn pose([x, y, yaw]: Row) -> Result<Pose2, SessionError> {
     let pose = Pose2 { x, y, yaw };
     pose.is_finite()
@@ -86,7 +86,8 @@ fn finite(numbers: &[f64]) -> Result<(), SessionError> {
 }
 
 impl Content {
-    /// All but the points of the nodes' scans: they are most of it, and can be [packed](Self::with_scans) by somebody who has the time.
+    /// Everything but the points of the nodes' scans. These are the bulk and can be [packed](Self::with_scans) later, off the critical
+    /// path.
     pub(super) fn of(slam: &Slam) -> Self {
         let edge = |(edge, weight, is_final): (&Edge, f64, bool)| {
             let information = UPPER.map(|at| edge.information[at]);
@@ -236,7 +237,7 @@ impl Content {
         Ok(back_end)
     }
 
-    /// The submaps, their fields drawn as they were.
+    /// The submaps, with their fields redrawn.
     fn submaps(&self, scans: &[Arc<Vec<Point2<f64>>>]) -> Result<Vec<Submap>, SessionError> {
         let mut submaps = Vec::with_capacity(self.submaps.len());
         let mut least = 0;

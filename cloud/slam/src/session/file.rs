@@ -1,4 +1,4 @@
-//! Session file. Are these bytes a session, whole and of a known version?
+//! Session file. Encodes a session, and checks that bytes are a complete session of a known version.
 //!
 //! ```text
 //! bytes 0..8     zenavSLM
@@ -12,48 +12,48 @@ use thiserror::Error;
 
 use super::content::Content;
 
-/// How every session begins.
+/// First bytes of every session.
 const MAGIC: [u8; 8] = *b"zenavSLM";
 /// The version that is written, and the only one that is read.
 const VERSION: u32 = 3;
 const HEAD: usize = 24;
-/// Largest session, bytes: some hundred hours of a robot that drives.
+/// Largest session, bytes: some hundred hours of driving.
 pub const MOST_BYTES: usize = 1 << 30;
-/// Structures within structures, at most.
+/// Largest nesting depth of structures.
 const MAX_DEPTH: usize = 16;
 
-/// Why bytes are no session, or a map cannot be saved as one.
+/// Why bytes are not a session, or a map cannot be saved as one.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum SessionError {
-    /// Something else begins like this: give the file that `save` made.
+    /// Another kind of file: pass the one that `save` made.
     #[error("expected a SLAM session, which begins with `zenavSLM`")]
     Foreign,
-    /// Another version of zenav wrote it: read it with that one.
+    /// Written by another version of zenav: read it with that version.
     #[error("expected a session of version {VERSION}, found version {0}")]
     Version(u32),
-    /// The end is missing, or there is more: take the copy again.
+    /// The end is missing, or there are extra bytes: copy the file again.
     #[error("expected {expected} bytes, found {found}: the file was cut, or something was added")]
     Length {
-        /// By its head, bytes.
+        /// Length by its head, bytes.
         expected: u64,
-        /// What there is, bytes.
+        /// Length found, bytes.
         found: u64,
     },
-    /// It was damaged on the way: take the copy again.
+    /// The file was damaged: copy it again.
     #[error("the content does not fit its checksum: the file was damaged")]
     Checksum,
-    /// It is whole, but says what cannot be.
+    /// The file is intact, but its content is inconsistent.
     #[error("expected {0}")]
     Content(String),
     /// More than [`MOST_BYTES`].
     #[error("expected at most {MOST_BYTES} bytes, found {0}")]
     TooLarge(u64),
-    /// The session was not found in the map that it began in: there is no one map to save.
+    /// The session was not found in the map it began in, so there is no single map to save.
     #[error("the session was not located in the older map: there is no one map to save")]
     Unlocated,
 }
 
-/// The bytes of a session.
+/// Encodes a session.
 pub(super) fn written(content: &Content) -> Result<Vec<u8>, SessionError> {
     let mut bytes = vec![0; HEAD];
     ciborium::into_writer(content, &mut bytes).map_err(|error| SessionError::Content(error.to_string()))?;
@@ -69,7 +69,7 @@ pub(super) fn written(content: &Content) -> Result<Vec<u8>, SessionError> {
     Ok(bytes)
 }
 
-/// What is in the bytes of a session.
+/// Decodes the bytes of a session.
 pub(super) fn read(bytes: &[u8]) -> Result<Content, SessionError> {
     let found = bytes.len() as u64;
     if bytes.len() > MOST_BYTES {

@@ -1,16 +1,16 @@
-//! Grid of points. How are the points of a scan written down?
+//! Grid of points. Stores the points of a scan compactly.
 //!
-//! Points are taken in on a grid of 1 mm, a tenth of what a lidar can tell, so that a file of them loses nothing. Written is how far each lies
-//! from the one before: neighbours are near each other, and small numbers are short.
+//! Points are snapped to a grid of 1 mm when they are taken in, a tenth of a lidar's accuracy, so storing them loses nothing. Each point is
+//! written as its offset from the previous one: neighbours are close, and small numbers are short.
 
 use nalgebra::Point2;
 
-/// Steps of the grid in a metre.
+/// Grid steps per metre.
 const PER_METRE: f64 = 1000.0;
 /// Farthest coordinate, steps: 1 km.
 const FARTHEST: i32 = 1_000_000;
 
-/// Points moved onto the grid; those beyond its end are left out.
+/// Snaps points to the grid; those beyond its end are left out.
 pub(crate) fn on_grid(points: Vec<Point2<f64>>) -> Vec<Point2<f64>> {
     let steps = |value: f64| (value * PER_METRE).round();
     let is_inside = |point: &Point2<f64>| point.iter().all(|value| steps(*value).abs() <= f64::from(FARTHEST));
@@ -25,7 +25,7 @@ fn at(steps: i32) -> f64 {
     f64::from(steps) / PER_METRE
 }
 
-/// Points of the grid as steps from one to the next, x and y in turn.
+/// Points of the grid as offsets from one to the next, x and y in turn.
 pub(super) fn packed(points: &[Point2<f64>]) -> Vec<i32> {
     let mut before = [0; 2];
     let mut steps = Vec::with_capacity(2 * points.len());
@@ -37,7 +37,7 @@ pub(super) fn packed(points: &[Point2<f64>]) -> Vec<i32> {
     steps
 }
 
-/// What [`packed`] made these of; `None` where they are not in pairs, or leave the grid.
+/// Inverse of [`packed`]; `None` if the numbers are not in pairs or leave the grid.
 pub(super) fn unpacked(steps: &[i32]) -> Option<Vec<Point2<f64>>> {
     let (pairs, rest) = steps.as_chunks::<2>();
     let mut now = [0_i32; 2];

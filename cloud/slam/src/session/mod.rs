@@ -1,13 +1,13 @@
-//! Sessions. How does a map go on at another time?
+//! Sessions. Saves a map and continues it later.
 //!
-//! A session is a drive with one chain of odometry. [`Slam::save`] makes bytes of all sessions so far, [`Slam::load`] a map of these,
-//! [`Slam::begin_session`] begins the next one in it.
+//! A session is a drive with one chain of odometry. [`Slam::save`] encodes all sessions so far, [`Slam::load`] restores the map,
+//! [`Slam::begin_session`] begins the next session in it.
 //!
 //! | file | answers |
 //! |---|---|
-//! | `file` | are these bytes a session, whole and of a known version? |
-//! | `content` | what of a map is kept? |
-//! | `grid` | how are points written down? |
+//! | `file` | are these bytes a session, complete and of a known version? |
+//! | `content` | which data of a map is stored? |
+//! | `grid` | how are points stored? |
 
 mod content;
 mod file;
@@ -28,9 +28,9 @@ use crate::slam::Slam;
 /// A drive with one chain of odometry.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Session {
-    /// How many nodes come from it.
+    /// Number of its nodes.
     pub(crate) nodes: usize,
-    /// Where its beams begin, in the frame of the base, m.
+    /// Origin of its beams in the base frame, m.
     pub(crate) laser: Point2<f64>,
 }
 
@@ -43,7 +43,7 @@ impl Default for Session {
     }
 }
 
-/// Where the beams of a node's scan begin, in the frame of its base, m.
+/// Origin of the beams of a node's scan in the base frame, m.
 pub(crate) fn laser_of(sessions: &[Session], node: usize) -> Point2<f64> {
     let mut end = 0;
     let session = sessions.iter().find(|session| {
@@ -53,7 +53,7 @@ pub(crate) fn laser_of(sessions: &[Session], node: usize) -> Point2<f64> {
     session.copied().unwrap_or_default().laser
 }
 
-/// A map as it was at a moment, to be made bytes beside what goes on.
+/// A map at one moment, for encoding in the background.
 #[derive(Debug)]
 pub struct Snapshot {
     content: Content,
@@ -61,7 +61,7 @@ pub struct Snapshot {
 }
 
 impl Snapshot {
-    /// What [`Slam::save`] would have made at that moment.
+    /// The bytes that [`Slam::save`] would have returned at that moment.
     ///
     /// # Errors
     /// [`SessionError::TooLarge`].
@@ -71,7 +71,7 @@ impl Snapshot {
 }
 
 impl Slam {
-    /// The map as it is now: poses and measurements are copied, points of scans are not.
+    /// The map as it is now: poses and measurements are copied, points of scans are shared.
     ///
     /// # Errors
     /// [`SessionError::Unlocated`], as [`Self::save`].
@@ -85,26 +85,26 @@ impl Slam {
         })
     }
 
-    /// The map as bytes, and all that is needed to go on as if it had never been away: poses, measurements with their weights, points of
-    /// scans on the grid of a millimetre that they were taken in on, submaps by what was inserted where, and what was learned of odometry.
+    /// The map as bytes, with everything needed to continue without a trace of the interruption: poses, measurements with their weights,
+    /// points of scans on their millimetre grid, where each scan was inserted into its submaps, and the learned odometry.
     ///
     /// # Errors
-    /// [`SessionError::Unlocated`] while the session was not found in the older map: save when [`Self::is_located`].
+    /// [`SessionError::Unlocated`] while the session has not been found in the older map: save when [`Self::is_located`].
     /// [`SessionError::TooLarge`].
     pub fn save(&self) -> Result<Vec<u8>, SessionError> {
         self.snapshot()?.into_bytes()
     }
 
-    /// The map that [`Self::save`] made these bytes of. Likelihood fields and surfels are made anew.
+    /// The map that [`Self::save`] encoded. Likelihood fields and surfels are recomputed.
     ///
     /// # Errors
-    /// See [`SessionError`]: never a part of a map.
+    /// See [`SessionError`]; a partial map is never returned.
     pub fn load(bytes: &[u8]) -> Result<Self, SessionError> {
         file::read(bytes)?.into_slam()
     }
 
-    /// The map that goes on with other settings than it was begun with: they hold for the scans to come. Points and poses stay as they are;
-    /// likelihood fields and surfels are made anew where that takes it.
+    /// The map with other settings, which apply to further scans. Points and poses stay as they are; likelihood fields and surfels are
+    /// recomputed if needed.
     #[must_use]
     pub fn with_settings(mut self, settings: SlamSettings) -> Self {
         let was = std::mem::replace(&mut self.settings, settings);
@@ -114,7 +114,7 @@ impl Slam {
             }
         }
         if (was.field, was.scan, was.refine) != (settings.field, settings.scan, settings.refine) {
-            // Scores are others from now on.
+            // Scores change with these settings.
             self.usual = 0.0;
         }
         self

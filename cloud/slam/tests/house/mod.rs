@@ -1,4 +1,4 @@
-//! House. Which simulated log do the tests and the example share?
+//! House. The simulated log shared by the tests and the example.
 
 #![allow(
     dead_code,
@@ -15,7 +15,7 @@ use zenav_protocol::messages::Scan;
 use zenav_protocol::time::Stamp;
 use zenav_slam::Relation;
 
-/// Corners of closed walls, m: the house, a block in its middle, and furniture that tells its corners apart.
+/// Corners of closed walls, m: the house, a block in its middle, and furniture that makes its corners distinct.
 const WALLS: &[&[(f64, f64)]] = &[
     &[(0.0, 0.0), (12.0, 0.0), (12.0, 8.0), (0.0, 8.0)],
     &[(4.0, 3.0), (8.0, 3.0), (8.0, 5.0), (4.0, 5.0)],
@@ -24,7 +24,7 @@ const WALLS: &[&[(f64, f64)]] = &[
     &[(6.5, 7.4), (7.0, 7.6), (6.7, 8.0)],
     &[(0.0, 4.0), (0.7, 4.0), (0.7, 4.5), (0.0, 4.9)],
 ];
-/// Corners of another house, its rooms as wide but otherwise laid out.
+/// Corners of another house, with rooms as wide but a different layout.
 const ANOTHER: &[&[(f64, f64)]] = &[
     &[
         (0.0, 0.0),
@@ -42,19 +42,19 @@ const ANOTHER: &[&[(f64, f64)]] = &[
     &[(8.0, 7.9), (8.4, 7.7), (8.8, 7.9), (8.4, 8.2)],
     &[(0.0, 2.7), (0.5, 2.7), (0.5, 3.6), (0.0, 3.6)],
 ];
-/// The way around the block.
+/// The drive around the block.
 const WAY: [(f64, f64); 4] = [(2.0, 1.5), (10.0, 1.5), (10.0, 6.5), (2.0, 6.5)];
 /// Beams of a full circle.
 const BEAMS: usize = 120;
 /// Standard deviation of a range, m.
 const NOISE: f64 = 0.01;
 
-/// Walls of a house, each a closed row of corners, m.
+/// Walls of a house, each a closed sequence of corners, m.
 #[derive(Clone)]
 pub struct House(Vec<Vec<(f64, f64)>>);
 
 impl House {
-    /// Walls, each a closed row of corners, m.
+    /// Walls, each a closed sequence of corners, m.
     pub fn of(walls: Vec<Vec<(f64, f64)>>) -> Self {
         Self(walls)
     }
@@ -64,17 +64,17 @@ impl House {
         Self(WALLS.iter().map(|wall| wall.to_vec()).collect())
     }
 
-    /// A house in which the same way can be driven.
+    /// A different house in which the same path can be driven.
     pub fn another() -> Self {
         Self(ANOTHER.iter().map(|wall| wall.to_vec()).collect())
     }
 
-    /// A corridor of 60 m without anything in it.
+    /// A corridor of 60 m with nothing in it.
     pub fn corridor() -> Self {
         Self(vec![vec![(0.0, -0.6), (60.0, -0.6), (60.0, 0.6), (0.0, 0.6)]])
     }
 
-    /// The same house, its furniture moved along the walls by up to so much, m.
+    /// The same house with its furniture moved along the walls by up to this much, m.
     pub fn moved(&self, seed: u64, by: f64) -> Self {
         let mut random = Pcg64Mcg::seed_from_u64(seed);
         let mut walls = self.0.clone();
@@ -108,7 +108,7 @@ impl House {
         nearest
     }
 
-    /// What a robot saw that was at these poses, a fifth of a second apart, with odometry that drifts.
+    /// The scans of a robot at these poses, a fifth of a second apart, with odometry that drifts.
     pub fn log(&self, truth: &[Pose2], seed: u64) -> Vec<Scan> {
         let mut random = Pcg64Mcg::seed_from_u64(seed);
         let mut normal = move |sigma: f64| -> f64 {
@@ -149,7 +149,7 @@ impl House {
     }
 }
 
-/// A drive around the block from one corner on, past so many others.
+/// A drive around the block, from one corner past this many others.
 pub fn lap(from: usize, corners: usize) -> Vec<Pose2> {
     let start = WAY[from % 4];
     let mut truth = vec![Pose2::new(start.0, start.1, std::f64::consts::FRAC_PI_2 * from as f64)];

@@ -1,4 +1,4 @@
-//! A peer of the sweep: the same time law as a linear program, for Clarabel.
+//! A peer of the sweep: the same time law as a linear programme, solved by Clarabel.
 //!
 //! The unknowns are the squared speeds at the samples, and their sum is maximised; bounds are the sweep's own (ceilings, both wheels'
 //! accelerations at both ends of every interval), so that the same law comes out.
@@ -7,7 +7,7 @@ use clarabel::algebra::CscMatrix;
 use clarabel::solver::{DefaultSettingsBuilder, DefaultSolver, IPSolver, NonnegativeConeT, SolverStatus, ZeroConeT};
 use zenav_smoothing::{GeometricPath, Limits, ceilings};
 
-/// Squared speeds (m²/s²) at the samples, from rest to rest; `None` when the solver fails.
+/// Squared speeds (m²/s²) at the samples, from rest to rest; `None` if the solver fails.
 pub fn fastest(path: &GeometricPath, limits: &Limits) -> Option<Vec<f64>> {
     let points = path.points();
     let last = points.len() - 1;

@@ -1,7 +1,7 @@
-//! How long does a time law take? The exact sweep beside the same law as a linear program, and the law with limited jerk.
+//! Time laws: computing time of the exact sweep, of the same law as a linear programme, and of the law with limited jerk.
 //!
-//! `cargo bench -p zenav-cloud --bench timing`: thread CPU time; durations of all laws are printed beside it. The paths are wavy curves
-//! with straight pieces between, made from a seed, for a TIAGo.
+//! `cargo bench -p zenav-smoothing --bench timing`: thread CPU time; the durations of all laws are printed beside it. The paths are wavy
+//! curves with straight pieces between, made from a seed, for a TIAGo.
 #![allow(
     missing_docs,
     clippy::unwrap_used,
@@ -20,7 +20,7 @@ use rand_pcg::Pcg64Mcg;
 use zenav_fixtures::thread_time;
 use zenav_smoothing::{GeometricPath, Limits, PathPoint, TimeLaw, fastest, jerk_limited};
 
-/// Limit of the jerk, m/s³.
+/// Jerk limit, m/s³.
 const JERK: f64 = 2.0;
 
 /// A path of `samples` points that lie `step` metres apart.

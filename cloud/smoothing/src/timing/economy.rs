@@ -1,9 +1,9 @@
-//! Economy. How is a path driven with the least energy? By the same turns and paths in more time.
+//! Economy. Less energy along the same turns and paths, in more time.
 //!
-//! Slow trajectory costs what the electronics draw meanwhile, fast trajectory friction that grows with speed, and hard accelerations heat the motors
-//! with the square of the force; braking gives nothing back. Which speed and acceleration balance these depends on the robot and on
-//! how often the path makes it slow down, so that they are found for each trajectory: the two limits (as shares of the robot's) with the least
-//! energy by the robot's own model, by pattern search.
+//! Slow driving costs the idle power of the electronics, fast driving costs friction that grows with speed, and hard acceleration heats
+//! the motors with the square of the force; braking recovers nothing. The best speed and acceleration depend on the robot and on how
+//! often the path makes it slow down, so they are sought for each trajectory: the two limits (as shares of the robot's) with the least
+//! energy by the robot's own model, found by pattern search.
 //!
 //! Source: Mei, Lu, Hu and Lee, "Energy-Efficient Motion Planning for Mobile Robots", ICRA 2004 (the best speed from the motors' power); the
 //! search: Hooke and Jeeves, "Direct Search Solution of Numerical and Statistical Problems", JACM 1961.
@@ -13,12 +13,12 @@ use zenav_protocol::robot::RobotModel;
 use super::limits::Limits;
 use super::trajectory::PiecewiseTrajectory;
 
-/// First step of the search, as a share of a limit, and the last.
+/// First and last step of the search, as shares of a limit.
 const STEPS: (f64, f64) = (0.32, 0.02);
-/// Least share of a limit.
+/// Smallest share of a limit.
 const LEAST: f64 = 0.1;
 
-/// The trajectory with less energy along the same turns and paths, and the limits that it keeps. Never one with more.
+/// The trajectory with the least energy found along the same turns and paths, and its limits. Never more energy than `fastest`.
 #[must_use]
 pub fn economical(fastest: PiecewiseTrajectory, model: &RobotModel, limits: &Limits) -> (PiecewiseTrajectory, Limits) {
     let mut best = Found {
@@ -58,7 +58,7 @@ struct Found {
 }
 
 impl Found {
-    /// `None` where these limits do not allow the speed at the start.
+    /// `None` if these limits do not allow the speed at the start.
     fn new(fastest: &PiecewiseTrajectory, model: &RobotModel, limits: &Limits, shares: [f64; 2]) -> Option<Self> {
         if shares.iter().any(|share| !(LEAST..=1.0).contains(share)) {
             return None;

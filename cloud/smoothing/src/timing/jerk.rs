@@ -1,12 +1,12 @@
-//! Jerk limit. What is the fastest law whose jerk is limited? A few quadratic programs, each around the last one's law.
+//! Jerk limit. The fastest law with a limited jerk: a few quadratic programmes, each around the law of the one before.
 //!
-//! The squared speed `b(s)` is a quadratic spline on the path's samples, its coefficients the unknowns: the acceleration `a = b'/2` is
-//! continuous and linear between samples, the jerk there `a' √b`. On an interval the wheels' accelerations `a (1 ± k h) ± h k' b` are
-//! quadratic: they are bounded where their three Bernstein coefficients are, which is linear in the unknowns. The jerk's bound
-//! `|a'| <= J / √b` is not, but `1 / √b` is convex and lies above its tangents: with the tangent at the last law's `b` each program's
-//! answer keeps the true limit, and the next one can only be faster. The first tangents are at the sweep's law, which no law exceeds.
-//! What is minimised is the time, `∫ b^(-1/2) ds`, as a parabola around the last law.
-//! From rest, and into it, the jerk is constant on one interval: there `b = 3/2 a s`.
+//! The squared speed `b(s)` is a quadratic spline on the path's samples; its coefficients are the unknowns. The acceleration `a = b'/2`
+//! is continuous and linear between samples, and the jerk there is `a' √b`. On an interval the wheels' accelerations
+//! `a (1 ± k h) ± h k' b` are quadratic: they are bounded where their three Bernstein coefficients are, which is linear in the unknowns. The bound of the
+//! jerk `|a'| <= J / √b` is not, but `1 / √b` is convex and lies above its tangents: with the tangent at the last law's `b` each
+//! programme's answer keeps the true limit, and the next one can only be faster. The first tangents are at the sweep's law, which no law
+//! exceeds. The objective is the time, `∫ b^(-1/2) ds`, as a parabola around the last law. From rest and into rest the jerk is constant
+//! on one interval: there `b = 3/2 a s`.
 //!
 //! Sources: Verscheure, Demeulenaere, Swevers, De Schutter and Diehl, "Time-Optimal Path Tracking for Robots: A Convex Optimization
 //! Approach", TAC 2009 (squared speed as the unknown); Debrouwere et al., "Time-Optimal Path Following for Robots With Convex-Concave
@@ -21,22 +21,22 @@ use super::linear_rows::{Form, Rows, columns};
 use super::path::GeometricPath;
 use super::sweep::ceilings;
 
-/// Programs solved one after the other, at most.
+/// Largest number of programmes solved in sequence.
 const PASSES: usize = 3;
 /// A pass that shortens the law by a smaller share is the last one.
 const GAIN: f64 = 5e-3;
-/// Share of the limits that the programs leave for the solver's own tolerance.
+/// Share of the limits that the programmes leave for the solver's own tolerance.
 const MARGIN: f64 = 1e-5;
 
-/// Squared speeds below this share of the highest weigh no more: next to rest they would drown the others.
+/// Squared speeds below this share of the highest get no more weight: near rest they would dominate the others.
 const SLOW: f64 = 1e-3;
 
-/// A law, and how it came about.
+/// A law, with the solver's figures.
 #[derive(Clone, Debug, PartialEq)]
 pub struct JerkLimited {
     /// The law.
     pub law: TimeLaw,
-    /// Programs solved.
+    /// Number of programmes solved.
     pub passes: usize,
     /// The solver's last status.
     pub status: String,
@@ -57,7 +57,7 @@ pub enum JerkError {
     Solver(String),
 }
 
-/// The fastest law with at most `jerk` (m/s³) along a path, by the sweep's squared speeds (m²/s²) on it; ends at rest.
+/// The fastest law with at most `jerk` (m/s³) along a path, from the sweep's squared speeds (m²/s²) on it; ends at rest.
 ///
 /// # Errors
 /// [`JerkError`].
@@ -91,7 +91,7 @@ pub fn limited(path: &GeometricPath, limits: &Limits, jerk: f64, squared: &[f64]
                 gap: answer.gap,
             });
         }
-        // Another reference changes the tangents, and nothing where none of them binds.
+        // Another reference only changes the tangents, which has no effect if none of them binds.
         let tangents = &rows[..4 * spline.lengths.len()];
         let binds = tangents.iter().any(|row| row.at(&answer.x) > 0.99);
         if !binds || duration > (1.0 - GAIN) * last {
@@ -103,15 +103,15 @@ pub fn limited(path: &GeometricPath, limits: &Limits, jerk: f64, squared: &[f64]
     best.ok_or(JerkError::TooShort)
 }
 
-/// The squared speed as a quadratic spline, where the jerk is not constant.
+/// The squared speed as a quadratic spline, outside the intervals of constant jerk.
 struct Spline {
-    /// Sample at which the spline begins: 1 where the robot starts from rest, else 0.
+    /// Sample at which the spline begins: 1 if the robot starts from rest, else 0.
     begin: usize,
     lengths: Vec<f64>,
-    /// At the knots: squared speed and acceleration.
+    /// Squared speed and acceleration at the knots.
     squared: Vec<Form>,
     accelerations: Vec<Form>,
-    /// Largest acceleration at the ends of a jerk that is constant from rest.
+    /// Largest accelerations at the inner ends of the intervals of constant jerk.
     ends: [f64; 2],
 }
 
@@ -164,7 +164,7 @@ impl Spline {
         })
     }
 
-    /// The rows of one program, each at most one: limits, and the jerk's tangents at a reference, a squared speed on each interval.
+    /// The rows of one programme, each at most one: limits, and the jerk's tangents at a reference, a squared speed on each interval.
     fn rows(&self, path: &GeometricPath, limits: &Limits, bounds: &Bounds<'_>, reference: &[f64]) -> Vec<Form> {
         let mut rows = Rows {
             rows: Vec::with_capacity(9 * self.lengths.len()),
@@ -180,7 +180,7 @@ impl Spline {
                 rows.at_most(change.scaled(-1.0).plus(bend), 1.5);
             }
         }
-        // By the rows above |c| is at most this; and no base is faster in its change than its wheels.
+        // By the rows above |c| is at most this; and the base's acceleration changes by no more than its wheels allow.
         let largest_change = |j: usize| {
             let jerk = 1.5 * bounds.jerk / reference[j].sqrt();
             jerk.min(2.0 * limits.wheel_acceleration / self.lengths[j])
@@ -190,7 +190,7 @@ impl Spline {
         rows.rows
     }
 
-    /// `b` lies below its coefficients, and no more than `|c| L² / 4` above its larger end.
+    /// `b` lies below its coefficients, and at most `|c| L² / 4` above its larger end.
     fn add_ceilings(&self, bounds: &Bounds<'_>, largest_change: &dyn Fn(usize) -> f64, rows: &mut Rows) {
         let count = self.lengths.len();
         let ceiling = |j: usize| bounds.ceilings[self.begin + j] * (1.0 - MARGIN);
@@ -198,7 +198,7 @@ impl Spline {
         for j in 0..count {
             let (here, bulge) = (ceiling(j), 0.25 * largest_change(j) * self.lengths[j].powi(2));
             let even = (j == 0 || ceiling(j - 1) == here) && (j + 1 == count || ceiling(j + 1) == here);
-            // Where the ceiling is even, or a bulge would cost too much, the middle coefficient keeps below it.
+            // Where the ceiling is constant, or a bulge would cost too much, the middle coefficient is kept below it.
             let by_coefficient = even || bulge > 1e-3 * here;
             if by_coefficient {
                 rows.at_most(Form::unknown(j), here);
@@ -212,7 +212,7 @@ impl Spline {
         }
     }
 
-    /// `a (1 ± k h) ± h k' b`: a quadratic, no more than `|c| h |k'| L² / 2` beyond its larger end.
+    /// `a (1 ± k h) ± h k' b`: a quadratic, at most `|c| h |k'| L² / 2` beyond its larger end.
     fn add_wheels(
         &self,
         path: &GeometricPath,
@@ -243,7 +243,7 @@ impl Spline {
                         rows.within(end.scaled(next).plus(self.squared[j + 1].scaled(slope)), most);
                     }
                 }
-                // Both intervals beside a knot in one row: no squared speed is negative.
+                // Both intervals beside a knot share a row: no squared speed is negative.
                 let beside = [before, here];
                 let slopes = beside.iter().flatten().map(|(slope, _)| *slope);
                 let bulge = beside.iter().flatten().map(|(_, bulge)| *bulge).fold(0.0, f64::max);
@@ -257,7 +257,7 @@ impl Spline {
                 before = here;
             }
         }
-        // Where the jerk is constant the bound is linear but for a factor that is at most one.
+        // Where the jerk is constant the bound is linear up to a factor of at most one.
         let last = points.len() - 1;
         let rests = [
             (self.begin == 1).then_some((0, 0, 0, 1)),
@@ -277,8 +277,8 @@ impl Spline {
         rows.at_most(self.accelerations[count].scaled(-1.0), self.ends[1] * (1.0 - MARGIN));
     }
 
-    /// Whether a wheel may be the first to reach its limit: on a straight line one stands for both, and the inner one of an arc cannot be
-    /// where the arc bends in little, `|k'| b <= A |k|`.
+    /// Whether a wheel may be the first to reach its limit: on a straight line one wheel stands for both, and on an arc the inner wheel
+    /// cannot be first where the curvature changes slowly, `|k'| b <= A |k|`.
     fn counts(&self, path: &GeometricPath, limits: &Limits, bounds: &Bounds<'_>, wheel: f64, j: usize) -> bool {
         let i = self.begin + j;
         let (k0, k1) = (path.points()[i].k, path.points()[i + 1].k);
@@ -302,17 +302,17 @@ impl Spline {
             .collect()
     }
 
-    /// One program: as fast as possible within the rows.
+    /// Solves one programme: as fast as possible within the rows.
     fn solve(&self, rows: &[Form], reference: &[f64]) -> Result<Answer, JerkError> {
         let unknowns = self.lengths.len();
-        // Time as a parabola around the reference: `b^(-1/2)`, its slope and its curvature there.
+        // Time as a parabola around the reference: slope and curvature of `b^(-1/2)` there.
         let highest = reference.iter().copied().fold(0.0, f64::max);
         let time = |(length, b): (&f64, &f64)| {
             let (r, length) = (b.max(SLOW * highest) / highest, length / self.lengths[0]);
             (0.75 * length * r.powf(-2.5) / highest, -1.25 * length * r.powf(-1.5))
         };
         let cost: Vec<(f64, f64)> = self.lengths.iter().zip(reference).map(time).collect();
-        // Rows are scaled and the answer is checked: mostly neither scaling nor refinement pays, nor rows that keep off standstill.
+        // Rows are scaled and the answer is checked, so scaling, refinement and rows against standstill are mostly not worth their cost.
         match solve_within(&cost, rows, false).and_then(|answer| self.moving(answer)) {
             Err(_) => {
                 let above_zero = (0..unknowns).map(|j| Form {
@@ -326,11 +326,11 @@ impl Spline {
         }
     }
 
-    /// An answer that nowhere stands still on the path.
+    /// Accepts an answer that never stands still on the path.
     fn moving(&self, answer: Answer) -> Result<Answer, JerkError> {
         let moves = |j: usize| {
             let (begin, end) = (self.squared[j].at(&answer.x), self.squared[j + 1].at(&answer.x));
-            // Half as much again as a parabola's coefficient needs to stay above zero.
+            // The parabola is positive for a coefficient above `-√(begin end)`; half of that is required.
             begin > 1e-9 && end > 1e-9 && answer.x[j] > -0.5 * (begin * end).sqrt()
         };
         if (0..answer.x.len()).all(|j| moves(j) || (j == 0 && self.begin == 0 && answer.x[0] > 0.0)) {
@@ -351,13 +351,13 @@ impl Spline {
     }
 }
 
-/// What the rows are made of beside the path.
+/// Bounds of the rows, besides the path.
 struct Bounds<'a> {
     /// Largest squared speed on each interval of the path, m²/s².
     ceilings: Vec<f64>,
     /// The sweep's squared speeds at its samples, which no law exceeds, m²/s².
     sweep: &'a [f64],
-    /// m/s³.
+    /// Jerk, m/s³.
     jerk: f64,
 }
 
@@ -398,7 +398,7 @@ fn solve_within(cost: &[(f64, f64)], rows: &[Form], precise: bool) -> Result<Ans
     if !matches!(status, SolverStatus::Solved | SolverStatus::AlmostSolved) {
         return Err(JerkError::Solver(format!("{status:?}")));
     }
-    // Its word is not taken for it.
+    // The solver's status is not trusted: all rows are checked.
     if !rows.iter().all(|row| row.at(x) <= 1.0 + 0.9 * MARGIN) {
         return Err(JerkError::Solver(format!("{status:?}_over_a_limit")));
     }

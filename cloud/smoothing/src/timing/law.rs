@@ -1,12 +1,13 @@
-//! Time law. How do speed and time run between the samples of a path? The acceleration is linear in the arc length from sample to sample.
+//! Time law. Speed and time between the samples of a path, with an acceleration that is linear in the arc length from sample to sample.
 //!
-//! With `x` the path since the sample, `x'' = a + c x`: constant acceleration (`c = 0`) as the sweep makes it, hyperbolic or circular functions
-//! of the time else. With `τ = tanh(√c t / 2) / √c` (`tan` for a negative `c`) all of it is rational: an interval of length `L` from speed
-//! `v` to `w` ends at `τ = L / (v + w)`. From rest without acceleration the jerk is constant, `x = L (t / T)³`, and so into rest.
+//! With `x` the distance since the sample, `x'' = a + c x`: constant acceleration (`c = 0`) for the sweep's laws, else hyperbolic or
+//! circular functions of the time. With `τ = tanh(√c t / 2) / √c` (`tan` for a negative `c`) all of them are rational: an interval of
+//! length `L` from speed `v` to `w` ends at `τ = L / (v + w)`. From rest without acceleration the jerk is constant, `x = L (t / T)³`;
+//! likewise into rest.
 
 use super::path::GeometricPath;
 
-/// Speeds at the samples of a path, accelerations on its intervals, and the times that follow.
+/// Speeds at the samples of a path, accelerations on its intervals, and the resulting times.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TimeLaw {
     intervals: Vec<Interval>,
@@ -14,12 +15,12 @@ pub struct TimeLaw {
     times: Vec<f64>,
 }
 
-/// Place and speed on an interval at a time.
+/// Position and speed on an interval at a time.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Progress {
     /// The interval.
     pub index: usize,
-    /// Path since its first sample, m.
+    /// Distance since its first sample, m.
     pub distance: f64,
     /// Speed, m/s.
     pub v: f64,
@@ -65,7 +66,7 @@ impl TimeLaw {
         Self { intervals, times }
     }
 
-    /// s.
+    /// Duration, s.
     #[must_use]
     pub fn duration(&self) -> f64 {
         self.times.last().copied().unwrap_or(0.0)
@@ -85,7 +86,7 @@ impl TimeLaw {
         first.chain(rest).map(|v| v * v).collect()
     }
 
-    /// Where a time (s) falls. Logarithmic in the samples.
+    /// Progress at a time (s). Logarithmic in the samples.
     #[must_use]
     pub fn at(&self, t: f64) -> Progress {
         let after = self.times.partition_point(|begin| *begin <= t);
@@ -93,7 +94,7 @@ impl TimeLaw {
         self.on(index, t - self.times[index])
     }
 
-    /// Where a time since the beginning of an interval falls.
+    /// Progress at a time since the beginning of an interval (s).
     #[must_use]
     pub fn on(&self, index: usize, into: f64) -> Progress {
         let Some(interval) = self.intervals.get(index) else {
@@ -104,7 +105,7 @@ impl TimeLaw {
     }
 }
 
-/// From one sample to the next.
+/// Interval from one sample to the next.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Interval {
     length: f64,
@@ -142,7 +143,7 @@ impl Interval {
         2.0 * tau * stretch
     }
 
-    /// Path, speed and acceleration at a time since the beginning.
+    /// Distance, speed and acceleration at a time since the beginning.
     fn at(&self, t: f64) -> (f64, f64, f64) {
         let ([v0, v1], [a0, a1]) = (self.speeds, self.accelerations);
         if self.leaves_rest() || self.comes_to_rest() {

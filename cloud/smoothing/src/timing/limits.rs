@@ -1,6 +1,6 @@
-//! Limits. How fast may a differential drive be, at which curvature? Wheel speed, wheel acceleration, lateral acceleration, yaw rate.
+//! Limits. The largest speed of a differential drive at a curvature: wheel speed, wheel acceleration, lateral acceleration, yaw rate.
 //!
-//! With curvature `k` the wheels run at `v (1 ± k b/2)`: a limit of the wheels is a limit of `v`.
+//! With curvature `k` and wheel separation `b` the wheels run at `v (1 ± k b/2)`: a limit of the wheels is a limit of `v`.
 
 use zenav_protocol::geometry::Twist2;
 use zenav_protocol::robot::{Drive, RobotModel};
@@ -10,10 +10,10 @@ use super::profile::{Profile, ProfileLimits};
 /// Share of every limit that a plan may use; the rest is for control.
 pub const PLAN_SHARE: f64 = 0.95;
 
-/// Fastest turn on the spot that a plan asks for, rad/s: faster ones blur a scan and gain little.
+/// Fastest turn on the spot in a plan, rad/s: faster turns blur a scan and gain little.
 const TOP_SPIN: f64 = 1.5;
 
-/// What a plan may ask of a robot.
+/// Limits that a plan may use.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
     /// Speed of a wheel on the floor, m/s.
@@ -28,7 +28,7 @@ pub struct Limits {
     pub lateral_acceleration: f64,
     /// Yaw rate, rad/s.
     pub yaw_rate: f64,
-    /// Jerk of the base along its path, and of a wheel on the floor when it turns on the spot, m/s³; unlimited without.
+    /// Jerk of the base along its path, and of a wheel on the floor in a turn on the spot, m/s³; `None`: unlimited.
     pub jerk: Option<f64>,
 }
 
@@ -53,7 +53,7 @@ impl Limits {
         }
     }
 
-    /// The same without a limit of the jerk.
+    /// The same limits without the jerk limit.
     #[must_use]
     pub fn without_jerk(&self) -> Self {
         Self { jerk: None, ..*self }
@@ -74,7 +74,7 @@ impl Limits {
             .min((self.yaw_rate / k).powi(2))
     }
 
-    /// What a turn on the spot may use, in rad.
+    /// Limits of a turn on the spot, in rad.
     #[must_use]
     pub fn spin(&self) -> ProfileLimits {
         ProfileLimits {
@@ -84,7 +84,7 @@ impl Limits {
         }
     }
 
-    /// The faster wheel's path to rest, m, with both slowed in proportion, so that the arc is kept.
+    /// Braking profile of the faster wheel, m; both wheels slow down in proportion, so that the arc is kept.
     #[must_use]
     pub fn braking(&self, twist: Twist2) -> Profile {
         let limits = ProfileLimits {

@@ -1,4 +1,4 @@
-//! Rows of a programme: linear forms of up to three unknowns in a row, each at most one.
+//! Rows of a programme. Linear forms of up to three consecutive unknowns, each at most one.
 
 use clarabel::algebra::CscMatrix;
 
@@ -35,7 +35,7 @@ impl Form {
         }
     }
 
-    /// The sum; the unknowns of both lie within three.
+    /// The sum; the unknowns of both lie within three consecutive ones.
     pub(super) fn plus(self, other: Self) -> Self {
         let (low, high) = if self.is_constant() {
             (other, self)
@@ -85,7 +85,7 @@ impl Rows {
     }
 }
 
-/// `row <= 1` for all rows.
+/// The rows `row <= 1` in the solver's format, by columns.
 pub(super) fn columns(rows: &[Form], unknowns: usize) -> (CscMatrix<f64>, Vec<f64>) {
     let entries = |row: &Form| {
         let first = row.first;

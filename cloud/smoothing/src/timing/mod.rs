@@ -1,8 +1,8 @@
-//! Timing. When is the robot where? Time laws along a given path, for a differential drive.
+//! Timing. Time laws along a given path, for a differential drive.
 //!
 //! | file | answers |
 //! |---|---|
-//! | [`limits`] | how fast may it be, at which curvature? |
+//! | [`limits`] | how fast may the robot be, at which curvature? |
 //! | [`path`] | where does the path run, by arc length? |
 //! | [`sweep`] | what is the fastest law along it? |
 //! | [`jerk`] | what is the fastest law whose jerk is limited? |
@@ -11,7 +11,7 @@
 //! | [`law`] | how do speed and time run between samples? |
 //! | [`profile`] | how does a robot turn, or come to rest? |
 //! | [`trajectory`] | where is the robot at a time? |
-//! | [`stop_turn_go`] | what is always safe: stop, turn, go straight |
+//! | [`stop_turn_go`] | which trajectory is always safe? Stop, turn, go straight |
 
 pub mod economy;
 pub mod jerk;

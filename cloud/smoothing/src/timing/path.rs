@@ -1,9 +1,9 @@
-//! Geometric path. Where does a path run, by arc length? A chain of clothoids: curvature continuous, and linear in the arc length between samples.
+//! Geometric path. A path by arc length, as a chain of clothoids: curvature is continuous, and linear in the arc length between samples.
 //!
-//! Heading and place are the integrals of the curvature, so that a robot that follows the path at `v` turns at `k v` exactly, at every time
-//! and not only at the samples; and the limits of a drive, linear between samples as well, hold there too. A curve becomes a chain by the
-//! projection of its curvature onto the piecewise linear functions: what is left over is orthogonal to them, so that neither heading nor
-//! place drifts. The last of it is taken out by the least change of curvature that leads to the curve's end.
+//! Heading and position are the integrals of the curvature, so a robot that follows the path at `v` turns at exactly `k v`, at every time
+//! and not only at the samples; the limits of a drive, linear between samples as well, hold there too. A curve becomes a chain by
+//! projecting its curvature onto the piecewise linear functions: the residual is orthogonal to them, so neither heading nor position
+//! drifts. The remaining error is removed by the least change of curvature that leads to the curve's end.
 //!
 //! Sources: Bertolazzi and Frego, "On the G2 Hermite Interpolation Problem with Clothoids", J. Comp. Appl. Math. 2018 (the chain);
 //! Strang and Fix, "An Analysis of the Finite Element Method", 1973 (the projection).
@@ -25,10 +25,10 @@ pub struct PathPoint {
     pub k: f64,
 }
 
-/// Largest speed at a place of the map, m/s; `None` where there is no limit but the robot's own.
+/// Speed limit at a place of the map, m/s; `None` if only the robot's own limit applies.
 pub type SpeedLimit<'a> = &'a dyn Fn(Point2<f64>) -> Option<f64>;
 
-/// No place has a speed limit.
+/// No speed limit anywhere.
 pub const UNRESTRICTED: SpeedLimit<'static> = &|_| None;
 
 /// Slowest speed limit that counts, m/s: a path through a zone that may not be driven at all has no time law.
@@ -38,14 +38,14 @@ const SLOWEST: f64 = 0.01;
 #[derive(Clone, Debug, PartialEq)]
 pub struct GeometricPath {
     points: Vec<PathPoint>,
-    /// Speed limit at each sample, m/s, infinite without; empty when there is none anywhere.
+    /// Speed limit at each sample, m/s, infinite if there is none; empty if there is none anywhere.
     speed_limits: Vec<f64>,
 }
 
 impl GeometricPath {
-    /// The chain through samples of a smooth curve; the first and the last pose are the curve's, the others to within the square of the
-    /// distance between samples. `None` for fewer than two, for numbers that are not finite, where the arc length does not rise, and
-    /// where the path turns by more than a radian from one sample to the next.
+    /// The chain through samples of a smooth curve. The first and the last pose are the curve's, the others match it to within the square
+    /// of the distance between samples. `None` for fewer than two samples, for non-finite numbers, if the arc length does not rise, and
+    /// if the path turns by more than a radian from one sample to the next.
     #[must_use]
     pub fn new(mut points: Vec<PathPoint>) -> Option<Self> {
         let finite = points
@@ -82,7 +82,8 @@ impl GeometricPath {
         })
     }
 
-    /// The chain that begins at a pose (s, x, y, yaw and curvature) and goes on by lengths (m, positive) to curvatures (1/m).
+    /// The chain that begins at a pose (s, x, y, yaw and curvature) and continues by links, each with a length (m, positive) and an end
+    /// curvature (1/m).
     ///
     /// `None` as in [`Self::new`].
     #[must_use]
@@ -118,7 +119,7 @@ impl GeometricPath {
         if !length.is_finite() || length <= 1e-9 {
             return None;
         }
-        // Few samples blunt the speed's peak, many cost memory: both ends are bounded.
+        // Few samples clip the speed's peak, many cost memory: both are bounded.
         let pieces = (length / step).ceil().clamp(8.0, 4096.0) as usize;
         let yaw = along.y.atan2(along.x);
         let at = |i: usize| {
@@ -135,7 +136,7 @@ impl GeometricPath {
         Self::new((0..=pieces).map(at).collect())
     }
 
-    /// The same path, slower where the map's zones ask for it. A limit holds on both intervals beside its sample.
+    /// The same path with the speed limits of the map's zones. A limit holds on both intervals beside its sample.
     #[must_use]
     pub fn limited(mut self, speed_limit: SpeedLimit<'_>) -> Self {
         let limits = self
@@ -157,7 +158,7 @@ impl GeometricPath {
         !self.speed_limits.is_empty()
     }
 
-    /// Speed limit from sample `index` to the next, m/s; infinite without.
+    /// Speed limit from sample `index` to the next, m/s; infinite if there is none.
     #[must_use]
     pub fn speed_limit(&self, index: usize) -> f64 {
         match self.speed_limits.get(index..index + 2) {
@@ -198,7 +199,7 @@ impl GeometricPath {
 /// Largest turn from one sample to the next, rad.
 const LARGEST_TURN: f64 = 1.0;
 
-/// The end of a clothoid from a point, by its curvature there and its length.
+/// The end of a clothoid of the given length from a point, with the curvature `k` at its end.
 fn along(from: &PathPoint, k: f64, length: f64) -> PathPoint {
     // About the middle the heading is `turn u + bend u² / 2`, u from -1/2 to 1/2: its sine and cosine are integrated as series.
     let (turn, bend) = (0.5 * (from.k + k) * length, (k - from.k) * length);
@@ -221,7 +222,7 @@ fn along(from: &PathPoint, k: f64, length: f64) -> PathPoint {
     }
 }
 
-/// Headings and places from the first point on, by the curvatures and arc lengths.
+/// Integrates headings and positions from the first point on, by the curvatures and arc lengths.
 fn integrate(points: &mut [PathPoint]) {
     for i in 1..points.len() {
         let length = points[i].s - points[i - 1].s;
@@ -233,9 +234,9 @@ fn integrate(points: &mut [PathPoint]) {
     }
 }
 
-/// The curvatures of the piecewise linear function nearest to a curve's curvature, of which the samples tell value and integral.
+/// Projects a curve's curvature, of which the samples give value and integral, onto the nearest piecewise linear function.
 fn project(points: &mut [PathPoint]) {
-    // Between samples the curve's curvature is taken as quadratic: both ends and the integral, which is the turn.
+    // Between samples the curve's curvature is taken as quadratic, by both ends and the integral, which is the turn.
     let moments = |from: &PathPoint, to: &PathPoint| {
         let length = to.s - from.s;
         let bulge = 0.5 * (to.yaw - from.yaw) - 0.25 * length * (from.k + to.k);
@@ -244,7 +245,7 @@ fn project(points: &mut [PathPoint]) {
             length * (from.k / 6.0 + to.k / 3.0) + bulge,
         )
     };
-    // Three diagonals: elimination downwards, substitution upwards.
+    // Tridiagonal system: elimination downwards, substitution upwards.
     let mut rows: Vec<(f64, f64)> = Vec::with_capacity(points.len());
     let (mut coupling, mut diagonal, mut side) = (0.0, 0.0, 0.0);
     for i in 0..points.len() {
@@ -263,11 +264,11 @@ fn project(points: &mut [PathPoint]) {
     }
 }
 
-/// Gives the first sample a curvature: a moving robot goes on as it turns. The next two make good for heading and place.
+/// Sets the first sample's curvature: a moving robot continues its turn. The next two samples compensate for heading and position.
 fn begin_with(k: f64, points: &mut [PathPoint]) {
     let [a, b, c, d, ..] = points else { return };
     let change = k - a.k;
-    // Integral of each one's hat function, and its distance from the first sample on average.
+    // Integral of each hat function, and its mean distance from the first sample.
     let origin = a.s;
     let (first, second, third) = (b.s - a.s, c.s - a.s, d.s - b.s);
     let from = |sum: f64| sum / 3.0 - origin;
@@ -277,14 +278,14 @@ fn begin_with(k: f64, points: &mut [PathPoint]) {
     a.k = k;
 }
 
-/// Changes curvatures and length by the least that leads to an end, to the first order; whether there was anything to change.
+/// Applies the least change of curvatures and length that leads to an end, to first order; returns whether there was anything to change.
 fn close(points: &mut [PathPoint], end: &PathPoint) -> bool {
     let (first, last) = (points[0], points[points.len() - 1]);
     let off = Vector3::new(end.x - last.x, end.y - last.y, end.yaw - last.yaw);
     if off.amax() < 1e-12 {
         return false;
     }
-    // What a change of each curvature, and of the scale, does to the end.
+    // Effect of a change of each curvature, and of the scale, on the end.
     let length = last.s - first.s;
     let share = |i: usize| {
         let before = i.checked_sub(1).map_or(0.0, |j| points[i].s - points[j].s);
@@ -294,7 +295,7 @@ fn close(points: &mut [PathPoint], end: &PathPoint) -> bool {
     let effect = |p: &PathPoint| Vector3::new(p.y - last.y, last.x - p.x, 1.0);
     let scale = Vector3::new(last.x - first.x, last.y - first.y, 0.0);
     let mut normal = scale * scale.transpose() / length;
-    // The first curvature is the robot's own.
+    // The first curvature is the robot's own, and stays.
     for (i, point) in points.iter().enumerate().skip(1) {
         let effect = effect(point);
         normal += effect * effect.transpose() * share(i);
@@ -313,7 +314,7 @@ fn close(points: &mut [PathPoint], end: &PathPoint) -> bool {
     true
 }
 
-/// The inverse of a symmetric matrix of places and an angle, whose rows differ in units.
+/// The inverse of a symmetric matrix of positions and an angle, whose rows differ in units.
 fn invert(normal: &Matrix3<f64>) -> Option<Matrix3<f64>> {
     let units = Vector3::from_fn(|i, _| normal[(i, i)].sqrt().max(1e-150).recip());
     let scaled = Matrix3::from_fn(|i, j| normal[(i, j)] * units[i] * units[j]);

@@ -1,7 +1,6 @@
-//! Velocity profile. How does a robot turn from rest to rest, or come to rest, with limited acceleration and jerk? Up to seven pieces of
-//! constant jerk.
+//! Velocity profile. A motion from rest to rest, or to rest, with limited acceleration and jerk: up to seven pieces of constant jerk.
 //!
-//! Without a limit of the jerk the acceleration jumps: a trapezoid in the speed.
+//! Without a jerk limit the acceleration jumps: the speed is a trapezoid.
 //!
 //! Source: Biagiotti and Melchiorri, "Trajectory Planning for Automatic Machines and Robots", 2008, the double S velocity profile.
 
@@ -12,11 +11,11 @@ pub struct ProfileLimits {
     pub speed: f64,
     /// Acceleration, 1/s².
     pub acceleration: f64,
-    /// Jerk, 1/s³; without, the acceleration jumps.
+    /// Jerk, 1/s³; `None`: the acceleration jumps.
     pub jerk: Option<f64>,
 }
 
-/// A path along one axis in time.
+/// Motion along one axis over time.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Profile {
     pieces: Vec<Piece>,
@@ -45,7 +44,7 @@ impl Profile {
             acceleration,
             jerk,
         } = *limits;
-        // The speed that is reached where there is no time to keep it: half the path to gain it, half to lose it.
+        // The peak speed if there is no time to hold it: half the distance to gain it, half to lose it.
         let ramps = jerk.map_or(0.0, |jerk| acceleration * acceleration / jerk);
         let full = 0.5 * ((ramps * ramps + 4.0 * acceleration * distance).sqrt() - ramps);
         let reached = match jerk {
@@ -87,13 +86,13 @@ impl Profile {
         profile
     }
 
-    /// s.
+    /// Duration, s.
     #[must_use]
     pub fn duration(&self) -> f64 {
         self.duration
     }
 
-    /// The whole path.
+    /// The whole distance.
     #[must_use]
     pub fn distance(&self) -> f64 {
         self.at(self.duration).0
@@ -104,7 +103,7 @@ impl Profile {
         self.pieces.iter().map(|piece| piece.begin)
     }
 
-    /// Path, speed and acceleration at a time (s), held to the profile's ends.
+    /// Distance, speed and acceleration at a time (s), clamped to the profile's ends.
     #[must_use]
     pub fn at(&self, t: f64) -> (f64, f64, f64) {
         let t = t.clamp(0.0, self.duration);

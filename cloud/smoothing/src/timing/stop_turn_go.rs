@@ -1,7 +1,8 @@
-//! Stop, turn, go. What is always safe? Stop, turn towards the next corner, go straight, stop: the unsmoothed path with a time law of its own.
+//! Stop, turn, go. The safe trajectory: stop, turn towards the next corner, go straight, stop; the unsmoothed path with a time law of its
+//! own.
 //!
-//! It needs no map and no solver, and leaves the path's straight lines nowhere: what was free for the search stays free. A robot that is
-//! moving brakes first, along the arc that it is on, and then goes back to the nearest point of the path.
+//! It needs no map and no solver, and never leaves the path's straight lines: what was free for the search stays free. A moving robot
+//! brakes first, along its present arc, and then returns to the nearest point of the path.
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
@@ -10,17 +11,17 @@ use super::limits::Limits;
 use super::path::{GeometricPath, SpeedLimit};
 use super::trajectory::PiecewiseTrajectory;
 
-/// Points of a path nearer than this are one, m.
+/// Points of a path closer together than this are the same, m.
 const SAME_PLACE: f64 = 1e-3;
 /// Distance between samples on a straight line, m.
 const STEP: f64 = 0.02;
-/// A leg whose direction differs by less from the heading is begun at speed, rad.
+/// A leg whose direction differs from the heading by less than this is started at speed, rad.
 const ALIGNED: f64 = 0.02;
 
 /// The unsmoothed path (corner points, map frame, the start included or not) as stop, turn and go, at rest at its end, within the speed
 /// limits of the map's zones.
 ///
-/// Points that are not finite are left out. Empty only when there is nothing to drive or to turn.
+/// Non-finite points are left out. Empty only if there is nothing to drive or to turn, or if the start is not finite.
 #[must_use]
 pub fn stop_turn_go(
     path: &[Point2<f64>],
@@ -65,7 +66,7 @@ pub fn stop_turn_go(
     trajectory
 }
 
-/// The start, and the path's points without repetitions and what is not finite.
+/// The start, and the path's points without repetitions and non-finite ones.
 pub(crate) fn corners_from(start: Point2<f64>, path: &[Point2<f64>]) -> Vec<Point2<f64>> {
     let mut corners = vec![start];
     for &point in path {
@@ -77,7 +78,7 @@ pub(crate) fn corners_from(start: Point2<f64>, path: &[Point2<f64>]) -> Vec<Poin
     corners
 }
 
-/// Whether the first leg can be begun without stopping: it lies ahead, the robot does not turn, and it can stop at the leg's end.
+/// Whether the first leg can be started without a stop: it lies ahead, the robot does not turn, and it can stop at the leg's end.
 fn begins_at_speed(start: Pose2, velocity: Twist2, corners: &[Point2<f64>], limits: &Limits) -> bool {
     let [from, to, ..] = corners else { return false };
     let leg = to - from;
@@ -130,7 +131,7 @@ mod tests {
         zenav_fixtures::robot("tiago")
     }
 
-    /// Every step obeys the drive's limits and leads where its velocity says.
+    /// Every step obeys the drive's limits and is no longer than the top speed allows.
     fn assert_drivable(points: &[TrajectoryPoint], model: &RobotModel) {
         for pair in points.windows(2) {
             let dt = pair[1].t - pair[0].t;

@@ -1,8 +1,8 @@
-//! Time-optimal sweep. What is the fastest law along a path? Two passes over the squared speed `b = v²`, exact for its samples.
+//! Time-optimal sweep. The fastest law along a path: two passes over the squared speed `b = v²`, exact for its samples.
 //!
-//! Between two samples the acceleration `a` is constant, `b` is linear in the arc length and the curvature too, so that both wheels'
-//! accelerations `a (1 ± k h) ± h k' b` are linear there: they are bounded where they are bounded at both ends. The backward pass finds
-//! the largest `b` from which the end can still be reached, the forward pass takes the largest step into it.
+//! Between two samples the acceleration `a` is constant, and `b` and the curvature are linear in the arc length, so that both wheels'
+//! accelerations `a (1 ± k h) ± h k' b` are linear there: bounds at both ends hold in between. The backward pass finds the largest `b`
+//! from which the end can still be reached, the forward pass takes the largest step into it.
 //!
 //! Source: Pham and Pham, "A New Approach to Time-Optimal Path Parameterization Based on Reachability Analysis", T-RO 2018.
 
@@ -22,15 +22,15 @@ pub enum SweepError {
     },
 }
 
-/// Squared speed that a robot loses for each metre in a zone that it is too fast in, as a share of the wheels' acceleration (of 2).
+/// Squared speed lost per metre in a zone whose limit the robot exceeds, as a multiple of the wheels' acceleration (full braking: 2).
 const SLOWING: f64 = 1.0;
-/// The same on the way to a zone ahead that it cannot slow down for: as much as it can, then somewhat less, where the path bends, or as
+/// The same ahead of a zone, tried in this order: the zone's limit strictly; somewhat less than full braking, for a path that bends; as
 /// gently as inside.
 const SLOWING_AHEAD: [f64; 3] = [f64::MAX, 1.8, SLOWING];
 
 /// Squared speed (m²/s²) at every sample: the fastest law that starts at `start_speed` (m/s, not negative) and ends at rest.
 ///
-/// A start speed up to a tenth over what the path allows is taken as an error of control, and cut. Linear in the samples.
+/// A start speed up to a tenth above what the path allows is treated as a control error, and cut. Linear in the samples.
 ///
 /// # Errors
 /// [`SweepError::StartTooFast`].
@@ -51,14 +51,14 @@ pub fn fastest(path: &GeometricPath, limits: &Limits, start_speed: f64) -> Resul
     below(firmly).or_else(|_| below(gently))
 }
 
-/// Below these squared speeds, m²/s², on the intervals.
+/// The fastest law below these squared speeds, m²/s², on the intervals.
 fn fastest_below(
     mut squared: Vec<f64>,
     path: &GeometricPath,
     limits: &Limits,
     start_speed: f64,
 ) -> Result<Vec<f64>, SweepError> {
-    // A sample has the lower one of the intervals beside it.
+    // A sample takes the lower ceiling of the intervals beside it.
     squared.push(squared[squared.len() - 1]);
     for i in (1..squared.len() - 1).rev() {
         squared[i] = squared[i].min(squared[i - 1]);
@@ -87,9 +87,9 @@ fn fastest_below(
     Ok(squared)
 }
 
-/// Largest squared speed (m²/s²) on every interval, by curvature and by the map's zones, of a law that [`fastest`] gave.
+/// Largest squared speed (m²/s²) on every interval, by curvature and by the map's zones, for a law of [`fastest`].
 ///
-/// A robot that is faster than a zone allows slows down in it, it does not stop.
+/// A robot that is faster than a zone allows slows down in it; it does not stop.
 #[must_use]
 pub fn ceilings(path: &GeometricPath, limits: &Limits, squared: &[f64]) -> Vec<f64> {
     let start_speed = squared[0].sqrt();
@@ -106,7 +106,7 @@ pub fn ceilings(path: &GeometricPath, limits: &Limits, squared: &[f64]) -> Vec<f
     tried.find(holds).unwrap_or(gentle)
 }
 
-/// The same for a robot that slows down so much ahead of a zone (of 2).
+/// The same for a given deceleration ahead of a zone (full braking: 2).
 fn ceilings_for(path: &GeometricPath, limits: &Limits, start_speed: f64, ahead: f64) -> Vec<f64> {
     let begin = path.points()[0].s;
     let mut is_inside = true;
@@ -121,12 +121,12 @@ fn ceilings_for(path: &GeometricPath, limits: &Limits, start_speed: f64, ahead: 
     path.points().windows(2).enumerate().map(ceiling).collect()
 }
 
-/// One interval's bounds on the squared speeds at its ends, `|end + slope · start| <= reach`: of the outer wheel at start and end, of the
-/// inner one at start and end.
+/// One interval's bounds on the squared speeds at its ends, `|end + slope · start| <= reach`: of the outer wheel at start and end, then
+/// of the inner wheel at start and end.
 struct Interval {
     slopes: [f64; 4],
     reaches: [f64; 4],
-    /// Whether the inner wheel can be the first to reach its limit; its bounds repeat the outer one's where it cannot.
+    /// Whether the inner wheel can be the first to reach its limit; if not, its bounds repeat the outer one's.
     inner: bool,
 }
 
@@ -143,7 +143,7 @@ impl Interval {
                 inner: false,
             };
         }
-        // Where the arc bends in little, `|k'| b <= A |k|`, the outer wheel's bounds imply the inner one's.
+        // Where the curvature changes slowly, `|k'| b <= A |k|`, the outer wheel's bounds imply the inner one's.
         let (k0, k1) = (from.k.abs(), to.k.abs());
         let same_side = from.k * to.k > 0.0 && h * k0.max(k1) < 1.0;
         let inner = !(same_side && 2.0 * (to.k - from.k).abs() * cap <= limit * k0.min(k1));
@@ -199,7 +199,7 @@ impl Interval {
 
     /// Largest squared speed at the start, at most `cap`, from which one at most `end_cap` can be reached.
     fn largest_start(&self, cap: f64, end_cap: f64) -> f64 {
-        // Mostly a wheel's braking alone decides: `-reach - slope · start <= end_cap`.
+        // Usually the braking of one wheel decides: `-reach - slope · start <= end_cap`.
         let braking = |i: usize| {
             if self.slopes[i] < 0.0 {
                 (end_cap + self.reaches[i]) / -self.slopes[i]
@@ -218,13 +218,13 @@ impl Interval {
         }
     }
 
-    /// The feasible pairs are a convex polygon with (0, 0) in it: Newton's steps from above go down to its corner, each to the crossing of
-    /// the two bounds that disagree most.
+    /// The feasible pairs form a convex polygon that contains (0, 0): Newton steps from above descend to its corner, each to the crossing
+    /// of the two bounds that disagree most.
     #[cold]
     fn corner(&self, above: f64, end_cap: f64) -> f64 {
         let mut start = above;
         for _ in 0..16 {
-            // Of the end's lower and upper bounds (value at zero, slope) the tightest at this start.
+            // The tightest lower and upper bound of the end (value at zero, slope) at this start.
             let at = |line: (f64, f64)| line.0 + line.1 * start;
             let (mut low, mut high) = ((0.0, 0.0), (end_cap, 0.0));
             for (slope, reach) in self.slopes.into_iter().zip(self.reaches) {
@@ -240,7 +240,7 @@ impl Interval {
                 return start;
             }
             let next = (high.0 - low.0) / (low.1 - high.1);
-            // Rounding may leave the corner a hair outside for ever.
+            // Rounding may leave the corner slightly outside for ever.
             if next.is_nan() || next >= start {
                 return start * (1.0 - 1e-12);
             }
@@ -252,18 +252,18 @@ impl Interval {
 
 /// `|start · x + end · y| <= limit` as slope and reach.
 fn bound(start: f64, end: f64, limit: f64) -> (f64, f64) {
-    // A bound that hardly knows the end is one of the start alone.
+    // A bound that hardly depends on the end is one of the start alone.
     let end = if end.abs() < LEAST { LEAST.copysign(end) } else { end };
     let inverse = end.recip();
     (start * inverse, limit * inverse.abs())
 }
 
-/// `f64::min` minds numbers that are not: several times as long, in the middle of the sweep's one chain.
+/// `f64::min` handles NaN, which takes several times as long, in the critical chain of the sweep.
 fn lesser(a: f64, b: f64) -> f64 {
     if a < b { a } else { b }
 }
 
-/// As [`lesser`].
+/// Like [`lesser`].
 fn greater(a: f64, b: f64) -> f64 {
     if a > b { a } else { b }
 }
@@ -332,7 +332,7 @@ mod tests {
         let squared = fastest(&straight().limited(&everywhere), &LIMITS, 0.5).unwrap();
         assert_eq!(squared[0], 0.25);
         assert!(squared[50] <= 0.04 + 1e-9, "slow after a metre");
-        // Whoever can slow down for a zone does: 0.5² - 2 A s is below 0.2² after 0.14 m.
+        // A robot that can slow down for a zone does: 0.5² - 2 A s is below 0.2² after 0.14 m.
         let ahead = |p: Point2<f64>| (p.x > 0.4).then_some(0.2);
         let path = straight().limited(&ahead);
         let squared = fastest(&path, &LIMITS, 0.5).unwrap();
@@ -342,7 +342,7 @@ mod tests {
                 .zip(&squared)
                 .all(|(p, b)| p.x < 0.4 || b.sqrt() <= 0.2 + 1e-9)
         );
-        // One that is too near is entered as slowly as can be.
+        // A zone that is too near is entered as slowly as possible.
         let near = |p: Point2<f64>| (p.x > 0.1).then_some(0.2);
         let path = straight().limited(&near);
         let squared = fastest(&path, &LIMITS, 0.5).unwrap();

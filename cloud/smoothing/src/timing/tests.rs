@@ -1,4 +1,4 @@
-//! Claims about trajectories in time, by sampling them at a millisecond and by integrating them.
+//! Tests of trajectories in time, by sampling them at a millisecond and by integrating them.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use nalgebra::Point2;
@@ -21,7 +21,7 @@ const LIMITS: Limits = Limits {
 /// Slack of every limit, in its own unit.
 const SLACK: f64 = 1e-6;
 
-/// Turns one after the other: the curvature (1/m) that is come to, and within which length (m).
+/// Turns one after the other: the curvature (1/m) that each reaches, and its length (m).
 fn curve(turns: &[(f64, f64)]) -> GeometricPath {
     let mut links = Vec::new();
     let mut k = 0.0;
@@ -45,7 +45,7 @@ fn curve(turns: &[(f64, f64)]) -> GeometricPath {
     GeometricPath::chain(start, &links).unwrap()
 }
 
-/// Halls, corners and places where the curve all but turns on the spot.
+/// Halls, corners, and places where the curve almost turns on the spot.
 fn turns() -> impl Strategy<Value = Vec<(f64, f64)>> {
     let gentle = (-3.0..3.0_f64, 0.1..1.5_f64);
     let straight = (0.0..1.0_f64).prop_map(|length| (0.0, 0.1 + length));
@@ -124,7 +124,7 @@ fn assert_consistent(trajectory: &PiecewiseTrajectory) {
             wrap_angle(there.yaw - at.yaw),
             there.t
         );
-        // The acceleration jumps: a step in which it does is off by that.
+        // The acceleration may jump within a step, which is then off by that much.
         assert!(
             (there.v - at.v).abs() < 4e-4 && (there.w - at.w).abs() < 1e-2,
             "{there:?} against {at:?}"
@@ -233,7 +233,7 @@ proptest! {
     }
 }
 
-/// Too few samples for a program.
+/// Whether there are too few samples for a programme.
 fn sweep_is_short(turns: &[(f64, f64)]) -> bool {
     curve(turns).points().len() < 5
 }

@@ -1,4 +1,5 @@
-//! Piecewise trajectory. Where is the robot at a time? A chain of stretches in time: braking along an arc, turning on the spot, following a path.
+//! Piecewise trajectory. The robot's state at a time, from a chain of stretches: braking along an arc, turning on the spot, following a
+//! path.
 
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
 use zenav_protocol::messages::SolverFigures;
@@ -12,7 +13,8 @@ use super::path::GeometricPath;
 use super::profile::Profile;
 use super::sweep::{SweepError, fastest};
 
-/// Where a piece's rates are taken, as shares of its time: at its ends (a hair inside, they belong to two pieces) and between.
+/// Where a piece's rates are taken, as shares of its time: at its ends (slightly inside, since an end belongs to two pieces) and in the
+/// middle.
 const SHARES: [f64; 3] = [1e-9, 0.5, 1.0 - 1e-9];
 
 /// Pose, velocity and acceleration at a time.
@@ -39,7 +41,7 @@ impl State {
 /// Velocity and acceleration at a time, without the pose.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Rates {
-    /// s.
+    /// Time, s.
     pub t: f64,
     /// Velocity.
     pub twist: Twist2,
@@ -60,7 +62,8 @@ pub struct PiecewiseTrajectory {
 
 #[derive(Clone, Debug)]
 enum Stretch {
-    /// Comes to rest along the arc that the robot is on: velocity is `twist` times the profile's, the profile's begins with one.
+    /// Comes to rest along the robot's present arc: the velocity is `twist` (per unit of the faster wheel's speed) times the profile's
+    /// speed.
     Brake {
         start: Pose2,
         twist: Twist2,
@@ -73,7 +76,7 @@ enum Stretch {
 }
 
 impl PiecewiseTrajectory {
-    /// Nothing yet.
+    /// Without any motion.
     #[must_use]
     pub fn new() -> Self {
         Self::default()
@@ -85,13 +88,13 @@ impl PiecewiseTrajectory {
         self.duration
     }
 
-    /// Path of the base, m.
+    /// Distance driven by the base, m.
     #[must_use]
     pub fn length(&self) -> f64 {
         self.length
     }
 
-    /// Shortest duration of the same turns and paths by the exact sweep, without a limit of the jerk, s.
+    /// Shortest duration of the same turns and paths by the exact sweep, without the jerk limit, s.
     #[must_use]
     pub fn lower_bound(&self) -> f64 {
         self.lower_bound
@@ -103,7 +106,7 @@ impl PiecewiseTrajectory {
         self.stretches.is_empty()
     }
 
-    /// Comes to rest from a pose and velocity; returns where.
+    /// Brakes to rest from a pose and velocity; returns the final pose.
     pub fn brake(&mut self, start: Pose2, twist: Twist2, limits: &Limits) -> Pose2 {
         let surface_speed = limits.surface_speed(twist);
         if !(surface_speed.is_finite() && surface_speed > 1e-6 * limits.wheel_acceleration) {
@@ -137,7 +140,7 @@ impl PiecewiseTrajectory {
         self.push(profile.duration(), least, Stretch::Spin { start, sign, profile });
     }
 
-    /// Follows a path as fast as the limits allow but for the jerk, from a speed (m/s) to rest.
+    /// Follows a path from a speed (m/s) to rest, as fast as all limits except the jerk allow.
     ///
     /// # Errors
     /// As [`fastest`].
@@ -149,8 +152,8 @@ impl PiecewiseTrajectory {
         Ok(())
     }
 
-    /// The same trajectory with the limited jerk that `limits` ask for, and how it came about; a path that has no such law keeps
-    /// the sweep's. Nothing changes, and there is nothing to tell, where they ask for none.
+    /// The same trajectory with the jerk limit of `limits`, and the solver's figures; a path without such a law keeps the sweep's.
+    /// Without a jerk limit nothing changes, and there are no figures.
     #[must_use]
     pub fn with_limited_jerk(self, limits: &Limits) -> (Self, Option<JerkFigures>) {
         let Some(jerk) = limits.jerk else {
@@ -181,8 +184,7 @@ impl PiecewiseTrajectory {
         (trajectory, Some(figures))
     }
 
-    /// The same turns and paths by other limits; braking stays as hard as it is. `None` where they do not allow the speed at a
-    /// path's start.
+    /// The same turns and paths under other limits; braking stays as it is. `None` if they do not allow the speed at a path's start.
     #[must_use]
     pub fn retimed(&self, limits: &Limits) -> Option<Self> {
         let mut trajectory = Self::new();
@@ -236,7 +238,7 @@ impl PiecewiseTrajectory {
         self.duration += duration;
     }
 
-    /// The state at a time (s), held to the trajectory's ends. Logarithmic in the samples.
+    /// The state at a time (s), clamped to the trajectory's ends. Logarithmic in the samples.
     #[must_use]
     pub fn at(&self, t: f64) -> State {
         let t = t.clamp(0.0, self.duration);
@@ -257,7 +259,7 @@ impl PiecewiseTrajectory {
         state
     }
 
-    /// States at most `period` seconds apart, the end included; empty when nothing moves.
+    /// States at most `period` seconds apart, the end included; empty if nothing moves.
     #[must_use]
     pub fn states(&self, period: f64) -> Vec<State> {
         if self.is_empty() {
@@ -269,7 +271,7 @@ impl PiecewiseTrajectory {
             .collect()
     }
 
-    /// Rates at the ends of every piece on which they are smooth, and between; where two pieces meet, of both.
+    /// Rates at the ends and in the middle of every smooth piece; where two pieces meet, those of both.
     #[must_use]
     pub fn rates(&self) -> Vec<Rates> {
         let mut rates = Vec::new();
@@ -279,17 +281,17 @@ impl PiecewiseTrajectory {
         rates
     }
 
-    /// As [`Self::states`], as it goes over the wire.
+    /// Like [`Self::states`], as sent over the wire.
     #[must_use]
     pub fn sampled(&self, period: f64) -> Trajectory {
         self.states(period).into_iter().map(|state| state.point).collect()
     }
 }
 
-/// How a limited jerk was found.
+/// Figures of limiting the jerk.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct JerkFigures {
-    /// What the solver said.
+    /// The solver's figures.
     pub solver: SolverFigures,
     /// Why a path kept the sweep's law, if one did.
     pub failed: Option<JerkError>,
@@ -303,7 +305,7 @@ impl Stretch {
         }
     }
 
-    /// Appends the rates of every piece: at its ends, and between.
+    /// Appends the rates of every piece: at its ends, and in the middle.
     fn rates(&self, begin: f64, rates: &mut Vec<Rates>) {
         let (times, piece): (Vec<f64>, _) = match self {
             Self::Brake { profile, .. } | Self::Spin { profile, .. } => {

@@ -1,52 +1,51 @@
-//! Encoding. How is a squared distance written down, so that vectors of many can be compared and added? In half cells; in a byte where the reach is
-//! short.
+//! Encoding. Squared distances in half cells as numbers that vector instructions compare and add; one byte if the reach is short.
 //!
 //! From a centre to a closed square `k` cells away it is `2 k - 1` half cells along an axis, zero in the cell itself. Squares of odd
-//! numbers are 1 more than a multiple of 8, so a sum over both axes is `8 t + c`, where `c` counts the axes that are not zero: `4 t + c`
-//! tells all of them apart, in the same order, and is a sum over both axes as well.
+//! numbers are 1 more than a multiple of 8, so a sum over both axes is `8 t + c`, where `c` counts the axes that are not zero. `4 t + c`
+//! distinguishes all of them, keeps their order, and is a sum over both axes as well.
 
 use crate::bits::pack;
 
-/// Cells of a word: what is computed at once.
+/// Cells of a word, which are computed together.
 pub(super) const WORD: usize = 64;
 
 /// A squared distance from a centre to a closed square.
 pub(super) trait Level: Copy + PartialEq + std::fmt::Debug + 'static {
-    /// Farthest reach, cells: of both axes together the number still fits.
+    /// Farthest reach, cells: the sum over both axes still fits.
     const MAX_REACH: u32;
 
-    /// Of a whole number of cells along one axis; greatest beyond the farthest reach.
+    /// The level of a whole number of cells along one axis; the greatest level beyond the farthest reach.
     fn along(cells: u8) -> Self;
 
-    /// Stands for "at least the reach".
+    /// The level for "at least the reach".
     fn far(reach: u32) -> Self;
 
     /// Squared half cells; `(2 reach)^2` for "at least the reach".
     fn squared(self, reach: u32) -> u16;
 
-    /// The greatest level that stands for at most so many squared half cells.
+    /// The greatest level for at most this many squared half cells.
     fn at_most(squared: u16) -> Self;
 
-    /// The levels of a word's distances along the columns, cells, those from `none` on as `far`.
+    /// The levels of a word from its distances along the columns, cells; distances from `none` on become `far`.
     fn of_columns(columns: &[u8; WORD], none: u8, far: Self, out: &mut [Self; WORD]);
 
-    /// The least of every cell's own level and those of its neighbours at every step to both sides, with what the step adds. `row` holds the
-    /// word and the words beside it.
+    /// The least of each cell's own level and, for every step to both sides, the neighbour's level plus what the step adds. `row` holds
+    /// the word and the words beside it.
     fn relax(row: &[[Self; WORD]; 3], along: &[Self], out: &mut [Self; WORD]);
 
-    /// Which levels of a word are greater.
+    /// The levels of a word that are greater than another, as bits.
     fn greater(word: &[Self; WORD], than: Self) -> u64;
 
-    /// How many steps along a row make a difference, when the nearest obstacle is so many cells away along the columns.
+    /// How many steps along a row can matter, if the nearest obstacle is this many cells away along the columns.
     fn steps(along: &[Self], nearest: u8, far: Self) -> usize;
 }
 
-/// What is done alike with either number. Loops over arrays without a branch become vector instructions; the innermost one stands in a
-/// function of its own, so that this does not depend on where it is called from.
+/// Code shared by both number types. Loops over arrays without a branch become vector instructions; the innermost one is a function of
+/// its own, so that this does not depend on the call site.
 macro_rules! kernels {
     ($number:ty, $lanes:literal, $add:ident) => {
         fn relax(row: &[[Self; WORD]; 3], along: &[Self], out: &mut [Self; WORD]) {
-            /// Cells at once: four vectors of sixteen bytes, which stay in registers.
+            /// Cells computed at once: four vectors of sixteen bytes, which stay in registers.
             const LANES: usize = $lanes;
             #[inline(never)]
             #[allow(
@@ -81,7 +80,7 @@ macro_rules! kernels {
     };
 }
 
-/// `4 t + c`.
+/// Encoded as `4 t + c`.
 impl Level for u8 {
     const MAX_REACH: u32 = 11;
 
@@ -125,7 +124,7 @@ impl Level for u8 {
     kernels!(u8, 64, saturating_add);
 }
 
-/// Squared half cells as they are.
+/// Squared half cells without encoding.
 impl Level for i16 {
     const MAX_REACH: u32 = 63;
 
@@ -157,7 +156,7 @@ impl Level for i16 {
         }
     }
 
-    // Twice the square of the farthest distance fits: nothing wraps.
+    // Twice the square of the farthest distance fits, so nothing wraps.
     kernels!(i16, 32, wrapping_add);
 }
 
@@ -175,7 +174,7 @@ mod tests {
             for (a, b) in (0..=reach).flat_map(|a| (0..=a).map(move |b| (a, b))) {
                 let squared = half(a) + half(b);
                 let [mut row, mut out] = [[L::far(reach); WORD]; 2];
-                // A cell in this column, `a` cells away; the answer `b` columns from there.
+                // An obstacle in this column, `a` cells away; the result is read `b` columns from there.
                 let mut columns = [u8::MAX; WORD];
                 columns[0] = a as u8;
                 L::of_columns(&columns, reach as u8 + 1, L::far(reach), &mut row);

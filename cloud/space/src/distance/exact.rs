@@ -1,27 +1,27 @@
-//! Exact distance transform. How far is each cell's centre from the nearest occupied square, at any distance?
+//! Exact distance transform. The distance of each cell's centre to the nearest occupied square, without a limit.
 //!
-//! Down the columns by counting, along the rows by the lower envelope of what every column offers (Meijster, Roerdink and Hesselink, "A
-//! General Algorithm for Computing Distance Transforms in Linear Time", 2000). Neighbours that offer the same are one: a wall along a
-//! row is a single piece of the envelope, however long it is. Where obstacles are dense the windows of the truncated transform are
-//! faster, so rows are tried with those as long as that goes well.
+//! Columns are counted; along the rows the lower envelope of the columns' distances is computed (Meijster, Roerdink and Hesselink, "A
+//! General Algorithm for Computing Distance Transforms in Linear Time", 2000). Neighbouring columns with the same distance form one
+//! piece: a wall along a row is a single piece of the envelope, however long it is. Where obstacles are dense the windows of the
+//! truncated transform are faster, so rows are tried with windows first while that succeeds.
 
 use super::encoding::{Level, WORD};
 use super::lower_envelope::Envelope;
 use super::truncated::{BAND, Bands};
 use crate::bits::BitGrid;
 
-/// Distances up to this are looked for by windows first, cells.
+/// Distances up to this are sought by windows first, cells.
 const NEAR: u32 = 20;
-/// After a row in which that was not enough, so many rows are not tried.
+/// Rows that skip the windows after a row in which they were not enough.
 const PAUSE: usize = 8;
 
-/// Distance along a column that stands for none, cells: no column is longer.
+/// Distance along a column without an obstacle, cells: no column is that long.
 pub(super) const NONE: u16 = u16::MAX;
 
-/// Squared distance of every cell's centre to the nearest occupied square, in half cells, at any distance, row by row;
-/// `u32::MAX` where nothing is occupied or the number would not fit.
+/// Squared distance of every cell's centre to the nearest occupied square, in half cells, without a limit, row by row; `u32::MAX` if
+/// nothing is occupied or the number does not fit.
 ///
-/// Cost: one to ten nanoseconds a cell.
+/// Cost: one to ten nanoseconds per cell.
 ///
 /// ```
 /// use zenav_space::{BitGrid, squared_distances};
@@ -36,7 +36,7 @@ pub fn squared_distances(obstacles: &BitGrid) -> Vec<u32> {
     squared
 }
 
-/// Hands out [`squared_distances`] row by row, from the lowest on.
+/// Passes [`squared_distances`] on row by row, from the lowest on.
 pub fn for_each_row(obstacles: &BitGrid, mut take: impl FnMut(u32, &[u32])) {
     let (width, height, stride) = (
         obstacles.width() as usize,
@@ -76,7 +76,7 @@ pub fn for_each_row(obstacles: &BitGrid, mut take: impl FnMut(u32, &[u32])) {
     }
 }
 
-/// Squared distances of a word by windows; `false` where they may be greater.
+/// Squared distances of a word by windows; `false` if a distance may be greater than the windows cover.
 fn within(near: &Bands<'_, i16>, row: usize, word: usize, width: usize, out: &mut [u32; WORD]) -> bool {
     let mut levels = [0; WORD];
     near.row(row, word, &mut levels);
@@ -87,16 +87,16 @@ fn within(near: &Bands<'_, i16>, row: usize, word: usize, width: usize, out: &mu
     levels[..inside].iter().all(|level| *level < <i16 as Level>::far(NEAR))
 }
 
-/// Distances to the nearest obstacle along the columns, cells, one band of rows after the other.
+/// Distances to the nearest obstacle along the columns, cells, band by band.
 struct Columns<'a> {
     obstacles: &'a BitGrid,
-    /// To obstacles above, of the row above each band.
+    /// To obstacles above, for the row above each band.
     tops: Vec<u16>,
-    /// To obstacles above, of the band's rows.
+    /// To obstacles above, for the band's rows.
     above: Vec<u16>,
-    /// To obstacles below, of the last row.
+    /// To obstacles below, for the last row.
     below: Vec<u16>,
-    /// To obstacles in either direction, of the last row.
+    /// To obstacles in either direction, for the last row.
     both: Vec<u16>,
     first: usize,
 }
@@ -122,7 +122,7 @@ impl<'a> Columns<'a> {
         }
     }
 
-    /// Goes on to the next band.
+    /// Moves on to the next band.
     fn enter(&mut self, rows: std::ops::Range<usize>) {
         let count = self.below.len();
         let mut running = self.tops[rows.start / BAND * count..][..count].to_vec();
@@ -133,7 +133,7 @@ impl<'a> Columns<'a> {
         }
     }
 
-    /// Goes on to the next row of the band.
+    /// Moves on to the next row of the band.
     fn next(&mut self, y: usize) -> &[u16] {
         let count = self.below.len();
         advance(&mut self.below, self.obstacles.row(y as u32));
@@ -145,7 +145,7 @@ impl<'a> Columns<'a> {
     }
 }
 
-/// One row further: every distance grows by a cell, obstacles begin anew at zero.
+/// One row further: every distance grows by a cell, and is zero at obstacles.
 fn advance(running: &mut [u16], obstacles: &[u64]) {
     for (cells, word) in running.as_chunks_mut::<WORD>().0.iter_mut().zip(obstacles) {
         let before = *cells;

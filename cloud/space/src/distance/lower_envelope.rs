@@ -1,12 +1,12 @@
-//! Lower envelope. Which column's obstacle is nearest to each cell of a row? The lower envelope of what the columns offer.
+//! Lower envelope. The nearest obstacle to each cell of a row, as the lower envelope of the columns' costs.
 //!
-//! A column offers its own squared distance to all cells in it, and to others that and the squared distance to its border. Columns side by
-//! side with the same distance are one piece. Of two pieces the right one is better from some cell on and stays better, for the
+//! A column costs its own squared distance for all cells in it; for other cells the squared distance to its border is added. Adjacent
+//! columns with the same distance form one piece. Of two pieces the right one is better from some cell on and stays better, because the
 //! difference of two such costs only grows along the row.
 
 use super::exact::NONE;
 
-/// Columns side by side with the same distance.
+/// Adjacent columns with the same distance.
 #[derive(Clone, Copy)]
 struct Piece {
     /// Borders, in columns.
@@ -14,12 +14,12 @@ struct Piece {
     right: i64,
     /// Squared half cells along the columns.
     height: i64,
-    /// The first cell at which it is better than those before it.
+    /// The first cell at which it is better than the pieces before it.
     from: i64,
 }
 
 impl Piece {
-    /// Squared half cells from a cell's centre.
+    /// Cost at a cell's centre, squared half cells.
     fn cost(&self, cell: i64) -> i64 {
         let center = 2 * cell + 1;
         let along = (2 * self.left - center).max(center - 2 * self.right).max(0);
@@ -38,7 +38,7 @@ impl Piece {
         if higher > square(self.right - other.right) {
             between(other.right, self.right)
         } else if higher > square(self.left - other.right) {
-            // Within `self`, where it costs its height.
+            // Within `self`, where its cost is its height.
             other.right + (root(higher) + 1) / 2
         } else if -higher > square(self.left - other.left) {
             between(other.left, self.left)
@@ -51,12 +51,12 @@ impl Piece {
     }
 }
 
-/// The whole part of a square root: exact, for squares are far smaller than what a float holds.
+/// The integer part of a square root; exact, because squares are far smaller than the integers that a float holds.
 fn root(square: i64) -> i64 {
     (square as f64).sqrt() as i64
 }
 
-/// The envelope of one row after the other.
+/// Computes the envelope of one row after the other.
 #[derive(Default)]
 pub(super) struct Envelope {
     pieces: Vec<Piece>,

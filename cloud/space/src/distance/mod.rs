@@ -1,10 +1,10 @@
-//! Truncated distance field. How far is each cell's centre from the nearest occupied square, up to a reach?
+//! Truncated distance field. The distance of each cell's centre to the nearest occupied square, up to a reach.
 //!
-//! Exact Euclidean distances to closed squares: a cell `k` columns away is `max(|k| - 1/2, 0)` cells away along x, and the
-//! squared distance is the sum over both axes. Distances are kept as squared half cells, which are whole numbers.
+//! Exact Euclidean distances to closed squares: a cell `k` columns away is `max(|k| - 1/2, 0)` cells away along x, and the squared
+//! distance is the sum over both axes. Distances are kept as squared half cells, which are whole numbers.
 //!
-//! A field stops at its reach, which is all that a robot asks for, and is kept in tiles: one where everything is beyond the reach
-//! takes no memory, and copies of a field share the tiles in which they do not differ. At any distance: [`super::exact`].
+//! A field ends at its reach, which is enough for a robot, and is stored in tiles: a tile that is entirely beyond the reach takes no
+//! memory, and copies of a field share the tiles in which they do not differ. For distances without a limit: [`exact`].
 
 mod encoding;
 pub mod exact;
@@ -23,7 +23,7 @@ use truncated::{BAND, Bands};
 /// Farthest reach of a [`DistanceField`], cells.
 pub const MAX_REACH: u32 = <i16 as Level>::MAX_REACH;
 
-/// Words that are transformed together: their bands stay in the cache.
+/// Words that are transformed together, so that their bands stay in the cache.
 const STRIP: usize = 64;
 
 /// Distances up to a reach.
@@ -34,14 +34,14 @@ pub struct DistanceField {
     tiles: Tiles,
 }
 
-/// A byte a cell where the reach is short enough.
+/// One byte per cell if the reach is short enough.
 #[derive(Clone, Debug, PartialEq)]
 enum Tiles {
     Short(Tiled<u8>),
     Long(Tiled<i16>),
 }
 
-/// Does the same with either kind of tiles.
+/// The same code for either kind of tiles.
 macro_rules! either {
     ($tiles:expr, $tiled:ident => $what:expr) => {
         match $tiles {
@@ -52,9 +52,9 @@ macro_rules! either {
 }
 
 impl DistanceField {
-    /// Transforms a whole grid. `reach` in cells is brought into 1 to [`MAX_REACH`].
+    /// Transforms a whole grid. `reach` in cells is clamped to 1 to [`MAX_REACH`].
     ///
-    /// Cost: half a nanosecond a cell near obstacles at a reach of 10 cells, a tenth of one where there are none within reach.
+    /// Cost: half a nanosecond per cell near obstacles at a reach of 10 cells, a tenth of a nanosecond where there are none within reach.
     ///
     /// ```
     /// use nalgebra::Point2;
@@ -83,13 +83,13 @@ impl DistanceField {
         either!(&mut self.tiles, tiled => tiled.refresh(obstacles, words, rows));
     }
 
-    /// Distances at least this far are not told apart, cells.
+    /// Reach, cells; distances from here on are not distinguished.
     #[must_use]
     pub fn reach_cells(&self) -> u32 {
         self.reach
     }
 
-    /// Distances at least this far are not told apart, m.
+    /// Reach, m; distances from here on are not distinguished.
     #[must_use]
     pub fn reach(&self) -> f64 {
         f64::from(self.reach) * self.spec.resolution
@@ -111,8 +111,8 @@ impl DistanceField {
         0.5 * f64::from(self.squared(cell)).sqrt() * self.spec.resolution
     }
 
-    /// Hands out which cells of a window have a squared distance above a bound (half cells), by row and word; bits beyond the grid may
-    /// be set.
+    /// Reports, by row and word, which cells of a window have a squared distance above a bound (half cells); bits beyond the grid may be
+    /// set.
     pub(super) fn farther(
         &self,
         squared: u16,
@@ -131,20 +131,20 @@ impl DistanceField {
         });
     }
 
-    /// Memory of the tiles, bytes, with those that copies of the field share.
+    /// Memory of the tiles, bytes, including those shared with copies of the field.
     #[must_use]
     pub fn bytes(&self) -> usize {
         either!(&self.tiles, tiled => tiled.bytes())
     }
 }
 
-/// Levels in tiles of 64 by 64 cells.
+/// Encoded distances (levels) in tiles of 64 by 64 cells.
 #[derive(Clone, Debug, PartialEq)]
 struct Tiled<L> {
     reach: u32,
-    /// Tiles a row.
+    /// Tiles per row.
     columns: usize,
-    /// Row by row from the lowest; none where everything is at least the reach away.
+    /// Row by row from the lowest; `None` where everything is at least the reach away.
     tiles: Vec<Option<Arc<[[L; WORD]; BAND]>>>,
 }
 
@@ -176,7 +176,7 @@ impl<L: Level> Tiled<L> {
         }
     }
 
-    /// Takes over a band's rows into the tile of a word.
+    /// Copies a band's rows into the tile of a word.
     fn write(&mut self, bands: &Bands<'_, L>, word: usize, rows: Range<usize>) {
         let far = L::far(self.reach);
         let slot = &mut self.tiles[rows.start / BAND * self.columns + word];
@@ -198,7 +198,7 @@ impl<L: Level> Tiled<L> {
             .map_or(L::far(self.reach), |levels| levels[cell.x as usize % WORD])
     }
 
-    /// The levels of a word in a row; `None` where everything is at least the reach away.
+    /// The levels of a word in a row; `None` if everything is at least the reach away.
     fn word(&self, y: u32, word: usize) -> Option<&[L; WORD]> {
         let tile = self.tiles[y as usize / BAND * self.columns + word].as_ref()?;
         Some(&tile[y as usize % BAND])

@@ -1,46 +1,45 @@
-//! Truncated distance transform. How are distances up to a reach found fast? In bands of rows: down columns by bytes, along rows by whole vectors.
+//! Truncated distance transform. Distances up to a reach, in bands of rows: down the columns in bytes, along the rows in whole vectors.
 //!
-//! The separable transform of Saito and Toriwaki ("New Algorithms for Euclidean Distance Transformation", 1994) with windows of
-//! the reach's width instead of a search, which is exact up to the reach and has no branch inside a word of 64 cells. A word
-//! knows how far its nearest obstacle is along the columns: where that is beyond the reach nothing is computed at all, and where it
-//! is not zero the window is narrower.
+//! The separable transform of Saito and Toriwaki ("New Algorithms for Euclidean Distance Transformation", 1994) with windows of the
+//! reach's width instead of a search: exact up to the reach, and without a branch inside a word of 64 cells. For each word the distance
+//! of its nearest obstacle along the columns is known: beyond the reach nothing is computed, and above zero the window is narrower.
 
 use std::ops::Range;
 
 use super::encoding::{Level, WORD};
 use crate::bits::BitGrid;
 
-/// Rows of a band; the bytes of its columns stay in the cache.
+/// Rows per band; the bytes of its columns stay in the cache.
 pub(super) const BAND: usize = 64;
 
-/// A byte each for a word's columns.
+/// One byte for each column of a word.
 type Columns = [u8; WORD];
 
 /// Working memory of the transform for a window of words.
 pub(super) struct Bands<'a, L> {
     obstacles: &'a BitGrid,
     reach: usize,
-    /// Distance along a column that stands for none within reach.
+    /// Distance along a column for "none within reach".
     none: u8,
     far: L,
-    /// The window with one more word at each side, as far as the grid has them.
+    /// The window with one more word at each side, where the grid has one.
     wide: Range<usize>,
-    /// Distances to the nearest obstacle below, cells, of the row before the band, the band's, and as many above as the reach.
+    /// Distances to the nearest obstacle below, cells, for the row before the band, the band's rows, and as many rows above as the reach.
     below: Vec<Columns>,
-    /// The least of them in each word; words with `none` are not written above.
+    /// The least of them in each word; for `none` the word in `below` is not written.
     nearest_below: Vec<u8>,
     /// Distances to the nearest obstacle below or above in the row that was last computed.
     both: Vec<Columns>,
     nearest_both: Vec<u8>,
-    /// Levels along the columns of the band's rows, with a word at both ends in which there is nothing.
+    /// Levels along the columns for the band's rows, with an empty word at both ends.
     levels: Vec<[L; WORD]>,
     /// The least distance in each of those words.
     nearest: Vec<u8>,
-    /// What each step along a row adds.
+    /// The level that each step along a row adds.
     along: Vec<L>,
-    /// How many steps make a difference, by the least distance of a word and those beside it.
+    /// Number of steps that can matter, by the least distance of a word and the words beside it.
     steps: Vec<usize>,
-    /// The rows computed last: of the band above them some are known already.
+    /// The rows computed last; the band above them reuses some rows.
     last: Range<usize>,
 }
 
@@ -69,14 +68,14 @@ impl<'a, L: Level> Bands<'a, L> {
         }
     }
 
-    /// Distances along the columns for a band of at most [`BAND`] rows. Bands that follow one another cost least.
+    /// Distances along the columns for a band of at most [`BAND`] rows. Consecutive bands cost least.
     pub(super) fn columns(&mut self, rows: Range<usize>) {
         self.upwards(&rows);
         self.downwards(rows.len(), self.rows_above(&rows));
         self.last = rows;
     }
 
-    /// Rows from the band's first on that have a say in it.
+    /// Number of rows, from the band's first on, that affect the band.
     fn rows_above(&self, rows: &Range<usize>) -> usize {
         (rows.end + self.reach).min(self.obstacles.height() as usize) - rows.start
     }
@@ -136,7 +135,8 @@ impl<'a, L: Level> Bands<'a, L> {
         }
     }
 
-    /// How far the nearest obstacle of a word and the words beside it is along the columns, in a row of the band; cells.
+    /// Index of the word to the left, and the distance along the columns to the nearest obstacle of a word and the words beside it, in a
+    /// row of the band, cells.
     fn nearest(&self, row: usize, word: usize) -> (usize, u8) {
         let at = row * (self.wide.len() + 2) + word - self.wide.start;
         let nearest = self.nearest[at..at + 3]
@@ -145,7 +145,7 @@ impl<'a, L: Level> Bands<'a, L> {
         (at, nearest)
     }
 
-    /// Whether anything may be within reach of a word of the window in a row of the band.
+    /// Whether an obstacle may be within reach of a word of the window in a row of the band.
     pub(super) fn is_near(&self, row: usize, word: usize) -> bool {
         self.nearest(row, word).1 < self.none
     }
@@ -160,7 +160,7 @@ impl<'a, L: Level> Bands<'a, L> {
     }
 }
 
-/// Distances to the nearest obstacle below one row further up; returns the least one. Nothing is written for none.
+/// Distances to the nearest obstacle below, one row further up; returns the least one. Nothing is written for `none`.
 #[allow(
     clippy::needless_range_loop,
     reason = "a loop over zipped arrays does not become vector instructions everywhere"
@@ -186,7 +186,7 @@ fn raise(before: &Columns, nearest: u8, word: u64, none: u8, now: &mut Columns) 
     0
 }
 
-/// Distances to the nearest obstacle in either direction one row further down; returns the least one.
+/// Distances to the nearest obstacle in either direction, one row further down; returns the least one.
 #[allow(
     clippy::needless_range_loop,
     reason = "a loop over zipped arrays does not become vector instructions everywhere"

@@ -1,4 +1,4 @@
-//! What of SLAM outlives its process, on disk and on the network?
+//! Tests of stored SLAM sessions, on disk and on the network.
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
@@ -19,10 +19,10 @@ use crate::testing::router;
 mod lost;
 
 const DEADLINE: Duration = Duration::from_secs(20);
-/// Wheels count so much too much.
+/// The wheels overestimate distance by this factor.
 const TOO_FAR: f64 = 1.04;
 
-/// Left, low, right and high side of boxes, m: the walls of a hall, and what stands in it.
+/// Left, low, right and high side of boxes, m: the walls of a hall and its furniture.
 type Boxes = [(f64, f64, f64, f64)];
 
 const HALL: [(f64, f64, f64, f64); 8] = [
@@ -36,7 +36,7 @@ const HALL: [(f64, f64, f64, f64); 8] = [
     (9.9, -2.0, 10.0, 2.0),
 ];
 
-/// The scan of a robot that has driven so far along the hall, m; it sees 6 m.
+/// The scan of a robot that has driven this far along the hall, m; range 6 m.
 fn scan(way: f64) -> Scan {
     seen_among(&HALL, way)
 }
@@ -78,7 +78,7 @@ fn core() -> MappingCore {
     MappingCore::new(Mapper::new(MappingSettings::default(), "new"), &settings())
 }
 
-/// What is to be kept, where it is due.
+/// The session to store, if it is due.
 fn kept(mapping: &mut MappingCore, anyway: bool) -> Option<Kept> {
     mapping.is_keep_due(anyway).then(|| mapping.kept().unwrap().unwrap())
 }
@@ -103,14 +103,14 @@ fn a_frame_is_kept_before_it_is_told_and_goes_on() {
         }
     }
     assert_eq!(told, 1);
-    // What was written when the process was killed belongs to nothing.
+    // A line cut off when the process was killed belongs to no session.
     let mut scans = OpenOptions::new().append(true).open(folder.path().join(SCANS)).unwrap();
     scans.write_all(b"{\"stamp\"").unwrap();
 
     let mut after = core().going_on(read(folder.path()).unwrap().unwrap());
     assert_eq!(after.untold_frame(Stamp::ZERO).unwrap().map.frame, 1);
     let drawn = after.mapper.info();
-    // Of the scans only nodes are drawn again.
+    // Only the scans of nodes are redrawn.
     assert!(
         drawn.occupied as f64 > 0.9 * before.occupied as f64,
         "{} of {}",
@@ -135,7 +135,7 @@ fn a_frame_is_kept_before_it_is_told_and_goes_on() {
     assert!(read(folder.path()).unwrap().is_none());
 }
 
-/// The scan of a robot that was restarted when it had driven `before`, m: its odometry begins there.
+/// The scan of a robot that was restarted after driving `before`, m: its odometry starts there.
 fn restarted(way: f64, before: f64) -> Scan {
     Scan {
         odom_from_base: Pose2::new(TOO_FAR * (way - before), 0.0, 0.0),
@@ -143,7 +143,7 @@ fn restarted(way: f64, before: f64) -> Scan {
     }
 }
 
-/// Mapping of a robot that has driven so far, m.
+/// Mapping of a robot that has driven this far, m.
 fn driven(way: f64, folder: &Path) -> MappingCore {
     let mut mapping = core();
     let steps = (way / 0.05).round() as usize;
@@ -156,7 +156,7 @@ fn driven(way: f64, folder: &Path) -> MappingCore {
     mapping
 }
 
-/// How far a scan that was made after so much way, m, is off its place.
+/// Position error of a scan taken after this much travel, m.
 fn off(mapped: &Mapped, way: f64) -> f64 {
     let localisation = mapped.localisation.as_ref().unwrap();
     localisation.map_from_base.distance(&Pose2::new(way, 0.0, 0.0))
@@ -172,7 +172,7 @@ fn a_robot_that_was_restarted_and_stands_is_tracked() {
         let mapped = mapping.insert(&scan, "another boot");
         assert_eq!(mapped.localisation.as_ref().unwrap().health, Health::Tracking);
         assert!(off(&mapped, 3.0) < 0.05, "{mapped:?}");
-        // Its edge, which begins where its file says, takes the first one at its word.
+        // The edge starts at its configured pose and adopts the first correction as is.
         let correction = mapped.correction.map(|correction| correction.is_found_anew);
         assert_eq!(correction.unwrap_or_default(), step == 0, "{step}");
     }
@@ -183,7 +183,7 @@ fn a_robot_that_drove_on_while_mapping_was_restarted_is_where_its_odometry_says(
     let folder = tempfile::tempdir().unwrap();
     driven(3.0, folder.path());
     let mut mapping = core().going_on(read(folder.path()).unwrap().unwrap());
-    // The first scan may come before anything else is heard of the robot.
+    // The first scan may arrive before the robot's first state.
     assert_eq!(mapping.insert(&scan(3.9), "").insertion, Insertion::Held);
     let mapped = mapping.insert(&scan(4.0), "boot");
     assert!(off(&mapped, 4.0) < 0.06, "{mapped:?}");
@@ -207,7 +207,7 @@ fn a_robot_that_lost_power_with_mapping_is_found_where_it_came_after_the_session
     }
 }
 
-/// Inserts scans from one way to another, m, keeping nothing.
+/// Inserts the scans between two distances along the hall, m, storing nothing.
 fn drive(mapping: &mut MappingCore, from: f64, to: f64) {
     let steps = ((to - from) / 0.05).round() as usize;
     for step in 1..=steps {
@@ -215,7 +215,7 @@ fn drive(mapping: &mut MappingCore, from: f64, to: f64) {
     }
 }
 
-/// The same scan by a lidar that looks back.
+/// The same scan from a lidar mounted behind.
 fn rear(scan: Scan) -> Scan {
     Scan {
         base_from_laser: Pose2::new(-0.2, 0.0, 0.0),
@@ -240,7 +240,7 @@ fn a_scan_of_a_further_lidar_waits_until_the_main_one_has_placed_the_robot() {
         mapping.insert_further(&rear(scan(3.0)), "another boot"),
         Insertion::Held
     );
-    // Far enough from the last place on the way to be one itself.
+    // Far enough from the last trajectory point to add one.
     mapping.insert_further(&rear(scan(3.15)), "boot");
     let place = mapping.mapper.trajectory().last().unwrap();
     assert!((place.x - 3.15).abs() < 0.02 && (place.y - 0.5).abs() < 0.02, "{place}");
@@ -252,7 +252,7 @@ fn a_write_that_fails_leaves_the_session_as_it_was_and_the_next_one_adds_to_it()
     let mut mapping = driven(3.0, folder.path());
     let before = read(folder.path()).unwrap().unwrap().scans;
     let whole = std::fs::read(folder.path().join(SCANS)).unwrap();
-    // Scans can be written, the session that counts them cannot.
+    // The scans can be written, the session that refers to them cannot.
     let blocker = folder.path().join(format!(".{SESSION}.{}.part", std::process::id()));
     std::fs::create_dir(&blocker).unwrap();
     drive(&mut mapping, 3.0, 4.0);
@@ -306,7 +306,7 @@ async fn a_place_lies_where_a_closure_has_moved_it_after_a_restart_too() {
         y: 0.5,
         yaw: None,
     };
-    // The closure came before mapping was restarted: the map was drawn anew already, or not yet.
+    // A closure before the restart of mapping, with the map already redrawn or not yet.
     for is_drawn in [true, false] {
         let folder = tempfile::tempdir().unwrap();
         let config = MappingConfig {
@@ -349,7 +349,7 @@ async fn a_place_lies_where_a_closure_has_moved_it_after_a_restart_too() {
         assert!(told.frame == 1 && off < 1e-9, "{told:?}");
         shutdown.trigger();
         service.await.unwrap().unwrap();
-        // And the same once more, of what the service has kept.
+        // The same again, from what the service has stored.
         let kept = read(folder.path()).unwrap().unwrap().head;
         assert!(kept.frame == 1 && kept.annotations != Carried::default());
         router.close().await;
@@ -392,7 +392,7 @@ async fn mapping_that_is_killed_in_mid_drive_goes_on_with_its_map() {
     let drive = async |way: &mut f64| {
         *way += 0.05;
         scans.put(&scan(*way));
-        // The state comes after the scan, and more seldom.
+        // The state comes after the scan, and less often.
         if (*way / 0.05).round() as usize % 4 == 3 {
             states.put(&state());
         }
@@ -407,7 +407,7 @@ async fn mapping_that_is_killed_in_mid_drive_goes_on_with_its_map() {
     let kept = read(folder.path()).unwrap().unwrap();
     assert!(kept.scans.len() >= 10, "{} nodes", kept.scans.len());
 
-    // The robot goes on meanwhile, farther than it would be looked for after a restart of its own.
+    // Meanwhile the robot drives on, farther than the search after its own restart would reach.
     way += 1.5;
     let (service, shutdown) = begin("mapping-again").await;
     let after = asked().await;
@@ -434,7 +434,7 @@ async fn mapping_that_is_killed_in_mid_drive_goes_on_with_its_map() {
     router.close().await;
 }
 
-/// What a robot says of itself in its boot.
+/// The robot's state in its boot.
 fn state() -> EdgeState {
     serde_json::from_value(serde_json::json!({
         "stamp": 1, "boot_id": "boot", "mode": "idle", "link": "Connected", "lease": LeaseState::default(),

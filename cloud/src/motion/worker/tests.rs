@@ -1,4 +1,4 @@
-//! Claims about the motion worker.
+//! Tests of the motion worker.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
@@ -22,7 +22,7 @@ fn spec_of(width: u32, height: u32) -> GridSpec {
     }
 }
 
-/// Of a hall of 6 m by 4 m.
+/// Describes a hall of 6 m by 4 m.
 fn map_info() -> MapInfo {
     MapInfo {
         stamp: Stamp::ZERO,
@@ -40,12 +40,12 @@ fn map_info() -> MapInfo {
     }
 }
 
-/// A hall of 6 m by 4 m with a wall across that leaves a door of a width (m) between y = 2 m and there.
+/// A hall of 6 m by 4 m with a wall across it; the wall has a door of this width (m), from y = 2 m on.
 fn hall(door: f64) -> MapReplica {
     hall_with(door, |_| false)
 }
 
-/// The same with obstacles at these places, m.
+/// The same hall with obstacles at these places, m.
 fn hall_with(door: f64, is_occupied: impl Fn(Point2<f64>) -> bool) -> MapReplica {
     let is_wall = |at: Point2<f64>| (3.0..3.05).contains(&at.x) && !(2.0..2.0 + door).contains(&at.y);
     hall_of(spec(), |at| is_wall(at) || is_occupied(at))
@@ -226,7 +226,7 @@ fn a_search_out_of_time_has_no_path_and_a_smoother_out_of_time_a_safe_trajectory
 
 #[test]
 fn a_long_body_that_two_discs_hold_backs_straight_out_and_turns_behind_them() {
-    // Each stands some centimetres inside the outline's side by the map.
+    // By the map each disc reaches some centimetres into the side of the outline.
     let discs = [Point2::new(2.65, 2.445), Point2::new(2.6, 1.555)];
     let map = hall_with(1.25, |at| discs.iter().any(|disc| (at - disc).norm() <= 0.3));
     let mut request = request("jackal", "astar");

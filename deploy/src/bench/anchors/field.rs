@@ -1,4 +1,4 @@
-//! Field. How far is it to the goal among what stands? For a disc, on cells, from the world's true geometry.
+//! Field. Distance to the goal around static obstacles, for a disc, on cells, from the world's true geometry.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -10,10 +10,10 @@ use zenav_sim::World;
 
 /// Side of a cell, m.
 const CELL: f64 = 0.05;
-/// A disc may be this much nearer than its radius at a cell's centre, m: a gap that it fits through lies between cells.
+/// A cell centre may be this much nearer than the disc's radius, m: a passable gap may have no cell on its centre line.
 const SLACK: f64 = 0.012;
 
-/// Clearances and distances to a goal.
+/// Clearances, and distances to a goal.
 pub(in crate::bench) struct Field {
     low: Point2<f64>,
     size: [usize; 2],
@@ -24,7 +24,7 @@ pub(in crate::bench) struct Field {
 }
 
 impl Field {
-    /// For a disc that goes to `goal` in a world, m.
+    /// The field of a disc that drives to `goal` in a world, m.
     pub(in crate::bench) fn new(world: &World, radius: f64, goal: Point2<f64>) -> Self {
         let (low, high) = world.bounds();
         let size = [high.x - low.x, high.y - low.y].map(|side| (side / CELL).ceil() as usize);
@@ -46,7 +46,7 @@ impl Field {
         field
     }
 
-    /// Dijkstra's algorithm from the goal, over steps to the sixteen cells around.
+    /// Dijkstra's algorithm from the goal, over steps to the sixteen surrounding cells.
     fn flood(&mut self) {
         let mut open = BinaryHeap::new();
         if let Some(goal) = self.cell(self.goal) {
@@ -62,7 +62,7 @@ impl Field {
                 let there = here + length;
                 if there < self.to_goal[next] && self.is_free(next) {
                     self.to_goal[next] = there;
-                    // Floats that are not negative are ordered as their bits.
+                    // Non-negative floats have the order of their bits.
                     open.push((Reverse(there.to_bits()), next));
                 }
             }
@@ -99,12 +99,12 @@ impl Field {
         inside.then(|| off.y as usize * self.size[0] + off.x as usize)
     }
 
-    /// Distance from a point to what stands, m; to within a cell.
+    /// Distance from a point to the nearest static obstacle, m; to within a cell.
     pub(super) fn clearance(&self, at: Point2<f64>) -> f64 {
         self.cell(at).map_or(0.0, |cell| f64::from(self.clearance[cell]))
     }
 
-    /// How far it is to the goal along the cells, m; infinite where there is no way.
+    /// Distance to the goal along the cells, m; infinite without a path.
     pub(super) fn to_goal(&self, at: Point2<f64>) -> f64 {
         let near = (at - self.goal).norm();
         if near < 4.0 * CELL {
@@ -124,7 +124,7 @@ impl Field {
         (self.low, self.size.map(|side| side as f64 * CELL))
     }
 
-    /// Length of the shortest way from a point to the goal, m: along the cells, then pulled taut. Infinite where there is none.
+    /// Length of the shortest path from a point to the goal, m: along the cells, then shortened by line of sight. Infinite without a path.
     pub(in crate::bench) fn shortest(&self, from: Point2<f64>) -> f64 {
         let Some(mut cell) = self.cell(from).filter(|cell| self.to_goal[*cell].is_finite()) else {
             return f64::INFINITY;
@@ -174,7 +174,7 @@ mod tests {
             |things: &str| World::from_toml(&format!("size = [8, 8]\n{things}"), "w", &|_| Err(String::new())).unwrap();
         let length = |world: &World| Field::new(world, 0.25, Point2::new(7.0, 3.0)).shortest(Point2::new(1.0, 2.0));
         assert!((length(&world("")) - 37.0_f64.sqrt()).abs() < 0.01);
-        // Round the end of a wall at (4, 6), with a radius of 0.25 m.
+        // Around the end of a wall at (4, 6), with a radius of 0.25 m.
         let around = length(&world("[[wall]]\nfrom = [4, 0]\nto = [4, 6]\nthickness = 0.02\n"));
         let corner = |x: f64, y: f64| (x - 4.0).hypot(y - 6.0);
         let least = corner(1.0, 2.0) + corner(7.0, 3.0);

@@ -1,11 +1,11 @@
-//! Anchors. How do others drive in the same worlds? They know where they are, what stands and who walks where, and drive the same simulated body.
+//! Anchors. Reference planners in the same worlds: they drive the same simulated body with ground truth of pose, obstacles and people.
 //!
 //! | file | answers |
 //! |---|---|
-//! | `field` | how far is it to the goal among what stands? |
-//! | `orca` | which velocity is clear of everybody, if everybody does half? |
-//! | `window` | which of the twists within reach is best? (dynamic window) |
-//! | `space_time` | which way is free at the time that one gets there? (A* over cells and time) |
+//! | `field` | how far is it to the goal around static obstacles? |
+//! | `orca` | which velocity avoids everybody, if everybody takes half of the avoidance? |
+//! | `window` | which reachable twist is best? (dynamic window) |
+//! | `space_time` | which path is free at the time when the robot is there? (A* over cells and time) |
 
 mod field;
 mod orca;
@@ -31,36 +31,36 @@ use window::Window;
 
 /// Ticks between two decisions: 10 Hz.
 const TICKS: u64 = 5;
-/// Nobody is tracked farther away, m.
+/// Tracking range, m.
 const SIGHT: f64 = 10.0;
-/// How far the dynamic windows look ahead, s.
+/// Horizon of the dynamic windows, s.
 const HORIZON: f64 = 2.0;
-/// The same for who follows a planned way, s.
+/// Horizon for following a planned path, s.
 const FOLLOWING: f64 = 1.0;
-/// The tolerance where the deployment's counts, m.
+/// Tolerance if a case uses the deployment's, m.
 const TOLERANCE: f64 = 0.15;
 
-/// Who drives instead of zenav.
+/// A reference planner that drives instead of zenav.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum Anchor {
-    /// Dynamic window (Fox, Burgard and Thrun, 1997): people count as standing.
+    /// Dynamic window (Fox, Burgard and Thrun, 1997): people count as stationary.
     Standing,
-    /// The same: people go on at their velocities, which are tracked without error within 10 m.
+    /// Dynamic window with people predicted at constant velocity, tracked without error within 10 m.
     ConstantVelocity,
-    /// Optimal reciprocal collision avoidance, of people whose velocities are tracked without error within 10 m.
+    /// Optimal reciprocal collision avoidance; people's velocities are tracked without error within 10 m.
     Orca,
-    /// A* in space and time that is told everybody's future.
+    /// A* in space and time with everybody's future known.
     AllKnowing,
 }
 
 impl Anchor {
     pub(super) const ALL: [Self; 4] = [Self::Standing, Self::ConstantVelocity, Self::Orca, Self::AllKnowing];
-    /// Nobody knows the future of people who react to whoever drives.
+    /// Without [`Self::AllKnowing`]: the future of people who react to the robot cannot be known in advance.
     pub(super) const OF_PEOPLE_WHO_REACT: [Self; 3] = [Self::Standing, Self::ConstantVelocity, Self::Orca];
 }
 
-/// A disc that moves: where it is, how fast it goes, its radius.
+/// A moving disc: position, velocity, radius.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Walker {
     at: Point2<f64>,
@@ -68,14 +68,14 @@ pub(super) struct Walker {
     radius: f64,
 }
 
-/// How an anchor's run went.
+/// Result of an anchor's run.
 pub(super) struct Driven {
     pub referee: Referee,
     pub truth: Truth,
     pub time_s: f64,
 }
 
-/// Everybody's places at times, in a world without a robot.
+/// Recorded positions of all movers, in a world without a robot.
 pub(super) struct Replay {
     /// Every [`TICKS`] ticks.
     places: Vec<Vec<Point2<f64>>>,
@@ -94,7 +94,7 @@ impl Replay {
         Ok(Self { places, step })
     }
 
-    /// Where a mover is at a time (s); it stays where the record ends.
+    /// Position of a mover at a time (s); the last one after the end of the record.
     fn at(&self, mover: usize, secs: f64) -> Point2<f64> {
         let place = |index: usize| {
             let row = self.places.get(index).or(self.places.last());
@@ -106,10 +106,10 @@ impl Replay {
     }
 }
 
-/// Drives a case to its end; `see` is told the truth after every tick.
+/// Drives a case to its end; `see` is called with the ground truth after every tick.
 ///
 /// # Errors
-/// A robot that cannot start where the world says.
+/// A robot that cannot start where the world file says.
 pub(super) fn drive(
     anchor: Anchor,
     case: &Case,
@@ -189,7 +189,7 @@ pub(super) fn drive(
     }
 }
 
-/// A disc around a mover, m.
+/// Radius of a disc around a mover, m.
 fn radius(mover: &MoverModel) -> f64 {
     match &mover.shape {
         Shape::Disc(radius) => *radius,

@@ -1,4 +1,4 @@
-//! Optimal reciprocal collision avoidance. Which velocity keeps the robot clear of everybody, if everybody does half of the work?
+//! Optimal reciprocal collision avoidance. Chooses the velocity that avoids everybody, if everybody takes half of the avoidance.
 //!
 //! Van den Berg, Guy, Lin and Manocha, "Reciprocal n-Body Collision Avoidance" (2011), for a body that cannot move sideways as in Snape,
 //! van den Berg, Guy and Manocha, "Smooth and Collision-Free Navigation for Multiple Robots Under Differential-Drive Constraints" (2010):
@@ -14,18 +14,18 @@ use zenav_sim::manners::{Manners, Neighbour, Walker};
 
 use super::{Field, Walker as Person};
 
-/// The steered point lies so far ahead of the axle, m.
+/// Distance of the steered point ahead of the axle, m.
 const AHEAD: f64 = 0.15;
-/// Directions that the way to the goal and the nearest wall are looked for in.
+/// Number of directions sampled for the descent to the goal and for the nearest wall.
 const DIRECTIONS: u32 = 32;
-/// So far away, m.
+/// Sampling distance, m.
 const STEP: f64 = 0.3;
 
 /// Steers one robot.
 pub(super) struct Orca<'a> {
     model: &'a RobotModel,
     field: &'a Field,
-    /// Of a disc around the steered point that covers the outline, m.
+    /// Radius of a disc around the steered point that covers the outline, m.
     radius: f64,
 }
 
@@ -66,7 +66,7 @@ impl<'a> Orca<'a> {
         Twist2::new(chosen.dot(&heading), chosen.dot(&left) / AHEAD)
     }
 
-    /// Direction in which the way to the goal becomes shorter soonest.
+    /// Direction of steepest descent of the distance to the goal.
     fn towards_goal(&self, from: Point2<f64>) -> Vector2<f64> {
         let straight = self.field.goal() - from;
         if straight.norm() < STEP {
@@ -75,13 +75,13 @@ impl<'a> Orca<'a> {
         least(|direction| self.field.to_goal(from + direction * STEP))
     }
 
-    /// From a place to the nearest that stands, m.
+    /// Vector from a place to the nearest static obstacle, m.
     fn to_wall(&self, from: Point2<f64>) -> Vector2<f64> {
         least(|direction| self.field.clearance(from + direction * STEP)) * self.field.clearance(from)
     }
 }
 
-/// The direction in which a value is least.
+/// The direction with the least value.
 fn least(value: impl Fn(Vector2<f64>) -> f64) -> Vector2<f64> {
     let directions = (0..DIRECTIONS).map(|nth| {
         let (sin, cos) = (TAU * f64::from(nth) / f64::from(DIRECTIONS)).sin_cos();

@@ -1,5 +1,5 @@
-//! A* over cells and time. Which way is free at the time that one gets there? Everybody's future is known; a step to one of the eight cells around,
-//! or a wait, takes one layer of time.
+//! A* over cells and time. Finds the path that is free at the time when the robot is there. Everybody's future is known; a step to one of
+//! the eight surrounding cells, or a wait, takes one layer of time.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -11,16 +11,16 @@ use crate::bench::suites::Case;
 
 /// Side of a cell, m.
 const CELL: f64 = 0.2;
-/// Speed along a row, as a share of the top speed; askew it is more.
+/// Speed along a row, as a share of the top speed; diagonal steps are faster.
 const SHARE: f64 = 0.65;
-/// Kept from everybody and everything beyond contact, m: half a cell's diagonal, nearly.
+/// Clearance beyond contact from everybody and everything, m: nearly half a cell's diagonal.
 const MARGIN: f64 = 0.12;
-/// A way is planned anew after this time, s.
+/// Period of replanning, s.
 const AGAIN: f64 = 1.0;
-/// At its start a way may pass what it keeps off else, layers.
+/// At its start a path may violate the clearance, for so many layers.
 const LENIENT: usize = 2;
 
-/// Where to be when.
+/// Positions over time.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Reference {
     begins: f64,
@@ -29,7 +29,7 @@ pub(super) struct Reference {
 }
 
 impl Reference {
-    /// The place at a time (s).
+    /// The position at a time (s).
     pub(super) fn at(&self, secs: f64) -> Point2<f64> {
         let share = ((secs - self.begins) / self.layer).max(0.0);
         let point = |index: usize| {
@@ -44,15 +44,15 @@ impl Reference {
     }
 }
 
-/// Cells, layers of time, and who is where.
+/// Cells, layers of time, and everybody's positions.
 pub(super) struct SpaceTime {
     low: Point2<f64>,
     size: [usize; 2],
-    /// Seconds a layer.
+    /// Duration of a layer, s.
     layer: f64,
-    /// By layer: cells that somebody comes too near to.
+    /// For each layer: cells that somebody comes too close to.
     taken: Vec<Vec<bool>>,
-    /// Steps to the goal among what stands; `None` where there is no way.
+    /// Steps to the goal around static obstacles; `None` without a path.
     steps: Vec<Option<u32>>,
     goal: Point2<f64>,
     replay: Replay,
@@ -83,7 +83,7 @@ impl SpaceTime {
         all
     }
 
-    /// Everybody's discs at a time (s).
+    /// Discs of all movers at a time (s).
     pub(super) fn walkers(&self, secs: f64) -> Vec<(Point2<f64>, f64)> {
         let disc = |(mover, radius): (usize, &f64)| (self.replay.at(mover, secs), *radius);
         self.radii.iter().enumerate().map(disc).collect()
@@ -137,7 +137,7 @@ impl SpaceTime {
         self.low + Vector2::new((cell % self.size[0]) as f64 + 0.5, (cell / self.size[0]) as f64 + 0.5) * CELL
     }
 
-    /// The cell itself and those around it.
+    /// The cell itself and its neighbours.
     fn around(&self, cell: usize) -> impl Iterator<Item = usize> + use<> {
         let [width, height] = self.size.map(|side| side as i64);
         let (x, y) = (cell as i64 % width, cell as i64 / width);
@@ -148,7 +148,7 @@ impl SpaceTime {
         })
     }
 
-    /// The way from a place at a time (s) on; planned anew once it is old.
+    /// The path from a place at a time (s); replanned after [`AGAIN`].
     pub(super) fn reference(&mut self, now: f64, from: Point2<f64>) -> Reference {
         if self.reference.points.is_empty() || now - self.reference.begins >= AGAIN {
             let begins = (now / self.layer) as usize;
@@ -173,7 +173,7 @@ impl SpaceTime {
         let cells = self.steps.len();
         let (start, goal) = (self.cell(from), self.cell(self.goal));
         let layers = self.taken.len().checked_sub(begins)?;
-        // The state that each was come to from, itself at the start.
+        // Predecessor of each state; the start is its own.
         let mut parents = vec![u32::MAX; cells * layers];
         let mut open = BinaryHeap::new();
         parents[start] = start as u32;

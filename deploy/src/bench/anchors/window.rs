@@ -1,5 +1,5 @@
-//! Dynamic window. Which of the twists within reach is best? After Fox, Burgard and Thrun, "The Dynamic Window Approach to Collision Avoidance"
-//! (1997): constant twists are rolled out, those that touch are dropped.
+//! Dynamic window. Chooses the best reachable twist, after Fox, Burgard and Thrun, "The Dynamic Window Approach to Collision Avoidance"
+//! (1997): constant twists are rolled out, those with contact are dropped.
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
@@ -10,20 +10,20 @@ use super::Field;
 
 /// Time between two poses of a rollout, s.
 const STEP: f64 = 0.1;
-/// Twists are within reach that the wheels come to in this time, s.
+/// Time in which the wheels must be able to reach a twist, s.
 const REACH: f64 = 0.25;
-/// Speeds and yaw rates that are tried.
+/// Number of speeds and of yaw rates tried.
 const TRIED: [u32; 2] = [9, 17];
-/// Speed backwards, as a share of the top speed.
+/// Largest reverse speed, as a share of the top speed.
 const BACKWARDS: f64 = 0.3;
-/// A rollout keeps this distance, m.
+/// Clearance of a rollout, m.
 const MARGIN: f64 = 0.04;
-/// Cost of coming near, and how fast it falls, m.
+/// Cost of proximity, and its decay length, m.
 const NEAR: [f64; 2] = [0.5, 0.15];
-/// The heading counts by a point so far ahead, m.
+/// The heading counts through a point so far ahead, m.
 const NOSE: f64 = 0.3;
 
-/// A robot's twists among what stands.
+/// The dynamic window of a robot among obstacles.
 pub(super) struct Window<'a> {
     model: &'a RobotModel,
     field: &'a Field,
@@ -36,7 +36,7 @@ impl<'a> Window<'a> {
         Self { model, field, reach }
     }
 
-    /// The twist whose rollout costs least; `predict` tells discs at a time from now on (s).
+    /// The twist with the cheapest rollout; `predict` gives the discs at a time from now (s).
     pub(super) fn choose(
         &self,
         truth: &Truth,
@@ -50,12 +50,12 @@ impl<'a> Window<'a> {
         let (top, turn) = (drive.top_speed(), drive.top_yaw_rate());
         let gain = drive.acceleration() * REACH;
         let spin = 2.0 * gain / drive.wheel_separation;
-        // Finer around what it drives now.
+        // Sampled more finely around the present twist.
         let tried = |now: f64, gain: f64, low: f64, high: f64, count: u32| {
             let share = move |index| 2.0 * f64::from(index) / f64::from(count - 1) - 1.0;
             (0..count).map(move |index| (now + gain * share(index) * share(index).abs()).clamp(low, high))
         };
-        // Whatever it costs beats what touches; of those, the latest to touch.
+        // Any rollout without contact beats one with contact; of those, the latest contact wins.
         let mut best = (f64::INFINITY, Twist2::ZERO);
         for v in tried(truth.twist.v, gain, -BACKWARDS * top, top, TRIED[0]) {
             for w in tried(truth.twist.w, spin, -turn, turn, TRIED[1]) {
@@ -72,7 +72,7 @@ impl<'a> Window<'a> {
         best.1
     }
 
-    /// The poses of a twist and its least clearance (m), or the step in which it touches.
+    /// The poses of a twist and its least clearance (m), or the step of its first contact.
     fn roll_out(
         &self,
         from: Pose2,
@@ -100,7 +100,7 @@ impl<'a> Window<'a> {
     }
 }
 
-/// Cost of a rollout that is to come to the goal of a field: its mean distance from it, m.
+/// Cost of a rollout towards the goal of a field: its mean distance from the goal, m.
 pub(super) fn approach(poses: &[Pose2], field: &Field) -> f64 {
     let cost = |pose: &Pose2| {
         let nose = NOSE.min((pose.position() - field.goal()).norm());
@@ -109,7 +109,7 @@ pub(super) fn approach(poses: &[Pose2], field: &Field) -> f64 {
     poses.iter().map(cost).sum::<f64>() / poses.len().max(1) as f64
 }
 
-/// Cost of a rollout that is to be at given places at given times (s): its mean distance from them, m.
+/// Cost of a rollout along positions at given times (s): its mean distance from them, m.
 pub(super) fn follow(poses: &[Pose2], reference: impl Fn(f64) -> Point2<f64>) -> f64 {
     let cost = |(step, pose): (usize, &Pose2)| {
         let off = reference(STEP * (step + 1) as f64) - pose.position();

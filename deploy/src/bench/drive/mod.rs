@@ -1,4 +1,4 @@
-//! `zenav bench drive`: how well does it drive? Every run is judged by truth, beside anchors in the same worlds with the same body.
+//! `zenav bench drive`: driving quality. Every run is judged by ground truth, beside anchors in the same worlds with the same body.
 
 mod runs;
 mod table;
@@ -21,34 +21,34 @@ use crate::output::{Format, line, table, value};
 /// Arguments of `zenav bench drive`.
 #[derive(Debug, clap::Args)]
 pub struct DriveArgs {
-    /// Suite; without it, all
+    /// Suite to run; without it, all
     #[arg(long, value_enum, value_name = "S", ignore_case = true)]
     suite: Option<Suite>,
-    /// Seeds of each scenario and robot [default: 20 worlds a level in S2, 4 in S4, 2 in S9, 1 in S1, S11 and S12, else 3]
+    /// Seeds per scenario and robot [default: 20 worlds a level in S2, 4 in S4, 2 in S9, 1 in S1, S11 and S12, else 3]
     #[arg(long, value_name = "N", value_parser = connect::whole_in(1..=10_000_u64))]
     seeds: Option<u64>,
-    /// First of them: worlds that nothing was tuned on
+    /// First seed: choose worlds that nothing was tuned on
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = connect::whole_in(0..=1_000_000_000_u64))]
     first_seed: u64,
-    /// Drive it with this robot, a shipped one or a file, `+OPTION` for each option; repeat for several [default: those of the suite]
+    /// Drive with this robot, a shipped one or a file, `+OPTION` for each option; may be repeated [default: those of the suite]
     #[arg(long = "robot", value_name = "NAME")]
     robots: Vec<String>,
-    /// Folder of BARN's worlds, `world_N.world` or `world_N.toml`, for S1
+    /// Folder of BARN's worlds for S1, `world_N.world` or `world_N.toml`
     #[arg(long, value_name = "DIR")]
     worlds: Option<PathBuf>,
-    /// Standard deviation of the lidar's ranges in S1, cm; its own is the least
+    /// Standard deviation of the lidar's ranges in S1, cm; at least the lidar's own
     #[arg(long, value_name = "CM", default_value_t = 1.0, requires = "worlds", value_parser = connect::finite)]
     noise: f64,
-    /// The run of this name only, as the table names it
+    /// Run only the run of this name, as in the table
     #[arg(long, value_name = "NAME")]
     only: Option<String>,
     /// Drive zenav only
     #[arg(long)]
     no_anchors: bool,
-    /// Write each world here, with the `zenav run` command that drives in it, and drive nothing
+    /// Write each world here, with the `zenav run` command for it, and drive nothing
     #[arg(long, value_name = "DIR")]
     world_out: Option<PathBuf>,
-    /// Runs at once [default: one a core]
+    /// Parallel runs [default: one per core]
     #[arg(long, value_name = "N", value_parser = connect::whole_in(1..=1024_u16))]
     threads: Option<u16>,
     /// Output format
@@ -56,7 +56,7 @@ pub struct DriveArgs {
     output: Format,
 }
 
-/// What `-o json` prints.
+/// Output of `-o json`.
 #[derive(Serialize)]
 struct Report {
     rows: Vec<Row>,
@@ -66,7 +66,7 @@ struct Report {
 /// `zenav bench drive`.
 ///
 /// # Errors
-/// A name that no run has, a robot that there is not, or two of one name; a folder that cannot be written.
+/// An unknown run, an unknown robot, or two of one name; a folder that cannot be written.
 pub(super) fn drive(args: &DriveArgs) -> Outcome {
     let suites = args
         .suite

@@ -1,4 +1,4 @@
-//! Runs: one case after another, driven by zenav and by the anchors, and what is kept of each.
+//! Runs: every case driven by zenav and by the anchors, and the results kept.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
@@ -18,19 +18,19 @@ use crate::lockstep::{ContactKind, ContactReport, Entrant, RunOutcome, RunReport
 
 /// Mean delay from scan to plan, ms.
 const DELAY_MS: f64 = 100.0;
-/// Nobody likes a robot nearer than this: the intimate distance (Hall, "The Hidden Dimension", 1966), m.
+/// Intimate distance, in which people do not like a robot (Hall, "The Hidden Dimension", 1966), m.
 const PERSONAL_SPACE: f64 = 0.45;
-/// Slower than this a robot is at rest, m/s and rad/s.
+/// Below this a robot is at rest, m/s and rad/s.
 const AT_REST: f64 = 0.01;
-/// Faster than this a robot has set out, m/s and rad/s.
+/// Above this a robot has set out, m/s and rad/s.
 const SETS_OUT: f64 = 0.05;
 
-/// Who drives.
+/// Driver of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum Driver {
     Zenav,
-    /// The robot whose way takes longest, with no other robot in the world.
+    /// The robot with the longest straight line to its goal, without other robots in the world.
     Alone,
     #[serde(untagged)]
     Anchor(Anchor),
@@ -58,31 +58,31 @@ pub(super) struct Run {
     pub(super) outcome: RunOutcome,
     pub(super) reason: Option<String>,
     pub(super) time_s: f64,
-    /// Length of the shortest way of the inscribed disc over the top speed, s; of several robots, the time of the one with the longest
-    /// way when it is alone.
+    /// Length of the shortest path of the inscribed disc over the top speed, s; for several robots, the time that the robot with the
+    /// longest straight line to its goal takes alone.
     pub(super) ideal_s: f64,
     pub(super) length_m: f64,
     pub(super) min_clearance_m: f64,
     pub(super) contacts: Vec<ContactReport>,
-    /// Distance from the goal at the end.
+    /// Final distance from the goal.
     pub(super) final_error_m: Option<f64>,
-    /// Of zenav: the estimate against the truth at the end.
+    /// zenav only: final error of the pose estimate.
     pub(super) pose_error_m: Option<f64>,
     pub(super) recoveries: Option<u64>,
-    /// Of zenav: processor time of robot, mapper, mission and motion, s.
+    /// zenav only: processor time of robot, mapper, mission and motion, s.
     pub(super) cpu_s: Option<f64>,
-    /// Share of the time with somebody nearer to the outline than 0.45 m, where people make way.
+    /// Share of the time with a person within 0.45 m of the outline, if people make way.
     pub(super) close_share: Option<f64>,
-    /// Where a sensor is broken: the run without the fault, and how many times longer this one took, if both arrived.
+    /// With a broken sensor: the run without the fault, and the ratio of this run's time to that one's, if both arrived.
     pub(super) faultless: Option<String>,
     pub(super) over_faultless: Option<f64>,
-    /// Where a lidar dies: time from then until the robot is at rest, s.
+    /// If the lidar dies: time from then until the robot is at rest, s.
     pub(super) rest_after_s: Option<f64>,
-    /// Where something leaves and the robot waits for it at rest: time from when it begins to leave until the robot sets out, s.
+    /// If the robot waits at rest for an obstacle: time from the start of the obstacle's departure until the robot sets out, s.
     pub(super) sets_out_after_s: Option<f64>,
-    /// Of zenav where it is what counts: processor time for each second driven, s/s.
+    /// zenav only, in suites that measure cost: processor time per second driven, s/s.
     pub(super) cpu_share: Option<f64>,
-    /// As BARN scores, 0 to 0.5.
+    /// BARN score, 0 to 0.5.
     pub(super) score: Option<f64>,
 }
 
@@ -100,7 +100,7 @@ impl Run {
     }
 }
 
-/// Compares each run that has a fault with the one without it.
+/// Compares each run that has a fault with the run without it.
 pub(super) fn compare(runs: &mut [Run]) {
     let times: Vec<(String, f64)> = runs
         .iter()
@@ -113,19 +113,19 @@ pub(super) fn compare(runs: &mut [Run]) {
     }
 }
 
-/// What is seen of a run beside its end.
+/// Observations during a run.
 #[derive(Default)]
 struct Watch {
     ticks: u32,
     close: u32,
     rest: Option<f64>,
-    /// Whether it was at rest when what it waits for began to leave.
+    /// Whether the robot was at rest when the obstacle started to leave.
     waited: Option<bool>,
     set_out: Option<f64>,
 }
 
 impl Watch {
-    /// After every tick of zenav.
+    /// Call after every tick of zenav.
     fn see(&mut self, now: Stamp, truth: &Truth, case: &Case) {
         self.see_people(truth);
         let since = |from: Option<f64>| from.map(|from| now.as_secs() - from).filter(|secs| *secs >= 0.0);
@@ -137,7 +137,7 @@ impl Watch {
         }
     }
 
-    /// After every tick, whoever drives.
+    /// Call after every tick of any driver.
     fn see_people(&mut self, truth: &Truth) {
         self.ticks += 1;
         self.close += u32::from(truth.to_person < PERSONAL_SPACE);
@@ -149,7 +149,7 @@ impl Watch {
     }
 }
 
-/// Runs all cases, one a thread; in their order, whoever is done first.
+/// Runs all cases, one per thread; the results are in the order of the cases.
 pub(super) fn all(cases: &[Case], threads: usize) -> Result<Vec<Run>, Failure> {
     let layers = Layers::load(None)?;
     let bar = progress(cases.len());
@@ -161,7 +161,7 @@ pub(super) fn all(cases: &[Case], threads: usize) -> Result<Vec<Run>, Failure> {
                 loop {
                     let index = next.fetch_add(1, Ordering::Relaxed);
                     let Some(case) = cases.get(index) else { return };
-                    // What hundreds of missions say while they drive tells nobody anything.
+                    // The logs of hundreds of missions are of no use here.
                     let runs = with_default(NoSubscriber::default(), || one(&layers, case));
                     if let Some(place) = done.lock().unwrap_or_else(PoisonError::into_inner).get_mut(index) {
                         *place = Some(runs);
@@ -177,7 +177,7 @@ pub(super) fn all(cases: &[Case], threads: usize) -> Result<Vec<Run>, Failure> {
     Ok(runs.into_iter().flatten().collect())
 }
 
-/// A case, driven by zenav: of several robots, the worst outcome, when the last was done, and everybody's contacts.
+/// A case driven by zenav; for several robots, the worst outcome, the time of the last one, and the contacts of all.
 fn zenav(
     layers: &Layers,
     case: &Case,
@@ -249,7 +249,7 @@ fn zenav(
     })
 }
 
-/// A case, driven by zenav and by the anchors.
+/// A case driven by zenav and by the anchors.
 fn one(layers: &Layers, case: &Case) -> Result<Vec<Run>, Failure> {
     let field = Field::new(&case.world, case.model.footprint.inscribed_radius(), case.goal);
     let ideal_s = field.shortest(case.world.start().position()) / case.model.drive.top_speed();
@@ -268,7 +268,7 @@ fn one(layers: &Layers, case: &Case) -> Result<Vec<Run>, Failure> {
     let mut runs = vec![zenav(layers, case, Driver::Zenav, entrants, ideal_s)?];
     if let Some(one) = farthest.filter(|_| several) {
         let alone = zenav(layers, case, Driver::Alone, vec![one], ideal_s)?;
-        // The price of the others.
+        // The ratio then shows the cost of the other robots.
         runs.iter_mut().for_each(|together| together.ideal_s = alone.time_s);
         runs.push(alone);
     }

@@ -1,4 +1,4 @@
-//! The table: all runs of a scenario with one driver are a row.
+//! The table: one row for all runs of a scenario with one driver.
 
 use serde::Serialize;
 
@@ -12,30 +12,30 @@ pub(super) struct Row {
     pub(super) scenario: String,
     pub(super) driver: Driver,
     runs: usize,
-    /// At rest at the goal, and nothing touched by the robot's own motion.
+    /// Runs at rest at the goal, without contact by the robot's own motion.
     reached: usize,
-    /// The same, and nothing touched the robot.
+    /// Runs also without contact by anything else.
     untouched: usize,
     contacts_own: usize,
     contacts_after_own_motion: usize,
     contacts_at_rest: usize,
     /// Median of the reached runs.
     time_over_ideal: Option<f64>,
-    /// Median distance from the goal at the end, however the run ended, m.
+    /// Median of the final distance from the goal, for all runs, m.
     final_error_m: Option<f64>,
     /// Mean.
     close_share: Option<f64>,
-    /// Median of the runs that were reached with the fault and without it.
+    /// Median over runs that reached the goal both with and without the fault.
     over_faultless: Option<f64>,
-    /// The longest.
+    /// Longest.
     rest_after_s: Option<f64>,
-    /// The longest.
+    /// Longest.
     sets_out_after_s: Option<f64>,
     /// Median.
     cpu_share: Option<f64>,
     /// Mean.
     score: Option<f64>,
-    /// Own contacts count most, then goals not reached, then contacts, then time.
+    /// The worst run: ranked by own contacts, then goal not reached, then contacts, then time.
     worst: String,
 }
 

@@ -1,8 +1,8 @@
-//! BARN. Which worlds does a folder of the Benchmark for Autonomous Robot Navigation hold? (Perille, Truong, Xiao and Stone, "Benchmarking
-//! Metric Ground Navigation", 2020.) They are data that nobody ships here: Gazebo's `world_N.world`, or the same as world files.
+//! BARN. The worlds in a folder of the Benchmark for Autonomous Robot Navigation (Perille, Truong, Xiao and Stone, "Benchmarking Metric
+//! Ground Navigation", 2020). The data are not shipped with zenav: Gazebo's `world_N.world`, or the same as world files.
 //!
-//! The challenge's rules: a Jackal starts at (-2.25, 3), 10 m before its goal, and has 100 s to come within a metre of it. A run scores
-//! `OT / clip(AT, 2 OT, 8 OT)` if it touched nothing: OT is the time for the optimal path at top speed, AT the time that it took.
+//! The challenge's rules: a Jackal starts at (-2.25, 3), 10 m before its goal, and has 100 s to come within a metre of it. A run without
+//! contact scores `OT / clip(AT, 2 OT, 8 OT)`: OT is the time of the optimal path at top speed, AT the actual time.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -17,7 +17,7 @@ use super::Case;
 use crate::failure::Failure;
 use crate::files;
 
-/// The start of the challenge's robot (x, y, yaw), how far ahead its goal is, m, how near counts, m, and the time for it, s.
+/// Start of the challenge's robot (x, y, yaw), distance of its goal ahead, m, tolerance, m, and time limit, s.
 const START: [f64; 3] = [-2.25, 3.0, 1.57];
 const AHEAD: f64 = 10.0;
 const TOLERANCE: f64 = 1.0;
@@ -25,8 +25,8 @@ const TIMEOUT: f64 = 100.0;
 /// Origin and size of a world in Gazebo's form, m.
 const BOUNDS: [[f64; 2]; 2] = [[-6.75, -1.0], [9.0, 16.0]];
 
-/// S1: the worlds of a folder, with ranges that are as noisy as told (standard deviation, m). A file `optimal.csv` beside them (world,
-/// metres) tells the lengths of the optimal paths; without it the shortest way of the disc inside the robot counts.
+/// S1: the worlds of a folder, with this noise of the ranges (standard deviation, m). The file `optimal.csv` beside them (world, metres)
+/// gives the lengths of the optimal paths; without it, the shortest path of the robot's inscribed disc counts.
 pub(super) fn barn(folder: &Path, noise: f64, robots: &[String], seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
     let mut worlds = BTreeMap::new();
     for entry in std::fs::read_dir(folder).map_err(Failure::failed_at(folder))? {
@@ -71,7 +71,7 @@ pub(super) fn barn(folder: &Path, noise: f64, robots: &[String], seeds: Range<u6
     Ok(cases)
 }
 
-/// A world's file as text, with ranges noisier by so much (standard deviation, m), and the world.
+/// The text of a world file with added noise of the ranges (standard deviation, m), and the world.
 fn read(number: u32, path: &Path, added: f64) -> Result<(String, World), Failure> {
     let file = path.display().to_string();
     let mut text = files::text(path)?;
@@ -90,7 +90,7 @@ fn read(number: u32, path: &Path, added: f64) -> Result<(String, World), Failure
         .map_err(|error| Failure::usage(error.to_string()))
 }
 
-/// The score of a run that touched nothing, by the time of the optimal path and its own, s.
+/// Score of a run without contact, from the times of the optimal path and of the run, s.
 pub(in crate::bench) fn score(optimal_s: f64, taken_s: f64) -> f64 {
     optimal_s / taken_s.clamp(2.0 * optimal_s, 8.0 * optimal_s)
 }
@@ -122,7 +122,7 @@ fn optimal(file: &Path) -> Result<BTreeMap<u32, f64>, Failure> {
     lines.map(row).collect()
 }
 
-/// A world in Gazebo's form (SDF) as a world file: the cylinders and boxes of its models, seen from above.
+/// A world in Gazebo's format (SDF) as a world file: cylinders and boxes of its models, from above.
 fn from_gazebo(number: u32, text: &str) -> Result<String, String> {
     let document = Document::parse(text).map_err(|error| error.to_string())?;
     let world = document
@@ -171,13 +171,13 @@ fn children<'a>(node: Node<'a, 'a>, name: &'a str) -> impl Iterator<Item = Node<
     node.children().filter(move |child| child.has_tag_name(name))
 }
 
-/// The numbers of an element's text; `None` without an element, and where something is no number.
+/// The numbers in an element's text; `None` without an element, or if one is not a number.
 fn numbers(node: Option<Node<'_, '_>>) -> Option<Vec<f64>> {
     let words = node?.text().unwrap_or_default().split_whitespace();
     words.map(|word| word.parse().ok()).collect()
 }
 
-/// An element's `pose`, seen from above: x, y and yaw of its six numbers.
+/// An element's `pose` from above: x, y and yaw of its six numbers.
 fn pose(node: Node<'_, '_>) -> Result<Pose2, String> {
     let Some(pose) = children(node, "pose").next() else {
         return Ok(Pose2::IDENTITY);
@@ -220,7 +220,7 @@ mod tests {
         );
         assert_eq!((case.world.discs().len(), case.world.polygons().len()), (1, 1));
         assert!((case.goal - nalgebra::Point2::new(-2.25, 13.0)).norm() < 0.01);
-        // Turned by a quarter, a metre along its own x: two high, one wide around (1, 3).
+        // Turned by a quarter, a metre along its own x: two high, one wide, around (1, 3).
         assert!(
             case.world.is_solid(nalgebra::Point2::new(1.4, 3.9))
                 && !case.world.is_solid(nalgebra::Point2::new(1.6, 3.0))

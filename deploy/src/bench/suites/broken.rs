@@ -1,4 +1,4 @@
-//! Broken sensors. How does it drive when what it senses is late, lost or crooked? Each run beside the same one without the fault.
+//! Broken sensors. Driving with late, lost or distorted sensor data; each run is compared with the same one without the fault.
 
 use std::ops::Range;
 
@@ -6,10 +6,10 @@ use super::places::{clutter, office};
 use super::{Case, rng};
 use crate::failure::Failure;
 
-/// A sensor that dies is dead from here, s, for this long, s.
+/// Start and duration of a sensor failure, s.
 const DEAD: [f64; 2] = [6.0, 10.0];
 
-/// What is broken: the scenario, and the fault as its world file has it.
+/// Faults: the scenario's label, and the table in the world file.
 const FAULTS: [(&str, &str); 11] = [
     ("no fault", ""),
     ("beams lost 30 %", "sensor = \"lidar\"\nkind = \"lost\"\namount = 0.3"),
@@ -33,7 +33,7 @@ const FAULTS: [(&str, &str); 11] = [
     ("gyro dead 10 s", "sensor = \"imu\"\nkind = \"dead\""),
 ];
 
-/// S9: pillars and an office by turns, one fault each.
+/// S9: pillars and an office alternately, one fault each.
 pub(super) fn broken(robots: &[String], seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
     let mut cases = Vec::new();
     for (label, fault) in FAULTS {

@@ -1,4 +1,4 @@
-//! Cost. How much processor time does a long way take? The map is known, nobody walks about.
+//! Cost. Processor time on long paths in a known map, without people.
 
 use std::ops::Range;
 
@@ -6,7 +6,7 @@ use super::Case;
 use super::floor::Floor;
 use crate::failure::Failure;
 
-/// S12: a corridor of 45 m, and 200 m through five lanes.
+/// S12: a corridor of 45 m, and five lanes of 200 m in total.
 pub(super) fn cost(robots: &[String], seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
     let mut cases = Vec::new();
     for (scenario, metres) in [("S12 corridor 45 m", 45.0), ("S12 lanes 200 m", 200.0)] {
@@ -27,7 +27,7 @@ fn corridor() -> (Floor, [f64; 2]) {
     (Floor::new([48.0, 3.0], [1.5, 1.5, 0.0]), [46.5, 1.5])
 }
 
-/// Lanes 2.4 m wide and 40 m long, to and fro.
+/// Lanes 2.4 m wide and 40 m long, back and forth.
 fn lanes() -> (Floor, [f64; 2]) {
     let mut floor = Floor::new([41.0, 12.4], [1.2, 1.2, 0.0]);
     for wall in 0..4_u8 {

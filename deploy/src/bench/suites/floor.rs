@@ -1,15 +1,15 @@
-//! Floor. How is a world put together? As the text of a world file, with walls around it.
+//! Floor. Builds the text of a world file, with walls around it.
 
 use std::fmt::Write as _;
 
-/// Thickness of the walls around a floor, m.
+/// Thickness of the outer walls, m.
 const WALL: f64 = 0.1;
-/// Radius of a person seen as a disc, m.
+/// Radius of a person as a disc, m.
 pub(super) const PERSON: f64 = 0.25;
-/// A mover that has come to stay, s.
+/// Rest of a mover that stays for good, s.
 pub(super) const FOR_GOOD: f64 = 10_000.0;
 
-/// A rectangle from the origin, walled in.
+/// A walled rectangle from the origin.
 #[derive(Clone)]
 pub(super) struct Floor {
     size: [f64; 2],
@@ -18,7 +18,7 @@ pub(super) struct Floor {
 }
 
 impl Floor {
-    /// Of a width and a height inside its walls, m; the robot starts at a pose.
+    /// A floor of this inner width and height, m; the robot starts at this pose.
     pub(super) fn new(size: [f64; 2], start: [f64; 3]) -> Self {
         let mut things = String::new();
         let [w, h] = size;
@@ -35,7 +35,7 @@ impl Floor {
         Self { size, start, things }
     }
 
-    /// With another start.
+    /// The same floor with another start.
     pub(super) fn starting(mut self, start: [f64; 3]) -> Self {
         self.start = start;
         self
@@ -56,7 +56,7 @@ impl Floor {
         self
     }
 
-    /// A disc on a closed path, which rests at each of its corners, s.
+    /// A disc on a closed path with rests at its corners, s.
     pub(super) fn mover(mut self, radius: f64, speed: f64, path: &[([f64; 2], f64)]) -> Self {
         let (path, rests): (Vec<[f64; 2]>, Vec<f64>) = path.iter().copied().unzip();
         let _ = writeln!(
@@ -66,7 +66,7 @@ impl Floor {
         self
     }
 
-    /// A person who walks from one random place to another, all over the floor.
+    /// A person who walks between random places all over the floor.
     pub(super) fn walker(mut self, speed: f64, start: [f64; 2]) -> Self {
         let [w, h] = self.size.map(|side| side - 2.0 * PERSON);
         let _ = writeln!(
@@ -79,7 +79,7 @@ impl Floor {
         self
     }
 
-    /// A sliding door between two points: `shut` s shut, `open` s open.
+    /// A sliding door between two points: closed for `shut` s, open for `open` s.
     pub(super) fn door(mut self, from: [f64; 2], to: [f64; 2], shut: f64, open: f64) -> Self {
         let _ = writeln!(
             self.things,
@@ -88,7 +88,7 @@ impl Floor {
         self
     }
 
-    /// A fault of a sensor, by the keys of its table.
+    /// A sensor fault, by the keys of its table.
     pub(super) fn fault(mut self, keys: &str) -> Self {
         let _ = writeln!(self.things, "[[fault]]\n{keys}");
         self
@@ -101,7 +101,7 @@ impl Floor {
         floor
     }
 
-    /// The world file.
+    /// The text of the world file.
     pub(super) fn text(&self, name: &str) -> String {
         let [w, h] = self.size.map(|side| side + 2.0 * WALL);
         let [x, y, yaw] = self.start;

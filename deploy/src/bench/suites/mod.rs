@@ -1,16 +1,16 @@
-//! Suites. In which worlds is driving judged? All are made here, from seeds, with the shipped robots as they are.
+//! Suites. The worlds in which driving is judged: generated from seeds, with the shipped robots unchanged.
 //!
 //! | file | answers |
 //! |---|---|
-//! | `barn` | which worlds does a folder of BARN hold? (S1) |
-//! | `floor` | how is a world put together? |
-//! | `people` | who walks about? (S2, S3, S4) |
-//! | `places` | how tight and how crooked is it? (S5, S6) |
-//! | `patience` | who leaves again? (S7) |
-//! | `whereabouts` | does it know where it is? (S8) |
-//! | `broken` | which sensor is broken? (S9) |
-//! | `cost` | what does a long way cost? (S12) |
-//! | `robots` | which other robots are on their way? (S11) |
+//! | `barn` | the worlds in a folder of BARN (S1) |
+//! | `floor` | how is a world built? |
+//! | `people` | moving people (S2, S3, S4) |
+//! | `places` | narrow and cluttered places (S5, S6) |
+//! | `patience` | obstacles that leave again (S7) |
+//! | `whereabouts` | localisation without GPS and compass (S8) |
+//! | `broken` | broken sensors (S9) |
+//! | `cost` | processor time on long paths (S12) |
+//! | `robots` | other robots (S11) |
 
 mod barn;
 mod broken;
@@ -40,40 +40,40 @@ use crate::files;
 pub(super) use barn::score;
 use floor::Floor;
 
-/// The robots of a suite that names none of its own.
+/// Robots of a suite without a list of its own.
 const ROBOTS: [&str; 4] = ["tiago", "jackal", "turtlebot3_waffle", "neato"];
-/// Time for any run, s, and for each second of the straight way.
+/// Time limit of a run, s, and per second of the straight path.
 const TIME: [f64; 2] = [60.0, 6.0];
 
 /// A suite of the benchmark.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(super) enum Suite {
-    /// The worlds of BARN in a folder: `--worlds DIR`
+    /// Worlds of BARN in a folder: `--worlds DIR`
     S1,
     /// Open field among discs on random polylines
     S2,
     /// Blind walkers: crowds, crossing, oncoming, a blind corner
     S3,
-    /// People who make way: crossing, oncoming, overtaken, in a door, at a corner, a group
+    /// People who make way: crossing, oncoming, overtaken, in a door, at a corner, in a group
     S4,
     /// Tight doors, dead ends, goals beside walls
     S5,
     /// Clutter, a trap and an office, unknown and known
     S6,
-    /// What leaves again: a stander, a door, a taken goal, a slow one ahead
+    /// Obstacles that leave again: a person in a door, a sliding door, an occupied goal, a slow person ahead
     S7,
     /// Without GPS and compass: an office and a hall, known and unknown
     S8,
     /// Broken sensors: lost, late, noisy, dead
     S9,
-    /// Processor time on long ways with the map known
+    /// Processor time on long paths in a known map
     S12,
-    /// Robots among robots: swap places, cross, meet on a circle, in a lane
+    /// Several robots: swap places, cross, meet on a circle, meet in a lane
     S11,
 }
 
 impl Suite {
-    /// The robots that it is driven with, unless others are named.
+    /// Robots of the suite, unless others are named.
     fn robots(self) -> &'static [&'static str] {
         match self {
             Self::S1 | Self::S2 => &["jackal"],
@@ -82,11 +82,11 @@ impl Suite {
         }
     }
 
-    /// All scenarios with their runs, in order, from the `first` seed on, `count` of each where it is given, with the suite's own robots where
-    /// none are named. S1 is of the worlds in a folder, with noise of ranges (standard deviation, m), and of none without one.
+    /// All cases of the suite in order: seeds from `first` on, `count` of them or the suite's usual number, with `robots` or the suite's
+    /// own. S1 needs a folder of worlds and a noise of ranges (standard deviation, m); without them it has no cases.
     ///
     /// # Errors
-    /// A folder that holds no worlds, a robot that there is not; never for what is made here.
+    /// A folder without worlds, an unknown robot; never for generated worlds.
     pub(super) fn cases(
         self,
         robots: &[String],
@@ -116,7 +116,7 @@ impl Suite {
     }
 }
 
-/// Another robot of the same kind: where it starts, and its goal, m.
+/// Another robot of the same kind: start and goal, m.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Other {
     pub start: Pose2,
@@ -125,45 +125,45 @@ pub(super) struct Other {
 
 /// One run: a world, a robot, a goal and a seed.
 pub(super) struct Case {
-    /// Suite and scenario, as a row of the table.
+    /// Suite and scenario, as in the table.
     pub scenario: String,
-    /// The scenario, the robot and the seed.
+    /// Scenario, robot and seed.
     pub name: String,
-    /// The world file's text.
+    /// Text of the world file.
     pub text: String,
     /// The world.
     pub world: World,
-    /// The robot by its shipped name or file, with its options.
+    /// Robot by shipped name or file, with its options.
     pub robot: String,
-    /// The same.
+    /// Model of that robot.
     pub model: RobotModel,
-    /// m.
+    /// Goal, m.
     pub goal: Point2<f64>,
-    /// Who else is on the way.
+    /// Other robots.
     pub others: Vec<Other>,
-    /// Distance that counts as reached, m; the deployment's where it is `None`.
+    /// Distance that counts as reached, m; `None`: the deployment's.
     pub tolerance: Option<f64>,
     /// Whether the robot starts with the true map.
     pub known_map: bool,
-    /// Where the poses of the map come from; the deployment's where it is `None`.
+    /// Source of mapping's poses; `None`: the deployment's.
     pub poses: Option<PoseSource>,
-    /// Of all noise.
+    /// Seed of all noise.
     pub seed: u64,
-    /// Who drives it too: where discs walk about.
+    /// Anchors that drive the case too, in worlds with moving discs.
     pub anchors: &'static [Anchor],
-    /// The run without this one's fault.
+    /// Name of the run without this one's fault.
     pub faultless: Option<String>,
-    /// When its lidar dies, s.
+    /// Time at which the lidar dies, s.
     pub blind_from: Option<f64>,
-    /// When what stands in its way begins to leave, s.
+    /// Time at which the obstacle starts to leave, s.
     pub leaves_at: Option<f64>,
-    /// Whether its processor time is what counts.
+    /// Whether processor time is measured.
     pub is_costed: bool,
-    /// Whether it is scored as BARN scores.
+    /// Whether the run gets a BARN score.
     pub is_scored: bool,
-    /// Length of the optimal path, m, where it is known.
+    /// Length of the optimal path, m, if known.
     pub optimal: Option<f64>,
-    /// Simulated time after which the run has failed, s.
+    /// Time limit, simulated, s.
     pub timeout: f64,
 }
 
@@ -176,7 +176,7 @@ impl Case {
         Self::within(scenario, name, robot, seed, text, world, goal.into())
     }
 
-    /// A run in a world, of which `text` is the file.
+    /// A run in a world; `text` is the world's file.
     fn within(
         scenario: &str,
         name: String,
@@ -188,7 +188,7 @@ impl Case {
     ) -> Result<Self, Failure> {
         let model = files::robot(robot)?;
         let straight = (world.start().position() - goal).norm() / model.drive.top_speed();
-        // What nothing else tells where it is finds that out by its scans.
+        // A robot without GPS gets its poses from SLAM.
         let poses = model.gps.is_none().then_some(PoseSource::Slam);
         Ok(Self {
             scenario: scenario.to_owned(),
@@ -218,20 +218,20 @@ impl Case {
         })
     }
 
-    /// The same with the true map from the start.
+    /// The same run with the true map from the start.
     fn knowing_the_map(mut self) -> Self {
         self.known_map = true;
         self.poses = self.poses.map(|_| PoseSource::Localise);
         self
     }
 
-    /// A run's name: the scenario without its suite, the robot and the seed.
+    /// Name of a run: the scenario without its suite, the robot, and the seed.
     fn name(scenario: &str, robot: &str, seed: u64) -> String {
         let label = scenario.split_once(' ').map_or(scenario, |(_, name)| name);
         let words = label
             .split(|character: char| !character.is_ascii_alphanumeric())
             .filter(|word| !word.is_empty());
-        // Of a file its name alone: the run's is that of a file, too.
+        // For a robot file only its stem: the run's name is used as a file name too.
         let parts = robot
             .split('+')
             .map(|part| Path::new(part).file_stem().unwrap_or_default().to_string_lossy());
@@ -239,7 +239,7 @@ impl Case {
         format!("{}-{robot}-{seed}", words.collect::<Vec<_>>().join("-"))
     }
 
-    /// The command that runs it, beside its world's file.
+    /// The command for this run, beside its world file.
     pub(super) fn command(&self) -> String {
         let Self {
             name,
@@ -276,16 +276,16 @@ impl Case {
         )
     }
 
-    /// The world's file, with the command that runs it.
+    /// The world file, with the command for this run.
     pub(super) fn file(&self) -> String {
         format!("# {}\n{}", self.command(), self.text)
     }
 }
 
-/// Draws a scenario's world, and the goal in it, m.
+/// Generates a scenario's world, and the goal in it, m.
 type Make = fn(&mut Pcg64Mcg) -> (Floor, [f64; 2]);
 
-/// Robots in the worlds of some scenarios.
+/// One case for every scenario, robot and seed.
 fn each(scenarios: &[(&str, Make)], robots: &[String], seeds: &Range<u64>) -> Result<Vec<Case>, Failure> {
     let mut cases = Vec::new();
     for (scenario, make) in scenarios {
@@ -299,9 +299,9 @@ fn each(scenarios: &[(&str, Make)], robots: &[String], seeds: &Range<u64>) -> Re
     Ok(cases)
 }
 
-/// What a scenario's worlds are drawn from.
+/// Random numbers for a scenario's worlds.
 fn rng(scenario: &str, seed: u64) -> Pcg64Mcg {
-    // FNV-1a: scenarios draw alike on every machine, and each its own.
+    // FNV-1a: the same on every machine, and independent between scenarios.
     let name = scenario.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
         (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
     });
@@ -316,7 +316,7 @@ fn half_width(model: &RobotModel) -> f64 {
     }
 }
 
-/// How far a robot reaches ahead of its centre and behind it, m.
+/// Extent of a robot ahead of its centre and behind it, m.
 fn ends(model: &RobotModel) -> [f64; 2] {
     match &model.footprint {
         Footprint::Radius(radius) => [*radius; 2],

@@ -1,4 +1,4 @@
-//! Patience. Who leaves again? The way is shut for a while, and there is no other.
+//! Patience. The only way is blocked for a while.
 
 use std::ops::Range;
 
@@ -9,14 +9,14 @@ use super::floor::{FOR_GOOD, Floor, PERSON};
 use super::{Case, Make, each};
 use crate::failure::Failure;
 
-/// Two rooms with a door of 0.9 m in between.
+/// Two rooms with a door of 0.9 m between them.
 pub(super) fn two_rooms() -> Floor {
     Floor::new([8.0, 5.0], [1.0, 2.5, 0.0])
         .block([3.95, 0.0], [4.05, 2.05])
         .block([3.95, 2.95], [4.05, 5.0])
 }
 
-/// S7: somebody in a door for 20 s, a door that cycles, a goal that is taken for 22 s, a slow one ahead.
+/// S7: a person in a door for 20 s, a cycling door, a goal occupied for 22 s, a slow person ahead.
 pub(super) fn patience(robots: &[String], seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
     let scenarios: [(&str, Make); 4] = [
         ("S7 stander in a door, 20 s", |rng| {

@@ -1,4 +1,4 @@
-//! People. Who walks about? In S2 and S3 nobody of them looks out for the robot, in S4 they make way as far as it does.
+//! People. Moving people: in S2 and S3 they ignore the robot, in S4 they make way as much as it does.
 
 use std::f64::consts::FRAC_PI_2;
 use std::ops::Range;
@@ -12,10 +12,10 @@ use crate::failure::Failure;
 
 /// Radius of a disc in the open field, m.
 const DISC: f64 = 0.3;
-/// Nobody begins nearer to the robot, m.
+/// Smallest initial distance from the robot, m.
 const BERTH: f64 = 2.5;
 
-/// A place in a box, off the start.
+/// A random place in a box, away from the start.
 fn place(rng: &mut Pcg64Mcg, [w, h]: [f64; 2], start: [f64; 2]) -> [f64; 2] {
     loop {
         let at = [rng.random_range(0.5..w - 0.5), rng.random_range(0.5..h - 0.5)].map(centimetres);
@@ -25,13 +25,13 @@ fn place(rng: &mut Pcg64Mcg, [w, h]: [f64; 2], start: [f64; 2]) -> [f64; 2] {
     }
 }
 
-/// Rounded, so that a world's file is short.
+/// Rounded to centimetres, to keep world files short.
 fn centimetres(metres: f64) -> f64 {
     (100.0 * metres).round() / 100.0
 }
 
-/// S2, after DynaBARN (Nair et al., "DynaBARN: Benchmarking Metric Ground Navigation in Dynamic Environments", 2022): an open field of
-/// 10 m by 20 m, a Jackal by default, discs on random polylines; harder by number and speed.
+/// S2, after DynaBARN (Nair et al., "DynaBARN: Benchmarking Metric Ground Navigation in Dynamic Environments", 2022): an open field of 10
+/// m by 20 m, a Jackal by default, discs on random polylines; levels differ in number and speed.
 pub(super) fn field(robots: &[String], seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
     let (size, start) = ([10.0, 20.0], [5.0, 1.0]);
     let mut cases = Vec::new();
@@ -52,7 +52,7 @@ pub(super) fn field(robots: &[String], seeds: Range<u64>) -> Result<Vec<Case>, F
     Ok(cases)
 }
 
-/// S3: crowds of blind walkers in a hall, people who cross, who come along, who come round a corner.
+/// S3: crowds of blind walkers in a hall, and people who cross, come towards the robot, or come around a corner.
 pub(super) fn encounters(robots: &[String], seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
     let scenarios: [(&str, Make); 7] = [
         ("S3 crowd 5", |rng| crowd(rng, 5)),
@@ -77,7 +77,7 @@ fn crowd(rng: &mut Pcg64Mcg, walkers: u32) -> (Floor, [f64; 2]) {
     (floor, [13.0, 4.0])
 }
 
-/// People who go to and fro across the robot's way.
+/// People who walk back and forth across the robot's path.
 fn crossing(rng: &mut Pcg64Mcg, people: u32) -> (Floor, [f64; 2]) {
     let mut floor = Floor::new([12.0, 8.0], [1.0, 4.0, 0.0]);
     for person in 0..people {
@@ -101,7 +101,7 @@ fn oncoming(rng: &mut Pcg64Mcg) -> (Floor, [f64; 2]) {
     (floor, [13.5, 1.5])
 }
 
-/// A corridor 1.5 m wide with a niche before its corner, round which a person comes.
+/// A corridor 1.5 m wide with a niche before its corner; a person comes around the corner.
 fn blind_corner(rng: &mut Pcg64Mcg) -> (Floor, [f64; 2]) {
     let speed = centimetres(rng.random_range(0.6..1.0));
     let wait = centimetres(rng.random_range(0.0..3.0));
@@ -117,7 +117,7 @@ fn blind_corner(rng: &mut Pcg64Mcg) -> (Floor, [f64; 2]) {
     (floor, [8.25, 7.0])
 }
 
-/// S4: people who make way by ORCA or by social force, as the seed draws, in the situations of SEAN 2.0 (Tsoi et al., 2022).
+/// S4: people who make way by ORCA or by social force, chosen by the seed, in the situations of SEAN 2.0 (Tsoi et al., 2022).
 pub(super) fn manners(robots: &[String], seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
     let scenarios: [(&str, Make); 6] = [
         ("S4 crossing", |rng| {
@@ -173,12 +173,12 @@ pub(super) fn manners(robots: &[String], seeds: Range<u64>) -> Result<Vec<Case>,
     each(&scenarios, robots, &seeds)
 }
 
-/// How somebody makes way.
+/// How a person makes way.
 fn drawn(rng: &mut Pcg64Mcg) -> &'static str {
     if rng.random() { "orca" } else { "social_force" }
 }
 
-/// How fast somebody walks, m/s.
+/// Walking speed, m/s.
 fn walk(rng: &mut Pcg64Mcg) -> f64 {
     centimetres(rng.random_range(0.8..1.3))
 }

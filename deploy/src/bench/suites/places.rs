@@ -1,4 +1,4 @@
-//! Places. How tight and how crooked is it? Nothing moves but the robot.
+//! Places. Narrow and cluttered places, in which only the robot moves.
 
 use std::ops::Range;
 
@@ -33,7 +33,7 @@ pub(super) fn tight(robots: &[String], seeds: Range<u64>) -> Result<Vec<Case>, F
             let scenario = "S5 dead end";
             let mut rng = rng(scenario, seed);
             let (gap, depth) = (half + 0.075, rng.random_range(0.8..1.6));
-            // It stands in the lane, 10 cm from its end.
+            // The robot starts in the lane, 10 cm from its end.
             let start = 6.0 - ahead - 0.1;
             let lane = start - behind - depth;
             let floor = Floor::new([6.0, 4.0], [start, 2.0, 0.0])
@@ -51,7 +51,7 @@ pub(super) fn tight(robots: &[String], seeds: Range<u64>) -> Result<Vec<Case>, F
     Ok(cases)
 }
 
-/// S6: pillars, a trap, an office; each unknown and known.
+/// S6: pillars, a trap, an office; each with an unknown and a known map.
 pub(super) fn rooms(robots: &[String], seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
     let mut cases = Vec::new();
     let scenarios: [(&str, Make); 3] = [("S6 clutter", clutter), ("S6 trap", trap), ("S6 office", office)];
@@ -89,7 +89,7 @@ pub(super) fn clutter(rng: &mut Pcg64Mcg) -> (Floor, [f64; 2]) {
     (floor, [11.0, 4.0])
 }
 
-/// A pocket that opens towards the robot, across the straight way.
+/// A pocket open towards the robot, across the straight path.
 fn trap(rng: &mut Pcg64Mcg) -> (Floor, [f64; 2]) {
     let (deep, shift) = (rng.random_range(2.0..4.0), rng.random_range(-0.5..0.5));
     let (low, high) = (2.5 + shift, 5.5 + shift);
@@ -100,7 +100,7 @@ fn trap(rng: &mut Pcg64Mcg) -> (Floor, [f64; 2]) {
     (floor, [11.0, 4.0])
 }
 
-/// Two rows of rooms with doors of 0.9 m on a corridor of 2 m, a desk in each.
+/// Two rows of rooms with a desk in each, and doors of 0.9 m to a corridor of 2 m.
 pub(super) fn office(rng: &mut Pcg64Mcg) -> (Floor, [f64; 2]) {
     let mut floor = Floor::new([20.0, 12.0], [1.0, 1.5, 0.0]);
     for (wall, desk) in [(4.95, 2.8), (6.95, 8.7)] {

@@ -1,4 +1,4 @@
-//! Robots. Which other robots are on their way? All of one kind; each has its own goal, sensors, map and mission.
+//! Robots. Several robots of one kind, each with its own goal, sensors, map and mission.
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 use std::ops::Range;
@@ -12,15 +12,15 @@ use super::floor::Floor;
 use super::{Case, Other, rng};
 use crate::failure::Failure;
 
-/// Robots start and end this far to either side of where a scenario says, m.
+/// Largest random offset of starts and goals, to either side, m.
 const SCATTER: f64 = 0.1;
-/// Time for several robots to get out of each other's way, s.
+/// Extra time for several robots to make way for each other, s.
 const TIME: f64 = 120.0;
 
 /// Each robot's start and goal, m and rad.
 type Ways = Vec<([f64; 3], [f64; 2])>;
 
-/// S11: robots that swap places in a corridor, meet in a lane with a niche, cross, change sides on a circle, or want each other's places.
+/// S11: robots that swap places in a corridor, meet in a lane with a niche, cross, change sides on a circle, or rotate places.
 pub(super) fn robots(robots: &[String], seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
     type Make = fn() -> (Floor, Ways);
     let scenarios: [(&str, Make); 10] = [
@@ -62,12 +62,12 @@ pub(super) fn robots(robots: &[String], seeds: Range<u64>) -> Result<Vec<Case>, 
     Ok(cases)
 }
 
-/// Near to a place, in whole centimetres.
+/// A value near `at`, in whole centimetres.
 fn scattered(rng: &mut Pcg64Mcg, at: f64) -> f64 {
     (100.0 * (at + rng.random_range(-SCATTER..SCATTER))).round() / 100.0
 }
 
-/// Two robots change the ends of a corridor of a width, m.
+/// Two robots swap the ends of a corridor of this width, m.
 fn swap(width: f64) -> (Floor, Ways) {
     let middle = 0.5 * width;
     let ways = vec![
@@ -77,7 +77,7 @@ fn swap(width: f64) -> (Floor, Ways) {
     (Floor::new([12.0, width], [1.0, middle, 0.0]), ways)
 }
 
-/// Two rooms, and a lane of 0.9 m in between, where two cannot pass, but for a niche.
+/// Two rooms joined by a lane of 0.9 m, too narrow for two robots except at a niche.
 fn lane() -> (Floor, Ways) {
     let floor = Floor::new([12.0, 4.0], [1.0, 2.0, 0.0])
         .block([2.5, 0.0], [9.5, 1.55])
@@ -88,7 +88,7 @@ fn lane() -> (Floor, Ways) {
     (floor, ways)
 }
 
-/// A hall of 10 m by 10 m; the robots' ways cross in its middle.
+/// A hall of 10 m by 10 m; the robots' paths cross in its middle.
 fn crossing(robots: usize) -> (Floor, Ways) {
     let mut ways = vec![
         ([1.0, 5.0, 0.0], [9.0, 5.0]),
@@ -100,7 +100,7 @@ fn crossing(robots: usize) -> (Floor, Ways) {
     (Floor::new([10.0, 10.0], [1.0, 5.0, 0.0]), ways)
 }
 
-/// A hall of 12 m by 12 m; each robot's goal is where the one on the other side of the circle starts.
+/// A hall of 12 m by 12 m; each robot's goal is the start of the opposite robot on the circle.
 fn circle(robots: u32) -> (Floor, Ways) {
     let ways = (0..robots).map(|nth| {
         let angle = TAU * f64::from(nth) / f64::from(robots);
@@ -110,7 +110,7 @@ fn circle(robots: u32) -> (Floor, Ways) {
     (Floor::new([12.0, 12.0], [10.5, 6.0, PI]), ways.collect())
 }
 
-/// Three robots side by side; each wants the next one's place.
+/// Three robots side by side; each has the next one's place as its goal.
 fn rotation() -> (Floor, Ways) {
     let at = |nth: usize| [1.5 + 2.5 * (nth % 3) as f64, 2.0];
     let ways = (0..3).map(|nth| ([at(nth)[0], 2.0, FRAC_PI_2], at(nth + 1)));

@@ -1,4 +1,4 @@
-//! Whereabouts. Does it know where it is, without GPS and compass, with odometry as it comes and as an old robot's is?
+//! Whereabouts. Localisation without GPS and compass, with the usual odometry and with that of a worn robot.
 
 use std::ops::Range;
 
@@ -10,9 +10,9 @@ use super::floor::Floor;
 use super::{Case, Make, rng};
 use crate::failure::Failure;
 
-/// At the goal, m: by truth, in the building.
+/// Tolerance at the goal, by ground truth, m.
 const TOLERANCE: f64 = 0.05;
-/// Robots without GPS and compass, those of odometry that is stated wrongly last.
+/// Robots without GPS and compass; those with wrong odometry parameters are last.
 pub(super) const ROBOTS: [&str; 4] = [
     "tiago+indoor",
     "turtlebot3_waffle+indoor",
@@ -20,7 +20,7 @@ pub(super) const ROBOTS: [&str; 4] = [
     "turtlebot3_waffle+indoor+worn",
 ];
 
-/// S8: an office of 65 m and a hall of 90 m, known and unknown, and the hall without anything in sight.
+/// S8: an office of 65 m and a hall of 90 m, known and unknown, and the hall without anything in range.
 pub(super) fn whereabouts(robots: &[String], seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
     let scenarios: [(&str, Make, PoseSource); 5] = [
         ("S8 office known", office, PoseSource::Localise),
@@ -33,7 +33,7 @@ pub(super) fn whereabouts(robots: &[String], seeds: Range<u64>) -> Result<Vec<Ca
     for (scenario, make, poses) in scenarios {
         for robot in robots {
             for seed in seeds.clone() {
-                // Alike, known and unknown.
+                // The same worlds, known and unknown.
                 let drawn = if scenario.contains("office") {
                     "S8 office"
                 } else {
@@ -51,7 +51,7 @@ pub(super) fn whereabouts(robots: &[String], seeds: Range<u64>) -> Result<Vec<Ca
     Ok(cases)
 }
 
-/// A corridor of 2.4 m with open doors to rooms on both sides, furniture in them.
+/// A corridor of 2.4 m with open doors to furnished rooms on both sides.
 fn office(rng: &mut Pcg64Mcg) -> (Floor, [f64; 2]) {
     let length = 66.0;
     let mut floor = Floor::new([length, 12.0], [1.0, 6.0, 0.0]);
@@ -59,7 +59,7 @@ fn office(rng: &mut Pcg64Mcg) -> (Floor, [f64; 2]) {
         let mut left: f64 = 0.0;
         while left < length {
             let drawn = left + rng.random_range(3.5..6.0);
-            // The last room takes what is left where that is too little for one of its own.
+            // The last room takes the remainder if that is too small for another room.
             let right = if length - drawn < 2.5 { length } else { drawn };
             let door = left + 0.4 + rng.random_range(0.0..1.0) * (right - left - 1.8).max(0.0);
             let end = door + 1.0;
@@ -82,7 +82,7 @@ fn office(rng: &mut Pcg64Mcg) -> (Floor, [f64; 2]) {
     (floor, [65.0, 6.0])
 }
 
-/// Pillars on either side, about every 7 m.
+/// Pillars on both sides, about every 7 m.
 fn hall(rng: &mut Pcg64Mcg) -> (Floor, [f64; 2]) {
     let (mut floor, goal) = bare(rng);
     let mut x = 4.0;
@@ -96,7 +96,7 @@ fn hall(rng: &mut Pcg64Mcg) -> (Floor, [f64; 2]) {
     (floor, goal)
 }
 
-/// Walls beyond the range of the lidar.
+/// Walls beyond the lidar's range.
 fn bare(_: &mut Pcg64Mcg) -> (Floor, [f64; 2]) {
     (Floor::new([96.0, 22.0], [2.0, 11.0, 0.0]), [92.0, 11.0])
 }

@@ -1,4 +1,4 @@
-//! Tests of deployments of many hosts: what is rendered, what is refused, what is seen missing.
+//! Tests of deployments of many hosts: rendering, refusals, and detection of missing parts.
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
@@ -16,7 +16,7 @@ fn deployment(text: &str) -> Deployment {
     toml::from_str(text).unwrap()
 }
 
-/// What is wrong with the fleet once a piece of its text is another.
+/// The problems of the fleet after replacing a piece of its text.
 #[track_caller]
 fn problems(from: &str, to: &str) -> Vec<String> {
     assert!(FLEET.contains(from), "{from}");
@@ -25,7 +25,7 @@ fn problems(from: &str, to: &str) -> Vec<String> {
     problems.iter().map(ToString::to_string).collect()
 }
 
-/// `WRITE_DOCS=1` writes what is rendered anew.
+/// `WRITE_DOCS=1` rewrites the golden file.
 #[test]
 fn a_deployment_is_rendered_as_it_was_looked_through() {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/src/hosts/tests/rendered.golden");
@@ -274,7 +274,7 @@ fn files_that_a_deployment_names_stand_beside_it_and_go_along() {
     ] {
         assert_eq!(named(text).unwrap_err()[0].key, key);
     }
-    // An image may be named by its path, as `map_saver` of ROS does: what is copied must not be the file itself.
+    // An image may be named by its path, as ROS's `map_saver` does: the copy must not be the file itself.
     let elsewhere = folder.path().join("hall.pgm").display().to_string();
     for image in [elsewhere.as_str(), "../hall.pgm", "./hall.pgm"] {
         write("far.yaml", &format!("image: {image}\nresolution: 0.05\n"));

@@ -1,4 +1,4 @@
-//! `zenav bt`. What is a behaviour tree made of, is it valid, what is it doing, and what would it do? Files here, statuses from the mission.
+//! `zenav bt`. Behaviour trees: validate, draw and simulate files, list nodes, and watch the tree of a running mission.
 
 mod nodes;
 mod show;
@@ -35,44 +35,44 @@ pub struct BtArgs {
 
 #[derive(Debug, clap::Subcommand)]
 enum BtCommand {
-    /// Check a tree file against the nodes that missions know; all errors at once
+    /// Check a tree file against the nodes that missions know; reports all errors at once
     Validate {
-        /// Tree file, or the name of a shipped one
+        /// Tree file, or name of a shipped tree
         file: String,
     },
     /// Draw a tree
     Show {
-        /// Tree file, or the name of a shipped one
+        /// Tree file, or name of a shipped tree
         file: String,
-        /// Which tree of the file [default: the main one]
+        /// Tree of the file to draw [default: the main one]
         #[arg(long, value_name = "ID")]
         tree: Option<String>,
-        /// Write a picture, SVG or PNG by the name's ending, not to the terminal
+        /// Write a picture instead of drawing in the terminal: SVG or PNG, by the file's extension
         #[arg(long, value_name = "FILE")]
         out: Option<PathBuf>,
     },
     /// List the nodes that trees may use, with their ports
     Nodes {
-        /// Only those whose id or description has this word
+        /// Only nodes whose id or description contains this word
         word: Option<String>,
-        /// As a TreeNodesModel, which Groot2 loads as its palette
+        /// Print a TreeNodesModel, which Groot2 loads as its palette
         #[arg(long)]
         xml: bool,
     },
     /// Draw the tree that a mission runs, with the status of every node, until Ctrl-C
     Watch {
-        /// Draw it once
+        /// Draw it once and exit
         #[arg(long)]
         once: bool,
     },
-    /// Play a script to a tree in simulated time; exit 0 whatever the tree answers, which is in `status`
+    /// Run a tree against a script in simulated time; the tree's result is in `status`, the exit code is 0 either way
     Simulate {
-        /// Tree file, or the name of a shipped one
+        /// Tree file, or name of a shipped tree
         file: String,
-        /// How its leaves answer, JSON [default: all succeed]
+        /// Script of the leaves' results, JSON [default: all succeed]
         #[arg(long, value_name = "FILE")]
         script: Option<PathBuf>,
-        /// Which tree of the file [default: the main one]
+        /// Tree of the file to run [default: the main one]
         #[arg(long, value_name = "ID")]
         tree: Option<String>,
     },
@@ -94,7 +94,7 @@ pub fn bt(args: &BtArgs) -> Outcome {
     }
 }
 
-/// A tree's text and the name for messages.
+/// The text of a tree, and its name in messages.
 struct Source {
     name: String,
     text: Vec<u8>,
@@ -132,8 +132,8 @@ impl Source {
     }
 }
 
-/// Finds included files beside the including one, or among the shipped. A file keeps the name by which it was found
-/// first, `main` the one that it was asked for by: however a path is written, it is the same file.
+/// Finds included files beside the including file, or among the shipped ones. A file keeps the name under which it was first found, `main`
+/// the name it was requested by; differently spelled paths to one file are the same file.
 pub(crate) fn includer(main: &str) -> impl FnMut(&str, &str) -> Result<(String, Vec<u8>), String> + use<> {
     let mut names: BTreeMap<PathBuf, String> = BTreeMap::new();
     if let Ok(file) = Path::new(main).canonicalize() {

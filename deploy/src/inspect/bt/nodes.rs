@@ -1,4 +1,5 @@
-//! `zenav bt nodes`. Which nodes may a tree use, and with which ports? As a table, or as the `TreeNodesModel` that Groot2 loads as its palette.
+//! `zenav bt nodes`. The nodes that a tree may use, with their ports, as a table or as the `TreeNodesModel` that Groot2 loads as its
+//! palette.
 
 use std::fmt::Write as _;
 
@@ -161,7 +162,7 @@ fn model(specs: &[&NodeSpec]) -> String {
     text
 }
 
-/// Text with XML's own letters escaped.
+/// Text with XML special characters escaped.
 fn escaped(text: &str) -> String {
     let mut escaped = String::with_capacity(text.len());
     for letter in text.chars() {

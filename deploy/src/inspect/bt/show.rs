@@ -1,4 +1,4 @@
-//! `zenav bt show`: a tree in the terminal, or as a picture.
+//! `zenav bt show`: draws a tree in the terminal, or as a picture.
 
 use std::path::Path;
 
@@ -11,7 +11,7 @@ use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::output::{self, Format};
 
-/// Drawn over the simulation's nodes: a tree for another robot can be looked at too.
+/// Builds the tree with the simulation's nodes, so that a tree for another robot can be drawn too.
 pub(super) fn show(file: &str, id: Option<&str>, out: Option<&Path>, format: Format) -> Outcome {
     let source = Source::read(file)?;
     let mut include = includer(&source.name);

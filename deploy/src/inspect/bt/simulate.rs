@@ -1,4 +1,4 @@
-//! `zenav bt simulate`. What would a tree do if its leaves answered so? A script against simulated time.
+//! `zenav bt simulate`. Runs a tree in simulated time, with a script that gives the results of its leaves.
 
 use std::path::Path;
 

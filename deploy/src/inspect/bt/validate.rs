@@ -1,4 +1,4 @@
-//! `zenav bt validate`. Would a mission take a tree? All that is wrong with a file at once.
+//! `zenav bt validate`. Checks whether a mission would accept a tree; reports all errors of a file at once.
 
 use std::collections::BTreeMap;
 
@@ -15,12 +15,12 @@ use crate::output::{self, Format};
 struct Validated {
     file: String,
     valid: bool,
-    /// Nodes of each tree, SubTrees unfolded.
+    /// Nodes of each tree, SubTrees expanded.
     trees: BTreeMap<String, u64>,
-    /// What a mission may refuse.
+    /// Why a mission may refuse the tree.
     warnings: Vec<String>,
     errors: Vec<Mistake>,
-    /// Errors beyond those.
+    /// Number of errors not listed.
     more: usize,
 }
 

@@ -1,4 +1,4 @@
-//! `zenav bt watch`: the tree that a mission runs, with the status of every node.
+//! `zenav bt watch`: draws the tree that a mission runs, with the status of every node.
 
 use std::collections::BTreeMap;
 use std::io::IsTerminal as _;
@@ -40,7 +40,7 @@ pub(super) fn watch(robot: &RobotArgs, once: bool, format: Format) -> Outcome {
                     ));
                 }
             };
-            // A window of no size is one whose size is not known.
+            // A window of size zero is one whose size is unknown.
             let rows = crossterm::terminal::size()
                 .ok()
                 .map(|(_, rows)| usize::from(rows))
@@ -50,7 +50,7 @@ pub(super) fn watch(robot: &RobotArgs, once: bool, format: Format) -> Outcome {
                 continue;
             }
             if live {
-                // Over what was drawn before.
+                // Overwrites the previous drawing.
                 let up = if drawn > 0 {
                     format!("\x1b[{drawn}A\x1b[J")
                 } else {
@@ -69,7 +69,7 @@ pub(super) fn watch(robot: &RobotArgs, once: bool, format: Format) -> Outcome {
     })
 }
 
-/// A mission's tree, a node a row; of a tree with more nodes than the terminal has `rows`, those that tell most.
+/// A mission's tree, one node per row. If the tree has more nodes than fit into `rows`, only the most informative ones are shown.
 fn picture(status: &MissionStatus, colors: bool, rows: Option<usize>) -> String {
     let goal = status.goal_id.as_deref().unwrap_or("no goal");
     let leads = match status.leads {
@@ -107,7 +107,7 @@ fn picture(status: &MissionStatus, colors: bool, rows: Option<usize>) -> String 
     lines.join("\n")
 }
 
-/// How little a node's status tells of what goes on: 0 for what runs.
+/// Display order of a node's status: 0 (running) is the most informative.
 fn weight(node: &NodeStatus) -> u8 {
     match node.status.as_str() {
         "RUNNING" => 0,
@@ -117,7 +117,7 @@ fn weight(node: &NodeStatus) -> u8 {
     }
 }
 
-/// The last node by weight and place that still has room among `most`.
+/// Weight and index of the last node that is shown if at most `most` nodes are.
 fn shown_from(nodes: &[NodeStatus], most: usize) -> (u8, usize) {
     let mut order: Vec<(u8, usize)> = nodes.iter().enumerate().map(|(at, node)| (weight(node), at)).collect();
     order.sort_unstable();
@@ -143,7 +143,7 @@ fn row(node: &NodeStatus, depth: usize, colors: bool) -> String {
     } else {
         format!("  {}", node.feedback)
     };
-    // A feedback of several lines, or with the terminal's own codes, must not break the picture.
+    // A multi-line feedback, or one with terminal escape codes, must not break the picture.
     let text: String = format!("{}{id}{feedback}", node.name)
         .chars()
         .map(|c| if c.is_control() { ' ' } else { c })

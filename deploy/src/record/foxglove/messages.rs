@@ -1,4 +1,4 @@
-//! Messages. What are Foxglove's own messages made of? The fields of its public schemas, those that are used here.
+//! Messages. Foxglove's own messages: the fields of its public schemas that are used here.
 //!
 //! <https://docs.foxglove.dev/docs/sdk/schemas>: metres, radians, z up; an orientation is a unit quaternion; bytes are base64.
 
@@ -39,7 +39,7 @@ impl Vector3 {
         Self { x, y, z }
     }
 
-    /// A point of the plane, this much above the floor, m.
+    /// A point of the plane, at this height above the floor, m.
     #[must_use]
     pub fn above(point: Point2<f64>, z: f64) -> Self {
         Self::new(point.x, point.y, z)
@@ -81,7 +81,7 @@ impl From<Pose2> for Pose {
 }
 
 impl Pose {
-    /// Upright at a point.
+    /// A pose at a point, without rotation.
     #[must_use]
     pub fn at(position: Vector3) -> Self {
         Self {
@@ -91,7 +91,7 @@ impl Pose {
     }
 }
 
-/// A colour, each part 0 to 1.
+/// A colour, each component 0 to 1.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Color {
     r: f64,
@@ -101,7 +101,7 @@ pub struct Color {
 }
 
 impl Color {
-    /// From red, green and blue of 0 to 255, and its opacity.
+    /// From red, green and blue of 0 to 255, and an opacity.
     #[must_use]
     pub fn rgb([r, g, b]: [u8; 3], a: f64) -> Self {
         let part = |part: u8| f64::from(part) / 255.0;
@@ -208,9 +208,9 @@ pub struct Log<'a> {
 
 /// Levels of a [`Log`].
 pub const INFO: u8 = 2;
-/// Something to look at.
+/// Needs attention.
 pub const WARNING: u8 = 3;
-/// Something went wrong.
+/// An error.
 pub const ERROR: u8 = 4;
 
 /// `foxglove.LinePrimitive`.
@@ -227,15 +227,15 @@ pub struct Line {
     pub indices: [u32; 0],
 }
 
-/// Kinds of a [`Line`]: from point to point.
+/// Kinds of a [`Line`]: connected points.
 pub const STRIP: u8 = 0;
-/// And back to the first.
+/// Connected points, closed.
 pub const LOOP: u8 = 1;
-/// Each two points a segment.
+/// Pairs of points, each a segment.
 pub const LIST: u8 = 2;
 
 impl Line {
-    /// Lines of a thickness in m.
+    /// A line of this thickness, m.
     #[must_use]
     pub fn new(kind: u8, points: Vec<Vector3>, thickness: f64, color: Color) -> Self {
         Self {
@@ -275,7 +275,7 @@ impl Cylinder {
     }
 }
 
-/// `foxglove.SceneEntity`; the kinds of shapes that are not used here are empty.
+/// `foxglove.SceneEntity`; kinds of shapes that are not used here are empty.
 #[derive(Debug, Serialize)]
 pub struct SceneEntity {
     pub timestamp: Time,
@@ -295,7 +295,7 @@ pub struct SceneEntity {
 }
 
 impl SceneEntity {
-    /// An entity without a shape yet, that stays until another of its name comes.
+    /// An entity without shapes; it stays until replaced by another one with its id.
     #[must_use]
     pub fn new(timestamp: Time, frame: &str, id: &str) -> Self {
         Self {

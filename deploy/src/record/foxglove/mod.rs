@@ -1,15 +1,15 @@
-//! Foxglove. How does a run look in its tools? The samples as its well-known messages, beside the samples themselves.
+//! Foxglove. Converts samples into Foxglove's well-known messages, which are stored beside the samples.
 //!
 //! | topic | message | from |
 //! |---|---|---|
 //! | `/{robot}/scan`, `/{robot}/scan/{lidar}` | `LaserScan`, in the map at the scan's own stamp | `edge/scan` |
-//! | `/{robot}/map` | `Grid`, once a second at most | `cloud/map_patch` |
+//! | `/{robot}/map` | `Grid`, at most once a second | `cloud/map_patch` |
 //! | `/{robot}/pose` | `PoseInFrame` | `edge/pose` |
 //! | `/tf` | `FrameTransforms`: `map`, `{robot}/odom`, `{robot}/base_link`, `{robot}/laser` | `edge/odometry`, `edge/scan` |
 //! | `/{robot}/scene` | `SceneUpdate`: plan, goal, search tree, footprint, obstacles, intent, markers | `cloud/plan`, `cloud/tree`, `edge/…` |
 //! | `/{robot}/log` | `Log` | `edge/event`, `cloud/goal/…` |
 //!
-//! Their time is that of arrival at the recorder: clocks of robots and cloud are never compared.
+//! Their time is the arrival at the recorder: clocks of robots and cloud are never compared.
 
 mod messages;
 mod schemas;
@@ -53,20 +53,20 @@ const THIN: f64 = 0.015;
 const LOW: f64 = 0.02;
 /// Most edges of a search tree that are drawn.
 const MOST_EDGES: usize = 20_000;
-/// Shapes that come again and again are gone after this time, ns.
+/// Lifetime of shapes that are published repeatedly, ns.
 const SHORT_LIVED: u64 = 1_500_000_000;
-/// Least time between two grids of a robot, ns, and what each cell adds to it: a large map costs time and room.
+/// Shortest interval between two grids of a robot, ns; the second constant times the number of cells if that is longer.
 const GRID_EVERY: u64 = 1_000_000_000;
 const GRID_CELL: u64 = 4_000;
 /// Corners of a disc.
 const CORNERS: u32 = 32;
 
-/// A message for Foxglove.
+/// A message in Foxglove's format.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Drawn {
     /// Its topic.
     pub topic: String,
-    /// Its kind.
+    /// Its schema.
     pub schema: Schema,
     /// The message.
     pub json: Vec<u8>,
@@ -79,24 +79,24 @@ impl Drawn {
     }
 }
 
-/// What is known of a robot.
+/// Drawing state of a robot.
 #[derive(Debug, Default)]
 struct Robot {
-    /// Whether the map has changed since it was drawn.
+    /// Whether the map has changed since it was last drawn.
     changed: bool,
-    /// When the map may be drawn again, ns.
+    /// Earliest time at which the map may be drawn again, ns.
     due: u64,
     goals: BTreeMap<String, GoalPhase>,
 }
 
-/// Draws a run for Foxglove, one sample after another.
+/// Draws a run for Foxglove, sample by sample.
 #[derive(Debug, Default)]
 pub struct Artist {
     robots: BTreeMap<String, Robot>,
 }
 
 impl Artist {
-    /// What there is to draw of a sample. What cannot be decoded is not drawn.
+    /// Messages for a sample. A sample that cannot be decoded is not drawn.
     pub fn draw(&mut self, sample: &Sample) -> Vec<Drawn> {
         let Some(row) = topics::row_of(&sample.key) else {
             return Vec::new();
@@ -134,7 +134,7 @@ impl Artist {
         drawn
     }
 
-    /// The map of a robot, when it may be drawn again; at the end of a file (`last`) whenever it has changed since.
+    /// The map of a robot, if it may be drawn again; with `last` (at the end of a file) in any case.
     pub fn draw_map(&mut self, name: &str, map: &OccupancyGrid, now: u64, last: bool) -> Option<Drawn> {
         let robot = self.robots.entry(name.to_owned()).or_default();
         if !last && now < robot.due {
@@ -146,12 +146,12 @@ impl Artist {
         grid(name, map, now)
     }
 
-    /// A new file begins: every map may be drawn at once.
+    /// Starts a new file: every map may be drawn at once.
     pub fn begin_file(&mut self) {
         self.robots.values_mut().for_each(|robot| robot.due = 0);
     }
 
-    /// Robots whose maps have changed since they were drawn.
+    /// Robots whose maps have changed since they were last drawn.
     #[must_use]
     pub fn undrawn(&self) -> Vec<String> {
         let changed = self.robots.iter().filter(|(_, robot)| robot.changed);
@@ -175,7 +175,7 @@ impl Artist {
     }
 }
 
-/// The map, a cell in four bytes of colour: Foxglove shows it as it is meant without being told how.
+/// The map with four bytes of colour per cell: Foxglove then shows it correctly without further settings.
 fn grid(name: &str, map: &OccupancyGrid, now: u64) -> Option<Drawn> {
     const UINT8: u8 = 1;
     let spec = map.spec();
@@ -286,7 +286,7 @@ fn event(time: Time, chunks: &[String], event: &Event) -> Option<Drawn> {
     log(time, chunks.first()?, level, super::words::event(&event.kind), "edge")
 }
 
-/// Shapes, and the robot that they belong to.
+/// The shapes of a sample, and their robot.
 fn scene(time: Time, sample: &Sample) -> Option<(String, SceneUpdate)> {
     fn of<T>(message: Result<Option<(Vec<String>, T)>, impl Sized>) -> Option<(String, T)> {
         let (chunks, message) = message.ok().flatten()?;
@@ -446,7 +446,7 @@ mod tests {
         }
     }
 
-    /// Whether a value has what a schema requires, of the type that it says.
+    /// Checks that a value has what a schema requires, with the right types.
     fn fits(schema: &Value, value: &Value, at: &str) {
         if let Some(choices) = schema.get("oneOf").and_then(Value::as_array) {
             assert!(choices.iter().any(|choice| choice["const"] == *value), "{at}: {value}");

@@ -1,8 +1,8 @@
-//! Schemas. Which fields have Foxglove's own messages? Its public schemas as JSON Schema, by which its tools know what they see.
+//! Schemas. Foxglove's public message schemas as JSON Schema, by which its tools recognise the messages.
 
 use serde_json::{Map, Value, json};
 
-/// Messages that are written.
+/// The message types written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Schema {
     /// A scan of a planar lidar.
@@ -11,16 +11,16 @@ pub enum Schema {
     Grid,
     /// A pose.
     PoseInFrame,
-    /// Poses of frames in one another.
+    /// Transforms between frames.
     FrameTransforms,
     /// Shapes to draw.
     SceneUpdate,
-    /// A line of a log.
+    /// A log line.
     Log,
 }
 
 impl Schema {
-    /// The name that Foxglove knows it by.
+    /// Foxglove's name for it.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -94,7 +94,7 @@ fn list(item: Value) -> Value {
     json!({ "type": "array", "items": item })
 }
 
-/// One of some numbers, from zero, by its name.
+/// A number from zero that stands for one of these names.
 fn choice(names: &[&str]) -> Value {
     let choices: Vec<Value> = names
         .iter()

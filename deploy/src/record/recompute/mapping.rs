@@ -1,7 +1,7 @@
-//! Recomputed maps. Does mapping make the recorded map of the recorded scans, byte for byte?
+//! Recomputed maps. Checks that mapping makes the recorded map from the recorded scans, byte for byte.
 //!
-//! Two things that mapping was told are on no key: which scans it never saw, as it keeps only the newest of those that wait, and when it
-//! learnt the robot's footprint. Both are searched for: a patch that some choice of them explains to the last byte is the same patch.
+//! Two inputs of mapping are on no key: which scans it skipped, as it keeps only the newest of those queued, and when it learnt the
+//! robot's footprint. Both are searched for: if some choice of them reproduces a patch to the last byte, the patch counts as the same.
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::path::Path;
@@ -22,33 +22,33 @@ use crate::failure::Failure;
 use crate::record::format::{Kind, Sample};
 use crate::record::reader::RecordReader;
 
-/// Patches that wait for the description that says how many scans are in them.
+/// Patches queued for the description with their number of scans.
 const WAITING: usize = 4;
-/// Most histories of one map that are followed at once.
+/// Most histories of one map followed in parallel.
 const HISTORIES: usize = 8;
-/// Most choices of scans that are tried for one patch.
+/// Most selections of scans tried for one patch.
 const CHOICES: usize = 128;
 
 /// How a recomputed map compares with the recorded one.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct MapVerdict {
-    /// The robot.
+    /// Name of the robot.
     pub robot: String,
-    /// Whether every patch is what was recorded, byte for byte.
+    /// Whether every patch equals the recorded one, byte for byte.
     pub identical: bool,
     /// Patches in the record.
     pub patches: u64,
-    /// Of them, those that came out the same.
+    /// Patches that came out the same.
     pub same_patches: u64,
     /// Scans in the record.
     pub scans: u64,
-    /// Of them, those that mapping never saw.
+    /// Scans that mapping skipped.
     pub unseen_scans: u64,
     /// Cells of the last map.
     pub cells: u64,
-    /// Of them, those that came out otherwise.
+    /// Cells of it that came out different.
     pub differing_cells: u64,
-    /// The first patch that came out otherwise, or why nothing could be compared.
+    /// The first patch that came out different, or why nothing could be compared.
     pub difference: Option<String>,
 }
 
@@ -73,9 +73,9 @@ impl MapVerdict {
     }
 }
 
-/// The maps of all robots, computed again.
+/// Recomputes the maps of all robots.
 pub(super) fn recompute(file: &Path, settings: &mut RunSettings) -> Result<Vec<MapVerdict>, Failure> {
-    // Known from the beginning, although the recorder may have asked for them later than mapping did.
+    // Read first: the recorder may have asked for footprints later than mapping did.
     let footprints = footprints(file)?;
     let mut reader = RecordReader::open(file)?;
     let mut robots = BTreeMap::<String, MapHistory>::new();
@@ -95,7 +95,7 @@ pub(super) fn recompute(file: &Path, settings: &mut RunSettings) -> Result<Vec<M
     Ok(seen.map(|history| history.end(settings)).collect())
 }
 
-/// The footprint of each robot, as its edge told the recorder.
+/// Each robot's footprint, from its edge's reply to the recorder.
 fn footprints(file: &Path) -> Result<BTreeMap<String, Footprint>, Failure> {
     let mut reader = RecordReader::open(file)?;
     let mut footprints = BTreeMap::new();
@@ -109,33 +109,33 @@ fn footprints(file: &Path) -> Result<BTreeMap<String, Footprint>, Failure> {
     Ok(footprints)
 }
 
-/// A patch as it was recorded.
+/// A recorded patch.
 struct Recorded {
     patch: MapPatch,
     bytes: Vec<u8>,
 }
 
-/// A scan as it was recorded.
+/// A recorded scan.
 struct Heard {
     scan: Scan,
-    /// Whether it is of the main lidar, which poses are made of.
+    /// Whether it comes from the main lidar, the one used for poses.
     is_main: bool,
-    /// The robot's boot by then.
+    /// The robot's boot at that time.
     boot_id: Arc<str>,
 }
 
-/// The map of one robot, computed along its record.
+/// The map of one robot, recomputed along its record.
 struct MapHistory {
     footprint: Option<Footprint>,
-    /// Scans that are in no patch yet, as they came.
+    /// Scans not yet in a patch, in order of arrival.
     scans: Vec<Heard>,
-    /// The robot's boot and frame, as it said last.
+    /// The robot's boot and frame, as last reported.
     boot_id: Arc<str>,
     frame: u64,
     patches: VecDeque<Recorded>,
-    /// Scans in the map at each revision that was described, and whether it came from a file.
+    /// For each described revision: number of scans in the map, and whether it came from a file.
     described: HashMap<MapRef, (u64, bool)>,
-    /// What may have happened in mapping, each with whether it knows the footprint.
+    /// Candidate states of mapping, each with whether it knows the footprint.
     mappers: Vec<(MappingCore, bool)>,
     inserted: u64,
     replica: MapReplica,
@@ -179,7 +179,7 @@ impl MapHistory {
             self.frame = state.frame;
             if *self.boot_id != *state.boot_id {
                 self.boot_id = state.boot_id.into();
-                // Mapping may have heard of the first boot before the recorder did.
+                // Mapping may have known the first boot before the recorder did.
                 for heard in self.scans.iter_mut().filter(|heard| heard.boot_id.is_empty()) {
                     heard.boot_id = Arc::clone(&self.boot_id);
                 }
@@ -195,7 +195,7 @@ impl MapHistory {
             };
             self.patches.push_back(Recorded { patch, bytes });
         }
-        // The description of a patch comes just after it.
+        // A patch's description comes right after it.
         let is_described = |recorded: &Recorded| self.described.contains_key(&recorded.patch.map);
         if self.patches.len() > WAITING || self.patches.front().is_some_and(is_described) {
             self.step(settings);
@@ -218,13 +218,13 @@ impl MapHistory {
         self.verdict.difference.get_or_insert(why);
     }
 
-    /// Computes the next patch.
+    /// Recomputes the next patch.
     fn step(&mut self, settings: &mut RunSettings) {
         let Some(Recorded { patch, bytes }) = self.patches.pop_front() else {
             return;
         };
         let described = self.described.remove(&patch.map);
-        // Whatever mapping was told, the record's own map is this.
+        // The replica follows the record, whatever mapping was told.
         let _ = self.replica.apply(&patch);
         let is_known = self
             .mappers
@@ -286,7 +286,7 @@ impl MapHistory {
         self.scans.retain(|heard| heard.scan.stamp > patch.stamp);
     }
 
-    /// A map's first patch.
+    /// Starts a map at its first patch.
     fn begin(
         &mut self,
         patch: &MapPatch,
@@ -317,7 +317,7 @@ impl MapHistory {
         Ok(())
     }
 
-    /// Mapping after these scans: with the footprint that it knows, or learns before any of them.
+    /// States of mapping after these scans: with the footprint already known, never learnt, or learnt before any one of them.
     fn insertions(&self, core: &MappingCore, knows: bool, scans: &[&Heard]) -> Vec<(MappingCore, bool)> {
         let learns = match &self.footprint {
             Some(footprint) if !knows => (0..scans.len()).map(|nth| Some((nth, footprint))).collect(),
@@ -342,8 +342,8 @@ impl MapHistory {
     }
 }
 
-/// Which of the candidates may have been inserted, the likeliest first: all but the oldest ones, as when mapping began later than the
-/// record, then every other choice as far as there are not too many.
+/// Selections of scans that may have been inserted, likeliest first: all but the oldest ones, as if mapping had started later than the
+/// record, then every other selection, up to a limit.
 fn choices(candidates: &[usize], wanted: usize) -> Vec<Vec<usize>> {
     fn more(candidates: &[usize], wanted: usize, chosen: &mut Vec<usize>, found: &mut Vec<Vec<usize>>) {
         if found.len() >= CHOICES {
@@ -365,14 +365,14 @@ fn choices(candidates: &[usize], wanted: usize) -> Vec<Vec<usize>> {
     }
     let mut found = Vec::new();
     more(candidates, wanted, &mut Vec::new(), &mut found);
-    // Chosen from the newest backwards; inserted as they came.
+    // Selected from the newest backwards, inserted in order of arrival.
     for choice in &mut found {
         choice.reverse();
     }
     found
 }
 
-/// How a patch that was made differs from the recorded one.
+/// How a recomputed patch differs from the recorded one.
 fn difference(recorded: &MapPatch, made: Option<&MapPatch>) -> String {
     let Some(made) = made else {
         return "nothing has changed in the recomputed map".to_owned();
@@ -403,7 +403,7 @@ fn difference(recorded: &MapPatch, made: Option<&MapPatch>) -> String {
     format!("{differing} cells differ")
 }
 
-/// Cells of a map, and of them those that another map has otherwise.
+/// Number of cells of a map, and of those in which another map differs.
 fn compare(recorded: &OccupancyGrid, made: &OccupancyGrid) -> (u64, u64) {
     let spec = recorded.spec();
     let differing = recorded
@@ -458,7 +458,7 @@ mod tests {
         }
     }
 
-    /// A run in which mapping never saw the scans of `unseen`, and knew the footprint from `learnt` on.
+    /// A run in which mapping skipped the scans of `unseen`, and knew the footprint from `learnt` on.
     fn record(path: &Path, unseen: &[u64], learnt: u64, changed: Option<u64>) {
         let mut writer = RecordWriter::create(path, RecordOptions::default(), 1).unwrap();
         let model = zenav_fixtures::robot("tiago");
@@ -483,7 +483,7 @@ mod tests {
             writer
                 .write(&sample("zenav/r/edge/scan", &message, Kind::Put, logged))
                 .unwrap();
-            // Two scans in each patch, and their description behind it.
+            // Two scans per patch, followed by their description.
             if nth % 2 == 1
                 && let Some(patch) = mapper.take_patch()
             {
@@ -542,7 +542,7 @@ mod tests {
         let mut reader = RecordReader::open(&whole).unwrap();
         let mut writer = RecordWriter::create(&part, RecordOptions::default(), 1).unwrap();
         while let Some(sample) = reader.next_sample().unwrap() {
-            // As of a recorder that comes late: the patches are kept for it, the scans are not.
+            // Like a recorder that joins late: the patches are retained for it, the scans are not.
             if sample.logged >= 2_000 || !sample.key.ends_with("scan") {
                 writer.write(&sample).unwrap();
             }

@@ -1,10 +1,10 @@
-//! `zenav replay --recompute`. Do the cores make the same of the same inputs?
+//! `zenav replay --recompute`. Checks that the cores give the same outputs for the same inputs.
 //!
 //! | file | answers |
 //! |---|---|
-//! | `mapping` | does mapping make the recorded map of the recorded scans? |
-//! | `motion` | do the motion workers answer the recorded requests as they did? |
-//! | `settings` | how were the parts of the run set? |
+//! | `mapping` | does mapping make the recorded map from the recorded scans? |
+//! | `motion` | do motion workers give the recorded answers to the recorded requests? |
+//! | `settings` | which settings did the parts of the run have? |
 
 mod mapping;
 mod motion;
@@ -28,7 +28,7 @@ use crate::output::{self, Format};
 pub use mapping::MapVerdict;
 pub use motion::{MotionVerdict, Uncompared};
 
-/// What can be computed again.
+/// What can be recomputed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Part {
     /// Maps from scans
@@ -55,16 +55,16 @@ impl PartSettings {
     }
 }
 
-/// What came of a record's inputs.
+/// Result of recomputing a record.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Recomputed {
     /// The map of each robot.
     pub maps: Vec<MapVerdict>,
     /// The answers of each motion worker.
     pub motion: Vec<MotionVerdict>,
-    /// Whether everything that was asked for is there, and is what was recorded.
+    /// Whether everything requested is in the record and came out the same.
     pub identical: bool,
-    /// What could not be computed again, or not as it was, and why.
+    /// What could not be recomputed, or only under other conditions, and why.
     pub notes: Vec<String>,
 }
 
@@ -80,10 +80,10 @@ pub(super) fn run(file: &Path, parts: &[Part], deployment: Option<&Path>, format
     })
 }
 
-/// Computes parts of a record again, with the settings of a deployment, else those that the run's parts told, else the defaults.
+/// Recomputes parts of a record with the settings of a deployment, otherwise those that the run's parts reported, otherwise the defaults.
 ///
 /// # Errors
-/// A bad record, or one of other messages.
+/// A bad record, or one with another message version.
 pub fn recompute(file: &Path, parts: &[Part], deployment: Option<&Deployment>) -> Result<Recomputed, Failure> {
     RecordReader::open(file)?.check_messages()?;
     let mut settings = RunSettings::of(file, deployment.map(PartSettings::of))?;

@@ -1,9 +1,9 @@
-//! Recomputed motion. Do the motion workers answer the recorded requests as they did, byte for byte?
+//! Recomputed motion. Checks that motion workers give the recorded answers to the recorded requests, byte for byte.
 //!
-//! What a worker kept of one request for the next (earlier paths, and the bounds that say how long they stand) is made again by asking a new
-//! worker the same requests in the same order, on the same revisions of the maps. Its requests are numbered: where one is missing, or was
-//! cut short by its time limit, what the worker kept from there on is not known. Answers that come out the same are the same nevertheless;
-//! of others it is said why they cannot be compared. Times that phases took are left out of the comparison.
+//! The state that a worker keeps between requests (earlier paths, and the bounds on how long they stay valid) is rebuilt by sending a new
+//! worker the same requests in the same order, on the same map revisions. Requests are numbered: if one is missing, or was cut short by
+//! its time limit, the worker's state from then on is unknown. Answers that match still count as the same; for the others the reason is
+//! given why they cannot be compared. Durations of phases are excluded from the comparison.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -28,30 +28,30 @@ use crate::record::reader::RecordReader;
 /// How the recomputed answers of a motion worker compare with the recorded ones.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct MotionVerdict {
-    /// The worker.
+    /// Name of the worker.
     pub worker: String,
-    /// Whether every answer that can be compared is what was recorded, byte for byte, and there is one.
+    /// Whether all comparable answers equal the recorded ones, byte for byte, and there is at least one.
     pub identical: bool,
     /// Requests in the record.
     pub requests: u64,
-    /// Of them, those whose answers came out the same.
+    /// Requests whose answers came out the same.
     pub same: u64,
-    /// Of these, those that were answered from what the worker had kept.
+    /// Of these, those answered from the worker's kept state.
     pub kept: u64,
-    /// Those that came out otherwise.
+    /// Requests whose answers came out different.
     pub different: u64,
-    /// The first of them.
+    /// The first difference.
     pub difference: Option<String>,
-    /// Those that cannot be compared.
+    /// Requests whose answers cannot be compared.
     pub uncompared: Vec<Uncompared>,
 }
 
 /// A request whose answer cannot be compared.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Uncompared {
-    /// Which of the worker's requests.
+    /// Number of the worker's request.
     pub number: u64,
-    /// Why not.
+    /// Reason.
     pub why: String,
 }
 
@@ -73,9 +73,9 @@ impl MotionVerdict {
     }
 }
 
-/// All recorded requests, answered again.
+/// Answers all recorded requests again.
 pub(super) fn recompute(file: &Path, settings: &mut RunSettings) -> Result<Vec<MotionVerdict>, Failure> {
-    // Before the requests: a worker may have had a patch earlier than the recorder.
+    // Read before the requests: a worker may have had a patch earlier than the recorder.
     let changes = changes(file)?;
     let mut workers = BTreeMap::<String, Rerun<'_>>::new();
     let mut reader = RecordReader::open(file)?;
@@ -90,7 +90,7 @@ pub(super) fn recompute(file: &Path, settings: &mut RunSettings) -> Result<Vec<M
     Ok(workers.into_values().map(Rerun::end).collect())
 }
 
-/// How the map of each robot changed.
+/// Map changes of each robot.
 type Changes = BTreeMap<String, Vec<Change>>;
 
 enum Change {
@@ -121,12 +121,12 @@ fn change(sample: &Sample) -> Option<(String, Change)> {
 #[derive(Default)]
 struct Copy {
     replica: MapReplica,
-    /// How many of the map's changes went into it.
+    /// Number of map changes already applied.
     taken: usize,
 }
 
 impl Copy {
-    /// Goes on to a later revision; `false` where the record does not lead there.
+    /// Advances to a later revision; `false` if the record does not lead there.
     fn follow(&mut self, changes: &[Change], wanted: &MapRef) -> bool {
         while self.replica.map() != wanted {
             let Some(change) = changes.get(self.taken) else {
@@ -147,7 +147,7 @@ impl Copy {
     }
 }
 
-/// A worker that is asked again what another one was asked.
+/// A worker that receives the requests of a recorded one.
 struct Rerun<'a> {
     settings: MotionSettings,
     changes: &'a Changes,
@@ -156,7 +156,7 @@ struct Rerun<'a> {
     zones: BTreeMap<String, Arc<Zones>>,
     /// Number of the last request.
     number: u64,
-    /// Why the worker may have kept something else.
+    /// Why the recorded worker's state may differ.
     doubt: Option<String>,
     verdict: MotionVerdict,
 }
@@ -181,7 +181,7 @@ impl<'a> Rerun<'a> {
     fn see(&mut self, record: MotionRecord) {
         self.verdict.requests += 1;
         if record.number == 1 && self.number > 0 {
-            // The worker was started again.
+            // The worker was restarted.
             let before = std::mem::take(&mut self.verdict);
             *self = Self {
                 verdict: before,
@@ -211,12 +211,12 @@ impl<'a> Rerun<'a> {
         }
     }
 
-    /// The answer to a request, on the map that it was answered on.
+    /// The answer to a request, on the map revision it was answered on.
     fn answer(&mut self, record: &MotionRecord) -> Result<Result<MotionReply, Refusal>, String> {
         let robot = record.request.map().0;
         let zones = Zones::new(&record.zones).map_err(|error| error.to_string())?;
         let known = self.zones.entry(robot.to_owned()).or_default();
-        // As long as they are the same the spaces that were made with them are.
+        // Kept while equal: the configuration spaces built with the zones stay valid too.
         if **known != zones {
             *known = Arc::new(zones);
         }
@@ -285,7 +285,7 @@ fn is_kept(answer: &MotionReply) -> bool {
     parts(answer).0.is_some_and(|plan| plan.origin != PlanOrigin::Searched)
 }
 
-/// Takes the times out of an answer that its phases took.
+/// Removes the durations of phases from an answer.
 fn without_times(answer: &mut MotionReply) {
     let (plan, smooth) = match answer {
         MotionReply::Plan(plan) => (Some(plan), None),
@@ -347,7 +347,7 @@ mod tests {
         }
     }
 
-    /// A hall of 6.4 m by 3.2 m with a wall across that leaves a door, in its third revision.
+    /// A hall of 6.4 m by 3.2 m with a wall across it and a door in the wall, at revision 3.
     fn whole() -> MapReply {
         let spec = GridSpec {
             origin: Point2::origin(),
@@ -376,7 +376,7 @@ mod tests {
         }
     }
 
-    /// Something stands in the right half then.
+    /// An obstacle appears in the right half.
     fn patch() -> MapPatch {
         let mut values = vec![Occupancy::FREE; (TILE * TILE) as usize];
         for row in 18..30 {
@@ -415,7 +415,7 @@ mod tests {
         })
     }
 
-    /// What a worker says to the same goal from several starts, after the second of which the map changes.
+    /// A worker's answers to the same goal from several starts; the map changes after the second.
     fn drive() -> Vec<MotionRecord> {
         let mut worker = MotionWorker::new(Arc::default(), MotionSettings::default());
         let mut replica = MapReplica::new();
@@ -445,7 +445,7 @@ mod tests {
             .collect()
     }
 
-    /// What comes of a record of them; the whole map is left out where `has_map` says so.
+    /// Verdict on a record of these; without `has_map` the whole map is left out.
     fn verdict(records: &[MotionRecord], has_map: bool) -> MotionVerdict {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("run.mcap");
@@ -459,7 +459,7 @@ mod tests {
             logged: 10,
             published: None,
         };
-        // The recorder has the patch later than the worker had.
+        // The recorder gets the patch later than the worker did.
         for record in records {
             let bytes = codec::encode(record, Encoding::Json).unwrap();
             let sample = sample(topics::MOTION.key(&["r"]), Kind::Put, Encoding::Json, bytes);

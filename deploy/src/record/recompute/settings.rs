@@ -1,4 +1,4 @@
-//! Settings of a recorded run. How were its parts set? As a named deployment says, else as they told the recorder, else by the defaults.
+//! Settings of a recorded run. Taken from a named deployment, otherwise from the parts' reports to the recorder, otherwise the defaults.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -17,15 +17,15 @@ use crate::record::reader::RecordReader;
 /// The settings of each part of a run.
 #[derive(Debug, Default)]
 pub(super) struct RunSettings {
-    /// For every part, instead of what it told.
+    /// Settings for every part, replacing the reported ones.
     named: Option<PartSettings>,
-    /// What each part told, by section.
+    /// Settings that each part reported, by section.
     told: BTreeMap<String, BTreeMap<String, Value>>,
     notes: BTreeSet<String>,
 }
 
 impl RunSettings {
-    /// Those of a record.
+    /// The settings of a record.
     pub(super) fn of(file: &Path, named: Option<PartSettings>) -> Result<Self, Failure> {
         let mut told = BTreeMap::new();
         let mut reader = RecordReader::open(file)?;
@@ -43,7 +43,7 @@ impl RunSettings {
         })
     }
 
-    /// How a robot's map is drawn, and from whose poses.
+    /// Settings of a robot's mapping, and the source of its poses.
     pub(super) fn mapping(&mut self, robot: &str) -> (MappingSettings, PoseSettings) {
         if let Some(named) = &self.named {
             return (named.mapping.clone(), named.poses);
@@ -52,7 +52,7 @@ impl RunSettings {
         (self.section(&part, "mapping"), self.section(&part, "poses"))
     }
 
-    /// How a motion worker plans and smooths.
+    /// Settings of a motion worker.
     pub(super) fn motion(&mut self, worker: &str) -> MotionSettings {
         if let Some(named) = &self.named {
             return named.motion.clone();
@@ -73,7 +73,7 @@ impl RunSettings {
         S::default()
     }
 
-    /// What was not known.
+    /// Notes on settings that were not known.
     pub(super) fn notes(self) -> BTreeSet<String> {
         self.notes
     }

@@ -1,27 +1,27 @@
-//! Charts. How does a number change over time, and when did the nodes of a tree run? As inline SVG.
+//! Charts. Inline SVG of a figure over time, and of the times when the nodes of a tree ran.
 
 use std::fmt::Write as _;
 
 use super::super::run::NodeSpan;
 use super::page::escape;
 
-/// Size of a chart, px of its own.
+/// Size of a chart, in its own px.
 const WIDTH: f64 = 860.0;
 const HEIGHT: f64 = 150.0;
-/// Room for numbers at the left and below.
+/// Room for numbers on the left and below.
 const LEFT: f64 = 44.0;
 const BELOW: f64 = 22.0;
 const TOP: f64 = 8.0;
-/// Most points of a curve: the least and the greatest of each pixel's time.
+/// Most points of a curve: the minimum and the maximum within each pixel's time.
 const POINTS: usize = 700;
-/// Height of a row of the timeline.
+/// Height of a timeline row.
 const ROW: f64 = 18.0;
-/// Room for the names at its left.
+/// Room for the names to its left.
 const NAMES: f64 = 230.0;
-/// Most rows, and most spans of a row's tree.
+/// Most rows.
 const MOST_ROWS: usize = 48;
 
-/// A place on an axis of so many steps: 1, 2 or 5 times a power of ten apart.
+/// Tick distance for about so many ticks: 1, 2 or 5 times a power of ten.
 fn step(range: f64, steps: f64) -> f64 {
     let rough = (range / steps).max(1e-9);
     let power = 10_f64.powf(rough.log10().floor());
@@ -135,7 +135,7 @@ fn time_axis(secs: f64, height: f64, left: f64, width: f64) -> String {
     svg
 }
 
-/// When the nodes of the trees ran; each node of a goal's tree a row, in the order in which they first ran.
+/// When the nodes of the trees ran; one row for each node of a goal's tree, in order of their first run.
 pub fn timeline(spans: &[NodeSpan], secs: f64) -> String {
     let mut rows: Vec<(&NodeSpan, Vec<&NodeSpan>)> = Vec::new();
     for span in spans {
@@ -145,7 +145,7 @@ pub fn timeline(spans: &[NodeSpan], secs: f64) -> String {
             rows.push((span, vec![span]));
         }
     }
-    // The order of the document, one goal after another.
+    // Document order, one goal after another.
     let mut goals: Vec<&str> = Vec::new();
     for (first, _) in &rows {
         if !goals.contains(&first.node.0.as_str()) {

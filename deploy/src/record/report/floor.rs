@@ -1,4 +1,4 @@
-//! Floor. Where did the robot drive? The map at the end as an image, the path over it, in one SVG.
+//! Floor. One SVG of the final map as an image, with the driven path over it.
 
 use std::fmt::Write as _;
 
@@ -12,18 +12,18 @@ use super::super::words;
 use super::page::escape;
 use crate::failure::Failure;
 
-/// Around what there is to see, m.
+/// Margin around the drawn area, m.
 const MARGIN: f64 = 0.3;
-/// Units of the picture in a metre: letters smaller than one would be drawn badly.
+/// Picture units per metre: letters smaller than one unit would be drawn badly.
 const SCALE: f64 = 100.0;
 /// Most points of a path.
 const POINTS: usize = 1500;
-/// Longest side of the image, px: of larger maps each pixel is several cells.
+/// Longest side of the image, px: in larger maps a pixel covers several cells.
 const LONGEST: u32 = 2000;
-/// Distances that a scale bar may stand for, m.
+/// Lengths of scale bars, m.
 const BARS: [f64; 8] = [0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0];
 
-/// A part of the plane, m.
+/// A rectangle of the plane, m.
 #[derive(Clone, Copy, Debug)]
 struct Area {
     low: Point2<f64>,
@@ -51,7 +51,7 @@ impl Area {
     }
 }
 
-/// Cells that are known: the first and the last column and row.
+/// Bounds of the known cells: the first and the last column and row.
 fn known(map: &OccupancyGrid) -> Option<(Cell, Cell)> {
     let spec = map.spec();
     let cells = map.values().iter().enumerate();
@@ -65,7 +65,7 @@ fn known(map: &OccupancyGrid) -> Option<(Cell, Cell)> {
     })
 }
 
-/// The known part of a map as an image, and where it lies.
+/// The known part of a map as an image, with its extent.
 fn image(map: &OccupancyGrid) -> Result<Option<(Vec<u8>, Area)>, Failure> {
     let Some((low, high)) = known(map) else {
         return Ok(None);
@@ -77,7 +77,7 @@ fn image(map: &OccupancyGrid) -> Result<Option<(Vec<u8>, Area)>, Failure> {
     let mut pixels = Vec::with_capacity(width as usize * height as usize);
     for row in (0..height).rev() {
         for column in 0..width {
-            // The worst of a pixel's cells: a thin wall does not vanish.
+            // The most occupied of a pixel's cells, so that thin walls do not vanish.
             let mut worst = 0;
             for dy in 0..each {
                 for dx in 0..each {
@@ -115,7 +115,7 @@ fn image(map: &OccupancyGrid) -> Result<Option<(Vec<u8>, Area)>, Failure> {
 /// The map with path, plan, goals and robot.
 ///
 /// # Errors
-/// When the image cannot be made.
+/// The image cannot be made.
 pub fn svg(robot: &RobotRun) -> Result<String, Failure> {
     let image = robot.map.as_ref().map(image).transpose()?.flatten();
     let goals = goals(robot);
@@ -126,7 +126,7 @@ pub fn svg(robot: &RobotRun) -> Result<String, Failure> {
         return Ok(String::new());
     };
     let extent = SCALE * (area.high - area.low);
-    // Rows of the picture run downwards.
+    // Picture rows run downwards.
     let at = |point: Point2<f64>| (SCALE * (point.x - area.low.x), SCALE * (area.high.y - point.y));
     let unit = extent.amax() / 100.0;
     let mut svg = format!(
@@ -223,7 +223,7 @@ pub fn svg(robot: &RobotRun) -> Result<String, Failure> {
     Ok(svg)
 }
 
-/// Places that the robot was to drive to, each once.
+/// Goal positions of the robot, each once.
 fn goals(robot: &RobotRun) -> Vec<(String, Point2<f64>)> {
     let mut goals: Vec<(String, Point2<f64>)> = Vec::new();
     for goal in robot.goals.values() {

@@ -1,10 +1,10 @@
-//! `zenav report`. How is a run told to a colleague? One page in one file, without anything from elsewhere.
+//! `zenav report`. Summarises a run in one self-contained HTML file.
 //!
 //! | file | answers |
 //! |---|---|
-//! | `page` | what stands where, and how does it look? |
-//! | `floor` | the map with the path that was driven |
-//! | `chart` | a number over time; when nodes of a tree ran |
+//! | `page` | layout and style of the page |
+//! | `floor` | the map with the driven path |
+//! | `chart` | a figure over time; when the nodes of a tree ran |
 
 mod chart;
 mod floor;
@@ -22,10 +22,10 @@ use crate::output;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  zenav report run.mcap\n  zenav report run.mcap --out monday.html")]
 pub struct ReportArgs {
-    /// Record
+    /// Record to report on
     #[arg(value_name = "RUN.mcap")]
     record: PathBuf,
-    /// Page to write [default: beside the record, with the ending .html]
+    /// Page to write [default: beside the record, with the extension .html]
     #[arg(long, value_name = "FILE.html")]
     out: Option<PathBuf>,
 }

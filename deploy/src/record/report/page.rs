@@ -1,4 +1,4 @@
-//! Page. What stands where in the report, and how does it look? One HTML file, light or dark as its reader's system is.
+//! Page. Layout and style of the report: one HTML file, light or dark as set in the reader's system.
 
 use std::fmt::Write as _;
 
@@ -7,9 +7,9 @@ use super::{chart, floor};
 use crate::failure::Failure;
 use crate::report::Percentiles;
 
-/// Most events in the page.
+/// Most events on the page.
 const MOST_EVENTS: usize = 500;
-/// Events that are shown without a click.
+/// Events visible without a click.
 const SHOWN_EVENTS: usize = 12;
 
 const STYLE: &str = r"
@@ -44,7 +44,7 @@ details > summary { cursor: pointer; color: var(--accent); padding: .4rem 0; } f
 @media print { body { max-width: none; } }
 ";
 
-/// Text as it may stand in HTML, between tags and in attributes.
+/// Text escaped for HTML, for contents and attributes.
 #[must_use]
 pub fn escape(text: &str) -> String {
     let mut escaped = String::with_capacity(text.len());
@@ -64,7 +64,7 @@ pub fn escape(text: &str) -> String {
 /// The page of a run.
 ///
 /// # Errors
-/// When the image of a map cannot be made.
+/// The image of a map cannot be made.
 pub fn html(run: &Run) -> Result<String, Failure> {
     let mut page = format!(
         "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
@@ -256,7 +256,7 @@ fn events(robot: &RobotRun, page: &mut String) {
         return;
     }
     page.push_str("<h3>Events, newest first</h3>\n");
-    // The newest, from the end: how a run ended is what one looks for first.
+    // Newest first, from the end: readers look first for how a run ended.
     let rows: Vec<String> = robot
         .events
         .iter()

@@ -21,14 +21,14 @@ fn driving() -> (Rig, u64, Plan) {
     (rig, epoch, plan)
 }
 
-/// How far the map moves.
+/// The move of the map.
 const MOVE: Pose2 = Pose2 {
     x: 0.8,
     y: -0.6,
     yaw: 0.2,
 };
 
-/// What mapping says of a frame: where the robot is in it, and the moves that led to it.
+/// A correction from mapping: the robot's pose in a frame, and the moves that led to that frame.
 fn say(rig: &mut Rig, map_from_base: Pose2, frame: u64, moves: &[Pose2]) {
     rig.inbox.corrections.push(Correction {
         stamp: rig.now,
@@ -111,7 +111,7 @@ fn a_plan_of_another_frame_is_carried_over_where_the_way_there_is_known_and_refu
         },
         ..plan.clone()
     };
-    // The robot keeps driving by the plan of before: mission renews that as it was.
+    // The robot keeps driving its earlier plan: the mission renews it unchanged.
     let renewed = of_frame(&plan, plan.map.frame, 2, rig.now);
     rig.send(renewed);
     assert_eq!(rig.rejection(), None);
@@ -127,7 +127,7 @@ fn a_plan_of_another_frame_is_carried_over_where_the_way_there_is_known_and_refu
     rig.events.clear();
     rig.run(5.2);
     assert!(rig.at_rest(), "{:?}", rig.velocity);
-    // What was planned in the frame before, from where the robot stood there, is carried over.
+    // A plan made in the previous frame, from the robot's pose in that frame, is carried over.
     let before = of_frame(&rig.ahead(epoch, 5, 30, 1.0), 1, 5, rig.now);
     rig.send(before);
     assert_eq!(rig.rejection(), None);

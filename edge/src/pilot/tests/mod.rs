@@ -186,7 +186,7 @@ fn stop_needs_no_lease_and_a_replayed_plan_after_resume_moves_nothing() {
     assert!(rig.at_rest());
     assert_eq!(rig.state.as_ref().unwrap().mode, Mode::Stopped);
     let stopped = rig.pose;
-    // A resume that was long on its way, and that somebody asked for before another one stopped the robot again.
+    // A delayed resume, requested before another operator stopped the robot again.
     let seen = rig.state.as_ref().unwrap().stops;
     rig.ask(EdgeRequest::Stop(StopRequest::default())).unwrap();
     let late = ResumeRequest {
@@ -200,7 +200,7 @@ fn stop_needs_no_lease_and_a_replayed_plan_after_resume_moves_nothing() {
     };
     rig.ask(EdgeRequest::Resume(newest)).unwrap();
     rig.send(plan.clone());
-    // Also a renewal by a mission that has not noticed: the motion is gone for good.
+    // A renewal by a mission that has not noticed the stop must not move it either: the motion is gone for good.
     plan.revision.counter = 5;
     plan.based_on.stamp = rig.now;
     rig.send(plan);

@@ -38,7 +38,7 @@ pub struct Rig {
     pub inbox: Inbox,
     pub heartbeat: Option<u64>,
     pub scanning: bool,
-    /// What the bumper touches: a direction, base frame.
+    /// Bearing of the bumper contact, base frame, rad.
     pub bump: Option<f64>,
     pub markers: Vec<Marker>,
     counter: u64,
@@ -48,7 +48,7 @@ pub struct Rig {
 impl Rig {
     pub fn new(stored: Persisted) -> Self {
         let mut model = zenav_fixtures::robot("tiago");
-        // It looks behind itself, too: it may back up.
+        // It also sees behind itself: it may back up.
         model.lidar.as_mut().unwrap().field_of_view = std::f64::consts::TAU;
         Self::of(model, stored)
     }

@@ -1,4 +1,4 @@
-//! Claims about a robot among robots that tell their course.
+//! Claims about a robot among robots that announce their course.
 
 use nalgebra::Point2;
 use zenav_protocol::messages::Intent;
@@ -12,7 +12,7 @@ fn it_waits_for_a_robot_that_goes_first_and_drives_on_when_that_one_is_through_o
         let epoch = rig.mission();
         let mut plan = rig.ahead(epoch, 1, 7, 4.0);
         let begun = rig.now;
-        // Across the plan, 2.2 m ahead, slowly; it has the longer way.
+        // The other robot slowly crosses the plan 2.2 m ahead; it has the longer path, and so right of way.
         let other = |secs: f64| Point2::new(2.2, -2.5 + 0.3 * secs);
         let (mut waited, mut nearest) = (0.0, f64::INFINITY);
         for nth in 0..125_u32 {

@@ -13,7 +13,7 @@ use zenav_protocol::topics::{EdgeReply, EdgeRequest};
 
 use crate::control_io::Persisted;
 
-/// Nobody commands, and the policy is to follow walls.
+/// A robot without a lease holder whose policy is to follow walls.
 fn left_alone() -> (Rig, u64) {
     let (mut rig, epoch) = commanded(LostPolicy::WallFollow);
     rig.heartbeat = None;
@@ -21,10 +21,10 @@ fn left_alone() -> (Rig, u64) {
     (rig, epoch)
 }
 
-/// A mission commands a robot of this policy.
+/// A robot of this policy that a mission commands.
 fn commanded(policy: LostPolicy) -> (Rig, u64) {
     let mut model = zenav_fixtures::robot("tiago");
-    // Enough for walls, and quick; and it sees where it backs up to.
+    // Enough beams for walls, and quick; it also sees where it backs up to.
     let lidar = model.lidar.as_mut().unwrap();
     (lidar.beams, lidar.field_of_view) = (180, std::f64::consts::TAU);
     let mut rig = Rig::of(model, Persisted::default());
@@ -115,7 +115,7 @@ fn it_searches_approaches_turns_and_follows_at_its_distance() {
 #[test]
 fn its_distance_can_be_changed_while_it_follows_and_nonsense_changes_nothing() {
     let (mut rig, _) = left_alone();
-    // Whoever sets a parameter holds the lease meanwhile.
+    // Setting a parameter needs the lease.
     let epoch = operator(&mut rig, "p");
     let mut set = |name: &str, value| {
         rig.ask(EdgeRequest::Param(ParamRequest {
@@ -164,7 +164,7 @@ fn a_bump_from_anywhere_is_left_only_by_an_operator_who_drives_away() {
         rig.run(1.0);
         assert_eq!(state(&rig), Some(WallFollowerState::Bump), "after {secs} s");
         assert!(rig.at_rest());
-        // Neither time nor a bumper let go frees it.
+        // Neither time nor a released bumper frees it.
         rig.bump = None;
         rig.run(5.0);
         assert!(rig.at_rest() && state(&rig) == Some(WallFollowerState::Bump));

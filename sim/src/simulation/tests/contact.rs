@@ -1,4 +1,4 @@
-//! What happens when things meet?
+//! Tests of contacts.
 
 use proptest::prelude::*;
 
@@ -181,7 +181,7 @@ proptest! {
 }
 
 impl Simulation {
-    /// Clearance computed anew from everything else, one by one.
+    /// Clearance recomputed from everything else, one by one.
     fn clearance_without(&self, robot: usize) -> f64 {
         let placed = Placed::footprint(&self.model(robot).footprint, self.truth(robot).map_from_base);
         let solids = self

@@ -1,4 +1,4 @@
-//! Does a robot go where its wheels take it?
+//! Tests of motion: a robot goes where its wheels take it.
 
 use zenav_protocol::geometry::wrap_angle;
 
@@ -11,7 +11,7 @@ fn a_robot_drives_as_its_wheels_turn() {
     let truth = simulation.truth(0);
     assert!(truth.map_from_base.x.abs() < 1e-9 && (truth.map_from_base.y - truth.length).abs() < 1e-9);
     assert!((truth.twist.v - 4.0 * 0.0985).abs() < 1e-6);
-    // The way of ten seconds, less what acceleration and lag cost.
+    // The distance of ten seconds, minus the loss by acceleration and lag.
     assert!((3.7..3.94).contains(&truth.length), "{}", truth.length);
     assert_eq!((truth.collisions, truth.clearance), (0, f64::INFINITY));
     let readings = simulation.readings(0);
@@ -73,7 +73,7 @@ fn slip_spreads_with_the_root_of_the_way() {
     };
     let (short, long) = (spread(4), spread(16));
     assert!((1.4..2.8).contains(&(long / short)), "{short} {long}");
-    // Two wheels, a centimetre each after a metre.
+    // Two wheels, each off by a centimetre after a metre.
     let drive = model("tiago").drive;
     let metres = 4.0 * drive.wheel_radius * 16.0;
     let expected = 0.01 * (2.0 * metres).sqrt() / drive.wheel_separation;

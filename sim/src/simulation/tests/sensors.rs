@@ -1,4 +1,4 @@
-//! Does each sensor err as its model says, and only that one? A robot at rest in front of a wall knows what they should say.
+//! Tests of sensors: each errs as its model says, and no other does. For a robot at rest in front of a wall the true values are known.
 
 use zenav_protocol::messages::{Gps, Imu};
 use zenav_protocol::readings::Sweep;
@@ -7,11 +7,11 @@ use super::*;
 
 /// True distance from the lidar to the wall straight ahead, m.
 const AHEAD: f64 = 0.95 - 0.2;
-/// Where the robot stands, x and yaw.
+/// Pose of the robot: x and yaw.
 const STANDS: (f64, f64) = (0.0, 0.0);
 const TICKS: usize = 2000;
 
-/// What came, each with the time at which it came.
+/// Readings, each with its time of arrival.
 #[derive(Default)]
 struct Heard {
     sweeps: Vec<(Stamp, Sweep)>,
@@ -38,7 +38,7 @@ impl Heard {
     }
 }
 
-/// A robot whose sensors are perfect, but for what `spoil` does to them.
+/// A robot whose sensors are perfect, except for what `spoil` changes.
 fn heard(spoil: impl Fn(&mut RobotModel)) -> Heard {
     let mut spec = robot("a", "tiago", Pose2::new(STANDS.0, 0.0, STANDS.1));
     let model = &mut spec.model;
@@ -228,7 +228,7 @@ fn faults_break_the_sensor_that_they_name_in_their_window() {
     );
 }
 
-/// A Neato turns on the spot in front of a wall; its lidar, without noise, in the middle. Returns the truth at each step and the sweeps.
+/// A Neato turns on the spot in front of a wall, with a noise-free lidar in its middle. Returns the truth at each step and the sweeps.
 fn turning(sweep_time: f64) -> (Vec<(Stamp, Pose2)>, Vec<Sweep>) {
     let mut spec = robot("a", "neato", Pose2::IDENTITY);
     let model = lidar(&mut spec.model);

@@ -1,4 +1,4 @@
-//! Is everything on schedule, repeatable, and refused where it cannot be?
+//! Tests of schedules, of repeatability, and of what is refused.
 
 use super::*;
 

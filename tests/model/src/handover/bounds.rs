@@ -1,9 +1,9 @@
-//! Bounds. How much happens at most in a search, and in which bounds does the contract break without a rule?
+//! Bounds. The bounds of each search, and the bounds in which the contract breaks without a rule.
 
 use super::{Rule, System, TICK};
 use crate::check::{Part, Size};
 
-/// How much happens at most.
+/// Bounds on the number of events.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Bounds {
     pub(super) ticks: u8,
@@ -107,7 +107,7 @@ const TAKEOVER: Bounds = Bounds {
     operators: 0,
 };
 
-/// Further ways in which things go wrong, each within bounds of its own.
+/// Further faults, each within its own bounds.
 const ENDS: Bounds = Bounds {
     ends: 1,
     crashes: 0,

@@ -1,4 +1,4 @@
-//! Mission. What is on its disk, and what does it know while it leads and while it follows?
+//! Mission. Its disk, and its state while it leads and while it follows.
 
 use std::collections::BTreeMap;
 
@@ -14,13 +14,13 @@ use super::state::Message;
 use super::{List, Rule, store};
 use crate::text::Text;
 
-/// Writes of a batch: a goal, and who ended it; zero for an open one.
+/// Writes of a batch: a goal, and the mission that ended it; zero for an open goal.
 pub type Writes = Vec<(u8, u8)>;
 
 /// A mission's store.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Disk {
-    /// Goals, and who ended each; zero for an open one.
+    /// Goals, with the mission that ended each; zero for an open goal.
     pub goals: BTreeMap<u8, u8>,
     pub epoch: u64,
     pub shared: bool,
@@ -40,7 +40,7 @@ pub struct Mission {
     pub life: Life,
 }
 
-/// What the process does.
+/// State of the process.
 #[derive(Clone, Debug, PartialEq, Hash)]
 pub enum Life {
     Down,
@@ -51,10 +51,10 @@ pub enum Life {
 /// A standby.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Following {
-    /// Session of its join, if its place in it is known.
+    /// Session of its join, if its position in it is known.
     pub session: Option<u8>,
     pub position: u64,
-    /// The robot's word, as it was heard last.
+    /// The robot's record, as last received.
     pub word: Option<List>,
 }
 
@@ -65,19 +65,19 @@ pub struct Leading {
     pub asks: Text<Asks>,
     pub membership: Membership,
     pub replica: Option<Replica>,
-    /// Replications that have begun, over all lives.
+    /// Number of replications begun, over all lives.
     pub feeds: u8,
-    /// A write whose effects have not been told, and when its step began.
+    /// A write whose effects have not been told, with the tick at which its step began.
     pub write: Option<(u8, Tell)>,
-    /// The report that the robot has not answered.
+    /// The report that the robot has not answered yet.
     pub reporting: Option<u64>,
-    /// The last step's tick.
+    /// Tick of the last step.
     pub stepped: u8,
     /// Tick of the last heartbeat that renewed the lease.
     pub renewed: Option<u8>,
 }
 
-/// What is told once a write is done.
+/// The message that is told once a write is done.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Tell {
     /// A goal is accepted.
@@ -86,13 +86,13 @@ pub enum Tell {
     Ended(u8, u8),
 }
 
-/// What the leader knows of its standby's store.
+/// The leader's view of its standby's store.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Replica {
     pub session: u8,
-    /// Which replication of the leader's life it is: an answer belongs to the one that asked.
+    /// Number of the replication; an answer belongs to the replication that asked.
     pub feed: u8,
-    /// Position of the entry that is not answered, or of the last one.
+    /// Position of the unanswered entry, or of the last one.
     position: u64,
     is_waiting: bool,
     /// Number of the batch that the last entry completes.
@@ -107,7 +107,7 @@ pub struct Replica {
 }
 
 impl Replica {
-    /// Hands everything over in two pieces, however little it is.
+    /// A replication of the whole store, always in two pieces.
     pub fn new(session: u8, feed: u8, goals: &BTreeMap<u8, u8>, batch: u64) -> Self {
         let all: Writes = goals.iter().map(|(goal, end)| (*goal, *end)).collect();
         Self {
@@ -127,13 +127,13 @@ impl Replica {
         self.is_waiting
     }
 
-    /// A batch to send.
+    /// Queues a batch.
     pub fn push(&mut self, batch: u64, writes: &[(u8, u8)]) {
         self.batches.extend(writes);
         self.newest = batch;
     }
 
-    /// The next entry, if nothing waits for an answer.
+    /// The next entry, unless one is unanswered.
     pub fn next(&mut self, from: u8, epoch: u64) -> Option<Message> {
         if self.is_waiting {
             return None;
@@ -200,12 +200,12 @@ impl Leading {
         }
     }
 
-    /// Whether it waits for nothing.
+    /// Whether neither a write nor a report is pending.
     pub const fn is_idle(&self) -> bool {
         self.write.is_none() && self.reporting.is_none()
     }
 
-    /// Begins a write: it is on the own disk, and on its way to the standby.
+    /// Begins a write: stores it on its own disk and sends it to the standby.
     pub fn write(&mut self, disk: &mut Disk, goal: u8, end: u8, tell: Tell) {
         disk.goals.insert(goal, end);
         self.membership.next_batch();
@@ -218,7 +218,7 @@ impl Leading {
 }
 
 impl Following {
-    /// Takes an entry of the journal; answers with the newest one on disk, or refuses.
+    /// Processes a journal entry; answers with the newest position on disk, or refuses.
     pub fn take(&mut self, disk: &mut Disk, message: &Message, without: Option<Rule>) -> Option<Option<u64>> {
         let Message::Entry {
             from,

@@ -1,4 +1,4 @@
-//! State. Where do two missions, their robot and their messages stand, and what does each step make of that?
+//! State. The state of two missions, their robot and their messages, and the effect of each step.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -18,16 +18,16 @@ use crate::text::Text;
 pub enum Message {
     /// A mission asks for the lease.
     Acquire {
-        /// Which mission.
+        /// The mission.
         by: u8,
-        /// Its name for the question.
+        /// Its id of the request.
         ticket: u64,
     },
-    /// The robot's answer: an epoch; or who leads, if anybody does.
+    /// The robot's answer: an epoch; or its record of who leads, if there is one.
     Granted {
         /// The mission.
         to: u8,
-        /// Its name for the question.
+        /// Its id of the request.
         ticket: u64,
         /// The answer.
         answer: Result<u64, Option<Option<List>>>,
@@ -49,16 +49,16 @@ pub enum Message {
         epoch: u64,
         /// The standby's session.
         session: u8,
-        /// Which replication asks.
+        /// The replication.
         feed: u8,
         /// Number in the session.
         position: u64,
-        /// What is to be written.
+        /// The writes.
         writes: Writes,
     },
 }
 
-/// The missions, the robot and the network; and what was told.
+/// The missions, the robot and the network; and everything that was told.
 #[derive(Clone, Debug, PartialEq, Hash)]
 pub struct State {
     pub(super) robot: Text<LeaseArbiter>,
@@ -74,7 +74,7 @@ pub struct State {
     /// The newest epoch under which something was told.
     pub(super) told: u64,
     pub(super) told_late: bool,
-    /// Whether the robot restarted, or an operator took the lease: then it does not live for its time.
+    /// Whether the robot restarted, or an operator took the lease: then a lease may end early.
     pub(super) cut_short: bool,
     pub(super) taken_over: bool,
 }
@@ -123,7 +123,7 @@ impl State {
         }
     }
 
-    /// What the replica of a mission has to send goes out.
+    /// Sends the next entry of a mission's replica, if there is one.
     pub(super) fn replicate(&mut self, from: u8) {
         let Some((_, leading)) = self.leading(from) else { return };
         let Some(epoch) = leading.membership.term() else { return };
@@ -155,7 +155,7 @@ impl State {
         let deposed = leading.client.is_deposed() && !leading.client.leads();
         for (ticket, ask) in asks {
             if let Ask::Lease(_) = ask {
-                // Of a mission's requests only the newest is under way: one that it asks again was lost.
+                // Only the newest request of a mission is in transit: a repeated request means that the earlier one was lost.
                 let is_older = |message: &Message| matches!(message, Message::Acquire { by, .. } if *by == who);
                 self.network.keep(|message| !is_older(message));
                 self.network.send(Message::Acquire {
@@ -176,7 +176,7 @@ impl State {
         Some(())
     }
 
-    /// The robot's answer to a report arrives. One that comes late, or never, is a report that arrives once its leader waits no more.
+    /// The robot's answer to a report arrives. A late or lost answer is modelled by a report that arrives when its leader no longer waits.
     pub(super) fn reported(&mut self, list: &List, taken: bool) -> Option<()> {
         let (disk, leading) = self.leading(list.store)?;
         leading.reporting.take_if(|reporting| *reporting == list.revision)?;
@@ -192,7 +192,7 @@ impl State {
         Some(())
     }
 
-    /// A standby's answer to an entry arrives: what it has, or that it refuses. One that comes late, or never, is an entry that arrives once
+    /// A standby's answer to an entry arrives: its position, or a refusal. A late or lost answer is modelled by an entry that arrives when
     /// its leader has dropped the standby.
     pub(super) fn answered(&mut self, leader: u8, feed: u8, position: Option<u64>) -> Option<()> {
         let (_, leading) = self.leading(leader)?;
@@ -298,7 +298,7 @@ impl State {
                     return Some(());
                 }
                 if leading.membership.members().contains(&store(*by)) && system.has(Rule::OffListAnew) {
-                    // It begins anew, once the robot does not list it any more.
+                    // The standby joins again once the robot no longer lists it.
                     leading.replica = None;
                     leading.membership.drop(&store(*by), elapsed(0, tick));
                     self.network.send(message.clone());

@@ -1,4 +1,4 @@
-//! System. What may happen to two missions and their robot, and what must hold?
+//! System. The actions of two missions and their robot, and the claims.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -14,24 +14,24 @@ use super::{List, Rule, clock, elapsed, store};
 use crate::network::Network;
 use crate::text::Text;
 
-/// What may happen.
+/// An action of the system.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Action {
     /// A leading mission steps, and its heartbeat arrives.
     Step(u8),
     /// A leading mission steps, and its heartbeat is lost.
     StepUnheard(u8),
-    /// A mission hears the robot's state.
+    /// A mission receives the robot's state.
     Hear(u8),
     /// A client submits a goal to a mission.
     Submit(u8),
     /// A mission ends its goal.
     End(u8),
-    /// A mission tells what it has written.
+    /// A mission announces its write.
     Tell(u8),
-    /// A leader drops its standby, which is late or gone.
+    /// A leader drops its late or dead standby.
     Drop(u8),
-    /// A leader waits for a standby from now on.
+    /// A leader admits a standby and waits for it from then on.
     Admit(u8),
     /// A leader reports to the robot.
     SendReport(u8),
@@ -41,11 +41,11 @@ pub enum Action {
     SendJoin(u8),
     /// A message arrives.
     Arrives(Message),
-    /// A message arrives, and a copy of it is still under way.
+    /// A message arrives, and a copy of it stays in transit.
     ArrivesAndStays(Message),
-    /// A mission dies.
+    /// A mission crashes.
     Crash(u8),
-    /// It starts again.
+    /// A mission restarts.
     Start(u8),
     /// The robot restarts.
     RobotRestarts,
@@ -53,11 +53,11 @@ pub enum Action {
     OperatorTakes,
     /// The operator gives it back.
     OperatorLeaves,
-    /// Time passes, for everybody.
+    /// Time passes, for all.
     Tick,
 }
 
-/// The system, without a rule if told so.
+/// The system, optionally without one rule.
 #[derive(Debug)]
 pub struct System {
     pub(super) bounds: Bounds,
@@ -86,7 +86,7 @@ impl System {
         self.without != Some(rule)
     }
 
-    /// Whether a mission may act on a message now; one that waits acts later.
+    /// Whether a message may be processed now; a waiting mission processes it later.
     fn may_arrive(&self, state: &State, message: &Message) -> bool {
         match message {
             Message::Join { by, .. } => {
@@ -158,7 +158,7 @@ impl System {
             actions.push(Action::Admit(who));
         }
         let reports = !leading.membership.is_settled() && leading.membership.term().is_some();
-        // A leader that waits for its standby reports later: it may have to drop it.
+        // A leader that waits for its standby reports later, because it may have to drop the standby.
         let newest = Some(leading.membership.batch());
         let waits = leading.write.is_some()
             && is_member
@@ -200,7 +200,7 @@ impl Model for System {
             cut_short: false,
             taken_over: false,
         };
-        // The first is granted the lease before the second has joined.
+        // The first mission is granted the lease before the second joins.
         state.step(self, 0, true);
         for _ in 0..2 {
             let messages: Vec<Message> = state.network.under_way().cloned().collect();
@@ -331,7 +331,7 @@ impl Model for System {
             }
             Action::Arrives(message) => {
                 state.network.arrives(&message);
-                // A message that nobody waits for is gone, and changes nothing else.
+                // A message that no process waits for is dropped without further effect.
                 let mut after = state.clone();
                 if after.arrives(self, &message).is_some() {
                     state = after;
@@ -344,7 +344,7 @@ impl Model for System {
             Action::Crash(who) => {
                 state.left.crashes -= 1;
                 state.mission(who)?.life = Life::Down;
-                // Answers to it are lost.
+                // Answers to the crashed mission are lost.
                 let is_answer = |message: &Message| matches!(message, Message::Granted { to, .. } if *to == who);
                 state.network.keep(|message| !is_answer(message));
             }

@@ -1,4 +1,4 @@
-//! Flood. What has just been said on every key is said again, ten times as often.
+//! Flood. Recent messages on every key are republished at ten times their rate.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -6,14 +6,14 @@ use std::time::Duration;
 use tokio::time::{Instant, MissedTickBehavior, interval};
 use zenav_protocol::bus::{Bus, BusError, RawSample};
 
-/// Time of listening.
+/// Listening time.
 const HEARD: Duration = Duration::from_secs(2);
-/// Messages of a flood for each one that was heard in the same time.
+/// Factor from the observed message rate to that of the flood.
 const TIMES: f64 = 10.0;
-/// Period in which messages that are due are published.
+/// Publishing period.
 const PERIOD: Duration = Duration::from_millis(10);
 
-/// What was heard: the last message of each key, and how many came.
+/// The last message of each key, with its rate.
 #[derive(Debug)]
 pub struct Flood(Vec<(RawSample, f64)>);
 
@@ -33,7 +33,7 @@ impl Flood {
         Ok(Self(keys.into_values().collect()))
     }
 
-    /// Publishes for a time; how many messages.
+    /// Publishes for a time and returns the number of messages.
     pub async fn pour(self, bus: Bus, time: Duration) -> usize {
         let mut due = vec![0.0; self.0.len()];
         let mut count = 0;

@@ -1,18 +1,18 @@
-//! Fault suite. What becomes of missions, robot and goals when links are bad and parts die, freeze or start in any order? Real processes, one
-//! row of a table for each fault.
+//! Fault suite. Missions, robot and goals under bad links, and with parts that die, freeze or start in any order: real processes, one table
+//! row per fault.
 //!
-//! Every row runs in a network of its own where that may be made (`unshare`, by root): there the robot's link is impaired by the kernel
-//! (`iptables` drops segments, all of them during a cut) and by `zenav netem` (delay, rate). Without it a cut stops the proxy, and a loss is a
-//! stall of the proxy for as long as a retransmission takes.
+//! As root, every row runs in its own network namespace (`unshare`): the kernel impairs the robot's link (`iptables` drops segments, all of
+//! them during a cut), and so does `zenav netem` (delay, rate). Otherwise a cut stops the proxy, and a loss is a stall of the proxy for the
+//! time of a retransmission.
 //!
 //! | file | answers |
 //! |---|---|
 //! | `rows` | which faults are there, in which order? |
-//! | `flood` | what is a flood made of? |
+//! | `flood` | which messages make a flood? |
 //! | `rig` | how are the parts started, cut off, killed and frozen? |
-//! | `watch` | what does the robot do meanwhile, seen over a link that is not impaired? |
-//! | `run` | how does one row go? |
-//! | `table` | how is it all written down? |
+//! | `watch` | what does the robot do meanwhile, seen over an unimpaired link? |
+//! | `run` | how does one row run? |
+//! | `table` | how are the results reported? |
 
 mod flood;
 mod rig;
@@ -25,5 +25,5 @@ pub use rows::{Row, all, short};
 pub use run::{Result, run};
 pub use table::{OwnNetwork, markdown};
 
-/// Set where a row runs in a network of its own.
+/// Environment variable that is set if a row runs in its own network.
 pub const OWN_NETWORK: &str = "ZENAV_OWN_NETWORK";

@@ -1,4 +1,4 @@
-//! Rig. How are the parts started, cut off, killed and frozen?
+//! Rig. Starts, cuts off, kills and freezes the parts.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -16,16 +16,16 @@ use crate::deployment::ROBOT;
 use crate::process::{Process, free_endpoint};
 use crate::usage::memory;
 
-/// Wall time for a part to take a session.
+/// Longest wait for a part to accept a session, wall time.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 /// The parts of one deployment, and the robot's link.
 pub struct Rig {
     binary: PathBuf,
     folder: TempDir,
-    /// The router, for everybody but the robot.
+    /// The router's endpoint for all parts but the robot.
     router: String,
-    /// The router, for the robot; with a proxy in between, the proxy.
+    /// The endpoint that the robot dials: the proxy's if there is one, else the router's.
     line: String,
     /// The robot's own endpoint.
     robot: String,
@@ -33,17 +33,17 @@ pub struct Rig {
     parts: Vec<(Part, Process)>,
     lossy: Option<u32>,
     cut: bool,
-    /// Whose wall clock can be stepped, and whose disk be filled.
+    /// The row's fault; its part is started so that its clock can be stepped or its disk filled.
     fault: Fault,
     twin: Option<Process>,
 }
 
-/// Stands between a program and the wall clock: Debian's package `libfaketime`.
+/// Library that fakes the wall clock of a program: Debian's package `libfaketime`.
 const FAKETIME: &str = "/usr/lib/x86_64-linux-gnu/faketime/libfaketimeMT.so.1";
-/// The file that says by how much a wall clock is wrong.
+/// The file with the error of the wall clock.
 const CLOCK: &str = "clock";
 
-/// Whether the kernel may impair this process's network: it is the row's own.
+/// Whether this process runs in the row's own network, which the kernel may impair.
 fn own_network() -> bool {
     std::env::var_os(OWN_NETWORK).is_some()
 }
@@ -126,7 +126,7 @@ impl Rig {
                 arguments.extend(["--rate", &rate]);
             }
             Line::Loss(percent) => {
-                // A lost segment holds up those behind it for a retransmission; some 50 segments pass in a second.
+                // A lost segment holds up later ones for a retransmission; some 50 segments pass in a second.
                 stall = format!("200ms/{}ms", 2000 / percent.max(1));
                 arguments.extend(["--stall", &stall]);
             }
@@ -182,7 +182,7 @@ impl Rig {
         let start = |arguments: &[&str]| self.start_as(part, arguments);
         let cloud = |service| start(&["cloud", service, "--deployment", "cloud.toml", "--data", "cloud"]);
         match part {
-            // Without a proxy the robot comes to an endpoint of its own: that link alone is impaired.
+            // Without a proxy the robot has its own endpoint at the router, so that only its link is impaired.
             Part::Router if self.proxy.is_none() => {
                 start(&["router", "--listen", &self.router, "--listen", &self.line])
             }
@@ -194,11 +194,11 @@ impl Rig {
         }
     }
 
-    /// Starts a part so that its fault can be injected into it.
+    /// Starts a part so that the row's fault can be injected into it.
     fn start_as(&self, part: Part, arguments: &[&str]) -> Process {
         let (binary, folder) = (self.binary.to_string_lossy(), self.folder.path());
         match self.fault {
-            // A write that finds no room gets an error, and no signal.
+            // A write without room returns an error instead of raising a signal.
             Fault::Full(of, _) if of == part => {
                 let begin = ["-c", "trap '' XFSZ; exec \"$0\" \"$@\"", &binary];
                 Process::start("sh", &[&begin, arguments].concat(), folder)
@@ -208,7 +208,7 @@ impl Rig {
                 let begin = [
                     &format!("LD_PRELOAD={FAKETIME}"),
                     &file,
-                    // Steps of the monotonic clock do not exist. The file is read each second.
+                    // A real monotonic clock never steps. The file is read every second.
                     "FAKETIME_DONT_FAKE_MONOTONIC=1",
                     "FAKETIME_CACHE_DURATION=1",
                     &*binary,
@@ -219,7 +219,7 @@ impl Rig {
         }
     }
 
-    /// Sets a part's wall clock ahead by so many seconds.
+    /// Sets a part's wall clock ahead, s.
     ///
     /// # Errors
     /// When the file cannot be written.
@@ -227,7 +227,7 @@ impl Rig {
         std::fs::write(self.folder.path().join(CLOCK), format!("{ahead:+}\n"))
     }
 
-    /// Lets a part write files, or not.
+    /// Allows a part to write files, or prevents it.
     ///
     /// # Errors
     /// When the kernel refuses.
@@ -240,7 +240,7 @@ impl Rig {
             .map_err(|error| error.to_string())
     }
 
-    /// Lets a second robot of the same name come, or go.
+    /// Starts or ends a second robot of the same name.
     pub fn set_twin(&mut self, there: bool) {
         let arguments = [
             "edge",
@@ -273,7 +273,7 @@ impl Rig {
             .map(|(_, process)| process)
     }
 
-    /// What every part has in memory, MiB.
+    /// Memory of every part, MiB.
     #[must_use]
     pub fn memory(&self) -> Vec<(&'static str, f64)> {
         let mut parts: Vec<_> = self.parts.iter().collect();
@@ -299,10 +299,10 @@ impl Rig {
         ended
     }
 
-    /// Joins beside the cloud's parts, and at the robot: both links are good.
+    /// Opens sessions at the cloud's router and at the robot, both over unimpaired links.
     ///
     /// # Errors
-    /// When nobody listens in time.
+    /// When a session does not open in time.
     pub async fn join(&self) -> Result<(Bus, Bus), String> {
         let open = async |name: &'static str, endpoint: &str| {
             let opened = tokio::time::timeout(PATIENCE, Bus::open(BusConfig::service(name, endpoint))).await;

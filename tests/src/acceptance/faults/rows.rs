@@ -1,8 +1,8 @@
-//! Rows. Which faults are there? Each with its world, its policy for a lost link, and how often it is injected.
+//! Rows. The faults of the table, each with its world, its policy for a lost link, and the number of injections.
 
 use zenav_protocol::messages::LostPolicy;
 
-/// A part of a deployment that is a process of its own.
+/// A part of a deployment, in its own process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Part {
     /// The router.
@@ -17,7 +17,7 @@ pub enum Part {
     Mission,
 }
 
-/// All parts, in the order in which they are started.
+/// All parts, in the usual starting order.
 pub const PARTS: [Part; 5] = [Part::Router, Part::Edge, Part::Mapping, Part::Motion, Part::Mission];
 
 impl Part {
@@ -43,44 +43,44 @@ pub enum Place {
     Depot,
 }
 
-/// What the robot's link is like all the time.
+/// Permanent condition of the robot's link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Line {
-    /// As loopback is.
+    /// Plain loopback.
     Good,
-    /// A round trip of so many milliseconds.
+    /// Round trip, ms.
     RoundTrip(u32),
-    /// So many of a hundred segments are lost, each way.
+    /// Lost segments each way, percent.
     Loss(u32),
-    /// So many kbit/s each way.
+    /// Rate each way, kbit/s.
     Rate(u32),
 }
 
-/// What happens again and again.
+/// The fault that is injected repeatedly; durations in seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Fault {
     /// Nothing.
     None,
-    /// The robot's link is cut for so many seconds.
+    /// The robot's link is cut.
     Cut(u32),
-    /// A part is killed, and another one started at once.
+    /// A part is killed, and restarted at once.
     Kill(Part),
-    /// A part is frozen for so many seconds.
+    /// A part is frozen.
     Freeze(Part, u32),
-    /// A part's disk takes no more for so many seconds.
+    /// A part's disk is full.
     Full(Part, u32),
-    /// A part's wall clock is an hour ahead for so many seconds.
+    /// A part's wall clock is an hour ahead.
     Clock(Part, u32),
-    /// All that has just been said is said again, at ten times its rate on every key, for so many seconds.
+    /// Recent messages are republished on every key at ten times their rate.
     Flood(u32),
-    /// A second robot of the same name is there for so many seconds.
+    /// A second robot of the same name is on the bus.
     Twin(u32),
 }
 
 /// One row of the table.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Row {
-    /// Names it on the command line.
+    /// Name in the table and on the command line.
     pub name: String,
     /// Where the robot drives.
     pub place: Place,
@@ -88,13 +88,13 @@ pub struct Row {
     pub policy: LostPolicy,
     /// Its link.
     pub line: Line,
-    /// What happens.
+    /// The fault.
     pub fault: Fault,
-    /// How often.
+    /// Number of injections.
     pub times: usize,
-    /// Missions, at least.
+    /// Least number of missions.
     pub missions: usize,
-    /// In which order the parts are started.
+    /// Starting order of the parts.
     pub order: [Part; 5],
 }
 
@@ -193,7 +193,7 @@ pub fn all() -> Vec<Row> {
     rows
 }
 
-/// A few that show the most, within a minute and a half.
+/// A few representative rows that take a minute and a half.
 #[must_use]
 pub fn short() -> Vec<Row> {
     let one = |row: Row| Row { missions: 1, ..row };

@@ -1,4 +1,4 @@
-//! Run. How does one row go? Goals come one after the other; while the robot drives, the fault is injected and healed.
+//! Run. Runs one row: goals one after the other, and the fault injected and healed while the robot drives.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -17,33 +17,33 @@ use super::rows::{Fault, Place, Row};
 use super::watch::Watch;
 use crate::deployment::ROBOT;
 
-/// Wall time in which a goal is acknowledged.
+/// Longest wait until a goal is acknowledged, wall time.
 const ACKNOWLEDGED: Duration = Duration::from_secs(60);
-/// Wall time in which a mission ends, beyond the faults in it.
+/// Longest mission, without the faults in it, wall time.
 const ENDS: Duration = Duration::from_secs(150);
 /// Longest wait for a robot to drive on.
 const RESUMES: Duration = Duration::from_secs(30);
-/// A fault is injected while so much of the plan is left, s: the robot would not be there before it.
+/// A fault is injected only while more than this is left of the plan, s, so that the robot does not arrive before the fault acts.
 const LEFT: f64 = 6.0;
 /// Longest time of driving before a fault, s.
 const LONGEST_DRIVE: f64 = 2.0;
-/// Missions at most, however few faults were injected.
+/// Most missions, however few faults were injected.
 const MOST_MISSIONS: usize = 12;
 
-/// A row as it was found.
+/// The results of a row.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Result {
     /// Its name.
     pub name: String,
-    /// Missions that were acknowledged, and that succeeded.
+    /// Numbers of acknowledged and of succeeded missions.
     pub missions: (usize, usize),
-    /// Acknowledged goals that nobody knows.
+    /// Acknowledged goals that the mission no longer knows.
     pub lost: usize,
     /// Contacts.
     pub collisions: usize,
     /// Motion without a valid horizon.
     pub invalid: Vec<String>,
-    /// Times from healing until the robot drove again, s; zero where it had not come to rest.
+    /// Times from healing until the robot drove again, s; zero if it had not come to rest.
     pub resumes: Vec<f64>,
     /// Wall time of each mission, s.
     pub secs: Vec<f64>,
@@ -51,14 +51,14 @@ pub struct Result {
     pub rest: f64,
     /// Memory of each part at the end, MiB.
     pub memory: Vec<(String, f64)>,
-    /// Messages that a flood was made of.
+    /// Number of flood messages.
     pub flooded: usize,
-    /// What else went wrong.
+    /// Other failures.
     pub failures: Vec<String>,
 }
 
 impl Result {
-    /// Whether it kept every promise.
+    /// Whether the contract held.
     #[must_use]
     pub fn is_good(&self) -> bool {
         let (asked, succeeded) = self.missions;
@@ -71,7 +71,7 @@ impl Result {
     }
 }
 
-/// What a row needs while it runs.
+/// State of a running row.
 struct Running<'a> {
     row: &'a Row,
     rig: Rig,
@@ -131,7 +131,7 @@ pub async fn run(binary: PathBuf, row: &Row, seed: u64) -> std::result::Result<R
 }
 
 impl Running<'_> {
-    /// Ends of the way, of which the next goal is one.
+    /// The goal of this number: one of the ends of the route.
     fn goal(&self, number: usize) -> GoalRequest {
         let ends = match self.row.place {
             Place::Kitchen => [(-1.46, -3.12), (0.88, 0.09)],
@@ -249,7 +249,7 @@ impl Running<'_> {
         }
         let healed = Instant::now();
         self.watch.listen();
-        // A robot that drives on when the fault is healed was not stopped by it; one that was killed, or will stop yet, was.
+        // A robot that still drives when the fault is healed was not stopped by it, unless it was killed or stops afterwards.
         let mut stopped = None;
         while healed.elapsed() < RESUMES {
             self.pass().await;
@@ -281,7 +281,7 @@ impl Running<'_> {
         }
     }
 
-    /// Every acknowledged goal is known to the mission.
+    /// Counts the acknowledged goals that the mission does not know.
     async fn check_goals(&mut self, client: &Bus) {
         let request = GoalsRequest {
             limit: Some(100),

@@ -1,4 +1,4 @@
-//! Table. How is it all written down? In Markdown, with the machine and the commit that it was found on.
+//! Table. The results in Markdown, with the machine and the commit of the run.
 
 use std::fmt::Write as _;
 use std::process::Command;
@@ -6,7 +6,7 @@ use std::process::Command;
 use super::run::Result;
 use crate::acceptance::tracking::percentile;
 
-/// Whether rows ran in networks of their own.
+/// Whether rows ran in their own networks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OwnNetwork {
     /// The kernel impaired their links.
@@ -15,7 +15,7 @@ pub enum OwnNetwork {
     No,
 }
 
-/// The page of a run: what was injected and how, and a line for each row.
+/// The page of a run: the faults and how they were injected, and a line for each row.
 #[must_use]
 pub fn markdown(command: &str, found: &[Result], network: OwnNetwork) -> String {
     let commit = output("git", &["describe", "--always", "--dirty"]);

@@ -1,4 +1,4 @@
-//! Watch. What does the robot do meanwhile? Its states and events over a link that is not impaired, checked as they come.
+//! Watch. The robot's states and events over an unimpaired link, checked as they arrive.
 
 use std::time::Duration;
 
@@ -11,18 +11,18 @@ use zenav_protocol::topics;
 use crate::deployment::ROBOT;
 use crate::observer::is_rest;
 
-/// Time in which a robot brakes whose plan was taken from it, s of its clock.
+/// Time for a robot to brake after its plan was withdrawn, s of its clock.
 const BRAKES: f64 = 1.5;
-/// Faster than this it drives, m/s.
+/// A robot faster than this drives, m/s.
 const DRIVES: f64 = 0.05;
 
-/// What was seen.
+/// Observes the robot.
 pub struct Watch {
     states: Subscription<EdgeState>,
     events: Subscription<Event>,
     policy: LostPolicy,
     last: Option<EdgeState>,
-    /// When a plan was in force last, and when the lease lived last, on the robot's clock.
+    /// Last time with a plan in force, and last time with a live lease, on the robot's clock.
     planned: Stamp,
     leased: Stamp,
     boot: String,
@@ -30,12 +30,12 @@ pub struct Watch {
     pub heard: Instant,
     /// Contacts.
     pub collisions: usize,
-    /// What must not happen of motion, each once.
+    /// Motion that must not happen: without a valid plan, or without a lease under the policy `stop`.
     pub invalid: Vec<String>,
 }
 
 impl Watch {
-    /// From now on.
+    /// Watches from now on.
     ///
     /// # Errors
     /// When the bus is closed.
@@ -54,7 +54,7 @@ impl Watch {
         })
     }
 
-    /// Takes in what has come.
+    /// Processes the messages that have arrived.
     pub fn listen(&mut self) {
         while let Some(event) = self.events.try_next() {
             self.collisions += usize::from(event.message.kind == EventKind::Bumped);
@@ -67,7 +67,7 @@ impl Watch {
 
     fn check(&mut self, state: EdgeState) {
         if state.boot_id != self.boot {
-            // Another clock.
+            // A new boot has a new clock.
             (self.planned, self.leased) = (state.stamp, state.stamp);
             self.boot.clone_from(&state.boot_id);
         }
@@ -99,14 +99,14 @@ impl Watch {
         self.last = Some(state);
     }
 
-    /// Whether it drives.
+    /// Whether the robot drives.
     #[must_use]
     pub fn drives(&self) -> bool {
         self.last.as_ref().is_some_and(|state| state.velocity.v.abs() > DRIVES)
             && self.heard.elapsed() < Duration::from_millis(500)
     }
 
-    /// Whether it is well on its way: it drives, with so much of its plan left, s.
+    /// Whether the robot drives with more than `left` of its plan to go, s.
     #[must_use]
     pub fn is_under_way(&self, left: f64) -> bool {
         let plan = self.last.as_ref().and_then(|state| state.plan.as_ref());

@@ -1,4 +1,4 @@
-//! Demonstrations. Does a scenario succeed with any seed? Each run is a process of its own.
+//! Demonstrations. Runs a scenario with many seeds, each in its own process.
 
 use std::collections::BTreeMap;
 use std::process::{Command, Stdio};
@@ -13,7 +13,7 @@ const MAX_ERROR: f64 = 0.05;
 /// Least true clearance, m.
 const MIN_CLEARANCE: f64 = 0.02;
 
-/// Runs a scenario with this many seeds.
+/// Runs a scenario with a number of seeds.
 pub fn demo(scenario: &str, seeds: u64, more: &[String]) -> Verdict {
     let mut failed = Vec::new();
     let mut worst: BTreeMap<&str, f64> = BTreeMap::new();

@@ -1,4 +1,4 @@
-//! Drives. How near does each tracker keep the robot to its reference, and what energy does a drive take?
+//! Drives. Path error of each tracker, and energy of a drive.
 
 use std::path::Path;
 
@@ -27,8 +27,8 @@ fn worlds(shipped: &[&str], maps: &[String]) -> Result<Vec<World>, Box<dyn std::
     Ok(worlds)
 }
 
-/// Drives the same paths as fast as the robot may and with the least energy, and prints what the battery gave for it. The cloud corrects the
-/// pose: by its wheels alone a Neato is 4 cm off after 40 m, and stops before what its plan passes.
+/// Drives the same paths at full speed and with the least energy, and prints the energy drawn. The cloud corrects the pose: by wheel
+/// odometry alone a Neato is 4 cm off after 40 m, and stops at obstacles that its plan passes.
 pub fn economy(maps: &[String]) -> Verdict {
     let mut good = true;
     println!(
@@ -82,7 +82,7 @@ pub fn economy(maps: &[String]) -> Verdict {
                 .print();
                 let saved = 100.0 * (1.0 - fewer / joules);
                 Row::new(format!("{} {name}: energy saved", world.name()), saved, "%").print();
-                // Where the electronics take the most, as in a small slow robot, the fastest is the cheapest, and both are one.
+                // In a small slow robot the electronics draw the most, so the fastest drive is also the most economical one.
                 good &= (fewer < joules && longer > secs) || (fewer == joules && longer == secs);
             }
         }

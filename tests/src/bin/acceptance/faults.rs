@@ -1,4 +1,4 @@
-//! Faults. Runs the rows of the fault suite, each as a process in a network of its own, and writes their table.
+//! Faults. Runs the rows of the fault suite, each as a process in its own network, and writes their table.
 
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
@@ -10,10 +10,10 @@ use zenav_tests::acceptance::faults::{self, OWN_NETWORK, OwnNetwork, Result, Row
 
 use crate::{Verdict, zenav};
 
-/// Begins the line in which a row's process tells what it found.
+/// Prefix of the line in which a row's process reports its results.
 const FOUND: &str = "found: ";
 
-/// What is run, and where it is written.
+/// The rows to run, and the file for the table.
 #[derive(Debug, clap::Args)]
 pub struct Faults {
     /// A few rows only
@@ -30,7 +30,7 @@ pub struct Faults {
     /// File for the table
     #[arg(long)]
     write: Option<PathBuf>,
-    /// Run one row here and tell what was found
+    /// Run one row here and print its results
     #[arg(long, hide = true)]
     row: Option<String>,
 }
@@ -101,7 +101,7 @@ fn line(found: &Result) -> String {
     )
 }
 
-/// Whether a process may have a network of its own here, and impair it.
+/// Whether a process may have its own network here, and impair it.
 fn can_unshare() -> bool {
     let try_it =
         "ip link set lo up && iptables -A INPUT -p tcp --dport 1 -m statistic --mode random --probability 0.5 -j DROP";
@@ -111,7 +111,7 @@ fn can_unshare() -> bool {
     command.status().is_ok_and(|status| status.success())
 }
 
-/// A row in a process of its own.
+/// Runs a row in its own process.
 fn child(row: &Row, arguments: &Faults, network: OwnNetwork) -> Result {
     let own = std::env::current_exe().unwrap_or_default();
     let mut command = match network {

@@ -1,4 +1,4 @@
-//! Resources of the robot's binary. What does the robot's side take of its machine?
+//! Resources of the robot's binary: size, processor time, memory and loop jitter.
 
 use std::time::Duration;
 
@@ -8,12 +8,12 @@ use zenav_tests::acceptance::footprint::measure;
 
 use crate::{Verdict, beside, zenav};
 
-/// Most that the robot's side may take: size, MB; share of a core; memory, MB; p99 of the loop jitter, ms.
+/// Limits of the robot's side: size, MB; share of a core; memory, MB; p99 of the loop jitter, ms.
 const AFFORDABLE: [f64; 4] = [12.0, 0.05, 40.0, 2.0];
 
 /// Measures size, processor time, memory and loop jitter of the robot's own binary.
 pub fn footprint(secs: u64) -> Verdict {
-    // Beside the folder of this profile, that of what is handed out.
+    // The folder of the `dist` profile is beside that of this profile.
     let edge = beside("../dist/zenav-edge");
     if !edge.exists() {
         let name = edge.display();

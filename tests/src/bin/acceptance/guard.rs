@@ -1,4 +1,4 @@
-//! Does the robot ever drive into anything, whatever it is told?
+//! Collision monitor. Drives in random worlds under adversarial commands.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -68,7 +68,7 @@ pub fn guard(worlds: u64, first: u64) -> Verdict {
     Ok(passed && 2 * hit > teleoperated.len())
 }
 
-/// Drives in so many worlds on every core, in the order of their seeds.
+/// Drives in a number of worlds on every core; results in the order of their seeds.
 fn all(worlds: u64, first: u64, protection: Protection) -> Vec<(u64, Result<Outcome, SimRigError>)> {
     let next = AtomicU64::new(first);
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
@@ -94,7 +94,7 @@ fn all(worlds: u64, first: u64, protection: Protection) -> Vec<(u64, Result<Outc
     results
 }
 
-/// Prints what was found; whether every world passed.
+/// Prints the results; returns whether every world passed.
 fn table(results: Vec<(u64, Result<Outcome, SimRigError>)>, worlds: u64) -> bool {
     let mut outcomes = Vec::new();
     let mut failed = worlds.abs_diff(results.len() as u64);

@@ -1,4 +1,4 @@
-//! Hosts. What do robots do while parts of a deployment of many hosts die, freeze, are cut off and replaced?
+//! Hosts. Robots of a multi-host deployment while parts die, freeze, are cut off and replaced.
 
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -9,7 +9,7 @@ use zenav_tests::hosts::{self, soak, trial};
 
 use crate::{Verdict, zenav};
 
-/// Starts the deployment, and lets everything happen to each of its parts, so many times.
+/// Starts the deployment, and injects every fault into each of its parts, `rounds` times.
 pub fn compose(rounds: usize) -> Verdict {
     let faults = if rounds == 0 {
         trial::short()
@@ -24,7 +24,7 @@ pub fn compose(rounds: usize) -> Verdict {
     Ok(findings.failures.is_empty())
 }
 
-/// Starts the deployment, and lets anything happen to any of its parts for so long: what do those hold on to that ran all the time?
+/// Starts the deployment, injects random faults into its parts for a time, and reports the resources of the parts that ran throughout.
 pub fn soak(minutes: f64, speed: f64, seed: u64) -> Verdict {
     let time = Duration::from_secs_f64(60.0 * minutes);
     let findings = run(soak::faults(time, seed), speed)?;

@@ -1,4 +1,4 @@
-//! Acceptance runs: the long ones, which the test suite leaves out.
+//! Acceptance runs: long runs that the test suite leaves out.
 //!
 //! `cargo build --release -p zenav-tests --bins && target/release/acceptance kitchen 20 --speed 4`
 
@@ -21,22 +21,22 @@ use std::process::ExitCode;
 use clap::Parser;
 use zenav_tests::acceptance::fleet::Fleet;
 
-/// Whether what was found is as it should be.
+/// Whether the results are as expected.
 type Verdict = Result<bool, Box<dyn std::error::Error>>;
 
-/// Long runs: each prints what it finds, and exits with 0 if that is as it should be.
+/// Long runs: each prints its results, and exits with 0 if they are as expected
 #[derive(Debug, Parser)]
 enum Run {
     /// Missions in the kitchen
     Kitchen(Seeds),
-    /// Missions in a house that nobody has mapped
+    /// Missions in an unmapped house
     Online(Seeds),
     /// Path error of every tracker on the same paths
     Track {
         /// More maps to drive in
         maps: Vec<String>,
     },
-    /// Energy of the fastest drives beside the most economical ones
+    /// Energy of the fastest drives compared with the most economical ones
     Economy {
         /// More maps to drive in
         maps: Vec<String>,
@@ -53,16 +53,16 @@ enum Run {
         #[arg(default_value_t = 1)]
         first_seed: u64,
     },
-    /// Robots that are carried away while they drive
+    /// Robots that are kidnapped while they drive
     Kidnapped {
         runs: u64,
         #[arg(default_value_t = 1)]
         first_seed: u64,
-        /// They have no map but the one that they make by SLAM
+        /// Without a known map: the robots map by SLAM
         #[arg(long)]
         slam: bool,
     },
-    /// Global localisation from random places: of an office of 100 m by 100 m, and of these maps
+    /// Global localisation from random places in an office of 100 m by 100 m, and in the given maps
     Localise {
         places: usize,
         maps: Vec<PathBuf>,
@@ -75,15 +75,15 @@ enum Run {
         #[arg(default_value_t = 1)]
         first_seed: u64,
     },
-    /// One of these worlds, tick by tick
+    /// One of the worlds of `guard`, tick by tick
     Replay { seed: u64 },
-    /// A mission that is killed again and again
+    /// A mission that is killed repeatedly
     Kills {
         kills: usize,
         #[arg(default_value_t = 1)]
         seed: u64,
     },
-    /// Two missions: the leader is killed, then paused for 20 s and its standby for 5 s, so many times
+    /// Two missions: the leader is killed repeatedly, then paused for 20 s and its standby for 5 s
     Handover {
         deaths: usize,
         #[arg(default_value_t = 0)]
@@ -102,7 +102,7 @@ enum Run {
         /// Mission processes that share the robots
         #[arg(long, default_value_t = 1)]
         shards: usize,
-        /// Simulated time against wall time: slower for more robots than this machine holds
+        /// Simulated seconds per second of wall time: below 1 for more robots than this machine can serve
         #[arg(long, default_value_t = 1.0)]
         speed: f64,
     },
@@ -114,13 +114,13 @@ enum Run {
         #[arg(default_value_t = 1)]
         seed: u64,
     },
-    /// A deployment of many hosts as containers, or in network namespaces: every part killed, frozen, cut off and replaced, so many times; 0 is
-    /// the short trial of the tests
+    /// A multi-host deployment as containers, or in network namespaces: every part killed, frozen, cut off and replaced, for a number of
+    /// rounds; 0 is the short trial of the tests
     Compose {
         #[arg(default_value_t = 1)]
         rounds: usize,
     },
-    /// The same deployment for so long, with faults in a random order: do the parts that run all the time grow?
+    /// The same deployment for some minutes, with faults in a random order: checks that the parts that run throughout do not grow
     Soak {
         minutes: f64,
         #[arg(long, default_value_t = 1.0)]
@@ -128,7 +128,7 @@ enum Run {
         #[arg(default_value_t = 1)]
         seed: u64,
     },
-    /// The mission-control page with so many robots: processor time of the gateway, frames of a headless Chromium
+    /// The mission-control page with many robots: processor time of the gateway, frames of a headless Chromium
     Page {
         #[arg(default_value_t = 20)]
         robots: usize,
@@ -200,7 +200,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// The binary that this one was built with.
+/// The `zenav` binary that was built with this one.
 fn zenav() -> PathBuf {
     beside("zenav-under-test")
 }

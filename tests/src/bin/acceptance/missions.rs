@@ -1,4 +1,4 @@
-//! Missions. What becomes of goals when missions die or freeze, and how many robots does one process serve?
+//! Missions. Goals when missions die or freeze, and the number of robots that one process serves.
 
 use tokio::runtime::Runtime;
 use zenav_fixtures::Row;
@@ -10,18 +10,18 @@ use zenav_tests::acceptance::{fleet, handover, kills, workers};
 
 use crate::{Verdict, zenav};
 
-/// Kills the mission again and again while goals come in.
+/// Kills the mission repeatedly while goals are submitted.
 pub fn kills(kills: usize, seed: u64) -> Verdict {
     tell(kills::run(&zenav().to_string_lossy(), kills, seed))
 }
 
-/// How long a leader is paused, s.
+/// Pause of a leader, s.
 const LEADER_PAUSED: f64 = 20.0;
 
-/// How long a standby is paused, s.
+/// Pause of a standby, s.
 const STANDBY_PAUSED: f64 = 5.0;
 
-/// Kills the leader of two missions again and again, then pauses it, and its standby, while goals come in.
+/// Kills the leader of two missions repeatedly, then pauses it and its standby, while goals are submitted.
 pub fn handover(deaths: usize, pauses: usize, seed: u64) -> Verdict {
     let mut faults = vec![Fault::LeaderKilled; deaths];
     for _ in 0..pauses {
@@ -86,7 +86,7 @@ pub fn fleet(fleet: Fleet) -> Verdict {
 /// Longest 99th percentile of the time to a trajectory with two workers, s.
 const ANSWERED: f64 = 0.25;
 
-/// Lets many robots ask one motion worker, then two, and freezes one of them.
+/// Measures many robots with one motion worker, then with two, of which one is frozen in the end.
 pub fn workers(robots: usize, secs: f64, seed: u64) -> Verdict {
     let mut is_good = true;
     let binary = zenav().to_string_lossy().into_owned();
@@ -125,7 +125,7 @@ pub fn workers(robots: usize, secs: f64, seed: u64) -> Verdict {
     Ok(is_good)
 }
 
-/// Prints what was found when missions died or froze.
+/// Prints the results of a run in which missions died or froze.
 fn tell(run: impl Future<Output = Result<Findings, String>>) -> Verdict {
     let mut findings = Runtime::new()?.block_on(run)?;
     let failures = findings.failures();

@@ -1,4 +1,4 @@
-//! The page under load. What do many robots, and many browsers that do not read, cost the gateway?
+//! The page under load. The gateway's cost with many robots, and with many browsers that do not read.
 
 use std::time::Duration;
 
@@ -9,14 +9,14 @@ use zenav_tests::browser::Browser;
 
 use crate::{Verdict, zenav};
 
-/// Most of a core that the gateway may take with twenty robots.
+/// Largest share of a core for the gateway with twenty robots.
 const AFFORDABLE: f64 = 0.30;
-/// Screen frames a second that the page must leave to the browser, which offers 60; it draws in those in which something moved.
+/// Least rate of animation frames in the page, 1/s. The browser offers 60; the page draws only in frames in which something moved.
 const SMOOTH: f64 = 55.0;
-/// Most memory that a socket may cost that does not read, bytes.
+/// Largest memory cost of a socket that does not read, bytes.
 const SOCKET: f64 = 256.0 * 1024.0;
 
-/// Looks at so many robots in a browser.
+/// Shows a number of robots in a browser.
 pub fn page(robots: usize, secs: u64) -> Verdict {
     let folder = tempfile::tempdir()?;
     let runtime = Runtime::new()?;
@@ -35,7 +35,7 @@ pub fn page(robots: usize, secs: u64) -> Verdict {
     Ok(found.moving == robots as u64 && found.core <= AFFORDABLE && found.screen_hz >= SMOOTH)
 }
 
-/// Keeps so many sockets open that never read.
+/// Keeps a number of sockets open that never read.
 pub fn slow_sockets(sockets: usize, secs: u64) -> Verdict {
     let folder = tempfile::tempdir()?;
     let runtime = Runtime::new()?;

@@ -1,4 +1,4 @@
-//! Pose estimate. Is its error as large as its covariance says?
+//! Pose estimate. Consistency of its error with its covariance.
 
 use zenav_fixtures::{Row, thread_time};
 use zenav_tests::acceptance::pose;
@@ -6,11 +6,11 @@ use zenav_tests::acceptance::tracking::percentile;
 
 use crate::Verdict;
 
-/// Share of steps that must lie within the 95 % band.
+/// Least share of steps within the 95 % band.
 const CONSISTENT: f64 = 0.9;
-/// Share of steps at which the error is within three standard deviations.
+/// Least share of steps with an error within three standard deviations.
 const WITHIN: f64 = 0.99;
-/// How long each drive takes, s.
+/// Duration of each drive, s.
 const DRIVE_SECS: f64 = 600.0;
 
 /// Estimates poses in many drives, and prints how often the mean error was within its band.

@@ -1,4 +1,4 @@
-//! Whereabouts. Does a map that moves harm a robot, and is one that was carried away found?
+//! Whereabouts. Loop closures under a driving robot, kidnappings, and global localisation.
 
 use std::path::PathBuf;
 
@@ -10,7 +10,7 @@ use zenav_tests::acceptance::{closure, everywhere, kidnapped};
 
 use crate::Verdict;
 
-/// Closures of a metre while the robot drives past walls, and prints each drive that one harmed.
+/// Runs drives with a closure of a metre, and prints each drive that the closure harmed.
 pub fn closure(runs: u64, first: u64) -> Verdict {
     let mut good = 0;
     let mut all = Vec::new();
@@ -35,7 +35,7 @@ pub fn closure(runs: u64, first: u64) -> Verdict {
     Ok(good == runs)
 }
 
-/// Kidnappings of robots in a known map, or with SLAM in their own, and prints each that was not mended as it should be.
+/// Kidnaps robots in a known map, or with SLAM in their own, and prints each kidnapping that was not handled as expected.
 pub fn kidnapped(runs: u64, first: u64, slam: bool) -> Verdict {
     let source = if slam { PoseSource::Slam } else { PoseSource::Localise };
     let mut all = Vec::new();
@@ -47,7 +47,7 @@ pub fn kidnapped(runs: u64, first: u64, slam: bool) -> Verdict {
                 }
                 all.push(told);
             }
-            // The robot was not under way long enough to be carried away.
+            // The robot did not drive long enough to be kidnapped.
             Err(why) => println!("left out: {why}"),
         }
     }
@@ -74,7 +74,7 @@ pub fn kidnapped(runs: u64, first: u64, slam: bool) -> Verdict {
     Ok(all.iter().all(kidnapped::Kidnapping::is_good))
 }
 
-/// Global localisation from random places, and prints each that was confidently wrong.
+/// Localises globally from random places, and prints each unique but wrong answer.
 pub fn localise(places: usize, files: &[PathBuf], seed: u64) -> Verdict {
     let mut maps = vec![("office".to_owned(), everywhere::office(seed))];
     for file in files {

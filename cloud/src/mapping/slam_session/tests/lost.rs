@@ -1,8 +1,8 @@
-//! What becomes of a map while nobody knows where the robot is, and how is it found?
+//! Tests of a lost robot: what happens to the map meanwhile, and how the robot is found.
 
 use super::*;
 
-/// A scan that fits nowhere and looks through walls.
+/// A scan that fits nowhere, with beams through walls.
 fn nowhere(way: f64) -> Scan {
     let mut scan = scan(way);
     for (beam, range) in scan.ranges.iter_mut().enumerate() {
@@ -27,7 +27,7 @@ const ROOMS: [(f64, f64, f64, f64); 12] = [
     (6.2, 1.6, 7.0, 2.2),
 ];
 
-/// The scans of a robot that was carried from where it had driven to in the rooms, m, to where it was before, and stands there.
+/// Scans of a standing robot that was carried in the rooms, from one distance along its drive to an earlier one, m.
 fn carried(from: f64, to: f64) -> impl Iterator<Item = Scan> {
     (0..).map(move |nth| Scan {
         stamp: Stamp::from_secs(100.0 + 0.2 * f64::from(nth)),
@@ -36,7 +36,7 @@ fn carried(from: f64, to: f64) -> impl Iterator<Item = Scan> {
     })
 }
 
-/// The scan of one that was carried back to its start after 6 m, and has driven so far from there, m.
+/// The scan of a robot that was carried back to its start after 6 m and has driven this far from there, m.
 fn on_from_start(way: f64) -> Scan {
     Scan {
         stamp: Stamp::from_secs(200.0 + way),
@@ -51,7 +51,7 @@ fn opened() -> Vec<(f64, f64, f64, f64)> {
     ROOMS.iter().filter(stays).copied().collect()
 }
 
-/// Mapping of a robot that has driven so far through the rooms, m.
+/// Mapping of a robot that has driven this far through the rooms, m.
 fn driven_through_rooms(way: f64) -> MappingCore {
     let mut mapping = core();
     for step in 0..=(way / 0.05).round() as usize {
@@ -70,7 +70,7 @@ fn what_a_lost_robot_sees_is_drawn_neither_at_once_nor_later() {
     let nodes = stored.head.scans;
     let clean = core().going_on(stored).mapper.info();
     let before = mapping.mapper.info();
-    // It stands, is lost, and goes on.
+    // The robot stands, gets lost, and drives on.
     for step in 1..=7 {
         let scan = nowhere(if step < 7 { 3.0 + 1e-3 * f64::from(step) } else { 3.15 });
         let mapped = mapping.insert(&scan, "boot");
@@ -96,7 +96,7 @@ fn what_a_lost_robot_sees_is_drawn_neither_at_once_nor_later() {
 fn where_the_building_has_changed_the_robot_stays_where_it_is_and_draws_it_anew() {
     let mut mapping = driven_through_rooms(3.2);
     let occupied = mapping.mapper.info().occupied;
-    // The wall beside the door that it stands before is gone.
+    // The wall beside the door in front of the robot is gone.
     let opened = opened();
     for nth in 0..40 {
         let scan = Scan {
@@ -139,7 +139,7 @@ fn a_robot_that_was_carried_away_while_it_maps_is_found_in_its_map_and_maps_on()
     assert!(off < 0.05, "{off} m off");
     assert_eq!(mapping.health(), Health::Tracking);
 
-    // It drives on, and its session outlives it.
+    // The robot drives on, and its session survives the process.
     for step in 1..=40 {
         mapping.insert(&on_from_start(0.05 * f64::from(step)), "boot");
     }
@@ -167,7 +167,7 @@ fn a_place_is_believed_where_the_scan_agrees_and_the_whole_map_is_looked_at_on_r
     );
     assert_eq!(mapping.health(), Health::Tracking);
 
-    // Where it is held to be already, a look at the whole map finds it at once.
+    // If the robot is where it is held to be, a search of the whole map confirms it at once.
     mapping.look_everywhere().unwrap();
     assert_eq!(mapping.health(), Health::Lost, "until then nobody knows");
     let mapped = mapping.insert(&seen_among(&ROOMS, 6.0), "boot");
@@ -179,7 +179,7 @@ fn a_place_is_believed_where_the_scan_agrees_and_the_whole_map_is_looked_at_on_r
         .distance(&Pose2::new(6.0, 0.0, 0.0));
     assert!(off < 0.05, "{off} m off");
 
-    // Elsewhere, too, long before the scans contradict the map often enough.
+    // The search finds another place, too, long before enough scans contradict the map.
     let mut asked = mapping.clone();
     asked.look_everywhere().unwrap();
     let correction = asked
@@ -204,7 +204,7 @@ fn in_a_map_that_is_held_the_robot_is_localised_and_slam_goes_on_from_there() {
     let mut mapping = driven_through_rooms(6.0);
     mapping.mapper.hold();
     let before = mapping.mapper.info();
-    // It is carried while nobody maps, and drives back.
+    // The robot is carried while the map is held, and drives back.
     let mut last = None;
     for scan in carried(6.0, 0.0).take(8) {
         let mapped = mapping.insert(&scan, "boot");
