@@ -20,7 +20,7 @@ use zenav_protocol::messages::{
     MapReply, MapRequest, Marker, MissionStatus, ModeReply, ModeRequest, MotionRecord, MotionReply, MotionRequest,
     MoveGoalRequest, Obstacles, Odometry, ParamReply, ParamRequest, PauseRequest, Plan, PoseEstimate, Refusal,
     RemoteReply, RemoteRequest, ResumeRequest, Scan, SearchTree, SimClock, StopReply, StopRequest, Teleop, Tile,
-    WheelSpeeds,
+    WheelSpeeds, Yield,
 };
 use zenav_protocol::readings::Readings;
 use zenav_protocol::topics::TABLE;
@@ -62,6 +62,7 @@ zenav_protocol::sensor_kinds!(messages [
     Event
     Obstacles
     Intent
+    Yield
     Marker
     MapInfo
     MapPatch

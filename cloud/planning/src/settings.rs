@@ -100,7 +100,7 @@ zenav_protocol::settings! {
         /// Speed along the path, as a share of the robot's top speed: the rest allows for turning and accelerating.
         pub speed: f64 = 0.8, "", 0.1..=1.0;
         /// Distance kept between the discs of two robots. Below 0.3 m the robot's own right-of-way rule makes it wait all the same.
-        pub clearance: f64 = 0.4, "m", 0.0..=2.0;
+        pub clearance: f64 = 0.35, "m", 0.0..=2.0;
         /// Time between leaving a place and the arrival of another robot there.
         pub before: f64 = 2.0, "s", 0.0..=20.0;
         /// Time between the departure of another robot and entering the place that it left.

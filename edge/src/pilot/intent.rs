@@ -21,7 +21,7 @@ const HELD: f64 = 3.0;
 const UNPLANNED: f64 = 1.0;
 /// A shorter wait is not reported to the mission, s; time between two reports, s.
 const LEAST_WAIT: f64 = 2.0;
-const YIELD_PERIOD: f64 = 1.0;
+const YIELD_PERIOD: f64 = 0.4;
 /// A slower robot is at rest, m/s and rad/s.
 const STANDS: f64 = 0.02;
 

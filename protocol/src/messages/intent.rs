@@ -75,7 +75,7 @@ impl Intent {
     }
 }
 
-/// The robots that a robot gives way to, published once a second while it waits for them on its plan or will have to.
+/// The robots that a robot gives way to, published some times a second while it waits for them on its plan or will have to.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Yield {

@@ -32,7 +32,7 @@ mod error_code {
 
 /// A path past other robots is taken if it saves at least this much time over waiting for them, s; time between two searches for one, s.
 const WORTH_IT: f64 = 1.0;
-const LOOK_PERIOD: f64 = 1.0;
+const LOOK_PERIOD: f64 = 0.4;
 /// Wait before searching again after a route could not be checked, s.
 const AFTER_UNCHECKED: f64 = 1.0;
 /// Greatest distance of the robot from the start of a route from rest, m.
