@@ -18,8 +18,8 @@ pub struct RecentPlace {
     pub is_near: bool,
     /// Radius of the disc that it is at least, m.
     pub radius: f64,
-    /// Its track, if it has one.
-    pub track: Option<u64>,
+    /// Whose it is.
+    pub of: u64,
 }
 
 impl RecentPlace {
@@ -50,13 +50,13 @@ impl RecentPlaces {
         }
     }
 
-    /// Something is at a place now.
+    /// Something is at a place now; the newest of neighbouring places of the same one counts.
     pub fn note(&mut self, seen: RecentPlace) {
         let spacing = self.spacing;
         if let Some(known) = self
             .places
             .iter_mut()
-            .find(|known| known.is_within(spacing, seen.place))
+            .find(|known| known.of == seen.of && known.is_within(spacing, seen.place))
         {
             let is_near = known.is_near || seen.is_near;
             *known = RecentPlace { is_near, ..seen };
@@ -107,7 +107,7 @@ mod tests {
             speed: 1.0,
             is_near: true,
             radius: 0.0,
-            track: None,
+            of: 0,
         }
     }
 

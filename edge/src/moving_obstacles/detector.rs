@@ -169,7 +169,7 @@ impl Detector {
                 speed: self.fastest,
                 is_near: true,
                 radius: 0.0,
-                track: None,
+                of: 0,
             });
         }
     }

@@ -33,6 +33,12 @@ const STAYS: f64 = 2.0;
 /// No more of the radius of somebody hidden is relied on, m: two who walk side by side look like one.
 const SURE_RADIUS: f64 = 0.25;
 
+/// Points without a track are one obstacle up to this distance, m.
+const ONE: f64 = 0.5;
+
+/// Obstacles without a track are numbered from here on; tracks never come so far.
+const UNTRACKED: u64 = 1 << 62;
+
 /// Points of moving obstacles, and the places where some left the field of view.
 #[derive(Clone, Debug)]
 pub struct MovingObstacles {
@@ -45,8 +51,10 @@ pub struct MovingObstacles {
     fastest_out_of_sight: f64,
     /// Circumscribed radius of the robot, m.
     circumscribed_radius: f64,
-    /// Places where a moving obstacle entered the blind spot.
+    /// Places where a moving obstacle entered the blind spot, each with the number of its track.
     occluded: RecentPlaces,
+    /// The number of the next obstacle without a track.
+    next_untracked: u64,
     /// The tracks that were taken for one that had entered it.
     came_out: VecDeque<u64>,
     /// What moves, over time.
@@ -72,6 +80,7 @@ impl MovingObstacles {
             fastest_out_of_sight: settings.passive_safety.speed_out_of_sight(top_speed),
             circumscribed_radius: model.footprint.circumscribed_radius(),
             occluded: RecentPlaces::new(OCCLUDED_PLACES, settings.moving_obstacles.place_spacing),
+            next_untracked: UNTRACKED,
             came_out: VecDeque::new(),
             tracks: ObstacleTracks::new(&settings.tracking),
             moved: None,
@@ -128,71 +137,84 @@ impl MovingObstacles {
                 && detector.moved.any_within(since, **place)
         };
         let places: Vec<_> = points.iter().filter(goes).copied().collect();
-        self.forget_reappeared(index, scan, beside, places.is_empty());
+        self.forget_reappeared(scan, beside);
         for place in places {
             let track = self.tracks.at(place);
-            let id = track.map(|track| track.id);
             let mut is_near = (place - laser).norm() <= near;
-            if id.is_some() {
+            let radius = track.map_or(0.0, |track| track.sure_radius().min(SURE_RADIUS));
+            let tracked = track.map(|track| track.id).or_else(|| self.tracks.id_at(place));
+            let of = tracked.unwrap_or_else(|| self.untracked_at(place, now));
+            if tracked.is_some() {
                 // Where it was before tells no more.
-                is_near |= self.occluded.iter().any(|known| known.track == id && known.is_near);
-                self.occluded.retain(|known| known.track != id || known.stamp == now);
+                is_near |= self.occluded.iter().any(|known| known.of == of && known.is_near);
+                self.occluded.retain(|known| known.of != of || known.stamp == now);
             }
             self.occluded.note(RecentPlace {
                 place,
                 stamp: now,
                 speed: self.tracks.most_speed_at(place).unwrap_or(self.fastest_out_of_sight),
                 is_near,
-                radius: track.map_or(0.0, |track| track.sure_radius().min(SURE_RADIUS)),
-                track: id,
+                radius,
+                of,
             });
         }
     }
 
+    /// The number of an obstacle without a track at a place (odometry frame): of one that was seen there just now, or a new one.
+    fn untracked_at(&mut self, place: Point2<f64>, now: Stamp) -> u64 {
+        let is_it = |known: &&RecentPlace| {
+            let secs = now.secs_since(known.stamp);
+            known.of >= UNTRACKED
+                && secs <= self.settings.turning_secs
+                && known.is_within(ONE + known.speed * secs.max(0.0), place)
+        };
+        let known = self.occluded.iter().find(is_it).map(|known| known.of);
+        known.unwrap_or_else(|| self.next_number())
+    }
+
+    fn next_number(&mut self) -> u64 {
+        self.next_untracked += 1;
+        self.next_untracked
+    }
+
+    /// Whether somebody hidden may have come to a place (odometry frame) by now.
+    fn may_be_at(&self, hidden: &RecentPlace, place: Point2<f64>, now: Stamp) -> bool {
+        let reach = hidden.speed * now.secs_since(hidden.stamp).max(0.0) + self.settings.reappearance_tolerance;
+        hidden.is_within(reach, place)
+    }
+
     /// Forgets obstacles that are too old, or have come out of the blind spot: no more than have come out.
-    fn forget_reappeared(&mut self, index: usize, scan: &ProjectedScan<'_>, beside: f64, none_beside: bool) {
-        let (now, settings, view) = (scan.stamp, &self.settings, &self.view);
+    fn forget_reappeared(&mut self, scan: &ProjectedScan<'_>, beside: f64) {
+        let now = scan.stamp;
         let base_from_odom = scan.odom_from_base.inverse();
         let robot = scan.odom_from_base * Point2::origin();
-        let points = self.detectors.get(index).map_or(&[][..], |detector| &detector.points);
-        let may_be = |occluded: &RecentPlace, place: Point2<f64>| {
-            let reach = occluded.speed * now.secs_since(occluded.stamp) + settings.reappearance_tolerance;
-            occluded.is_within(reach, place)
-        };
-        let tracks = &self.tracks;
-        self.occluded.retain(|occluded| {
-            let untracked = occluded.track.is_none() && none_beside;
-            // Who has been in sight since before is somebody else.
-            let is_other = |point: Point2<f64>| tracks.at(point).is_none_or(|track| track.born > occluded.stamp);
-            let comes_out = |point: &&Point2<f64>| may_be(occluded, **point) && is_other(**point);
-            let is_out = untracked && points.iter().any(|point| comes_out(&point));
-            let is_new = now.secs_since(occluded.stamp) <= settings.memory.max(settings.memory_backing);
-            (is_new || occluded.is_within(STAYS, robot)) && !is_out
-        });
+        let memory = self.settings.memory.max(self.settings.memory_backing);
+        self.occluded
+            .retain(|hidden| now.secs_since(hidden.stamp) <= memory || hidden.is_within(STAYS, robot));
         let mut waiting: Vec<RecentPlace> = Vec::new();
-        for occluded in self.occluded.iter().filter(|occluded| occluded.track.is_some()) {
-            if waiting.iter().all(|known| known.track != occluded.track) {
-                waiting.push(*occluded);
+        for hidden in self.occluded.iter() {
+            if waiting.iter().all(|known| known.of != hidden.of) {
+                waiting.push(*hidden);
             }
         }
-        for occluded in waiting {
+        for hidden in waiting {
+            let in_sight = |track: &&Track| self.view.distance_to_blind_spot(base_from_odom * track.position) > beside;
             // The same one, or somebody new who has not been taken for another one before.
-            let in_sight = |track: &&Track| {
-                track.seen == now && view.distance_to_blind_spot(base_from_odom * track.position) > beside
+            let comes_out = |track: &&Track| {
+                hidden.of == track.id
+                    || (track.is_confirmed()
+                        && track.born > hidden.stamp
+                        && !self.came_out.contains(&track.id)
+                        && self.may_be_at(&hidden, track.position, now))
             };
             let out = self
                 .tracks
-                .iter()
+                .seen(now)
                 .filter(in_sight)
-                .map(|track| (track.id, track))
-                .find(|(id, track)| {
-                    occluded.track == Some(*id)
-                        || (track.born > occluded.stamp
-                            && !self.came_out.contains(id)
-                            && may_be(&occluded, track.position))
-                });
-            let Some((id, _)) = out else { continue };
-            self.occluded.retain(|known| known.track != occluded.track);
+                .find(comes_out)
+                .map(|track| track.id);
+            let Some(id) = out else { continue };
+            self.occluded.retain(|known| known.of != hidden.of);
             if self.came_out.len() == OCCLUDED_PLACES {
                 self.came_out.pop_front();
             }
@@ -200,15 +222,19 @@ impl MovingObstacles {
         }
     }
 
-    /// A moving obstacle was last seen, or felt by the bumper, at a place (odometry frame).
+    /// A moving obstacle was felt by the bumper, or may be, at a place (odometry frame): one of those who are hidden, where one may have come
+    /// there.
     pub fn note_occlusion(&mut self, place: Point2<f64>, stamp: Stamp) {
+        let may_be = |hidden: &&RecentPlace| self.may_be_at(hidden, place, stamp);
+        let known = self.occluded.iter().find(may_be).map(|hidden| hidden.of);
+        let of = known.unwrap_or_else(|| self.next_number());
         self.occluded.note(RecentPlace {
             place,
             stamp,
             speed: self.fastest_out_of_sight,
             is_near: true,
             radius: 0.0,
-            track: None,
+            of,
         });
     }
 
@@ -359,6 +385,24 @@ mod tests {
         }
         assert!(moving.tracks().iter().next().is_some(), "it has not become a track");
         assert_eq!(moving.occluded(Stamp::from_secs(2.9)).count(), 1);
+    }
+
+    #[test]
+    fn of_two_who_are_hidden_one_who_comes_out_takes_one_along() {
+        let robot = zenav_fixtures::robot("tiago");
+        let lidar = robot.first_lidar().unwrap();
+        let mut moving = none_yet(&robot, 1.4);
+        for y in [-0.6, 0.6] {
+            moving.note_occlusion(Point2::new(-0.4, y), Stamp::ZERO);
+        }
+        let mut projector = ScanProjector::new(lidar);
+        for step in 1..40 {
+            let secs = 0.1 * f64::from(step);
+            let sweep = sweep(lidar, secs, Pose2::IDENTITY, Some(2.6 - 0.03 * f64::from(step)));
+            moving.insert(0, &projector.project(&sweep, Pose2::IDENTITY).unwrap());
+        }
+        assert!(moving.tracks().iter().next().is_some(), "it has not become a track");
+        assert_eq!(moving.occluded(Stamp::from_secs(4.0)).count(), 1);
     }
 
     #[test]
