@@ -7,7 +7,7 @@ use nalgebra::Point2;
 use zenav_protocol::lease::LONGEST_ROUND_TRIP;
 use zenav_protocol::messages::{
     Annotations, BehaviourAction, BehaviourRequest, Blockage, DrivingProfile, GoalFeedback, GoalPhase, GoalPoint, Leg,
-    Mode, Plan,
+    Mode, Plan, Yield,
 };
 use zenav_protocol::time::Stamp;
 
@@ -390,6 +390,12 @@ impl Context {
     #[must_use]
     pub fn latency_budget(&self) -> f64 {
         self.config.settings.latency_budget + self.round_trip()
+    }
+
+    /// The newest report of the robots that the robot gives way to on the motion in force, with times relative to now.
+    #[must_use]
+    pub fn yields(&self) -> Option<Yield> {
+        self.robot.yields(self.now, self.motion.id()?, self.frames.at())
     }
 
     /// How long a plan is valid from the state that it was made from, s. The plan has used up one round trip of that when it arrives; the

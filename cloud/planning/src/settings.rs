@@ -108,7 +108,7 @@ zenav_protocol::settings! {
         /// Extra cost of each second in the way of another robot.
         pub taken_cost: f64 = 8.0, "s", 0.0..=100.0;
         /// Longest detour that is considered.
-        pub slack: f64 = 15.0, "s", 0.0..=120.0;
+        pub slack: f64 = 10.0, "s", 0.0..=120.0;
         /// Most nodes that a search expands: some tenths of a second's worth.
         pub max_nodes: u64 = 200_000, "", 1..;
     }

@@ -62,7 +62,10 @@ impl SpaceCache {
         unknown: UnknownPolicy,
         fit: Fit,
     ) -> Arc<ConfigurationSpace> {
-        let footprint = &fitted(map, footprint, fit);
+        let footprint = &match fit {
+            Fit::Roomy => footprint.clone(),
+            Fit::Tight => footprint.offset(-(THICKENING * map.grid().spec().resolution).min(MOST_THICKENING)),
+        };
         let fits = |(of, space): &(MapRef, Arc<ConfigurationSpace>)| {
             let same_zones = Arc::ptr_eq(space.zones(), &self.zones);
             of.id == map.map().id && same_zones && space.unknown_policy() == unknown && space.footprint() == footprint
@@ -104,7 +107,6 @@ impl SpaceCache {
         map: &MapReplica,
         footprint: &Footprint,
         unknown: UnknownPolicy,
-        fit: Fit,
         discs: &[(Point2<f64>, f64)],
     ) -> ConfigurationSpace {
         let mut grid = map.grid().clone();
@@ -124,7 +126,7 @@ impl SpaceCache {
                 }
             }
         }
-        ConfigurationSpace::with_zones(&grid, &fitted(map, footprint, fit), unknown, 0.0, &self.zones)
+        ConfigurationSpace::with_zones(&grid, footprint, unknown, 0.0, &self.zones)
     }
 
     /// The space of a revision, updated to the map's present one; `None` if it has to be rebuilt.
@@ -138,14 +140,6 @@ impl SpaceCache {
             Arc::make_mut(&mut space).apply(map.grid(), &differences);
         }
         Some(space)
-    }
-}
-
-/// The footprint that a space of a map is made for.
-fn fitted(map: &MapReplica, footprint: &Footprint, fit: Fit) -> Footprint {
-    match fit {
-        Fit::Roomy => footprint.clone(),
-        Fit::Tight => footprint.offset(-(THICKENING * map.grid().spec().resolution).min(MOST_THICKENING)),
     }
 }
 

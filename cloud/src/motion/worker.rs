@@ -9,15 +9,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
-use zenav_planning::{
-    Budget, PlanOptions, Planned, Planner, PlanningSettings, Replanner, Searcher, SpaceTimeQuery, pulled,
-    search_space_time,
-};
+use zenav_planning::{Budget, PlanOptions, Planned, Planner, PlanningSettings, Replanner, Searcher};
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::map_replica::MapReplica;
 use zenav_protocol::messages::{
-    KnownCourse, MotionReply, MotionRequest, PlanOrigin, PlanOutcome, PlanReply, PlanRequest, PlanStatistics, Refusal,
-    SmoothReply, SmoothRequest, TrajectoryReply, TrajectoryRequest,
+    MotionReply, MotionRequest, PlanOrigin, PlanOutcome, PlanReply, PlanRequest, PlanStatistics, Refusal, SmoothReply,
+    SmoothRequest, TrajectoryReply, TrajectoryRequest,
 };
 use zenav_protocol::robot::{Footprint, RobotModel};
 use zenav_protocol::trajectory::Trajectory;
@@ -26,6 +23,8 @@ use zenav_space::{ConfigurationSpace, Fit, SpaceCache, UnknownPolicy, Zones};
 
 use super::via::{Piece, pieces, sum};
 
+mod past_others;
+
 /// Most robots and maps whose searches are kept.
 const MAX_REPLANNERS: usize = 4;
 /// Most corner points of a given path, and most poses to pass.
@@ -33,8 +32,6 @@ const MAX_POINTS: usize = 100_000;
 const MAX_VIA: usize = 1000;
 /// Farthest that a robot may be told to move out of an obstacle, or to end beside its goal, m.
 const FARTHEST: f64 = 10.0;
-/// Room kept free beside a path past other robots, m.
-const BESIDE: f64 = 0.05;
 /// Longest path that is smoothed, m.
 const LONGEST: f64 = 20_000.0;
 /// Wheel speeds above this multiple of the top speed, plus a margin (m/s), are taken for an error.
@@ -98,8 +95,8 @@ struct Kept {
 /// The inputs of an answer besides the request.
 struct Given<'a> {
     map: Option<&'a MapReplica>,
-    /// Discs that other robots occupy when this one passes them: center and radius, map frame, m.
-    taken: Vec<(Point2<f64>, f64)>,
+    /// Space to smooth in instead of the map's own.
+    around: Option<Arc<ConfigurationSpace>>,
     clock: &'a mut dyn FnMut() -> f64,
     cancel: &'a Cancel,
 }
@@ -141,7 +138,7 @@ impl MotionWorker {
     ) -> Result<MotionReply, Refusal> {
         let mut given = Given {
             map: map.filter(|map| !map.grid().spec().is_empty()),
-            taken: Vec::new(),
+            around: None,
             clock,
             cancel,
         };
@@ -154,8 +151,8 @@ impl MotionWorker {
 
     /// A path, and its trajectory.
     fn trajectory(&mut self, given: &mut Given<'_>, request: &TrajectoryRequest) -> Result<TrajectoryReply, Refusal> {
-        if let Some(reply) = self.past_others(given, request)? {
-            return Ok(reply);
+        if !request.plan.yield_to.is_empty() {
+            return self.past_others(given, request);
         }
         let mut plan = self.plan(given, &request.plan)?;
         let mut smooth = self.smooth_found(given, request, &plan)?;
@@ -179,75 +176,6 @@ impl MotionWorker {
             smooth,
             arrival_secs: None,
         })
-    }
-
-    /// A path past the robots that have right of way, and its trajectory. `None` if there are none, if the request has poses to pass, or if
-    /// every path leads through a place without room to turn.
-    fn past_others(
-        &mut self,
-        given: &mut Given<'_>,
-        request: &TrajectoryRequest,
-    ) -> Result<Option<TrajectoryReply>, Refusal> {
-        let plan = &request.plan;
-        let Some(map) = given.map.filter(|_| !plan.yield_to.is_empty() && plan.via.is_empty()) else {
-            return Ok(None);
-        };
-        if plan.yield_to.len() > KnownCourse::MOST || !plan.yield_to.iter().all(KnownCourse::is_sound) {
-            return Err(Refusal::bad_request(format!(
-                "`yield_to`: expected at most {} courses of 1 to {} places in order of time",
-                KnownCourse::MOST,
-                KnownCourse::MOST_PLACES
-            )));
-        }
-        let model = checked(&plan.model)?;
-        let began = (given.clock)();
-        let policy = UnknownPolicy::of(plan.unknown_is_free);
-        let radius = model.footprint.circumscribed_radius();
-        let settings = &self.settings.planning.space_time;
-        let query = SpaceTimeQuery {
-            start: plan.start.position(),
-            goal: plan.goal.position(),
-            speed: settings.speed * model.drive.top_speed(),
-            radius,
-            courses: &plan.yield_to,
-        };
-        let space = self.spaces.get(map, &model.footprint, policy, Fit::Roomy);
-        let budget = Budget {
-            max_expansions: self.settings.planning.max_expansions,
-            max_samples: 0,
-            cancel: Some(&given.cancel.search),
-        };
-        let Some(found) = search_space_time(&space.for_disc(radius), &query, settings, budget) else {
-            return Ok(None);
-        };
-        given.taken = found.meets(&query, settings, BESIDE);
-        let around = self
-            .spaces
-            .with_discs(map, &model.footprint, policy, Fit::Roomy, &given.taken);
-        let path = pulled(&around.for_disc(radius), &found);
-        let length = path.windows(2).map(|leg| (leg[1] - leg[0]).norm()).sum();
-        let reply = PlanReply {
-            map: map.map().clone(),
-            outcome: PlanOutcome::Found { path, length },
-            backwards: Vec::new(),
-            leg: 0,
-            escapes: false,
-            search_ms: ((given.clock)() - began) * 1e3,
-            expansions: found.expansions,
-            origin: PlanOrigin::Searched,
-        };
-        let smooth = self.smooth_found(given, request, &reply)?;
-        given.taken.clear();
-        let driven = smooth
-            .as_ref()
-            .and_then(|smooth| smooth.trajectory.last())
-            .map(|last| last.t);
-        let Some(driven) = driven else { return Ok(None) };
-        Ok(Some(TrajectoryReply {
-            plan: reply,
-            smooth,
-            arrival_secs: Some(found.arrival().max(driven + found.waits) + found.in_the_way),
-        }))
     }
 
     /// The trajectory along the path of an answer; `None` if there is no path.
@@ -454,7 +382,7 @@ impl MotionWorker {
             });
         };
         let roomy = self.smooth_that_fits(Fit::Roomy, map, given, &model, request);
-        if roomy.trajectory.is_empty() {
+        if roomy.trajectory.is_empty() && given.around.is_none() {
             return Ok(self.smooth_that_fits(Fit::Tight, map, given, &model, request));
         }
         Ok(roomy)
@@ -469,10 +397,9 @@ impl MotionWorker {
         request: &SmoothRequest,
     ) -> SmoothReply {
         let policy = UnknownPolicy::of(request.unknown_is_free);
-        let space = if given.taken.is_empty() {
-            self.spaces.get(map, &model.footprint, policy, fit)
-        } else {
-            Arc::new(self.spaces.with_discs(map, &model.footprint, policy, fit, &given.taken))
+        let space = match &given.around {
+            Some(space) => Arc::clone(space),
+            None => self.spaces.get(map, &model.footprint, policy, fit),
         };
         let mut reply = SmoothReply {
             map: map.map().clone(),

@@ -222,6 +222,7 @@ impl Leaf<Context> for FollowPath {
                         (pose.x - memory.goal.x).hypot(pose.y - memory.goal.y)
                     });
                     if left <= ctx.goal.tolerance {
+                        self.stop_search(ctx);
                         no_error(io);
                         io.say("arrived");
                         ctx.end_leg(GoalPhase::Succeeded, None);
@@ -405,26 +406,24 @@ impl FollowPath {
 
     /// Searches for a path past the robots that this one gives way to, and takes it if the robot arrives sooner than by waiting.
     fn give_way(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, memory: Memory) -> Option<Status> {
-        let yields = ctx
-            .motion
-            .id()
-            .and_then(|id| ctx.robot.yields(ctx.now, id, ctx.frames.at()))
-            .filter(|_| self.tracking.goals_ahead().is_empty());
         let Some(mut search) = self.detour.take() else {
-            let yields = yields.filter(|_| ctx.now >= self.next_detour)?;
+            if ctx.now < self.next_detour || !self.tracking.goals_ahead().is_empty() {
+                return None;
+            }
+            let yields = ctx.yields()?;
             let request = RouteRequest {
                 yield_to: yields.courses,
                 ..RouteRequest::to(memory.goal)
             };
-            self.next_detour = ctx.now.plus_secs(LOOK_PERIOD);
             self.detour = Some(Search::new(ctx, request, None, ctx.now).standing());
             return None;
         };
+        self.next_detour = ctx.now.plus_secs(LOOK_PERIOD);
         match search.step(ctx) {
             Searching::Wait(_) => self.detour = Some(search),
             Searching::Found(route) => {
                 let left = self.where_it_is(ctx).1.map(|(_, secs)| secs);
-                let waits = yields.map(|yields| yields.wait_secs);
+                let waits = ctx.yields().map(|yields| yields.wait_secs);
                 let by_waiting = left.zip(waits).map(|(left, waits)| left + waits);
                 let sooner = route.arrival_secs.zip(by_waiting);
                 if sooner.is_some_and(|(past, waiting)| past + ctx.latency_budget() + WORTH_IT < waiting)

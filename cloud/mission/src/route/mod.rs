@@ -444,6 +444,12 @@ impl Search {
             PlanOutcome::NoMap if ctx.now.secs_since(self.begun) < ctx.config.settings.retries.map_wait => {
                 return self.again(ctx, "waits until the motion worker has the map");
             }
+            _ if !self.request.yield_to.is_empty() => {
+                return failed(
+                    error_code::NO_VALID_PATH,
+                    "no path leads past the other robots".to_owned(),
+                );
+            }
             _ => return self.no_path(ctx, &begin, &plan),
         };
         if path.len() < 2 || !path.iter().all(|p| p.x.is_finite() && p.y.is_finite()) {

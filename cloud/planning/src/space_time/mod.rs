@@ -180,6 +180,32 @@ struct Reached {
 
 /// The path that costs least: time of arrival, plus a penalty for time in the way of other robots. `None` if no path on the coarse grid is
 /// free of static obstacles, or the budget is spent. `space`: for the disc around the footprint.
+///
+/// ```
+/// use nalgebra::Point2;
+/// use zenav_planning::{Budget, SpaceTimeQuery, SpaceTimeSettings, search_space_time};
+/// use zenav_protocol::grid::{Grid, GridSpec, Occupancy};
+/// use zenav_protocol::messages::{CoursePlace, KnownCourse};
+/// use zenav_protocol::robot::Footprint;
+/// use zenav_space::{ConfigurationSpace, UnknownPolicy};
+///
+/// let spec = GridSpec { origin: Point2::origin(), resolution: 0.05, width: 200, height: 160 };
+/// let map = Grid::filled(spec, Occupancy::FREE);
+/// let space = ConfigurationSpace::new(&map, &Footprint::Radius(0.3), UnknownPolicy::Blocked, 0.0);
+/// // Another robot comes the other way.
+/// let places = [(0.0, 9.0), (16.0, 1.0)].map(|(secs, x)| CoursePlace { secs, x, y: 4.0 });
+/// let courses = [KnownCourse { radius: 0.3, places: places.to_vec() }];
+/// let query = SpaceTimeQuery {
+///     start: Point2::new(1.0, 4.0),
+///     goal: Point2::new(9.0, 4.0),
+///     speed: 0.5,
+///     radius: 0.3,
+///     courses: &courses,
+/// };
+/// let path = search_space_time(&space, &query, &SpaceTimeSettings::default(), Budget::UNLIMITED);
+/// let path = path.expect("there is room to pass");
+/// assert!(path.arrival() < 19.0 && path.in_the_way == 0.0);
+/// ```
 #[must_use]
 pub fn search(
     space: &ConfigurationSpace,
@@ -190,7 +216,8 @@ pub fn search(
     let tick = settings.cell / query.speed / f64::from(STRAIGHT);
     let grid = CoarseGrid::new(space, query.start, settings.cell);
     let goal = grid.nearest(query.goal);
-    let to_go = CostToGo::new(&grid, goal, (0, 0), (settings.slack / tick) as u32, budget)?;
+    let slack = (settings.slack / tick) as u32;
+    let to_go = CostToGo::new(&grid, goal, (0, 0), slack, settings.max_nodes, budget)?;
     let secs = |ticks: u32| f64::from(ticks) * tick;
     let mut reached: FxHashMap<Node, Reached> = FxHashMap::default();
     let mut open = BinaryHeap::new();

@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
-use zenav_protocol::messages::{CoursePlace, DrivingProfile, MapInfo, MapRef, MapReply};
+use zenav_protocol::messages::{CoursePlace, DrivingProfile, KnownCourse, MapInfo, MapRef, MapReply};
 use zenav_protocol::time::Stamp;
 use zenav_protocol::trajectory::TrajectoryPoint;
 
