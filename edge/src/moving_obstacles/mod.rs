@@ -27,14 +27,17 @@ use detector::Detector;
 /// Most places kept where an obstacle entered the blind spot.
 const OCCLUDED_PLACES: usize = 128;
 
-/// Who went into the blind spot and has not come out is forgotten once the robot is this far away, m.
+/// An obstacle that entered the blind spot and has not come out is forgotten once the robot is this far away, m.
 const STAYS: f64 = 2.0;
 
-/// No more of the radius of somebody hidden is relied on, m: two who walk side by side look like one.
+/// Most of the radius of a hidden obstacle that is relied on, m: two people side by side look like one.
 const SURE_RADIUS: f64 = 0.25;
 
-/// Points without a track are one obstacle up to this distance, m.
+/// Points without a track that are nearer to one another than this are one obstacle, m.
 const ONE: f64 = 0.5;
+
+/// An obstacle without a track that has one so many scans later is the same obstacle.
+const FEW_SCANS: f64 = 3.5;
 
 /// Obstacles without a track are numbered from here on; tracks never come so far.
 const UNTRACKED: u64 = 1 << 62;
@@ -51,15 +54,15 @@ pub struct MovingObstacles {
     fastest_out_of_sight: f64,
     /// Circumscribed radius of the robot, m.
     circumscribed_radius: f64,
-    /// Places where a moving obstacle entered the blind spot, each with the number of its track.
+    /// Places where a moving obstacle entered the blind spot, with the number of its track.
     occluded: RecentPlaces,
     /// The number of the next obstacle without a track.
     next_untracked: u64,
-    /// The tracks that were taken for one that had entered it.
+    /// Tracks that were taken for an obstacle that had entered it.
     came_out: VecDeque<u64>,
-    /// What moves, over time.
+    /// The tracks of moving obstacles.
     tracks: ObstacleTracks,
-    /// When something was seen to move last.
+    /// When motion was last seen.
     moved: Option<Stamp>,
 }
 
@@ -87,7 +90,7 @@ impl MovingObstacles {
         }
     }
 
-    /// How far from the lidar an obstacle is that reaches the robot in this time, m.
+    /// Distance from the lidar within which an obstacle can reach the robot in this time, m.
     fn within(&self, secs: f64) -> f64 {
         2.0 * self.circumscribed_radius + secs * self.fastest_out_of_sight
     }
@@ -104,7 +107,7 @@ impl MovingObstacles {
                 left = detector.leave_out(evident, |point| tracks.is_by_robot(point));
             }
         }
-        // A robot that tells its course is known in the blind spot too.
+        // A robot that announces its course is known in the blind spot, too.
         if self.tracks.iter().any(|track| !track.is_robot()) {
             self.moved = Some(scan.stamp);
         }
@@ -129,7 +132,7 @@ impl MovingObstacles {
             scan.laser(),
         );
         let (now, base_from_odom) = (scan.stamp, scan.odom_from_base.inverse());
-        // Motion in a single scan may be a false detection: it is not worth waiting for.
+        // Motion in a single scan may be a false detection.
         let since = settings.turning_distance + step;
         let goes = |place: &&Point2<f64>| {
             self.view.distance_to_blind_spot(base_from_odom * **place) <= beside
@@ -145,9 +148,18 @@ impl MovingObstacles {
             let tracked = track.map(|track| track.id).or_else(|| self.tracks.id_at(place));
             let of = tracked.unwrap_or_else(|| self.untracked_at(place, now));
             if tracked.is_some() {
-                // Where it was before tells no more.
-                is_near |= self.occluded.iter().any(|known| known.of == of && known.is_near);
-                self.occluded.retain(|known| known.of != of || known.stamp == now);
+                // Its earlier positions no longer count; before it had a track it was seen without one, some scans ago.
+                let lately = FEW_SCANS / scan.lidar.rate_hz;
+                let is_it = |known: &RecentPlace| {
+                    let secs = now.secs_since(known.stamp);
+                    known.of == of && known.stamp != now
+                        || known.of >= UNTRACKED && secs <= lately && known.is_within(ONE, place)
+                };
+                is_near |= self
+                    .occluded
+                    .iter()
+                    .any(|known| known.is_near && (known.of == of || is_it(known)));
+                self.occluded.retain(|known| !is_it(known));
             }
             self.occluded.note(RecentPlace {
                 place,
@@ -160,7 +172,7 @@ impl MovingObstacles {
         }
     }
 
-    /// The number of an obstacle without a track at a place (odometry frame): of one that was seen there just now, or a new one.
+    /// The number of an obstacle without a track at a place (odometry frame): that of one seen there a moment ago, or a new one.
     fn untracked_at(&mut self, place: Point2<f64>, now: Stamp) -> u64 {
         let is_it = |known: &&RecentPlace| {
             let secs = now.secs_since(known.stamp);
@@ -177,13 +189,13 @@ impl MovingObstacles {
         self.next_untracked
     }
 
-    /// Whether somebody hidden may have come to a place (odometry frame) by now.
+    /// Whether a hidden obstacle may be at a place (odometry frame) by now.
     fn may_be_at(&self, hidden: &RecentPlace, place: Point2<f64>, now: Stamp) -> bool {
         let reach = hidden.speed * now.secs_since(hidden.stamp).max(0.0) + self.settings.reappearance_tolerance;
         hidden.is_within(reach, place)
     }
 
-    /// Forgets obstacles that are too old, or have come out of the blind spot: no more than have come out.
+    /// Forgets obstacles that are too old, and one for each that has come out of the blind spot.
     fn forget_reappeared(&mut self, scan: &ProjectedScan<'_>, beside: f64) {
         let now = scan.stamp;
         let base_from_odom = scan.odom_from_base.inverse();
@@ -199,7 +211,7 @@ impl MovingObstacles {
         }
         for hidden in waiting {
             let in_sight = |track: &&Track| self.view.distance_to_blind_spot(base_from_odom * track.position) > beside;
-            // The same one, or somebody new who has not been taken for another one before.
+            // The same obstacle, or a new track that has not been taken for another hidden one before.
             let comes_out = |track: &&Track| {
                 hidden.of == track.id
                     || (track.is_confirmed()
@@ -222,8 +234,8 @@ impl MovingObstacles {
         }
     }
 
-    /// A moving obstacle was felt by the bumper, or may be, at a place (odometry frame): one of those who are hidden, where one may have come
-    /// there.
+    /// Notes a moving obstacle that the bumper felt at a place (odometry frame), or that may be there: a hidden one if one can have come
+    /// there, else a new one.
     pub fn note_occlusion(&mut self, place: Point2<f64>, stamp: Stamp) {
         let may_be = |hidden: &&RecentPlace| self.may_be_at(hidden, place, stamp);
         let known = self.occluded.iter().find(may_be).map(|hidden| hidden.of);
