@@ -518,30 +518,20 @@ impl ObstacleTracks {
     /// The track that a point (odometry frame) belongs to.
     #[must_use]
     pub fn at(&self, point: Point2<f64>) -> Option<&Track> {
+        let off = |track: &Track| (point - track.position).norm() - track.radius;
         let tracks = self.tracks.iter().filter(|track| track.is_confirmed());
-        nearest(tracks, point).or_else(|| self.robot_at(point))
+        let nearest = tracks
+            .map(|track| (off(track), track))
+            .min_by(|a, b| a.0.total_cmp(&b.0));
+        let nearest = nearest.filter(|(off, _)| *off <= ON_TRACK).map(|(_, track)| track);
+        nearest.or_else(|| self.robot_at(point))
     }
 
-    /// The same; where there is none, what may become one.
-    #[must_use]
-    pub(crate) fn id_at(&self, point: Point2<f64>) -> Option<u64> {
-        let track = self.at(point).or_else(|| nearest(self.tracks.iter(), point));
-        track.map(|track| track.id)
-    }
-
-    /// The tracks, and what may become one, in the scan of this time.
+    /// The confirmed tracks in the scan of this time.
     pub(crate) fn seen(&self, now: Stamp) -> impl Iterator<Item = &Track> + '_ {
-        self.tracks.iter().filter(move |track| track.seen == now)
+        let seen = self.tracks.iter().filter(move |track| track.seen == now);
+        seen.filter(|track| track.is_confirmed())
     }
-}
-
-/// The track whose disc is nearest to a point, if the point may lie on it.
-fn nearest<'a>(tracks: impl Iterator<Item = &'a Track>, point: Point2<f64>) -> Option<&'a Track> {
-    let off = |track: &Track| (point - track.position).norm() - track.radius;
-    let nearest = tracks
-        .map(|track| (off(track), track))
-        .min_by(|a, b| a.0.total_cmp(&b.0));
-    nearest.filter(|(off, _)| *off <= ON_TRACK).map(|(_, track)| track)
 }
 
 /// The robot whose disc a point lies on.

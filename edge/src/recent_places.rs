@@ -63,7 +63,8 @@ impl RecentPlaces {
             return;
         }
         if self.places.len() == self.most {
-            self.places.pop_front();
+            let oldest = (0..self.places.len()).min_by_key(|nth| self.places[*nth].stamp);
+            oldest.and_then(|nth| self.places.remove(nth));
         }
         self.places.push_back(seen);
     }

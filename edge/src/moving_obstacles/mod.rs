@@ -36,11 +36,25 @@ const SURE_RADIUS: f64 = 0.25;
 /// Points without a track that are nearer to one another than this are one obstacle, m.
 const ONE: f64 = 0.5;
 
-/// An obstacle without a track that has one so many scans later is the same obstacle.
+/// An obstacle may be noted so many scans before its track begins.
 const FEW_SCANS: f64 = 3.5;
 
-/// Obstacles without a track are numbered from here on; tracks never come so far.
+/// Obstacles without a track are numbered from here on; the numbers of tracks are lower. One that the bumper felt has another bit.
 const UNTRACKED: u64 = 1 << 62;
+const FELT: u64 = 1 << 63;
+
+/// Whether a number is that of an obstacle that a lidar saw and that has no track yet.
+fn is_provisional(of: u64) -> bool {
+    (UNTRACKED..FELT).contains(&of)
+}
+
+/// Adds a number to a bounded list.
+fn remember(numbers: &mut VecDeque<u64>, number: u64) {
+    if numbers.len() == OCCLUDED_PLACES {
+        numbers.pop_front();
+    }
+    numbers.push_back(number);
+}
 
 /// Points of moving obstacles, and the places where some left the field of view.
 #[derive(Clone, Debug)]
@@ -60,6 +74,10 @@ pub struct MovingObstacles {
     next_untracked: u64,
     /// Tracks that were taken for an obstacle that had entered it.
     came_out: VecDeque<u64>,
+    /// Tracks that were noted under another number before they were tracks.
+    adopted: VecDeque<u64>,
+    /// Stamp of the newest scan.
+    scanned: Option<Stamp>,
     /// The tracks of moving obstacles.
     tracks: ObstacleTracks,
     /// When motion was last seen.
@@ -85,6 +103,8 @@ impl MovingObstacles {
             occluded: RecentPlaces::new(OCCLUDED_PLACES, settings.moving_obstacles.place_spacing),
             next_untracked: UNTRACKED,
             came_out: VecDeque::new(),
+            adopted: VecDeque::new(),
+            scanned: None,
             tracks: ObstacleTracks::new(&settings.tracking),
             moved: None,
         }
@@ -141,42 +161,63 @@ impl MovingObstacles {
         };
         let places: Vec<_> = points.iter().filter(goes).copied().collect();
         self.forget_reappeared(scan, beside);
+        self.scanned = Some(now);
         for place in places {
-            let track = self.tracks.at(place);
-            let mut is_near = (place - laser).norm() <= near;
-            let radius = track.map_or(0.0, |track| track.sure_radius().min(SURE_RADIUS));
-            let tracked = track.map(|track| track.id).or_else(|| self.tracks.id_at(place));
-            let of = tracked.unwrap_or_else(|| self.untracked_at(place, now));
-            if tracked.is_some() {
-                // Its earlier positions no longer count; before it had a track it was seen without one, some scans ago.
-                let lately = FEW_SCANS / scan.lidar.rate_hz;
-                let is_it = |known: &RecentPlace| {
-                    let secs = now.secs_since(known.stamp);
-                    known.of == of && known.stamp != now
-                        || known.of >= UNTRACKED && secs <= lately && known.is_within(ONE, place)
-                };
-                is_near |= self
-                    .occluded
-                    .iter()
-                    .any(|known| known.is_near && (known.of == of || is_it(known)));
-                self.occluded.retain(|known| !is_it(known));
-            }
+            let track = self
+                .tracks
+                .at(place)
+                .map(|track| (track.id, track.born, track.sure_radius()));
+            let speed = self.tracks.most_speed_at(place).unwrap_or(self.fastest_out_of_sight);
+            let was_near = match track {
+                Some((id, born, _)) => self.supersede(id, born, place, speed, now, FEW_SCANS / scan.lidar.rate_hz),
+                None => false,
+            };
+            let of = track
+                .map(|(id, ..)| id)
+                .unwrap_or_else(|| self.untracked_at(place, now));
             self.occluded.note(RecentPlace {
                 place,
                 stamp: now,
-                speed: self.tracks.most_speed_at(place).unwrap_or(self.fastest_out_of_sight),
-                is_near,
-                radius,
+                speed,
+                is_near: was_near || (place - laser).norm() <= near,
+                radius: track.map_or(0.0, |(.., radius)| radius.min(SURE_RADIUS)),
                 of,
             });
         }
+    }
+
+    /// Drops what was noted of a track before it was seen at a place (odometry frame): its earlier positions, and once the number under which
+    /// it was noted before it had a track. Returns whether any of that was near the robot.
+    fn supersede(&mut self, id: u64, born: Stamp, place: Point2<f64>, speed: f64, now: Stamp, lately: f64) -> bool {
+        let before = |known: &RecentPlace| {
+            let secs = now.secs_since(known.stamp);
+            is_provisional(known.of)
+                && secs > 0.0
+                && born.secs_since(known.stamp) <= lately
+                && known.is_within(ONE + speed * secs, place)
+        };
+        let known = self.occluded.iter().find(|known| before(known)).map(|known| known.of);
+        let adopted = known.filter(|_| !self.adopted.contains(&id));
+        if adopted.is_some() {
+            remember(&mut self.adopted, id);
+        }
+        let is_it = |known: &RecentPlace| {
+            Some(known.of) == adopted || known.of == id && known.stamp < now && self.may_be_at(known, place, now)
+        };
+        let near = |known: &RecentPlace| known.is_near && (known.of == id || is_it(known));
+        let (was_near, superseded): (bool, Vec<RecentPlace>) = (
+            self.occluded.iter().any(near),
+            self.occluded.iter().filter(|known| is_it(known)).copied().collect(),
+        );
+        self.occluded.retain(|known| !superseded.contains(known));
+        was_near
     }
 
     /// The number of an obstacle without a track at a place (odometry frame): that of one seen there a moment ago, or a new one.
     fn untracked_at(&mut self, place: Point2<f64>, now: Stamp) -> u64 {
         let is_it = |known: &&RecentPlace| {
             let secs = now.secs_since(known.stamp);
-            known.of >= UNTRACKED
+            is_provisional(known.of)
                 && secs <= self.settings.turning_secs
                 && known.is_within(ONE + known.speed * secs.max(0.0), place)
         };
@@ -195,6 +236,19 @@ impl MovingObstacles {
         hidden.is_within(reach, place)
     }
 
+    /// The newest place of each hidden obstacle.
+    fn newest(&self) -> Vec<RecentPlace> {
+        let mut newest: Vec<RecentPlace> = Vec::new();
+        for hidden in self.occluded.iter() {
+            match newest.iter_mut().find(|known| known.of == hidden.of) {
+                Some(known) if known.stamp < hidden.stamp => *known = *hidden,
+                Some(_) => {}
+                None => newest.push(*hidden),
+            }
+        }
+        newest
+    }
+
     /// Forgets obstacles that are too old, and one for each that has come out of the blind spot.
     fn forget_reappeared(&mut self, scan: &ProjectedScan<'_>, beside: f64) {
         let now = scan.stamp;
@@ -203,43 +257,33 @@ impl MovingObstacles {
         let memory = self.settings.memory.max(self.settings.memory_backing);
         self.occluded
             .retain(|hidden| now.secs_since(hidden.stamp) <= memory || hidden.is_within(STAYS, robot));
-        let mut waiting: Vec<RecentPlace> = Vec::new();
-        for hidden in self.occluded.iter() {
-            if waiting.iter().all(|known| known.of != hidden.of) {
-                waiting.push(*hidden);
-            }
-        }
-        for hidden in waiting {
+        for hidden in self.newest() {
             let in_sight = |track: &&Track| self.view.distance_to_blind_spot(base_from_odom * track.position) > beside;
             // The same obstacle, or a new track that has not been taken for another hidden one before.
             let comes_out = |track: &&Track| {
-                hidden.of == track.id
-                    || (track.is_confirmed()
-                        && track.born > hidden.stamp
-                        && !self.came_out.contains(&track.id)
-                        && self.may_be_at(&hidden, track.position, now))
+                let is_new = track.born > hidden.stamp && !self.came_out.contains(&track.id);
+                (hidden.of == track.id || is_new) && self.may_be_at(&hidden, track.position, now)
             };
-            let out = self
-                .tracks
-                .seen(now)
-                .filter(in_sight)
-                .find(comes_out)
-                .map(|track| track.id);
-            let Some(id) = out else { continue };
+            let seen = self.tracks.seen(now).filter(in_sight);
+            let Some(id) = seen.filter(comes_out).map(|track| track.id).next() else {
+                continue;
+            };
             self.occluded.retain(|known| known.of != hidden.of);
-            if self.came_out.len() == OCCLUDED_PLACES {
-                self.came_out.pop_front();
-            }
-            self.came_out.push_back(id);
+            remember(&mut self.came_out, id);
         }
     }
 
-    /// Notes a moving obstacle that the bumper felt at a place (odometry frame), or that may be there: a hidden one if one can have come
-    /// there, else a new one.
+    /// Notes a moving obstacle that the bumper felt at a place (odometry frame), or that may be there: a hidden one that is not in sight and can
+    /// have come there, else a new one.
     pub fn note_occlusion(&mut self, place: Point2<f64>, stamp: Stamp) {
-        let may_be = |hidden: &&RecentPlace| self.may_be_at(hidden, place, stamp);
-        let known = self.occluded.iter().find(may_be).map(|hidden| hidden.of);
-        let of = known.unwrap_or_else(|| self.next_number());
+        let is_hidden = |hidden: &RecentPlace| {
+            let in_sight = self.scanned.is_some_and(|scanned| {
+                hidden.stamp == scanned || self.tracks.seen(scanned).any(|track| track.id == hidden.of)
+            });
+            !in_sight && self.may_be_at(hidden, place, stamp)
+        };
+        let known = self.newest().into_iter().find(is_hidden).map(|hidden| hidden.of);
+        let of = known.unwrap_or_else(|| self.next_number() | FELT);
         self.occluded.note(RecentPlace {
             place,
             stamp,
@@ -415,6 +459,26 @@ mod tests {
         }
         assert!(moving.tracks().iter().next().is_some(), "it has not become a track");
         assert_eq!(moving.occluded(Stamp::from_secs(4.0)).count(), 1);
+    }
+
+    #[test]
+    fn somebody_felt_for_a_while_is_not_forgotten_for_somebody_who_was_in_sight_meanwhile() {
+        let robot = zenav_fixtures::robot("tiago");
+        let lidar = robot.first_lidar().unwrap();
+        let mut moving = none_yet(&robot, 6.0);
+        let mut projector = ScanProjector::new(lidar);
+        for step in 0..30 {
+            let secs = 0.1 * f64::from(step);
+            // The contact lasts while the robot creeps away from it.
+            if step < 15 {
+                moving.note_occlusion(Point2::new(-0.4 - 0.02 * f64::from(step), 0.0), Stamp::from_secs(secs));
+            }
+            let post = (step >= 5).then(|| 2.6 - 0.03 * f64::from(step));
+            let sweep = sweep(lidar, secs, Pose2::IDENTITY, post);
+            moving.insert(0, &projector.project(&sweep, Pose2::IDENTITY).unwrap());
+        }
+        assert!(moving.tracks().iter().next().is_some(), "it has not become a track");
+        assert!(moving.occluded(Stamp::from_secs(2.9)).next().is_some());
     }
 
     #[test]
