@@ -72,6 +72,7 @@ impl RobotView {
             return None;
         }
         let mut told = told.clone();
+        told.wait_secs -= age;
         for place in told.courses.iter_mut().flat_map(|course| &mut course.places) {
             place.secs -= age;
         }

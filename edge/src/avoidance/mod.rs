@@ -227,9 +227,11 @@ impl Avoidance {
             return Control::Rejoin;
         }
         self.evading = true;
+        let stuck = self.is_stuck();
         let got_on = |from: Pose2| {
             let turned = wrap_angle(from.yaw - input.odom_from_base.yaw).abs();
-            from.distance(&input.odom_from_base) > GETS_ON.0 || turned > GETS_ON.1
+            // A robot that is stuck turns first: that is not progress yet.
+            from.distance(&input.odom_from_base) > GETS_ON.0 || turned > GETS_ON.1 && !stuck
         };
         if self.got_to.is_none_or(got_on) {
             (self.got_to, self.stuck_for) = (Some(input.odom_from_base), 0.0);

@@ -120,8 +120,11 @@ impl Pilot {
                 })
                 .collect(),
         };
-        let first = self.obstacles.moving().tracks().robots().iter();
-        let courses = first.filter(|track| track.goes_first()).take(KnownCourse::MOST);
+        let here = self.estimator.odom_from_base().position();
+        let robots = self.obstacles.moving().tracks().robots().iter();
+        let mut first: Vec<&Track> = robots.filter(|track| track.goes_first()).collect();
+        first.sort_by(|a, b| (a.position - here).norm().total_cmp(&(b.position - here).norm()));
+        let courses = first.into_iter().take(KnownCourse::MOST);
         out.push(Publication::Yield(Yield {
             stamp: now,
             trajectory_id: active.plan().trajectory_id,

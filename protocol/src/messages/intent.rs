@@ -127,14 +127,19 @@ impl KnownCourse {
     pub const MOST_PLACES: usize = MOST_PLACES + MOST_LATER;
     /// Most courses that a path gives way to.
     pub const MOST: usize = 32;
+    /// Bounds of times, s, and coordinates, m.
+    const FARTHEST: (f64, f64) = (600.0, 1e6);
 
-    /// Whether all numbers are finite and within bounds, and the times in order.
+    /// Whether all numbers are within bounds, and the times in order.
     #[must_use]
     pub fn is_sound(&self) -> bool {
-        let finite = |place: &CoursePlace| [place.secs, place.x, place.y].iter().all(|value| value.is_finite());
+        let (secs, metres) = Self::FARTHEST;
+        let bounded = |place: &CoursePlace| {
+            place.secs.abs() <= secs && [place.x, place.y].iter().all(|value| value.abs() <= metres)
+        };
         (0.01..=5.0).contains(&self.radius)
             && (1..=Self::MOST_PLACES).contains(&self.places.len())
-            && self.places.iter().all(finite)
+            && self.places.iter().all(bounded)
             && self.places.is_sorted_by(|a, b| a.secs <= b.secs)
     }
 }

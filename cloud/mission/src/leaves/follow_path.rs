@@ -33,6 +33,10 @@ mod error_code {
 /// A path past other robots is taken if it saves at least this much time over waiting for them, s; time between two searches for one, s.
 const WORTH_IT: f64 = 1.0;
 const LOOK_PERIOD: f64 = 0.4;
+/// That time doubles after two searches, so often at most.
+const MOST_DOUBLED: u32 = 3;
+/// A search for such a path is given up after this, s: the other robots are elsewhere by then.
+const DETOUR_SECS: f64 = 2.0;
 /// Wait before searching again after a route could not be checked, s.
 const AFTER_UNCHECKED: f64 = 1.0;
 /// Greatest distance of the robot from the start of a route from rest, m.
@@ -60,6 +64,8 @@ pub struct FollowPath {
     /// Search for a path past the robots that this one gives way to, and the earliest time of the next one.
     detour: Option<Search>,
     next_detour: Stamp,
+    /// Searches since the robot last gave way to nobody.
+    detours: u32,
     refusals: u32,
     misses: u32,
     path_sequence: u64,
@@ -268,6 +274,9 @@ impl FollowPath {
         self.remember(io, *memory);
         self.tracking.settle(before, ctx);
         self.offered = None;
+        if let Some(detour) = self.detour.take() {
+            detour.cancel(ctx);
+        }
         let parted = (along.x - memory.goal.x).hypot(along.y - memory.goal.y) > PARTED;
         if self.search.is_some() || parted {
             self.begin_search(ctx, memory.goal, 0.0);
@@ -410,24 +419,36 @@ impl FollowPath {
             if ctx.now < self.next_detour || !self.tracking.goals_ahead().is_empty() {
                 return None;
             }
-            let yields = ctx.yields()?;
+            if ctx.yields().is_none() {
+                self.detours = 0;
+                return None;
+            }
             let request = RouteRequest {
-                yield_to: yields.courses,
+                past_others: true,
                 ..RouteRequest::to(memory.goal)
             };
             self.detour = Some(Search::new(ctx, request, None, ctx.now).standing());
+            self.detours = self.detours.saturating_add(1);
             return None;
         };
-        self.next_detour = ctx.now.plus_secs(LOOK_PERIOD);
+        // The longer the wait lasts, the less often.
+        let doubled = f64::from(1 << (self.detours / 2).min(MOST_DOUBLED));
+        self.next_detour = ctx.now.plus_secs(LOOK_PERIOD * doubled);
         match search.step(ctx) {
-            Searching::Wait(_) => self.detour = Some(search),
+            Searching::Wait(_) if search.age(ctx.now) < DETOUR_SECS => self.detour = Some(search),
+            Searching::Wait(_) => search.cancel(ctx),
             Searching::Found(route) => {
                 let left = self.where_it_is(ctx).1.map(|(_, secs)| secs);
                 let waits = ctx.yields().map(|yields| yields.wait_secs);
                 let by_waiting = left.zip(waits).map(|(left, waits)| left + waits);
                 let sooner = route.arrival_secs.zip(by_waiting);
+                let escape = ctx.config.settings.escape;
                 if sooner.is_some_and(|(past, waiting)| past + ctx.latency_budget() + WORTH_IT < waiting)
+                    && route.goal == memory.goal
                     && self.fits(ctx, &route)
+                    && ctx
+                        .space_now()
+                        .is_ok_and(|space| recheck(&route.plan.trajectory, &space, 0.0, escape) == Recheck::Free)
                 {
                     return Some(self.drive(io, ctx, memory, &route));
                 }

@@ -337,6 +337,12 @@ impl Search {
             }
             Err(why) => return failed(error_code::UNKNOWN, format!("{why}, and it did not")),
         };
+        if self.request.past_others && ctx.yields().is_none() {
+            return failed(
+                error_code::NO_VALID_PATH,
+                "the robot gives way to nobody any more".to_owned(),
+            );
+        }
         self.asked = ctx.now;
         if let Some(waiting) = &mut self.waiting {
             waiting.asked(ctx);
@@ -398,7 +404,7 @@ impl Search {
             planner: self.planner.clone(),
             unknown_is_free: ctx.config.settings.unknown_is_free,
             cleared: Vec::new(),
-            yield_to: self.yield_to(ctx.latency_budget()),
+            yield_to: self.yield_to(ctx),
             escape: ctx.config.settings.escape,
             goal_tolerance: NEARBY * ctx.goal.tolerance,
             budget_ms: (1e3 * ctx.config.settings.search_budget) as u64,
@@ -406,13 +412,20 @@ impl Search {
         }
     }
 
-    /// The courses of the robots to pass, with times relative to `later` s from now.
-    fn yield_to(&self, later: f64) -> Vec<KnownCourse> {
-        let mut courses = self.request.yield_to.clone();
+    /// The courses of the robots to pass, with times relative to the start of the path.
+    fn yield_to(&self, ctx: &Context) -> Vec<KnownCourse> {
+        let yields = ctx.yields().filter(|_| self.request.past_others);
+        let mut courses = yields.map(|yields| yields.courses).unwrap_or_default();
         for place in courses.iter_mut().flat_map(|course| &mut course.places) {
-            place.secs -= later;
+            place.secs -= ctx.latency_budget();
         }
         courses
+    }
+
+    /// Time since the search began, s.
+    #[must_use]
+    pub fn age(&self, now: Stamp) -> f64 {
+        now.secs_since(self.begun)
     }
 
     fn answered(&mut self, ctx: &mut Context, begin: Begin, answer: Result<Answer, NoAnswer>) -> Searching {
@@ -444,7 +457,7 @@ impl Search {
             PlanOutcome::NoMap if ctx.now.secs_since(self.begun) < ctx.config.settings.retries.map_wait => {
                 return self.again(ctx, "waits until the motion worker has the map");
             }
-            _ if !self.request.yield_to.is_empty() => {
+            _ if self.request.past_others => {
                 return failed(
                     error_code::NO_VALID_PATH,
                     "no path leads past the other robots".to_owned(),
@@ -455,7 +468,9 @@ impl Search {
         if path.len() < 2 || !path.iter().all(|p| p.x.is_finite() && p.y.is_finite()) {
             return failed(error_code::UNKNOWN, "the planner returned an invalid path".to_owned());
         }
-        if let Some(waits) = self.until_the_goal_is_uncovered(ctx, &begin, &path) {
+        if !self.request.past_others
+            && let Some(waits) = self.until_the_goal_is_uncovered(ctx, &begin, &path)
+        {
             return waits;
         }
         if plan.escapes {

@@ -2,7 +2,7 @@
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;
-use zenav_protocol::messages::{GoalPoint, KnownCourse};
+use zenav_protocol::messages::GoalPoint;
 
 use crate::leaves::path;
 
@@ -22,8 +22,8 @@ pub struct RouteRequest {
     pub from: Option<Pose2>,
     /// An existing path: it is driven if it passes the robot and is drivable.
     pub given: Vec<Point2<f64>>,
-    /// Courses of robots that the path must pass, times relative to now.
-    pub yield_to: Vec<KnownCourse>,
+    /// Whether the path is to lead past the robots that the robot gives way to.
+    pub past_others: bool,
 }
 
 impl RouteRequest {
@@ -35,7 +35,7 @@ impl RouteRequest {
             goal,
             from: None,
             given: Vec::new(),
-            yield_to: Vec::new(),
+            past_others: false,
         }
     }
 

@@ -59,6 +59,16 @@ pub struct SpaceTimeQuery<'a> {
     pub courses: &'a [KnownCourse],
 }
 
+impl SpaceTimeQuery<'_> {
+    /// Time that a trajectory, positions and times from the start (s), spends in the way of the other robots, s.
+    #[must_use]
+    pub fn in_the_way(&self, trajectory: &[(f64, Point2<f64>)], settings: &SpaceTimeSettings) -> f64 {
+        let steps = trajectory.windows(2);
+        let taken = steps.filter(|step| is_taken(self, settings, step[1].1, step[1].0));
+        taken.map(|step| step[1].0 - step[0].0).sum()
+    }
+}
+
 /// A path in space and time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SpaceTimePath {
@@ -93,10 +103,10 @@ impl SpaceTimePath {
         for course in query.courses {
             let near = query.radius + course.radius + settings.clearance + BESIDE;
             for (secs, place) in &self.places {
-                for other in positions(course, secs - settings.after, secs + settings.before, SPACING) {
-                    let off = (other - place).norm();
+                let legs = pieces(course, secs - settings.after, secs + settings.before);
+                for other in legs.flat_map(|leg| positions_near(leg, *place, near)) {
                     let is_known = |(known, _): &(Point2<f64>, f64)| (known - other).norm() < 0.5 * SPACING;
-                    if off > near || discs.iter().any(is_known) {
+                    if discs.iter().any(is_known) {
                         continue;
                     }
                     let beside = distance_to_line(other, &line) - query.radius - kept;
@@ -148,12 +158,21 @@ fn pieces(course: &KnownCourse, from: f64, to: f64) -> impl Iterator<Item = (Poi
         .map(move |leg| (at(leg, from), at(leg, to)))
 }
 
-/// Positions on a course between two times, s, at most `spacing` m apart.
-fn positions(course: &KnownCourse, from: f64, to: f64, spacing: f64) -> impl Iterator<Item = Point2<f64>> + '_ {
-    pieces(course, from, to).flat_map(move |(first, last)| {
-        let count = ((last - first).norm() / spacing).ceil().max(1.0);
-        (0..=count as u32).map(move |nth| first + (last - first) * (f64::from(nth) / count))
-    })
+/// Positions on a leg, [`SPACING`] apart, no farther than `near` m from a place.
+fn positions_near(
+    (first, last): (Point2<f64>, Point2<f64>),
+    place: Point2<f64>,
+    near: f64,
+) -> impl Iterator<Item = Point2<f64>> {
+    let length = (last - first).norm();
+    let along = (last - first) / length.max(1e-9);
+    let middle = (place - first).dot(&along);
+    let (from, to) = ((middle - near).max(0.0), (middle + near).min(length));
+    let count = ((to - from) / SPACING).ceil();
+    let nth = if count >= 0.0 { 0..count as u32 + 1 } else { 0..0 };
+    let share = move |nth: u32| if count > 0.0 { f64::from(nth) / count } else { 0.0 };
+    nth.map(move |nth| first + along * (from + (to - from) * share(nth)))
+        .filter(move |at| (at - place).norm() <= near)
 }
 
 /// Whether one of the robots takes a place at a time, s.
@@ -258,7 +277,7 @@ pub fn search(
             let after = here.ticks + ticks;
             let taken = is_taken(query, settings, grid.point(place), secs(after));
             let taken = if taken { ticks } else { 0 };
-            let cost = here.cost + ticks + settings.taken_cost as u32 * taken;
+            let cost = here.cost + ticks + (settings.taken_cost * f64::from(taken)).round() as u32;
             let next: Node = (place.0, place.1, after / STRAIGHT);
             if reached.get(&next).is_some_and(|known| known.cost <= cost) {
                 continue;

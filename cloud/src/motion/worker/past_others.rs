@@ -5,7 +5,7 @@
 
 use std::sync::Arc;
 
-use zenav_planning::{Budget, SpaceTimeQuery, pulled, search_space_time};
+use zenav_planning::{Budget, SpaceTimeQuery, SpaceTimeSettings, pulled, search_space_time};
 use zenav_protocol::messages::{
     KnownCourse, PlanOrigin, PlanOutcome, PlanReply, Refusal, TrajectoryReply, TrajectoryRequest,
 };
@@ -13,8 +13,12 @@ use zenav_space::{Fit, UnknownPolicy};
 
 use super::{Given, MotionWorker, checked};
 
-/// Room kept free beside a path past other robots, m.
+/// Least room kept free beside a path past other robots, m.
 const BESIDE: f64 = 0.05;
+/// A trajectory may come so much nearer to other robots than the path, m, and be in their way for so much longer, s.
+const SLACK: (f64, f64) = (0.05, 0.3);
+/// Spacing at which a trajectory is checked for other robots, m and rad.
+const SPACING: (f64, f64) = (0.1, 0.5);
 
 impl MotionWorker {
     /// A path past the robots of `yield_to`, and its trajectory. There is none if the request has poses to pass, or if every path leads
@@ -57,7 +61,8 @@ impl MotionWorker {
         };
         let policy = UnknownPolicy::of(plan.unknown_is_free);
         let radius = model.footprint.circumscribed_radius();
-        let settings = &self.settings.planning.space_time;
+        let settings = self.settings.planning.space_time.clone();
+        let settings = &settings;
         let query = SpaceTimeQuery {
             start: plan.start.position(),
             goal: plan.goal.position(),
@@ -71,10 +76,13 @@ impl MotionWorker {
             max_samples: 0,
             cancel: Some(&given.cancel.search),
         };
+        self.searched = false;
         let found = search_space_time(&space.for_disc(radius), &query, settings, budget);
         reply.plan.search_ms = ((given.clock)() - began) * 1e3;
-        let Some(found) = found else { return Ok(reply) };
-        let discs = found.meets(&query, settings, BESIDE);
+        let Some(found) = found.filter(|_| !budget.is_cancelled()) else {
+            return Ok(reply);
+        };
+        let discs = found.meets(&query, settings, BESIDE.max(map.grid().spec().resolution));
         let around = self.spaces.with_discs(map, &model.footprint, policy, &discs);
         let path = pulled(&around.for_disc(radius), &found);
         let length = path.windows(2).map(|leg| (leg[1] - leg[0]).norm()).sum();
@@ -86,8 +94,17 @@ impl MotionWorker {
         reply.smooth = smooth?.filter(|smooth| !smooth.trajectory.is_empty());
         match &reply.smooth {
             Some(smooth) => {
+                // A trajectory has a pace of its own: without a planned wait the robot must not have to wait on it.
+                let looser = SpaceTimeSettings {
+                    clearance: settings.clearance - SLACK.0,
+                    ..settings.clone()
+                };
+                let timed = smooth.trajectory.spaced(0.0, SPACING.0, SPACING.1);
+                let timed: Vec<_> = timed.map(|point| (point.t, point.position())).collect();
+                let more = query.in_the_way(&timed, &looser) - found.in_the_way;
                 let driven = smooth.trajectory.end_time() + found.waits;
-                reply.arrival_secs = Some(found.arrival().max(driven) + found.in_the_way);
+                let arrival = found.arrival().max(driven) + found.in_the_way;
+                reply.arrival_secs = Some(arrival).filter(|_| found.waits > 0.0 || more <= SLACK.1);
             }
             None => reply.plan.outcome = PlanOutcome::NoPath,
         }
