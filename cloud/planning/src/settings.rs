@@ -102,7 +102,7 @@ zenav_protocol::settings! {
         /// Distance kept between the discs of two robots. Below 0.3 m the robot's own right-of-way rule makes it wait all the same.
         pub clearance: f64 = 0.35, "m", 0.0..=2.0;
         /// Time between leaving a place and the arrival of another robot there.
-        pub before: f64 = 2.5, "s", 0.0..=20.0;
+        pub before: f64 = 1.5, "s", 0.0..=20.0;
         /// Time between the departure of another robot and entering the place that it left.
         pub after: f64 = 1.0, "s", 0.0..=20.0;
         /// Extra cost of each second in the way of another robot.

@@ -33,7 +33,7 @@ mod error_code {
 /// A path past other robots is taken if it saves at least this much time over waiting for them, s; time between two searches for one, s.
 const WORTH_IT: f64 = 1.0;
 const LOOK_PERIOD: f64 = 0.4;
-/// That time doubles after two searches, so often at most.
+/// That time doubles after every fourth search, so often at most.
 const MOST_DOUBLED: u32 = 3;
 /// A search for such a path is given up after this, s: the other robots are elsewhere by then.
 const DETOUR_SECS: f64 = 2.0;
@@ -432,7 +432,7 @@ impl FollowPath {
             return None;
         };
         // The longer the wait lasts, the less often.
-        let doubled = f64::from(1 << (self.detours / 2).min(MOST_DOUBLED));
+        let doubled = f64::from(1 << (self.detours / 4).min(MOST_DOUBLED));
         self.next_detour = ctx.now.plus_secs(LOOK_PERIOD * doubled);
         match search.step(ctx) {
             Searching::Wait(_) if search.age(ctx.now) < DETOUR_SECS => self.detour = Some(search),

@@ -15,8 +15,9 @@ use super::{Given, MotionWorker, checked};
 
 /// Least room kept free beside a path past other robots, m.
 const BESIDE: f64 = 0.05;
-/// A trajectory may come so much nearer to other robots than the path, m, and be in their way for so much longer, s.
-const SLACK: (f64, f64) = (0.05, 0.3);
+/// A trajectory may come so much nearer to other robots than the path, m, be in their way for so much longer, s, and keep this share of the
+/// times between them.
+const SLACK: (f64, f64, f64) = (0.05, 0.3, 0.5);
 /// Spacing at which a trajectory is checked for other robots, m and rad.
 const SPACING: (f64, f64) = (0.1, 0.5);
 
@@ -94,9 +95,11 @@ impl MotionWorker {
         reply.smooth = smooth?.filter(|smooth| !smooth.trajectory.is_empty());
         match &reply.smooth {
             Some(smooth) => {
-                // A trajectory has a pace of its own: without a planned wait the robot must not have to wait on it.
+                // A trajectory has a pace of its own: without a planned wait it must not meet anybody.
                 let looser = SpaceTimeSettings {
                     clearance: settings.clearance - SLACK.0,
+                    before: SLACK.2 * settings.before,
+                    after: SLACK.2 * settings.after,
                     ..settings.clone()
                 };
                 let timed = smooth.trajectory.spaced(0.0, SPACING.0, SPACING.1);
