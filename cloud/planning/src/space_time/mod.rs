@@ -59,16 +59,6 @@ pub struct SpaceTimeQuery<'a> {
     pub courses: &'a [KnownCourse],
 }
 
-impl SpaceTimeQuery<'_> {
-    /// Time that a trajectory, positions and times from the start (s), spends in the way of the other robots, s.
-    #[must_use]
-    pub fn in_the_way(&self, trajectory: &[(f64, Point2<f64>)], settings: &SpaceTimeSettings) -> f64 {
-        let steps = trajectory.windows(2);
-        let taken = steps.filter(|step| is_taken(self, settings, step[1].1, step[1].0));
-        taken.map(|step| step[1].0 - step[0].0).sum()
-    }
-}
-
 /// A path in space and time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SpaceTimePath {

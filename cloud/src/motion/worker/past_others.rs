@@ -5,7 +5,7 @@
 
 use std::sync::Arc;
 
-use zenav_planning::{Budget, SpaceTimeQuery, SpaceTimeSettings, pulled, search_space_time};
+use zenav_planning::{Budget, SpaceTimeQuery, pulled, search_space_time};
 use zenav_protocol::messages::{
     KnownCourse, PlanOrigin, PlanOutcome, PlanReply, Refusal, TrajectoryReply, TrajectoryRequest,
 };
@@ -15,11 +15,6 @@ use super::{Given, MotionWorker, checked};
 
 /// Least room kept free beside a path past other robots, m.
 const BESIDE: f64 = 0.05;
-/// A trajectory may come so much nearer to other robots than the path, m, be in their way for so much longer, s, and keep this share of the
-/// times between them.
-const SLACK: (f64, f64, f64) = (0.05, 0.3, 0.5);
-/// Spacing at which a trajectory is checked for other robots, m and rad.
-const SPACING: (f64, f64) = (0.1, 0.5);
 
 impl MotionWorker {
     /// A path past the robots of `yield_to`, and its trajectory. There is none if the request has poses to pass, or if every path leads
@@ -63,7 +58,6 @@ impl MotionWorker {
         let policy = UnknownPolicy::of(plan.unknown_is_free);
         let radius = model.footprint.circumscribed_radius();
         let settings = self.settings.planning.space_time.clone();
-        let settings = &settings;
         let query = SpaceTimeQuery {
             start: plan.start.position(),
             goal: plan.goal.position(),
@@ -72,44 +66,35 @@ impl MotionWorker {
             courses: &plan.yield_to,
         };
         let space = self.spaces.get(map, &model.footprint, policy, Fit::Roomy);
+        let space = space.for_disc(radius);
         let budget = Budget {
             max_expansions: self.settings.planning.max_expansions,
             max_samples: 0,
             cancel: Some(&given.cancel.search),
         };
         self.searched = false;
-        let found = search_space_time(&space.for_disc(radius), &query, settings, budget);
+        let found = search_space_time(&space, &query, &settings, budget);
         reply.plan.search_ms = ((given.clock)() - began) * 1e3;
         let Some(found) = found.filter(|_| !budget.is_cancelled()) else {
             return Ok(reply);
         };
-        let discs = found.meets(&query, settings, BESIDE.max(map.grid().spec().resolution));
+        reply.plan.expansions = found.expansions;
+        let discs = found.meets(&query, &settings, BESIDE.max(map.grid().spec().resolution));
         let around = self.spaces.with_discs(map, &model.footprint, policy, &discs);
         let path = pulled(&around.for_disc(radius), &found);
         let length = path.windows(2).map(|leg| (leg[1] - leg[0]).norm()).sum();
-        reply.plan.outcome = PlanOutcome::Found { path, length };
-        reply.plan.expansions = found.expansions;
+        let on_path = PlanReply {
+            outcome: PlanOutcome::Found { path, length },
+            ..reply.plan.clone()
+        };
         given.around = Some(Arc::new(around));
-        let smooth = self.smooth_found(given, request, &reply.plan);
+        let smooth = self.smooth_found(given, request, &on_path);
         given.around = None;
-        reply.smooth = smooth?.filter(|smooth| !smooth.trajectory.is_empty());
-        match &reply.smooth {
-            Some(smooth) => {
-                // A trajectory has a pace of its own: without a planned wait it must not meet anybody.
-                let looser = SpaceTimeSettings {
-                    clearance: settings.clearance - SLACK.0,
-                    before: SLACK.2 * settings.before,
-                    after: SLACK.2 * settings.after,
-                    ..settings.clone()
-                };
-                let timed = smooth.trajectory.spaced(0.0, SPACING.0, SPACING.1);
-                let timed: Vec<_> = timed.map(|point| (point.t, point.position())).collect();
-                let more = query.in_the_way(&timed, &looser) - found.in_the_way;
-                let driven = smooth.trajectory.end_time() + found.waits;
-                let arrival = found.arrival().max(driven) + found.in_the_way;
-                reply.arrival_secs = Some(arrival).filter(|_| found.waits > 0.0 || more <= SLACK.1);
-            }
-            None => reply.plan.outcome = PlanOutcome::NoPath,
+        if let Some(smooth) = smooth?.filter(|smooth| !smooth.trajectory.is_empty()) {
+            // Waits are not in the trajectory: the robot makes them itself, where it gives way.
+            let driven = smooth.trajectory.end_time() + found.waits;
+            reply.arrival_secs = Some(found.arrival().max(driven) + found.in_the_way);
+            (reply.plan, reply.smooth) = (on_path, Some(smooth));
         }
         Ok(reply)
     }
