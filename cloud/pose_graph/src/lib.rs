@@ -21,6 +21,7 @@
 //!    et al. 2016; Rosen et al. 2019). One sparse factorisation counts them, by Sylvester's law of inertia.
 //! 4. **descent** ([`descend()`]): Gauss-Newton from there, with Marquardt's damping where needed.
 //! 5. **robust weights** ([`solve_robust()`]): graduated non-convexity with truncated least squares (Yang et al. 2020) decides on closures.
+//!
 //! Linear systems are sparse, of blocks that [`amd`] orders, factorised as LDLᵀ by [`clarabel::qdldl`].
 //!
 //! Meaning of a certificate: with these weights, no other arrangement of the nodes has a lower cost in the companion problem, and the
