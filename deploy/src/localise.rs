@@ -6,21 +6,23 @@ use std::path::{Path, PathBuf};
 use nalgebra::{Point2, Vector2};
 use serde::Serialize;
 use zenav_localisation::{LocalisationSettings, Localiser, Located};
-use zenav_mapping::read_map;
+use zenav_mapping::{MapFileError, read_map};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::messages::{Health, Scan};
+use zenav_slam::Ordered;
 
 use crate::batch::thread_time;
-use crate::drawing::plane::{Mark, Plane, ROBOT, UNKNOWN};
+use crate::drawing::canvas::Color;
+use crate::drawing::plane::{DEGENERATE, Mark, Plane, ROBOT, UNKNOWN};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
-use crate::inspect::read_log;
 use crate::output::Format;
+use crate::slam::{drawn, read_in_order, skipped_warning};
 use crate::{files, output};
 
 /// Colour of untrusted poses.
-const UNSURE: [u8; 3] = [215, 60, 40];
+const UNSURE: Color = [215, 60, 40];
 /// Pixels of the picture's longer side.
 const SIZE: u32 = 1400;
 
@@ -30,10 +32,10 @@ const SIZE: u32 = 1400;
 /// the thread, independent of other load on the machine.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Examples:\n  zenav localise --map map/map.yaml --log drive.log.gz --out found\n  zenav localise --map map/map.yaml --log drive.log.gz --start 0 0 0"
+    after_help = "Examples:\n  zenav localise --map map/map.yaml --log drive.log.gz --out found\n  zenav localise --map house.slam --log drive.log.gz --start 0 0 0"
 )]
 pub struct LocaliseArgs {
-    /// Map: a `map_server` description or image
+    /// Map: a `map_server` description or image, or a SLAM session
     #[arg(long, value_name = "FILE")]
     map: PathBuf,
     /// CARMEN log of scans and raw odometry, compressed by gzip or not
@@ -60,9 +62,13 @@ pub struct LocaliseArgs {
 #[derive(Debug, Serialize)]
 struct Followed {
     scans: usize,
+    /// Scans that were left out: their stamps go back in time, or are those of the scans before them.
+    skipped: usize,
+    warnings: Vec<String>,
     /// Number of scans by state of the localisation.
     tracking: usize,
     degraded: usize,
+    searching: usize,
     lost: usize,
     ambiguous: usize,
     /// Scans at which a search of the whole map found the robot, and the first of them, s after the start of the log.
@@ -93,12 +99,32 @@ type Step = (f64, Located);
 /// # Errors
 /// Exit code 3 if a file is missing, 2 if it is bad, 1 if the robot was never found.
 pub fn localise(args: &LocaliseArgs) -> Outcome {
-    if !args.map.is_file() {
-        return Err(Failure::not_found(format!("{}: no such map", args.map.display())));
+    let followed = followed(args)?;
+    output::value(args.output, &followed, Followed::told)?;
+    Ok(if followed.tracking + followed.degraded == 0 {
+        exit_code::FAILED
+    } else {
+        exit_code::OK
+    })
+}
+
+/// The map of a file: a `map_server` or Moving AI map by its name, or a session by its content.
+fn read(path: &Path, resolution: f64) -> Result<OccupancyGrid, Failure> {
+    if !path.is_file() {
+        return Err(Failure::not_found(format!("{}: no such map", path.display())));
     }
-    let map = read_map(&args.map, args.resolution).map_err(Failure::usage)?;
-    let scans = read_log(&args.log)?;
-    let (steps, mut times) = follow(&map, &scans, args.start.as_deref());
+    match read_map(path, resolution) {
+        Err(kind @ MapFileError::Kind { .. }) => {
+            drawn(path, resolution)?.ok_or_else(|| Failure::usage(format!("{kind}, or a SLAM session")))
+        }
+        map => map.map_err(Failure::usage),
+    }
+}
+
+fn followed(args: &LocaliseArgs) -> Result<Followed, Failure> {
+    let map = read(&args.map, args.resolution)?;
+    let log = read_in_order(&args.log)?;
+    let (steps, mut times) = follow(&map, &log.scans, args.start.as_deref());
     let Some((begun, _)) = steps.first() else {
         return Err(Failure::usage(format!(
             "{}: no scan of it makes sense",
@@ -114,10 +140,13 @@ pub fn localise(args: &LocaliseArgs) -> Outcome {
     let first = steps.iter().find(|(_, located)| located.is_found_anew);
     times.sort_by(f64::total_cmp);
     let at = |share: f64| 1e3 * times[((times.len() - 1) as f64 * share).round() as usize];
-    let followed = Followed {
+    Ok(Followed {
         scans: steps.len(),
+        skipped: log.skipped + log.scans.len() - steps.len(),
+        warnings: warnings(&args.log, &log, steps.len()),
         tracking: count(|health| matches!(health, Health::Tracking)),
         degraded: count(|health| matches!(health, Health::Degraded { .. })),
+        searching: count(|health| matches!(health, Health::Searching)),
         lost: count(|health| matches!(health, Health::Lost)),
         ambiguous: count(|health| matches!(health, Health::Ambiguous { .. })),
         found: steps.iter().filter(|(_, located)| located.is_found_anew).count(),
@@ -130,34 +159,48 @@ pub fn localise(args: &LocaliseArgs) -> Outcome {
             max: at(1.0),
         },
         last: steps.last().map(|(_, located)| located.pose).unwrap_or_default(),
-    };
-    output::value(args.output, &followed, |followed| {
-        let found = followed.found_after_s.map_or_else(String::new, |secs| {
-            format!("; found {} times, first after {secs:.1} s", followed.found)
-        });
-        format!(
-            "{} scans: {} tracking, {} degraded, {} lost, {} ambiguous{found}\non average {:.0} % of a scan agrees with the map; {:.2} ms a scan, {:.0} ms at most; last at ({:.2}, {:.2}), {:.2} rad",
-            followed.scans,
-            followed.tracking,
-            followed.degraded,
-            followed.lost,
-            followed.ambiguous,
-            100.0 * followed.agreeing,
-            followed.cpu_ms_per_scan.mean,
-            followed.cpu_ms_per_scan.max,
-            followed.last.x,
-            followed.last.y,
-            followed.last.yaw
-        )
-    })?;
-    Ok(if agreeing.is_empty() {
-        exit_code::FAILED
-    } else {
-        exit_code::OK
     })
 }
 
-/// Localisation of each scan, and its processor time, s.
+/// Warnings about the scans that were left out, by reason.
+fn warnings(path: &Path, log: &Ordered, used: usize) -> Vec<String> {
+    let unused = log.scans.len() - used;
+    let repeated = (unused > 0).then(|| {
+        format!(
+            "{}: {unused} of {} scans have the stamp of the scan before them and were skipped",
+            path.display(),
+            log.skipped + log.scans.len()
+        )
+    });
+    skipped_warning(path, log).into_iter().chain(repeated).collect()
+}
+
+impl Followed {
+    /// Summary.
+    fn told(&self) -> String {
+        let found = self.found_after_s.map_or_else(String::new, |secs| {
+            format!("; found {} times, first after {secs:.1} s", self.found)
+        });
+        let warnings: String = self.warnings.iter().map(|w| format!("\nwarning: {w}")).collect();
+        format!(
+            "{} scans: {} tracking, {} degraded, {} searching, {} lost, {} ambiguous{found}\non average {:.0} % of a scan agrees with the map; {:.2} ms a scan, {:.0} ms at most; last at ({:.2}, {:.2}), {:.2} rad{warnings}",
+            self.scans,
+            self.tracking,
+            self.degraded,
+            self.searching,
+            self.lost,
+            self.ambiguous,
+            100.0 * self.agreeing,
+            self.cpu_ms_per_scan.mean,
+            self.cpu_ms_per_scan.max,
+            self.last.x,
+            self.last.y,
+            self.last.yaw
+        )
+    }
+}
+
+/// Localisation of each scan, and its processor time, s. A scan with the stamp of the scan before it is left out.
 fn follow(map: &OccupancyGrid, scans: &[Scan], start: Option<&[f64]>) -> (Vec<Step>, Vec<f64>) {
     let mut localiser = Localiser::new(LocalisationSettings::default(), map);
     if start.is_none() {
@@ -174,9 +217,10 @@ fn follow(map: &OccupancyGrid, scans: &[Scan], start: Option<&[f64]>) -> (Vec<St
             ..scan.clone()
         };
         let begun = thread_time();
-        let located = localiser.step(&scan);
-        times.push(thread_time().saturating_sub(begun).as_secs_f64());
-        steps.extend(located.map(|located| (scan.stamp.as_secs(), located)));
+        if let Some(located) = localiser.step(&scan) {
+            times.push(thread_time().saturating_sub(begun).as_secs_f64());
+            steps.push((scan.stamp.as_secs(), located));
+        }
     }
     (steps, times)
 }
@@ -190,6 +234,7 @@ fn write(out: &Path, map: &OccupancyGrid, steps: &[Step]) -> Result<(), Failure>
         let health = match located.health {
             Health::Tracking => "tracking",
             Health::Degraded { .. } => "degraded",
+            Health::Searching => "searching",
             Health::Lost => "lost",
             Health::Ambiguous { .. } => "ambiguous",
         };
@@ -207,22 +252,93 @@ fn write(out: &Path, map: &OccupancyGrid, steps: &[Step]) -> Result<(), Failure>
         UNKNOWN,
     )?;
     plane.map(map);
-    // A stretch ends where the pose is not trusted, and where the robot is found at another place.
+    // A stretch ends where the health changes, and where the robot is found at another place.
     let mut stretch: Vec<Point2<f64>> = Vec::new();
-    let mut is_sure = true;
+    let mut color = ROBOT;
     for (_, located) in steps {
-        let now = located.health.is_trusted();
-        if now != is_sure || located.is_found_anew {
-            plane.polyline(&stretch, if is_sure { ROBOT } else { UNSURE }, 1.5);
-            stretch.clear();
-            is_sure = now;
+        let now = color_of(&located.health);
+        if now != color || located.is_found_anew {
+            plane.polyline(&stretch, color, 1.5);
+            let end = stretch.last().copied().filter(|_| !located.is_found_anew);
+            stretch = end.into_iter().collect();
+            color = now;
         }
         stretch.push(located.pose.position());
     }
-    plane.polyline(&stretch, if is_sure { ROBOT } else { UNSURE }, 1.5);
+    plane.polyline(&stretch, color, 1.5);
     plane.map_legend();
     plane.gap();
     plane.legend(Mark::Line, ROBOT, "way in the map");
+    plane.legend(Mark::Line, DEGENERATE, "degenerate stretch");
     plane.legend(Mark::Line, UNSURE, "not to be trusted");
     files::write(&out.join("localise.png"), plane.finish()?.png()?)
+}
+
+fn color_of(health: &Health) -> Color {
+    match health {
+        Health::Tracking => ROBOT,
+        Health::Degraded { .. } => DEGENERATE,
+        Health::Searching | Health::Lost | Health::Ambiguous { .. } => UNSURE,
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use clap::Parser as _;
+
+    use super::*;
+    use crate::slam::drive;
+
+    #[derive(clap::Parser)]
+    struct Command {
+        #[command(flatten)]
+        localise: LocaliseArgs,
+    }
+
+    fn arguments(map: &Path, log: &Path) -> LocaliseArgs {
+        let [map, log] = [map, log].map(|path| path.to_str().unwrap());
+        let words = ["localise", "--map", map, "--log", log, "--start", "0", "0", "0"];
+        Command::try_parse_from(words).unwrap().localise
+    }
+
+    #[test]
+    fn a_robot_is_localised_in_a_session_and_scans_out_of_order_are_counted() {
+        let folder = tempfile::tempdir().unwrap();
+        let [session, log, other] = ["room.slam", "drive.log", "notes.txt"].map(|name| folder.path().join(name));
+        let mut scans = drive::scans(40);
+        std::fs::write(&session, drive::mapped(&scans).save().unwrap()).unwrap();
+        drive::write(&log, &scans);
+        let found = followed(&arguments(&session, &log)).unwrap();
+        assert_eq!((found.scans, found.skipped, found.warnings.len()), (40, 0, 0));
+        assert!(found.tracking + found.degraded > 20, "{found:?}");
+        // One stamp goes back, and one is repeated.
+        scans[10].stamp = scans[3].stamp;
+        scans[21].stamp = scans[20].stamp;
+        drive::write(&log, &scans);
+        let found = followed(&arguments(&session, &log)).unwrap();
+        assert_eq!((found.scans, found.skipped), (38, 2));
+        let [back, repeated] = &found.warnings[..] else {
+            panic!("{found:?}");
+        };
+        assert!(back.contains("1 of 40 scans go back in time and were skipped, the first of them scan 11 at"));
+        assert!(repeated.ends_with("1 of 40 scans have the stamp of the scan before them and were skipped"));
+        assert!(
+            found
+                .told()
+                .ends_with(&format!("\nwarning: {back}\nwarning: {repeated}"))
+        );
+        scans.reverse();
+        drive::write(&log, &scans);
+        let refused = followed(&arguments(&session, &log)).unwrap_err();
+        assert!(refused.message.ends_with("sort the log by its stamps"), "{refused}");
+        std::fs::write(&other, "no map").unwrap();
+        let refused = followed(&arguments(&other, &log)).unwrap_err();
+        assert!(
+            refused
+                .message
+                .ends_with("expected a map: .yaml, .pgm, .png or .map, or a SLAM session"),
+            "{refused}"
+        );
+    }
 }

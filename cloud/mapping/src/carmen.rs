@@ -1,9 +1,10 @@
-//! CARMEN logs. Reads recorded laser scans at known poses.
+//! CARMEN logs. Reads and writes recorded laser scans at known poses.
 //!
-//! `FLASER n r1 … rn x y theta odom_x odom_y odom_theta time host logger_time` is a sweep of half a circle; the first pose is the laser's.
-//! `ROBOTLASER1` states its own field of view. Other lines are skipped.
+//! `FLASER n r1 … rn x y theta odom_x odom_y odom_theta time host logger_time` is a sweep of half a circle; the first pose is the laser's,
+//! the second one the robot's raw odometry. `ROBOTLASER1` states its own field of view. Other lines are skipped.
 
 use std::f64::consts::{FRAC_PI_2, PI};
+use std::fmt::Write as _;
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
@@ -22,6 +23,12 @@ const MAX_LINE: u64 = 1 << 20;
 const MAX_BEAMS: usize = 10_000;
 /// Readings from here on, m, mean no return: lasers of that time report 81.9 m.
 const NOTHING_SEEN: f64 = 80.0;
+/// The reading, m, of a beam without a return in a sweep of half a circle.
+const NO_RETURN: f64 = 81.91;
+/// Shorter readings, m, are none.
+const RANGE_MIN: f64 = 0.02;
+/// Angles that differ by less, rad, are the same.
+const SAME_ANGLE: f64 = 1e-9;
 
 /// Why a log could not be read.
 #[derive(Debug, Error)]
@@ -191,12 +198,7 @@ impl Words<'_> {
         let laser = self.pose()?;
         self.pose()?;
         let time = self.time()?;
-        // A sweep of half a circle: 180 readings are a degree apart, and so are 181.
-        let angle_increment = match ranges.len() {
-            180 | 181 => PI / 180.0,
-            360 | 361 => PI / 360.0,
-            count => PI / count.saturating_sub(1).max(1) as f64,
-        };
+        let angle_increment = half_circle_increment(ranges.len());
         Ok(scan(time, laser, -FRAC_PI_2, angle_increment, NOTHING_SEEN, ranges))
     }
 
@@ -210,7 +212,7 @@ impl Words<'_> {
         self.number("the remission mode")?;
         let mut ranges = self.ranges()?;
         // The maximum range itself means no return.
-        for range in ranges.iter_mut().filter(|range| f64::from(**range) >= range_max) {
+        for range in ranges.iter_mut().filter(|range| **range >= range_max as f32) {
             *range = f32::INFINITY;
         }
         for _ in 0..self.count("the number of remissions")? {
@@ -232,18 +234,90 @@ impl Words<'_> {
     }
 }
 
+/// Angle, rad, between the readings of a sweep of half a circle: 180 readings are a degree apart, and so are 181.
+fn half_circle_increment(readings: usize) -> f64 {
+    match readings {
+        180 | 181 => PI / 180.0,
+        360 | 361 => PI / 360.0,
+        count => PI / count.saturating_sub(1).max(1) as f64,
+    }
+}
+
 fn scan(time: f64, laser: Pose2, angle_min: f64, angle_increment: f64, range_max: f64, ranges: Vec<f32>) -> Scan {
     Scan {
         stamp: Stamp::from_secs(time),
         angle_min,
         angle_increment,
-        range_min: 0.02,
+        range_min: RANGE_MIN,
         range_max,
         ranges,
+        boot_id: String::new(),
         moving: Vec::new(),
         base_from_laser: Pose2::IDENTITY,
         map_from_odom: Pose2::IDENTITY,
         odom_from_base: laser,
+    }
+}
+
+/// The line of a scan, `FLASER` for a sweep of half a circle and `ROBOTLASER1` for any other. Its laser stands where the scan's own poses
+/// put it, corrected ones for example; `odom_from_base` is the robot's raw odometry, which only `FLASER` has room for.
+///
+/// The lines of [`CarmenReader`]'s scans are read back as the same scans, with their stamps to a double's precision. A beam without a return
+/// gets a reading that means none.
+///
+/// ```
+/// use zenav_mapping::carmen::{CarmenReader, line};
+///
+/// let log = "FLASER 3 1 2 81.91 0.5 -0.5 0.1 0.4 -0.5 0.2 1.25 zenav 1.25\n";
+/// let scan = CarmenReader::new(log.as_bytes()).next().unwrap().unwrap();
+/// let odometry = zenav_protocol::geometry::Pose2::new(0.4, -0.5, 0.2);
+/// assert_eq!(line(&scan, odometry), log);
+/// ```
+#[must_use]
+pub fn line(scan: &Scan, odom_from_base: Pose2) -> String {
+    let is_half_circle = (scan.angle_min + FRAC_PI_2).abs() < SAME_ANGLE
+        && (scan.angle_increment - half_circle_increment(scan.ranges.len())).abs() < SAME_ANGLE;
+    let laser = scan.map_from_laser();
+    let mut line = String::new();
+    if is_half_circle {
+        line.push_str("FLASER");
+        push_readings(&mut line, scan, NOTHING_SEEN, NO_RETURN);
+        push_poses(&mut line, [laser, odom_from_base]);
+    } else {
+        let range_max = scan.range_max.min(NOTHING_SEEN);
+        let view = scan.angle_increment * scan.ranges.len().saturating_sub(1) as f64;
+        // Writing to a string does not fail.
+        let _ = write!(
+            line,
+            "ROBOTLASER1 0 {} {view} {} {range_max} 0 0",
+            scan.angle_min, scan.angle_increment
+        );
+        push_readings(&mut line, scan, range_max, range_max);
+        line.push_str(" 0");
+        push_poses(&mut line, [laser, scan.map_from_odom * scan.odom_from_base]);
+        line.push_str(" 0 0 0 0 0");
+    }
+    let time = scan.stamp.as_secs();
+    let _ = writeln!(line, " {time} zenav {time}");
+    line
+}
+
+/// Appends the number of readings and the readings. What is read from `farthest` on means no return, and so does `none`, m.
+fn push_readings(line: &mut String, scan: &Scan, farthest: f64, none: f64) {
+    let _ = write!(line, " {}", scan.ranges.len());
+    for range in &scan.ranges {
+        let is_read_as_return = f64::from(*range) >= RANGE_MIN && *range < farthest as f32;
+        let _ = if range.is_finite() && is_read_as_return == scan.is_return(*range) {
+            write!(line, " {range}")
+        } else {
+            write!(line, " {none}")
+        };
+    }
+}
+
+fn push_poses(line: &mut String, poses: [Pose2; 2]) {
+    for Pose2 { x, y, yaw } in poses {
+        let _ = write!(line, " {x} {y} {yaw}");
     }
 }
 
@@ -281,6 +355,71 @@ mod tests {
         );
         // The maximum range means no return.
         assert_eq!(scans[1].ranges, [1.5, 2.5, f32::INFINITY]);
+    }
+
+    /// What is read from the lines of scans.
+    fn read_back(scans: &[Scan], odom_from_base: Pose2) -> Vec<Scan> {
+        let text: String = scans.iter().map(|scan| line(scan, odom_from_base)).collect();
+        CarmenReader::new(text.as_bytes()).map(Result::unwrap).collect()
+    }
+
+    #[test]
+    fn the_lines_of_scans_are_read_back_as_the_same_scans() {
+        let corrected = |scan: Scan| Scan {
+            odom_from_base: Pose2::new(3.25, -7.5, 2.5),
+            ..scan
+        };
+        let mut scans: Vec<Scan> = CarmenReader::new(LOG.as_bytes())
+            .map(|scan| corrected(scan.unwrap()))
+            .collect();
+        // The maximum range of some lasers is no number of single precision.
+        let wide =
+            "ROBOTLASER1 0 -2.1 4.2 1.4 5.6 0.01 0 4 0.01 5.6 1.1 4.9 0 1 2 0.3 1 2 0.3 0 0 0.3 0.3 1e6 2.5 host 2.5\n";
+        let wide = CarmenReader::new(wide.as_bytes()).next().unwrap().unwrap();
+        assert_eq!(wide.ranges, [0.01, f32::INFINITY, 1.1, 4.9]);
+        scans.push(corrected(wide));
+        for readings in [180, 181, 360, 361, 541] {
+            let ranges = (0..readings).map(|reading| 0.1 + reading as f32 * 0.01).collect();
+            let laser = Pose2::new(0.1, 0.2, -0.3);
+            scans.push(scan(
+                7.5,
+                laser,
+                -FRAC_PI_2,
+                half_circle_increment(readings),
+                NOTHING_SEEN,
+                ranges,
+            ));
+        }
+        assert_eq!(read_back(&scans, Pose2::new(1.0, 2.0, 3.0)), scans);
+        let words = line(&scans[0], Pose2::new(1.0, 2.0, 3.0));
+        assert_eq!(words, "FLASER 3 1 2 81.9 3.25 -7.5 2.5 1 2 3 1.25 zenav 1.25\n");
+        assert!(
+            line(&scans[1], Pose2::IDENTITY)
+                .starts_with("ROBOTLASER1 0 -1.5 1 0.5 20 0 0 3 1.5 2.5 20 0 3.25 -7.5 2.5 ")
+        );
+    }
+
+    #[test]
+    fn a_beam_without_a_return_is_read_back_without_one() {
+        for angle_min in [-FRAC_PI_2, -1.0] {
+            let near = Scan {
+                range_min: 0.5,
+                ranges: vec![f32::INFINITY, f32::NAN, 0.3, 9.0, 4.0],
+                ..scan(
+                    1.0,
+                    Pose2::IDENTITY,
+                    angle_min,
+                    half_circle_increment(5),
+                    8.0,
+                    Vec::new(),
+                )
+            };
+            let read = &read_back(std::slice::from_ref(&near), Pose2::IDENTITY)[0];
+            let returns =
+                |scan: &Scan| -> Vec<bool> { scan.ranges.iter().map(|range| scan.is_return(*range)).collect() };
+            assert_eq!(returns(read), [false, false, false, false, true]);
+            assert_eq!(returns(read), returns(&near));
+        }
     }
 
     #[test]

@@ -1,8 +1,9 @@
 //! g2o files. Reads and writes pose graphs in the plane.
 //!
 //! The text format of g2o (Kuemmerle et al. 2011): `VERTEX_SE2 id x y yaw`, `EDGE_SE2 from to x y yaw I11 I12 I13 I22 I23 I33` with the
-//! upper triangle of the information matrix, row by row; `FIX id` and comments (`#`) are skipped. Lengths are metres, angles radians. The
-//! format does not mark loop closures: an edge between ids that differ by 1 is odometry, any other a closure.
+//! upper triangle of the information matrix, row by row; `FIX id` names the vertex that never moves, of which there can be one; comments
+//! (`#`) are skipped. Lengths are metres, angles radians. The format does not mark loop closures: an edge between ids that differ by 1 is
+//! odometry, any other a closure.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -17,9 +18,10 @@ use crate::start::odometry_start;
 /// A graph, and the ids of its nodes in the file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Document {
-    /// The graph; nodes in the order of their ids, so that the lowest id is the anchor.
+    /// The graph; the fixed vertex comes first, as the anchor, then all others in the order of their ids. Without a fixed vertex the lowest
+    /// id is the anchor.
     pub graph: PoseGraph,
-    /// The id of each node, ascending.
+    /// The id of each node.
     pub ids: Vec<u64>,
 }
 
@@ -55,6 +57,13 @@ struct EdgeLine {
     information: Matrix3<f64>,
 }
 
+/// The fixed vertex, and the number of its line, from 1.
+#[derive(Clone, Copy)]
+struct Fixed {
+    line: usize,
+    id: u64,
+}
+
 /// Reads the text of a file. Nodes that only edges name start at their pose by odometry.
 ///
 /// ```
@@ -66,15 +75,24 @@ struct EdgeLine {
 /// ```
 ///
 /// # Errors
-/// The first line and field that is malformed or of another kind (3D, landmarks), or the line of the first invalid edge.
+/// The first line and field that is malformed or of another kind (3D, landmarks), a second fixed vertex, or the line of the first invalid
+/// edge.
 pub fn read(text: &str) -> Result<Document, G2oError> {
     let mut vertices: BTreeMap<u64, Option<Pose2>> = BTreeMap::new();
     let mut lines: Vec<EdgeLine> = Vec::new();
+    let mut fixed: Option<Fixed> = None;
     for (number, line) in (1..).zip(text.lines()) {
         let mut words = Words::new(number, line);
         match words.next() {
-            None | Some("FIX") => continue,
+            None => continue,
             Some(tag) if tag.starts_with('#') => continue,
+            Some("FIX") => {
+                let id = words.id("the id of a vertex")?;
+                if let Some(before) = fixed.filter(|before| before.id != id) {
+                    return Err(words.wrong(format!("expected one fixed vertex, found {id} beside {}", before.id)));
+                }
+                fixed = Some(Fixed { line: number, id });
+            }
             Some("VERTEX_SE2") => {
                 let id = words.id("an id")?;
                 let pose = words.pose()?;
@@ -96,23 +114,23 @@ pub fn read(text: &str) -> Result<Document, G2oError> {
         }
         words.end()?;
     }
+    let ids = in_order(&vertices, fixed)?;
     let mut graph = PoseGraph::new();
-    for pose in vertices.values() {
+    for id in &ids {
         // All numbers were checked when read.
         graph
-            .add_node(pose.unwrap_or_default())
+            .add_node(vertices[id].unwrap_or_default())
             .map_err(|source| G2oError::Graph { line: 0, source })?;
     }
-    let ids: Vec<u64> = vertices.keys().copied().collect();
-    let index = |id: u64| ids.binary_search(&id).unwrap_or(usize::MAX);
+    let indices: BTreeMap<u64, usize> = ids.iter().copied().zip(0..).collect();
     for edge in lines {
         let kind = match edge.from.abs_diff(edge.to) {
             1 => EdgeKind::Odometry,
             _ => EdgeKind::Closure,
         };
         let built = Edge {
-            from: index(edge.from),
-            to: index(edge.to),
+            from: indices[&edge.from],
+            to: indices[&edge.to],
             measurement: edge.measurement,
             information: edge.information,
             kind,
@@ -123,13 +141,29 @@ pub fn read(text: &str) -> Result<Document, G2oError> {
             .map_err(|source| G2oError::Graph { line, source })?;
     }
     if vertices.values().any(Option::is_none) {
-        let known: Vec<bool> = vertices.values().map(Option::is_some).collect();
+        let known: Vec<bool> = ids.iter().map(|id| vertices[id].is_some()).collect();
         let start = odometry_start(&graph, &known);
         graph
             .set_poses(&start)
             .map_err(|source| G2oError::Graph { line: 0, source })?;
     }
     Ok(Document { graph, ids })
+}
+
+/// The ids of all vertices: the fixed one, then the others, ascending.
+fn in_order(vertices: &BTreeMap<u64, Option<Pose2>>, fixed: Option<Fixed>) -> Result<Vec<u64>, G2oError> {
+    let Some(Fixed { line, id: fixed }) = fixed else {
+        return Ok(vertices.keys().copied().collect());
+    };
+    if !vertices.contains_key(&fixed) {
+        return Err(G2oError::Field {
+            line,
+            field: 2,
+            what: format!("expected the id of a vertex, found {fixed}"),
+        });
+    }
+    let others = vertices.keys().copied().filter(|id| *id != fixed);
+    Ok(std::iter::once(fixed).chain(others).collect())
 }
 
 /// Writes the text of a file: vertices, the anchor as `FIX`, edges. [`read`] returns the same graph, bit for bit; but odometry between ids

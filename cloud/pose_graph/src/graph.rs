@@ -46,12 +46,15 @@ pub enum GraphError {
     /// Both ends are the same node.
     #[error("an edge from node {0} to itself measures nothing")]
     Loop(usize),
-    /// A number of a pose or measurement is not finite.
+    /// A number of a pose, measurement or information matrix is not finite.
     #[error("a number of {0} is not finite")]
     NotFinite(&'static str),
     /// The information matrix is not symmetric, or has a negative eigenvalue: it is not the inverse of a covariance.
     #[error("the information matrix is not symmetric and positive semidefinite")]
     Information,
+    /// The information matrix is zero: leave the measurement out.
+    #[error("the information matrix is zero: the edge measures nothing, leave it out")]
+    NoInformation,
 }
 
 /// Nodes, and measurements between them. Indices count from 0 in order of insertion.
@@ -83,7 +86,7 @@ impl PoseGraph {
     /// Adds a measurement; returns its index.
     ///
     /// # Errors
-    /// An end that does not exist, identical ends, a number that is not finite, an invalid information matrix.
+    /// An end that does not exist, identical ends, a number that is not finite, an information matrix that is invalid or zero.
     pub fn add_edge(&mut self, edge: Edge) -> Result<usize, GraphError> {
         let nodes = self.poses.len();
         for node in [edge.from, edge.to] {
@@ -97,9 +100,7 @@ impl PoseGraph {
         if !edge.measurement.is_finite() {
             return Err(GraphError::NotFinite("a measurement"));
         }
-        if !is_information(&edge.information) {
-            return Err(GraphError::Information);
-        }
+        check(&edge.information)?;
         self.edges.push(edge);
         Ok(self.edges.len() - 1)
     }
@@ -154,10 +155,19 @@ impl PoseGraph {
     }
 }
 
-fn is_information(matrix: &Matrix3<f64>) -> bool {
-    let largest = matrix.amax();
-    if !largest.is_finite() || (matrix - matrix.transpose()).amax() > SEMIDEFINITE * largest {
-        return false;
+/// Checks an information matrix.
+fn check(information: &Matrix3<f64>) -> Result<(), GraphError> {
+    if !information.iter().all(|entry| entry.is_finite()) {
+        return Err(GraphError::NotFinite("an information matrix"));
     }
-    largest > 0.0 && matrix.symmetric_eigenvalues().min() >= -SEMIDEFINITE * largest
+    let largest = information.amax();
+    if largest == 0.0 {
+        return Err(GraphError::NoInformation);
+    }
+    let is_symmetric = (information - information.transpose()).amax() <= SEMIDEFINITE * largest;
+    if is_symmetric && information.symmetric_eigenvalues().min() >= -SEMIDEFINITE * largest {
+        Ok(())
+    } else {
+        Err(GraphError::Information)
+    }
 }

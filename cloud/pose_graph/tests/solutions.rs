@@ -273,7 +273,15 @@ fn what_cannot_be_solved_is_said() {
         information: Matrix3::zeros(),
         kind: EdgeKind::Odometry,
     };
-    assert_eq!(graph.add_edge(alone), Err(GraphError::Information));
+    assert_eq!(graph.add_edge(alone), Err(GraphError::NoInformation));
+    let unbounded = Edge {
+        information: Matrix3::identity() * f64::INFINITY,
+        ..alone
+    };
+    assert_eq!(
+        graph.add_edge(unbounded),
+        Err(GraphError::NotFinite("an information matrix"))
+    );
     assert_eq!(graph.add_edge(Edge { to: 3, ..alone }), Err(GraphError::Loop(3)));
     let mut bad = information();
     bad[(0, 1)] = 1.0;
@@ -312,9 +320,51 @@ fn a_mistake_in_a_file_is_named_by_line_and_field() {
         "line 1: the information matrix is not symmetric and positive semidefinite"
     );
     assert_eq!(
+        error("EDGE_SE2 0 1 0 0 0 0 0 0 0 0 0\n"),
+        "line 1: the information matrix is zero: the edge measures nothing, leave it out"
+    );
+    assert_eq!(
         error("VERTEX_SE2 4 0 0 0\nVERTEX_SE2 4 0 0 0\n"),
         "line 2, field 2: expected a new id, found 4 again"
     );
+    assert_eq!(
+        error("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 0 0 0\nFIX 1\nFIX 0\n"),
+        "line 4, field 2: expected one fixed vertex, found 0 beside 1"
+    );
+    assert_eq!(
+        error("FIX 2\nVERTEX_SE2 0 0 0 0\n"),
+        "line 1, field 2: expected the id of a vertex, found 2"
+    );
+}
+
+#[test]
+fn the_fixed_vertex_of_a_file_stays_where_it_is() {
+    let lines = |fixed: &str| {
+        let ring = (1..=3).map(|id| format!("EDGE_SE2 {id} {} 1 0 1.57 100 0 0 100 0 400\n", id % 4 + 1));
+        let vertices = (1..=4).map(|id| format!("VERTEX_SE2 {id} {id} 0.5 0.1\n"));
+        let closure = "EDGE_SE2 4 1 1.2 0.1 1.6 100 0 0 100 0 400\n".to_owned();
+        vertices
+            .chain([fixed.to_owned()])
+            .chain(ring)
+            .chain([closure])
+            .collect::<String>()
+    };
+    let solved = |text: &str| {
+        let document = g2o::read(text).unwrap();
+        let solution = solve(&document.graph, &DescentSettings::default()).unwrap();
+        (document, solution)
+    };
+    let (document, solution) = solved(&lines("FIX 3\n"));
+    assert_eq!(document.ids, [3, 1, 2, 4]);
+    assert!(apart(&solution.poses[..1], &[Pose2::new(3.0, 0.5, 0.1)]) < 1e-12);
+    assert!(solution.poses[1].distance(&Pose2::new(1.0, 0.5, 0.0)) > 0.1);
+    let written = g2o::write(&document.graph, &document.ids);
+    assert!(written.contains("\nFIX 3\n"), "{written}");
+    assert_eq!(g2o::read(&written).unwrap(), document);
+    // The gauge does not change the shape.
+    let (free, other) = solved(&lines(""));
+    assert_eq!(free.ids, [1, 2, 3, 4]);
+    assert!((other.chi_squared - solution.chi_squared).abs() < 1e-6 * (1.0 + other.chi_squared));
 }
 
 #[test]

@@ -57,6 +57,10 @@ impl BackEnd {
         &self.weights
     }
 
+    pub(crate) fn is_final(&self) -> &[bool] {
+        &self.is_final
+    }
+
     /// `map_from_node` of all nodes.
     pub(crate) fn poses(&self) -> &[Pose2] {
         self.graph.poses()

@@ -13,9 +13,26 @@ use crate::submap::Submap;
 /// Information that holds a scan in place along a direction, 1/m².
 const HELD: f64 = 1e6;
 
-/// Decides on the closures, then in rounds: redraws submaps at the present poses, matches each scan to nearby submaps, and solves.
-pub(crate) fn finish(slam: &mut Slam) -> Result<RobustSolution, SlamError> {
+/// Time of the solves, s by the caller's clock.
+struct Solving<'c> {
+    clock: &'c mut dyn FnMut() -> f64,
+    time: f64,
+}
+
+impl Solving<'_> {
+    fn measure<T>(&mut self, solve: impl FnOnce() -> T) -> T {
+        let begin = (self.clock)();
+        let result = solve();
+        self.time += (self.clock)() - begin;
+        result
+    }
+}
+
+/// Decides on the closures, then in rounds: redraws submaps at the present poses, matches each scan to nearby submaps, and solves. Returns
+/// also the time of the solves, s by `clock`.
+pub(crate) fn finish(slam: &mut Slam, clock: &mut dyn FnMut() -> f64) -> Result<(RobustSolution, f64), SlamError> {
     let settings = slam.settings;
+    let mut solving = Solving { clock, time: 0.0 };
     let points = slam.scans.clone();
     let seen_from = |(node, scan)| Refinable::seen_from(slam.laser_of(node), scan);
     let scans: Vec<Refinable<'_>> = points
@@ -25,7 +42,7 @@ pub(crate) fn finish(slam: &mut Slam) -> Result<RobustSolution, SlamError> {
         .map(seen_from)
         .collect();
     slam.back_end.drop_final()?;
-    let mut solved = slam.back_end.solve(&settings.descent, &settings.robust)?;
+    let mut solved = solving.measure(|| slam.back_end.solve(&settings.descent, &settings.robust))?;
     for _ in 0..settings.finish.rounds {
         redraw(slam, &scans);
         // Matches of the previous round belong to other submaps.
@@ -33,14 +50,14 @@ pub(crate) fn finish(slam: &mut Slam) -> Result<RobustSolution, SlamError> {
         for (node, scan) in scans.iter().enumerate() {
             rematch(slam, node, scan)?;
         }
-        slam.back_end.settle(&settings.descent, &settings.robust)?;
+        solving.measure(|| slam.back_end.settle(&settings.descent, &settings.robust))?;
     }
     if settings.finish.rounds > 0 {
         redraw(slam, &scans);
         replace(slam);
-        solved = slam.back_end.solved(&settings.descent)?;
+        solved = solving.measure(|| slam.back_end.solved(&settings.descent))?;
     }
-    Ok(solved)
+    Ok((solved, solving.time))
 }
 
 /// Redraws all submaps.

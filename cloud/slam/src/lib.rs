@@ -47,6 +47,7 @@
 //! | `closure` | was the robot here before? |
 //! | `drift` | how certain is a node's pose relative to an old submap? |
 //! | `back_end` | which poses agree best? |
+//! | `drawing` | what of the pose graph is drawn? |
 //! | `finish` | where does each scan lie once all are known? |
 //! | `session` | how is a map saved and continued later? |
 //! | `joining` | where in an older map is this one, and is that certain? |
@@ -56,6 +57,7 @@
 mod back_end;
 mod closure;
 mod doubt;
+mod drawing;
 mod drift;
 mod finish;
 mod joining;
@@ -67,7 +69,7 @@ mod slam;
 mod step;
 mod submap;
 
-pub use joining::{MergeError, merge};
+pub use joining::{MergeError, merge, merge_timed};
 pub use metric::{Relation, RelationError, RelationErrors, Spread, read_relations, relation_errors};
 pub use order::{Disorder, Ordered, in_order};
 pub use session::{MOST_BYTES, SessionError, Snapshot};

@@ -529,7 +529,16 @@ impl Slam {
     /// # Errors
     /// [`SlamError::Solve`], for instance without any scan.
     pub fn finish(&mut self) -> Result<RobustSolution, SlamError> {
-        finish::finish(self)
+        self.finish_timed(&mut || 0.0).map(|(solved, _)| solved)
+    }
+
+    /// [`Self::finish`], and how long the graph was solved in it, certificate included, s by the caller's `clock`: most of a finish is
+    /// matching.
+    ///
+    /// # Errors
+    /// As [`Self::finish`].
+    pub fn finish_timed(&mut self, clock: &mut dyn FnMut() -> f64) -> Result<(RobustSolution, f64), SlamError> {
+        finish::finish(self, clock)
     }
 
     /// `map_from_base` at each scan given so far, with its time, s.
@@ -552,6 +561,13 @@ impl Slam {
     #[must_use]
     pub fn weights(&self) -> &[f64] {
         self.back_end.weights()
+    }
+
+    /// Which edges of the graph are matches of the finish, one for each edge. The other [closures](EdgeKind::Closure) are places that were
+    /// recognised on the way.
+    #[must_use]
+    pub fn rematches(&self) -> &[bool] {
+        self.back_end.is_final()
     }
 
     /// `map_from_node` of all inserted scans, in order.

@@ -51,6 +51,32 @@ fn a_drive_through_a_house_is_mapped_closed_and_certified() {
 }
 
 #[test]
+fn the_solves_of_a_finish_are_timed_and_its_matches_marked() {
+    let (scans, _) = house::drive(1);
+    let mut slam = Slam::new(SlamSettings::default());
+    let mut closures = 0;
+    for scan in &scans {
+        closures += slam.step(scan).unwrap().closures;
+    }
+    assert!(slam.rematches().iter().all(|is_rematch| !is_rematch));
+    let mut told = 0.0;
+    let mut clock = || {
+        told += 1.0;
+        told
+    };
+    let (_, solving) = slam.clone().finish_timed(&mut clock).unwrap();
+    // The clock is read before and after each solve: at first, in each round, and for the certificate.
+    assert_eq!(solving, f64::from(slam.settings().finish.rounds) + 2.0);
+    slam.finish().unwrap();
+    let edges = slam.graph().edges().iter().zip(slam.rematches());
+    let recognised = edges
+        .clone()
+        .filter(|(edge, is_rematch)| edge.kind == EdgeKind::Closure && !**is_rematch);
+    assert_eq!(recognised.count(), closures);
+    assert!(edges.filter(|(_, is_rematch)| **is_rematch).count() > closures);
+}
+
+#[test]
 fn the_same_scans_make_the_same_map_bit_for_bit() {
     let (scans, _) = house::drive(2);
     let run = || {
@@ -185,6 +211,7 @@ fn a_sweep_is_straightened_by_odometry() {
         range_min: 0.02,
         range_max: 30.0,
         ranges: ranges.collect(),
+        boot_id: String::new(),
         moving: Vec::new(),
         base_from_laser: Pose2::IDENTITY,
         map_from_odom: Pose2::IDENTITY,

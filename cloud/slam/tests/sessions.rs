@@ -138,13 +138,20 @@ fn a_start_that_is_given_is_believed_where_the_scan_fits_and_mended_where_it_doe
     let scans = house.log(&second, 6);
     let truth = first[0].inverse() * second[0];
     let near = truth * Pose2::new(0.3, -0.2, 0.2);
-    let slam = stepped(old.clone().begin_session(Some(near)), &scans[..1]);
-    assert!(slam.is_located());
+    let slam = old.clone().begin_session(Some(near));
+    assert!(!slam.is_searched_everywhere() && old.clone().begin_session(None).is_searched_everywhere());
+    let slam = stepped(slam, &scans[..1]);
+    assert!(slam.is_located() && !slam.is_searched_everywhere());
     assert!(slam.trajectory().last().unwrap().1.distance(&truth) < 0.05);
     // At the other end of the house: the search there fails, then the whole map is searched.
     let far = truth * Pose2::new(5.0, -3.0, 0.0);
-    let slam = stepped(old.begin_session(Some(far)), &scans);
-    assert!(slam.is_located());
+    let mut slam = old.begin_session(Some(far));
+    let mut is_mended = false;
+    for scan in &scans {
+        slam.step(scan).unwrap();
+        is_mended |= slam.is_searched_everywhere();
+    }
+    assert!(is_mended && slam.is_located() && !slam.is_searched_everywhere());
     let trajectory = slam.trajectory();
     assert!(errors(&trajectory[first.len()..], &second, first[0]).1 < 0.1);
 }
@@ -161,6 +168,41 @@ fn two_robots_maps_of_one_house_become_one() {
     let (old, new) = trajectory.split_at(first.len());
     let (old, new) = (errors(old, &first, first[0]), errors(new, &second, first[0]));
     assert!(old.0 < 0.05 && new.0 < 0.05, "{old:?} {new:?}");
+}
+
+#[test]
+fn a_session_that_both_maps_hold_is_not_merged() {
+    let house = House::usual();
+    let (monday, tuesday) = (house.log(&lap(0, 5), 3), house.log(&lap(2, 5), 4));
+    let a = mapped(new(), &monday);
+    let repeated = |a: &Slam, b: &Slam| merge(a.clone(), b.clone()).map(|_| ()).unwrap_err();
+    let expected = |first, second| MergeError::Repeated { first, second };
+    assert_eq!(repeated(&a, &a), expected(1, 1));
+    // Saved earlier on the same day, and continued on the next.
+    let begun = mapped(new(), &monday[..60]);
+    assert_eq!(repeated(&a, &begun), expected(1, 1));
+    let mut both = mapped(a.clone().begin_session(None), &tuesday);
+    assert!(both.is_located());
+    let b = mapped(new(), &tuesday);
+    assert_eq!(repeated(&both, &a), expected(1, 1));
+    assert_eq!(repeated(&b, &both), expected(1, 2));
+    both.trim().unwrap();
+    assert_eq!(repeated(&b, &both), expected(1, 2));
+}
+
+#[test]
+fn a_map_made_beside_a_robot_is_continued_with_a_pose_for_every_scan() {
+    let house = House::usual();
+    let (first, second) = (lap(0, 4), lap(3, 1));
+    let kept = stepped(
+        Slam::beside_a_robot(SlamSettings::default(), Pose2::IDENTITY),
+        &house.log(&first, 5),
+    );
+    assert!(kept.trajectory().is_empty());
+    let start = first[0].inverse() * second[0];
+    let slam = mapped(kept.begin_session(Some(start)), &house.log(&second, 6));
+    assert!(slam.is_located());
+    assert_eq!(slam.trajectory().len(), second.len());
 }
 
 #[test]

@@ -33,7 +33,7 @@ pub(super) struct Solved {
     negative_pivots: usize,
     /// Largest distance to the optimum of the problem that was certified, m.
     companion_distance: f64,
-    /// Processor time of this thread, ms.
+    /// Processor time of the solves of the graph, certificate included, ms.
     solve_ms: f64,
 }
 

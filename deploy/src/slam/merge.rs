@@ -3,8 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
+use zenav_slam::MergeError;
 
 use super::graph::Solved;
+use super::picture::Ways;
+use super::written::Drawn;
 use super::{session, written};
 use crate::batch::thread_time;
 use crate::exit_code;
@@ -13,8 +16,8 @@ use crate::output::{self, Format};
 
 /// Merge two SLAM sessions into one map.
 ///
-/// The sessions are files saved by `zenav slam --session`: of two robots, or of two days. The transform between their maps need not be
-/// known; if it is not certain, nothing is written.
+/// The sessions are files saved by `zenav slam --session` or kept by a robot's mapping service (`slam.session`): of two robots, or of two
+/// days. The transform between their maps need not be known; if it is not certain, nothing is written.
 #[derive(Debug, clap::Args)]
 pub struct MergeArgs {
     /// Session that gives the map its frame
@@ -39,39 +42,88 @@ struct Merged {
     /// Nodes of each session.
     sessions: Vec<usize>,
     graph: Solved,
+    /// Processor time of the whole merge, ms: search, closures, finish and solves.
+    merge_ms: f64,
 }
 
 /// Merges two sessions.
 ///
 /// # Errors
-/// Exit code 3 if a file is missing, 2 if it is not a session, 1 if the transform between the maps is not certain.
+/// Exit code 3 if a file is missing, 2 if it is not a session or the other one holds the same scans, 1 if the transform between the maps is
+/// not certain.
 pub fn merge(args: &MergeArgs, format: Format) -> Outcome {
-    let (a, b) = (session::read(&args.a)?, session::read(&args.b)?);
-    let start = thread_time();
-    let (merged, solved) = zenav_slam::merge(a, b).map_err(|error| refused(&args.a, &args.b, &error))?;
-    let solve_ms = 1e3 * thread_time().saturating_sub(start).as_secs_f64();
+    let (a, b) = (session::read(&args.a)?.slam, session::read(&args.b)?.slam);
+    let mut clock = || thread_time().as_secs_f64();
+    let begin = clock();
+    let (merged, solved, solving) =
+        zenav_slam::merge_timed(a, b, &mut clock).map_err(|error| refused(&args.a, &args.b, &error))?;
+    let merge_ms = 1e3 * (clock() - begin);
     let nodes = merged.nodes().len();
-    let placed = session::scans(&merged, 0..nodes);
-    let map = written::write(&args.out, args.resolution, &merged.trajectory(), &placed, &[], &merged)?;
+    let drawn = Drawn {
+        slam: &merged,
+        trajectory: &merged.trajectory(),
+        placed: &session::scans(&merged, 0..nodes),
+        ways: Ways {
+            before: &[],
+            after: merged.nodes(),
+            degenerate: &[],
+        },
+    };
+    let map = written::write(&args.out, args.resolution, &drawn)?;
     let file = args.out.join("session.slam");
     session::write(&file, &merged)?;
     let report = Merged {
         map,
         session: file,
         sessions: merged.sessions(),
-        graph: Solved::new(nodes, &solved, solve_ms),
+        graph: Solved::new(nodes, &solved, 1e3 * solving),
+        merge_ms,
     };
     output::value(format, &report, |report| {
         format!(
-            "{}, {}\n{}",
+            "{}, {}\n{}; merged in {:.0} ms",
             report.map.display(),
             report.session.display(),
-            report.graph.told()
+            report.graph.told(),
+            report.merge_ms
         )
     })?;
     Ok(exit_code::OK)
 }
 
-fn refused(a: &Path, b: &Path, error: &zenav_slam::MergeError) -> Failure {
-    Failure::failed(format!("{} and {}: {error}", a.display(), b.display()))
+fn refused(a: &Path, b: &Path, error: &MergeError) -> Failure {
+    let (a, b) = (a.display(), b.display());
+    match error {
+        MergeError::Repeated { first, second } => Failure::usage(format!(
+            "session {first} of {a} is session {second} of {b}: its measurements would count twice"
+        )),
+        error => Failure::failed(format!("{a} and {b}: {error}")),
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::super::drive;
+    use super::*;
+
+    #[test]
+    fn a_session_is_not_merged_with_itself() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("room.slam");
+        session::write(&file, &drive::mapped(&drive::scans(20))).unwrap();
+        let args = MergeArgs {
+            a: file.clone(),
+            b: file.clone(),
+            out: folder.path().join("both"),
+            resolution: 0.05,
+        };
+        let refused = merge(&args, Format::Json).unwrap_err();
+        let name = file.display();
+        assert_eq!(
+            refused.message,
+            format!("session 1 of {name} is session 1 of {name}: its measurements would count twice")
+        );
+        assert!(!args.out.exists());
+    }
 }

@@ -4,11 +4,14 @@
 //! |---|---|
 //! | `log` | `zenav slam --log`: a map and poses from scans and odometry alone |
 //! | `merge` | `zenav map merge`: one map from two sessions |
-//! | `session` | session files, and scans rebuilt from their points |
+//! | `session` | session files, their maps, and scans rebuilt from their points |
 //! | `written` | the files of a map |
 //! | `graph` | `zenav slam --graph`: which poses agree best, and is that the optimum? |
 //! | `picture` | the path by odometry, and the path in the map |
+//! | `drive` | the simulated log of the tests |
 
+#[cfg(test)]
+pub(crate) mod drive;
 mod graph;
 mod log;
 mod merge;
@@ -21,7 +24,9 @@ use std::path::PathBuf;
 use crate::failure::Outcome;
 use crate::output::Format;
 
+pub(crate) use log::{read_in_order, skipped_warning};
 pub(crate) use merge::{MergeArgs, merge};
+pub(crate) use session::drawn;
 
 /// Make a map from a log, or solve a pose graph.
 ///
@@ -36,11 +41,11 @@ pub struct SlamArgs {
     /// CARMEN log of scans and raw odometry, compressed by gzip or not; several: consecutive drives in one building
     #[arg(long, value_name = "FILE", requires = "out")]
     log: Vec<PathBuf>,
-    /// Session to continue, if the file exists; saved at the end
+    /// Session to continue, if the file exists; saved at the end, or as session.slam in --out if a robot's mapping service keeps the file
     #[arg(long, value_name = "FILE", requires = "log")]
     session: Option<PathBuf>,
-    /// Start of the first log in the session's map, to within 1 m and 0.5 rad: m, m, rad [default: searched for]
-    #[arg(long, value_names = ["X", "Y", "YAW"], num_args = 3, requires = "session")]
+    /// Start of the first log in the existing session's map, to within 1 m and 0.5 rad: m, m, rad [default: searched for]
+    #[arg(long, value_names = ["X", "Y", "YAW"], num_args = 3, requires = "session", value_parser = crate::connect::finite)]
     start: Option<Vec<f64>>,
     /// Reference relations: lines `t1 t2 x y z roll pitch yaw`
     #[arg(long, value_name = "FILE", requires = "log")]
@@ -51,7 +56,7 @@ pub struct SlamArgs {
     /// Reject false loop closures of the graph
     #[arg(long, requires = "graph")]
     robust: bool,
-    /// Folder for trajectory.csv, graph.g2o, map.pgm, map.yaml and slam.png; with --graph, for graph.g2o
+    /// Folder for trajectory.csv, carmen.log, graph.g2o, map.pgm, map.yaml and slam.png; with --graph, for graph.g2o
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Side of a cell of the map, m

@@ -1,23 +1,63 @@
-//! Session files. Reads and writes sessions, and rebuilds scans from the points that they keep.
+//! Session files. Reads, writes and draws sessions, and rebuilds scans from the points that they keep.
 
 use std::path::Path;
 
 use zenav_mapping::atomic::write_atomically;
+use zenav_mapping::carmen::LOG_BEAMS;
+use zenav_mapping::{InsertMode, build as maps};
 use zenav_protocol::geometry::Pose2;
+use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::messages::Scan;
 use zenav_protocol::time::Stamp;
-use zenav_slam::{MOST_BYTES, Slam};
+use zenav_slam::{MOST_BYTES, SessionError, Slam};
 
 use crate::failure::Failure;
 use crate::files;
 
 /// Beams of a rebuilt scan: an eighth of a degree.
 const BEAMS: usize = 2880;
+/// Longest line that the mapping service writes before a session, bytes.
+const MOST_HEAD: usize = 16 << 20;
+
+/// A session as read from a file.
+#[derive(Debug)]
+pub(super) struct Stored {
+    pub(super) slam: Slam,
+    /// Whether a robot's mapping service keeps the file: it has data of its own in it, and the session's scans beside it.
+    pub(super) is_of_robot: bool,
+}
 
 /// Reads a session file.
-pub(super) fn read(path: &Path) -> Result<Slam, Failure> {
-    let bytes = files::bytes_within(path, MOST_BYTES as u64)?;
-    Slam::load(&bytes).map_err(Failure::usage_at(path))
+pub(super) fn read(path: &Path) -> Result<Stored, Failure> {
+    load(&bytes(path)?).map_err(Failure::usage_at(path))
+}
+
+fn bytes(path: &Path) -> Result<Vec<u8>, Failure> {
+    files::bytes_within(path, (MOST_BYTES + MOST_HEAD) as u64)
+}
+
+/// The session in the bytes of a file. The mapping service writes one line of JSON before it.
+fn load(bytes: &[u8]) -> Result<Stored, SessionError> {
+    let head = bytes.iter().position(|byte| *byte == b'\n');
+    let head = head.filter(|_| bytes.starts_with(b"{"));
+    Ok(Stored {
+        slam: Slam::load(head.map_or(bytes, |end| &bytes[end + 1..]))?,
+        is_of_robot: head.is_some(),
+    })
+}
+
+/// The map of a session file, drawn from the points of its scans; `None` if the file is no session.
+pub(crate) fn drawn(path: &Path, resolution: f64) -> Result<Option<OccupancyGrid>, Failure> {
+    let slam = match load(&bytes(path)?) {
+        Err(SessionError::Foreign) => return Ok(None),
+        stored => stored.map_err(Failure::usage_at(path))?.slam,
+    };
+    let scans = scans(&slam, 0..slam.nodes().len());
+    if scans.is_empty() {
+        return Err(Failure::usage_at(path)("expected a session with scans, found none"));
+    }
+    let built = maps::build_map(&scans, resolution, InsertMode::Reference, &LOG_BEAMS);
+    Ok(Some(built.map_err(Failure::usage_at(path))?.map.to_occupancy()))
 }
 
 /// Writes a session file atomically.
@@ -49,9 +89,58 @@ fn scan(slam: &Slam, node: usize) -> Option<Scan> {
         range_min: 0.0,
         range_max: f64::from(f32::MAX),
         ranges,
+        boot_id: String::new(),
         moving: Vec::new(),
         base_from_laser: Pose2::new(laser.x, laser.y, 0.0),
         map_from_odom: Pose2::IDENTITY,
         odom_from_base: *pose,
     })
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use nalgebra::Point2;
+    use zenav_protocol::grid::Occupancy;
+
+    use super::super::drive;
+    use super::*;
+
+    #[test]
+    fn a_session_of_the_mapping_service_is_read_without_its_head() {
+        let folder = tempfile::tempdir().unwrap();
+        let (own, robots) = (folder.path().join("own.slam"), folder.path().join("slam.session"));
+        let slam = drive::mapped(&drive::scans(6));
+        let bytes = slam.save().unwrap();
+        std::fs::write(&own, &bytes).unwrap();
+        std::fs::write(&robots, [b"{\"frame\":3,\"moves\":[]}\n".as_slice(), &bytes].concat()).unwrap();
+        for (path, is_of_robot) in [(&own, false), (&robots, true)] {
+            let stored = read(path).unwrap();
+            assert_eq!(stored.is_of_robot, is_of_robot);
+            assert_eq!(stored.slam.save().unwrap(), bytes);
+        }
+        std::fs::write(&robots, "{\"frame\":3}\nP5 1 1 255\n").unwrap();
+        let refused = read(&robots).unwrap_err();
+        assert!(refused.message.contains("expected a SLAM session"), "{refused}");
+    }
+
+    #[test]
+    fn a_session_is_drawn_and_another_file_is_none() {
+        let folder = tempfile::tempdir().unwrap();
+        let (session, other) = (folder.path().join("room.slam"), folder.path().join("notes.txt"));
+        write(&session, &drive::mapped(&drive::scans(20))).unwrap();
+        std::fs::write(&other, "no map").unwrap();
+        let map = drawn(&session, 0.05).unwrap().unwrap();
+        let around = |at: Point2<f64>, wanted: Occupancy| {
+            let spec = map.spec();
+            let values = map.values().iter().enumerate();
+            let mut near = values.filter(|(index, _)| (spec.center(spec.cell(*index)) - at).norm() < 0.1);
+            near.any(|(_, value)| Occupancy::of(*value) == wanted)
+        };
+        // The map begins at the first scan: the wall on the robot's right, and the floor before it.
+        let (wall, floor) = (Point2::new(1.0, -2.2), Point2::new(1.0, -1.0));
+        assert!(around(wall, Occupancy::Occupied));
+        assert!(around(floor, Occupancy::Free) && !around(floor, Occupancy::Occupied));
+        assert!(drawn(&other, 0.05).unwrap().is_none());
+    }
 }

@@ -6,6 +6,7 @@ use zenav_protocol::geometry::Pose2;
 
 use super::join::{closures, joined};
 use super::overview::{Overview, verdict};
+use super::repeated::repeated;
 use super::vote::{Count, count};
 use crate::slam::Slam;
 use crate::step::SlamError;
@@ -58,6 +59,16 @@ pub enum MergeError {
         /// All closures between the maps.
         found: usize,
     },
+    /// Both maps hold the same session: merge the later of the two saved maps only.
+    #[error(
+        "session {first} of the first map is session {second} of the second map: its measurements would count twice"
+    )]
+    Repeated {
+        /// Number of the session in the first map, from 1.
+        first: usize,
+        /// Its number in the second map, from 1.
+        second: usize,
+    },
     /// A session that has not been located is not part of its map yet: let it drive on.
     #[error("expected maps in which every session was located")]
     Unlocated,
@@ -70,13 +81,31 @@ pub enum MergeError {
 ///
 /// Submaps of `b` are searched for in all of `a`. The maps are merged if at least three searches agree on one alignment, no other alignment
 /// has more than half of its votes, at most a fifth of the scans of either map contradict the other, and closures between single scans and
-/// submaps hold in the robust solution.
+/// submaps hold in the robust solution. They must not share a session.
 ///
 /// # Errors
 /// See [`MergeError`]: unless the result is certain, nothing is merged.
-pub fn merge(mut a: Slam, b: Slam) -> Result<(Slam, RobustSolution), MergeError> {
+pub fn merge(a: Slam, b: Slam) -> Result<(Slam, RobustSolution), MergeError> {
+    merge_timed(a, b, &mut || 0.0).map(|(merged, solved, _)| (merged, solved))
+}
+
+/// [`merge`], and how long the graph was solved in it, certificate included, s by the caller's `clock`.
+///
+/// # Errors
+/// As [`merge`].
+pub fn merge_timed(
+    mut a: Slam,
+    b: Slam,
+    clock: &mut dyn FnMut() -> f64,
+) -> Result<(Slam, RobustSolution, f64), MergeError> {
     if !a.is_located() || !b.is_located() {
         return Err(MergeError::Unlocated);
+    }
+    if let Some((first, second)) = repeated(&a, &b) {
+        return Err(MergeError::Repeated {
+            first: first + 1,
+            second: second + 1,
+        });
     }
     let overview = Overview::new(&a);
     let step = b.submaps.len().div_ceil(SEARCHES).max(2);
@@ -111,7 +140,7 @@ pub fn merge(mut a: Slam, b: Slam) -> Result<(Slam, RobustSolution), MergeError>
     }
     let first = a.scans.len();
     let mut merged = joined(a, b, a_from_b, &found).map_err(SlamError::from)?;
-    let solved = merged.finish()?;
+    let (solved, solving) = merged.finish_timed(clock)?;
     let between = merged.back_end.edges().filter(|(edge, _, is_final)| {
         let crosses = edge.from < first && edge.to >= first;
         crosses && !is_final && edge.kind == EdgeKind::Closure
@@ -123,7 +152,7 @@ pub fn merge(mut a: Slam, b: Slam) -> Result<(Slam, RobustSolution), MergeError>
             found: found.len(),
         });
     }
-    Ok((merged, solved))
+    Ok((merged, solved, solving))
 }
 
 /// Share of the scans near another map whose beams pass through that map's walls.

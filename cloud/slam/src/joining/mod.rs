@@ -12,14 +12,16 @@
 //! | `join` | how do two graphs become one? |
 //! | `resume` | where in the older map does the present session lie? |
 //! | `merge` | are two maps of one building? |
+//! | `repeated` | which sessions do two maps share? |
 //! | `trim` | which submaps are no longer needed? |
 
 mod join;
 mod merge;
 mod overview;
+mod repeated;
 mod resume;
 mod trim;
 mod vote;
 
-pub use merge::{MergeError, merge};
+pub use merge::{MergeError, merge, merge_timed};
 pub(crate) use resume::{Older, locate};

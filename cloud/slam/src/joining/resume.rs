@@ -32,6 +32,13 @@ pub(crate) struct Older {
     searches: Vec<Vec<Vote>>,
 }
 
+impl Older {
+    /// The given start, as long as the session is searched for around it: until its first submap has grown.
+    fn start_of(&self, session: &Slam) -> Option<Pose2> {
+        self.start.filter(|_| session.submaps.len() < 2)
+    }
+}
+
 impl Slam {
     /// Begins the next session in this map: another drive, with fresh odometry, somewhere in the same building.
     ///
@@ -40,7 +47,7 @@ impl Slam {
     /// its scans are explained, and its beams pass through no walls. Until then the session is a map of its own, and [`Self::is_located`]
     /// is false: [`Self::trajectory`], [`Self::graph`], [`Self::nodes`] and the certificate of [`Self::finish`] cover the session alone, in
     /// the frame of its first scan. When it is found, [`Effects::moved`](crate::Effects::moved) leads from that frame into the map's, and
-    /// both become one graph.
+    /// both become one graph. Every scan of the session is kept for its finish, of a map made beside a robot too.
     #[must_use]
     pub fn begin_session(mut self, start: Option<Pose2>) -> Self {
         // The finish of their session has placed them.
@@ -48,13 +55,10 @@ impl Slam {
             stand.points = Vec::new();
         }
         if self.scans.is_empty() {
+            self.keeps_all = true;
             return self;
         }
-        Self {
-            keeps_all: self.keeps_all,
-            ..Self::new(self.settings)
-        }
-        .in_older(self, start)
+        Self::new(self.settings).in_older(self, start)
     }
 
     fn in_older(self, older: Self, start: Option<Pose2>) -> Self {
@@ -104,6 +108,13 @@ impl Slam {
     #[must_use]
     pub fn is_located(&self) -> bool {
         self.older.is_none()
+    }
+
+    /// Whether the session is being searched for in the whole older map: no start was given, or the first scans did not confirm it.
+    #[must_use]
+    pub fn is_searched_everywhere(&self) -> bool {
+        let older = self.older.as_deref();
+        older.is_some_and(|older| older.start_of(self).is_none())
     }
 
     /// Number of nodes of each session, in order; nodes of one session are consecutive.
@@ -156,7 +167,7 @@ pub(crate) fn locate(slam: &mut Slam, is_half: bool) -> Result<Option<Pose2>, Gr
         return Ok(None);
     };
     // A submap that has only begun says too little, unless the place to search is known.
-    let start = older.start.filter(|_| slam.submaps.len() < 2);
+    let start = older.start_of(slam);
     if !is_half && start.is_none() {
         slam.older = Some(older);
         return Ok(None);

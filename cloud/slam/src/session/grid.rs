@@ -26,7 +26,7 @@ fn at(steps: i32) -> f64 {
 }
 
 /// Points of the grid as offsets from one to the next, x and y in turn.
-pub(super) fn packed(points: &[Point2<f64>]) -> Vec<i32> {
+pub(crate) fn packed(points: &[Point2<f64>]) -> Vec<i32> {
     let mut before = [0; 2];
     let mut steps = Vec::with_capacity(2 * points.len());
     for point in points {

@@ -19,7 +19,7 @@ use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 
 pub use file::{MOST_BYTES, SessionError};
-pub(crate) use grid::on_grid;
+pub(crate) use grid::{on_grid, packed};
 
 use self::content::Content;
 use crate::settings::SlamSettings;
