@@ -385,7 +385,7 @@ zenav_protocol::settings! {
         pub still_after: f64 = 0.5, "s", 0.05..=10.0;
         /// After this many rejected measurements in a row the filter doubts its estimate instead of the sensor.
         pub doubt_after: u32 = 25, "", 1..=10000;
-        /// Minimum random walk of a wheel beyond the encoder's own noise (slip, floor), for each metre rolled.
+        /// Random walk of a wheel beyond the encoder's own noise (slip, floor), for each metre rolled. Assumed: 1 mm after a metre.
         pub slip: f64 = 1e-6, "m²/m", 0.0..=0.01;
         /// Share of the forward variance that acts sideways.
         pub sideways_share: f64 = 1e-3, "", 0.0..=1.0;
@@ -394,7 +394,7 @@ zenav_protocol::settings! {
         pub map_walk: f64 = 0.005, "m/sqrt(m)", 0.0..=1.0;
         /// The same for its heading.
         pub map_turn_walk: f64 = 0.0015, "rad/sqrt(m)", 0.0..=1.0;
-        /// Minimum standard deviation of the gyro's bias at the start: the value in the robot file was measured on another day.
+        /// Standard deviation of the gyro's bias at the start. Small MEMS gyros: up to about 1 degree per second.
         pub bias_std: f64 = 0.01, "rad/s", 0.0..=1.0;
         /// Random walk of the gyro's bias (fitted to constant biases, NEES 3).
         pub bias_walk: f64 = 1e-11, "(rad/s)²/s", 0.0..=0.01;

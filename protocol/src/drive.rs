@@ -64,7 +64,7 @@ pub struct Drive {
 }
 
 /// Systematic and random errors of a drive's odometry (Borenstein and Feng, "Measurement and Correction of Systematic Odometry Errors in
-/// Mobile Robots", 1996), and deviations of the body's dynamics. The simulator applies them; the robot itself knows only the slip.
+/// Mobile Robots", 1996), and deviations of the body's dynamics. The simulator applies them; the robot's software reads none of them.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct DriveErrors {

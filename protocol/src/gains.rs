@@ -6,7 +6,8 @@ use crate::config_text::OutOfBounds;
 crate::settings! {
     /// Gains of the trackers.
     pub struct ControllerGains {
-        /// Name of the tracking law: `time_law`, `pure_pursuit`, `pid`, `wheel_law`, `heading_first`. Checked by the edge.
+        /// Name of the tracking law: `time_law`, `pure_pursuit`, `pid`, `wheel_law`, `wheel_law_original`, `heading_first`. Checked by the
+        /// edge.
         pub tracker: String = "time_law".to_owned();
         /// Waypoint law: wheel speed per radian of heading error.
         pub heading_gain: f64 = 4.0, "1/s", 0.0..=20.0;

@@ -4,6 +4,7 @@
 
 use std::time::Duration;
 
+use zenav_edge::trackers::LAWS;
 use zenav_fixtures::robot;
 use zenav_protocol::messages::DrivingProfile;
 use zenav_sim::World;
@@ -68,6 +69,25 @@ fn the_estimate_is_as_good_as_its_covariance_says_with_late_and_missing_readings
 }
 
 #[test]
+fn under_a_wrong_assumption_the_estimate_is_inconsistent_but_its_errors_stay_of_the_order_that_it_says() {
+    const DRIVES: u32 = 20;
+    let runs = f64::from(DRIVES);
+    let [.., gps] = pose::MISMATCHED.map(|conditions| {
+        let mut sums = pose::Sums::default();
+        for seed in 1..=DRIVES {
+            pose::drive(&mut sums, &conditions, seed.into(), 20.0, &|| Duration::ZERO).unwrap();
+        }
+        assert!(
+            f64::from(sums.within.0) > 0.9 * f64::from(sums.within.1),
+            "{conditions:?}"
+        );
+        sums.nees.iter().sum::<f64>() / (runs * sums.nees.len() as f64)
+    });
+    let (_, high) = pose::band(3.0, runs);
+    assert!(gps > high, "GPS that reports too little noise is not noticed: {gps}");
+}
+
+#[test]
 fn the_time_law_keeps_to_its_reference_more_closely_than_any_other_tracker() {
     let model = robot("tiago");
     let world = World::shipped("kitchen").unwrap();
@@ -77,15 +97,29 @@ fn the_time_law_keeps_to_its_reference_more_closely_than_any_other_tracker() {
         let mut errors = Vec::new();
         for path in &paths {
             let drive = tracking::drive(&world, &model, law, path, tracking::Localised::OnBoard, 1).unwrap();
-            assert!(drive.secs.is_some() && drive.contacts == 0, "{law:?}: {drive:?}");
+            // Where the original wheel law swings wide, the collision monitor may hold it.
+            let arrived = drive.secs.is_some() || law == tracking::ORIGINAL;
+            assert!(arrived && drive.contacts == 0, "{law:?}: {drive:?}");
             errors.extend(drive.errors);
         }
         tracking::percentile(&mut errors, 0.95)
     };
     let own = p95("time_law");
     assert!(own < 0.03, "{own}");
-    for law in tracking::LAWS.into_iter().filter(|law| *law != "time_law") {
+    for law in LAWS.iter().map(|law| law.name).filter(|law| *law != "time_law") {
         let other = p95(law);
         assert!(own < other, "{law:?}: {other}, the time law {own}");
     }
+}
+
+#[test]
+fn on_the_same_corner_way_the_time_law_keeps_to_the_corners_and_the_original_wheel_law_cuts_them() {
+    let model = robot("tiago");
+    let (world, way) = (World::shipped("empty").unwrap(), tracking::corner_way(&model));
+    let [own, original] = ["time_law", tracking::ORIGINAL].map(|law| {
+        let mut drive = tracking::drive(&world, &model, law, &way, tracking::Localised::OnBoard, 1).unwrap();
+        assert!(drive.secs.is_some() && drive.contacts == 0, "{law}: {drive:?}");
+        tracking::percentile(&mut drive.errors, 0.95)
+    });
+    assert!(own < 0.03 && own < original, "{own} {original}");
 }

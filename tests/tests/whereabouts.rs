@@ -41,7 +41,7 @@ fn a_robot_that_is_carried_away_while_it_maps_finds_itself_in_its_own_map() {
 
 #[test]
 fn in_a_known_map_it_is_at_its_goal_to_a_few_centimetres_although_its_odometry_is_not() {
-    let goal = "--world kitchen --goal 0.88 0.09 --known-map --tolerance 0.1";
+    let goal = "--world house --goal 2.2 1.6 --known-map --tolerance 0.1";
     let found = drive(&format!("{goal} --poses localise"));
     assert_eq!(found["outcome"], "reached", "{found}");
     assert!(found["pose_error_m"].as_f64().unwrap() < 0.07, "{found}");

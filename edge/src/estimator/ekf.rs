@@ -2,10 +2,11 @@
 //! gyro's bias and the three systematic errors of a differential drive (Borenstein and Feng 1996): the radius of either wheel and their
 //! separation.
 //!
-//! Sensor noise comes from the robot file: encoder noise and slip for each wheel, gyro noise for each reading, quantisation noise. The
-//! random walks of the states, and of the map that corrections refer to, are settings. Encoder steps are ignored, because they do not add
-//! up. A constant error is a state, not noise, because it does not average out. Source: Bar-Shalom, Li, Kirubarajan, *Estimation with
-//! Applications to Tracking and Navigation*, 2001, ch. 5 and 10; gates by the Mahalanobis distance.
+//! Sensor noise comes from the robot file, which states it as a data sheet does: encoder noise for each wheel, gyro noise for each reading,
+//! quantisation noise. The slip of the wheels, the spread of the states at the start, their random walks, and that of the map that
+//! corrections refer to, are settings. The errors of a simulated body are in the same file and are not read. Encoder steps are ignored,
+//! because they do not add up. A constant error is a state, not noise, because it does not average out. Source: Bar-Shalom, Li,
+//! Kirubarajan, *Estimation with Applications to Tracking and Navigation*, 2001, ch. 5 and 10; gates by the Mahalanobis distance.
 
 use nalgebra::{Matrix2, Matrix3, RowSVector, SMatrix, SVector, Vector2, Vector3};
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
@@ -19,6 +20,8 @@ const GATE: [f64; 3] = [10.83, 13.82, 16.27];
 /// Least variance of a measurement, m² or rad².
 const LEAST_VARIANCE: f64 = 1e-8;
 
+/// Least standard deviation of the gyro's bias at the start, rad/s.
+const LEAST_BIAS_STD: f64 = 1e-5;
 /// Turns known better than this are not compared, rad².
 const LEAST_TURN_VARIANCE: f64 = 1e-16;
 
@@ -160,13 +163,12 @@ pub(super) struct Ekf {
 
 impl Ekf {
     /// A robot that stands at `start` in the map.
-    pub(super) fn new(model: &RobotModel, start: Pose2, settings: &EstimatorSettings) -> Self {
-        let bias_std = model.imu.gyro_bias.abs().max(settings.bias_std).max(1e-5);
+    pub(super) fn new(start: Pose2, settings: &EstimatorSettings) -> Self {
         let std = State::from([
             settings.start_std,
             settings.start_std,
             settings.start_yaw_std,
-            bias_std,
+            settings.bias_std.max(LEAST_BIAS_STD),
             settings.radius_std,
             settings.radius_std,
             settings.separation_std,
@@ -314,14 +316,13 @@ impl Ekf {
         }
         // The part of the distance rolled, m, in this time; variances add up over the interval.
         let share = secs / interval;
-        let slip = settings.slip.max(drive.errors.slip.powi(2));
         let variances = turns.map(|turn| {
             if !known {
                 // It may have moved at its limit for about a second.
                 return (drive.max_wheel_speed * drive.wheel_radius).powi(2) * secs;
             }
             let metres = turn * drive.wheel_radius;
-            share * ((model.encoders.noise * metres).powi(2) + slip * metres.abs())
+            share * ((model.encoders.noise * metres).powi(2) + settings.slip * metres.abs())
         });
         let [left, right] = turns.map(|turn| share * turn * drive.wheel_radius);
         let way = 0.5 * (left * (1.0 + self.state[LEFT]) + right * (1.0 + self.state[RIGHT]));

@@ -68,7 +68,7 @@ impl Estimator {
         Self {
             model: model.clone(),
             settings: settings.clone(),
-            start: Ekf::new(model, start, settings),
+            start: Ekf::new(start, settings),
             buffer: None,
             odom_from_base: Pose2::IDENTITY,
             reckoned: Reckoned::default(),

@@ -4,6 +4,7 @@
 //! |---|---|---|
 //! | `time_law` (default) | feed-forward of the time-stamped trajectory, feedback on the pose error | Kanayama 1990, Samson 1990 |
 //! | `wheel_law` | wheel speeds in proportion to bearing and distance of the next waypoint | the two-wheel exercise |
+//! | `wheel_law_original` | the same without changes, as a yardstick | the two-wheel exercise |
 //! | `heading_first` | turns to the next waypoint, then drives at it | the go-to-goal exercise |
 //! | `pid` | PID on the distance from the path | |
 //! | `pure_pursuit` | an arc to a point ahead on the path, slowed in bends and near the end | Macenski et al. 2023 |
@@ -20,6 +21,7 @@ mod pure_pursuit;
 mod trajectory;
 mod waypoints;
 mod wheel_law;
+mod wheel_law_original;
 
 pub use heading_first::HeadingFirst;
 pub use on_path::{OnPath, PathLaw, Wanted};
@@ -29,6 +31,7 @@ pub use pure_pursuit::PurePursuit;
 pub use trajectory::TrajectoryTracker;
 pub use waypoints::{ThroughWaypoints, WaypointLaw};
 pub use wheel_law::WheelLaw;
+pub use wheel_law_original::OriginalWheelLaw;
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
@@ -83,7 +86,7 @@ type Along = fn(&Drive, Trajectory, f64, &[Point2<f64>]) -> Box<dyn Tracker>;
 type Through = fn(&Drive, Pose2, Vec<Point2<f64>>) -> Box<dyn Tracker>;
 
 /// Every law; the first is the default.
-pub const LAWS: [Law; 5] = [
+pub const LAWS: &[Law] = &[
     Law {
         name: "time_law",
         along: |drive, trajectory, time, _| Box::new(TrajectoryTracker::new(drive, trajectory, time)),
@@ -92,12 +95,13 @@ pub const LAWS: [Law; 5] = [
     Law::on_path::<PurePursuit>("pure_pursuit"),
     Law::on_path::<Pid>("pid"),
     Law::at_waypoints::<WheelLaw>("wheel_law"),
+    Law::at_waypoints::<OriginalWheelLaw>("wheel_law_original"),
     Law::at_waypoints::<HeadingFirst>("heading_first"),
 ];
 
 /// The robot file names an unknown tracker.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("`controller.tracker` is `{0}`: expected one of {list}", list = LAWS.map(|law| law.name).join(", "))]
+#[error("`controller.tracker` is `{0}`: expected one of {list}", list = LAWS.iter().map(|law| law.name).collect::<Vec<_>>().join(", "))]
 pub struct UnknownTracker(String);
 
 impl Law {
@@ -106,7 +110,7 @@ impl Law {
     /// # Errors
     /// [`UnknownTracker`], which lists the known ones.
     pub fn named(name: &str) -> Result<Self, UnknownTracker> {
-        let known = LAWS.into_iter().find(|law| law.name == name);
+        let known = LAWS.iter().copied().find(|law| law.name == name);
         known.ok_or_else(|| UnknownTracker(name.chars().take(64).collect()))
     }
 

@@ -123,7 +123,7 @@ impl<L: WaypointLaw> Tracker for ThroughWaypoints<L> {
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
-    use super::super::WheelLaw;
+    use super::super::{OriginalWheelLaw, WheelLaw};
     use super::*;
 
     #[test]
@@ -154,9 +154,14 @@ mod tests {
 
     #[test]
     fn waypoints_are_passed_within_the_threshold_and_the_last_one_is_reached() {
+        reaches_the_last_waypoint(WheelLaw);
+        reaches_the_last_waypoint(OriginalWheelLaw);
+    }
+
+    fn reaches_the_last_waypoint(law: impl WaypointLaw) {
         let model = zenav_fixtures::robot("tiago");
         let mut tracker = ThroughWaypoints::new(
-            WheelLaw,
+            law,
             &model.drive,
             vec![Point2::new(1.0, 0.0), Point2::new(1.5, 1.0), Point2::new(0.0, 1.0)],
             None,

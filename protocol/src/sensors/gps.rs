@@ -55,6 +55,7 @@ pub struct Gps {
     pub x: f64,
     /// North or map y, m.
     pub y: f64,
-    /// Standard deviation of each coordinate, m.
+    /// Standard deviation of each coordinate as the receiver itself reports it, m. In the simulator it is the model's `noise`; noise that a
+    /// fault adds is not in it.
     pub std_dev: f64,
 }

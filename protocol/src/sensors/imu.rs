@@ -15,11 +15,11 @@ pub struct ImuModel {
     pub rate_hz: f64,
     /// Standard deviation of the yaw rate, rad/s.
     pub gyro_noise: f64,
-    /// Constant error of the yaw rate, rad/s.
+    /// Constant error of the yaw rate, rad/s. The simulator applies it; the robot's software does not read it.
     pub gyro_bias: f64,
     /// Standard deviation of the compass, rad; without it, the robot has no compass.
     pub compass_noise: Option<f64>,
-    /// Constant error of the compass, rad.
+    /// Constant error of the compass, rad; likewise.
     pub compass_bias: f64,
     /// Smallest step of the yaw rate, rad/s.
     pub resolution: f64,

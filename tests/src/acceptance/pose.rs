@@ -1,5 +1,7 @@
 //! Consistency of the pose estimate. Compares the error with the covariance over many seeded drives, each with its own start error, gyro
-//! bias and wheel errors, drawn from the filter's own priors; at every step the errors of all drives are averaged.
+//! bias and wheel errors; at every step the errors of all drives are averaged. In [`CONDITIONS`] they are drawn from the filter's own
+//! priors, and noise is as the filter assumes it: a filter without mistakes is consistent there. In [`MISMATCHED`] one of these assumptions
+//! is wrong, so no filter that keeps to them can be consistent; what is asked is only that the errors stay bounded.
 //!
 //! Consistency after Bar-Shalom, Li, Kirubarajan 2001, ch. 5.4: the mean normalised estimation error squared (NEES) of `runs`
 //! drives with three states lies in the two-sided 95 % band of chi-square / runs, [2.54, 3.50] for 100; so does, with its own
@@ -26,20 +28,12 @@ use super::worlds::Rng;
 
 /// Standard deviation of the start pose: m and rad.
 const START: (f64, f64) = (0.05, 0.05);
-/// Standard deviation of the wheel radii, as a share: the filter's prior.
-const WHEELS: f64 = 0.01;
-/// Standard deviation of the wheel separation, as a share: the filter's prior.
-const SEPARATION: f64 = 0.02;
-/// Standard deviation of the gyro bias, rad/s: the filter's prior.
-const GYRO_BIAS: f64 = 0.001;
-/// Wheel slip, m per square root of a metre; the robot file has the same value.
-const SLIP: f64 = 1e-3;
 /// Standard deviation of corrections from the cloud: m and rad.
 const CORRECTION: (f64, f64) = (0.03, 0.02);
 /// Steps between two corrections.
 const CORRECTED: usize = 25;
 
-/// Latency and loss of the sensors.
+/// Latency and loss of the sensors, and errors of the robot that the filter does not expect.
 #[derive(Clone, Copy, Debug)]
 pub struct Conditions {
     /// Name in the table.
@@ -56,7 +50,29 @@ pub struct Conditions {
     pub gps_lost: Option<(f64, f64)>,
     /// No gyro and compass between these seconds of every minute.
     pub imu_lost: Option<(f64, f64)>,
+    /// How the robot differs from what the filter assumes.
+    pub mismatch: Mismatch,
 }
+
+/// How the robot differs from what the filter assumes.
+#[derive(Clone, Copy, Debug)]
+pub struct Mismatch {
+    /// Relative error of both wheel radii, on top of that drawn from the prior.
+    pub wheels: f64,
+    /// Slip, in multiples of the setting's square root (both per square root of a metre).
+    pub slip: f64,
+    /// Magnitude of the gyro's bias in standard deviations of its prior; `None`: drawn from the prior.
+    pub gyro_bias: Option<f64>,
+    /// Noise of GPS, in multiples of what it reports.
+    pub gps_noise: f64,
+}
+
+const MATCHED: Mismatch = Mismatch {
+    wheels: 0.0,
+    slip: 1.0,
+    gyro_bias: None,
+    gps_noise: 1.0,
+};
 
 const ON_TIME: Conditions = Conditions {
     name: "all sensors",
@@ -66,9 +82,10 @@ const ON_TIME: Conditions = Conditions {
     corrected: None,
     gps_lost: None,
     imu_lost: None,
+    mismatch: MATCHED,
 };
 
-/// The tested conditions.
+/// The tested conditions in which the filter's assumptions hold.
 pub const CONDITIONS: [Conditions; 5] = [
     ON_TIME,
     Conditions {
@@ -92,6 +109,35 @@ pub const CONDITIONS: [Conditions; 5] = [
     Conditions {
         name: "IMU lost for 30 s",
         imu_lost: Some((15.0, 45.0)),
+        ..ON_TIME
+    },
+];
+
+/// The tested conditions in which one of them does not.
+pub const MISMATCHED: [Conditions; 3] = [
+    Conditions {
+        name: "wheels 2 % off, slip doubled",
+        mismatch: Mismatch {
+            wheels: 0.02,
+            slip: 2.0,
+            ..MATCHED
+        },
+        ..ON_TIME
+    },
+    Conditions {
+        name: "gyro bias of 3 sigma",
+        mismatch: Mismatch {
+            gyro_bias: Some(3.0),
+            ..MATCHED
+        },
+        ..ON_TIME
+    },
+    Conditions {
+        name: "GPS noisier by half",
+        mismatch: Mismatch {
+            gps_noise: 1.5,
+            ..MATCHED
+        },
         ..ON_TIME
     },
 ];
@@ -166,6 +212,26 @@ fn known_start() -> EstimatorSettings {
     }
 }
 
+impl Conditions {
+    /// The robot's body: its errors are drawn from the filter's priors, but for the mismatch.
+    fn body(&self, believed: &RobotModel, priors: &EstimatorSettings, rng: &mut Rng) -> RobotModel {
+        let mut model = believed.clone();
+        let errors = &mut model.drive.errors;
+        errors.wheel_radius = [0.0; 2].map(|_| self.mismatch.wheels + priors.radius_std * rng.gauss());
+        errors.wheel_separation = priors.separation_std * rng.gauss();
+        errors.slip = self.mismatch.slip * priors.slip.sqrt();
+        let drawn = rng.gauss();
+        let sigmas = self.mismatch.gyro_bias.map_or(drawn, |sigmas| sigmas * drawn.signum());
+        model.imu.gyro_bias = priors.bias_std * sigmas;
+        (model.imu.latency, model.imu.dropout) = (self.imu_latency, self.dropout);
+        if let Some(gps) = &mut model.gps {
+            (gps.latency, gps.dropout) = (self.gps_latency, self.dropout);
+            gps.noise *= self.mismatch.gps_noise;
+        }
+        model
+    }
+}
+
 /// Drives for `secs` and adds to the sums. `clock`: time since any fixed moment.
 ///
 /// # Errors
@@ -178,16 +244,8 @@ pub fn drive(
     clock: &dyn Fn() -> Duration,
 ) -> Result<(), SimRigError> {
     let mut rng = Rng::new(seed, 3);
-    let mut believed: RobotModel = robot("tiago");
-    believed.drive.errors.slip = SLIP;
-    let mut model = believed.clone();
-    model.drive.errors.wheel_radius = [0.0; 2].map(|_| WHEELS * rng.gauss());
-    model.drive.errors.wheel_separation = SEPARATION * rng.gauss();
-    model.imu.gyro_bias = GYRO_BIAS * rng.gauss();
-    (model.imu.latency, model.imu.dropout) = (conditions.imu_latency, conditions.dropout);
-    if let Some(gps) = &mut model.gps {
-        (gps.latency, gps.dropout) = (conditions.gps_latency, conditions.dropout);
-    }
+    let (believed, settings) = (robot("tiago"), known_start());
+    let model = conditions.body(&believed, &settings, &mut rng);
     let world = World::shipped("empty")?;
     let start = world.start();
     let spec = RobotSpec {
@@ -201,7 +259,7 @@ pub fn drive(
         start.y + START.0 * rng.gauss(),
         start.yaw + START.1 * rng.gauss(),
     );
-    let mut estimator = Estimator::new(&believed, guess, &known_start());
+    let mut estimator = Estimator::new(&believed, guess, &settings);
     let mut off_board = OffBoard::default();
     let mut wheels = [0.0; 2];
     for tick in 0..(secs * 50.0) as usize {
@@ -212,6 +270,9 @@ pub fn drive(
         sim.drive(0, wheels);
         sim.step();
         let mut readings = sim.readings(0);
+        if let Some(gps) = &mut readings.gps {
+            gps.std_dev /= conditions.mismatch.gps_noise;
+        }
         let second = readings.stamp.as_secs() % 60.0;
         let lost = |times: Option<(f64, f64)>| times.is_some_and(|(from, to)| second >= from && second < to);
         if lost(conditions.gps_lost) {

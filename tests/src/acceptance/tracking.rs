@@ -1,8 +1,12 @@
-//! Path error of the trackers. Random paths through a map, planned and smoothed as missions do, each driven at full speed by every law with
-//! simulated sensors; the error is the distance of the true pose from the law's own reference.
+//! Path error of the trackers, in two comparisons. Each path is driven at full speed by every law with simulated sensors; the error is the
+//! distance of the true pose from the law's own reference.
 //!
-//! The wheel law and the heading-first law follow corner points: their error is the distance from the straight legs between them. The
-//! others follow the smoothed trajectory.
+//! [`planned_paths`]: random paths through a map, planned and smoothed as missions do. The wheel laws and the heading-first law follow
+//! corner points: their error is the distance from the straight legs between them. The others follow the smoothed trajectory, which is
+//! easier.
+//!
+//! [`corner_way`]: one polyline with right angles, the reference of every law. Laws that follow a trajectory get the unsmoothed one, which
+//! stops and turns at each corner and nowhere leaves the legs.
 
 use nalgebra::Point2;
 use zenav_edge::Inbox;
@@ -12,8 +16,7 @@ use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::messages::{Correction, DrivingProfile, LeaseRole, PlanOutcome, Trajectory};
 use zenav_protocol::robot::{Footprint, RobotModel};
 use zenav_sim::World;
-use zenav_smoothing::shortcut;
-use zenav_smoothing::{SmoothQuery, SmoothingSettings, smooth};
+use zenav_smoothing::{SmoothQuery, SmoothingSettings, shortcut, smooth, unsmoothed};
 use zenav_space::{ConfigurationSpace, UnknownPolicy};
 
 use super::sim_rig::{SimRig, SimRigError};
@@ -23,11 +26,10 @@ use super::worlds::Rng;
 const RESOLUTION: f64 = 0.05;
 /// Largest errors of a correction from the cloud, m and rad.
 const CORRECTION: (f64, f64) = (0.02, 0.01);
+/// Name of the wheel law without changes.
+pub const ORIGINAL: &str = "wheel_law_original";
 /// Least distance from start to goal, m.
 const LEAST_LENGTH: f64 = 2.0;
-
-/// Names of all laws in the robot file.
-pub const LAWS: [&str; 5] = ["time_law", "pure_pursuit", "pid", "wheel_law", "heading_first"];
 
 /// A path to be driven, and its trajectory.
 #[derive(Clone, Debug)]
@@ -47,7 +49,8 @@ pub struct PlannedPath {
 pub struct Drive {
     /// Distance of the true base from the law's own reference, each tick, m.
     pub errors: Vec<f64>,
-    /// Time until the robot was at rest at the end, s; `None` if that took more than twice the planned time.
+    /// Time until the robot was at rest at the end, s; `None` if that took more than twice the planned time, with the original wheel law six
+    /// times.
     pub secs: Option<f64>,
     /// Distance driven, m.
     pub length: f64,
@@ -157,6 +160,20 @@ pub fn planned_paths(
     found
 }
 
+/// Ten metres in legs of two, with right angles to both sides, for open floor.
+#[must_use]
+pub fn corner_way(model: &RobotModel) -> PlannedPath {
+    let start = Pose2::IDENTITY;
+    let corners = [(2.0, 0.0), (2.0, 2.0), (4.0, 2.0), (4.0, 0.0), (6.0, 0.0)].map(|(x, y)| Point2::new(x, y));
+    let safe = unsmoothed(&corners, start, Twist2::ZERO, None, model);
+    PlannedPath {
+        start,
+        corners: corners.to_vec(),
+        trajectory: safe.trajectory.sampled(0.02),
+        forecast_j: safe.statistics.energy_j,
+    }
+}
+
 /// Source of the robot's pose estimate during a drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Localised {
@@ -185,11 +202,13 @@ pub fn drive(
     rig.plan = Some(rig.plan(planned.corners.clone(), planned.trajectory.clone()));
     let (begun, drawn) = (rig.sim.now(), rig.truth().drawn_j);
     let secs_planned = planned.trajectory.last().map_or(0.0, |point| point.t);
+    // The original wheel law slows down towards every waypoint.
+    let patience = if law == ORIGINAL { 6.0 } else { 2.0 };
     let reference = planned.reference(law);
     let mut errors = Vec::new();
     let mut secs = None;
     let (mut rng, mut ticks) = (Rng::new(seed, 3), 0_u64);
-    while rig.sim.now().secs_since(begun) < 2.0 * secs_planned + 5.0 {
+    while rig.sim.now().secs_since(begun) < patience * secs_planned + 5.0 {
         let mut inbox = Inbox::default();
         ticks += 1;
         if localised == Localised::Corrected && ticks.is_multiple_of(50) {
@@ -238,7 +257,7 @@ impl PlannedPath {
     /// The points of a law's reference, joined by straight legs.
     fn reference(&self, law: &str) -> Vec<Point2<f64>> {
         match law {
-            "wheel_law" | "heading_first" => std::iter::once(self.start.position())
+            "wheel_law" | ORIGINAL | "heading_first" => std::iter::once(self.start.position())
                 .chain(self.corners.iter().copied())
                 .collect(),
             _ => self.trajectory.iter().map(|point| point.pose().position()).collect(),
@@ -271,4 +290,31 @@ pub fn percentile(values: &mut [f64], share: f64) -> f64 {
     values.sort_by(f64::total_cmp);
     let index = ((values.len() as f64 * share) as usize).min(values.len().saturating_sub(1));
     values.get(index).copied().unwrap_or(f64::NAN)
+}
+
+#[cfg(test)]
+mod tests {
+    use zenav_edge::trackers::LAWS;
+    use zenav_fixtures::robot;
+
+    use super::*;
+
+    #[test]
+    fn on_the_corner_way_every_law_has_the_same_reference() {
+        let way = corner_way(&robot("tiago"));
+        let legs = way.reference(ORIGINAL);
+        for law in LAWS {
+            let reference = way.reference(law.name);
+            assert!(
+                reference.iter().all(|point| off_path(&legs, *point) < 1e-6),
+                "{}: leaves the way",
+                law.name
+            );
+            assert!(
+                legs.iter().all(|corner| off_path(&reference, *corner) < 1e-6),
+                "{}: cuts a corner",
+                law.name
+            );
+        }
+    }
 }

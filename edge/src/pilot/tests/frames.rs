@@ -28,6 +28,9 @@ const MOVE: Pose2 = Pose2 {
     yaw: 0.2,
 };
 
+/// A frame that mapping cannot have reached since the last one.
+const FAR: u64 = u64::MAX - 1;
+
 /// A correction from mapping: the robot's pose in a frame, and the moves that led to that frame.
 fn say(rig: &mut Rig, map_from_base: Pose2, frame: u64, moves: &[Pose2]) {
     rig.inbox.corrections.push(Correction {
@@ -35,7 +38,7 @@ fn say(rig: &mut Rig, map_from_base: Pose2, frame: u64, moves: &[Pose2]) {
         boot_id: "boot-1".into(),
         map_from_base,
         covariance: std::array::from_fn(|index| Matrix3::from_diagonal(&[1e-3, 1e-3, 1e-4].into())[index]),
-        is_found_anew: false,
+        is_found_anew: frame == FAR,
         frame,
         moves: moves.to_vec(),
     });
@@ -73,6 +76,8 @@ fn a_correction_of_an_older_frame_or_of_one_that_cannot_be_reached_does_nothing(
         (5, vec![MOVE]),
         (4, vec![]),
         (u64::MAX, vec![MOVE; 16]),
+        // Even where the robot is found anew: no later frame could follow.
+        (FAR, vec![]),
         (4, vec![Pose2 { x: f64::NAN, ..MOVE }]),
     ] {
         let before = rig.pilot.map_from_base();

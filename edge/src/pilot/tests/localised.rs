@@ -40,6 +40,7 @@ fn again(rig: &Rig, plan: &Plan, counter: u64, trajectory_id: u64) -> Plan {
 #[test]
 fn a_robot_that_is_lost_brakes_and_takes_no_plan_until_it_is_found() {
     for lost in [
+        Health::Searching,
         Health::Lost,
         Health::Ambiguous {
             hypotheses: vec![Pose2::IDENTITY; 2],

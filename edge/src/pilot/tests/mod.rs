@@ -7,6 +7,7 @@ mod frames;
 mod localised;
 mod rig;
 mod robots;
+mod simulated_errors;
 mod wall;
 
 use proptest::prelude::*;
@@ -176,6 +177,38 @@ fn out_of_a_burst_only_the_newest_plan_of_the_grant_is_taken() {
 }
 
 #[test]
+fn copies_of_a_stop_and_of_a_resume_that_the_network_repeats_change_nothing() {
+    let mut rig = driving().0;
+    let (stop, resume) = (StopRequest::new("somebody"), ResumeRequest::new("somebody", 1));
+    let stopped = |rig: &Rig| {
+        let state = rig.state.as_ref().unwrap();
+        (state.mode == Mode::Stopped, state.stops)
+    };
+    for _ in 0..3 {
+        rig.ask(EdgeRequest::Stop(stop.clone())).unwrap();
+    }
+    rig.run(0.2);
+    assert_eq!(stopped(&rig), (true, 1));
+    rig.ask(EdgeRequest::Resume(resume.clone())).unwrap();
+    rig.run(0.2);
+    assert_eq!(stopped(&rig), (false, 1));
+    // A copy of the resume arrives after the next stop, even one that names no stop.
+    let careless = ResumeRequest { stop: None, ..ResumeRequest::new("somebody", 1) };
+    rig.ask(EdgeRequest::Resume(careless.clone())).unwrap();
+    rig.ask(EdgeRequest::Stop(StopRequest::new("somebody else"))).unwrap();
+    for copy in [resume, careless] {
+        let _ = rig.ask(EdgeRequest::Resume(copy));
+        rig.run(0.2);
+        assert_eq!(stopped(&rig), (true, 2));
+    }
+    // A late copy of the first stop is obeyed: stopping is safe.
+    rig.ask(EdgeRequest::Resume(ResumeRequest::new("somebody", 2))).unwrap();
+    rig.ask(EdgeRequest::Stop(stop)).unwrap();
+    rig.run(0.2);
+    assert_eq!(stopped(&rig), (true, 3));
+}
+
+#[test]
 fn stop_needs_no_lease_and_a_replayed_plan_after_resume_moves_nothing() {
     let (mut rig, epoch, mut plan) = driving();
     assert_eq!(
@@ -189,15 +222,9 @@ fn stop_needs_no_lease_and_a_replayed_plan_after_resume_moves_nothing() {
     // A delayed resume, requested before another operator stopped the robot again.
     let seen = rig.state.as_ref().unwrap().stops;
     rig.ask(EdgeRequest::Stop(StopRequest::default())).unwrap();
-    let late = ResumeRequest {
-        by: None,
-        stop: Some(seen),
-    };
+    let late = ResumeRequest::new("somebody", seen);
     rig.ask(EdgeRequest::Resume(late)).unwrap_err();
-    let newest = ResumeRequest {
-        by: None,
-        stop: Some(seen + 1),
-    };
+    let newest = ResumeRequest::new("somebody", seen + 1);
     rig.ask(EdgeRequest::Resume(newest)).unwrap();
     rig.send(plan.clone());
     // A renewal by a mission that has not noticed the stop must not move it either: the motion is gone for good.
@@ -216,7 +243,7 @@ fn stop_needs_no_lease_and_a_replayed_plan_after_resume_moves_nothing() {
 fn a_stop_survives_a_restart_and_epochs_go_on() {
     let mut rig = fresh();
     rig.mission();
-    rig.ask(EdgeRequest::Stop(StopRequest { by: Some("me".into()) }))
+    rig.ask(EdgeRequest::Stop(StopRequest::new("me")))
         .unwrap();
     let mut rig = Rig::new(rig.stored);
     assert_eq!(rig.state.as_ref().unwrap().mode, Mode::Stopped);

@@ -6,10 +6,12 @@ use zenav_tests::acceptance::tracking::percentile;
 
 use crate::Verdict;
 
-/// Least share of steps within the 95 % band.
+/// Least share of steps within the 95 % band, where the filter's assumptions hold. Where one does not, the share is only printed: a filter
+/// that keeps to a wrong assumption cannot be consistent.
 const CONSISTENT: f64 = 0.9;
-/// Least share of steps with an error within three standard deviations.
-const WITHIN: f64 = 0.99;
+/// Least share of steps with a position error within three standard deviations, where the assumptions hold, and where one does not: there
+/// errors grow, but stay of the order that the covariance says.
+const WITHIN: [f64; 2] = [0.99, 0.9];
 /// Duration of each drive, s.
 const DRIVE_SECS: f64 = 600.0;
 
@@ -18,10 +20,12 @@ pub fn pose(runs: u64, first: u64) -> Verdict {
     let mut good = true;
     println!("seeds {first} to {}", first + runs.saturating_sub(1));
     println!(
-        "{:20} {:16} {:>16} {:>10} {:>8}",
+        "{:28} {:16} {:>16} {:>10} {:>8}",
         "conditions", "quantity", "band", "in band, %", "mean"
     );
-    for conditions in pose::CONDITIONS {
+    let matched = pose::CONDITIONS.map(|conditions| (conditions, true));
+    let mismatched = pose::MISMATCHED.map(|conditions| (conditions, false));
+    for (conditions, is_matched) in matched.into_iter().chain(mismatched) {
         let mut sums = pose::Sums::default();
         for seed in first..first.saturating_add(runs) {
             pose::drive(&mut sums, &conditions, seed, DRIVE_SECS, &thread_time)?;
@@ -30,7 +34,7 @@ pub fn pose(runs: u64, first: u64) -> Verdict {
         let mut line = |name: &str, means: &[f64], freedom: f64, of: f64| {
             let band = pose::band(freedom, of);
             let (share, mean) = pose::share(means, band);
-            good &= share >= CONSISTENT;
+            good &= share >= CONSISTENT || !is_matched;
             Row::new(
                 format!("{}: {name} in its 95 % band", conditions.name),
                 100.0 * share,
@@ -39,7 +43,7 @@ pub fn pose(runs: u64, first: u64) -> Verdict {
             .print();
             let band = format!("[{:.2}, {:.2}]", band.0, band.1);
             println!(
-                "{:20} {name:16} {band:>16} {:10.1} {mean:8.2}",
+                "{:28} {name:16} {band:>16} {:10.1} {mean:8.2}",
                 conditions.name,
                 100.0 * share
             );
@@ -56,16 +60,17 @@ pub fn pose(runs: u64, first: u64) -> Verdict {
                 line(name, &means, freedom, readings);
             }
         }
-        good &= f64::from(sums.within.0) >= WITHIN * f64::from(sums.within.1);
+        let within = WITHIN[usize::from(!is_matched)];
+        good &= f64::from(sums.within.0) >= within * f64::from(sums.within.1);
         println!(
-            "{:20} position error within three standard deviations in {:.2} % of steps, at most {:.3} m where up to {:.3} m were allowed for",
+            "{:28} position error within three standard deviations in {:.2} % of steps, at most {:.3} m where up to {:.3} m were allowed for",
             conditions.name,
             100.0 * f64::from(sums.within.0) / f64::from(sums.within.1.max(1)),
             sums.worst,
             sums.allowed,
         );
         println!(
-            "{:20} a step takes {:.1} us, p99 {:.1} us; {} fused, {} outliers, {} too late",
+            "{:28} a step takes {:.1} us, p99 {:.1} us; {} fused, {} outliers, {} too late",
             conditions.name,
             1e6 * percentile(&mut sums.took, 0.5),
             1e6 * percentile(&mut sums.took, 0.99),
