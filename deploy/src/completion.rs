@@ -1,4 +1,5 @@
-//! Completion. Names that a shell offers while a user types: shipped files, and robots, places, goals and topics on the bus.
+//! Completion. Names that a shell offers while a user types: shipped files, keys and messages, and the robots, places, zones, goals,
+//! parameters and stored maps on the bus.
 
 use std::ffi::OsStr;
 use std::io::Write;
@@ -13,13 +14,15 @@ use clap_complete::env::{CompleteEnv, Shells};
 use zenav_mission::trees;
 use zenav_planning::Planner;
 use zenav_protocol::bus::Bus;
-use zenav_protocol::messages::GoalsRequest;
+use zenav_protocol::messages::{GoalsRequest, MapAction, MapRequest, ParamRequest};
+use zenav_protocol::topics::Row;
 use zenav_protocol::{robot, topics};
 use zenav_sim::world;
 
 use crate::config::IdentityArgs;
 use crate::connect::{self, DEFAULT_ENDPOINT, LinkArgs};
 use crate::failure::Failure;
+use crate::inspect::message_names;
 use crate::{annotations, exit_code};
 
 /// The variable by which a shell requests completions; clap's own default.
@@ -73,11 +76,14 @@ pub fn planners() -> ArgValueCandidates {
 }
 
 fn shipped_or_file(shipped: &'static [(&'static str, &'static str)]) -> ArgValueCompleter {
+    names_or_file(move || shipped.iter().map(|(name, _)| (*name).to_owned()).collect())
+}
+
+fn names_or_file(names: impl Fn() -> Vec<String> + Send + Sync + 'static) -> ArgValueCompleter {
     ArgValueCompleter::new(move |typed: &OsStr| {
         let start = typed.to_string_lossy();
-        let names = shipped.iter().map(|(name, _)| *name);
-        let names = names.filter(|name| name.starts_with(start.as_ref()));
-        let mut found: Vec<CompletionCandidate> = names.map(CompletionCandidate::new).collect();
+        let mut found = candidates(names());
+        found.retain(|name| name.get_value().to_string_lossy().starts_with(start.as_ref()));
         found.extend(PathCompleter::file().complete(typed));
         found
     })
@@ -123,15 +129,63 @@ pub fn goals() -> ArgValueCandidates {
     })
 }
 
-/// Topics of the robot, in the form that `zenav topic` accepts.
-pub fn keys() -> ArgValueCandidates {
+/// Parameters of the robot.
+pub fn params() -> ArgValueCandidates {
     ArgValueCandidates::new(|| {
-        let of_a_robot = topics::TABLE
-            .iter()
-            .filter_map(|row| row.pattern.strip_prefix("zenav/{robot}/"));
-        let fixed = of_a_robot.filter(|key| !key.contains('{'));
-        fixed.map(CompletionCandidate::new).collect()
+        candidates(on_robot(async |bus, robot| {
+            let request = ParamRequest::default();
+            let known = bus.ask(&topics::PARAM, &[&robot], &request, WITHIN).await?.params;
+            Ok(known.into_keys().collect())
+        }))
     })
+}
+
+/// Names of the robot's stored maps.
+pub fn stored_maps() -> ArgValueCandidates {
+    ArgValueCandidates::new(|| candidates(map_names()))
+}
+
+/// Names of the robot's stored maps, and files.
+pub fn stored_maps_and_files() -> ArgValueCompleter {
+    names_or_file(map_names)
+}
+
+fn map_names() -> Vec<String> {
+    on_robot(async |bus, robot| {
+        let request = MapRequest {
+            action: MapAction::List,
+            ..MapRequest::default()
+        };
+        let stored = bus.ask(&topics::MAP, &[&robot], &request, WITHIN).await?.stored;
+        Ok(stored.into_iter().map(|map| map.name).collect())
+    })
+}
+
+/// Keys of topics and asks, in the form that commands accept.
+pub fn keys() -> ArgValueCandidates {
+    ArgValueCandidates::new(|| candidates(fixed_keys(|_| true)))
+}
+
+/// Keys of topics, in the form that commands accept.
+pub fn topic_keys() -> ArgValueCandidates {
+    ArgValueCandidates::new(|| candidates(fixed_keys(|row| row.qos.is_some())))
+}
+
+/// Keys of asks, in the form that commands accept.
+pub fn ask_keys() -> ArgValueCandidates {
+    ArgValueCandidates::new(|| candidates(fixed_keys(|row| row.qos.is_none())))
+}
+
+/// Names of messages.
+pub fn messages() -> ArgValueCandidates {
+    ArgValueCandidates::new(|| candidates(message_names()))
+}
+
+/// Keys of the table that contain no name but the robot's, which is left out.
+fn fixed_keys(is_wanted: impl Fn(&Row) -> bool) -> Vec<String> {
+    let wanted = topics::TABLE.iter().filter(|row| is_wanted(row));
+    let of_a_robot = wanted.filter_map(|row| row.pattern.strip_prefix("zenav/{robot}/"));
+    of_a_robot.filter(|key| !key.contains('{')).map(str::to_owned).collect()
 }
 
 fn candidates(names: Vec<String>) -> Vec<CompletionCandidate> {
@@ -218,6 +272,27 @@ mod tests {
             register(*shell, &mut script).unwrap();
             assert!(String::from_utf8(script).unwrap().contains("zenav"), "{shell}");
         }
+    }
+
+    #[test]
+    fn keys_are_offered_where_they_are_taken() {
+        let values = |candidates: ArgValueCandidates| -> Vec<String> {
+            let found = candidates.candidates();
+            found
+                .iter()
+                .map(|one| one.get_value().to_string_lossy().into_owned())
+                .collect()
+        };
+        let has = |names: &[String], name: &str| names.iter().any(|known| known == name);
+        let (topics, asks, all) = (values(topic_keys()), values(ask_keys()), values(keys()));
+        assert!(
+            has(&topics, "edge/pose") && !has(&topics, "ask/edge/info"),
+            "{topics:?}"
+        );
+        assert!(has(&asks, "ask/edge/info") && !has(&asks, "edge/pose"), "{asks:?}");
+        assert_eq!(all.len(), topics.len() + asks.len());
+        assert!(all.iter().all(|key| !key.contains('{')));
+        assert!(has(&values(messages()), "GoalRequest"));
     }
 
     #[test]

@@ -9,6 +9,7 @@ use zenav_protocol::bus::{AskError, BusError, IdentityError};
 use zenav_protocol::messages::Refusal;
 
 use crate::exit_code;
+use crate::leadership;
 
 /// A command's failure: message and exit code.
 #[derive(Debug, Error, Diagnostic)]
@@ -46,6 +47,15 @@ impl Failure {
     #[must_use]
     pub fn failed(message: impl Display) -> Self {
         Self::new(exit_code::FAILED, message)
+    }
+
+    /// The same failure with what it is about before its message.
+    #[must_use]
+    pub fn about(self, what: &str) -> Self {
+        Self {
+            message: format!("{what}: {}", self.message),
+            ..self
+        }
     }
 
     /// [`Self::usage`] for bad contents of a file, with its name; for `map_err`.
@@ -111,10 +121,10 @@ impl From<AskError> for Failure {
     fn from(error: AskError) -> Self {
         let cure = match &error {
             AskError::Refused(Refusal::NotLeader) => {
-                ": no orchestrator that runs may lead this robot (`zenav doctor` says which may; `zenav lease forget` if it will not come back)"
+                format!(": no orchestrator that runs may lead this robot ({})", leadership::CURE)
             }
-            AskError::Timeout { .. } => " (`zenav doctor` says what runs)",
-            _ => "",
+            AskError::Timeout { .. } => " (`zenav doctor` says what runs)".to_owned(),
+            _ => String::new(),
         };
         Self::new(exit_code::of_ask(&error), format!("{error}{cure}"))
     }
@@ -137,6 +147,16 @@ pub type Outcome = Result<u8, Failure>;
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_robot_without_a_leader_is_told_with_the_cure_wherever_it_shows() {
+        let failure = Failure::from(AskError::Refused(Refusal::NotLeader)).about("tiago");
+        assert_eq!(failure.code, exit_code::of_ask(&AskError::Refused(Refusal::NotLeader)));
+        assert!(
+            failure.message.starts_with("tiago: not the leader: ") && failure.message.contains("`zenav lease forget`"),
+            "{failure}"
+        );
+    }
 
     #[test]
     fn what_a_parser_expected_is_told_in_words() {

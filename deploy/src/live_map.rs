@@ -1,7 +1,7 @@
 //! Live map. A robot's current state in a terminal: its map with plan, scan, goal, places and other robots, five times a second.
 
 use std::collections::BTreeMap;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use indicatif::ProgressBar;
 use nalgebra::Point2;
@@ -9,11 +9,12 @@ use tokio::task::AbortHandle;
 use zenav_cloud::map_subscriber::MapSubscriber;
 use zenav_protocol::bus::{Bus, Latest};
 use zenav_protocol::geometry::Pose2;
-use zenav_protocol::messages::{Annotations, EdgeState, GoalState, MapRef, Plan, PoseEstimate, Scan};
+use zenav_protocol::messages::{Annotations, EdgeState, GoalState, MapRef, MissionStatus, Plan, PoseEstimate, Scan};
 use zenav_protocol::topics;
 
 use crate::drawing::terminal::{self, Mark, Screen};
 use crate::failure::Failure;
+use crate::freshness::{Ages, Heard, RouterLink, dimmed};
 
 /// Period of pictures.
 const PERIOD: Duration = Duration::from_millis(200);
@@ -32,17 +33,20 @@ struct Seen {
     goal: Option<GoalState>,
     annotations: Annotations,
     others: BTreeMap<String, Pose2>,
+    heard: Heard,
 }
 
 /// Follows a robot and draws it.
 pub struct LiveMap {
     robot: String,
+    link: RouterLink,
     maps: MapSubscriber,
     poses: Latest<PoseEstimate>,
     states: Latest<EdgeState>,
     scans: Latest<Scan>,
     plans: Latest<Plan>,
     goals: Latest<GoalState>,
+    missions: Latest<MissionStatus>,
     annotations: Latest<Annotations>,
     seen: Seen,
 }
@@ -64,26 +68,34 @@ impl LiveMap {
     pub fn new(bus: &Bus, robot: &str) -> Result<Self, Failure> {
         Ok(Self {
             robot: robot.to_owned(),
+            link: RouterLink::new(bus),
             maps: MapSubscriber::new(bus)?,
             poses: bus.latest(&topics::POSE, &["*"])?,
             states: bus.latest(&topics::STATE, &[robot])?,
             scans: bus.latest(&topics::SCAN, &[robot])?,
             plans: bus.latest(&topics::PLAN, &[robot])?,
             goals: bus.latest(&topics::GOAL_STATE, &[robot, "*"])?,
+            missions: bus.latest(&topics::MISSION, &[robot])?,
             annotations: bus.latest(&topics::ANNOTATIONS, &[robot])?,
             seen: Seen::default(),
         })
     }
 
-    /// The current picture; without a map, a line about what it waits for.
+    /// Tells once that the router was lost, and once that it is back.
+    pub async fn news(&mut self) -> Option<&'static str> {
+        self.link.news().await
+    }
+
+    /// The current picture above a status line; without a map, a line about what it waits for instead.
     pub async fn frame(&mut self, screen: Screen) -> String {
         self.take();
-        let Some(replica) = self.maps.map(&self.robot, &MapRef::default(), MAP_WITHIN).await else {
-            return format!("waiting for a map of {}", self.robot);
+        let map = self.maps.map(&self.robot, &MapRef::default(), MAP_WITHIN).await;
+        let picture = match map {
+            Some(replica) => terminal::map(replica.grid(), &self.seen.marks(), screen),
+            None => format!("waiting for a map of {}", self.robot),
         };
-        let state = self.seen.state.as_ref().map(status).unwrap_or_default();
-        let picture = terminal::map(replica.grid(), &self.seen.marks(), screen);
-        format!("{picture}\n{}{state}", self.robot)
+        let status = status(&self.robot, self.seen.heard.ages(), self.seen.state.as_ref(), screen);
+        format!("{picture}\n{status}")
     }
 
     fn take(&mut self) {
@@ -91,7 +103,10 @@ impl LiveMap {
         while let Some(received) = self.poses.take_received() {
             let pose = received.message.map_from_base;
             match received.chunks.into_iter().next() {
-                Some(name) if name == *robot => seen.pose = Some(pose),
+                Some(name) if name == *robot => {
+                    seen.pose = Some(pose);
+                    seen.heard.pose = Some(Instant::now());
+                }
                 Some(name) if seen.others.len() < MOST_ROBOTS || seen.others.contains_key(&name) => {
                     seen.others.insert(name, pose);
                 }
@@ -114,6 +129,9 @@ impl LiveMap {
         if let Some(state) = self.states.take() {
             seen.state = Some(state);
         }
+        if self.missions.take().is_some() {
+            seen.heard.mission = Some(Instant::now());
+        }
         if let Some(annotations) = self.annotations.take() {
             seen.annotations = annotations;
         }
@@ -129,8 +147,11 @@ impl LiveMap {
                 pace.tick().await;
                 // The bar's own line and one more stay free.
                 let Some(screen) = Screen::of_terminal(5) else { return };
-                let frame = self.frame(screen).await;
+                let (news, frame) = (self.news().await, self.frame(screen).await);
                 let Some(bar) = bar.upgrade() else { return };
+                if let Some(news) = news {
+                    bar.println(news);
+                }
                 bar.set_prefix(frame + "\n");
             }
         });
@@ -163,11 +184,20 @@ impl Seen {
     }
 }
 
-/// The status line.
-fn status(state: &EdgeState) -> String {
+/// The status line, cut to the screen: first the ages of what is shown, then the robot's state. Faint once one of the two is old.
+fn status(robot: &str, ages: Ages, state: Option<&EdgeState>, screen: Screen) -> String {
+    let state = state.map(state_text).unwrap_or_default();
+    let line: String = format!("{robot}  {}{state}", ages.text())
+        .chars()
+        .take(screen.width)
+        .collect();
+    dimmed(&line, screen.colors && ages.is_old())
+}
+
+fn state_text(state: &EdgeState) -> String {
     let link = state.round_trip_secs.map(|secs| format!(" {:.0} ms", 1e3 * secs));
     format!(
-        "  {:.2} m/s  {:?}  guard {:?}  link {:?}{}  battery {:.0} %",
+        "  {:.2} m/s  {:?}  monitor {:?}  link {:?}{}  battery {:.0} %",
         state.velocity.v,
         state.mode,
         state.guard,
@@ -175,4 +205,36 @@ fn status(state: &EdgeState) -> String {
         link.unwrap_or_default(),
         100.0 * state.battery
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_status_line_tells_the_ages_and_is_faint_once_they_are_old() {
+        let screen = Screen {
+            width: 40,
+            height: 10,
+            colors: true,
+        };
+        let fresh = Ages {
+            pose: Some(Duration::from_millis(100)),
+            mission: Some(Duration::from_millis(400)),
+        };
+        let line = status("tiago", fresh, None, screen);
+        assert_eq!(line, "tiago  pose 0.1 s old, mission 0.4 s old");
+        let old = Ages {
+            pose: Some(Duration::from_secs(61)),
+            ..fresh
+        };
+        let line = status("tiago", old, None, screen);
+        assert_eq!(line, "\x1b[2mtiago  pose 61 s old, mission 0.4 s old\x1b[0m");
+        let plain = Screen {
+            width: 12,
+            colors: false,
+            ..screen
+        };
+        assert_eq!(status("tiago", old, None, plain), "tiago  pose ");
+    }
 }

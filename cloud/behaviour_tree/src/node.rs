@@ -57,6 +57,8 @@ pub(crate) struct Info {
     pub(crate) depth: u16,
     pub(crate) scope: ScopeId,
     pub(crate) ports: Box<[BoundPort]>,
+    /// Ports and scripts with their texts, as in the tree file.
+    pub(crate) written: Box<[(Box<str>, Box<str>)]>,
 }
 
 /// Run-time state of a node. The meaning of the counters is defined by the node's family.

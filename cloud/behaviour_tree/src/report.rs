@@ -118,12 +118,44 @@ impl<C> Tree<C> {
         })
     }
 
+    /// The ports and scripts that the tree file sets for a node, in its order, as `(name, text)`; `uid` as in [`NodeReport`].
+    pub fn written(&self, uid: u16) -> impl Iterator<Item = (&str, &str)> {
+        let info = usize::from(uid).checked_sub(1).and_then(|index| self.infos.get(index));
+        let written = info.map(|info| &*info.written).unwrap_or_default();
+        written.iter().map(|(name, text)| (&**name, &**text))
+    }
+
     /// The tree drawn with lines, one node per row: name, id, status if any, feedback.
     pub fn render(&self) -> String {
+        self.draw(|id, drawn| self.render_status(id, drawn))
+    }
+
+    /// The tree drawn with lines, one node per row: name, id, and the ports and scripts that the tree file sets.
+    pub fn render_written(&self) -> String {
+        use std::fmt::Write as _;
+        self.draw(|id, drawn| {
+            for (name, text) in self.written((id + 1) as u16) {
+                // A script of several lines must not break the drawing. Writing to a String cannot fail.
+                let words: Vec<&str> = text.split_whitespace().collect();
+                let _ = write!(drawn, " {name}=\"{}\"", words.join(" "));
+            }
+        })
+    }
+
+    /// The tree drawn with lines, one node per row: name, id, and whatever else.
+    fn draw(&self, more: impl Fn(NodeId, &mut String)) -> String {
         let mut drawn = String::new();
         let mut todo: Vec<(NodeId, String, String)> = vec![(0, String::new(), String::new())];
         while let Some((id, first, rest)) = todo.pop() {
-            self.render_row(id, &first, &mut drawn);
+            if let Some(info) = self.infos.get(id as usize) {
+                drawn.push_str(&first);
+                drawn.push_str(&info.name);
+                if info.id != info.name {
+                    drawn.extend([" [", &*info.id, "]"]);
+                }
+                more(id, &mut drawn);
+                drawn.push('\n');
+            }
             let Some(node) = self.nodes.get(id as usize) else {
                 continue;
             };
@@ -140,31 +172,20 @@ impl<C> Tree<C> {
         drawn
     }
 
-    fn render_row(&self, id: NodeId, before: &str, drawn: &mut String) {
+    fn render_status(&self, id: NodeId, drawn: &mut String) {
         use std::fmt::Write as _;
         let index = id as usize;
-        let (Some(info), Some(state), Some(memory)) =
-            (self.infos.get(index), self.states.get(index), self.memories.get(index))
-        else {
+        let (Some(state), Some(memory)) = (self.states.get(index), self.memories.get(index)) else {
             return;
         };
         // Writing to a String cannot fail.
-        let _ = write!(drawn, "{before}{}", info.name);
-        if info.id != info.name {
-            let _ = write!(drawn, " [{}]", info.id);
-        }
-        match (state.status, state.last) {
-            (Status::Idle, Status::Idle) => {}
-            (Status::Idle, last) => {
-                let _ = write!(drawn, "  ({last})");
-            }
-            (status, _) => {
-                let _ = write!(drawn, "  {status}");
-            }
-        }
+        let _ = match (state.status, state.last) {
+            (Status::Idle, Status::Idle) => Ok(()),
+            (Status::Idle, last) => write!(drawn, "  ({last})"),
+            (status, _) => write!(drawn, "  {status}"),
+        };
         if !memory.feedback.is_empty() {
             let _ = write!(drawn, "  {}", memory.feedback);
         }
-        drawn.push('\n');
     }
 }

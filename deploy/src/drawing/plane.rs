@@ -18,6 +18,8 @@ pub const OCCUPIED: Color = [30, 34, 40];
 pub const PLACE: Color = [30, 130, 76];
 /// Robots.
 pub const ROBOT: Color = [40, 110, 220];
+/// Stretches of a way where scans leave a direction undetermined.
+pub const DEGENERATE: Color = [150, 60, 190];
 
 /// Width of the panel, px.
 pub const PANEL: u32 = 172;
@@ -29,6 +31,8 @@ const INSET: f32 = 12.0;
 /// Line height in the panel, and size of its letters, px.
 const LINE: f32 = 19.0;
 const LETTERS: f32 = 12.0;
+/// Size of the title's letters, px.
+const TITLE: f32 = 14.0;
 /// Leading digits of scale bar lengths.
 const ROUND: [f64; 3] = [5.0, 2.0, 1.0];
 
@@ -74,7 +78,10 @@ impl Plane {
             scale,
             line: 26.0,
         };
-        plane.word(title, 14.0, INK, Face::Bold, 0.0);
+        let (first, second) = two_lines(title, PANEL as f32 - 1.5 * INSET);
+        for line in [first, second].into_iter().filter(|line| !line.is_empty()) {
+            plane.word(line, TITLE, INK, Face::Bold, 0.0);
+        }
         plane.line += 6.0;
         Ok(plane)
     }
@@ -246,6 +253,24 @@ impl Plane {
     }
 }
 
+/// A title over two lines, if it is wider than `room` px: broken after a space or a mark, if there is one.
+fn two_lines(title: &str, room: f32) -> (&str, &str) {
+    let fits = |end: &usize| text_width(title.get(..*end).unwrap_or_default(), TITLE, Face::Bold) <= room;
+    let ends = || {
+        title
+            .char_indices()
+            .map(|(at, letter)| (at + letter.len_utf8(), letter))
+    };
+    if fits(&title.len()) {
+        return (title, "");
+    }
+    let fitting = || ends().take_while(|(end, _)| fits(end));
+    let mark = fitting().filter(|(_, letter)| " _-.".contains(*letter)).last();
+    let end = mark.or_else(|| fitting().last()).map_or(0, |(end, _)| end);
+    let (first, second) = title.split_at(end);
+    (first.trim_end(), second)
+}
+
 /// The largest of …, 0.5, 1, 2, 5, 10, … that does not exceed a number.
 fn round_below(number: f64) -> f64 {
     let exponent = number.log10().floor();
@@ -287,6 +312,23 @@ mod tests {
         ] {
             assert_eq!(round_below(number), bar, "{number}");
         }
+    }
+
+    #[test]
+    fn a_long_title_takes_two_lines() {
+        let room = PANEL as f32 - 1.5 * INSET;
+        assert_eq!(two_lines("kitchen", room), ("kitchen", ""));
+        assert_eq!(
+            two_lines("everything_of_the_first_run", room),
+            ("everything_of_the_", "first_run")
+        );
+        assert_eq!(
+            two_lines("zenav a_whole_afternoon", room),
+            ("zenav a_whole_", "afternoon")
+        );
+        let (first, second) = two_lines("kitchenkitchenkitchen", room);
+        assert!(!first.is_empty() && !second.is_empty());
+        assert_eq!(format!("{first}{second}"), "kitchenkitchenkitchen");
     }
 
     #[test]

@@ -95,7 +95,8 @@ impl<'a> Scene<'a> {
         for at in self.scan.into_iter().flatten() {
             plane.dot(*at, SCAN, 1.5);
         }
-        for (points, color, name) in [(self.trail, TRAIL, "driven"), (self.plan, PLAN, "plan")] {
+        // The trail covers the part of the plan that was driven.
+        for (points, color, name) in [(self.plan, PLAN, "plan"), (self.trail, TRAIL, "driven")] {
             if let Some(points) = points {
                 plane.polyline(points, color, 2.5);
                 plane.legend(Mark::Line, color, name);
@@ -162,6 +163,20 @@ mod tests {
         assert_eq!(at(100, 316), TRAIL, "the drive runs along the lowest row");
         assert_eq!(at(100, 4), [255; 3]);
         assert!(at(318, 318)[0] < 60, "the obstacle stands at the lower right");
+    }
+
+    #[test]
+    fn the_trail_covers_the_plan_that_was_driven() {
+        let map = map();
+        let way = [Point2::new(-0.95, -0.95), Point2::new(2.5, -0.95)];
+        let scene = Scene {
+            plan: Some(&way),
+            trail: Some(&way),
+            ..Scene::new("a drive", &map)
+        };
+        let canvas = scene.draw(320).unwrap();
+        let at = ((316 * canvas.width() + 100) * 3) as usize;
+        assert_eq!(&canvas.rgb()[at..at + 3], TRAIL);
     }
 
     #[test]

@@ -145,8 +145,8 @@ impl Layout {
     }
 }
 
-/// A tree as SVG.
-pub fn svg(nodes: &[NodeReport]) -> String {
+/// A tree as SVG. `hints`: for each node a text that a viewer shows when the pointer rests on its card; empty for none.
+pub fn svg(nodes: &[NodeReport], hints: &[String]) -> String {
     let picture = layout(nodes);
     let (width, height) = (picture.width, picture.height);
     let hex = |[r, g, b]: Color| format!("#{r:02x}{g:02x}{b:02x}");
@@ -162,18 +162,20 @@ pub fn svg(nodes: &[NodeReport]) -> String {
             hex(LINE)
         );
     }
-    for card in &picture.cards {
+    let hints = hints.iter().map(String::as_str).chain(std::iter::repeat(""));
+    for (card, hint) in picture.cards.iter().zip(hints) {
         let Card { left, top, width, .. } = card;
         let _ = writeln!(
             text,
-            "<rect x=\"{left}\" y=\"{top}\" width=\"{width}\" height=\"{CARD}\" rx=\"4\" fill=\"{}\" stroke=\"{}\"/>",
+            "<rect x=\"{left}\" y=\"{top}\" width=\"{width}\" height=\"{CARD}\" rx=\"4\" fill=\"{}\" stroke=\"{}\"><title>{}</title></rect>",
             hex(card.color),
-            hex(LINE)
+            hex(LINE),
+            escaped(hint)
         );
         // Stretched to the assumed width, whatever font is available.
         let _ = writeln!(
             text,
-            "<text x=\"{}\" y=\"{}\" textLength=\"{}\" fill=\"{}\">{}</text>",
+            "<text x=\"{}\" y=\"{}\" textLength=\"{}\" fill=\"{}\" pointer-events=\"none\">{}</text>",
             left + PADDING,
             top + 16.0,
             width - 2.0 * PADDING,
@@ -244,11 +246,12 @@ mod tests {
     #[test]
     fn names_do_not_break_out_of_the_picture() {
         let tree = r#"<root><BehaviorTree ID="A"><AlwaysSuccess name="a &lt;b&gt; &amp; c"/></BehaviorTree></root>"#;
-        let text = svg(&trees::build(tree).unwrap().report());
+        let text = svg(&trees::build(tree).unwrap().report(), &["a=\"<b>\"".to_owned()]);
         assert!(
             text.contains("a &lt;b&gt; &amp; c [AlwaysSuccess]") && text.ends_with("</svg>\n"),
             "{text}"
         );
+        assert!(text.contains("<title>a=\"&lt;b&gt;\"</title>"), "{text}");
     }
 
     #[test]

@@ -12,6 +12,7 @@ use super::{Report, no_goal, phase_code};
 use crate::connect::{self, RobotArgs};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
+use crate::leadership;
 use crate::live_map::{Drawing, LiveMap};
 use crate::output::{self, Format};
 
@@ -87,7 +88,7 @@ async fn query(bus: &Bus, robot: &str, id: &str, within: Duration) -> Result<Opt
         id: Some(id.to_owned()),
         ..GoalsRequest::default()
     };
-    let reply = bus.ask(&topics::GOALS, &[robot], &request, within).await?;
+    let reply = leadership::ask(bus, &topics::GOALS, robot, &request, within).await?;
     Ok(reply.goals.into_iter().find(|goal| goal.id == id))
 }
 

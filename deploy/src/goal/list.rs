@@ -11,6 +11,7 @@ use super::Report;
 use crate::connect::{self, RobotArgs, fresh_id, whole};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
+use crate::leadership;
 use crate::output::{self, Format};
 
 /// Filters of the list.
@@ -57,12 +58,12 @@ pub(super) fn run(robot: &RobotArgs, format: Format, args: &ListArgs) -> Outcome
         let mut listed = Vec::new();
         let mut failure = None;
         for robot in &robots {
-            match bus.ask(&topics::GOALS, &[robot], &request, patience).await {
+            match leadership::ask(&bus, &topics::GOALS, robot, &request, patience).await {
                 Ok(reply) => listed.extend(reply.goals.into_iter().map(|goal| Listed {
                     age_s: reply.now.map(|now| now.secs_since(goal.accepted)),
                     goal,
                 })),
-                Err(error) => failure = Some(Failure::new(exit_code::of_ask(&error), format!("{robot}: {error}"))),
+                Err(error) => failure = Some(Failure::from(error).about(robot)),
             }
         }
         // Answers are printed even if some robots do not answer.
@@ -142,7 +143,8 @@ fn age(secs: f64) -> String {
     }
 }
 
-pub(super) fn target(request: &GoalRequest) -> String {
+/// What a goal is for, in short: its place, its coordinates, its waypoints, or its tree.
+pub(crate) fn target(request: &GoalRequest) -> String {
     if let Some(place) = &request.place {
         return place.clone();
     }
@@ -167,7 +169,7 @@ pub(super) fn cancel(robot: &RobotArgs, format: Format, id: Option<String>) -> O
             id,
             request_id: Some(fresh_id("cancel")),
         };
-        let reply = bus.ask(&topics::CANCEL, &[&robot], &request, patience).await;
+        let reply = leadership::ask(&bus, &topics::CANCEL, &robot, &request, patience).await;
         let reply = reply.map_err(|error| not_there(&robot, request.id.as_deref(), error))?;
         if reply.state.is_end() && reply.state != GoalPhase::Canceled {
             return Err(Failure::new(
@@ -190,7 +192,7 @@ pub(super) fn pause(robot: &RobotArgs, format: Format, id: Option<String>, resum
             resume,
             request_id: Some(fresh_id("pause")),
         };
-        let reply = bus.ask(&topics::PAUSE, &[&robot], &request, patience).await;
+        let reply = leadership::ask(&bus, &topics::PAUSE, &robot, &request, patience).await;
         let reply = reply.map_err(|error| not_there(&robot, request.id.as_deref(), error))?;
         print(format, &robot, reply)
     })

@@ -21,6 +21,8 @@ use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::Format;
 
+pub(crate) use list::target;
+
 /// Goals: submit, list, watch, move, cancel.
 #[derive(Debug, clap::Args)]
 #[command(

@@ -10,6 +10,7 @@ use crate::completion;
 use crate::connect::{self, RobotArgs, fresh_id};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
+use crate::leadership;
 use crate::output::{self, Format};
 
 /// The goal, and its new place.
@@ -54,7 +55,7 @@ pub(super) fn run(robot: &RobotArgs, format: Format, args: &MoveArgs) -> Outcome
             before,
             request_id: Some(fresh_id("move")),
         };
-        bus.ask(&topics::MOVE_GOAL, &[&robot], &request, patience).await?;
+        leadership::ask(&bus, &topics::MOVE_GOAL, &robot, &request, patience).await?;
         output::values(format, &queue(&bus, &robot, patience).await?, table)?;
         Ok(exit_code::OK)
     })
@@ -66,7 +67,7 @@ async fn queue(bus: &Bus, robot: &str, patience: std::time::Duration) -> Result<
         states: vec![GoalPhase::Accepted],
         ..GoalsRequest::default()
     };
-    let reply = bus.ask(&topics::GOALS, &[robot], &request, patience).await?;
+    let reply = leadership::ask(bus, &topics::GOALS, robot, &request, patience).await?;
     Ok(in_order(reply.goals))
 }
 

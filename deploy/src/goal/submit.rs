@@ -19,6 +19,7 @@ use crate::connect::{self, RobotArgs, finite, fresh_id, heading, name, positive,
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::inspect::bt::includer;
+use crate::leadership;
 use crate::live_map::LiveMap;
 use crate::output::{self, Format};
 
@@ -195,7 +196,7 @@ async fn submit(
     format: Format,
 ) -> Outcome {
     let id = request.id.clone().unwrap_or_default();
-    let report = match bus.ask(&topics::GOAL, &[to], request, patience).await {
+    let report = match leadership::ask(bus, &topics::GOAL, to, request, patience).await {
         Ok(reply) => {
             let robot = reply.robot.as_deref().unwrap_or(to);
             if args.group.is_some() {

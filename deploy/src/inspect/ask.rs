@@ -7,15 +7,17 @@ use std::time::Duration;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
-use zenav_protocol::bus::{AskError, RawReply};
+use zenav_protocol::bus::{Act, AskError, Bus, RawReply, RawSample};
 use zenav_protocol::messages::Refusal;
 use zenav_protocol::topics::{self, Ask, Producer, Row, TABLE, TableVisitor, Topic};
 
 use super::payload;
+use crate::completion;
 use crate::connect::{self, RobotArgs};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
+use crate::leadership;
 use crate::output::{self, Format};
 
 /// Largest edit distance between an unknown name and the known one that is suggested for it.
@@ -36,6 +38,7 @@ pub struct AskArgs {
     #[arg(short, long, value_enum, default_value_t)]
     output: Format,
     /// A key (`zenav/tiago/ask/edge/info`), its end (`ask/edge/info`), or the name of an ask (`goals`); `?name=value` is passed along
+    #[arg(add = completion::ask_keys())]
     key: String,
     /// The request; `-` reads it from stdin
     #[arg(default_value = "{}")]
@@ -52,6 +55,7 @@ pub struct AskArgs {
 )]
 pub(super) struct PubArgs {
     /// A key, its end (`operator/teleop`), or the name of a topic (`teleop`)
+    #[arg(add = completion::topic_keys())]
     key: String,
     /// The message; `-` reads it from stdin
     json: String,
@@ -79,41 +83,14 @@ pub fn ask(args: &AskArgs) -> Outcome {
     let text = input(&args.json)?;
     connect::on_bus(&args.robot.link, async |bus| {
         let key = concrete(&bus, key, &args.robot, true).await?;
+        bus.check(Act::Ask, &key)?;
         if let Some(row) = topics::row_of(&key) {
             check(row, &text)?;
         } else {
             any_json(&text)?;
         }
         let selector = parameters.map_or_else(|| key.clone(), |parameters| format!("{key}?{parameters}"));
-        let until = tokio::time::Instant::now() + patience;
-        // Same rules as every ask: no reply is not an answer, and a standby redirects to the leader.
-        let sample = loop {
-            let within = until.saturating_duration_since(tokio::time::Instant::now());
-            let replies = bus
-                .raw_query(&selector, Some(text.clone().into_bytes()), within)
-                .await?;
-            let mut refusal = None;
-            let mut answer = None;
-            for reply in replies {
-                match reply {
-                    RawReply::Ok(sample) => answer = answer.or(Some(sample)),
-                    RawReply::Err { bytes, .. } => {
-                        refusal = refusal.or_else(|| serde_json::from_slice::<Refusal>(&bytes).ok())
-                    }
-                }
-            }
-            match (answer, refusal) {
-                (Some(sample), _) => break sample,
-                (None, Some(refusal)) if !matches!(refusal, Refusal::NotLeader | Refusal::Busy { .. }) => {
-                    return Err(AskError::Refused(refusal).into());
-                }
-                (None, refusal) if tokio::time::Instant::now() + AGAIN >= until => {
-                    let timeout = AskError::Timeout { key: key.clone() };
-                    return Err(refusal.map_or(timeout, AskError::Refused).into());
-                }
-                _ => tokio::time::sleep(AGAIN).await,
-            }
-        };
+        let sample = answer(&bus, &key, &selector, &text, patience).await?;
         if let Some(out) = &args.out {
             files::write(out, &sample.bytes)?;
             output::line(&format!(
@@ -133,11 +110,54 @@ pub fn ask(args: &AskArgs) -> Outcome {
     })
 }
 
+/// The answer to a request, by the rules of every ask: no reply is not an answer, and a standby redirects to the leader.
+async fn answer(bus: &Bus, key: &str, selector: &str, text: &str, patience: Duration) -> Result<RawSample, Failure> {
+    let answered = answered(bus, key, selector, text, patience);
+    let is_mission = topics::row_of(key).is_some_and(|row| row.producer == Producer::Mission);
+    match key.split('/').nth(1).filter(|_| is_mission) {
+        Some(robot) => tokio::select! {
+            answer = answered => answer,
+            () = leadership::never_led(bus, robot) => Err(AskError::Refused(Refusal::NotLeader).into()),
+        },
+        None => answered.await,
+    }
+}
+
+async fn answered(bus: &Bus, key: &str, selector: &str, text: &str, patience: Duration) -> Result<RawSample, Failure> {
+    let until = tokio::time::Instant::now() + patience;
+    loop {
+        let within = until.saturating_duration_since(tokio::time::Instant::now());
+        let replies = bus.raw_query(selector, Some(text.as_bytes().to_vec()), within).await?;
+        let mut refusal = None;
+        let mut answer = None;
+        for reply in replies {
+            match reply {
+                RawReply::Ok(sample) => answer = answer.or(Some(sample)),
+                RawReply::Err { bytes, .. } => {
+                    refusal = refusal.or_else(|| serde_json::from_slice::<Refusal>(&bytes).ok())
+                }
+            }
+        }
+        match (answer, refusal) {
+            (Some(sample), _) => return Ok(sample),
+            (None, Some(refusal)) if !matches!(refusal, Refusal::NotLeader | Refusal::Busy { .. }) => {
+                return Err(AskError::Refused(refusal).into());
+            }
+            (None, refusal) if tokio::time::Instant::now() + AGAIN >= until => {
+                let timeout = AskError::Timeout { key: key.to_owned() };
+                return Err(refusal.map_or(timeout, AskError::Refused).into());
+            }
+            _ => tokio::time::sleep(AGAIN).await,
+        }
+    }
+}
+
 /// Publishes a message.
 pub(super) fn publish(args: &PubArgs, robot: &RobotArgs, format: Format) -> Outcome {
     let text = input(&args.json)?;
     connect::on_bus(&robot.link, async |bus| {
         let key = concrete(&bus, &args.key, robot, false).await?;
+        bus.check(Act::Write, &key)?;
         match topics::row_of(&key) {
             Some(row) => {
                 if row.producer != Producer::Operator && !args.force {
@@ -159,7 +179,12 @@ pub(super) fn publish(args: &PubArgs, robot: &RobotArgs, format: Format) -> Outc
                     ),
                 ));
             }
-            None => any_json(&text)?,
+            None => {
+                any_json(&text)?;
+                crate::output::note(format_args!(
+                    "zenav: {key} is not a key of zenav, and the message is not checked (`zenav topic list --table` shows the keys)"
+                ));
+            }
         }
         let mut pace = args
             .hz
@@ -219,12 +244,7 @@ fn any_json(text: &str) -> Result<(), Failure> {
 }
 
 /// The full key that the text names, with the robot's id filled in.
-async fn concrete(
-    bus: &zenav_protocol::bus::Bus,
-    text: &str,
-    robot: &RobotArgs,
-    asks: bool,
-) -> Result<String, Failure> {
+async fn concrete(bus: &Bus, text: &str, robot: &RobotArgs, asks: bool) -> Result<String, Failure> {
     let pattern = meant(text, asks)?;
     let Some((before, after)) = pattern.split_once("{robot}") else {
         return match pattern.contains('{') {
@@ -261,7 +281,7 @@ fn meant(text: &str, asks: bool) -> Result<String, Failure> {
         });
     }
     if text.contains('/') {
-        return Ok(text.to_owned());
+        return Ok(whole(text));
     }
     let names: Vec<&str> = rows()
         .filter_map(|row| row.pattern.rsplit('/').next())
@@ -277,6 +297,16 @@ fn meant(text: &str, asks: bool) -> Result<String, Failure> {
             "zenav/tiago/operator/teleop"
         }
     )))
+}
+
+/// A key that is in the table but for its first chunk (`tiago/edge/pose`) is meant whole; any other is taken as typed.
+pub(super) fn whole(text: &str) -> String {
+    let whole = format!("zenav/{text}");
+    if topics::row_of(&whole).is_some() {
+        whole
+    } else {
+        text.to_owned()
+    }
 }
 
 /// Checks a text against the message type, or the request type, of a row.
@@ -358,6 +388,8 @@ mod tests {
             ("teleop", false, "zenav/{robot}/operator/teleop"),
             ("cloud/goal/g1", false, "zenav/{robot}/cloud/goal/g1"),
             ("my/lamp", false, "my/lamp"),
+            ("tiago/edge/pose", false, "zenav/tiago/edge/pose"),
+            ("tiago/ask/edge/info", true, "zenav/tiago/ask/edge/info"),
         ] {
             assert_eq!(meant(text, asks).unwrap(), key, "{text}");
         }

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use zenav_protocol::SCHEMA_VERSION;
 use zenav_protocol::messages::{
-    EdgeState, Faults, GuardZone, InfoReply, LeaseRole, MapInfo, MissionStatus, Mode, PoseEstimate,
+    EdgeState, Faults, GuardZone, Health, InfoReply, LeaseRole, Localisation, MapInfo, MissionStatus, Mode, PoseEstimate,
 };
 
 use super::check::Check;
@@ -44,6 +44,8 @@ pub(super) struct Robot {
     pub(super) heartbeat: Heard<()>,
     pub(super) mission: Option<MissionStatus>,
     pub(super) map: Option<MapInfo>,
+    /// The last word of the off-board source of poses, if there is one.
+    pub(super) localisation: Option<Localisation>,
     /// Replies to `info`.
     pub(super) infos: Vec<InfoReply>,
 }
@@ -112,7 +114,12 @@ pub(super) fn judge(robot: &Robot, time: Duration) -> Vec<Check> {
             ));
         }
     }
-    if let Some(pose) = &robot.pose.last {
+    let boot = robot.state.last.as_ref().map(|state| &state.boot_id);
+    let told = robot.localisation.as_ref();
+    let told = told.filter(|told| boot.is_none_or(|boot| *boot == told.boot_id));
+    checks.extend(told.map(|told| localisation(name, told)));
+    let is_trusted = told.is_none_or(|told| told.health.is_trusted());
+    if let Some(pose) = robot.pose.last.as_ref().filter(|_| is_trusted) {
         let spread = pose.covariance[0].max(pose.covariance[4]).max(0.0).sqrt();
         checks.push(if !pose.map_from_base.is_finite() || !spread.is_finite() {
             Check::fail(name, "estimate", "not a number", "restart the edge, and report this")
@@ -196,6 +203,38 @@ fn namesakes(robot: &Robot) -> Option<Check> {
             "stop all but one, or give each its own name; the other checks of this robot mix them up",
         )
     })
+}
+
+/// Whether the robot knows its place in the map, as the source of poses judges by its scans.
+fn localisation(name: &str, told: &Localisation) -> Check {
+    let at = told.map_from_base;
+    let check = "localisation";
+    match &told.health {
+        Health::Tracking => Check::ok(name, check, "its scans agree with the map"),
+        Health::Degraded { direction } => Check::ok(
+            name,
+            check,
+            format!("its scans agree with the map, which leaves the pose open along {direction:.2} rad"),
+        ),
+        Health::Ambiguous { hypotheses } => {
+            let places: Vec<String> = hypotheses
+                .iter()
+                .map(|at| format!("({:.2}, {:.2}, {:.2} rad)", at.x, at.y, at.yaw))
+                .collect();
+            Check::fail(
+                name,
+                check,
+                format!("its scan fits {} places: {}", places.len(), places.join(", ")),
+                "tell it which one is right: `zenav pose set X Y YAW`; it does not drive meanwhile",
+            )
+        }
+        untrusted => Check::fail(
+            name,
+            check,
+            format!("{untrusted}, last at ({:.2}, {:.2}, {:.2} rad)", at.x, at.y, at.yaw),
+            "is it the right map? tell it where it is: `zenav pose set X Y YAW`; it does not drive meanwhile",
+        ),
+    }
 }
 
 fn schema(name: &str, info: &InfoReply) -> Check {

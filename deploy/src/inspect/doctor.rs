@@ -143,6 +143,7 @@ async fn look(bus: &Bus, name: String, end: Instant) -> Result<Robot, Failure> {
     let mut heartbeats = bus.raw_subscribe(&topics::HEARTBEAT.key(&chunks), 16)?;
     let mut maps = bus.latest(&topics::MAP_INFO, &chunks)?;
     let mut missions = bus.latest(&topics::MISSION, &chunks)?;
+    let mut localisations = bus.latest(&topics::LOCALISATION, &chunks)?;
     let (state, pose, scan, heartbeat, edge, cloud) = tokio::join!(
         heard(&mut states, end),
         heard(&mut poses, end),
@@ -162,6 +163,7 @@ async fn look(bus: &Bus, name: String, end: Instant) -> Result<Robot, Failure> {
         heartbeat,
         mission: missions.take(),
         map: maps.take(),
+        localisation: localisations.take(),
         infos,
         name,
     })

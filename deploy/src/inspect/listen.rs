@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use serde::Serialize;
 use tokio::time::Instant;
-use zenav_protocol::bus::{Bus, RawSample, RawSubscription};
+use zenav_protocol::bus::{Act, Bus, RawSample, RawSubscription};
 
 use super::meter::{Meter, Reading, bytes};
 use super::payload;
@@ -20,12 +20,15 @@ const BACKLOG: usize = 4096;
 
 /// After so long without a message a hint is printed: with a misspelled key the wait would never end.
 const SILENCE: Duration = Duration::from_secs(2);
+/// Time over which rates are measured, and the period at which they are printed.
+const WINDOW: Duration = Duration::from_secs(5);
+const EACH: Duration = Duration::from_secs(1);
 
 /// What to listen to, and how long.
 #[derive(Debug, clap::Args)]
 pub(super) struct ListenArgs {
     /// A key (`zenav/*/edge/pose`), its side and name (`edge/pose`), or the name of a topic (`pose`)
-    #[arg(add = completion::keys())]
+    #[arg(add = completion::topic_keys())]
     pub(super) key: String,
     /// Stop after this many messages
     #[arg(long, value_name = "N", value_parser = connect::whole::<u64>)]
@@ -45,6 +48,7 @@ type Meters = BTreeMap<String, (Meter, String)>;
 
 /// Listens for a while. Retained messages count only for keys without live messages: rates are of live messages.
 pub(super) async fn listen(bus: &Bus, pattern: &str, time: Duration) -> Result<Meters, Failure> {
+    bus.check(Act::Hear, pattern)?;
     let mut live = bus.raw_subscribe(pattern, BACKLOG)?;
     let mut kept = bus.raw_subscribe_kept(pattern, BACKLOG)?;
     let (mut of_live, mut of_kept) = (Meters::new(), Meters::new());
@@ -91,6 +95,12 @@ async fn next(samples: &mut RawSubscription, until: Option<Instant>) -> Result<R
     }
 }
 
+fn hint(pattern: &str) {
+    crate::output::note(format_args!(
+        "zenav: nothing on {pattern} yet (`zenav topic list` shows what is published); Ctrl-C ends"
+    ));
+}
+
 /// Like [`next`]; if nothing has arrived yet on the key, prints one hint.
 async fn next_or_hint(
     samples: &mut RawSubscription,
@@ -103,11 +113,7 @@ async fn next_or_hint(
         let soon = Instant::now() + SILENCE;
         if until.is_none_or(|until| until > soon) {
             match next(samples, Some(soon)).await {
-                Err(Ending::OutOfTime) => {
-                    crate::output::note(format_args!(
-                        "zenav: nothing on {pattern} yet (`zenav topic list` shows what is published); Ctrl-C ends"
-                    ));
-                }
+                Err(Ending::OutOfTime) => hint(pattern),
                 other => return other,
             }
         }
@@ -146,6 +152,7 @@ struct Echoed {
 
 /// Prints messages, starting with the retained ones.
 pub(super) async fn echo(bus: &Bus, pattern: &str, args: &ListenArgs, format: Format) -> Outcome {
+    bus.check(Act::Hear, pattern)?;
     let mut samples = bus.raw_subscribe_kept(pattern, BACKLOG)?;
     let until = args
         .secs
@@ -183,9 +190,11 @@ pub(super) struct Measured {
     key: String,
     #[serde(flatten)]
     reading: Reading,
+    /// Time since its newest message, s.
+    silence_s: f64,
 }
 
-/// Measures live messages only: retained ones arrive all at once.
+/// Measures live messages only, over the last seconds: retained ones arrive all at once. Prints a line per key each second, in silence too.
 pub(super) async fn measure(
     bus: &Bus,
     pattern: &str,
@@ -193,45 +202,42 @@ pub(super) async fn measure(
     format: Format,
     line: fn(&Measured) -> String,
 ) -> Outcome {
+    bus.check(Act::Hear, pattern)?;
     let mut samples = bus.raw_subscribe(pattern, BACKLOG)?;
     let start = Instant::now();
     let until = args
         .secs
         .map(|secs| start + seconds(secs).min(Duration::from_secs(1 << 30)));
     let mut meters = BTreeMap::<String, Meter>::new();
-    let mut messages = 0;
-    let mut hinted = false;
-    let mut told = start;
-    let rows = |meters: &BTreeMap<String, Meter>| {
-        meters
-            .iter()
-            .map(|(key, meter)| Measured {
-                key: key.clone(),
-                reading: meter.read(),
-            })
-            .collect::<Vec<_>>()
-    };
+    let (mut messages, mut hinted) = (0, false);
     let lines = |rows: &[Measured]| rows.iter().map(line).collect::<Vec<_>>().join("\n");
+    let mut pace = tokio::time::interval(EACH);
+    pace.reset();
     let outcome = loop {
         if args.count.is_some_and(|count| messages >= count) {
             break Ok(exit_code::OK);
         }
-        let sample = match next_or_hint(&mut samples, until, pattern, messages, &mut hinted).await {
-            Ok(sample) => sample,
-            Err(ending) => break ending.outcome(messages, pattern),
-        };
-        messages += 1;
-        meters
-            .entry(sample.key)
-            .or_insert_with(|| Meter::new(1000))
-            .add(start.elapsed(), sample.bytes.len());
-        if told.elapsed() >= Duration::from_secs(1) && format != Format::Json {
-            told = Instant::now();
-            output::values(format, &rows(&meters), lines)?;
+        tokio::select! {
+            sample = next(&mut samples, until) => match sample {
+                Ok(sample) => {
+                    messages += 1;
+                    let meter = meters.entry(sample.key).or_insert_with(|| Meter::new(BACKLOG));
+                    meter.add(start.elapsed(), sample.bytes.len());
+                }
+                Err(ending) => break ending.outcome(messages, pattern),
+            },
+            _ = pace.tick() => {
+                if messages == 0 && start.elapsed() >= SILENCE && !std::mem::replace(&mut hinted, true) {
+                    hint(pattern);
+                }
+                if messages > 0 && format != Format::Json {
+                    output::values(format, &rows(&mut meters, start.elapsed()), lines)?;
+                }
+            }
         }
     };
-    if !meters.is_empty() {
-        output::values(format, &rows(&meters), lines)?;
+    if messages > 0 {
+        output::values(format, &rows(&mut meters, start.elapsed()), lines)?;
     }
     if samples.dropped() > 0 {
         tracing::warn!(
@@ -242,6 +248,31 @@ pub(super) async fn measure(
     outcome
 }
 
+/// The readings at `now` (time since the start).
+fn rows(meters: &mut BTreeMap<String, Meter>, now: Duration) -> Vec<Measured> {
+    let read = |(key, meter): (&String, &mut Meter)| {
+        meter.forget_before(now.saturating_sub(WINDOW));
+        Measured {
+            key: key.clone(),
+            reading: meter.read(),
+            silence_s: meter.silence(now).unwrap_or_default().as_secs_f64(),
+        }
+    };
+    meters.iter_mut().map(read).collect()
+}
+
+impl Measured {
+    /// Number of messages, and the silence since the last one.
+    fn count(&self) -> String {
+        let messages = output::counted(self.reading.messages, "message");
+        if self.silence_s < EACH.as_secs_f64() {
+            messages
+        } else {
+            format!("{messages}, the last {:.1} s ago", self.silence_s)
+        }
+    }
+}
+
 /// Rate, human-readable.
 pub(super) fn hz_line(row: &Measured) -> String {
     let Reading {
@@ -249,32 +280,68 @@ pub(super) fn hz_line(row: &Measured) -> String {
         min_s,
         max_s,
         std_s,
-        messages,
         ..
     } = &row.reading;
     match (hz, min_s, max_s, std_s) {
         (Some(hz), Some(min), Some(max), Some(std)) => {
             format!(
-                "{}  {hz:.2} Hz  interval {:.1} to {:.1} ms, deviation {:.1} ms  ({messages} messages)",
+                "{}  {hz:.2} Hz  interval {:.1} to {:.1} ms, deviation {:.1} ms  ({})",
                 row.key,
                 1e3 * min,
                 1e3 * max,
-                1e3 * std
+                1e3 * std,
+                row.count()
             )
         }
-        _ => format!("{}  {messages} message", row.key),
+        _ => format!("{}  no rate  ({})", row.key, row.count()),
     }
 }
 
 /// Size and bandwidth, human-readable.
 pub(super) fn bw_line(row: &Measured) -> String {
     let [least, mean, greatest] = row.reading.bytes.map(bytes);
-    let rate = row
-        .reading
-        .bytes_per_s
-        .map_or_else(|| "one message".to_owned(), |rate| format!("{}/s", bytes(rate)));
-    format!(
-        "{}  {rate}  message {least} to {greatest}, mean {mean}  ({} messages)",
-        row.key, row.reading.messages
-    )
+    match row.reading.bytes_per_s {
+        Some(rate) => format!(
+            "{}  {}/s  message {least} to {greatest}, mean {mean}  ({})",
+            row.key,
+            bytes(rate),
+            row.count()
+        ),
+        None => format!("{}  no rate  ({})", row.key, row.count()),
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_rate_is_of_the_last_seconds_and_silence_is_told() {
+        let mut meters = BTreeMap::from([("edge/pose".to_owned(), Meter::new(BACKLOG))]);
+        let meter = meters.get_mut("edge/pose").unwrap();
+        // A minute at 50 Hz, then 10 Hz.
+        for message in 0..3000 {
+            meter.add(Duration::from_millis(20 * message), 100);
+        }
+        for message in 0..60 {
+            meter.add(Duration::from_millis(60_000 + 100 * message), 100);
+        }
+        let at = |meters: &mut _, millis: u64| hz_line(&rows(meters, Duration::from_millis(millis))[0]);
+        assert_eq!(
+            at(&mut meters, 65_900),
+            "edge/pose  10.00 Hz  interval 100.0 to 100.0 ms, deviation 0.0 ms  (3060 messages)"
+        );
+        let paused = at(&mut meters, 68_900);
+        assert!(
+            paused.contains("10.00 Hz") && paused.ends_with("(3060 messages, the last 3.0 s ago)"),
+            "{paused}"
+        );
+        assert_eq!(
+            at(&mut meters, 72_900),
+            "edge/pose  no rate  (3060 messages, the last 7.0 s ago)"
+        );
+        let row = &rows(&mut meters, Duration::from_secs(73))[0];
+        assert_eq!(bw_line(row), "edge/pose  no rate  (3060 messages, the last 7.1 s ago)");
+    }
 }

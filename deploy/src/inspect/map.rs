@@ -14,6 +14,7 @@ use zenav_protocol::topics;
 
 use super::map_control::{self, Mapping};
 use super::{build, convert};
+use crate::completion;
 use crate::connect::{self, RobotArgs, whole_in};
 use crate::drawing::scene::Scene;
 use crate::drawing::terminal::{self, Mark, Screen};
@@ -67,7 +68,7 @@ enum MapCommand {
     /// Switch to another map: a file on this machine, or a stored one by name; the robot stops for it
     Load {
         /// Map file, or name of a stored map
-        #[arg(value_name = "FILE|NAME")]
+        #[arg(value_name = "FILE|NAME", add = completion::stored_maps_and_files())]
         source: String,
         /// Keep mapping into it; otherwise scans do not change it
         #[arg(long)]
@@ -76,7 +77,7 @@ enum MapCommand {
     /// Store a robot's map in mapping's data folder: for the next start, or under a name for `map load`
     Store {
         /// Name [default: the map that the next start loads]
-        #[arg(value_parser = connect::name)]
+        #[arg(value_parser = connect::name, add = completion::stored_maps())]
         name: Option<String>,
     },
     /// Start a new map; the robot stops for it, stored maps stay
@@ -300,6 +301,9 @@ fn watch(robot: &RobotArgs) -> Outcome {
                 _ = tokio::signal::ctrl_c() => return Ok(exit_code::INTERRUPTED),
                 _ = pace.tick() => {}
             }
+            if let Some(news) = live.news().await {
+                output::note(news);
+            }
             output::line(&live.frame(PLAIN_SCREEN).await);
         }
     })
@@ -307,7 +311,7 @@ fn watch(robot: &RobotArgs) -> Outcome {
 
 /// Without a terminal to query.
 const PLAIN_SCREEN: Screen = Screen {
-    width: 100,
+    width: 120,
     height: 60,
     colors: false,
 };

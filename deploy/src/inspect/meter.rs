@@ -11,6 +11,8 @@ pub(super) struct Meter {
     window: usize,
     arrivals: VecDeque<(Duration, usize)>,
     messages: u64,
+    /// Arrival of the newest message.
+    last: Option<Duration>,
 }
 
 /// Reading of a meter.
@@ -39,6 +41,7 @@ impl Meter {
             window: window.max(2),
             arrivals: VecDeque::new(),
             messages: 0,
+            last: None,
         }
     }
 
@@ -49,6 +52,18 @@ impl Meter {
         }
         self.arrivals.push_back((now, bytes));
         self.messages += 1;
+        self.last = Some(now);
+    }
+
+    /// Narrows the window: only messages from `start` on (time since the start) count for the rate.
+    pub(super) fn forget_before(&mut self, start: Duration) {
+        let older = self.arrivals.partition_point(|(at, _)| *at < start);
+        self.arrivals.drain(..older);
+    }
+
+    /// Time since the newest message, at `now` (time since the start).
+    pub(super) fn silence(&self, now: Duration) -> Option<Duration> {
+        self.last.map(|last| now.saturating_sub(last))
     }
 
     /// For retained messages: their times say nothing about the rate, so only the newest message is counted.
@@ -149,5 +164,11 @@ mod tests {
         }
         assert!((meter.read().hz.unwrap() - 10.0).abs() < 1e-9);
         assert_eq!(meter.read().messages, 4);
+        meter.forget_before(Duration::from_millis(10_150));
+        assert_eq!((meter.read().hz, meter.read().messages), (None, 4));
+        meter.forget_before(Duration::from_secs(20));
+        assert_eq!((meter.read().hz, meter.read().bytes), (None, [0.0; 3]));
+        let silence = meter.silence(Duration::from_millis(12_200));
+        assert_eq!(silence, Some(Duration::from_secs(2)));
     }
 }

@@ -37,7 +37,7 @@ pub use doctor::{DoctorArgs, doctor};
 pub use logs::{LogsArgs, logs};
 pub use map::{MapArgs, map};
 pub use ps::{PsArgs, ps};
-pub(crate) use schema::json_schema;
 pub use schema::{SchemaArgs, schema};
+pub(crate) use schema::{json_schema, message_names};
 pub(crate) use topic::pattern;
 pub use topic::{TopicArgs, topic};

@@ -8,6 +8,7 @@ use serde_json::Value;
 use zenav_protocol::messages::Refusal;
 use zenav_protocol::topics::{self, Ask, Message, TableVisitor, Topic};
 
+use crate::completion;
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
@@ -17,7 +18,7 @@ use crate::output::{self, Format};
 #[command(after_help = "Examples:\n  zenav schema --list\n  zenav schema GoalRequest\n  zenav schema edge/pose")]
 pub struct SchemaArgs {
     /// Name of a message (`GoalRequest`), or a key
-    #[arg(value_name = "TYPE", required_unless_present = "list")]
+    #[arg(value_name = "TYPE", required_unless_present = "list", add = completion::messages())]
     message: Option<String>,
     /// List all messages and their keys
     #[arg(long, conflicts_with = "message")]
@@ -70,6 +71,12 @@ pub(crate) fn json_schema(message: &str) -> Option<Value> {
     let all = Catalogue::new();
     let described = all.0.get(message)?;
     Some((described.schema)().to_value())
+}
+
+/// Names of all messages.
+pub(crate) fn message_names() -> Vec<String> {
+    let all = Catalogue::new();
+    all.0.keys().map(|name| (*name).to_owned()).collect()
 }
 
 /// Names of all fields of a message, at any depth; for suggestions.

@@ -7,7 +7,7 @@ use serde::Serialize;
 use zenav_protocol::bus::Bus;
 use zenav_protocol::topics::{self, Qos, Row, TABLE};
 
-use super::ask::{PubArgs, publish};
+use super::ask::{PubArgs, publish, whole};
 use super::listen::{ListenArgs, bw_line, echo, hz_line, listen, measure, seconds};
 use super::meter::{Reading, bytes};
 use crate::completion;
@@ -45,9 +45,9 @@ enum TopicCommand {
     },
     /// Print a topic's messages
     Echo(ListenArgs),
-    /// Measure the rate of a topic's messages
+    /// Measure the rate of a topic's messages over the last 5 s, every second
     Hz(ListenArgs),
-    /// Measure the size and bandwidth of a topic's messages
+    /// Measure the size and bandwidth of a topic's messages over the last 5 s, every second
     Bw(ListenArgs),
     /// Publish a message, checked against the type of its key
     Pub(PubArgs),
@@ -116,7 +116,7 @@ pub(crate) fn pattern(text: &str, robot: Option<&str>) -> Result<String, Failure
             return Ok(format!("zenav/{robot}/{text}"));
         }
         Some(("sim" | "svc", _)) => return Ok(format!("zenav/{text}")),
-        Some(_) => return Ok(text.to_owned()),
+        Some(_) => return Ok(whole(text)),
         None => {}
     }
     let row = TABLE.iter().find(|row| row.qos.is_some() && row_name(row) == text);
@@ -270,6 +270,8 @@ mod tests {
     fn a_topic_may_be_named_short() {
         assert_eq!(pattern("pose", None).unwrap(), "zenav/*/edge/pose");
         assert_eq!(pattern("edge/pose", Some("r")).unwrap(), "zenav/r/edge/pose");
+        assert_eq!(pattern("r/edge/pose", None).unwrap(), "zenav/r/edge/pose");
+        assert_eq!(pattern("my/lamp", None).unwrap(), "my/lamp");
         assert_eq!(pattern("goal", Some("r")).unwrap(), "zenav/r/cloud/goal/*");
         assert_eq!(pattern("clock", Some("r")).unwrap(), "zenav/sim/clock");
         assert_eq!(pattern("zenav/*/edge/scan", Some("r")).unwrap(), "zenav/*/edge/scan");

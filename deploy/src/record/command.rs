@@ -8,7 +8,8 @@ use zenav_protocol::topics;
 
 use super::recorder::Recording;
 use super::writer::{RecordOptions, Written};
-use crate::connect::{self, RobotArgs, positive};
+use crate::completion;
+use crate::connect::{self, RobotArgs, positive, whole_in};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::inspect::pattern;
@@ -18,15 +19,17 @@ use crate::output::{self, Format};
 #[derive(Debug, clap::Args)]
 #[command(
     allow_missing_positional = true,
+    group(clap::ArgGroup::new("limits").multiple(true).args(["max_size", "max_duration"])),
     after_help = "Examples:\n  \
                   zenav record run.mcap                            everything of every robot, until Ctrl-C\n  \
                   zenav record --robot tiago scan pose run.mcap    two topics of one robot\n  \
-                  zenav record --max-size 500MB run.mcap           run_0001.mcap, run_0002.mcap, …\n\
+                  zenav record --max-size 500MB run.mcap           run_0001.mcap, run_0002.mcap, …\n  \
+                  zenav record --max-duration 600 --max-files 6 run.mcap    the last hour\n\
                   The files open in Foxglove and in any other tool for MCAP."
 )]
 pub struct RecordArgs {
     /// Keys (`zenav/*/edge/**`), sides and names (`edge/pose`), or names of topics (`pose`) [default: everything about the robots]
-    #[arg(value_name = "KEYS")]
+    #[arg(value_name = "KEYS", add = completion::topic_keys())]
     keys: Vec<String>,
     /// File to write; it must not exist yet
     #[arg(value_name = "OUT.mcap", value_parser = mcap)]
@@ -43,6 +46,9 @@ pub struct RecordArgs {
     /// Start a new file after this time, s
     #[arg(long, value_name = "SECS", value_parser = positive)]
     max_duration: Option<f64>,
+    /// Keep only this many files: delete the oldest when a new one starts
+    #[arg(long, value_name = "N", requires = "limits", value_parser = whole_in(1..=1_000_000_usize))]
+    max_files: Option<usize>,
     /// Stop after this time, s
     #[arg(long = "for", value_name = "SECS", value_parser = positive)]
     secs: Option<f64>,
@@ -90,7 +96,7 @@ fn size(text: &str) -> Result<u64, String> {
 /// `zenav record`.
 ///
 /// # Errors
-/// No connection, bad keys, or a file that cannot be written.
+/// No connection, bad keys, a file that cannot be written, or a named robot of which nothing came.
 pub fn record(args: &RecordArgs) -> Outcome {
     let robot = args.robot.robot.as_deref();
     let patterns = if args.all {
@@ -108,11 +114,16 @@ pub fn record(args: &RecordArgs) -> Outcome {
     let options = RecordOptions {
         max_bytes: args.max_size,
         max_time: args.max_duration.map(seconds),
+        max_files: args.max_files,
         raw_only: args.raw,
         ..RecordOptions::default()
     };
     let written = connect::on_bus(&args.robot.link, async |bus| {
-        connect::tell_absence(&bus, robot).await;
+        // For a while only, there is nothing to wait for.
+        match (robot, args.secs) {
+            (Some(_), Some(_)) => drop(connect::find(&bus, robot).await?),
+            _ => connect::tell_absence(&bus, robot).await,
+        }
         let mut recording = Recording::start(&bus, &patterns, &args.out, options)?;
         tracing::info!("recording {} into {}", patterns.join(", "), args.out.display());
         let out_of_time = async {
@@ -134,7 +145,19 @@ pub fn record(args: &RecordArgs) -> Outcome {
             format!("nothing came on {}: the record is empty", patterns.join(", ")),
         ));
     }
-    Ok(exit_code::OK)
+    match robot.filter(|robot| args.keys.is_empty() && !has_robot(&written, robot)) {
+        Some(robot) => Err(Failure::new(
+            exit_code::TIMEOUT,
+            format!("nothing came of robot `{robot}`: the record has none of its keys"),
+        )),
+        None => Ok(exit_code::OK),
+    }
+}
+
+/// Whether anything of a robot was recorded; the simulated clock is of no robot.
+fn has_robot(written: &Written, robot: &str) -> bool {
+    let prefix = format!("zenav/{robot}/");
+    written.keys.keys().any(|key| key.starts_with(&prefix))
 }
 
 fn seconds(secs: f64) -> Duration {
@@ -158,9 +181,12 @@ fn table(written: &Written) -> String {
         written.secs,
         written.payload_bytes as f64 * 1e-6,
         written.file_bytes as f64 * 1e-6,
-        output::counted(written.files.len(), "file"),
+        output::counted(written.files.len() as u64 + written.deleted, "file"),
         written.dropped,
     ));
+    if written.deleted > 0 {
+        lines.push(format!("deleted {}", output::counted(written.deleted, "older file")));
+    }
     lines.extend(written.files.iter().map(|file| format!("wrote {}", file.display())));
     lines.join("\n")
 }
@@ -203,6 +229,23 @@ mod tests {
             .to_string();
         assert!(error.contains("ends with .mcap"), "{error}");
         assert!(Line::try_parse_from(["record", "--all", "scan", "run.mcap"]).is_err());
+        // Only a record that is split has files to delete.
+        let parse = |line: &str| Line::try_parse_from(line.split(' '));
+        assert!(parse("record --max-files 3 run.mcap").is_err());
+        assert!(parse("record --max-files 0 --max-size 1MB run.mcap").is_err());
+        let args = parse("record --max-files 3 --max-duration 60 run.mcap").unwrap().args;
+        assert_eq!(args.max_files, Some(3));
+    }
+
+    #[test]
+    fn the_clock_alone_is_no_record_of_a_robot() {
+        let of = |key: &str| Written {
+            keys: [(key.to_owned(), 3)].into(),
+            ..Written::default()
+        };
+        assert!(has_robot(&of("zenav/waffle/edge/pose"), "waffle"));
+        assert!(!has_robot(&of("zenav/sim/clock"), "waffle"));
+        assert!(!has_robot(&of("zenav/waffle2/edge/pose"), "waffle"));
     }
 
     #[test]

@@ -124,6 +124,9 @@ struct Film {
     footprint: Footprint,
     trail: Vec<Point2<f64>>,
     moments: Vec<Moment>,
+    /// Trajectory of the plan that is drawn, and the one that the robot finished last.
+    trajectory: Option<u64>,
+    finished: Option<u64>,
 }
 
 impl Film {
@@ -160,6 +163,8 @@ impl Film {
                 .map_or(Footprint::Radius(0.1), |model| model.footprint.clone()),
             trail: Vec::new(),
             moments: Vec::new(),
+            trajectory: None,
+            finished: None,
         };
         film.shoot(path, name, robot.secs / pictures.max(1) as f64, pictures)?;
         Ok(film)
@@ -211,6 +216,11 @@ impl Film {
             let laser = scan.map_from_laser();
             now.scan = scan.returns().map(|point| laser.transform_point(point)).collect();
         } else if let Ok(Some((_, plan))) = sample.message(&topics::PLAN) {
+            // A plan is renewed once more after its end was reached.
+            if self.finished == Some(plan.trajectory_id) {
+                return;
+            }
+            self.trajectory = Some(plan.trajectory_id);
             let points: Vec<Point2<f64>> = plan.trajectory.iter().map(|point| point.position()).collect();
             // A plan without a time law has only waypoints.
             now.plan = Arc::new(if points.is_empty() { plan.waypoints } else { points });
@@ -218,12 +228,20 @@ impl Film {
             if goal.state != GoalPhase::Rejected {
                 let there = goal.legs.last().and_then(|leg| leg.goal);
                 now.goal = there.map(|goal| Point2::new(goal.x, goal.y));
-                now.note = goal.feedback.step;
+                let is_end = goal.state.is_end();
+                now.note = if is_end { String::new() } else { goal.feedback.step };
             }
-        } else if let Ok(Some((_, event))) = sample.message(&topics::EVENT)
-            && matches!(event.kind, EventKind::Bumped | EventKind::Stopped { .. })
-        {
-            now.note = super::words::event(&event.kind);
+        } else if let Ok(Some((_, event))) = sample.message(&topics::EVENT) {
+            match event.kind {
+                EventKind::PlanFinished { trajectory_id, .. } => {
+                    self.finished = Some(trajectory_id);
+                    if self.trajectory == self.finished {
+                        now.plan = Arc::default();
+                    }
+                }
+                EventKind::Bumped | EventKind::Stopped { .. } => now.note = super::words::event(&event.kind),
+                _ => {}
+            }
         }
     }
 
@@ -241,7 +259,7 @@ impl Film {
             trail: self.trail.get(..now.driven),
             goal: now.goal,
             robot: Some((now.pose, &self.footprint)),
-            ..Scene::new(&format!("zenav {}", self.title), map)
+            ..Scene::new(&self.title, map)
         };
         scene.draw((scale * extent.amax()) as u32)
     }
@@ -264,4 +282,73 @@ fn area(map: Option<&OccupancyGrid>, path: impl Iterator<Item = Point2<f64>>) ->
     let (low, high) = bounds.unwrap_or((Point2::origin(), Point2::origin()));
     let margin = Vector2::repeat(MARGIN);
     (low - margin, high + margin)
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::{Value, json};
+    use zenav_protocol::codec::Encoding;
+
+    use super::super::format::Kind;
+    use super::*;
+
+    fn see(film: &mut Film, now: &mut Moment, key: &str, message: &Value) {
+        let sample = Sample {
+            key: format!("zenav/r/{key}"),
+            encoding: Encoding::Json.mime().to_owned(),
+            kind: Kind::Put,
+            bytes: message.to_string().into_bytes(),
+            attachment: None,
+            logged: 1,
+            published: None,
+        };
+        film.see(&sample, now, &mut RunClock::default());
+    }
+
+    fn goal(state: &str) -> Value {
+        json!({
+            "id": "g", "robot": "r", "state": state, "accepted": 0,
+            "feedback": { "step": "drives", "distance_left": 1.0, "time_left": null, "plans": 1 },
+            "request": { "place": "sink" }
+        })
+    }
+
+    #[test]
+    fn a_finished_plan_and_the_step_of_an_ended_goal_are_no_longer_drawn() {
+        let mut film = Film {
+            title: String::new(),
+            area: (Point2::origin(), Point2::new(1.0, 1.0)),
+            footprint: Footprint::Radius(0.1),
+            trail: Vec::new(),
+            moments: Vec::new(),
+            trajectory: None,
+            finished: None,
+        };
+        let plan = |trajectory: u64| {
+            json!({
+                "goal_id": "g", "epoch": 1, "revision": { "incarnation": 1, "counter": 1 }, "trajectory_id": trajectory,
+                "map": { "id": "m", "revision": 1 }, "frame": "map", "based_on": { "stamp": 1, "boot_id": "b" },
+                "valid_for": 5.0, "waypoints": [[1.0, 2.0], [2.0, 2.0]], "trajectory": [], "splice": null,
+                "statistics": { "planner": "astar", "search_ms": 0.0, "corridor_ms": 0.0, "geometry_ms": 0.0,
+                    "timing_ms": 0.0, "length": 0.0, "duration": 0.0, "min_clearance": null, "status": "waypoints", "solver": "" },
+            })
+        };
+        let finished = |trajectory: u64| {
+            json!({
+                "stamp": 1, "boot_id": "b", "sequence": 1, "event": "plan_finished", "goal_id": "g", "trajectory_id": trajectory
+            })
+        };
+        let mut now = Moment::default();
+        see(&mut film, &mut now, "cloud/goal/g", &goal("Active"));
+        see(&mut film, &mut now, "cloud/plan", &plan(1));
+        assert_eq!((now.plan.len(), now.note.as_str()), (2, "drives"));
+        see(&mut film, &mut now, "edge/event", &finished(0));
+        assert_eq!(now.plan.len(), 2, "the end of an earlier plan");
+        see(&mut film, &mut now, "edge/event", &finished(1));
+        see(&mut film, &mut now, "cloud/plan", &plan(1));
+        see(&mut film, &mut now, "cloud/goal/g", &goal("Succeeded"));
+        assert_eq!((now.plan.len(), now.note.as_str()), (0, ""));
+        see(&mut film, &mut now, "cloud/plan", &plan(2));
+        assert_eq!(now.plan.len(), 2);
+    }
 }

@@ -7,7 +7,7 @@ use std::collections::{BTreeSet, VecDeque};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use tokio::task::{JoinError, JoinSet};
-use zenav_protocol::bus::{Answer, Bus, Tap, Tapped};
+use zenav_protocol::bus::{Act, Answer, Bus, Tap, Tapped};
 use zenav_protocol::codec::{self, Encoding};
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{InfoReply, InfoRequest, MapRequest};
@@ -73,8 +73,9 @@ impl Listener {
     /// Listens on keys that match one of the patterns.
     ///
     /// # Errors
-    /// Bad patterns.
+    /// Bad patterns, or keys that this process's identity may not hear.
     pub fn new(bus: &Bus, patterns: &[String]) -> Result<Self, Failure> {
+        patterns.iter().try_for_each(|pattern| bus.check(Act::Hear, pattern))?;
         Ok(Self {
             timeline: Timeline::now(),
             tap: bus.tap(patterns, BACKLOG)?,

@@ -51,4 +51,5 @@ pub use recompute::{MapVerdict, MotionVerdict, Part, Recomputed, Uncompared, rec
 pub use recorder::Recording;
 pub use replay::{ReplayArgs, replay};
 pub use report::{ReportArgs, report, write_report};
+pub(crate) use run::{node_status, status_at_end};
 pub use writer::{RecordOptions, RecordWriter, Written};

@@ -10,7 +10,7 @@ use std::time::Duration;
 use serde::Serialize;
 use tokio::sync::mpsc;
 use tokio::time::Instant;
-use zenav_protocol::bus::{AliveWatch, Bus, RawPublisher, Request, interrupted};
+use zenav_protocol::bus::{Act, AliveWatch, Bus, RawPublisher, Request, interrupted};
 use zenav_protocol::messages::{MapReply, MapRequest, Refusal};
 use zenav_protocol::topics::{self, Qos};
 
@@ -96,7 +96,7 @@ struct Replayed {
 /// `zenav replay`.
 ///
 /// # Errors
-/// A bad record, no connection, or a live robot that would obey.
+/// A bad record, no connection, an identity that may not write its keys, or a live robot that would obey.
 pub fn replay(args: &ReplayArgs) -> Outcome {
     if !args.recompute.is_empty() {
         return super::recompute::run(&args.file, &args.recompute, args.deployment.as_deref(), args.output);
@@ -113,6 +113,7 @@ pub fn replay(args: &ReplayArgs) -> Outcome {
         )));
     }
     let replayed = connect::on_bus(&args.link, async |bus| {
+        contents.keys.iter().try_for_each(|key| bus.check(Act::Write, key))?;
         let mut guard = Guard::new(&bus, &contents.keys, args.to_live_robot)?;
         guard.look(&bus).await?;
         tokio::select! {

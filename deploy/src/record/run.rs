@@ -3,15 +3,15 @@
 //! Time is the robot's own, from its first pose on: in simulation that is simulated time. If its clock restarts, time continues. Data from
 //! the cloud get the time of the newest pose received before them. Latencies are wall time at the recorder.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::messages::{
-    EdgeState, Event, EventKind, GoalPhase, GoalState, GuardZone, Link, MapPatch, MissionStatus, Plan, PoseEstimate,
-    Scan,
+    EdgeState, Event, EventKind, GoalPhase, GoalState, GuardZone, Link, MapPatch, MissionStatus, NodeStatus, Plan,
+    PoseEstimate, Scan,
 };
 use zenav_protocol::robot::{Footprint, RobotModel};
 use zenav_protocol::time::Stamp;
@@ -127,8 +127,27 @@ pub struct NodeSpan {
     pub from: f64,
     /// End, s.
     pub to: f64,
-    /// `RUNNING` while it runs, then its result.
+    /// `RUNNING` while it runs, then its result; `IDLE` if it has none, or none that is in the record.
     pub status: String,
+}
+
+/// A node's status; of a node that its parent has reset, its last result.
+#[must_use]
+pub fn node_status(node: &NodeStatus) -> &str {
+    match (node.status.as_str(), node.last.as_str()) {
+        ("IDLE", "SUCCESS" | "FAILURE" | "SKIPPED") => &node.last,
+        (status, _) => status,
+    }
+}
+
+/// The status in which a goal's end leaves the nodes that ran until then.
+#[must_use]
+pub const fn status_at_end(end: GoalPhase) -> &'static str {
+    match end {
+        GoalPhase::Succeeded => "SUCCESS",
+        GoalPhase::Aborted => "FAILURE",
+        _ => "IDLE",
+    }
 }
 
 /// State while a record is read.
@@ -458,7 +477,7 @@ impl RobotRun {
                 Some(open) => {
                     if let Some(span) = self.nodes.get_mut(open) {
                         span.to = now;
-                        span.status.clone_from(&node.status);
+                        node_status(node).clone_into(&mut span.status);
                     }
                     if !running {
                         self.trace.open.remove(&place);
@@ -483,9 +502,22 @@ impl RobotRun {
             }
         }
         // Nodes of an earlier goal no longer run.
-        let over: Vec<(String, u32)> = self.trace.open.keys().filter(|(of, _)| *of != goal).cloned().collect();
-        for place in over {
-            self.trace.open.remove(&place);
+        self.trace.open.retain(|(of, _), _| *of == goal);
+    }
+
+    /// Ends the spans whose node was still running when its tree vanished: with the goal, and with its result.
+    fn close_spans(&mut self) {
+        let open: BTreeSet<usize> = self.trace.open.values().copied().collect();
+        let running = self.nodes.iter_mut().enumerate();
+        for (at, span) in running.filter(|(_, span)| span.status == "RUNNING") {
+            match self.goals.get(&span.node.0) {
+                Some(goal) if goal.state.state.is_end() => {
+                    span.to = goal.to.max(span.from);
+                    status_at_end(goal.state.state).clone_into(&mut span.status);
+                }
+                _ if open.contains(&at) => span.to = self.secs.max(span.from),
+                _ => "IDLE".clone_into(&mut span.status),
+            }
         }
     }
 
@@ -503,6 +535,7 @@ impl RobotRun {
             goal.to = self.secs;
             goal.length = self.length - goal.length_before;
         }
+        self.close_spans();
     }
 }
 
@@ -564,5 +597,103 @@ mod tests {
             ..zenav_fixtures::scan(1, Pose2::IDENTITY, vec![])
         };
         assert_eq!(clearance(&scan, &Footprint::Radius(0.3)), None);
+    }
+
+    fn at(secs: f64) -> PoseEstimate {
+        PoseEstimate {
+            stamp: Stamp::ZERO.plus_secs(secs),
+            map_from_base: Pose2::IDENTITY,
+            covariance: [0.0; 9],
+            velocity: zenav_protocol::geometry::Twist2::ZERO,
+            frame: 0,
+        }
+    }
+
+    fn goal(id: &str, state: GoalPhase) -> GoalState {
+        GoalState {
+            queue: None,
+            id: id.to_owned(),
+            robot: "r".to_owned(),
+            state,
+            reason: None,
+            accepted: Stamp::ZERO,
+            started: None,
+            ended: None,
+            feedback: Default::default(),
+            legs: Vec::new(),
+            request: Default::default(),
+            resolved: Vec::new(),
+        }
+    }
+
+    /// A mission that runs nodes for a goal: name, status and last result of each.
+    fn mission(goal: Option<&str>, nodes: &[(&str, &str, &str)]) -> MissionStatus {
+        let node = |(uid, (name, status, last)): (u32, &(&str, &str, &str))| NodeStatus {
+            uid,
+            parent: None,
+            name: (*name).to_owned(),
+            id: (*name).to_owned(),
+            status: (*status).to_owned(),
+            feedback: String::new(),
+            last: (*last).to_owned(),
+            ports: BTreeMap::new(),
+        };
+        MissionStatus {
+            stamp: Stamp::ZERO,
+            holder: "m".to_owned(),
+            leads: true,
+            epoch: 1,
+            goal_id: goal.map(str::to_owned),
+            tree: goal.map(|_| "navigate".to_owned()),
+            nodes: (1..).zip(nodes).map(node).collect(),
+            feedback: Default::default(),
+            queued: 0,
+            standbys: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn a_node_that_ran_when_its_tree_vanished_ends_with_the_goal_and_its_result() {
+        let running = [("Drive", "RUNNING", "RUNNING"), ("Look", "RUNNING", "RUNNING")];
+        let mut run = RobotRun::default();
+        run.pose(&at(1.0));
+        run.goal(goal("a", GoalPhase::Active), 9.0);
+        run.mission(&mission(Some("a"), &running));
+        run.pose(&at(3.0));
+        // Reset by its parent in the tick in which it succeeded.
+        run.mission(&mission(Some("a"), &[running[0], ("Look", "IDLE", "SUCCESS")]));
+        run.pose(&at(4.0));
+        // The tree vanishes before its goal's end is heard.
+        run.mission(&mission(Some("b"), &running[..1]));
+        run.goal(goal("a", GoalPhase::Aborted), 9.0);
+        run.pose(&at(6.0));
+        // Nothing is heard of the end of `b`.
+        run.mission(&mission(None, &[]));
+        run.goal(goal("c", GoalPhase::Active), 9.0);
+        run.mission(&mission(Some("c"), &running[..1]));
+        run.pose(&at(9.0));
+        run.end();
+        let spans: Vec<(&str, &str, f64, f64, &str)> = run
+            .nodes
+            .iter()
+            .map(|span| {
+                (
+                    span.node.0.as_str(),
+                    span.name.as_str(),
+                    span.from,
+                    span.to,
+                    span.status.as_str(),
+                )
+            })
+            .collect();
+        assert_eq!(
+            spans,
+            [
+                ("a", "Drive", 0.0, 3.0, "FAILURE"),
+                ("a", "Look", 0.0, 2.0, "SUCCESS"),
+                ("b", "Drive", 3.0, 3.0, "IDLE"),
+                ("c", "Drive", 5.0, 8.0, "RUNNING"),
+            ]
+        );
     }
 }

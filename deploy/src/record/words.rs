@@ -34,7 +34,7 @@ pub fn event(kind: &EventKind) -> String {
         EventKind::BehaviourDone { report } => {
             let reason = report.reason.as_deref().map(|reason| format!(": {reason}"));
             format!(
-                "manoeuvre {} {:?}{}",
+                "maneuver {} {:?}{}",
                 report.id,
                 report.state,
                 reason.unwrap_or_default()

@@ -36,6 +36,8 @@ pub struct RecordOptions {
     pub max_bytes: Option<u64>,
     /// Longest time in a file before the next one is started.
     pub max_time: Option<Duration>,
+    /// Most files kept: the oldest is deleted when one more is started.
+    pub max_files: Option<usize>,
     /// Whether to leave out Foxglove's messages.
     pub raw_only: bool,
     /// Entries of the metadata `zenav` about the run.
@@ -51,15 +53,17 @@ impl RecordOptions {
 /// Summary of a recording.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Written {
-    /// The files, in order.
+    /// The files that were kept, in order.
     pub files: Vec<PathBuf>,
+    /// Older files that were deleted.
+    pub deleted: u64,
     /// Samples.
     pub messages: u64,
     /// Samples of each key.
     pub keys: BTreeMap<String, u64>,
     /// Bytes of the samples' payloads.
     pub payload_bytes: u64,
-    /// Bytes of the files.
+    /// Bytes of all files, the deleted ones included.
     pub file_bytes: u64,
     /// Samples dropped because the disk or the machine was too slow.
     pub dropped: u64,
@@ -218,6 +222,7 @@ impl RecordWriter {
             }
         };
         self.written.files.push(next);
+        self.delete_oldest()?;
         self.artist.begin_file();
         // Makes each file usable without the ones before it.
         let mut beginning: Vec<Sample> = self.replies.values().cloned().collect();
@@ -227,6 +232,21 @@ impl RecordWriter {
             let reply = Sample { logged: now, ..reply };
             self.file.sample(&reply)?;
             self.draw(&reply)?;
+        }
+        Ok(())
+    }
+
+    /// Deletes the oldest files of this recording beyond those that are kept.
+    fn delete_oldest(&mut self) -> Result<(), RecordError> {
+        let kept = self.options.max_files.unwrap_or(usize::MAX).max(1);
+        let excess = self.written.files.len().saturating_sub(kept);
+        for file in self.written.files.drain(..excess) {
+            match std::fs::remove_file(&file) {
+                // Moved away meanwhile.
+                Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}
+                deleted => deleted.map_err(|error| RecordError::new(&file, Problem::Io(error)))?,
+            }
+            self.written.deleted += 1;
         }
         Ok(())
     }
@@ -481,5 +501,38 @@ mod tests {
     fn files_of_one_recording_are_numbered() {
         assert_eq!(numbered(Path::new("a/run.mcap"), 2), Path::new("a/run_0002.mcap"));
         assert_eq!(numbered(Path::new("run"), 11), Path::new("run_0011"));
+    }
+
+    #[test]
+    fn of_many_files_only_the_newest_are_kept() {
+        let folder = tempfile::tempdir().unwrap();
+        let options = RecordOptions {
+            max_time: Some(Duration::from_secs(1)),
+            max_files: Some(2),
+            ..RecordOptions::default()
+        };
+        let mut writer = RecordWriter::create(&folder.path().join("run.mcap"), options, 0).unwrap();
+        for second in 0..5 {
+            let sample = Sample {
+                key: "a/b".to_owned(),
+                encoding: Encoding::Json.mime().to_owned(),
+                kind: Kind::Put,
+                bytes: b"{}".to_vec(),
+                attachment: None,
+                logged: second * 1_000_000_000,
+                published: None,
+            };
+            writer.write(&sample).unwrap();
+        }
+        let written = writer.finish(0).unwrap();
+        let names = ["run_0004.mcap", "run_0005.mcap"].map(|name| folder.path().join(name));
+        assert_eq!((written.files.as_slice(), written.deleted), (&names[..], 3));
+        assert_eq!(written.messages, 5);
+        let mut left: Vec<PathBuf> = std::fs::read_dir(folder.path())
+            .unwrap()
+            .map(|entry| entry.unwrap().path())
+            .collect();
+        left.sort();
+        assert_eq!(left, names);
     }
 }

@@ -112,6 +112,21 @@ fn a_subtree_reports_the_id_of_its_tree_and_is_drawn_with_its_nodes() {
 }
 
 #[test]
+fn a_tree_is_drawn_as_it_is_written_with_ports_and_scripts() {
+    let rig = rig(
+        r#"<Sequence name="go"><SubTree ID="Sub" n="{m}" _autoremap="true"/><T name="b" plan="R" _skipIf="m > 1 &amp;&amp;
+            m != 3" _uid="7"/></Sequence>"#,
+        r#"<Peek value="{n}"/>"#,
+    );
+    assert_eq!(
+        rig.tree.render_written(),
+        "go [Sequence]\n├─ Sub n=\"{m}\" _autoremap=\"true\"\n│  └─ Peek value=\"{n}\"\n└─ b [T] plan=\"R\" _skipIf=\"m > 1 && m != 3\"\n"
+    );
+    assert_eq!(rig.tree.written(3).collect::<Vec<_>>(), [("value", "{n}")]);
+    assert_eq!(rig.tree.written(0).count() + rig.tree.written(99).count(), 0);
+}
+
+#[test]
 fn the_model_of_a_subtree_gives_defaults_to_what_is_not_remapped() {
     let mut rig = Rig::new(
         r#"<SubTree ID="Sub"/></BehaviorTree><TreeNodesModel><SubTree ID="Sub"><input_port name="n" default="4"/></SubTree></TreeNodesModel><BehaviorTree ID="Sub"><Peek value="{n}"/>"#,

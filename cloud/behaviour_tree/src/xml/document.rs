@@ -38,6 +38,18 @@ impl Element {
         let is_own = |name: &str| !matches!(name, "ID" | "name") && !name.starts_with('_');
         self.attributes.iter().filter(move |attribute| is_own(&attribute.name))
     }
+
+    /// Ports and scripts with their texts; an editor's own notes and empty scripts are left out.
+    pub(super) fn written(&self) -> Box<[(Box<str>, Box<str>)]> {
+        let is_told = |attribute: &&Attribute| match attribute.name.as_str() {
+            "ID" | "name" | "_uid" | "_fullpath" | "_description" => false,
+            script if script.starts_with('_') => !attribute.value.trim().is_empty(),
+            _ => true,
+        };
+        let told = self.attributes.iter().filter(is_told);
+        told.map(|attribute| (attribute.name.as_str().into(), attribute.value.as_str().into()))
+            .collect()
+    }
 }
 
 /// A `<BehaviorTree>`.

@@ -123,6 +123,7 @@ impl<C> Builder<'_, C> {
             depth,
             scope,
             ports,
+            written: element.written(),
         });
         let below: Vec<NodeId> = if spec.category == Category::SubTree {
             let inner = self.scope(element, &spec.id, name, scope);

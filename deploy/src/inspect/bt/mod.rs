@@ -40,7 +40,7 @@ enum BtCommand {
         /// Tree file, or name of a shipped tree
         file: String,
     },
-    /// Draw a tree
+    /// Draw a tree, with the ports of its nodes
     Show {
         /// Tree file, or name of a shipped tree
         file: String,
@@ -59,7 +59,7 @@ enum BtCommand {
         #[arg(long)]
         xml: bool,
     },
-    /// Draw the tree that a mission runs, with the status of every node, until Ctrl-C
+    /// Draw the tree that a mission runs, with the status of every node, and after its end with the results, until Ctrl-C
     Watch {
         /// Draw it once and exit
         #[arg(long)]

@@ -6,7 +6,7 @@
 //! | `/{robot}/map` | `Grid`, at most once a second | `cloud/map_patch` |
 //! | `/{robot}/pose` | `PoseInFrame` | `edge/pose` |
 //! | `/tf` | `FrameTransforms`: `map`, `{robot}/odom`, `{robot}/base_link`, `{robot}/laser` | `edge/odometry`, `edge/scan` |
-//! | `/{robot}/scene` | `SceneUpdate`: plan, goal, search tree, footprint, obstacles, intent, markers | `cloud/plan`, `cloud/tree`, `edge/…` |
+//! | `/{robot}/scene` | `SceneUpdate`: plan, goal, search tree, pose graph, footprint, obstacles, intent, markers | `cloud/plan`, `cloud/tree`, `cloud/graph`, `edge/…` |
 //! | `/{robot}/log` | `Log` | `edge/event`, `cloud/goal/…` |
 //!
 //! Their time is the arrival at the recorder: clocks of robots and cloud are never compared.
@@ -22,8 +22,8 @@ use nalgebra::Point2;
 use serde::Serialize;
 use zenav_protocol::grid::{Occupancy, OccupancyGrid};
 use zenav_protocol::messages::{
-    Event, EventKind, GoalPhase, GoalState, GuardZone, Intent, Link, Marker, Obstacles, Odometry, Plan, PoseEstimate,
-    Scan, SearchTree,
+    Event, EventKind, GoalPhase, GoalState, GraphEdge, GraphEdgeKind, GuardZone, Intent, Link, Marker, Obstacles,
+    Odometry, Plan, PoseEstimate, PoseGraph, Scan, SearchTree,
 };
 use zenav_protocol::robot::Footprint;
 use zenav_protocol::sensors::DEFAULT_LIDAR;
@@ -42,6 +42,9 @@ const FRAMES: &str = "/tf";
 const PLAN: [u8; 3] = [30, 160, 80];
 const GOAL: [u8; 3] = [240, 150, 0];
 const TREE: [u8; 3] = [150, 190, 235];
+const ODOMETRY: [u8; 3] = [150, 150, 150];
+const CLOSURE: [u8; 3] = [30, 130, 76];
+const REJECTED: [u8; 3] = [215, 60, 40];
 const ROBOT: [u8; 3] = [40, 110, 220];
 const OBSTACLE: [u8; 3] = [215, 60, 40];
 const INTENT: [u8; 3] = [120, 60, 170];
@@ -301,6 +304,8 @@ fn scene(time: Time, sample: &Sample) -> Option<(String, SceneUpdate)> {
         of(sample.message(&topics::PLAN)).map(|(robot, plan)| (robot, plan_scene(time, &plan)))
     } else if pattern == topics::TREE.pattern {
         of(sample.message(&topics::TREE)).map(|(robot, tree)| (robot, tree_scene(time, &tree)))
+    } else if pattern == topics::GRAPH.pattern {
+        of(sample.message(&topics::GRAPH)).map(|(robot, graph)| (robot, graph_scene(time, &graph)))
     } else if pattern == topics::OBSTACLES.pattern {
         of(sample.message(&topics::OBSTACLES)).map(|(robot, seen)| (robot, obstacle_scene(time, &seen)))
     } else if pattern == topics::INTENT.pattern {
@@ -367,6 +372,26 @@ fn tree_scene(time: Time, tree: &SearchTree) -> SceneUpdate {
     entity
         .lines
         .push(Line::new(STRIP, lifted(&tree.path), THIN, Color::rgb(ROBOT, 1.0)));
+    SceneUpdate {
+        entities: vec![entity],
+        ..SceneUpdate::default()
+    }
+}
+
+fn graph_scene(time: Time, graph: &PoseGraph) -> SceneUpdate {
+    let mut entity = SceneEntity::new(time, MAP, "pose graph");
+    let mut draw = |color, is_drawn: fn(&GraphEdge) -> bool| {
+        let edges = graph.lines().filter(|(edge, _)| is_drawn(edge));
+        let ends: Vec<Point2<f64>> = edges.flat_map(|(_, ends)| ends).collect();
+        entity
+            .lines
+            .push(Line::new(LIST, lifted(&ends), THIN, Color::rgb(color, 0.8)));
+    };
+    draw(ODOMETRY, |edge| edge.kind == GraphEdgeKind::Odometry);
+    draw(CLOSURE, |edge| {
+        edge.kind == GraphEdgeKind::Closure && !edge.is_rejected()
+    });
+    draw(REJECTED, GraphEdge::is_rejected);
     SceneUpdate {
         entities: vec![entity],
         ..SceneUpdate::default()
@@ -541,6 +566,16 @@ mod tests {
             edges: vec![[Point2::new(0.0, 0.0), Point2::new(1.0, 0.0)]],
             path: vec![Point2::new(0.0, 0.0)],
         };
+        let graph = PoseGraph {
+            nodes: vec![Pose2::IDENTITY, Pose2::new(1.0, 0.0, 0.0)],
+            edges: vec![GraphEdge {
+                from: 0,
+                to: 1,
+                kind: GraphEdgeKind::Closure,
+                weight: 0.0,
+            }],
+            ..PoseGraph::default()
+        };
         let event = Event {
             stamp: Stamp(1),
             boot_id: "b".into(),
@@ -552,6 +587,7 @@ mod tests {
             sample("zenav/r/edge/marker", &marker, Encoding::Json, 1),
             sample("zenav/r/edge/intent", &intent, Encoding::Json, 1),
             sample("zenav/r/cloud/tree", &tree, Encoding::Json, 1),
+            sample("zenav/r/cloud/graph", &graph, Encoding::Json, 1),
             sample("zenav/r/edge/event", &event, Encoding::Json, 1),
             sample("zenav/r/edge/obstacles", &Obstacles::default(), Encoding::Json, 1),
         ] {

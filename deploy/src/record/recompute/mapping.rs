@@ -28,6 +28,8 @@ const WAITING: usize = 4;
 const HISTORIES: usize = 8;
 /// Most selections of scans tried for one patch.
 const CHOICES: usize = 128;
+/// What to do about a map whose beginning is not in the record.
+const CURE: &str = "start the recorder before mapping, as `zenav demo --record` does";
 
 /// How a recomputed map compares with the recorded one.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -295,7 +297,7 @@ impl MapHistory {
     ) -> Result<(), String> {
         if patch.base_revision != 0 {
             return Err(format!(
-                "the record begins at revision {} of the map, whose beginning is not in it",
+                "the record begins at revision {} of the map, whose beginning is not in it ({CURE})",
                 patch.map.revision
             ));
         }
@@ -303,7 +305,9 @@ impl MapHistory {
             return Err("the map was loaded from a file, which is not in the record".to_owned());
         }
         if self.scans.iter().all(|heard| heard.scan.stamp > patch.stamp) {
-            return Err("the record began later than the map: the scans of its beginning are not in it".to_owned());
+            return Err(format!(
+                "the record began later than the map: the scans of its beginning are not in it ({CURE})"
+            ));
         }
         let (mapping, poses) = settings.mapping(&self.verdict.robot);
         let mut core = MappingCore::new(Mapper::new(mapping, patch.map.id.clone()), &poses);
@@ -550,7 +554,11 @@ mod tests {
         writer.finish(0).unwrap();
         let map = &recompute(&part, &mut RunSettings::default()).unwrap()[0];
         assert!(!map.identical && map.same_patches == 0, "{map:?}");
-        assert!(map.difference.as_ref().unwrap().contains("began later"), "{map:?}");
+        let why = map.difference.as_ref().unwrap();
+        assert!(
+            why.contains("began later") && why.contains("start the recorder before mapping"),
+            "{why}"
+        );
     }
 
     #[test]

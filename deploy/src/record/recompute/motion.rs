@@ -98,6 +98,16 @@ enum Change {
     Whole(Box<MapReply>),
 }
 
+impl Change {
+    /// The revision that it leads to.
+    fn map(&self) -> &MapRef {
+        match self {
+            Self::Patch(patch) => &patch.map,
+            Self::Whole(whole) => &whole.info.map,
+        }
+    }
+}
+
 fn changes(file: &Path) -> Result<Changes, Failure> {
     let mut changes = Changes::new();
     let mut reader = RecordReader::open(file)?;
@@ -118,7 +128,7 @@ fn change(sample: &Sample) -> Option<(String, Change)> {
 }
 
 /// A worker's copy of a robot's map, at the revision of its last request.
-#[derive(Default)]
+#[derive(Clone, Default)]
 struct Copy {
     replica: MapReplica,
     /// Number of map changes already applied.
@@ -126,24 +136,38 @@ struct Copy {
 }
 
 impl Copy {
-    /// Advances to a later revision; `false` if the record does not lead there.
+    /// Advances to a later revision. If the record does not lead there, the copy stays as it is and the result is `false`: a request from
+    /// before the record must not take the changes of those that follow.
     fn follow(&mut self, changes: &[Change], wanted: &MapRef) -> bool {
-        while self.replica.map() != wanted {
-            let Some(change) = changes.get(self.taken) else {
-                return false;
-            };
-            match change {
-                Change::Patch(patch) => {
-                    let _ = self.replica.apply(patch);
-                }
-                Change::Whole(whole) if !self.replica.holds(&whole.info.map) => {
-                    self.replica.replace(whole);
-                }
-                Change::Whole(_) => {}
-            }
-            self.taken += 1;
+        if self.replica.map() == wanted {
+            return true;
         }
-        true
+        let left = changes.get(self.taken..).unwrap_or_default();
+        let Some(last) = left.iter().rposition(|change| change.map() == wanted) else {
+            return false;
+        };
+        let mut ahead = self.clone();
+        for change in left.iter().take(last + 1) {
+            ahead.take(change);
+            if ahead.replica.map() == wanted {
+                *self = ahead;
+                return true;
+            }
+        }
+        false
+    }
+
+    fn take(&mut self, change: &Change) {
+        match change {
+            Change::Patch(patch) => {
+                let _ = self.replica.apply(patch);
+            }
+            Change::Whole(whole) if !self.replica.holds(&whole.info.map) => {
+                self.replica.replace(whole);
+            }
+            Change::Whole(_) => {}
+        }
+        self.taken += 1;
     }
 }
 
@@ -513,6 +537,32 @@ mod tests {
         both.plan.outcome = PlanOutcome::NoPath;
         let why = verdict(&records, true).difference.unwrap();
         assert_eq!(why, "request 1: another path");
+    }
+
+    #[test]
+    fn a_request_from_before_the_record_leaves_the_maps_to_those_that_follow() {
+        // A recorder that joins a running worker gets its last answers too, but not the maps they were made on.
+        let old = drive()
+            .into_iter()
+            .take(2)
+            .zip(1_u64..)
+            .map(|(record, revision)| MotionRecord {
+                map: Some(map(revision)),
+                answer: Err(Refusal::bad_request("something else")),
+                ..record
+            });
+        let new = drive().into_iter().map(|record| MotionRecord {
+            number: record.number + 2,
+            ..record
+        });
+        let verdict = verdict(&old.chain(new).collect::<Vec<_>>(), true);
+        assert!(verdict.identical, "{verdict:?}");
+        assert_eq!((verdict.requests, verdict.same), (6, 4), "{verdict:?}");
+        let why: Vec<&str> = verdict.uncompared.iter().map(|one| one.why.as_str()).collect();
+        assert!(
+            why.len() == 2 && why[0].starts_with("revision 1 ") && why[1].starts_with("revision 2 "),
+            "{why:?}"
+        );
     }
 
     #[test]

@@ -5,6 +5,7 @@ use std::fmt::Write as _;
 use super::super::run::{RobotRun, Run, phase};
 use super::{chart, floor};
 use crate::failure::Failure;
+use crate::goal::target;
 use crate::report::Percentiles;
 
 /// Most events on the page.
@@ -122,8 +123,8 @@ fn section(name: &str, robot: &RobotRun, page: &mut String) -> Result<(), Failur
         let timeline = chart::timeline(&robot.nodes, robot.secs);
         let _ = writeln!(
             page,
-            "<h3>Behaviour tree</h3>\n<div class=\"wide\">{timeline}</div>\n<p class=\"soft\">Running at the end blue, \
-             succeeded green, failed red; grey where its result was not told.</p>"
+            "<h3>Behaviour tree</h3>\n<div class=\"wide\">{timeline}</div>\n<p class=\"soft\">Running when the record \
+             ended blue, succeeded green, failed red; grey where it was halted, or its result is not in the record.</p>"
         );
     }
     stages(robot, page);
@@ -185,7 +186,8 @@ fn goals(robot: &RobotRun, page: &mut String) {
         let state = &goal.state;
         let _ = writeln!(
             page,
-            "<tr><td>{}</td><td class=\"{}\">{}{}</td><td class=\"n\">{:.1}</td><td class=\"n\">{:.2}</td><td class=\"n\">{}</td><td class=\"n\">{}</td></tr>",
+            "<tr><td>{} <span class=\"soft\">{}</span></td><td class=\"{}\">{}{}</td><td class=\"n\">{:.1}</td><td class=\"n\">{:.2}</td><td class=\"n\">{}</td><td class=\"n\">{}</td></tr>",
+            escape(&target(&state.request)),
             escape(&state.id),
             class(state.state),
             phase(state.state),
