@@ -30,6 +30,7 @@ use std::time::Duration;
 
 use criterion::Criterion;
 use rustix::time::{ClockId, clock_gettime};
+use zenav_fixtures::Row;
 use zenav_mapping::map_file;
 use zenav_planning::{Budget, Planner, Query, Searcher};
 use zenav_protocol::grid::Occupancy;
@@ -135,6 +136,11 @@ fn compare(case: &Case) {
         ratio(2),
         case.queries.len()
     );
+    for (i, planner) in [(1, "A*"), (2, "JPS")] {
+        let medians = [quantile(&times[i], 0.5), quantile(&times[0], 0.5)];
+        let row = Row::new(format!("{} {planner}, median", case.name), medians[0], "ms");
+        row.beside("pathfinding A*", medians[1]).print();
+    }
 }
 
 /// All queries of a map in a row, tracked from run to run by criterion.

@@ -3,6 +3,7 @@
 
 use super::*;
 use crate::Planner;
+use proptest::prelude::*;
 use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::robot::Footprint;
 use zenav_space::UnknownPolicy;
@@ -48,6 +49,41 @@ fn a_path_leads_from_start_to_goal_and_the_robot_fits_all_along() {
                 .all(|pair| space.segment_is_free(pair[0], pair[1], RADIUS))
         );
         assert!(length > 4.5 && length < 7.0, "{length}");
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(32))]
+
+    #[test]
+    fn a_path_of_any_planner_leads_to_the_goal_where_the_robot_fits_and_there_is_none_only_where_there_can_be_none(
+        posts in proptest::collection::vec((-0.8..3.8_f64, -0.8..2.8_f64), 0..40),
+        (x, y) in (-0.5..3.5_f64, -0.5..2.5_f64),
+        seed: u64,
+    ) {
+        let spec = *room().spec();
+        let is_wall = |at: Point2<f64>| posts.iter().any(|post| (at.x - post.0).hypot(at.y - post.1) < 0.1);
+        let grid = zenav_fixtures::walled_room(spec, is_wall);
+        let space = ConfigurationSpace::new(&grid, &Footprint::Radius(RADIUS), UnknownPolicy::Blocked, 0.0);
+        let by = |planner| ask(&grid, (0.0, 0.0), (x, y), &PlanOptions { seed, ..PlanOptions::new(planner) });
+        let known = by(Planner::AStar);
+        for (_, planner) in Planner::ALL {
+            match (by(*planner), &known) {
+                (PlanOutcome::Found { path, length }, PlanOutcome::Found { .. }) => {
+                    prop_assert_eq!((path[0], path[path.len() - 1]), (Point2::origin(), Point2::new(x, y)));
+                    // A grid's path is free at the centres of its cells.
+                    let is_free = |leg: &[Point2<f64>]| space.segment_is_free(leg[0], leg[1], RADIUS - 0.05);
+                    prop_assert!(path.windows(2).all(is_free), "{planner}: {path:?}");
+                    let along: f64 = path.windows(2).map(|leg| (leg[1] - leg[0]).norm()).sum();
+                    prop_assert!((along - length).abs() < 1e-9, "{planner}: {along}, {length}");
+                }
+                // Sampling may give up on a narrow way.
+                (PlanOutcome::NoPath | PlanOutcome::TimedOut, PlanOutcome::Found { .. }) => {
+                    prop_assert!(!planner.keeps_clear(), "{planner} found no path");
+                }
+                (other, known) => prop_assert_eq!(&other, known, "{}", planner),
+            }
+        }
     }
 }
 
