@@ -279,12 +279,6 @@ fn nothing_asks_for_a_newer_rust_than_the_workspace_says() {
     }
 }
 
-/// Crates whose metadata are still incomplete. Do not add any.
-const UNFINISHED: &[&str] = &["zenav-sim", "zenav-edge", "zenav-cloud", "zenav"];
-
-/// Crates without a README. Do not add any.
-const WITHOUT_README: &[&str] = &["zenav-sim", "zenav-edge", "zenav-cloud", "zenav", "zenav-smoothing"];
-
 #[test]
 fn every_crate_for_others_says_what_it_is() {
     let members = metadata().members();
@@ -292,16 +286,17 @@ fn every_crate_for_others_says_what_it_is() {
         let name = package.name.as_str();
         assert!(package.description.is_some(), "{name} has no description");
         let said = !package.keywords.is_empty() && !package.categories.is_empty() && package.repository.is_some();
-        assert!(
-            said || UNFINISHED.contains(&name),
-            "{name} lacks keywords, categories or repository"
-        );
+        assert!(said, "{name} lacks keywords, categories or repository");
         let readme = package.readme.as_deref().unwrap_or("README.md");
         let readme = root().join(package.folder()).join(readme);
-        assert!(
-            readme.is_file() || WITHOUT_README.contains(&name),
-            "{name}: {} is missing",
-            readme.display()
-        );
+        assert!(readme.is_file(), "{name}: {} is missing", readme.display());
+        for licence in ["LICENSE-MIT", "LICENSE-APACHE"] {
+            let file = root().join(package.folder()).join(licence);
+            assert!(file.is_file(), "{name}: {} is missing", file.display());
+        }
+        let needed = package.dependencies.iter().filter(|needed| needed.kind.is_none());
+        for needed in needed.filter(|needed| needed.path.is_some()) {
+            assert_ne!(needed.req, "*", "{name}: `{}` lacks a version", needed.name);
+        }
     }
 }

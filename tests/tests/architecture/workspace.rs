@@ -39,6 +39,8 @@ pub struct Dependency {
     pub kind: Option<String>,
     /// Set for packages of this workspace only.
     pub path: Option<PathBuf>,
+    /// The versions it may have; `*` where the manifest says nothing.
+    pub req: String,
 }
 
 #[derive(Debug, Deserialize)]
