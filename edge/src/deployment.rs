@@ -1,11 +1,12 @@
-//! Robot section of a deployment file. What does `zenav-edge` read from `[robots.NAME]`? The keys of the robot's side; the rest of the file
-//! belongs to other components.
+//! Robot section of a deployment file. What does `zenav-edge` read? The keys of the robot's side in `[robots.NAME]`, and `[security]`; the
+//! rest of the file belongs to other components.
 
 use std::collections::BTreeMap;
 use std::path::Path;
 
 use serde::Deserialize;
 use zenav_edge::EdgeSettings;
+use zenav_protocol::bus::SecuritySection;
 use zenav_protocol::config_text::line_of;
 use zenav_protocol::messages::LostPolicy;
 use zenav_protocol::settings::Settings as _;
@@ -13,10 +14,12 @@ use zenav_protocol::settings::Settings as _;
 #[derive(Deserialize)]
 struct Deployment {
     #[serde(default)]
+    security: SecuritySection,
+    #[serde(default)]
     robots: BTreeMap<String, RobotSection>,
 }
 
-/// `[robots.NAME]`; missing keys have the same effect as without a file.
+/// `[robots.NAME]` and `[security]`; missing keys have the same effect as without a file.
 #[derive(Debug, Default, PartialEq, Deserialize)]
 pub(crate) struct RobotSection {
     pub(crate) model: Option<String>,
@@ -24,6 +27,9 @@ pub(crate) struct RobotSection {
     pub(crate) on_lost: Option<LostPolicy>,
     #[serde(default)]
     pub(crate) edge: EdgeSettings,
+    /// The section beside it.
+    #[serde(skip)]
+    pub(crate) security: SecuritySection,
 }
 
 impl RobotSection {
@@ -40,7 +46,7 @@ impl RobotSection {
         })?;
         let names: Vec<_> = deployment.robots.keys().cloned().collect();
         let section = deployment.robots.into_iter().find(|(key, _)| key == name);
-        let Some((_, section)) = section else {
+        let Some((_, mut section)) = section else {
             let robots = if names.is_empty() {
                 "none".to_owned()
             } else {
@@ -55,6 +61,7 @@ impl RobotSection {
             let line = line_of(text, &error.key).map_or_else(String::new, |line| format!(":{line}"));
             format!("{path}{line}: {error}")
         })?;
+        section.security = deployment.security;
         Ok(section)
     }
 }
@@ -62,6 +69,8 @@ impl RobotSection {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used, reason = "tests")]
+    use zenav_protocol::bus::Profile;
+
     use super::*;
 
     fn of(text: &str) -> Result<RobotSection, String> {
@@ -71,13 +80,15 @@ mod tests {
     #[test]
     fn it_takes_what_concerns_the_robot_and_leaves_the_rest_to_others() {
         let section = of(
-            "[planning]\nworkers = 2\n[robots.neato7]\nmodel = \"neato\"\ndriver = true\non_lost = \"stop\"\n\
+            "[planning]\nworkers = 2\n[security]\nprofile = \"mtls\"\nidentity = \"keys\"\n[robots.neato7]\nmodel = \"neato\"\ndriver = true\non_lost = \"stop\"\n\
              [robots.neato7.edge.collision_monitor]\nfeeling_speed = 0.0\n",
         )
         .unwrap();
         assert_eq!(section.model.as_deref(), Some("neato"));
         assert_eq!(section.on_lost, Some(LostPolicy::Stop));
         assert_eq!(section.listen, None);
+        assert_eq!(section.security.profile, Some(Profile::Mtls));
+        assert_eq!(section.security.identity.as_deref(), Some(Path::new("keys")));
         assert_eq!(section.edge.collision_monitor.feeling_speed, 0.0);
     }
 
@@ -90,6 +101,7 @@ mod tests {
             ),
             ("", ["site.toml: expected a section [robots.neato7]", "none"]),
             ("[robots.neato7]\non_lost = \"run\"\n", ["site.toml:2:", "run"]),
+            ("[security]\nprofile = \"tls\"\n", ["site.toml:2:", "tls"]),
             (
                 "[robots.neato7]\n[robots.neato7.edge.collision_monitor]\nfeeling_sped = 0.0\n",
                 ["site.toml:3:", "feeling_sped"],

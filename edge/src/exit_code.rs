@@ -19,7 +19,7 @@ pub const CANNOT_CONNECT: u8 = 4;
 pub const TIMEOUT: u8 = 5;
 /// The goal was cancelled.
 pub const CANCELED: u8 = 6;
-/// The goal was rejected.
+/// The goal was rejected, the request was refused, or this identity may not make it.
 pub const REJECTED: u8 = 7;
 /// The user pressed Ctrl-C.
 pub const INTERRUPTED: u8 = 130;
@@ -44,6 +44,7 @@ pub const fn of_ask(error: &AskError) -> u8 {
     match error {
         AskError::Timeout { .. } => TIMEOUT,
         AskError::Refused(refusal) => of_refusal(refusal),
+        AskError::Denied(_) => REJECTED,
         AskError::Malformed { .. } => FAILED,
         AskError::Unaskable { .. } => USAGE,
         AskError::Closed => CANNOT_CONNECT,
@@ -56,6 +57,7 @@ pub const fn of_bus(error: &BusError) -> u8 {
     match error {
         BusError::CannotConnect { .. } | BusError::Closed => CANNOT_CONNECT,
         BusError::CannotListen { .. } => FAILED,
+        BusError::Denied(_) => REJECTED,
         BusError::Config { .. } | BusError::Exposed { .. } | BusError::Key { .. } => USAGE,
     }
 }
@@ -65,6 +67,7 @@ pub const fn of_bus(error: &BusError) -> u8 {
 pub const fn of_attach(error: &AttachError) -> u8 {
     match error {
         AttachError::Ask(error) => of_ask(error),
-        AttachError::Bus(_) | AttachError::Pace(..) => FAILED,
+        AttachError::Bus(error) => of_bus(error),
+        AttachError::Pace(..) => FAILED,
     }
 }

@@ -11,8 +11,7 @@ use zenav_edge::settings::BodySettings;
 use zenav_edge::{AttachError, Attached, Body, EdgeConfig, RemoteBody, ServiceConfig, exit_code};
 use zenav_observability::{logging, server, trace};
 use zenav_protocol::bus::{
-    Bus, BusConfig, BusError, DEFAULT_ENDPOINT, IdentityError, ROBOT_ENDPOINT, Security, Shutdown, service_manager,
-    threads,
+    Bus, BusConfig, BusError, DEFAULT_ENDPOINT, IdentityError, ROBOT_ENDPOINT, Shutdown, service_manager, threads,
 };
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
@@ -31,7 +30,7 @@ struct Arguments {
     /// The robot's name in every key.
     #[arg(long, default_value = "tiago")]
     id: String,
-    /// Deployment file, of which `[robots.ID]` is read: model, listen, on_lost and edge. Flags win.
+    /// Deployment file, of which `[security]` and `[robots.ID]` are read: of the latter model, listen, on_lost and edge. Flags win.
     #[arg(long, value_name = "FILE")]
     deployment: Option<PathBuf>,
     /// Routers to connect to, separated by commas; the edge also works without one.
@@ -47,10 +46,11 @@ struct Arguments {
     /// or tcp/127.0.0.1:7450].
     #[arg(long, value_delimiter = ',')]
     listen: Vec<String>,
-    /// Folder of the robot's identity in its fleet: `ca.pem`, `cert.pem`, `key.pem`, `members.txt`; links are encrypted then.
+    /// Folder of the robot's identity in its fleet: `ca.pem`, `cert.pem`, `key.pem`, `members.txt`; links are encrypted then [default: that
+    /// of the deployment file].
     #[arg(long, env = "ZENAV_IDENTITY")]
     identity: Option<PathBuf>,
-    /// Listen to other machines without an identity: anyone who reaches the endpoint can command the robot.
+    /// Listen to other machines without an identity, --metrics included: anyone who reaches the endpoint can command the robot.
     #[arg(long)]
     insecure: bool,
     /// Namespace of the deployment on its routers; none if empty.
@@ -211,7 +211,12 @@ fn start(arguments: Arguments) -> Result<(), Failure> {
         error => Failure::usage(error),
     })?;
     let id = Id::robot(arguments.id.clone()).map_err(Failure::usage)?;
-    let security = Security::of(arguments.identity.as_deref(), arguments.insecure)?;
+    let security = section
+        .security
+        .security(arguments.identity.as_deref(), arguments.insecure)?;
+    if let Some(address) = &arguments.metrics {
+        security.check_metrics(address)?;
+    }
     security.check_robot(&id, !arguments.attach && arguments.body.is_none())?;
     // Bad files are reported before waiting for a router.
     let here = if arguments.attach || arguments.body.is_some() {
@@ -250,13 +255,7 @@ fn start(arguments: Arguments) -> Result<(), Failure> {
         }
         let gives_the_time = here.is_some();
         let (bus, started) = match here {
-            Some(here) => {
-                let opened = Bus::open(bus).await;
-                (
-                    opened.map_err(|error| Failure::new(exit_code::CANNOT_CONNECT, error))?,
-                    here,
-                )
-            }
+            Some(here) => (Bus::open(bus).await?, here),
             None if arguments.body == Some(BodyKind::Bus) => {
                 on_the_bus(bus, &id, arguments.start, &section.edge.body).await?
             }

@@ -93,6 +93,19 @@ impl SecuredFleet {
         Process::start("env", &[&before, arguments, &after[..]].concat(), self.folder())
     }
 
+    /// Starts a part of a member with all that it can log; its output and its log are one.
+    #[must_use]
+    pub fn start_traced(&self, member: &str, arguments: &[&str]) -> Process {
+        let identity = self.identity(member).to_string_lossy().into_owned();
+        let binary = self.binary.to_string_lossy();
+        let before = ["-c", "export RUST_LOG=trace; exec \"$0\" \"$@\" >&2", &*binary];
+        Process::start(
+            "sh",
+            &[&before, arguments, &["--identity", &identity]].concat(),
+            self.folder(),
+        )
+    }
+
     /// The environment variable that sets the namespace of a part.
     fn variable(&self) -> String {
         format!("ZENAV_BUS__NAMESPACE={}", self.namespace)
@@ -175,13 +188,34 @@ impl SecuredFleet {
     /// # Panics
     /// When it cannot.
     pub async fn join(&self, member: &str, endpoint: &str) -> Bus {
+        open(self.session(member, endpoint)).await
+    }
+
+    /// Joins as a member with an endpoint of its own, as a robot does: its session is a router. The member must have a list of members.
+    ///
+    /// # Panics
+    /// When it cannot.
+    pub async fn join_as_router(&self, member: &str, endpoint: &str) -> Bus {
+        let bus = open(BusConfig {
+            listen: vec!["quic/127.0.0.1:0".to_owned()],
+            ..self.session(member, endpoint)
+        })
+        .await;
+        let linked = async {
+            while !bus.is_connected().await {
+                tokio::time::sleep(Duration::from_millis(20)).await;
+            }
+        };
+        tokio::time::timeout(JOIN, linked).await.expect("a link in time");
+        bus
+    }
+
+    fn session(&self, member: &str, endpoint: &str) -> BusConfig {
         let security = Security::of(Some(&self.identity(member)), false).expect("an identity");
-        let config = BusConfig {
+        BusConfig {
             security,
             ..BusConfig::service(member, endpoint).within(&self.namespace)
-        };
-        let joined = tokio::time::timeout(JOIN, Bus::open(config)).await;
-        joined.expect("somebody lets it in in time").expect("the bus opens")
+        }
     }
 
     /// Tries once to join at an endpoint with any identity, or with none.
@@ -196,4 +230,9 @@ impl SecuredFleet {
         })
         .await
     }
+}
+
+async fn open(config: BusConfig) -> Bus {
+    let opened = tokio::time::timeout(JOIN, Bus::open(config)).await;
+    opened.expect("somebody lets it in in time").expect("the bus opens")
 }

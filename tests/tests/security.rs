@@ -5,12 +5,13 @@
 use std::process::Output;
 use std::time::Duration;
 
-use zenav_protocol::bus::{AskError, Bus};
+use zenav_cloud::operator::LeaseSession;
+use zenav_protocol::bus::{AskError, Bus, RawReply, RawSubscription};
 use zenav_protocol::geometry::Twist2;
-use zenav_protocol::messages::{InfoRequest, Mode, StopReply, StopRequest, Teleop};
-use zenav_protocol::time::Stamp;
+use zenav_protocol::messages::{EdgeState, InfoRequest, Mode, StopReply, StopRequest, Teleop};
 use zenav_protocol::topics;
-use zenav_tests::observer::{Observer, assert_rests};
+use zenav_tests::http;
+use zenav_tests::observer::{Observer, assert_rests, is_rest};
 use zenav_tests::process::{Process, run};
 use zenav_tests::secured::SecuredFleet;
 
@@ -74,10 +75,112 @@ async fn info(bus: &Bus, within: Duration) -> Result<(), AskError> {
 }
 
 async fn stop(bus: &Bus, within: Duration) -> Result<StopReply, AskError> {
-    let request = StopRequest {
-        by: Some("test".into()),
-    };
+    let request = StopRequest::new("test");
     bus.ask(&topics::STOP, &[ROBOT], &request, within).await
+}
+
+/// Sends a stop that the sender may not ask for: its own program refuses, and without that check the endpoint does.
+async fn assert_may_not_stop(bus: &Bus) {
+    let denied = stop(bus, LIMIT).await;
+    assert!(
+        matches!(&denied, Err(AskError::Denied(denied)) if denied.others.contains(&"operator.NAME".to_owned())),
+        "{denied:?}"
+    );
+    let request = serde_json::to_vec(&StopRequest::new("test")).unwrap();
+    let key = topics::STOP.key(&[ROBOT]);
+    let replies = bus.raw_query(&key, Some(request), IN_VAIN).await.unwrap();
+    let is_answer = |reply: &RawReply| matches!(reply, RawReply::Ok(_));
+    assert!(!replies.iter().any(is_answer), "{replies:?}");
+}
+
+/// Commands the robot to turn, with every state of two seconds by its clock; returns these states.
+async fn turned(driver: &Bus, viewer: &Bus, epoch: u64) -> Vec<EdgeState> {
+    let teleop = driver.publisher(&topics::TELEOP, &[ROBOT]).unwrap();
+    let mut observer = Observer::new(viewer, ROBOT);
+    let mut states = vec![observer.next(LIMIT).await];
+    while states[states.len() - 1].stamp.secs_since(states[0].stamp) < 2.0 {
+        let state = observer.next(LIMIT).await;
+        teleop.put(&Teleop {
+            epoch,
+            twist: Twist2 { v: 0.0, w: 0.5 },
+            echo: state.stamp,
+        });
+        states.push(state);
+    }
+    states
+}
+
+/// The keys of what has arrived.
+async fn arrived(samples: &mut RawSubscription) -> Vec<String> {
+    let mut keys = Vec::new();
+    while let Ok(Some(sample)) = tokio::time::timeout(Duration::ZERO, samples.next()).await {
+        keys.push(sample.key);
+    }
+    keys
+}
+
+/// Asserts that a session of neato receives what concerns neato, and nothing of the other robot, which `viewer` receives meanwhile.
+async fn assert_hears_itself_alone(neato: &Bus, service: &Bus, viewer: &Bus) {
+    let keys = ["edge/scan", "edge/state", "edge/*"].map(|key| format!("zenav/{ROBOT}/{key}"));
+    let keys = keys
+        .into_iter()
+        .chain(["zenav/*/edge/state", "zenav/**"].map(str::to_owned));
+    let mut others: Vec<RawSubscription> = keys.map(|key| neato.raw_subscribe(&key, 4096).unwrap()).collect();
+    let mut own = neato.raw_subscribe("zenav/neato/cloud/correction", 16).unwrap();
+    let correction = async {
+        loop {
+            service
+                .raw_put("zenav/neato/cloud/correction", b"{}".to_vec(), JSON)
+                .unwrap();
+            if tokio::time::timeout(Duration::from_millis(100), own.next())
+                .await
+                .is_ok()
+            {
+                return;
+            }
+        }
+    };
+    tokio::time::timeout(LIMIT, correction)
+        .await
+        .expect("it hears its own keys");
+    Observer::new(viewer, ROBOT).during(4.0).await;
+    for samples in &mut others {
+        let keys = arrived(samples).await;
+        let of_another = |key: &String| key.starts_with("zenav/tiago/");
+        assert!(!keys.iter().any(of_another), "{keys:?}");
+    }
+}
+
+/// Asserts that a session of neato sees the token of its own mission, and no other part of the fleet.
+async fn assert_sees_itself_alone(neato: &Bus, service: &Bus, viewer: &Bus) {
+    let all = || "zenav/**".to_owned();
+    let mission = topics::alive_key(topics::ALIVE_COMPONENT, &["neato", "mission"]);
+    let _token = service.declare_alive(mission.clone()).unwrap();
+    let seen = async {
+        loop {
+            let seen = neato.list_alive(all(), IN_VAIN).await.unwrap();
+            if seen.contains(&mission) {
+                return seen;
+            }
+        }
+    };
+    let seen = tokio::time::timeout(LIMIT, seen)
+        .await
+        .expect("it sees its own mission");
+    assert!(seen.iter().all(|key| key.starts_with("zenav/neato/")), "{seen:?}");
+    let there = viewer.list_alive(all(), IN_VAIN).await.unwrap();
+    for part in ["zenav/tiago/alive/edge", "zenav/svc/alive/motion/"] {
+        assert!(there.iter().any(|key| key.starts_with(part)), "{part}: {there:?}");
+    }
+}
+
+/// Runs a command that the member may not do: it fails, and names the member, the key and who may.
+fn assert_told(fleet: &SecuredFleet, member: &str, arguments: &[&str], told: [&str; 2]) {
+    let output = fleet.client(member, &fleet.router, arguments);
+    let text = said(&output);
+    assert_eq!(output.status.code(), Some(7), "{arguments:?}: {text}");
+    let words = [&[member][..], &told].concat();
+    assert!(words.iter().all(|word| text.contains(word)), "{arguments:?}: {text}");
 }
 
 /// Publishes `forged`, which the sender may not, then `fair`, which it may: a viewer of everything must receive only `fair`, which came
@@ -155,7 +258,13 @@ async fn every_role_does_its_part_in_a_mission_and_no_other() {
     for forged in ["edge/state", "cloud/plan", "operator/teleop", "body/readings"] {
         only_the_second_passes(&neato, &viewer, &format!("zenav/{ROBOT}/{forged}"), &own("state")).await;
     }
-    assert!(matches!(stop(&neato, IN_VAIN).await, Err(AskError::Timeout { .. })));
+    assert_may_not_stop(&neato).await;
+    // And it learns nothing of another robot, as a client and as a router, which a robot with an endpoint of its own is.
+    assert_hears_itself_alone(&neato, &service, &viewer).await;
+    let neato_router = fleet.join_as_router("robot.neato", &fleet.router).await;
+    assert_hears_itself_alone(&neato_router, &service, &viewer).await;
+    assert_sees_itself_alone(&neato_router, &service, &viewer).await;
+    neato_router.close().await;
     // An operator may drive by hand, but not publish plans.
     let teleop = format!("zenav/{ROBOT}/operator/teleop");
     for forged in ["cloud/plan", "edge/wheels", "body/readings"] {
@@ -168,13 +277,23 @@ async fn every_role_does_its_part_in_a_mission_and_no_other() {
     }
     // A viewer may look, but neither stop nor steer.
     info(&viewer, LIMIT).await.unwrap();
-    assert!(matches!(stop(&viewer, IN_VAIN).await, Err(AskError::Timeout { .. })));
-    let steer = Teleop {
-        epoch: 1,
-        twist: Twist2 { v: 0.3, w: 0.0 },
-        echo: Stamp::ZERO,
+    assert_may_not_stop(&viewer).await;
+    let lease = LeaseSession::acquire(&operator, ROBOT, "anna", LIMIT).await.unwrap();
+    let by_the_viewer = turned(&viewer, &viewer, lease.grant.epoch).await;
+    assert_rests(&by_the_viewer, "a viewer with the epoch in force does not steer");
+    // Positive control: the same commands of the operator do, once one of them is in time.
+    let steers = async {
+        while turned(&operator, &viewer, lease.grant.epoch)
+            .await
+            .iter()
+            .all(|state| is_rest(state.velocity))
+        {}
     };
-    viewer.publisher(&topics::TELEOP, &[ROBOT]).unwrap().put(&steer);
+    tokio::time::timeout(LIMIT, steers).await.expect("the operator steers");
+    lease.release().await.unwrap();
+    Observer::new(&viewer, ROBOT)
+        .until("it rests again", LIMIT, |state| is_rest(state.velocity))
+        .await;
 
     // A replay of everything that drove the robot, by a member that may write plans.
     let mut replayed = 0;
@@ -198,15 +317,58 @@ async fn every_role_does_its_part_in_a_mission_and_no_other() {
     // An operator stops it; on the robot's own endpoint a viewer has as few rights as at the router.
     let at_the_robot = fleet.join("viewer.wall", &fleet.edge).await;
     info(&at_the_robot, LIMIT).await.unwrap();
-    assert!(matches!(
-        stop(&at_the_robot, IN_VAIN).await,
-        Err(AskError::Timeout { .. })
-    ));
+    assert_may_not_stop(&at_the_robot).await;
     let stopped = fleet.client("operator.anna", &fleet.edge, &["stop", "--robot", ROBOT]);
     assert!(stopped.status.success(), "{}", said(&stopped));
     observer
         .until("it is stopped", LIMIT, |state| state.mode == Mode::Stopped)
         .await;
+}
+
+#[test]
+fn what_a_member_may_not_do_is_told_before_it_is_sent() {
+    let fleet = SecuredFleet::new(ZENAV, 1.0, &["router.site1", "robot.neato", "viewer.wall"]);
+    let mut router = fleet.start_router("router.site1");
+    router.until("router up", LIMIT);
+    let teleop = "zenav/tiago/operator/teleop";
+    let command = r#"{"epoch": 1, "twist": {"v": 0.3, "w": 0.0}, "echo": 0}"#;
+    for (member, arguments, told) in [
+        (
+            "viewer.wall",
+            &["topic", "pub", teleop, command][..],
+            [teleop, "operator.NAME"],
+        ),
+        (
+            "viewer.wall",
+            &["ask", "zenav/tiago/ask/edge/stop"][..],
+            ["zenav/tiago/ask/edge/stop", "operator.NAME"],
+        ),
+        ("viewer.wall", &["logs"][..], ["zenav/*/ask/edge/log", "operator.NAME"]),
+        (
+            "viewer.wall",
+            &["stop", "--robot", "tiago"][..],
+            ["zenav/tiago/ask/edge/stop", "operator.NAME"],
+        ),
+        ("robot.neato", &["ps"][..], ["ask/", "viewer.NAME"]),
+        (
+            "robot.neato",
+            &["stop", "--all"][..],
+            ["zenav/*/alive/*", "viewer.NAME"],
+        ),
+        ("robot.neato", &["goal", "list"][..], ["zenav/*/alive/*", "viewer.NAME"]),
+        (
+            "robot.neato",
+            &["pose", "show", "--robot", "tiago"][..],
+            ["zenav/tiago/edge/state", "robot.tiago"],
+        ),
+        (
+            "robot.neato",
+            &["topic", "echo", "zenav/tiago/edge/scan"][..],
+            ["zenav/tiago/edge/scan", "robot.tiago"],
+        ),
+    ] {
+        assert_told(&fleet, member, arguments, told);
+    }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
@@ -290,6 +452,48 @@ fn nobody_listens_to_other_machines_by_mistake() {
         "{}",
         said(&output)
     );
+}
+
+#[test]
+fn no_secret_is_logged_or_shown() {
+    const TOKEN: &str = "a-token-that-nobody-may-read-anywhere";
+    let fleet = SecuredFleet::new(ZENAV, 1.0, &["router.site1", "operator.anna"]);
+    let identity = fleet.identity("operator.anna").to_string_lossy().into_owned();
+    std::fs::write(fleet.folder().join("token.txt"), TOKEN).unwrap();
+    let file = format!("[gateway]\ntoken_file = \"token.txt\"\n[security]\nidentity = \"{identity}\"\n");
+    std::fs::write(fleet.folder().join("site.toml"), file).unwrap();
+
+    let mut router = fleet.start_traced("router.site1", &["router", "--listen", &fleet.router]);
+    router.until("router up", LIMIT);
+    let page = ["--listen", "127.0.0.1:0", "--token-file", "token.txt"];
+    let gateway = [&["gateway", "--connect", &fleet.router][..], &page].concat();
+    let mut gateway = fleet.start_traced("operator.anna", &gateway);
+    let address = gateway.until("mission control: http://", LIMIT);
+    let address = address.split("http://").nth(1).unwrap();
+    let address = address.split(['/', '#']).next().unwrap().to_owned();
+    assert_eq!(http::request(&address, "GET", "/api/v1/robots", &address).status, 401);
+    assert_eq!(http::get_with_token(&address, "/api/v1/robots", TOKEN).status, 200);
+    // It is linked by its identity.
+    gateway.until("ready part=\"gateway\"", LIMIT);
+
+    let mut shown = vec![router.log(), gateway.log()];
+    for arguments in [
+        &["config", "show", "site.toml"][..],
+        &["config", "show", "site.toml", "--origin"],
+    ] {
+        let output = fleet.zenav(arguments);
+        assert!(output.status.success(), "{}", said(&output));
+        shown.push(said(&output));
+    }
+    assert!(shown[2].contains("token.txt") && shown[3].contains(&identity));
+    assert!(shown[0].contains("TRACE") && shown[1].contains("TRACE"));
+    let key = |member: &str| std::fs::read_to_string(fleet.identity(member).join("key.pem")).unwrap();
+    let keys = [key("router.site1"), key("operator.anna")].concat();
+    let lines = keys.lines().filter(|line| !line.starts_with("-----"));
+    for secret in lines.chain([TOKEN, "PRIVATE KEY"]) {
+        let place = shown.iter().position(|text| text.contains(secret));
+        assert_eq!(place, None, "a secret is shown in output {place:?}");
+    }
 }
 
 #[test]

@@ -483,6 +483,10 @@ mod tests {
                 "`router.listen` is `7447`: expected an endpoint",
             ),
             (
+                "[router]\nconnect = [\"site\"]\n",
+                "`router.connect` is `site`: expected an endpoint",
+            ),
+            (
                 "[gateway]\nlisten = \"7480\"\n",
                 "`gateway.listen` is `7480`: expected ADDRESS:PORT",
             ),

@@ -232,6 +232,12 @@ impl Deployment {
                     .listen
                     .iter()
                     .map(|endpoint| ("router.listen".to_owned(), endpoint)),
+            )
+            .chain(
+                self.router
+                    .connect
+                    .iter()
+                    .map(|endpoint| ("router.connect".to_owned(), endpoint)),
             );
         let addresses = [
             ("router.rest", &self.router.rest),

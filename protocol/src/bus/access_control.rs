@@ -104,15 +104,25 @@ fn allowed(grants: &Grants) -> Vec<Rule> {
             heard.clone(),
         ),
         rule("egress", &["put", "reply"], [&grants.hears[..], &heard].concat()),
-        rule("ingress", &["liveliness_query", "declare_liveliness_subscriber"], seen),
-        // Requests of others for the far end: already checked on the link where they came in.
+        rule(
+            "ingress",
+            &["liveliness_query", "declare_liveliness_subscriber"],
+            seen.clone(),
+        ),
+        // Servers and tokens of others, which a far end in mode `router` receives without asking: only those that it may ask or see.
+        rule("egress", &["declare_queryable"], [&grants.asks[..], &heard].concat()),
+        rule(
+            "egress",
+            &["liveliness_token"],
+            [&grants.hears[..], &heard, &seen].concat(),
+        ),
+        // Requests and subscriptions of others for the far end: already checked on the link where they came in. They may have wildcards,
+        // such as an ask to all robots, which no rule for one robot includes.
         rule(
             "egress",
             &[
                 "query",
                 "declare_subscriber",
-                "declare_queryable",
-                "liveliness_token",
                 "liveliness_query",
                 "declare_liveliness_subscriber",
             ],
@@ -252,6 +262,37 @@ mod tests {
             ("viewer.stranger", "declare_subscriber", "zenav/a/edge/state"),
         ] {
             assert!(!may(member, "ingress", message, key), "{member} {message} {key}");
+        }
+        for (member, message, key) in [
+            ("robot.a", "liveliness_token", "zenav/a/alive/mission"),
+            ("robot.a", "liveliness_token", "zenav/a/cloud/plan/@adv/pub/1/2/_"),
+            ("robot.a", "liveliness_token", "site1/zenav/a/alive/mapping"),
+            ("robot.a", "declare_queryable", "zenav/sim/attach"),
+            ("robot.a", "declare_queryable", "zenav/a/cloud/plan/@adv/pub/1/2/_"),
+            ("robot.a", "declare_subscriber", "zenav/**"),
+            ("robot.a", "declare_liveliness_subscriber", "zenav/*/alive/*"),
+            ("viewer.v", "liveliness_token", "zenav/b/alive/edge"),
+            ("viewer.v", "liveliness_token", "zenav/b/edge/event/@adv/pub/1/2/_"),
+            ("operator.o", "liveliness_token", "zenav/svc/alive/motion/w-1"),
+            ("operator.o", "declare_queryable", "zenav/b/ask/edge/stop"),
+            ("service.s", "declare_queryable", "zenav/svc/motion/w-1"),
+            ("service.s", "declare_queryable", "action/gripper"),
+            ("router.r", "liveliness_token", "zenav/svc/alive/motion/w-1"),
+            ("router.r", "declare_queryable", "zenav/a/ask/cloud/goal"),
+        ] {
+            assert!(may(member, "egress", message, key), "{member} {message} {key}");
+        }
+        for (member, message, key) in [
+            ("robot.a", "liveliness_token", "zenav/b/alive/edge"),
+            ("robot.a", "liveliness_token", "zenav/b/edge/event/@adv/pub/1/2/_"),
+            ("robot.a", "liveliness_token", "zenav/svc/alive/motion/w-1"),
+            ("robot.a", "liveliness_token", "site1/zenav/b/alive/edge"),
+            ("robot.a", "declare_queryable", "zenav/b/ask/edge/stop"),
+            ("robot.a", "declare_queryable", "zenav/a/ask/cloud/goal"),
+            ("robot.a", "declare_queryable", "zenav/svc/motion/w-1"),
+            ("viewer.v", "declare_queryable", "zenav/a/ask/edge/stop"),
+        ] {
+            assert!(!may(member, "egress", message, key), "{member} {message} {key}");
         }
         assert!(may("robot.a", "egress", "put", "zenav/a/cloud/plan"));
         assert!(may("robot.a", "egress", "query", "zenav/*/ask/edge/info"));

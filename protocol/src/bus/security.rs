@@ -8,8 +8,9 @@
 //! same time, and crashes (<https://github.com/eclipse-zenoh/zenoh/issues/2557>). A QUIC link has one stream per direction and priority.
 
 use std::net::IpAddr;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
+use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use zenoh::config::WhatAmI;
 
@@ -18,6 +19,47 @@ use super::identity::{Identity, IdentityError};
 use super::session::BusError;
 use crate::id::Id;
 use crate::member::Role;
+
+/// How links are protected, as a deployment says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Profile {
+    /// Neither encrypted nor authenticated: for loopback and closed networks.
+    Open,
+    /// TLS over QUIC, with a certificate on each side.
+    Mtls,
+}
+
+crate::settings! {
+    /// How links are protected.
+    pub struct SecuritySection {
+        /// `open` or `mtls`; unset: `mtls` when a deployment of many hosts is rendered, `open` on this machine.
+        pub profile: Option<Profile> = None;
+        /// Folder of this part's `ca.pem`, `cert.pem` and `key.pem`.
+        pub identity: Option<PathBuf> = None;
+    }
+}
+
+impl SecuritySection {
+    /// Link protection of a part of the deployment; the part's own options, as in [`Security::of`], win over the section.
+    ///
+    /// # Errors
+    /// [`BusError::Config`]: a folder that holds no identity, or a profile that does not fit.
+    pub fn security(&self, identity: Option<&Path>, insecure: bool) -> Result<Security, BusError> {
+        let wrong = |reason: String| Err(BusError::Config { reason });
+        match (self.profile, identity.or(self.identity.as_deref())) {
+            (Some(Profile::Mtls), None) => wrong(
+                "security.profile is mtls: expected an identity (--identity FOLDER, ZENAV_IDENTITY, security.identity)"
+                    .to_owned(),
+            ),
+            (Some(Profile::Open), Some(identity)) => wrong(format!(
+                "security.profile is open, and there is an identity, {}: expected mtls, or none",
+                identity.display()
+            )),
+            (_, identity) => Ok(Security::of(identity, insecure)?),
+        }
+    }
+}
 
 /// How links are protected.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -74,6 +116,22 @@ impl Security {
         Err(IdentityError {
             folder: identity.folder().to_owned(),
             problem,
+        })
+    }
+
+    /// Checks that health and metrics may be served at an address, `HOST:PORT`. They are plain HTTP: other machines read them only if the
+    /// process has an identity, or listens to other machines anyway.
+    ///
+    /// # Errors
+    /// [`BusError::Config`].
+    pub fn check_metrics(&self, address: &str) -> Result<(), BusError> {
+        if *self != Self::Loopback || is_loopback(address) {
+            return Ok(());
+        }
+        Err(BusError::Config {
+            reason: format!(
+                "--metrics {address}: other machines could read it: expected an address of loopback, an identity (`--identity FOLDER`, made by `zenav keys`), or `--insecure`"
+            ),
         })
     }
 
@@ -190,6 +248,45 @@ mod tests {
             assert_eq!(Security::Insecure.check(&[], &[far.to_owned()]), Ok(()));
         }
         assert_eq!(Security::Loopback.check(&["tcp/10.0.0.2:7447".to_owned()], &[]), Ok(()));
+    }
+
+    #[test]
+    fn without_an_identity_only_this_machine_reads_the_metrics() {
+        for near in ["127.0.0.1:9464", "[::1]:0", "localhost:9464"] {
+            assert_eq!(Security::Loopback.check_metrics(near), Ok(()), "{near}");
+        }
+        for far in ["0.0.0.0:9464", "[::]:9464", "10.0.0.2:9464", "robot.local:9464"] {
+            let text = Security::Loopback.check_metrics(far).unwrap_err().to_string();
+            assert!(text.contains(far) && text.contains("--insecure"), "{text}");
+            assert_eq!(Security::Insecure.check_metrics(far), Ok(()));
+        }
+    }
+
+    #[test]
+    fn a_profile_and_an_identity_must_fit() {
+        let folder = Path::new("/nonexistent");
+        let section = |profile| SecuritySection {
+            profile,
+            ..SecuritySection::default()
+        };
+        let told =
+            |section: &SecuritySection, identity| section.security(identity, true).map_err(|error| error.to_string());
+        assert_eq!(told(&section(None), None), Ok(Security::Insecure));
+        assert_eq!(told(&section(Some(Profile::Open)), None), Ok(Security::Insecure));
+        let without = told(&section(Some(Profile::Mtls)), None).unwrap_err();
+        assert!(without.contains("expected an identity"), "{without}");
+        let with = told(&section(Some(Profile::Open)), Some(folder)).unwrap_err();
+        assert!(
+            with.contains("/nonexistent") && with.contains("expected mtls"),
+            "{with}"
+        );
+        // The section's own folder counts too.
+        let own = SecuritySection {
+            profile: Some(Profile::Mtls),
+            identity: Some(folder.to_owned()),
+        };
+        let unread = told(&own, None).unwrap_err();
+        assert!(unread.contains("identity /nonexistent: ca.pem"), "{unread}");
     }
 
     #[test]

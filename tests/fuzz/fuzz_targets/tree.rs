@@ -1,6 +1,6 @@
 //! Bytes from anywhere as a tree file: read, checked, and if it is a tree, run against leaves that succeed.
 //!
-//! `cargo +nightly fuzz run tree -- -dict=fuzz/tree.dict -max_len=65536` (`cargo install cargo-fuzz`). What the ordinary tests
+//! `cargo +nightly fuzz run tree fuzz/found/tree fuzz/corpus/tree -- -dict=fuzz/tree.dict -max_len=65536` in `tests`. What the ordinary tests
 //! play of the same is the corpus.
 #![no_main]
 
