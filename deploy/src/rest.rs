@@ -4,7 +4,7 @@
 //!   next one published.
 //! - A key without wildcards returns its bytes unchanged, under their own media type. A pattern returns a JSON list of
 //!   `{key, value, encoding, time}`, as Zenoh's own REST plugin does.
-//! - It is read-only: commands go through `zenav gateway`, which checks authorisation.
+//! - It is read-only: an ask that could change something is refused. Commands go through `zenav gateway`, which checks authorisation.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -22,6 +22,7 @@ use tokio::sync::Semaphore;
 use tokio::time::{Instant, timeout_at};
 use zenav_gateway::Access;
 use zenav_protocol::bus::{Bus, BusError, RawReply, RawSample};
+use zenav_protocol::topics::{ANNOTATE, Asker, EDGE_LOG, LOCALISE, MAP, MODE, PARAM, PART_LOG, Row, row_of};
 
 use crate::failure::Failure;
 
@@ -95,6 +96,9 @@ async fn value(
     let Ok(_place) = shared.places.try_acquire() else {
         return said(StatusCode::SERVICE_UNAVAILABLE, "too many requests at once");
     };
+    if row_of(&key).is_some_and(|row| !is_read(row)) {
+        return read_only().await;
+    }
     let selector = match query {
         Some(parameters) => format!("{key}?{}", parameters.replace('&', ";")),
         None => key.clone(),
@@ -105,6 +109,20 @@ async fn value(
         one(&shared.bus, &key, &selector).await
     };
     found.unwrap_or_else(|error| said(StatusCode::BAD_REQUEST, &error.to_string()))
+}
+
+/// Whether a request without a body changes nothing: a topic, an ask of viewers, or one that then shows something.
+fn is_read(row: &Row) -> bool {
+    let shows = [
+        MAP.pattern,
+        LOCALISE.pattern,
+        ANNOTATE.pattern,
+        MODE.pattern,
+        PARAM.pattern,
+        EDGE_LOG.pattern,
+        PART_LOG.pattern,
+    ];
+    matches!(row.asked_by, None | Some(Asker::Viewer)) || shows.contains(&row.pattern)
 }
 
 /// The answer of the key's queryable, otherwise its value.

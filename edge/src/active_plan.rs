@@ -136,9 +136,9 @@ impl ActivePlan {
                     drive,
                     &scene.settings.acceptance,
                 )?;
-                let late = now - until;
+                let late = (now - until).min(scene.settings.plan.late_splice);
                 if late > 0.0 {
-                    let there = plan.trajectory.sample(late.min(scene.settings.plan.late_splice));
+                    let there = plan.trajectory.sample(late);
                     judge_start(
                         &there,
                         scene.map_from_base,

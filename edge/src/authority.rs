@@ -2,6 +2,7 @@
 //!
 //! A stop needs no lease, latches across restarts and discards the plan. Every change of the lease holder discards the plan too.
 
+use std::collections::VecDeque;
 use std::time::Duration;
 
 use zenav_protocol::lease::{self, LeaseArbiter};
@@ -31,14 +32,16 @@ const MEMORY: usize = 64;
 pub struct Authority {
     arbiter: LeaseArbiter,
     stopped: bool,
-    /// Stops since the start.
+    /// Stops so far, those before a restart included.
     stops: u64,
+    /// Ids of the latest stops and resumes.
+    obeyed: VecDeque<String>,
     resumed: Option<Stamp>,
     policy: LostPolicy,
     link: Link,
     live: bool,
     settings: LeaseSettings,
-    first_answers: std::collections::VecDeque<(LeaseRequest, Result<LeaseReply, Refusal>)>,
+    first_answers: VecDeque<(LeaseRequest, Result<LeaseReply, Refusal>)>,
     /// The last measured round trip, until it is taken.
     measured: Option<Duration>,
     stored: Persisted,
@@ -76,13 +79,14 @@ impl Authority {
                 stored.leader.clone(),
             ),
             stopped: stored.stopped,
-            stops: 0,
+            stops: stored.stops,
+            obeyed: VecDeque::new(),
             resumed: None,
             policy: config.on_lost,
             link: Link::Lost,
             live: false,
             settings: config.settings.lease.clone(),
-            first_answers: std::collections::VecDeque::new(),
+            first_answers: VecDeque::new(),
             measured: None,
             stored,
         }
@@ -171,11 +175,12 @@ impl Authority {
         self.arbiter.heard(now);
     }
 
-    /// Stops the robot and latches.
+    /// Stops the robot and latches. A copy of an earlier request stops it, too, but is not counted while it is stopped.
     pub fn stop(&mut self, now: Stamp, request: &StopRequest, events: &mut EventLog) -> Decision<StopReply> {
         let first = !self.stopped;
         self.stopped = true;
-        self.stops += 1;
+        let is_copy = self.is_copy(request.request_id.as_deref());
+        self.stops += u64::from(first || !is_copy);
         if first {
             events.record(
                 now,
@@ -191,12 +196,16 @@ impl Authority {
         }
     }
 
-    /// Releases the stop: allows a new plan, and nothing else. A request made before the newest stop is refused.
+    /// Releases the stop: allows a new plan, and nothing else. A request made before the newest stop is refused, and a copy of an earlier
+    /// request has no effect.
     pub fn resume(&mut self, now: Stamp, request: &ResumeRequest, events: &mut EventLog) -> Decision<StopReply> {
         if self.stopped && request.stop.is_some_and(|stop| stop != self.stops) {
             return Decision::without_effect(Err(Refusal::rejected(
                 "the robot was stopped again since: look at it, and resume it again",
             )));
+        }
+        if self.is_copy(request.request_id.as_deref()) {
+            return Decision::without_effect(Ok(StopReply { stopped: self.stopped }));
         }
         if self.stopped {
             self.stopped = false;
@@ -209,6 +218,21 @@ impl Authority {
             );
         }
         Decision::without_effect(Ok(StopReply { stopped: false }))
+    }
+
+    /// Whether a stop or a resume of this id came before; it is remembered.
+    fn is_copy(&mut self, id: Option<&str>) -> bool {
+        let Some(id) = id.filter(|id| id.len() <= LONGEST_NAME) else {
+            return false;
+        };
+        if self.obeyed.iter().any(|known| known == id) {
+            return true;
+        }
+        if self.obeyed.len() == MEMORY {
+            self.obeyed.pop_front();
+        }
+        self.obeyed.push_back(id.to_owned());
+        false
     }
 
     /// Sets the lost-link policy, if the request has one.
@@ -274,6 +298,7 @@ impl Authority {
         let wanted = Persisted {
             epoch: self.arbiter.epoch(),
             stopped: self.stopped,
+            stops: self.stops,
             leader: self.arbiter.leader().cloned(),
         };
         (wanted != self.stored).then(|| {
@@ -304,7 +329,7 @@ impl Authority {
         self.stopped
     }
 
-    /// Number of stop requests since the start.
+    /// Number of stops so far.
     #[must_use]
     pub fn stops(&self) -> u64 {
         self.stops

@@ -2,7 +2,7 @@
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2};
-use zenav_protocol::robot::RobotModel;
+use zenav_protocol::robot::{ControllerGains, RobotModel};
 
 use crate::settings::ReturnHomeSettings;
 use crate::trackers::{Law, Tracker, TrackerInput};
@@ -65,7 +65,7 @@ impl ReturnHome {
     }
 
     /// The wanted twist of the return.
-    pub fn step(&mut self, view: &TrackerInput, model: &RobotModel) -> Twist2 {
+    pub fn step(&mut self, view: &TrackerInput, model: &RobotModel, gains: &ControllerGains) -> Twist2 {
         if self.trail.len() < 2 {
             return Twist2::ZERO;
         }
@@ -74,7 +74,7 @@ impl ReturnHome {
             Law::of(&model.controller).through_waypoints(&model.drive, view.map_from_base, path)
         };
         let tracker = self.tracker.get_or_insert_with(back);
-        tracker.step(view, &model.controller)
+        tracker.step(view, gains)
     }
 
     /// Whether the robot is where it started.

@@ -168,6 +168,7 @@ mod tests {
         let state = Persisted {
             epoch: 42,
             stopped: true,
+            stops: 7,
             leader: Some(Leader {
                 store: "a".into(),
                 epoch: 42,

@@ -190,6 +190,7 @@ pub fn scan(
     sweep: &Sweep,
     ranges: Vec<f32>,
     moving: Vec<[u32; 2]>,
+    boot_id: &str,
     model: &RobotModel,
     estimator: &Estimator,
 ) -> Option<Scan> {
@@ -201,6 +202,7 @@ pub fn scan(
         range_min: lidar.range_min,
         range_max: lidar.range_max,
         ranges,
+        boot_id: boot_id.to_owned(),
         moving,
         base_from_laser: lidar.mount,
         map_from_odom: estimator.map_from_odom(),

@@ -121,7 +121,7 @@ async fn a_stop_reaches_the_robot_with_no_router_and_outlives_a_restart() {
     let take = LeaseRequest::new("me", LeaseRole::Operator, LeaseAction::Acquire, "r1");
     let lease = edge.operator.ask(&topics::LEASE, ROBOT, &take, DEADLINE).await.unwrap();
     assert_eq!(lease.epoch, 1);
-    let stop = StopRequest { by: Some("me".into()) };
+    let stop = StopRequest::new("me");
     assert!(
         edge.operator
             .ask(&topics::STOP, ROBOT, &stop, DEADLINE)

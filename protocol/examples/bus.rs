@@ -50,9 +50,7 @@ async fn main() -> Result<(), Box<dyn Error>> {
             request.reply(&StopReply { stopped: true });
         }
     });
-    let request = StopRequest {
-        by: Some("the example".to_owned()),
-    };
+    let request = StopRequest::new("the example");
     let reply = cloud.ask(&STOP, &["tiago"], &request, Duration::from_secs(10)).await?;
     println!("cloud: stopped = {}", reply.stopped);
 

@@ -58,4 +58,4 @@ pub mod trajectory;
 pub mod wall_following;
 
 /// Version of the message schema. Two components that communicate must have the same one; each states it in its `info` reply.
-pub const SCHEMA_VERSION: u32 = 3;
+pub const SCHEMA_VERSION: u32 = 4;

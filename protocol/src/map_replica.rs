@@ -23,6 +23,9 @@
 //! // Revision 2 was lost on the way: ask for the whole map, and `replace` it.
 //! (patch.base_revision, patch.map.revision) = (2, 3);
 //! assert_eq!(replica.apply(&patch), PatchResult::Gap);
+//! // A patch leads to the next revision: of any other, all that follow would be old.
+//! (patch.base_revision, patch.map.revision) = (1, u64::MAX);
+//! assert_eq!(replica.apply(&patch), PatchResult::Gap);
 //! ```
 
 use std::sync::Arc;
@@ -97,7 +100,9 @@ impl MapReplica {
             return PatchResult::Old;
         }
         let from_unknown = patch.base_revision == 0 && (!same || self.map.revision == 0);
-        if !(from_unknown || same && patch.base_revision == self.map.revision) || !is_well_formed(patch) {
+        // Anything but the next revision is not of mapping: with it, the patches that follow would count as old.
+        let is_next = same && patch.base_revision == self.map.revision && patch.map.revision.checked_sub(1) == Some(patch.base_revision);
+        if !(from_unknown || is_next) || !is_well_formed(patch) {
             return PatchResult::Gap;
         }
         if from_unknown {

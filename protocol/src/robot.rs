@@ -63,6 +63,9 @@ macro_rules! robot_model {
         }
 
         impl RobotModel {
+            /// Names of the table's kinds.
+            pub(crate) const KINDS: &[&str] = &[$(stringify!($kind)),*];
+
             /// Checks the sensors of the table's kinds; the first value out of bounds.
             pub(crate) fn check_kinds(&self) -> Result<(), OutOfBounds> {
                 $(

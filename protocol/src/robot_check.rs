@@ -15,8 +15,9 @@ const MAX_REACH: f64 = 10.0;
 /// Most lidars of one robot.
 const MAX_LIDARS: usize = 16;
 
-/// Names under which the faults of a world refer to the other sensors; no lidar may use them.
-const OTHER_SENSORS: [&str; 5] = ["encoders", "imu", "bump", "battery", "gps"];
+/// Names under which the faults of a world refer to the sensors of every robot; no lidar may use them, nor those of
+/// [`sensor_kinds!`](crate::sensor_kinds!).
+const OTHER_SENSORS: [&str; 4] = ["encoders", "imu", "bump", "battery"];
 
 /// Why a robot file was refused.
 #[derive(Debug, Error)]
@@ -143,7 +144,8 @@ impl RobotModel {
         }
         for (name, lidar) in &self.lidars {
             let table = format!("lidars.{name}");
-            let is_taken = OTHER_SENSORS.contains(&name.as_str()) || (name == DEFAULT_LIDAR && self.lidar.is_some());
+            let is_taken = OTHER_SENSORS.iter().chain(Self::KINDS).any(|other| other == name)
+                || (name == DEFAULT_LIDAR && self.lidar.is_some());
             if Id::new(name.clone()).is_err() || is_taken {
                 return refused(
                     &table,

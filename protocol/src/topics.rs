@@ -19,8 +19,9 @@ use crate::messages::{
     Heartbeat, Imu, InfoReply, InfoRequest, Intent, JoinReply, JoinRequest, JournalEntry, JournalReply, LeaseReply,
     LeaseRequest, Localisation, LocaliseReply, LocaliseRequest, LogReply, LogRequest, MapFrame, MapInfo, MapPatch,
     MapReply, MapRequest, Marker, MissionStatus, ModeReply, ModeRequest, MotionRecord, MotionReply, MotionRequest,
-    MoveGoalRequest, Obstacles, Odometry, ParamReply, ParamRequest, PauseRequest, Plan, PoseEstimate, RemoteReply,
-    RemoteRequest, ResumeRequest, Scan, SearchTree, SimClock, StopReply, StopRequest, Teleop, WheelSpeeds, Yield,
+    MoveGoalRequest, Obstacles, Odometry, ParamReply, ParamRequest, PauseRequest, Plan, PoseEstimate, PoseGraph,
+    RemoteReply, RemoteRequest, ResumeRequest, Scan, SearchTree, SimClock, StopReply, StopRequest, Teleop, WheelSpeeds,
+    Yield,
 };
 use crate::readings::Readings;
 
@@ -368,6 +369,7 @@ crate::sensor_kinds!(key_table [
         ANNOTATIONS: Annotations = "zenav/{robot}/cloud/annotations", Mapping, Qos::State, 4 * MIB;
         CORRECTION: Correction = "zenav/{robot}/cloud/correction", Mapping, Qos::Latest, 4 * KIB;
         LOCALISATION: Localisation = "zenav/{robot}/cloud/localisation", Mapping, Qos::State, 16 * KIB;
+        GRAPH: PoseGraph = "zenav/{robot}/cloud/graph", Mapping, Qos::Latest, 4 * MIB;
         HEARTBEAT: Heartbeat = "zenav/{robot}/cloud/heartbeat", Holder, Qos::RealTime, 4 * KIB;
         PLAN: Plan = "zenav/{robot}/cloud/plan", Mission, Qos::State, 4 * MIB;
         TREE: SearchTree = "zenav/{robot}/cloud/tree", Motion, Qos::Latest, 4 * MIB;

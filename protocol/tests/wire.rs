@@ -18,9 +18,9 @@ use zenav_protocol::messages::{
     Heartbeat, Imu, InfoReply, InfoRequest, Intent, JoinReply, JoinRequest, JournalEntry, JournalReply, LeaseReply,
     LeaseRequest, Localisation, LocaliseReply, LocaliseRequest, LogReply, LogRequest, MapFrame, MapInfo, MapPatch,
     MapReply, MapRequest, Marker, MissionStatus, ModeReply, ModeRequest, MotionRecord, MotionReply, MotionRequest,
-    MoveGoalRequest, Obstacles, Odometry, ParamReply, ParamRequest, PauseRequest, Plan, PoseEstimate, Refusal,
-    RemoteReply, RemoteRequest, ResumeRequest, Scan, SearchTree, SimClock, StopReply, StopRequest, Teleop, Tile,
-    WheelSpeeds, Yield,
+    MoveGoalRequest, Obstacles, Odometry, ParamReply, ParamRequest, PauseRequest, Plan, PoseEstimate, PoseGraph,
+    Refusal, RemoteReply, RemoteRequest, ResumeRequest, Scan, SearchTree, SimClock, StopReply, StopRequest, Teleop,
+    Tile, WheelSpeeds, Yield,
 };
 use zenav_protocol::readings::Readings;
 use zenav_protocol::topics::TABLE;
@@ -67,6 +67,7 @@ zenav_protocol::sensor_kinds!(messages [
     MapInfo
     MapPatch
     MapFrame
+    PoseGraph
     Correction
     Heartbeat
     Plan

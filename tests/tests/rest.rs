@@ -61,6 +61,19 @@ async fn a_router_tells_the_value_of_a_key_over_http_and_lets_nobody_write() {
             405
         );
     }
+    // Nor by asking: only asks that change nothing are passed on.
+    let rows = zenav_protocol::topics::TABLE.iter();
+    for row in rows.filter(|row| row.asked_by.is_some()) {
+        let key = row.pattern.replace("{robot}", ROBOT).replace(['{', '}'], "");
+        let asked = get(&format!("/{key}"));
+        let name = key.rsplit('/').next().unwrap();
+        let shows = ["mode", "param", "info", "goals", "map", "localise", "annotate", "log", "part"];
+        assert_eq!(asked.status != 405, shows.contains(&name), "{key}: {}", asked.status);
+    }
+    let everything = get("/zenav/**");
+    assert_eq!(everything.status, 200);
+    let stops = |value: &Value| value["key"] == "zenav/tiago/edge/state" && value["value"]["stops"] == 0;
+    assert!(get("/zenav/*/edge/*").json().as_array().unwrap().iter().any(stops));
     // A page of another site reaches this machine under its own host name.
     assert_eq!(
         request(address, "GET", "/zenav/tiago/edge/pose", "robot.example").status,

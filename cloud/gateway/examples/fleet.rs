@@ -70,7 +70,7 @@ impl Operator for Stops {
     fn stop(&self, robot: &str, _: &str) -> Answer<StopReply> {
         self.set(robot, true)
     }
-    fn resume(&self, robot: &str, _: Option<u64>, _: &str) -> Answer<StopReply> {
+    fn resume(&self, robot: &str, _: u64, _: &str) -> Answer<StopReply> {
         self.set(robot, false)
     }
     fn map(&self, _: &str) -> Answer<MapReply> {

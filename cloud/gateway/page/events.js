@@ -5,6 +5,13 @@ import { store } from "./store.js";
 
 const SHOWN = 150;
 
+/** How well the robot is localised, in words and as a kind of event. */
+function localised(health) {
+  const trusted = health.state === "tracking" || health.state === "degraded";
+  const places = health.hypotheses ? `, ${health.hypotheses.length} places` : "";
+  return [`: ${health.state}${places}`, trusted ? "" : health.state === "searching" ? "warn" : "bad"];
+}
+
 /** Name, words and kind of an event. */
 function told(event) {
   const reason = event.reason ? `: ${event.reason}` : "";
@@ -19,12 +26,13 @@ function told(event) {
     case "battery_low": return ["battery low", `: ${Math.round(event.charge * 100)} %`, "warn"];
     case "inputs_dropped": return ["inputs dropped", `: ${event.too_late} too late, ${event.broken} broken`, "warn"];
     case "teleop_dropped": return ["teleop dropped", reason, "warn"];
-    case "guard": return [`guard ${event.zone}`, reason, event.zone === "clear" ? "" : event.zone === "stop" ? "bad" : "warn"];
+    case "guard": return [`collision monitor ${event.zone}`, reason, event.zone === "clear" ? "" : event.zone === "stop" ? "bad" : "warn"];
     case "lease": return ["lease", ` ${event.holder ?? "nobody"}, epoch ${event.epoch}${reason}`, ""];
     case "link_changed": return [`link ${event.link.toLowerCase()}`, "", event.link === "Connected" ? "" : event.link === "Lost" ? "bad" : "warn"];
     case "stopped": return ["stopped", ` by ${event.by}`, "bad"];
+    case "localisation": return ["localisation", ...localised(event.health)];
     case "resumed": return ["resumed", ` by ${event.by}`, ""];
-    case "behaviour_done": return [`manoeuvre ${event.report?.state ?? "done"}`, event.report?.reason ? `: ${event.report.reason}` : "", event.report?.state === "failed" ? "warn" : ""];
+    case "behaviour_done": return [`maneuver ${event.report?.state ?? "done"}`, event.report?.reason ? `: ${event.report.reason}` : "", event.report?.state === "failed" ? "warn" : ""];
     case "transition": return [event.behaviour, ` ${event.from} → ${event.to}${reason}`, ""];
     default: return [event.event, ` ${JSON.stringify(event)}`, ""];
   }

@@ -6,7 +6,7 @@ import { watch } from "./live.js";
 import { STALE, store } from "./store.js";
 
 const MODES = {
-  idle: ["at rest", "good"], follow: ["follows a plan", "good"], teleop: ["driven by hand", "warn"], behaviour: ["manoeuvre", "good"],
+  idle: ["at rest", "good"], follow: ["follows a plan", "good"], teleop: ["driven by hand", "warn"], behaviour: ["maneuver", "good"],
   wall_follow: ["follows walls alone", "warn"], return_home: ["drives home alone", "warn"], stopped: ["STOPPED", "bad"],
 };
 /** The robots whose stop is not confirmed yet. */
@@ -58,6 +58,20 @@ function badge(id, text, kind, title, small) {
   node.lastElementChild.hidden = !small;
 }
 
+/** What a robot that does not know its place in the map is said to be; null while its pose is trusted. */
+function astray() {
+  const said = store.data("localisation");
+  const state = store.data("state");
+  if (!said || !state || said.boot_id !== state.boot_id) return null;
+  const { health } = said;
+  switch (health.state) {
+    case "ambiguous": return `in one of ${health.hypotheses.length} places`;
+    case "searching": return "lost, looking for itself in the map";
+    case "lost": return "lost";
+    default: return null;
+  }
+}
+
 function drawBadges() {
   const state = store.data("state");
   const stale = store.isStale();
@@ -73,6 +87,8 @@ function drawBadges() {
   badge("speed", guard ? `${speed}, ${guard[0]}` : speed, (guard ? guard[1] : "") + old, "Speed, and the collision monitor's verdict");
   const charge = Math.round(state.battery * 100);
   badge("battery", `${charge} %`, (charge < 15 ? "bad" : charge < 30 ? "warn" : "") + old, "Battery", "battery");
+  const lost = astray();
+  badge("localisation", lost ?? "on its map", (lost ? "bad" : "good") + old, "Whether the robot's scans agree with the map", "localised");
   const { lease } = state;
   const holder = lease.live ? lease.holder ?? "nobody" : "nobody";
   badge("lease", holder, (lease.live ? (lease.role === "operator" ? "warn" : "good") : "warn") + old,
@@ -92,6 +108,7 @@ function drawBanner() {
   if (store.socket === "closed") say("Gateway lost: what shows is old, and STOP does not reach the robot from here. Connecting again …", true);
   else if (state && kind === "bad") say(`${link[0].toUpperCase()}${link.slice(1)}. What shows is ${age(store.age("state"))}.`, true);
   else if (state?.mode === "stopped") say(`${robot} is stopped, and stays so until it is resumed.`, true);
+  else if (astray()) say(`${robot} is ${astray()}. It follows no plan until it knows its place: set its pose on the map.`, true);
   else if (state?.guard === "stop" && state.mode !== "idle") say("The collision monitor holds the robot: something is too close.", false);
   else banner.hidden = true;
   if (state && kind === "bad" && link.startsWith("cloud lost")) setText(banner, `Cloud lost: the robot is on its own. Stop works all the same.`);

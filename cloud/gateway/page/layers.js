@@ -18,6 +18,7 @@ export const layers = {
   plan: { title: "Plan by speed", on: true, colour: "good" },
   swath: { title: "Body along the plan", on: true, colour: "good" },
   tree: { title: "Search tree", on: false, colour: "tree" },
+  graph: { title: "Pose graph", on: false, colour: "soft" },
   obstacles: { title: "Moving obstacles", on: true, colour: "mover" },
   markers: { title: "Markers", on: true, colour: "warn" },
   zones: { title: "Zones", on: true, colour: "bad" },
@@ -175,6 +176,33 @@ function drawSearch(context, camera, colours, tree) {
   context.stroke();
 }
 
+/** What SLAM's map rests on: scans as dots; odometry, closures, and closures that are held to be false between them. */
+function drawGraph(context, camera, colours, graph) {
+  const at = (node) => camera.toScreen(graph.nodes[2 * node], graph.nodes[2 * node + 1]);
+  const lines = (ends, colour, width, dash) => {
+    context.strokeStyle = colour;
+    context.lineWidth = width;
+    context.setLineDash(dash);
+    context.beginPath();
+    for (let end = 0; end + 1 < ends.length; end += 2) {
+      context.moveTo(...at(ends[end]));
+      context.lineTo(...at(ends[end + 1]));
+    }
+    context.stroke();
+  };
+  context.globalAlpha = 0.5;
+  lines(graph.odometry, colours.soft, 1, []);
+  context.globalAlpha = 1;
+  lines(graph.closures, colours.good, 1.5, []);
+  lines(graph.rejected, colours.bad, 1.5, [5, 4]);
+  context.setLineDash([]);
+  context.fillStyle = colours.soft;
+  for (let node = 0; 2 * node + 1 < graph.nodes.length; node += 1) {
+    const [x, y] = at(node);
+    context.fillRect(x - 1.5, y - 1.5, 3, 3);
+  }
+}
+
 function drawMovers(context, camera, colours, movers) {
   context.strokeStyle = colours.mover;
   context.fillStyle = colours.mover;
@@ -295,6 +323,7 @@ export function drawAll(context, camera, colours, { pose, poseOf, tools }) {
     if (entry) draw(context, camera, colours, entry.data);
   };
   if (on("tree") && store.age("tree") < 20) detail("tree", drawSearch);
+  if (on("graph")) detail("graph", drawGraph);
   if (on("trail")) drawTrail(context, camera, colours);
   if (on("swath")) detail("plan", drawSwath);
   if (on("plan")) detail("plan", drawPlan);
@@ -317,6 +346,11 @@ export function drawAll(context, camera, colours, { pose, poseOf, tools }) {
       const other = robot === store.watched ? null : poseOf(robot);
       if (other) drawRobot(context, camera, colours, robot, other, { colour: colours.other, name: true });
     }
+  }
+  // Where a robot that does not know its place may be.
+  const health = store.data("localisation")?.health;
+  if (health?.state === "ambiguous") {
+    for (const place of health.hypotheses) drawRobot(context, camera, colours, store.watched, place, { colour: colours.bad, ghost: true });
   }
   if (pose) drawRobot(context, camera, colours, store.watched, pose, { colour: colours.robot, name: store.fleet.length > 1 });
   if (edited) drawDraft(context, camera, colours, edited, tools.corner);

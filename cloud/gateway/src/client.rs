@@ -305,6 +305,13 @@ mod tests {
         view.take("a", annotations("fridge"), 1.2);
         let frame = told(&mut client, &view, 1.2);
         assert!(frame["robots"]["a"]["annotations"]["data"]["places"]["fridge"].is_object());
+        let lost = json!({
+            "stamp": 1, "boot_id": "b", "health": { "state": "lost" }, "map_from_base": { "x": 0.0, "y": 0.0, "yaw": 0.0 },
+            "agreeing": 0.1, "through_walls": 0.5,
+        });
+        view.take("a", Update::Localisation(serde_json::from_value(lost).unwrap()), 1.3);
+        let frame = told(&mut client, &view, 1.4);
+        assert_eq!(frame["robots"]["a"]["localisation"]["data"]["health"]["state"], "lost");
     }
 
     #[test]
@@ -329,6 +336,27 @@ mod tests {
         assert_eq!(told(&mut client, &view, 1.2)["trail"], json!([[0.2, 0.0]]));
         client.watch(Some("gone".into()));
         assert!(told(&mut client, &view, 1.3)["detail"].is_null());
+    }
+
+    #[test]
+    fn a_pose_graph_goes_to_who_watches_with_its_edges_by_kind() {
+        let (mut view, mut client) = (FleetView::new(), Client::new());
+        let edge = |from: u32, to: u32, kind: &str, weight: f64| json!({ "from": from, "to": to, "kind": kind, "weight": weight });
+        let graph = json!({
+            "stamp": 1, "boot_id": "b", "map": { "id": "m", "revision": 1 },
+            "nodes": [{ "x": 0.0, "y": 0.0, "yaw": 0.0 }, { "x": 1.0, "y": 0.5, "yaw": 0.0 }, { "x": 2.0, "y": 0.0, "yaw": 0.0 }],
+            "edges": [
+                edge(0, 2, "closure", 1.0), edge(1, 0, "closure", 0.0), edge(0, 1, "odometry", 1.0), edge(1, 2, "odometry", 1.0),
+                edge(2, 3, "odometry", 1.0),
+            ],
+        });
+        view.take("a", Update::Graph(serde_json::from_value(graph).unwrap()), 1.0);
+        client.watch(Some("a".into()));
+        assert_eq!(
+            told(&mut client, &view, 1.0)["detail"]["graph"]["data"],
+            json!({ "nodes": [0.0, 0.0, 1.0, 0.5, 2.0, 0.0], "odometry": [0, 1, 1, 2], "closures": [0, 2], "rejected": [1, 0] }),
+            "an edge to a node that does not exist is left out"
+        );
     }
 
     #[test]

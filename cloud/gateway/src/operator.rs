@@ -58,8 +58,8 @@ pub trait Operator: Send + Sync + 'static {
     fn set_pose(&self, robot: &str, pose: Pose2, by: &str) -> Answer<LocaliseReply>;
     /// Stops the robot until it is resumed.
     fn stop(&self, robot: &str, by: &str) -> Answer<StopReply>;
-    /// Lifts a stop: up to the newest one the robot has reported (`EdgeState::stops`), but none after it.
-    fn resume(&self, robot: &str, stop: Option<u64>, by: &str) -> Answer<StopReply>;
+    /// Lifts the stops up to this one (a number of `EdgeState::stops`), but none after it.
+    fn resume(&self, robot: &str, stop: u64, by: &str) -> Answer<StopReply>;
     /// Gets the whole map.
     fn map(&self, robot: &str) -> Answer<MapReply>;
     /// Takes the operator's lease, to drive by hand.

@@ -3,8 +3,8 @@
 //! # The problem
 //!
 //! Given an occupancy map, and scans with the odometry at their stamps; wanted is `map_from_base` at each scan, its covariance, and a
-//! statement of health: tracking, degraded along a direction, lost, or ambiguous. A covariance alone does not reveal that the robot is in
-//! the wrong room; contradictions between scan and map do.
+//! statement of health: tracking, degraded along a direction, searching, lost, or ambiguous. A covariance alone does not reveal that the
+//! robot is in the wrong room; contradictions between scan and map do.
 //!
 //! 1. **tracking** ([`Localiser::step`]): the pose by odometry is refined on the map's likelihood field. If the match is doubtful, an exact
 //!    search of a window around it decides.

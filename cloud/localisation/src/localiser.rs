@@ -139,7 +139,7 @@ impl Localiser {
             pose: start,
             ..last
         };
-        if matches!(self.health, Health::Lost | Health::Ambiguous { .. }) {
+        if !self.health.is_trusted() {
             return Some(self.search(now, laser, &seen));
         }
         let tracking = &self.settings.tracking;
@@ -194,7 +194,10 @@ impl Localiser {
                 self.health = Health::Lost;
                 self.searched_at = None;
             }
-            if self.health == Health::Lost {
+            if !self.health.is_trusted() {
+                if self.is_search_due(now.stamp) {
+                    self.health = Health::Searching;
+                }
                 covariance = None;
                 is_found_anew = false;
             }
@@ -351,8 +354,7 @@ impl Localiser {
             is_found_anew: false,
         };
         self.last = Some(now);
-        let is_due = |then: Stamp| now.stamp.secs_since(then) >= SEARCH_PERIOD;
-        if !self.searched_at.is_none_or(is_due) {
+        if !self.is_search_due(now.stamp) {
             return located;
         }
         self.searched_at = Some(now.stamp);
@@ -386,10 +388,17 @@ impl Localiser {
         located
     }
 
-    /// Declares the robot lost, because it is elsewhere or its odometry restarted: the next scan is searched for in the whole map.
+    /// Whether a lost robot may be searched for again at this stamp.
+    fn is_search_due(&self, stamp: Stamp) -> bool {
+        self.searched_at
+            .is_none_or(|then| stamp.secs_since(then) >= SEARCH_PERIOD)
+    }
+
+    /// Declares the robot's pose unknown, because it is elsewhere or its odometry restarted: the next scan is searched for in the whole
+    /// map.
     pub fn lose(&mut self) {
         (self.last, self.told) = (None, None);
-        self.health = Health::Lost;
+        self.health = Health::Searching;
         self.searched_at = None;
     }
 

@@ -94,7 +94,7 @@ fn a_robot_that_was_carried_away_is_lost_at_once_and_found_again() {
         let located = localiser
             .step(&look(&map, (number + 6) * second, truth, odometry, first))
             .unwrap();
-        if located.health == Health::Lost {
+        if !located.health.is_trusted() {
             lost_after.get_or_insert(number);
         }
         if located.is_found_anew {
@@ -125,13 +125,49 @@ fn a_robot_that_is_carried_away_at_rest_notices_and_is_found() {
     let mut was_lost = false;
     for number in 4..24 {
         let located = localiser.step(&look_from(number, elsewhere)).unwrap();
-        was_lost |= located.health == Health::Lost;
+        was_lost |= !located.health.is_trusted();
         if located.is_found_anew {
             found = Some(located.pose);
         }
     }
     assert!(was_lost);
     assert!(found.is_some_and(|found| is_near(found, elsewhere)), "{found:?}");
+}
+
+#[test]
+fn a_robot_is_searched_for_until_the_first_search_has_a_result_and_between_searches_it_is_lost() {
+    let map = house();
+    let mut localiser = Localiser::new(LocalisationSettings::default(), &map);
+    let truth = Pose2::new(1.5, 2.5, 0.3);
+    let at = |millis: u64| look(&map, millis * 1_000_000, truth, Pose2::IDENTITY, truth);
+    let blind = |millis: u64| {
+        let mut scan = at(millis);
+        scan.ranges.fill(f32::INFINITY);
+        scan
+    };
+    assert!(localiser.step(&at(100)).unwrap().health.is_trusted());
+    localiser.lose();
+    assert_eq!(*localiser.health(), Health::Searching);
+    for millis in [200, 300, 600] {
+        let located = localiser.step(&blind(millis)).unwrap();
+        assert_eq!(
+            (located.health, located.covariance),
+            (Health::Lost, None),
+            "{millis} ms"
+        );
+    }
+    assert_eq!(
+        localiser.step(&at(650)).unwrap().health,
+        Health::Lost,
+        "the next search is not due yet"
+    );
+    assert_eq!(localiser.step(&at(710)).unwrap().health, Health::Tracking);
+    // Carried away: noticed with one scan, searched for with the next.
+    let elsewhere = Pose2::new(9.5, 6.0, 1.0);
+    let carried = (20..40).map(|nth| look(&map, nth * 100_000_000, elsewhere, Pose2::IDENTITY, truth));
+    let health: Vec<Health> = carried.map(|scan| localiser.step(&scan).unwrap().health).collect();
+    let noticed = health.iter().position(|health| !health.is_trusted()).unwrap();
+    assert_eq!(health[noticed], Health::Searching, "{health:?}");
 }
 
 #[test]

@@ -110,6 +110,7 @@ impl Flat {
                     range_min: 0.02,
                     range_max,
                     ranges: Vec::new(),
+                    boot_id: String::new(),
                     moving: Vec::new(),
                     base_from_laser: Pose2::IDENTITY,
                     map_from_odom: Pose2::IDENTITY,

@@ -168,6 +168,7 @@ mod tests {
                 range_min: 0.02,
                 range_max: 20.0,
                 ranges: vec![1.0, 2.5, f32::INFINITY],
+                boot_id: String::new(),
                 moving: Vec::new(),
                 base_from_laser: Pose2::IDENTITY,
                 map_from_odom: Pose2::IDENTITY,

@@ -56,6 +56,7 @@ const MAX_TRAJECTORY: usize = 100_000;
 ///     range_min: 0.02,
 ///     range_max: 5.0,
 ///     ranges: vec![2.0; 100],
+///     boot_id: String::new(),
 ///     moving: Vec::new(),
 ///     base_from_laser: Pose2::IDENTITY,
 ///     map_from_odom: Pose2::IDENTITY,

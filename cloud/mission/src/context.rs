@@ -19,7 +19,7 @@ use super::map::RobotMap;
 use super::motion::MotionKeeper;
 use super::records::Restored;
 use super::robot::RobotView;
-use super::route::{Route, Tries};
+use super::route::{Route, Tries, Waiting};
 use zenav_space::{ConfigurationSpace, Zones};
 
 /// Most pending requests; beyond that the oldest is dropped.
@@ -115,8 +115,12 @@ pub struct ActiveGoal {
     pub failure: Option<String>,
     /// Time at which it began.
     pub started: Stamp,
+    /// Time by which it must have ended.
+    pub deadline: Option<Stamp>,
     /// The last obstacle waited for, and the end of the wait.
     pub waited: Option<(Blockage, Stamp)>,
+    /// The obstacle that bars a shorter way than the driven one.
+    pub(crate) avoided: Option<Waiting>,
     /// Last time at which the robot was turned towards the obstacle.
     pub looked: Option<Stamp>,
     /// Last time at which the obstacle was out of sight and the robot was approaching it.
@@ -156,9 +160,9 @@ pub struct Context {
     pub nested: u32,
     /// Number of nodes of the goal's running inner trees.
     pub nested_nodes: usize,
-    /// The manoeuvre that the robot was last asked for, unless it was called off.
+    /// The maneuver that the robot was last asked for, unless it was called off.
     maneuver: Option<String>,
-    /// The manoeuvre that a pause last called off.
+    /// The maneuver that a pause last called off.
     held_up: Option<String>,
     /// Time of the first step.
     begun: Option<Stamp>,
@@ -181,20 +185,20 @@ impl Context {
         *self.cancels.entry(id).or_default() += 1;
     }
 
-    /// Requests a manoeuvre of the robot.
+    /// Requests a maneuver of the robot.
     pub(crate) fn ask_maneuver(&mut self, request: BehaviourRequest) -> Ticket {
         self.maneuver = Some(request.id.clone());
         self.asks.ask(Ask::Behaviour(request))
     }
 
-    /// Calls off the manoeuvre that the robot was last asked for, unless that was done before.
+    /// Calls off the maneuver that the robot was last asked for, unless that was done before.
     pub(crate) fn call_off_last(&mut self) {
         if let Some(id) = self.maneuver.clone() {
             self.call_off(id);
         }
     }
 
-    /// The same for a pause: the leaf completes the rest of its manoeuvre when it resumes.
+    /// The same for a pause: the leaf completes the rest of its maneuver when it resumes.
     pub(crate) fn hold_up_last(&mut self) {
         if self.maneuver.is_some() {
             self.held_up.clone_from(&self.maneuver);
@@ -202,12 +206,12 @@ impl Context {
         self.call_off_last();
     }
 
-    /// Whether a pause called this manoeuvre off.
+    /// Whether a pause called this maneuver off.
     pub(crate) fn is_held_up(&self, id: &str) -> bool {
         self.held_up.as_deref() == Some(id)
     }
 
-    /// Calls off a manoeuvre in any state; one that has ended stays as it is.
+    /// Calls off a maneuver in any state; one that has ended stays as it is.
     pub(crate) fn call_off(&mut self, id: String) {
         self.maneuver.take_if(|last| *last == id);
         if let Some(epoch) = self.lease.epoch() {
@@ -293,6 +297,7 @@ impl Context {
     pub(super) fn settle(&mut self) -> Option<u64> {
         let before = self.frames.settle(self.map.newest().as_ref());
         if before.is_some() {
+            self.goal.avoided = None;
             self.motion.settle(&self.frames);
             if self.annotated {
                 self.carry_places();
@@ -357,7 +362,7 @@ impl Context {
         match self.robot.state().map(|state| state.mode) {
             Some(Mode::Stopped) => Some("the robot is stopped".to_owned()),
             Some(Mode::Teleop) => Some("the robot is in teleoperation".to_owned()),
-            Some(Mode::Behaviour) => Some("the robot runs a manoeuvre".to_owned()),
+            Some(Mode::Behaviour) => Some("the robot runs a maneuver".to_owned()),
             _ => None,
         }
     }
@@ -512,5 +517,6 @@ impl Context {
         }
         self.goal.feedback.distance_left = None;
         self.goal.feedback.time_left = None;
+        self.goal.avoided = None;
     }
 }

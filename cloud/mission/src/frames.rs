@@ -9,7 +9,7 @@ use std::collections::VecDeque;
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 use zenav_protocol::geometry::Pose2;
-use zenav_protocol::messages::{GoalPoint, MOST_MOVES, MapFrame, MapRef, moved_between};
+use zenav_protocol::messages::{GoalPoint, MOST_MOVES, MapFrame, MapRef, may_follow, moved_between};
 
 /// Anchors of a goal's places in parts of the map, so that they keep their spot in the building.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -32,7 +32,8 @@ pub struct Frames {
 impl Frames {
     /// Observes a frame and its parts, as published by mapping.
     pub fn observe(&mut self, frame: MapFrame) {
-        if !frame.is_sane() {
+        let known = self.newest.as_ref().filter(|known| known.map.id == frame.map.id);
+        if !frame.is_sane() || !may_follow(frame.map.frame, known.map(|known| known.map.frame)) {
             tracing::warn!(map = frame.map.id, "a frame of the map is malformed: left out");
             return;
         }
@@ -192,5 +193,8 @@ mod tests {
         assert_eq!(frames.place(0, places[0]).y, 1.5);
         assert_eq!(frames.robot(0), Some(moved));
         assert_eq!(frames.robot(3), None);
+        frames.observe(frame(u64::MAX, vec![], vec![near]));
+        frames.settle(Some(&map(1)));
+        assert!(frames.is_settled(), "a frame that mapping cannot have reached is ignored");
     }
 }

@@ -13,8 +13,6 @@ use zenav_behaviour_tree::{MOST_NESTED, is_nested_within};
 use zenav_protocol::padding::Extent;
 use zenav_space::{BitGrid, ConfigurationSpace, reach};
 
-/// Most waypoints of a goal.
-const MAX_WAYPOINTS: usize = 1000;
 /// Largest map on which the connection of goal and robot is checked before acceptance, cells: about 50 ms.
 const MAX_FLOODED: usize = 4_000_000;
 /// Most blackboard entries of a goal.
@@ -125,10 +123,11 @@ pub fn target(request: &GoalRequest, ctx: &Context) -> Result<Target, Refusal> {
         )
         .map(Target::Pose);
     }
-    if request.waypoints.len() > MAX_WAYPOINTS {
+    if request.waypoints.len() > GoalRequest::MAX_WAYPOINTS {
         return bad(format!(
-            "`waypoints`: {} given, expected at most {MAX_WAYPOINTS}",
-            request.waypoints.len()
+            "`waypoints`: {} given, expected at most {}",
+            request.waypoints.len(),
+            GoalRequest::MAX_WAYPOINTS
         ));
     }
     if !request.waypoints.is_empty() {

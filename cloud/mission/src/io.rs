@@ -56,7 +56,7 @@ pub enum Ask {
     Lease(LeaseRequest),
     /// To the robot: its identity and model.
     EdgeInfo(InfoRequest),
-    /// To the robot: a manoeuvre.
+    /// To the robot: a maneuver.
     Behaviour(BehaviourRequest),
     /// To a motion worker.
     Motion(Box<MotionRequest>),
@@ -89,7 +89,7 @@ pub enum Answer {
     Lease(LeaseReply),
     /// The robot.
     EdgeInfo(Box<InfoReply>),
-    /// A manoeuvre's progress.
+    /// A maneuver's progress.
     Behaviour(BehaviourReply),
     /// A path, a trajectory, or both; or why there is none.
     Motion(Box<MotionReply>),

@@ -234,7 +234,12 @@ impl RobotMap {
 
     /// The configuration space of a (padded) replica of this map, with the cells at these points cleared.
     #[must_use]
-    pub fn space_without(&self, map: &MapReplica, footprint: &Footprint, points: &[Point2<f64>]) -> ConfigurationSpace {
+    pub fn space_without(
+        &mut self,
+        map: &MapReplica,
+        footprint: &Footprint,
+        points: &[Point2<f64>],
+    ) -> ConfigurationSpace {
         self.spaces.cleared(map, footprint, UnknownPolicy::Free, points)
     }
 

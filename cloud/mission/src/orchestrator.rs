@@ -278,6 +278,7 @@ impl Mission {
             feedback: goal.state.feedback.clone(),
             legs,
             started: goal.state.started.unwrap_or(self.ctx.now),
+            deadline: request.deadline_secs.map(|secs| goal.state.accepted.plus_secs(secs)),
             ..ActiveGoal::default()
         };
         self.published.legs = 0;
@@ -376,7 +377,7 @@ impl Mission {
             if let Err(error) = running.tree.halt(time, &mut self.ctx) {
                 tracing::warn!(goal = id, %error, "its tree was halted with an error");
             }
-            // A leaf may have left a plan in force, or a manoeuvre running.
+            // A leaf may have left a plan in force, or a maneuver running.
             self.ctx.hold();
             self.ctx.call_off_last();
             self.ctx.motion.clear();

@@ -99,6 +99,7 @@ mod tests {
             range_min: 0.02,
             range_max: 30.0,
             ranges: ranges.collect(),
+            boot_id: String::new(),
             moving: Vec::new(),
             base_from_laser: Pose2::IDENTITY,
             map_from_odom: Pose2::IDENTITY,

@@ -1,11 +1,11 @@
 //! Cache of configuration spaces. One space per map, robot and policy, built once and then updated with the map's tiles.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 use std::sync::Arc;
 
 use nalgebra::{Point2, Vector2};
 use zenav_protocol::grid::{Cell, Occupancy};
-use zenav_protocol::messages::MapRef;
+use zenav_protocol::messages::{MapRef, TILE};
 use zenav_protocol::robot::Footprint;
 
 use super::{ConfigurationSpace, UnknownPolicy, Zones};
@@ -82,51 +82,63 @@ impl SpaceCache {
         space
     }
 
-    /// The space of a map without the obstacles at these points (map frame, m); it is not kept. Cost: every cell.
+    /// The space of a map without the obstacles at these points (map frame, m); it is not kept.
     #[must_use]
     pub fn cleared(
-        &self,
+        &mut self,
         map: &MapReplica,
         footprint: &Footprint,
         unknown: UnknownPolicy,
         points: &[Point2<f64>],
     ) -> ConfigurationSpace {
-        let mut grid = map.grid().clone();
-        for point in points {
-            if let Some(cell) = grid.spec().cell_at(*point) {
-                grid[cell] = Occupancy::FREE;
-            }
-        }
-        ConfigurationSpace::with_zones(&grid, footprint, unknown, 0.0, &self.zones)
+        let spec = *map.grid().spec();
+        let cells = points.iter().filter_map(|point| spec.cell_at(*point));
+        self.altered(map, footprint, unknown, cells, Occupancy::FREE)
     }
 
-    /// The space of a map with these discs (center and radius, map frame, m) marked as occupied; it is not cached. Cost: every cell.
+    /// The space of a map with these discs (center and radius, map frame, m) marked as occupied; it is not kept.
     #[must_use]
     pub fn with_discs(
-        &self,
+        &mut self,
         map: &MapReplica,
         footprint: &Footprint,
         unknown: UnknownPolicy,
         discs: &[(Point2<f64>, f64)],
     ) -> ConfigurationSpace {
-        let mut grid = map.grid().clone();
-        let spec = *grid.spec();
-        for (center, radius) in discs {
+        let spec = *map.grid().spec();
+        let bound = |value: f64, size: u32| value.floor().clamp(0.0, f64::from(size)) as u32;
+        let cells = discs.iter().flat_map(|(center, radius)| {
             let [low, high] = [-*radius, *radius].map(|off| spec.to_cells(center + Vector2::repeat(off)));
-            let cells = |low: f64, high: f64, size: u32| {
-                let bound = |value: f64| value.floor().clamp(0.0, f64::from(size)) as u32;
-                bound(low)..bound(high + 1.0)
-            };
-            for y in cells(low.y, high.y, spec.height) {
-                for x in cells(low.x, high.x, spec.width) {
-                    let cell = Cell::new(x, y);
-                    if (spec.center(cell) - center).norm() <= *radius {
-                        grid[cell] = Occupancy::OCCUPIED;
-                    }
-                }
-            }
+            let columns = bound(low.x, spec.width)..bound(high.x + 1.0, spec.width);
+            let rows = bound(low.y, spec.height)..bound(high.y + 1.0, spec.height);
+            let cells = rows.flat_map(move |y| columns.clone().map(move |x| Cell::new(x, y)));
+            cells.filter(move |cell| (spec.center(*cell) - center).norm() <= *radius)
+        });
+        self.altered(map, footprint, unknown, cells, Occupancy::OCCUPIED)
+    }
+
+    /// The space of a map in which these cells have a value. Cost: a copy of the map, and an update around each cell.
+    fn altered(
+        &mut self,
+        map: &MapReplica,
+        footprint: &Footprint,
+        unknown: UnknownPolicy,
+        cells: impl Iterator<Item = Cell>,
+        value: i8,
+    ) -> ConfigurationSpace {
+        let space = self.get(map, footprint, unknown, Fit::Roomy);
+        let mut grid = map.grid().clone();
+        let mut tiles = BTreeSet::new();
+        for cell in cells {
+            grid[cell] = value;
+            tiles.insert((cell.x / TILE, cell.y / TILE));
         }
-        ConfigurationSpace::with_zones(&grid, footprint, unknown, 0.0, &self.zones)
+        let tiles: Vec<_> = tiles.into_iter().collect();
+        let mut altered = ConfigurationSpace::clone(&space);
+        match altered.update(&grid, &tiles) {
+            Ok(_) => altered,
+            Err(_) => ConfigurationSpace::with_zones(&grid, footprint, unknown, 0.0, &self.zones),
+        }
     }
 
     /// The space of a revision, updated to the map's present one; `None` if it has to be rebuilt.

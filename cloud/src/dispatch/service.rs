@@ -169,6 +169,7 @@ async fn assign(
     if begun.elapsed() > HELD_UP {
         return Err(Refusal::NotLeader);
     }
+    group.assigned.retain(|(goal, _)| *goal != id);
     if group.assigned.len() == MAX_ASSIGNED {
         group.assigned.pop_front();
     }

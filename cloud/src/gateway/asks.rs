@@ -171,13 +171,11 @@ impl Operator for BusOperator {
     }
 
     fn stop(&self, robot: &str, by: &str) -> Answer<StopReply> {
-        let by = Some(by.to_owned());
-        self.ask_at_once(&STOP, robot, StopRequest { by }, STOP_WITHIN)
+        self.ask_at_once(&STOP, robot, StopRequest::new(by), STOP_WITHIN)
     }
 
-    fn resume(&self, robot: &str, stop: Option<u64>, by: &str) -> Answer<StopReply> {
-        let by = Some(by.to_owned());
-        self.ask(&RESUME, robot, ResumeRequest { by, stop })
+    fn resume(&self, robot: &str, stop: u64, by: &str) -> Answer<StopReply> {
+        self.ask(&RESUME, robot, ResumeRequest::new(by, stop))
     }
 
     fn map(&self, robot: &str) -> Answer<MapReply> {

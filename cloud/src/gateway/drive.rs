@@ -32,20 +32,24 @@ pub(super) async fn begin(bus: Bus, hub: Arc<Hub>, robot: String, by: String) ->
     // A unique holder name: when two browsers drive one robot, each sees that the other has taken the lease.
     let unique = Id::unique().to_string();
     let holder = format!("{by}-{}", unique.get(..8).unwrap_or(&unique));
-    let grant = ask_lease(&bus, &robot, &holder, LeaseAction::Acquire, TAKE_WITHIN)
-        .await
-        .map_err(failure)?;
     let closed = |error: BusError| AskFailure::Unavailable {
         reason: error.to_string(),
     };
     let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     let (commands, asked) = watch::channel(None);
     let (end, ended) = watch::channel(None);
+    let states = bus.latest(&STATE, &[&robot]).map_err(closed)?;
+    let odometry = bus.latest(&ODOMETRY, &[&robot]).map_err(closed)?;
+    let teleop = bus.publisher(&TELEOP, &[&robot]).map_err(closed)?;
+    let heartbeats = bus.publisher(&HEARTBEAT, &[&robot]).map_err(closed)?;
+    let grant = ask_lease(&bus, &robot, &holder, LeaseAction::Acquire, TAKE_WITHIN)
+        .await
+        .map_err(failure)?;
     let hand = Hand {
-        states: bus.latest(&STATE, &[&robot]).map_err(closed)?,
-        odometry: bus.latest(&ODOMETRY, &[&robot]).map_err(closed)?,
-        teleop: bus.publisher(&TELEOP, &[&robot]).map_err(closed)?,
-        heartbeats: bus.publisher(&HEARTBEAT, &[&robot]).map_err(closed)?,
+        states,
+        odometry,
+        teleop,
+        heartbeats,
         heartbeat: Heartbeat {
             holder: holder.clone(),
             epoch: grant.epoch,

@@ -5,7 +5,7 @@ use std::time::Duration;
 use tokio::time::{MissedTickBehavior, interval};
 use zenav_gateway::{Hub, Update};
 use zenav_protocol::bus::{Bus, BusError, Shutdown};
-use zenav_protocol::topics::{ALIVE_COMPONENT, ANNOTATIONS, EVENT, POSE, STATE, alive_chunks, alive_key};
+use zenav_protocol::topics::{ALIVE_COMPONENT, ANNOTATIONS, EVENT, LOCALISATION, POSE, STATE, alive_chunks, alive_key};
 
 /// Most queued events.
 const EVENTS: usize = 1024;
@@ -19,6 +19,7 @@ pub(super) async fn run(bus: Bus, hub: &Hub, shutdown: &Shutdown) -> Result<(), 
     let mut states = bus.latest(&STATE, &["*"])?;
     let mut poses = bus.latest(&POSE, &["*"])?;
     let mut annotations = bus.latest(&ANNOTATIONS, &["*"])?;
+    let mut localisations = bus.latest(&LOCALISATION, &["*"])?;
     let mut events = bus.subscribe(&EVENT, &["*"], EVENTS)?;
     let mut alive = bus.watch_alive(alive_key(ALIVE_COMPONENT, &["*", "*"]))?;
     let mut pace = interval(Duration::from_secs_f64(1.0 / hub.settings().live_hz));
@@ -58,6 +59,9 @@ pub(super) async fn run(bus: Bus, hub: &Hub, shutdown: &Shutdown) -> Result<(), 
         }
         while let Some(received) = annotations.take_received() {
             take(hub, &received.chunks, Update::Annotations(received.message));
+        }
+        while let Some(received) = localisations.take_received() {
+            take(hub, &received.chunks, Update::Localisation(received.message));
         }
         while let Some(received) = events.try_next() {
             take(hub, &received.chunks, Update::Event(received.message));

@@ -6,7 +6,9 @@ use zenav_localisation::LocalisationSettings;
 use zenav_mapping::{Insertion, Mapper};
 use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::grid::OccupancyGrid;
-use zenav_protocol::messages::{Correction, Health, Localisation, MapFrame, MapRef, Refusal, Scan};
+use zenav_protocol::messages::{
+    Correction, Health, Localisation, MapFrame, MapRef, PoseGraph, Refusal, Scan, may_follow,
+};
 use zenav_protocol::time::Stamp;
 use zenav_slam::{SessionError, SlamSettings};
 
@@ -121,22 +123,29 @@ impl Pace {
 /// The health is repeated after this time, s, even if unchanged.
 const STATED_AGAIN: f64 = 1.0;
 
-/// When the health was last reported, and its value then.
+/// The last report on the health.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Statements(Option<(Stamp, Health)>);
+pub(super) struct Statements(Option<Localisation>);
 
 impl Statements {
-    /// Whether the health has changed since the last report, or a repetition is due; it then counts as reported.
-    pub(super) fn is_due(&mut self, now: Stamp, health: &Health) -> bool {
-        let is_due = self.0.as_ref().is_none_or(|(then, last)| {
-            std::mem::discriminant(last) != std::mem::discriminant(health)
-                || now.secs_since(*then) >= STATED_AGAIN
-                || now < *then
+    /// The report on a scan, if the health has changed since the last report, or a repetition is due.
+    pub(super) fn due(&mut self, report: Localisation) -> Option<Localisation> {
+        let is_due = self.0.as_ref().is_none_or(|last| {
+            std::mem::discriminant(&last.health) != std::mem::discriminant(&report.health)
+                || report.stamp.secs_since(last.stamp) >= STATED_AGAIN
+                || report.stamp < last.stamp
         });
         if is_due {
-            self.0 = Some((now, health.clone()));
+            self.0 = Some(report.clone());
         }
-        is_due
+        is_due.then_some(report)
+    }
+
+    /// The last report with another health, for a change between two scans. `None` before the first report.
+    pub(super) fn amended(&mut self, health: &Health) -> Option<Localisation> {
+        let last = self.0.as_mut()?;
+        last.health = health.clone();
+        Some(last.clone())
     }
 }
 
@@ -167,6 +176,8 @@ pub struct MappingCore {
     settings: PoseSettings,
     /// Stamp and boot of the newest scan.
     last: Option<(Stamp, String)>,
+    /// The robot's own `map_from_base` at that scan.
+    last_pose: Pose2,
     /// The frame that the robot reports.
     robot_frame: u64,
 }
@@ -184,6 +195,24 @@ pub struct Mapped {
     pub frame: Option<MapFrame>,
 }
 
+impl Mapped {
+    /// A scan without any effect.
+    fn left_out(why: Insertion) -> Self {
+        Self {
+            insertion: why,
+            correction: None,
+            localisation: None,
+            frame: None,
+        }
+    }
+}
+
+/// Whether a scan is known to be of another boot than the robot's state: it was on its way while the robot started again, or it came
+/// before the first state. Its odometry has another origin.
+fn is_of_another_boot(scan: &Scan, boot_id: &str) -> bool {
+    !scan.boot_id.is_empty() && !boot_id.is_empty() && scan.boot_id != boot_id
+}
+
 impl MappingCore {
     /// A map, and the source of the poses from which scans are drawn into it.
     #[must_use]
@@ -194,6 +223,7 @@ impl MappingCore {
             poses,
             settings: *settings,
             last: None,
+            last_pose: Pose2::IDENTITY,
             robot_frame: 0,
         }
     }
@@ -245,6 +275,10 @@ impl MappingCore {
     /// Takes the map frame from the robot's newest state. With SLAM, a robot frame later than the map's stems from an earlier run, and the
     /// numbering of frames continues from it. With other sources the map never moves, and it takes the robot's frame.
     pub fn hear_frame(&mut self, robot_frame: u64) {
+        let known = Some(self.mapper.map().frame).filter(|frame| *frame > 0);
+        if !may_follow(robot_frame, known) {
+            return;
+        }
         self.robot_frame = robot_frame;
         let frame = match &mut self.poses {
             Poses::Slam(_) if robot_frame <= self.mapper.map().frame => return,
@@ -252,6 +286,24 @@ impl MappingCore {
             Poses::Edge | Poses::Localised(_) => robot_frame,
         };
         self.mapper.set_frame(frame);
+    }
+
+    /// Whether a report on localisation contradicts a robot that localises itself, and to which this service has nothing to say.
+    pub(super) fn contradicts(&self, told: &Localisation) -> bool {
+        matches!(self.poses, Poses::Edge) && !told.health.is_trusted()
+    }
+
+    /// The report on a robot that localises itself: it is trusted. `None` for a robot that is localised here.
+    pub(super) fn by_the_robot(&self, boot_id: &str) -> Option<Localisation> {
+        let (stamp, _) = self.last.as_ref()?;
+        matches!(self.poses, Poses::Edge).then(|| Localisation {
+            stamp: *stamp,
+            boot_id: boot_id.to_owned(),
+            health: Health::Tracking,
+            map_from_base: self.last_pose,
+            agreeing: 1.0,
+            through_walls: 0.0,
+        })
     }
 
     /// Bends SLAM's map as a loop closure does: a node at each pose goes where `bend` says. For tests of the components that follow frames.
@@ -263,7 +315,11 @@ impl MappingCore {
 
     /// Draws a scan of the main lidar, taken in the robot's boot `boot_id`.
     pub fn insert(&mut self, scan: &Scan, boot_id: &str) -> Mapped {
+        if is_of_another_boot(scan, boot_id) {
+            return Mapped::left_out(Insertion::OutOfOrder);
+        }
         self.last = Some((scan.stamp, boot_id.to_owned()));
+        self.last_pose = scan.map_from_odom * scan.odom_from_base;
         let posed = match &mut self.poses {
             Poses::Edge => Posed::only(self.mapper.insert(scan)),
             Poses::Slam(slam) => slam.insert(&mut self.mapper, scan, boot_id, self.robot_frame),
@@ -284,6 +340,9 @@ impl MappingCore {
 
     /// Draws a scan of a further lidar, taken in the robot's boot `boot_id`.
     pub fn insert_further(&mut self, scan: &Scan, boot_id: &str) -> Insertion {
+        if is_of_another_boot(scan, boot_id) {
+            return Insertion::OutOfOrder;
+        }
         match &self.poses {
             Poses::Edge => self.mapper.insert(scan),
             Poses::Slam(slam) if slam.draws_further(boot_id) => self.mapper.insert(&slam.placed(scan)),
@@ -341,21 +400,26 @@ impl MappingCore {
         Ok(self.correction(stamp, &boot_id, &measured))
     }
 
-    /// Starts a search of the whole map for the robot.
+    /// Starts a search of the whole map for the robot. Returns the report that it is being searched for, if it was reported on before.
     ///
     /// # Errors
     /// [`Refusal::Rejected`] if scans are drawn from the robot's own pose.
-    pub fn look_everywhere(&mut self) -> Result<(), Refusal> {
+    pub fn look_everywhere(&mut self) -> Result<Option<Localisation>, Refusal> {
         match &mut self.poses {
-            Poses::Localised(localised) => localised.look_everywhere(),
-            Poses::Slam(slam) => slam.look_everywhere_next(),
-            Poses::Edge => {
-                return Err(Refusal::rejected(
-                    "nothing looks for the robot: expected `mapping.poses = \"localise\"` or `\"slam\"`",
-                ));
-            }
+            Poses::Localised(localised) => Ok(localised.look_everywhere()),
+            Poses::Slam(slam) => Ok(slam.look_everywhere_next()),
+            Poses::Edge => Err(Refusal::rejected(
+                "nothing looks for the robot: expected `mapping.poses = \"localise\"` or `\"slam\"`",
+            )),
         }
-        Ok(())
+    }
+
+    /// SLAM's pose graph, if it differs from the one returned last or `anyway`, and the map is not about to move.
+    pub(super) fn untold_graph(&mut self, anyway: bool) -> Option<PoseGraph> {
+        match &mut self.poses {
+            Poses::Slam(slam) => slam.untold_graph(&self.mapper, anyway),
+            Poses::Edge | Poses::Localised(_) => None,
+        }
     }
 
     /// Whether the robot's pose is trusted.

@@ -44,7 +44,12 @@ impl LocalisedPoses {
             self.map_from_odom = None;
         }
         let Some(located) = self.localiser.step(scan) else {
-            return Posed::only(Insertion::NotSane);
+            let is_sane = scan.is_sane() && scan.odom_from_base.is_finite();
+            return Posed::only(if is_sane {
+                Insertion::OutOfOrder
+            } else {
+                Insertion::NotSane
+            });
         };
         self.map_from_odom = Some(located.pose * scan.odom_from_base.inverse());
         let insertion = if located.health.is_trusted() {
@@ -83,8 +88,10 @@ impl LocalisedPoses {
         self.pace = Pace::default();
     }
 
-    pub(super) fn look_everywhere(&mut self) {
+    /// Searches the whole map with the next scan. Returns the report of it.
+    pub(super) fn look_everywhere(&mut self) -> Option<Localisation> {
         self.localiser.lose();
+        self.statements.amended(self.localiser.health())
     }
 
     fn measured(&mut self, scan: &Scan, located: &Located) -> Option<Measured> {
@@ -101,15 +108,13 @@ impl LocalisedPoses {
 
     /// The health report, if it changed or is due.
     fn localisation(&mut self, scan: &Scan, located: &Located) -> Option<Localisation> {
-        self.statements
-            .is_due(scan.stamp, &located.health)
-            .then(|| Localisation {
-                stamp: scan.stamp,
-                boot_id: self.boot_id.clone(),
-                health: located.health.clone(),
-                map_from_base: located.pose,
-                agreeing: located.evidence.agreeing,
-                through_walls: located.evidence.through_walls,
-            })
+        self.statements.due(Localisation {
+            stamp: scan.stamp,
+            boot_id: self.boot_id.clone(),
+            health: located.health.clone(),
+            map_from_base: located.pose,
+            agreeing: located.evidence.agreeing,
+            through_walls: located.evidence.through_walls,
+        })
     }
 }

@@ -9,6 +9,7 @@
 //! | `slam_search` | search of SLAM's whole map for the robot |
 //! | `slam_poses`, `localised_poses` | poses by SLAM, by localisation in a known map |
 //! | `slam_session` | the SLAM state that outlives the process |
+//! | `graph` | when SLAM's pose graph is published |
 //! | `authority` | may this request change the map? |
 //! | `requests` | answers; each change is carried out once |
 //! | `encodings` | the map as JSON, CBOR, PNG, PGM or YAML |
@@ -19,6 +20,7 @@ mod annotations;
 mod authority;
 mod core;
 mod encodings;
+mod graph;
 mod localised_poses;
 mod metrics;
 mod requests;
@@ -45,14 +47,14 @@ use zenav_protocol::config_text::OutOfBounds;
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::messages::{
     Annotations, Correction, EdgeState, GoalPoint, InfoReply, InfoRequest, Localisation, MapFrame, MapInfo, MapPatch,
-    MapReply, Scan,
+    MapReply, PoseGraph, Scan,
 };
 use zenav_protocol::robot::Footprint;
 use zenav_protocol::settings::Settings;
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics::{
-    ALIVE_COMPONENT, ANNOTATE, ANNOTATIONS, CORRECTION, EDGE_INFO, LIDAR_SCAN, LOCALISATION, LOCALISE, MAP, MAP_FRAME,
-    MAP_INFO, MAP_PATCH, SCAN, STATE, alive_key,
+    ALIVE_COMPONENT, ANNOTATE, ANNOTATIONS, CORRECTION, EDGE_INFO, GRAPH, LIDAR_SCAN, LOCALISATION, LOCALISE, MAP,
+    MAP_FRAME, MAP_INFO, MAP_PATCH, SCAN, STATE, alive_key,
 };
 
 use zenav_space::Zones;
@@ -60,6 +62,7 @@ use zenav_space::Zones;
 use annotations::AnnotationBook;
 use authority::Authority;
 pub use core::{Mapped, MappingCore, PoseSettings, PoseSource};
+use graph::GraphPace;
 use metrics::MappingMetrics;
 use requests::FirstAnswers;
 use slam_session::{KeepError, OnDisk};
@@ -151,6 +154,8 @@ pub enum MappingError {
 
 /// Time limit of each request for the robot's footprint.
 const FOOTPRINT_DEADLINE: Duration = Duration::from_secs(30);
+/// Time from a foreign message on a key of this service to its own again.
+const RESTATE_AFTER: Duration = Duration::from_secs(1);
 /// Pause before a robot with another schema is asked again: it may have been replaced.
 const FOREIGN: Duration = Duration::from_secs(5);
 
@@ -206,6 +211,10 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
     }
     loaded.met();
     let mut annotates = bus.serve(&ANNOTATE, &chunks)?;
+    // What others are told in the name of this service.
+    let mut told_frames = bus.latest(&MAP_FRAME, &chunks)?;
+    let mut told_annotations = bus.latest(&ANNOTATIONS, &chunks)?;
+    let mut told_health = bus.latest(&LOCALISATION, &chunks)?;
     let mut service = Service {
         info: bus.publisher(&MAP_INFO, &chunks)?,
         patches: bus.publisher(&MAP_PATCH, &chunks)?,
@@ -213,6 +222,8 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
         frame,
         corrections: bus.publisher(&CORRECTION, &chunks)?,
         localisation: bus.publisher(&LOCALISATION, &chunks)?,
+        graphs: bus.publisher(&GRAPH, &chunks)?,
+        graph_pace: GraphPace::default(),
         core,
         keeping: None,
         owns_session,
@@ -223,6 +234,7 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
         annotations,
         annotations_topic: bus.publisher(&ANNOTATIONS, &chunks)?,
         annotated: FirstAnswers::default(),
+        restate_at: None,
         period: Duration::from_secs_f64(1.0 / config.settings.publish_hz),
         published: Stamp::ZERO,
         pending: false,
@@ -280,6 +292,21 @@ pub async fn run(bus: Bus, clock: Clock, config: MappingConfig, shutdown: Shutdo
                 Some(scan) => service.insert_further(&scan.message, scan.trace, clock.now()),
                 None => break,
             },
+            told = told_frames.next() => match told {
+                Some(told) => service.doubt(told.message != service.frame),
+                None => break,
+            },
+            told = told_annotations.next() => match told {
+                Some(told) => service.doubt(told.message != *service.annotations.now()),
+                None => break,
+            },
+            told = told_health.next() => match told {
+                Some(told) => service.doubt(service.core.contradicts(&told.message)),
+                None => break,
+            },
+            () = tokio::time::sleep_until(service.restate_at.unwrap_or_else(Instant::now).into()), if service.restate_at.is_some() => {
+                service.restate();
+            }
             () = clock.sleep_until(due), if service.pending => service.publish(clock.now()),
             answer = &mut body, if !body_known => {
                 body_known = !matches!(answer, Body::Foreign);
@@ -360,6 +387,8 @@ struct Service {
     frame: MapFrame,
     corrections: Publisher<Correction>,
     localisation: Publisher<Localisation>,
+    graphs: Publisher<PoseGraph>,
+    graph_pace: GraphPace,
     /// Least time between two patches.
     period: Duration,
     /// Time of the last patch.
@@ -371,6 +400,8 @@ struct Service {
     annotations: AnnotationBook,
     annotations_topic: Publisher<Annotations>,
     annotated: FirstAnswers<Arc<Annotations>>,
+    /// When frame, places, zones and localisation are published again, since somebody else published other ones.
+    restate_at: Option<Instant>,
     /// Whole maps being encoded.
     encoding: JoinSet<()>,
     metrics: MappingMetrics,
@@ -412,6 +443,24 @@ impl Service {
             self.localisation.put(localisation);
         }
         self.drawn(mapped.insertion, now);
+        self.tell_graph(now);
+    }
+
+    /// Hears what stands on a key of this service; `is_other`: it is not what this service published last. The service then repeats it, no
+    /// more often than once a second: two services of one robot do not flood the bus.
+    fn doubt(&mut self, is_other: bool) {
+        if is_other && self.restate_at.is_none() {
+            self.restate_at = Some(Instant::now() + RESTATE_AFTER);
+        }
+    }
+
+    fn restate(&mut self) {
+        self.restate_at = None;
+        self.frames.put(&self.frame);
+        self.annotations_topic.put(self.annotations.now());
+        if let Some(localisation) = self.core.by_the_robot(&self.boot_id) {
+            self.localisation.put(&localisation);
+        }
     }
 
     /// Moves places and zones into a new frame that is not published yet.

@@ -79,7 +79,7 @@ impl Service {
             LocaliseAction::Report => Ok(()),
             LocaliseAction::At | LocaliseAction::Global => {
                 self.authority.admit(now, epoch).and_then(|()| match action {
-                    LocaliseAction::Global => self.core.look_everywhere(),
+                    LocaliseAction::Global => self.look_everywhere(),
                     _ => self.place(pose),
                 })
             }
@@ -90,6 +90,14 @@ impl Service {
             }),
             Err(refusal) => request.refuse(&refusal),
         }
+    }
+
+    fn look_everywhere(&mut self) -> Result<(), Refusal> {
+        // Told before the next scan: the robot does not drive by a pose that is being searched for.
+        if let Some(localisation) = self.core.look_everywhere()? {
+            self.localisation.put(&localisation);
+        }
+        Ok(())
     }
 
     fn place(&mut self, pose: Option<Pose2>) -> Result<(), Refusal> {
@@ -129,6 +137,7 @@ impl Service {
         }
         self.publish(now);
         self.tell_info();
+        self.tell_graph(now);
         Ok(self.described(Vec::new()))
     }
 

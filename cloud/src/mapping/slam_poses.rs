@@ -10,9 +10,9 @@ use std::collections::VecDeque;
 use zenav_localisation::LocalisationSettings;
 use zenav_mapping::{Insertion, Mapper};
 use zenav_protocol::geometry::{Pose2, wrap_angle};
-use zenav_protocol::messages::{Health, Localisation, MOST_MOVES, MapFrame, Refusal, Scan};
+use zenav_protocol::messages::{Health, Localisation, MOST_MOVES, MapFrame, PoseGraph, Refusal, Scan};
 use zenav_protocol::time::Stamp;
-use zenav_slam::{Effects, SessionError, Slam, SlamSettings};
+use zenav_slam::{Effects, SessionError, Slam, SlamError, SlamSettings};
 
 use super::annotations::Carried;
 use super::core::{Measured, Pace, Posed, Statements};
@@ -78,6 +78,8 @@ pub(super) struct SlamPoses {
     parts: Vec<Pose2>,
     /// Whether frame or parts differ from the last published ones.
     is_untold: bool,
+    /// Whether the pose graph differs from the last published one.
+    is_graph_untold: bool,
     /// What is on disk.
     on_disk: OnDisk,
     /// Number of scans handed out for storing.
@@ -96,6 +98,7 @@ impl SlamPoses {
             moves: VecDeque::new(),
             parts: Vec::new(),
             is_untold: true,
+            is_graph_untold: true,
             settings,
             slam: None,
             scans: Vec::new(),
@@ -147,7 +150,12 @@ impl SlamPoses {
             // The map is redrawn before the first scan.
             map_from_odom: head.new_from_drawn * head.map_from_odom,
             is_astray: slam.is_lost(),
-            health: if slam.is_lost() { Health::Lost } else { Health::Tracking },
+            // A lost robot is searched for with the first scan.
+            health: if slam.is_lost() {
+                Health::Searching
+            } else {
+                Health::Tracking
+            },
             new_from_drawn: head.new_from_drawn,
             boot_id: head.boot_id,
             unseen: KEPT_AFTER,
@@ -222,8 +230,9 @@ impl SlamPoses {
             return self.follow(mapper, scan, boot_id);
         }
         let gone_on = self.go_on_after_hold(mapper, scan, boot_id);
-        let Some(effects) = gone_on.or_else(|| self.step(mapper, scan, boot_id)) else {
-            return Posed::only(Insertion::NotSane);
+        let effects = match gone_on.map_or_else(|| self.step(mapper, scan, boot_id), Ok) {
+            Ok(effects) => effects,
+            Err(left_out) => return Posed::only(left_out),
         };
         self.contradicts = effects.contradicts;
         let insertion = if self.health.is_trusted() && !self.contradicts {
@@ -272,7 +281,7 @@ impl SlamPoses {
         if !is_known && is_same_boot {
             slam.lose();
             self.search.ask();
-            (self.health, self.is_astray) = (Health::Lost, true);
+            (self.health, self.is_astray) = (self.search.health(), true);
         }
         // Where odometry leads to the same place, SLAM continues by itself.
         let by_odometry = self.map_from_odom * scan.odom_from_base;
@@ -284,8 +293,8 @@ impl SlamPoses {
         Some(effects)
     }
 
-    /// A step of SLAM, and a search of the whole map if due; `None` for a scan that SLAM leaves out.
-    fn step(&mut self, mapper: &Mapper, scan: &Scan, boot_id: &str) -> Option<Effects> {
+    /// A step of SLAM, and a search of the whole map if due; or why SLAM leaves the scan out.
+    fn step(&mut self, mapper: &Mapper, scan: &Scan, boot_id: &str) -> Result<Effects, Insertion> {
         let slam = self
             .slam
             .get_or_insert_with(|| Slam::beside_a_robot(self.settings, scan.map_from_odom * scan.odom_from_base));
@@ -302,7 +311,10 @@ impl SlamPoses {
             Ok(effects) => effects,
             Err(error) => {
                 tracing::debug!(%error, "scan left out");
-                return None;
+                return Err(match error {
+                    SlamError::Order(_) => Insertion::OutOfOrder,
+                    SlamError::Scan(_) | SlamError::Graph(_) | SlamError::Solve(_) => Insertion::NotSane,
+                });
             }
         };
         let fits = effects.score.is_some() || effects.points == 0;
@@ -313,7 +325,7 @@ impl SlamPoses {
         } else {
             None
         };
-        Some(found.unwrap_or(effects))
+        Ok(found.unwrap_or(effects))
     }
 
     /// Takes in the effects of a scan.
@@ -322,6 +334,7 @@ impl SlamPoses {
         if effects.is_inserted {
             self.scans.push(scan.clone());
         }
+        self.is_graph_untold |= effects.is_inserted;
         // Pose, in the redraw, of parts added since it began.
         if let Some(redraw) = &mut self.redraw
             && redraw.parts.len() < slam.submaps()
@@ -342,7 +355,7 @@ impl SlamPoses {
     fn look_everywhere(&mut self, mapper: &Mapper, scan: &Scan, contradicts: bool) -> Option<Effects> {
         let here = self.map_from_odom * scan.odom_from_base;
         let is_lost = !self.health.is_trusted();
-        match self.search.find(mapper, scan, here, is_lost) {
+        let found = match self.search.find(mapper, scan, here, is_lost) {
             Whereabouts::Elsewhere(place) => self.go_on_at(mapper, place, scan),
             Whereabouts::Here => {
                 let may_be_changed = (is_lost || contradicts) && !self.is_uprooted;
@@ -352,7 +365,11 @@ impl SlamPoses {
                 None
             }
             Whereabouts::Unknown => None,
+        };
+        if is_lost && found.is_none() {
+            self.health = self.search.health();
         }
+        found
     }
 
     /// Continues where the robot was carried to, `map_from_base` at a scan in the drawn map, if the scan agrees.
@@ -406,19 +423,17 @@ impl SlamPoses {
         Ok(self.map_from_odom * scan.odom_from_base)
     }
 
-    /// Searches the whole map with the next scan, however well the last one fits; until then the robot counts as lost.
-    pub(super) fn look_everywhere_next(&mut self) {
-        match &mut self.held {
-            Some(held) => held.look_everywhere(),
-            None => {
-                self.search.ask();
-                if let Some(slam) = &mut self.slam {
-                    slam.lose();
-                    (self.health, self.is_astray) = (Health::Lost, true);
-                    self.is_uprooted = true;
-                }
-            }
+    /// Searches the whole map with the next scan, however well the last one fits; until then the robot's pose is not trusted.
+    /// Returns the report of it.
+    pub(super) fn look_everywhere_next(&mut self) -> Option<Localisation> {
+        if let Some(held) = &mut self.held {
+            return held.look_everywhere();
         }
+        self.search.ask();
+        self.slam.as_mut()?.lose();
+        (self.health, self.is_astray) = (self.search.health(), true);
+        self.is_uprooted = true;
+        self.statements.amended(&self.health)
     }
 
     /// Whether the last pose can be trusted.
@@ -444,7 +459,7 @@ impl SlamPoses {
 
     /// The health report, if it changed or is due.
     fn localisation(&mut self, scan: &Scan, effects: &Effects) -> Option<Localisation> {
-        self.statements.is_due(scan.stamp, &self.health).then(|| Localisation {
+        self.statements.due(Localisation {
             stamp: scan.stamp,
             boot_id: self.boot_id.clone(),
             health: self.health.clone(),
@@ -480,7 +495,7 @@ impl SlamPoses {
     pub(super) fn number_from(&mut self, robot_frame: u64) -> u64 {
         self.frame = robot_frame + u64::from(self.slam.is_some());
         self.moves.clear();
-        self.is_untold = true;
+        (self.is_untold, self.is_graph_untold) = (true, true);
         self.is_overdue = true;
         self.frame
     }
@@ -509,6 +524,23 @@ impl SlamPoses {
         })
     }
 
+    /// The pose graph, if it differs from the published one or `anyway`, in the frame of the drawn map. A graph whose closure has moved the
+    /// map waits until the map is redrawn.
+    pub(super) fn untold_graph(&mut self, mapper: &Mapper, anyway: bool) -> Option<PoseGraph> {
+        if self.redraw.is_some() || !(self.is_graph_untold || anyway) {
+            return None;
+        }
+        self.is_graph_untold = false;
+        let (nodes, edges) = self.slam.as_ref().map(Slam::drawn_graph).unwrap_or_default();
+        Some(PoseGraph {
+            stamp: self.scans.last().map(|scan| scan.stamp).unwrap_or_default(),
+            boot_id: self.boot_id.clone(),
+            map: mapper.map().clone(),
+            nodes,
+            edges,
+        })
+    }
+
     /// Bends the map as a loop closure does.
     pub(super) fn bend(&mut self, mapper: &Mapper, bend: impl Fn(Pose2) -> Pose2) {
         match self.slam.as_mut().map(|slam| slam.bend(bend)) {
@@ -530,6 +562,7 @@ impl SlamPoses {
     }
 
     fn surroundings_moved(&mut self, moved: Pose2, mapper: &Mapper) {
+        self.is_graph_untold = true;
         self.new_from_drawn = moved * self.new_from_drawn;
         let parts = self.slam.as_ref().map(Slam::parts).unwrap_or_default();
         // A redraw in progress restarts only if its result would be wrong; otherwise a robot that keeps driving would never get its map.

@@ -146,8 +146,11 @@ impl Search {
         is_one_place(a, b, &self.settings)
     }
 
-    /// The health while the robot is searched for.
+    /// The health of a lost robot: it is being searched for until the first search has a result, and while another one was requested.
     pub(super) fn health(&self) -> Health {
+        if self.is_asked || self.searched_at.is_none() {
+            return Health::Searching;
+        }
         if self.hypotheses.is_empty() {
             return Health::Lost;
         }

@@ -148,10 +148,10 @@ impl MissionMetrics {
     pub(super) fn heard(&mut self, events: &[Event]) {
         for event in events {
             if let EventKind::PlanAccepted { trajectory_id, .. } = &event.kind {
-                for (known, published) in &self.plans {
-                    if known == trajectory_id {
-                        self.plan_acceptance.observe(published.elapsed().as_secs_f64());
-                    }
+                // An event may be reported twice.
+                let known = self.plans.iter().position(|(known, _)| known == trajectory_id);
+                if let Some((_, published)) = known.and_then(|at| self.plans.remove(at)) {
+                    self.plan_acceptance.observe(published.elapsed().as_secs_f64());
                 }
             }
         }

@@ -221,16 +221,8 @@ impl MotionWorker {
             )));
         }
         let model = checked(&request.model)?;
-        let mut reply = PlanReply {
-            map: map.map_or_else(|| request.map.clone(), |map| map.map().clone()),
-            outcome: PlanOutcome::NoMap,
-            backwards: Vec::new(),
-            leg: 0,
-            escapes: false,
-            search_ms: 0.0,
-            expansions: 0,
-            origin: PlanOrigin::Searched,
-        };
+        let planned_on = map.map_or(&request.map, MapReplica::map).clone();
+        let mut reply = PlanReply::without_path(planned_on, PlanOutcome::NoMap);
         let Some(map) = map else { return Ok(reply) };
         let began = (given.clock)();
         let (mut whole, mut total): (Vec<Point2<f64>>, f64) = (Vec::new(), 0.0);

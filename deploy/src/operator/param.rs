@@ -9,6 +9,7 @@ use zenav_protocol::messages::{ParamRequest, Refusal};
 use zenav_protocol::topics;
 
 use super::change;
+use crate::completion;
 use crate::connect::{self, RobotArgs, finite};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
@@ -40,11 +41,13 @@ enum ParamCommand {
     /// Print the value of a parameter
     Get {
         /// Name of the parameter
+        #[arg(add = completion::params())]
         name: String,
     },
     /// Set a parameter; takes effect at once, a value out of bounds is refused
     Set {
         /// Name of the parameter
+        #[arg(add = completion::params())]
         name: String,
         /// New value, in the unit of the robot file
         #[arg(value_parser = finite)]

@@ -55,7 +55,7 @@ impl View<'_> {
         };
         let guard = match state.guard {
             GuardZone::Clear => String::new(),
-            zone => format!(" | guard {zone:?}"),
+            zone => format!(" | collision monitor {zone:?}"),
         };
         format!(
             "{robot} | {} | {:?}{stopped} | {link}{guard} | {}/{:.2} m/s {}/{:.2} rad/s | {:.0} %",

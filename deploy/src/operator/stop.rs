@@ -65,6 +65,7 @@ fn act(args: &StopArgs, stop: bool) -> Outcome {
     let answers = connect::on_bus(&args.robot.link.with_robot(), async |bus| {
         if args.all {
             // All in parallel: a silent robot does not delay the others.
+            connect::sees_all(&bus)?;
             let mut asked = JoinSet::new();
             for robot in connect::robots(&bus).await?.into_keys() {
                 let answer = ask(&bus, &robot);
@@ -134,13 +135,28 @@ fn act(args: &StopArgs, stop: bool) -> Outcome {
 
 /// Asks a robot to stop, or to resume.
 async fn ask(bus: Bus, robot: String, stop: bool, patience: Duration) -> Result<StopReply, AskError> {
-    let (by, robot) = (Some(holder()), &[robot.as_str()][..]);
     if stop {
-        bus.ask(&topics::STOP, robot, &StopRequest { by }, patience).await
+        let request = StopRequest::new(holder());
+        bus.ask(&topics::STOP, &[&robot], &request, patience).await
     } else {
-        bus.ask(&topics::RESUME, robot, &ResumeRequest { by, stop: None }, patience)
-            .await
+        release(&bus, &robot, holder(), patience).await
     }
+}
+
+/// Asks a robot to resume, up to the newest stop that its next state shows: a later stop stays in force, however late the request arrives.
+pub(super) async fn release(bus: &Bus, robot: &str, by: String, patience: Duration) -> Result<StopReply, AskError> {
+    let began = Instant::now();
+    let key = topics::STATE.key(&[robot]);
+    let mut states = bus.latest(&topics::STATE, &[robot]).map_err(|error| AskError::Unaskable {
+        key: key.clone(),
+        reason: error.to_string(),
+    })?;
+    let Ok(state) = tokio::time::timeout(patience, states.next()).await else {
+        return Err(AskError::Timeout { key });
+    };
+    let request = ResumeRequest::new(by, state.ok_or(AskError::Closed)?.message.stops);
+    let left = patience.saturating_sub(began.elapsed()).max(STATE_WITHIN);
+    bus.ask(&topics::RESUME, &[robot], &request, left).await
 }
 
 /// Warns if the robot obeyed but cannot store the stop, as its next state reports.
@@ -184,7 +200,7 @@ pub(super) async fn everywhere(bus: &Bus, link: &LinkArgs, robot: &str) -> Resul
 }
 
 async fn confirmed(bus: Bus, robot: String, within: Duration) -> Result<(), Failure> {
-    let request = StopRequest { by: Some(holder()) };
+    let request = StopRequest::new(holder());
     match bus.ask(&topics::STOP, &[&robot], &request, within).await?.stopped {
         true => Ok(()),
         false => Err(Failure::failed("it says that it is not stopped")),

@@ -14,7 +14,7 @@ use tokio::time::{Instant, MissedTickBehavior};
 use zenav_cloud::operator::LeaseSession;
 use zenav_protocol::bus::{Bus, Latest, Publisher};
 use zenav_protocol::geometry::Twist2;
-use zenav_protocol::messages::{EdgeState, InfoRequest, LostPolicy, ModeRequest, Odometry, ResumeRequest, Teleop};
+use zenav_protocol::messages::{EdgeState, InfoRequest, LostPolicy, ModeRequest, Odometry, Teleop};
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
 
@@ -253,9 +253,7 @@ impl Session {
             Command::Faster => self.keyboard.scale(true),
             Command::Slower => self.keyboard.scale(false),
             Command::Resume => {
-                let by = Some(self.holder.clone());
-                let (robot, request) = ([self.robot.as_str()], ResumeRequest { by, stop: None });
-                let asked = self.bus.ask(&topics::RESUME, &robot, &request, ASK_WITHIN).await;
+                let asked = stop::release(&self.bus, &self.robot, self.holder.clone(), ASK_WITHIN).await;
                 if let Err(error) = asked {
                     self.tell(format!("not resumed: {error}"));
                 }

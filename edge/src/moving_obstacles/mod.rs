@@ -257,20 +257,33 @@ impl MovingObstacles {
         let memory = self.settings.memory.max(self.settings.memory_backing);
         self.occluded
             .retain(|hidden| now.secs_since(hidden.stamp) <= memory || hidden.is_within(STAYS, robot));
+        let in_sight = |track: &&Track| self.view.distance_to_blind_spot(base_from_odom * track.position) > beside;
+        let seen: Vec<_> = self.tracks.seen(now).filter(in_sight).cloned().collect();
         for hidden in self.newest() {
-            let in_sight = |track: &&Track| self.view.distance_to_blind_spot(base_from_odom * track.position) > beside;
-            // The same obstacle, or a new track that has not been taken for another hidden one before.
-            let comes_out = |track: &&Track| {
-                let is_new = track.born > hidden.stamp && !self.came_out.contains(&track.id);
-                (hidden.of == track.id || is_new) && self.may_be_at(&hidden, track.position, now)
-            };
-            let seen = self.tracks.seen(now).filter(in_sight);
-            let Some(id) = seen.filter(comes_out).map(|track| track.id).next() else {
-                continue;
-            };
-            self.occluded.retain(|known| known.of != hidden.of);
-            remember(&mut self.came_out, id);
+            let is_itself = |track: &&Track| track.id == hidden.of && self.may_be_at(&hidden, track.position, now);
+            if let Some(track) = seen.iter().find(is_itself) {
+                self.forget(hidden.of, track.id);
+            }
         }
+        // A track that went in itself has come out for nobody else.
+        let newest = self.newest();
+        for hidden in &newest {
+            let is_new = |track: &&Track| {
+                track.born > hidden.stamp
+                    && !self.came_out.contains(&track.id)
+                    && newest.iter().all(|other| other.of != track.id)
+                    && self.may_be_at(hidden, track.position, now)
+            };
+            if let Some(track) = seen.iter().find(is_new) {
+                self.forget(hidden.of, track.id);
+            }
+        }
+    }
+
+    /// Forgets the hidden obstacle of this number: the track has come out for it.
+    fn forget(&mut self, hidden: u64, track: u64) {
+        self.occluded.retain(|known| known.of != hidden);
+        remember(&mut self.came_out, track);
     }
 
     /// Notes a moving obstacle that the bumper felt at a place (odometry frame), or that may be there: a hidden one that is not in sight and can
@@ -459,6 +472,39 @@ mod tests {
         }
         assert!(moving.tracks().iter().next().is_some(), "it has not become a track");
         assert_eq!(moving.occluded(Stamp::from_secs(4.0)).count(), 1);
+    }
+
+    #[test]
+    fn a_track_that_went_in_itself_comes_out_for_nobody_else() {
+        let robot = zenav_fixtures::robot("tiago");
+        let lidar = robot.first_lidar().unwrap();
+        let mut moving = none_yet(&robot, 6.0);
+        let mut projector = ScanProjector::new(lidar);
+        let mut hidden = false;
+        for step in 1..30 {
+            let stamp = Stamp::from_secs(0.1 * f64::from(step));
+            let sweep = sweep(lidar, stamp.as_secs(), Pose2::IDENTITY, Some(2.6 - 0.03 * f64::from(step)));
+            moving.insert(0, &projector.project(&sweep, Pose2::IDENTITY).unwrap());
+            let track = moving.tracks().iter().next().cloned();
+            if let Some(track) = track.filter(|_| !hidden) {
+                // One was felt before the track was born, which could be that one; but the track was noted itself.
+                hidden = true;
+                let at = |of, place, stamp| RecentPlace {
+                    place,
+                    stamp,
+                    speed: 6.0,
+                    is_near: true,
+                    radius: 0.0,
+                    of,
+                };
+                moving.came_out.clear();
+                moving.occluded.note(at(FELT | 1, Point2::new(-0.4, 0.0), Stamp::ZERO));
+                moving.occluded.note(at(track.id, track.position, track.seen));
+            }
+        }
+        assert!(hidden, "it has not become a track");
+        let left: Vec<u64> = moving.occluded.iter().map(|hidden| hidden.of).collect();
+        assert_eq!(left, [FELT | 1]);
     }
 
     #[test]

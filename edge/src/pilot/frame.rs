@@ -8,7 +8,7 @@
 use std::collections::VecDeque;
 
 use zenav_protocol::geometry::Pose2;
-use zenav_protocol::messages::{Correction, MOST_MOVES, moved_between};
+use zenav_protocol::messages::{Correction, MOST_MOVES, may_follow, moved_between};
 
 use super::Pilot;
 
@@ -36,6 +36,9 @@ impl Frame {
     /// Advances to the frame of a correction. Returns how the map moved, or `None` if the correction is ignored.
     fn advance(&mut self, correction: &Correction) -> Option<Pose2> {
         let frame = correction.frame;
+        if !may_follow(frame, self.number) {
+            return None;
+        }
         let moved = match self.number {
             Some(present) if frame < present => return None,
             Some(present) => moved_between(present, frame, &correction.moves),

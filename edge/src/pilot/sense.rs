@@ -43,7 +43,14 @@ impl Pilot {
             {
                 let moving = self.obstacles.moving_beams(&sweep.lidar);
                 let ranges = self.obstacles.ranges(&sweep.lidar).to_vec();
-                let scan = telemetry::scan(sweep, ranges, moving, &self.config.model, &self.estimator);
+                let scan = telemetry::scan(
+                    sweep,
+                    ranges,
+                    moving,
+                    self.events.boot_id(),
+                    &self.config.model,
+                    &self.estimator,
+                );
                 out.extend(scan.map(|scan| Publication::Scan(sweep.lidar.clone(), scan)));
             }
         }

@@ -73,6 +73,7 @@ impl Rig {
             Some(Persisted {
                 epoch: 1,
                 stopped: false,
+                stops: 0,
                 leader: None,
             })
         );

@@ -17,8 +17,11 @@ use zenoh::key_expr::KeyExpr;
 use zenoh::qos::Priority;
 use zenoh::query::{ConsolidationMode, QueryTarget, Reply};
 
+use super::rights::{Act, Denied};
+use super::serve::SCHEMA;
 use super::subscribe::{decode_sample, encoding_of};
 use super::{Bus, BusError};
+use crate::SCHEMA_VERSION;
 use crate::codec::{self, CodecError, Encoding};
 use crate::messages::Refusal;
 use crate::topics::Ask;
@@ -64,6 +67,9 @@ pub enum AskError {
         /// What is wrong with the request.
         reason: String,
     },
+    /// This process's member of the fleet may not send the request: nothing was sent.
+    #[error(transparent)]
+    Denied(#[from] Denied),
     /// The bus was closed.
     #[error("the bus is closed")]
     Closed,
@@ -105,7 +111,7 @@ impl Bus {
     ///
     /// # Errors
     /// [`AskError::Timeout`] with the key; [`AskError::Refused`] with the server's refusal, also with `NotLeader` or `Busy` when there was
-    /// no other answer; [`AskError::Malformed`], [`AskError::Unaskable`], [`AskError::Closed`].
+    /// no other answer; [`AskError::Denied`] at once; [`AskError::Malformed`], [`AskError::Unaskable`], [`AskError::Closed`].
     pub async fn ask<Q: Serialize, R: DeserializeOwned>(
         &self,
         ask: &Ask<Q, R>,
@@ -178,7 +184,7 @@ impl Bus {
     /// Asks every server once and collects the answers that arrive before `deadline`.
     ///
     /// # Errors
-    /// [`AskError::Unaskable`], [`AskError::Closed`]. No answer at all gives an empty list, not an error.
+    /// [`AskError::Denied`], [`AskError::Unaskable`], [`AskError::Closed`]. No answer at all gives an empty list, not an error.
     pub async fn ask_all<Q: Serialize, R: DeserializeOwned>(
         &self,
         ask: &Ask<Q, R>,
@@ -216,6 +222,7 @@ impl Bus {
             key: ask.key(chunks),
             reason: error.to_string(),
         })?;
+        self.check_key(Act::Ask, &key)?;
         let bytes = codec::encode(request, Encoding::Json).map_err(|error| AskError::Unaskable {
             key: key.to_string(),
             reason: error.to_string(),
@@ -224,10 +231,11 @@ impl Bus {
         if bytes.len() > ask.max_bytes {
             return Err(AskError::Refused(Refusal::TooLarge { limit: ask.max_bytes }));
         }
-        let parameters = match ask.reply_encoding {
+        let format = match ask.reply_encoding {
             Encoding::Json => "",
-            Encoding::Cbor => "format=cbor",
+            Encoding::Cbor => "format=cbor;",
         };
+        let parameters = format!("{format}{SCHEMA}={SCHEMA_VERSION}");
         Ok(Question {
             key,
             parameters,
@@ -238,7 +246,7 @@ impl Bus {
     fn send(&self, question: &Question, timeout: Duration, events: &mpsc::Sender<Event>) -> Result<(), AskError> {
         let replies = Replies(events.clone());
         self.session
-            .get((&question.key, question.parameters))
+            .get((&question.key, question.parameters.as_str()))
             .payload(question.payload.clone())
             .encoding(zenoh::bytes::Encoding::APPLICATION_JSON)
             .target(QueryTarget::All)
@@ -267,7 +275,7 @@ impl Bus {
 /// An encoded request that can be sent repeatedly.
 struct Question {
     key: KeyExpr<'static>,
-    parameters: &'static str,
+    parameters: String,
     payload: zenoh::bytes::ZBytes,
 }
 
@@ -304,6 +312,7 @@ impl From<BusError> for AskError {
     fn from(error: BusError) -> Self {
         match error {
             BusError::Key { key, reason } => Self::Unaskable { key, reason },
+            BusError::Denied(denied) => Self::Denied(denied),
             _ => Self::Closed,
         }
     }

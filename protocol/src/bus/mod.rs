@@ -39,8 +39,9 @@
 //! |---|---|
 //! | `session` | [`Bus`]: a component's session, a client of the router, or a router itself when it listens on an endpoint of its own |
 //! | `router` | [`Router`] |
-//! | `security` | how links are protected: [`Security`] |
+//! | `security` | how links are protected: [`Security`], as a deployment's [`SecuritySection`] says |
 //! | `identity`, `access_control` | which member of the fleet a process is: [`Identity`]; what others may do on an endpoint |
+//! | `rights` | what this process may do itself: an [`Act`] that would be [`Denied`] |
 //! | `publish`, `subscribe` | topics: [`Publisher`], [`Latest`] value, [`Subscription`] to all values in order |
 //! | `keyed` | last values on many short-lived keys, from one declaration: [`KeyedPublisher`] |
 //! | `ask`, `serve` | requests with a deadline, and the [`Server`] that answers them |
@@ -73,6 +74,7 @@ mod link;
 pub mod overhead;
 mod publish;
 mod raw;
+mod rights;
 mod router;
 mod security;
 mod serve;
@@ -91,8 +93,9 @@ pub use identity::{Identity, IdentityError, MEMBERS};
 pub use keyed::KeyedPublisher;
 pub use publish::Publisher;
 pub use raw::{RawReply, RawSample, RawSubscription};
+pub use rights::{Act, Denied};
 pub use router::{Router, RouterConfig};
-pub use security::{Security, link_protocol};
+pub use security::{Profile, Security, SecuritySection, link_protocol};
 pub use serve::{Request, Server};
 pub use serve_part::{Call, PartServer, Responder};
 pub use session::{Bus, BusConfig, BusError, DEFAULT_ENDPOINT, ROBOT_ENDPOINT};

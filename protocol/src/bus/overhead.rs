@@ -206,9 +206,7 @@ async fn asks(near: &Bus, far: &Bus, samples: usize, over: &'static str) -> Resu
             }
         }
     });
-    let request = StopRequest {
-        by: Some("bench".to_owned()),
-    };
+    let request = StopRequest::new("bench");
     let (mut typed, mut raw) = (Vec::new(), Vec::new());
     for round in 0..MOST_ROUNDS {
         if typed.len() >= samples && raw.len() >= samples {
@@ -262,6 +260,7 @@ fn scan() -> Scan {
         range_min: 0.05,
         range_max: 12.0,
         ranges,
+        boot_id: String::new(),
         moving: Vec::new(),
         base_from_laser: Pose2::IDENTITY,
         map_from_odom: Pose2::IDENTITY,

@@ -1,12 +1,14 @@
 //! Router. How are all components connected? Through a Zenoh router, which any process can open.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use zenav_observability::Readiness;
 use zenoh::Session;
 use zenoh::config::WhatAmI;
 
 use super::link;
+use super::rights::Rights;
 use super::security::Security;
 use super::session::{Bus, BusError, DEFAULT_ENDPOINT, ROUTER_HANDSHAKE_MS, endpoints, in_words, link_settings};
 
@@ -39,6 +41,7 @@ impl Default for RouterConfig {
 pub struct Router {
     session: Session,
     readiness: Readiness,
+    rights: Option<Arc<Rights>>,
 }
 
 impl Router {
@@ -66,7 +69,11 @@ impl Router {
         let readiness = Readiness::new(&config.name);
         // Links to other routers come and go: the router works for its own components without them.
         readiness.started();
-        let router = Self { session, readiness };
+        let router = Self {
+            session,
+            readiness,
+            rights: Rights::of(security),
+        };
         // Several routers differ by this key.
         let name = format!("router-{}", router.session.zid());
         router.bus(&name).serve_info("router", "", BTreeMap::new())?;
@@ -85,6 +92,7 @@ impl Router {
             session: self.session.clone(),
             name: name.into(),
             readiness: self.readiness.clone(),
+            rights: self.rights.clone(),
         }
     }
 

@@ -20,8 +20,11 @@ use super::subscribe::encoding_of;
 use super::{Bus, BusError, threads};
 use crate::codec::{self, CodecError, Encoding};
 use crate::messages::Refusal;
-use crate::topics::Ask;
+use crate::SCHEMA_VERSION;
+use crate::topics::{Ask, Asker, CLOUD_INFO, EDGE_INFO, PART_INFO, STOP, row_of};
 
+/// Selector parameter with the schema version of the program that asks. Without it, as from plain Zenoh tools, any request is read.
+pub(super) const SCHEMA: &str = "schema";
 /// Most queued requests; further ones are refused as `Busy`.
 const MAX_WAITING: usize = 64;
 /// Replies larger than this may block for a long time until there is room, bytes.
@@ -84,7 +87,8 @@ impl Bus {
 }
 
 impl<Q: DeserializeOwned, R> Server<Q, R> {
-    /// Waits for the next request; `None` after the bus was closed. A request that cannot be decoded is refused here, with the reason.
+    /// Waits for the next request; `None` after the bus was closed. A request that cannot be decoded is refused here, with the reason, and so is
+    /// one without a payload on a key with wildcards, unless the ask changes nothing.
     pub async fn next(&mut self) -> Option<Request<Q, R>> {
         loop {
             let query = self.inbox.next().await?;
@@ -104,6 +108,20 @@ impl<Q: DeserializeOwned, R> Server<Q, R> {
         } else {
             return Err(Refusal::bad_request("expected a key without wildcards"));
         };
+        let theirs = query.parameters().get(SCHEMA).and_then(|schema| schema.parse::<u32>().ok());
+        if let Some(theirs) = theirs.filter(|theirs| *theirs != SCHEMA_VERSION && !suits_every_schema(self.ask.pattern)) {
+            return Err(Refusal::bad_request(format!(
+                "the program that asks speaks schema {theirs}, this one ({}) schema {SCHEMA_VERSION}: expected the same",
+                env!("CARGO_PKG_VERSION")
+            )));
+        }
+        // Otherwise somebody who looks at `zenav/**` would stop a robot and cancel its goal.
+        let is_read = row_of(self.ask.pattern).is_some_and(|row| row.asked_by == Some(Asker::Viewer));
+        if is_empty(query) && query.key_expr().is_wild() && !is_read {
+            return Err(Refusal::bad_request(
+                "a request on a key with wildcards: expected a payload, at least `{}`",
+            ));
+        }
         match read_body(query, self.ask.max_bytes) {
             Ok(body) => Ok((key, body)),
             Err(CodecError::TooLarge { limit, .. }) => Err(Refusal::TooLarge { limit }),
@@ -118,6 +136,7 @@ impl<Q: DeserializeOwned, R> Server<Q, R> {
         let parameters = query
             .parameters()
             .iter()
+            .filter(|(name, _)| *name != SCHEMA)
             .map(|(name, value)| (name.to_owned(), value.to_owned()))
             .collect();
         Request {
@@ -129,6 +148,16 @@ impl<Q: DeserializeOwned, R> Server<Q, R> {
             reply: PhantomData,
         }
     }
+}
+
+/// Whether programs of any schema may send the request: a stop is always obeyed, and info tells the versions.
+fn suits_every_schema(pattern: &str) -> bool {
+    let all = [STOP.pattern, EDGE_INFO.pattern, CLOUD_INFO.pattern, PART_INFO.pattern];
+    all.contains(&pattern)
+}
+
+fn is_empty(query: &Query) -> bool {
+    query.payload().is_none_or(ZBytes::is_empty)
 }
 
 /// Decodes a request. An empty payload means `{}`, or `null` if the request type accepts that.

@@ -18,6 +18,7 @@ use zenoh::config::WhatAmI;
 use zenoh::{Config, Session};
 
 use super::link;
+use super::rights::{Denied, Rights};
 use super::security::Security;
 
 /// Default endpoint of the router: Zenoh's own port.
@@ -152,6 +153,9 @@ pub enum BusError {
         /// What Zenoh reports.
         reason: String,
     },
+    /// This process's member of the fleet may not use the key.
+    #[error(transparent)]
+    Denied(#[from] Denied),
     /// The bus was closed.
     #[error("the bus is closed")]
     Closed,
@@ -163,6 +167,8 @@ pub struct Bus {
     pub(super) session: Session,
     pub(super) name: Arc<str>,
     pub(super) readiness: Readiness,
+    /// Rights of this process; `None` if its links are not controlled.
+    pub(super) rights: Option<Arc<Rights>>,
 }
 
 impl Bus {
@@ -225,6 +231,7 @@ impl Bus {
                     }
                     return Ok(Self {
                         session,
+                        rights: Rights::of(&config.security),
                         name: config.name.into(),
                         readiness,
                     });

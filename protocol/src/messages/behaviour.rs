@@ -1,11 +1,11 @@
-//! Manoeuvres (Nav2's behaviors). How is the robot told to spin, back up or wait, and how is the outcome reported?
+//! Maneuvers (Nav2's behaviors). How is the robot told to spin, back up or wait, and how is the outcome reported?
 //!
 //! The robot executes them on its own, under its collision monitor. Requests are idempotent: a repeated `id` does not start a second
 //! execution.
 
 use serde::{Deserialize, Serialize};
 
-/// Starts, cancels or reports a manoeuvre.
+/// Starts, cancels or reports a maneuver.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct BehaviourRequest {
@@ -46,25 +46,25 @@ pub enum BehaviourAction {
         /// Duration, s.
         secs: f64,
     },
-    /// End the manoeuvre.
+    /// End the maneuver.
     Cancel,
     /// Report only.
     Report,
 }
 
-/// Report on a manoeuvre.
+/// Report on a maneuver.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct BehaviourReport {
     /// Identifies the execution.
     pub id: String,
-    /// State of the manoeuvre.
+    /// State of the maneuver.
     pub state: BehaviourState,
-    /// Why the manoeuvre failed.
+    /// Why the maneuver failed.
     pub reason: Option<String>,
 }
 
-/// State of a manoeuvre.
+/// State of a maneuver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
@@ -79,7 +79,7 @@ pub enum BehaviourState {
     Canceled,
 }
 
-/// Answer to a manoeuvre request.
+/// Answer to a maneuver request.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct BehaviourReply {

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::Mode;
 use crate::geometry::Twist2;
+use crate::id::Id;
 use crate::time::Stamp;
 
 /// Stops a robot. Needs no lease, latches across restarts, and discards the plan.
@@ -14,6 +15,20 @@ use crate::time::Stamp;
 pub struct StopRequest {
     /// Who stops the robot, for the event log.
     pub by: Option<String>,
+    /// Chosen by the requester: a copy of a request that the network repeats counts as one stop.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub request_id: Option<String>,
+}
+
+impl StopRequest {
+    /// A new request.
+    #[must_use]
+    pub fn new(by: impl Into<String>) -> Self {
+        Self {
+            by: Some(by.into()),
+            request_id: Some(Id::unique().to_string()),
+        }
+    }
 }
 
 /// Lifts a stop: the robot accepts plans again, from its present pose.
@@ -25,6 +40,21 @@ pub struct ResumeRequest {
     /// Number of the newest stop to lift, as counted in the robot's state: a later stop stays in force. Without it, any stop is lifted.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stop: Option<u64>,
+    /// Chosen by the requester: a copy of a request that the network repeats lifts nothing.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub request_id: Option<String>,
+}
+
+impl ResumeRequest {
+    /// A new request to lift the stops up to this one.
+    #[must_use]
+    pub fn new(by: impl Into<String>, stop: u64) -> Self {
+        Self {
+            by: Some(by.into()),
+            stop: Some(stop),
+            request_id: Some(Id::unique().to_string()),
+        }
+    }
 }
 
 /// Answer to a stop or a resume.

@@ -75,7 +75,9 @@ pub enum Health {
         /// That direction in the map, rad.
         direction: f64,
     },
-    /// The scans contradict the map, and no other pose that agrees was found: the robot must not drive by this map.
+    /// The pose is not known, and a search of the whole map for it is pending or running.
+    Searching,
+    /// The scans contradict the map, and no other pose that agrees was found: the robot must not drive by this map. The search is repeated.
     Lost,
     /// The scan agrees about equally well with several poses.
     Ambiguous {
@@ -97,6 +99,7 @@ impl fmt::Display for Health {
         match self {
             Self::Tracking => formatter.write_str("tracking"),
             Self::Degraded { direction } => write!(formatter, "degraded along {direction:.2} rad"),
+            Self::Searching => formatter.write_str("searching"),
             Self::Lost => formatter.write_str("lost"),
             Self::Ambiguous { hypotheses } => write!(formatter, "ambiguous: {} places", hypotheses.len()),
         }

@@ -121,9 +121,9 @@ pub enum EventKind {
         /// Who lifted it.
         by: String,
     },
-    /// A manoeuvre ended.
+    /// A maneuver ended.
     BehaviourDone {
-        /// Which manoeuvre it was, and how it ended.
+        /// Which maneuver it was, and how it ended.
         report: BehaviourReport,
     },
     /// A state machine on the robot changed its state.

@@ -92,6 +92,11 @@ pub struct GoalRequest {
     pub profile: Option<DrivingProfile>,
 }
 
+impl GoalRequest {
+    /// Most waypoints of a goal.
+    pub const MAX_WAYPOINTS: usize = 1000;
+}
+
 /// What happens to a goal that arrives while another one is being executed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]

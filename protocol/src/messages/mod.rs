@@ -13,12 +13,13 @@
 //! | `localise` | asks how well the robot is localised, gives its pose, or starts a search for it |
 //! | `estimate` | the robot's pose estimate, and corrections to it |
 //! | `frame` | how loop closures moved the map |
+//! | `graph` | SLAM's pose graph, for pictures |
 //! | `state`, `event` | what the robot is doing, and what happened on it |
 //! | `obstacles` | moving obstacles tracked by the robot |
 //! | `intent` | a robot's announced motion, for other robots |
 //! | `lease` | who may command the robot |
 //! | `control` | stop, teleop, modes, parameters |
-//! | `behaviour` | manoeuvres that the robot executes by itself |
+//! | `behaviour` | maneuvers that the robot executes by itself |
 //! | `map` | the occupancy grid map and its patches |
 //! | `annotations` | places and zones of the map |
 //! | `plan`, `motion` | plans, and requests to planners and smoothers |
@@ -37,6 +38,7 @@ mod estimate;
 mod event;
 mod frame;
 mod goal;
+mod graph;
 mod intent;
 mod journal;
 mod lease;
@@ -59,6 +61,7 @@ pub use estimate::*;
 pub use event::*;
 pub use frame::*;
 pub use goal::*;
+pub use graph::*;
 pub use intent::*;
 pub use journal::*;
 pub use lease::*;

@@ -192,6 +192,23 @@ pub struct PlanReply {
     pub origin: PlanOrigin,
 }
 
+impl PlanReply {
+    /// An answer without a path, before any search.
+    #[must_use]
+    pub fn without_path(map: MapRef, outcome: PlanOutcome) -> Self {
+        Self {
+            map,
+            outcome,
+            backwards: Vec::new(),
+            leg: 0,
+            escapes: false,
+            search_ms: 0.0,
+            expansions: 0,
+            origin: PlanOrigin::Searched,
+        }
+    }
+}
+
 /// How an answer to a [`PlanRequest`] was obtained.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]

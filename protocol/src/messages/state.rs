@@ -32,7 +32,7 @@ pub enum Mode {
     Follow,
     /// An operator drives the robot by hand.
     Teleop,
-    /// The robot executes a manoeuvre (spin, back up, …).
+    /// The robot executes a maneuver (spin, back up, …).
     Behaviour,
     /// The robot follows walls by itself, without a cloud.
     WallFollow,
@@ -139,7 +139,7 @@ pub struct EdgeState {
     pub guard: GuardZone,
     /// Charge left, 0 to 1.
     pub battery: f64,
-    /// The manoeuvre that is running, or the last one.
+    /// The maneuver that is running, or the last one.
     pub behaviour: Option<BehaviourReport>,
     /// State of the wall follower, for a robot that follows walls without a commander.
     pub wall_follower: Option<WallFollowerState>,
@@ -149,7 +149,7 @@ pub struct EdgeState {
     /// Share of scans, poses and readings that the robot sends, 0 to 1: below 1 while its link cannot carry them all.
     #[serde(default = "all", skip_serializing_if = "is_all")]
     pub uplink: f64,
-    /// Number of stops since the start.
+    /// Number of stops, counted across restarts.
     #[serde(default)]
     pub stops: u64,
     /// Whether the robot waits or leaves its plan to make way for another robot.

@@ -202,6 +202,9 @@ fn is_default_name(name: &str) -> bool {
 pub struct Scan {
     /// Time of the sweep.
     pub stamp: Stamp,
+    /// The robot's boot, as in its state: the odometry of another boot has another origin. Empty if it is not known.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub boot_id: String,
     /// Direction of the first beam in the laser frame, rad.
     pub angle_min: f64,
     /// Angle from one beam to the next, rad, counter-clockwise.
@@ -354,6 +357,7 @@ mod tests {
             range_min: 0.02,
             range_max: 5.6,
             ranges: vec![1.5, f32::INFINITY, 0.25],
+            boot_id: String::new(),
             moving: Vec::new(),
             base_from_laser: Pose2::new(0.2, 0.0, 0.0),
             map_from_odom: Pose2::IDENTITY,

@@ -2,6 +2,7 @@
 
 use std::time::{Duration, Instant};
 
+use zenav_protocol::SCHEMA_VERSION;
 use zenav_protocol::bus::{AskError, RawReply};
 use zenav_protocol::messages::{Refusal, StopReply, StopRequest};
 use zenav_protocol::topics;
@@ -117,9 +118,65 @@ async fn a_standby_is_passed_over_and_a_refusal_is_final() {
     });
     assert_eq!(stop(&asker, "r1", PATIENCE).await, Ok(StopReply { stopped: true }));
     let refused = asker
-        .ask(&topics::STOP, &["r1"], &StopRequest { by: Some("me".into()) }, PATIENCE)
+        .ask(&topics::STOP, &["r1"], &StopRequest::new("me"), PATIENCE)
         .await;
     assert_eq!(refused, Err(AskError::Refused(Refusal::rejected("not you"))));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_program_of_another_schema_is_refused_and_may_still_stop_a_robot() {
+    let (_router, endpoint) = router().await;
+    let (asker, server) = (client(&endpoint, "asker").await, client(&endpoint, "edge").await);
+    let mut resumes = server.serve(&topics::RESUME, &["r1"]).unwrap();
+    let mut stops = server.serve(&topics::STOP, &["r1"]).unwrap();
+    tokio::spawn(async move {
+        loop {
+            tokio::select! {
+                Some(request) = resumes.next() => request.reply(&StopReply { stopped: false }),
+                Some(request) = stops.next() => request.reply(&StopReply { stopped: true }),
+                else => break,
+            }
+        }
+    });
+    assert_eq!(stop(&asker, "r1", PATIENCE).await, Ok(StopReply { stopped: true }));
+    let other = SCHEMA_VERSION + 1;
+    let ask = async |what: &str| {
+        let selector = format!("zenav/r1/ask/edge/{what}?schema={other}");
+        let replies = asker.raw_query(&selector, Some(b"{}".to_vec()), PATIENCE).await.unwrap();
+        match replies.into_iter().next().unwrap() {
+            RawReply::Ok(sample) => String::from_utf8(sample.bytes).unwrap(),
+            RawReply::Err { bytes, .. } => String::from_utf8(bytes).unwrap(),
+        }
+    };
+    let refused = ask("resume").await;
+    assert!(
+        refused.contains(&format!("schema {other}")) && refused.contains(&format!("schema {SCHEMA_VERSION}")),
+        "{refused}"
+    );
+    assert!(ask("stop").await.contains("true"));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_request_on_a_pattern_without_a_payload_reaches_only_what_changes_nothing() {
+    let (_router, endpoint) = router().await;
+    let (asker, server) = (client(&endpoint, "asker").await, client(&endpoint, "edge").await);
+    let mut stops = server.serve(&topics::STOP, &["r1"]).unwrap();
+    tokio::spawn(async move {
+        while let Some(request) = stops.next().await {
+            request.reply(&StopReply { stopped: true });
+        }
+    });
+    assert_eq!(stop(&asker, "r1", PATIENCE).await, Ok(StopReply { stopped: true }));
+    for (selector, payload, obeyed) in [
+        ("zenav/**", None, false),
+        ("zenav/*/ask/edge/stop", None, false),
+        ("zenav/*/ask/edge/stop", Some(b"{}".to_vec()), true),
+        ("zenav/r1/ask/edge/stop", None, true),
+    ] {
+        let replies = asker.raw_query(selector, payload.clone(), PATIENCE).await.unwrap();
+        let is_ok = |reply: &RawReply| matches!(reply, RawReply::Ok(sample) if sample.key.ends_with("stop"));
+        assert_eq!(replies.iter().any(is_ok), obeyed, "{selector} {payload:?}");
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -1,11 +1,13 @@
 //! A single message from anybody on the bus: does the robot still drive?
 
+use nalgebra::Point2;
 use tokio::time::timeout;
 use zenav_protocol::SCHEMA_VERSION;
 use zenav_protocol::bus::{Bus, Publisher};
+use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::{
-    EdgeState, Event, EventKind, InfoReply, Leader, LeaseAction, LeaseRequest, LeaseRole, Mode, Plan, Revision,
-    SimClock,
+    Annotations, Correction, EdgeState, Event, EventKind, Health, InfoReply, Leader, LeaseAction, LeaseRequest, LeaseRole,
+    Localisation, MapFrame, MapRef, Mode, Plan, Revision, SimClock, Zone, ZoneRule,
 };
 use zenav_protocol::readings::Readings;
 use zenav_protocol::time::Stamp;
@@ -149,6 +151,61 @@ async fn plans_reports_and_clocks_that_leap_change_nothing() {
     bus.close().await;
     deployment.bus().await.close().await;
     drive(&deployment, "-0.9", "0.3");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn what_is_said_in_the_name_of_mapping_holds_for_seconds_only() {
+    let deployment = Deployment::new(ZENAV, "kitchen", 4.0);
+    let mut up = deployment.start_up();
+    let bus = deployment.bus().await;
+    let mut robot = Observer::new(&bus, ROBOT);
+    drive(&deployment, "-0.9", "-0.2");
+    let state = robot.next(LONG).await;
+    let map = robot.plans().last().expect("it drove by a plan").map.clone();
+
+    let health = bus.publisher(&topics::LOCALISATION, &[ROBOT]).unwrap();
+    heard(&health).await;
+    health.put(&Localisation {
+        stamp: state.stamp,
+        boot_id: state.boot_id.clone(),
+        health: Health::Lost,
+        map_from_base: Pose2::IDENTITY,
+        agreeing: 0.0,
+        through_walls: 1.0,
+    });
+    let frames = bus.publisher(&topics::MAP_FRAME, &[ROBOT]).unwrap();
+    heard(&frames).await;
+    for frame in [u64::MAX, map.frame + 1] {
+        frames.put(&MapFrame {
+            map: MapRef { frame, ..map.clone() },
+            ..MapFrame::default()
+        });
+    }
+    let annotations = bus.publisher(&topics::ANNOTATIONS, &[ROBOT]).unwrap();
+    heard(&annotations).await;
+    let corners = [(-50.0, -50.0), (50.0, -50.0), (50.0, 50.0), (-50.0, 50.0)];
+    annotations.put(&Annotations {
+        zones: vec![Zone {
+            name: "everywhere".to_owned(),
+            rule: ZoneRule::KeepOut,
+            points: corners.map(|(x, y)| Point2::new(x, y)).into(),
+        }],
+        ..Annotations::default()
+    });
+    let corrections = bus.publisher(&topics::CORRECTION, &[ROBOT]).unwrap();
+    heard(&corrections).await;
+    corrections.put(&Correction {
+        stamp: state.stamp,
+        boot_id: state.boot_id,
+        map_from_base: Pose2::IDENTITY,
+        covariance: [1e-3, 0.0, 0.0, 0.0, 1e-3, 0.0, 0.0, 0.0, 1e-3],
+        is_found_anew: true,
+        frame: u64::MAX,
+        moves: Vec::new(),
+    });
+    tokio::time::sleep(std::time::Duration::from_secs(3)).await;
+    drive(&deployment, "-0.9", "0.3");
+    up.assert_running();
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]

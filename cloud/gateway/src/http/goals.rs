@@ -21,8 +21,6 @@ use super::robots::known;
 
 /// Most goals in a list.
 const MAX_LISTED: usize = 200;
-/// Most waypoints of a goal.
-const MAX_WAYPOINTS: usize = 1000;
 
 /// A submitted goal; an unknown field is an error, so that typing mistakes do not pass unnoticed.
 #[derive(Debug, Deserialize)]
@@ -69,9 +67,10 @@ impl GoalBody {
         };
         let mut yaws = self.waypoints.iter().filter_map(|point| point.yaw).chain(self.yaw);
         yaws.try_for_each(in_radians)?;
-        if self.waypoints.len() > MAX_WAYPOINTS {
+        if self.waypoints.len() > GoalRequest::MAX_WAYPOINTS {
             return Err(ApiError::bad_request(format!(
-                "`waypoints`: expected at most {MAX_WAYPOINTS}"
+                "`waypoints`: expected at most {}",
+                GoalRequest::MAX_WAYPOINTS
             )));
         }
         Ok(GoalRequest {

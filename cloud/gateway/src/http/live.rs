@@ -37,6 +37,8 @@ const MESSAGES_HZ: f64 = 100.0;
 const MOST_LEFT_OUT: u32 = 500;
 /// Time after which a browser that has not taken a frame counts as gone.
 const SEND_WITHIN: Duration = Duration::from_secs(20);
+/// Longest wait for a lease that is being given back.
+const GIVEN_BACK_WITHIN: Duration = Duration::from_secs(1);
 /// Time without a held key after which hand control is released, s.
 const IDLE_DRIVE: f64 = 30.0;
 /// Silence after which a driving browser counts as lost, s: it pings each second.
@@ -87,6 +89,7 @@ pub(super) async fn upgrade(
                 client: Client::new(),
                 joined,
                 drive: None,
+                ending: None,
                 heard: shared.hub.now(),
                 rate: TokenBucket::new(MESSAGES_HZ),
                 left_out: 0,
@@ -110,6 +113,8 @@ struct Session {
     client: Client,
     joined: Joined,
     drive: Option<Driving>,
+    /// The drive before it, until the robot's lease is given back.
+    ending: Option<watch::Receiver<Option<String>>>,
     /// Last time at which it sent anything, s.
     heard: f64,
     rate: TokenBucket,
@@ -197,7 +202,7 @@ impl Session {
                 Ok(())
             }
             Incoming::Disarm {} => {
-                self.drive = None;
+                self.let_go();
                 send_json(socket, &teleop("released", None, "")).await
             }
         }
@@ -215,8 +220,17 @@ impl Session {
         }
     }
 
+    /// Ends the drive, if there is one: the robot's lease is given back.
+    fn let_go(&mut self) {
+        self.ending = self.drive.take().map(|driving| driving.drive.ended).or(self.ending.take());
+    }
+
     async fn arm(&mut self, socket: &mut WebSocket, robot: String) -> Result<(), Gone> {
-        self.drive = None;
+        self.let_go();
+        if let Some(mut ending) = self.ending.take() {
+            // The robot would refuse a second holder before the first has given the lease back.
+            let _ = timeout(GIVEN_BACK_WITHIN, ending.changed()).await;
+        }
         if !self.shared.hub.view().knows(&robot) {
             return send_json(socket, &teleop("refused", Some(&robot), "there is no such robot")).await;
         }
@@ -248,7 +262,7 @@ impl Session {
             None => return Ok(()),
         };
         let told = teleop("released", Some(&driving.robot), &why);
-        self.drive = None;
+        self.let_go();
         send_json(socket, &told).await
     }
 

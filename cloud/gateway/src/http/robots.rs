@@ -1,5 +1,7 @@
 //! Robots. Which robots are there, what is their state, and how are they stopped?
 
+use std::time::Duration;
+
 use axum::extract::State;
 use axum::http::StatusCode;
 use axum::response::Response;
@@ -14,6 +16,9 @@ use super::{App, Shared, json_text};
 pub(super) const BY: &str = "gateway";
 /// Silence after which a robot no longer counts as present, s.
 const SILENT: f64 = 3.0;
+/// Longest wait for a robot's state after a stop, s, and how often it is looked for.
+const STATE_WITHIN: f64 = 1.0;
+const LOOK_AGAIN: Duration = Duration::from_millis(20);
 
 /// Checks that there is a robot of this name.
 pub(super) fn known(shared: &Shared, robot: &str) -> Result<(), ApiError> {
@@ -100,9 +105,24 @@ pub(super) async fn stop(State(shared): App, Named([robot]): Named<1>) -> Result
 
 pub(super) async fn resume(State(shared): App, Named([robot]): Named<1>) -> Result<Response, ApiError> {
     known(&shared, &robot)?;
-    let stop = shared.hub.view().stops(&robot);
+    let stop = reported_stops(&shared, &robot).await?;
     let reply = shared.operator.resume(&robot, stop, BY).await?;
     Ok(super::json(StatusCode::OK, &reply))
+}
+
+/// The number of the newest stop that the robot has reported since this gateway last stopped it.
+async fn reported_stops(shared: &Shared, robot: &str) -> Result<u64, ApiError> {
+    let end = shared.hub.now() + STATE_WITHIN;
+    loop {
+        if let Some(stops) = shared.hub.view().stops(robot) {
+            return Ok(stops);
+        }
+        if shared.hub.now() >= end {
+            let reason = format!("{robot} has not reported its state since it was stopped: look at it, and resume it again");
+            return Err(ApiError::new(StatusCode::SERVICE_UNAVAILABLE, "Unavailable", reason));
+        }
+        tokio::time::sleep(LOOK_AGAIN).await;
+    }
 }
 
 pub(super) async fn stop_all(State(shared): App) -> Response {

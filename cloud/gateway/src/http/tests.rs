@@ -112,8 +112,8 @@ impl Operator for Scribe {
         self.note(format!("stop {robot} {by}"), answer)
     }
 
-    fn resume(&self, robot: &str, _: Option<u64>, _: &str) -> Answer<StopReply> {
-        self.note(format!("resume {robot}"), Ok(StopReply { stopped: false }))
+    fn resume(&self, robot: &str, stop: u64, _: &str) -> Answer<StopReply> {
+        self.note(format!("resume {robot} {stop}"), Ok(StopReply { stopped: false }))
     }
 
     fn map(&self, _: &str) -> Answer<MapReply> {
@@ -138,6 +138,7 @@ const HOST: &str = "127.0.0.1:7480";
 const TOKEN: &str = "0123456789abcdef";
 
 struct Site {
+    hub: Arc<Hub>,
     router: Router,
     scribe: Arc<Scribe>,
 }
@@ -159,7 +160,8 @@ fn site(token: Option<&str>, settings: GatewaySettings) -> Site {
     let scribe = Arc::new(Scribe::default());
     let access = Access::new(HOST.parse().unwrap(), token.map(str::to_owned), Vec::new()).unwrap();
     Site {
-        router: router(hub, Arc::clone(&scribe) as Arc<dyn Operator>, access),
+        router: router(Arc::clone(&hub), Arc::clone(&scribe) as Arc<dyn Operator>, access),
+        hub,
         scribe,
     }
 }
@@ -192,7 +194,29 @@ const ZONE: &str = "/api/v1/robots/tiago/zones/wet";
 const GOALS: &str = "/api/v1/robots/tiago/goals";
 
 #[tokio::test]
-async fn goals_stop_and_resume_reach_the_robot() {
+async fn a_resume_names_the_newest_stop_that_the_robot_has_reported() {
+    let site = site(None, GatewaySettings::default());
+    let report = |stops: u64| {
+        let state = json!({
+            "stamp": 1, "boot_id": "b", "mode": "stopped", "link": "Connected", "battery": 1.0, "guard": "clear", "stops": stops,
+            "lease": { "holder": null, "role": null, "epoch": 1, "live": false }, "velocity": { "v": 0.0, "w": 0.0 },
+        });
+        let state = serde_json::from_value(state).unwrap();
+        site.hub.take("tiago", Update::State(state));
+    };
+    let resume = || site.ask(Method::POST, "/api/v1/robots/tiago/resume", None);
+    report(1);
+    assert_eq!(resume().await.0, StatusCode::OK);
+    site.ask(Method::POST, "/api/v1/robots/tiago/stop", None).await;
+    assert_eq!(resume().await.0, StatusCode::SERVICE_UNAVAILABLE, "no state since");
+    report(2);
+    assert_eq!(resume().await.0, StatusCode::OK);
+    let asked = ["resume tiago 1", "stop tiago gateway", "resume tiago 2"];
+    assert_eq!(site.asked(), asked);
+}
+
+#[tokio::test]
+async fn goals_and_stops_reach_the_robot() {
     let site = site(None, GatewaySettings::default());
     let (status, reply) = site
         .ask(
@@ -216,7 +240,6 @@ async fn goals_stop_and_resume_reach_the_robot() {
         (Method::POST, "/goals/g1/pause", "pause tiago g1 false"),
         (Method::POST, "/goals/g1/resume", "pause tiago g1 true"),
         (Method::POST, "/stop", "stop tiago gateway"),
-        (Method::POST, "/resume", "resume tiago"),
     ] {
         site.asked();
         let (status, _) = site.ask(method, &format!("/api/v1/robots/tiago{path}"), None).await;
@@ -229,7 +252,8 @@ async fn goals_stop_and_resume_reach_the_robot() {
     let hub = Hub::new(GatewaySettings::default(), BTreeMap::new());
     let access = Access::new(HOST.parse().unwrap(), None, Vec::new()).unwrap();
     let empty = Site {
-        router: router(hub, Arc::clone(&site.scribe) as Arc<dyn Operator>, access),
+        router: router(Arc::clone(&hub), Arc::clone(&site.scribe) as Arc<dyn Operator>, access),
+        hub,
         scribe: Arc::clone(&site.scribe),
     };
     let (status, reply) = empty.ask(Method::POST, "/api/v1/stop", None).await;

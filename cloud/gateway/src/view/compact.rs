@@ -5,7 +5,7 @@
 
 use nalgebra::Point2;
 use serde::Serialize;
-use zenav_protocol::messages::{InfoReply, Obstacles, Plan, PoseEstimate, Scan, SearchTree};
+use zenav_protocol::messages::{GraphEdgeKind, InfoReply, Obstacles, Plan, PoseEstimate, PoseGraph, Scan, SearchTree};
 use zenav_protocol::robot::Footprint;
 
 /// Most points drawn of a plan.
@@ -157,6 +157,38 @@ impl From<&SearchTree> for CompactTree {
             edges: edges.flat_map(|[a, b]| [flat(a), flat(b)].concat()).collect(),
             path: tree.path.iter().flat_map(flat).collect(),
         }
+    }
+}
+
+/// A pose graph: nodes as a flat list of `x, y`, and edges as flat lists of pairs of nodes.
+#[derive(Debug, Default, Serialize)]
+pub(super) struct CompactGraph {
+    nodes: Vec<f64>,
+    odometry: Vec<u32>,
+    closures: Vec<u32>,
+    /// Closures that are held to be false.
+    rejected: Vec<u32>,
+}
+
+impl From<&PoseGraph> for CompactGraph {
+    fn from(graph: &PoseGraph) -> Self {
+        let mut compact = Self {
+            nodes: graph
+                .nodes
+                .iter()
+                .flat_map(|node| [milli(node.x), milli(node.y)])
+                .collect(),
+            ..Self::default()
+        };
+        for (edge, _) in graph.lines() {
+            let list = match edge.kind {
+                GraphEdgeKind::Odometry => &mut compact.odometry,
+                GraphEdgeKind::Closure if edge.is_rejected() => &mut compact.rejected,
+                GraphEdgeKind::Closure => &mut compact.closures,
+            };
+            list.extend([edge.from, edge.to]);
+        }
+        compact
     }
 }
 

@@ -12,11 +12,11 @@ use std::collections::BTreeMap;
 
 use zenav_protocol::map_replica::PatchResult;
 use zenav_protocol::messages::{
-    Annotations, EdgeState, Event, GoalState, InfoReply, MapPatch, MapReply, Marker, MissionStatus, Obstacles, Plan,
-    PoseEstimate, Scan, SearchTree,
+    Annotations, EdgeState, Event, GoalState, InfoReply, Localisation, MapPatch, MapReply, Marker, MissionStatus,
+    Obstacles, Plan, PoseEstimate, PoseGraph, Scan, SearchTree,
 };
 
-use compact::{CompactModel, CompactPlan, CompactPose, CompactScan, CompactTree};
+use compact::{CompactGraph, CompactModel, CompactPlan, CompactPose, CompactScan, CompactTree};
 pub(crate) use map_tiles::TileCursor;
 pub(crate) use robot::{Entry, RobotView};
 
@@ -47,6 +47,8 @@ pub enum Update {
     Obstacles(Obstacles),
     /// A planner's search.
     Tree(SearchTree),
+    /// SLAM's pose graph.
+    Graph(PoseGraph),
     /// Its whole map.
     Map(MapReply),
     /// Changes of its map.
@@ -55,6 +57,8 @@ pub enum Update {
     Info(InfoReply),
     /// Places and zones of its map.
     Annotations(Annotations),
+    /// How well it is localised.
+    Localisation(Localisation),
     /// One of its components appeared or disappeared.
     Part {
         /// `edge`, `mapping`, `mission`.
@@ -124,6 +128,13 @@ impl FleetView {
             }
             Update::Annotations(annotations) => {
                 put(&mut view.summary, "annotations", Entry::new(version, now, &annotations));
+            }
+            Update::Localisation(localisation) => {
+                put(
+                    &mut view.summary,
+                    "localisation",
+                    Entry::new(version, now, &localisation),
+                );
             }
             Update::Part { component, alive } => {
                 view.parts.retain(|part| *part != component);
@@ -307,6 +318,7 @@ fn detail(update: Update, version: u64, now: f64) -> Option<(String, Entry)> {
         }
         Update::Obstacles(all) => fixed("obstacles", Entry::new(version, now, &compact::obstacles(&all))),
         Update::Tree(tree) => fixed("tree", Entry::new(version, now, &CompactTree::from(&tree))),
+        Update::Graph(graph) => fixed("graph", Entry::new(version, now, &CompactGraph::from(&graph))),
         Update::Info(info) => fixed("model", Entry::new(version, now, &CompactModel::of(&info)?)),
         _ => None,
     }

@@ -242,6 +242,7 @@ mod tests {
                     range_min: 0.02,
                     range_max: 6.0,
                     ranges: vec![range; 21],
+                    boot_id: String::new(),
                     moving: Vec::new(),
                     base_from_laser: Pose2::IDENTITY,
                     map_from_odom: Pose2::IDENTITY,

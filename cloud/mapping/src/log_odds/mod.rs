@@ -70,6 +70,7 @@ pub struct BeamCount {
 ///     range_min: 0.02,
 ///     range_max: 5.0,
 ///     ranges: vec![2.0],
+///     boot_id: String::new(),
 ///     moving: Vec::new(),
 ///     base_from_laser: Pose2::IDENTITY,
 ///     map_from_odom: Pose2::IDENTITY,

@@ -25,6 +25,7 @@ fn scan(pose: Pose2, step: f64, ranges: Vec<f32>) -> Scan {
         range_min: 0.02,
         range_max: 5.0,
         ranges,
+        boot_id: String::new(),
         moving: Vec::new(),
         base_from_laser: Pose2::IDENTITY,
         map_from_odom: Pose2::IDENTITY,

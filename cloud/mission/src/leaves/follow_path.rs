@@ -1,4 +1,5 @@
-//! FollowPath: drives a path to its end; rechecks and renews the plan as the map grows, and replans when it is blocked.
+//! FollowPath: drives a path to its end; rechecks and renews the plan as the map grows, and replans when it is blocked or when a shorter
+//! way opens.
 //!
 //! SUCCESS at the goal, within its tolerance; FAILURE when the robot makes no progress, when no path leads round an obstacle, or when the
 //! robot refuses plan after plan. Without the lease, or while the robot is stopped or driven by hand, it waits.
@@ -17,7 +18,7 @@ use super::tracking::Tracking;
 use super::{fail, no_error, step};
 use crate::context::Context;
 use crate::motion::{PlanStatus, Recheck, recheck};
-use crate::route::{Route, RouteData, RouteRequest, Search, Searching};
+use crate::route::{Route, RouteData, RouteRequest, Search, Searching, short_way_opens};
 use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 use zenav_smoothing::Limits;
 
@@ -30,13 +31,14 @@ mod error_code {
     pub const NO_VALID_CONTROL: i64 = 106;
 }
 
-/// A path past other robots is taken if it saves at least this much time over waiting for them, s; time between two searches for one, s.
+/// Another path is taken if it saves at least this much time over the driven one, waits for other robots included, s; time between two
+/// searches for one, s.
 const WORTH_IT: f64 = 1.0;
 const LOOK_PERIOD: f64 = 0.4;
 /// That time doubles after every fourth search, so often at most.
 const MOST_DOUBLED: u32 = 3;
 /// A search for such a path is given up after this, s: the other robots are elsewhere by then.
-const DETOUR_SECS: f64 = 2.0;
+const OTHER_SECS: f64 = 2.0;
 /// Wait before searching again after a route could not be checked, s.
 const AFTER_UNCHECKED: f64 = 1.0;
 /// Greatest distance of the robot from the start of a route from rest, m.
@@ -61,11 +63,11 @@ const THERE: f64 = 0.5;
 pub struct FollowPath {
     progress: Progress,
     search: Option<Search>,
-    /// Search for a path past the robots that this one gives way to, and the earliest time of the next one.
-    detour: Option<Search>,
-    next_detour: Stamp,
+    /// Search for a sooner path than the driven one, and the earliest time of the next one.
+    other: Option<Search>,
+    next_other: Stamp,
     /// Searches since the robot last gave way to nobody.
-    detours: u32,
+    others: u32,
     refusals: u32,
     misses: u32,
     path_sequence: u64,
@@ -274,9 +276,7 @@ impl FollowPath {
         self.remember(io, *memory);
         self.tracking.settle(before, ctx);
         self.offered = None;
-        if let Some(detour) = self.detour.take() {
-            detour.cancel(ctx);
-        }
+        self.stop_other(ctx);
         let parted = (along.x - memory.goal.x).hypot(along.y - memory.goal.y) > PARTED;
         if self.search.is_some() || parted {
             self.begin_search(ctx, memory.goal, 0.0);
@@ -373,7 +373,7 @@ impl FollowPath {
             ctx.goal.feedback.distance_left = Some(progress.0);
             ctx.goal.feedback.time_left = Some(progress.1);
         }
-        if let Some(status) = self.give_way(io, ctx, memory) {
+        if let Some(status) = self.look_for_sooner(io, ctx, memory) {
             return status;
         }
         let due = ctx.motion.age(ctx.now) >= ctx.config.settings.renew_period || ctx.motion.is_held();
@@ -413,47 +413,55 @@ impl FollowPath {
         step(io, ctx, what)
     }
 
-    /// Searches for a path past the robots that this one gives way to, and takes it if the robot arrives sooner than by waiting.
-    fn give_way(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, memory: Memory) -> Option<Status> {
-        let Some(mut search) = self.detour.take() else {
-            if ctx.now < self.next_detour || !self.tracking.goals_ahead().is_empty() {
+    /// Searches for another path: past the robots that this one gives way to, or the short way when what bars it leaves. Takes it if the
+    /// robot arrives sooner than on the driven one.
+    fn look_for_sooner(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, memory: Memory) -> Option<Status> {
+        let Some(mut search) = self.other.take() else {
+            if ctx.now < self.next_other || !self.tracking.goals_ahead().is_empty() {
                 return None;
             }
+            let opens = short_way_opens(ctx);
             if ctx.yields().is_none() {
-                self.detours = 0;
-                return None;
+                self.others = 0;
+                if !opens {
+                    return None;
+                }
             }
             let request = RouteRequest {
-                past_others: true,
+                past_others: !opens,
                 ..RouteRequest::to(memory.goal)
             };
-            self.detour = Some(Search::new(ctx, request, None, ctx.now).standing());
-            self.detours = self.detours.saturating_add(1);
+            self.other = Some(Search::new(ctx, request, None, ctx.now).standing());
+            self.others = self.others.saturating_add(1);
             return None;
         };
         // The longer the wait lasts, the less often.
-        let doubled = f64::from(1 << (self.detours / 4).min(MOST_DOUBLED));
-        self.next_detour = ctx.now.plus_secs(LOOK_PERIOD * doubled);
+        let doubled = f64::from(1 << (self.others / 4).min(MOST_DOUBLED));
+        self.next_other = ctx.now.plus_secs(LOOK_PERIOD * doubled);
         match search.step(ctx) {
-            Searching::Wait(_) if search.age(ctx.now) < DETOUR_SECS => self.detour = Some(search),
+            Searching::Wait(_) if search.age(ctx.now) < OTHER_SECS => self.other = Some(search),
             Searching::Wait(_) => search.cancel(ctx),
             Searching::Found(route) => {
                 let left = self.where_it_is(ctx).1.map(|(_, secs)| secs);
-                let waits = ctx.yields().map(|yields| yields.wait_secs);
-                let by_waiting = left.zip(waits).map(|(left, waits)| left + waits);
-                let sooner = route.arrival_secs.zip(by_waiting);
+                let waits = ctx.yields().map_or(0.0, |yields| yields.wait_secs);
+                let arrival = route.arrival_secs.unwrap_or_else(|| route.plan.trajectory.duration());
                 let escape = ctx.config.settings.escape;
-                if sooner.is_some_and(|(past, waiting)| past + ctx.latency_budget() + WORTH_IT < waiting)
+                if left.is_some_and(|left| arrival + ctx.latency_budget() + WORTH_IT < left + waits)
                     && route.goal == memory.goal
                     && self.fits(ctx, &route)
                     && ctx
                         .space_now()
                         .is_ok_and(|space| recheck(&route.plan.trajectory, &space, 0.0, escape) == Recheck::Free)
                 {
+                    ctx.goal.avoided = None;
                     return Some(self.drive(io, ctx, memory, &route));
                 }
+                search.watch_short_way(ctx);
             }
-            Searching::Blocked(_) | Searching::Nearer(_) | Searching::Failed(_) => search.cancel(ctx),
+            Searching::Blocked(_) | Searching::Nearer(_) | Searching::Failed(_) => {
+                search.watch_short_way(ctx);
+                search.cancel(ctx);
+            }
         }
         None
     }
@@ -537,10 +545,14 @@ impl FollowPath {
         self.search = Some(Search::new(ctx, request, None, from));
     }
 
-    fn stop_search(&mut self, ctx: &mut Context) {
-        if let Some(detour) = self.detour.take() {
-            detour.cancel(ctx);
+    fn stop_other(&mut self, ctx: &mut Context) {
+        if let Some(other) = self.other.take() {
+            other.cancel(ctx);
         }
+    }
+
+    fn stop_search(&mut self, ctx: &mut Context) {
+        self.stop_other(ctx);
         if let Some(search) = self.search.take() {
             search.cancel(ctx);
         }

@@ -16,6 +16,7 @@ use super::super::{KnownMap, MappingConfig, run};
 use super::*;
 use crate::testing::router;
 
+mod graph;
 mod lost;
 
 const DEADLINE: Duration = Duration::from_secs(20);
@@ -60,6 +61,7 @@ fn seen_among(boxes: &Boxes, way: f64) -> Scan {
         range_min: 0.02,
         range_max: 6.0,
         ranges: angles.map(range).collect(),
+        boot_id: String::new(),
         moving: Vec::new(),
         base_from_laser: Pose2::IDENTITY,
         map_from_odom: Pose2::IDENTITY,
@@ -221,6 +223,28 @@ fn rear(scan: Scan) -> Scan {
         base_from_laser: Pose2::new(-0.2, 0.0, 0.0),
         ..scan
     }
+}
+
+#[test]
+fn a_scan_of_another_boot_than_the_state_is_left_out() {
+    let mut mapping = core();
+    drive(&mut mapping, 0.0, 1.0);
+    // The robot started again, and its state has not come yet; or the scan was on its way when the new state came.
+    let other = Scan {
+        boot_id: "another".to_owned(),
+        odom_from_base: Pose2::IDENTITY,
+        ..scan(1.05)
+    };
+    let before = mapping.mapper.info();
+    let mapped = mapping.insert(&other, "boot");
+    assert_eq!((mapped.insertion, mapped.correction), (Insertion::OutOfOrder, None));
+    assert_eq!(mapping.insert_further(&rear(other), "boot"), Insertion::OutOfOrder);
+    assert_eq!(mapping.mapper.info(), before);
+    let own = Scan {
+        boot_id: "boot".to_owned(),
+        ..scan(1.05)
+    };
+    assert_eq!(mapping.insert(&own, "boot").insertion, Insertion::Inserted);
 }
 
 #[test]

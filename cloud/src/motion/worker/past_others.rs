@@ -6,9 +6,8 @@
 use std::sync::Arc;
 
 use zenav_planning::{Budget, SpaceTimeQuery, pulled, search_space_time};
-use zenav_protocol::messages::{
-    KnownCourse, PlanOrigin, PlanOutcome, PlanReply, Refusal, TrajectoryReply, TrajectoryRequest,
-};
+use zenav_protocol::map_replica::MapReplica;
+use zenav_protocol::messages::{KnownCourse, PlanOutcome, PlanReply, Refusal, TrajectoryReply, TrajectoryRequest};
 use zenav_space::{Fit, UnknownPolicy};
 
 use super::{Given, MotionWorker, checked};
@@ -35,20 +34,11 @@ impl MotionWorker {
         let model = checked(&plan.model)?;
         let began = (given.clock)();
         let mut reply = TrajectoryReply {
-            plan: PlanReply {
-                map: given.map.map_or_else(|| plan.map.clone(), |map| map.map().clone()),
-                outcome: PlanOutcome::NoPath,
-                backwards: Vec::new(),
-                leg: 0,
-                escapes: false,
-                search_ms: 0.0,
-                expansions: 0,
-                origin: PlanOrigin::Searched,
-            },
+            plan: PlanReply::without_path(given.map.map_or(&plan.map, MapReplica::map).clone(), PlanOutcome::NoPath),
             smooth: None,
             arrival_secs: None,
         };
-        let is_on = |map: &&zenav_protocol::map_replica::MapReplica| {
+        let is_on = |map: &&MapReplica| {
             let ends = [plan.start.position(), plan.goal.position()];
             ends.iter().all(|end| map.grid().spec().cell_at(*end).is_some())
         };

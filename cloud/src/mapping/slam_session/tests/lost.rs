@@ -84,7 +84,7 @@ fn what_a_lost_robot_sees_is_drawn_neither_at_once_nor_later() {
     write(folder.path(), kept(&mut mapping, false).unwrap()).unwrap();
     let stored = read(folder.path()).unwrap().unwrap();
     assert_eq!(stored.head.scans, nodes);
-    assert_eq!(core().going_on(stored).health(), Health::Lost, "it still is");
+    assert_eq!(core().going_on(stored).health(), Health::Searching, "it still is lost");
     mapping.bend(|pose| Pose2::new(pose.x, pose.y + 0.5, pose.yaw));
     mapping.insert(&nowhere(3.16), "boot");
     assert_eq!(mapping.mapper.map().frame, 1);
@@ -168,10 +168,16 @@ fn a_place_is_believed_where_the_scan_agrees_and_the_whole_map_is_looked_at_on_r
     assert_eq!(mapping.health(), Health::Tracking);
 
     // If the robot is where it is held to be, a search of the whole map confirms it at once.
-    mapping.look_everywhere().unwrap();
-    assert_eq!(mapping.health(), Health::Lost, "until then nobody knows");
+    let told = mapping.look_everywhere().unwrap().unwrap();
+    assert_eq!(mapping.health(), Health::Searching, "until then nobody knows");
+    assert_eq!(told.health, Health::Searching, "told before the next scan");
     let mapped = mapping.insert(&seen_among(&ROOMS, 6.0), "boot");
     assert_eq!(mapping.health(), Health::Tracking);
+    assert_eq!(
+        mapped.localisation.as_ref().unwrap().health,
+        Health::Tracking,
+        "told at once"
+    );
     let off = mapped
         .correction
         .unwrap()
@@ -269,6 +275,23 @@ fn a_lost_robot_stays_lost_while_its_map_is_held_and_after_that() {
     assert_eq!(lost(&mut mapping, 1), Health::Lost);
     mapping.mapper.resume();
     assert_eq!(lost(&mut mapping, 1), Health::Lost);
+}
+
+#[test]
+fn a_search_on_request_that_finds_nothing_leaves_the_robot_lost() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut mapping = driven(3.0, folder.path());
+    mapping.look_everywhere().unwrap();
+    let mapped = mapping.insert(&nowhere(3.001), "boot");
+    assert_eq!(mapping.health(), Health::Lost);
+    assert_eq!(
+        mapped.localisation.unwrap().health,
+        Health::Lost,
+        "the search's own scan tells"
+    );
+    assert_eq!((mapped.insertion, mapped.correction), (Insertion::Held, None));
+    mapping.look_everywhere().unwrap();
+    assert_eq!(mapping.health(), Health::Searching);
 }
 
 #[test]
