@@ -33,7 +33,7 @@ impl Frames {
     /// Observes a frame and its parts, as published by mapping.
     pub fn observe(&mut self, frame: MapFrame) {
         let known = self.newest.as_ref().filter(|known| known.map.id == frame.map.id);
-        if !frame.is_sane() || !may_follow(frame.map.frame, known.map(|known| known.map.frame)) {
+        if !frame.is_sane() || !may_follow(frame.map.frame, known.map_or(0, |known| known.map.frame)) {
             tracing::warn!(map = frame.map.id, "a frame of the map is malformed: left out");
             return;
         }
@@ -195,6 +195,9 @@ mod tests {
         assert_eq!(frames.robot(3), None);
         frames.observe(frame(u64::MAX, vec![], vec![near]));
         frames.settle(Some(&map(1)));
-        assert!(frames.is_settled(), "a frame that mapping cannot have reached is ignored");
+        assert!(
+            frames.is_settled(),
+            "a frame that mapping cannot have reached is ignored"
+        );
     }
 }

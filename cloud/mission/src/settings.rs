@@ -29,8 +29,9 @@ zenav_protocol::settings! {
         pub map_timeout: f64 = 10.0, "s", 0.1..=600.0;
         /// Distance within which a robot that stands in an obstacle according to the map may leave it for a free position.
         pub escape: f64 = 0.6, "m", 0.0..=5.0;
-        /// How long a transient obstacle that blocks the only path or the goal is waited for. A goal's own deadline takes precedence; 0
-        /// disables waiting (120: longer than people talk in a doorway, shorter than somebody needs to come and clear it).
+        /// Longest wait for a transient obstacle on the only path or at the goal. If there is a way round, this is the upper bound. A goal
+        /// with a deadline waits until its deadline instead; 0 disables waiting (120: longer than people talk in a doorway, shorter than
+        /// somebody needs to come and clear it).
         pub patience: f64 = 120.0, "s", 0.0..=86_400.0;
         /// Least time after its start before a goal is given up as unreachable or occupied: a closed door looks like a wall until it opens,
         /// and a distant person is only a beam or two. After the same time the robot drives to look behind an obstacle that hides the goal.

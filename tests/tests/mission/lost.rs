@@ -53,8 +53,10 @@ fn a_robot_that_is_found_again_goes_on_to_its_goal() {
     let mut rig = Rig::new();
     rig.submit(to(3.0, 0.0, "g")).unwrap();
     assert!(rig.run_until(20.0, |rig| rig.driven() > 0.3));
+    say(&mut rig, Health::Searching);
+    rig.run(1.0);
     say(&mut rig, Health::Lost);
-    rig.run(2.0);
+    rig.run(1.0);
     let driven = rig.driven();
     rig.run(1.0);
     assert!(rig.driven() < driven + 0.02, "it drives while it is lost");

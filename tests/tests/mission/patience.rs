@@ -21,6 +21,29 @@ fn somebody(x: f64, y: f64, secs: f64) -> String {
     )
 }
 
+/// Two halls, from (0, 0) to (20, 5), with a door 0.9 m wide at (4, 2.5) between them, and another opening from x = `other` to `end`. The
+/// robot starts at (2, 1.2), with somebody in the door who goes away after some time.
+fn halls(other: f64, end: f64, secs: f64) -> String {
+    let wall = |from: [f64; 2], to: [f64; 2]| format!("[[wall]]\nfrom = {from:?}\nto = {to:?}\nthickness = 0.2\n");
+    let wall_between = |from: f64, to: f64| {
+        format!("[[polygon]]\npoints = [[{from:.2}, 2.4], [{to:.2}, 2.4], [{to:.2}, 2.6], [{from:.2}, 2.6]]\n")
+    };
+    let walls = [
+        wall([-0.1, -0.1], [20.1, -0.1]),
+        wall([-0.1, 5.1], [20.1, 5.1]),
+        wall([-0.1, -0.1], [-0.1, 5.1]),
+        wall([20.1, -0.1], [20.1, 5.1]),
+        wall_between(0.0, 3.55),
+        wall_between(4.45, other),
+        wall_between(end, 20.0),
+    ]
+    .concat();
+    let person = format!(
+        "[[mover]]\nradius = 0.25\nspeed = 0.8\npath = [[4, 2.5], [4, 4], [9, 4.4]]\nrest_secs = [{secs:.1}, 0, 10000]\n"
+    );
+    format!("size = [20.4, 5.4]\norigin = [-0.2, -0.2]\n[start]\nx = 2\ny = 1.2\n{walls}{person}")
+}
+
 fn to(x: f64, y: f64) -> GoalRequest {
     GoalRequest {
         id: Some("a".to_owned()),
@@ -87,6 +110,64 @@ fn a_deadline_ends_the_waiting_and_tells_what_was_waited_for() {
         reason.contains("deadline of 10 s: something that may leave has stood at (2."),
         "{reason}"
     );
+}
+
+#[test]
+fn a_deadline_after_the_usual_patience_is_waited_for() {
+    let world = format!("{ROOMS}{}", somebody(2.8, 3.5, 30.0));
+    let mut rig = Rig::in_world(&world);
+    rig.config.settings.patience = 10.0;
+    rig.start();
+    rig.run(2.0);
+    let request = GoalRequest {
+        deadline_secs: Some(60.0),
+        ..to(2.8, 3.5)
+    };
+    rig.submit(request).unwrap();
+    rig.success_of("a", 60.0);
+}
+
+#[test]
+fn somebody_in_the_short_way_is_waited_for_where_the_way_round_is_long() {
+    let mut rig = Rig::in_world(&halls(11.0, 12.5, 14.0));
+    rig.submit(to(2.0, 3.8)).unwrap();
+    assert!(
+        rig.run_until(10.0, |rig| rig.goal("a").feedback.blockage.is_some()),
+        "{:?}",
+        rig.goal("a").feedback
+    );
+    rig.success_of("a", 30.0);
+    assert!(rig.driven() < 10.0, "{} m", rig.driven());
+}
+
+#[test]
+fn who_stays_in_the_short_way_is_waited_for_as_long_as_the_way_round_costs() {
+    let mut rig = Rig::in_world(&halls(11.0, 12.5, 10_000.0));
+    rig.submit(to(2.0, 3.8)).unwrap();
+    assert!(rig.run_until(60.0, |rig| rig.pose().x > 6.0));
+    let set_out = rig.stage.now().as_secs();
+    rig.success_of("a", 60.0);
+    let driven = rig.stage.now().as_secs() - set_out;
+    assert!((0.5..1.6).contains(&(set_out / driven)), "{set_out} s, {driven} s");
+}
+
+#[test]
+fn a_short_way_round_is_driven_at_once() {
+    let mut rig = Rig::in_world(&halls(5.2, 6.4, 10_000.0));
+    rig.submit(to(2.0, 3.8)).unwrap();
+    let waits = rig.run_until(25.0, |rig| {
+        rig.goal("a").feedback.blockage.is_some() || rig.phase("a").is_end()
+    });
+    assert!(waits && rig.phase("a") == GoalPhase::Succeeded, "{:?}", rig.goal("a"));
+}
+
+#[test]
+fn a_robot_on_the_way_round_turns_back_when_the_short_way_is_free() {
+    let mut rig = Rig::in_world(&halls(11.0, 12.5, 33.0));
+    rig.submit(to(2.0, 3.8)).unwrap();
+    assert!(rig.run_until(39.0, |rig| rig.pose().x > 6.0), "{:?}", rig.pose());
+    rig.success_of("a", 40.0);
+    assert!(rig.driven() < 25.0, "{} m", rig.driven());
 }
 
 #[test]

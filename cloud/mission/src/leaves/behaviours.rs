@@ -1,4 +1,4 @@
-//! Spin, BackUp, DriveOnHeading, DriveToFree: manoeuvres that the robot executes on its own, identified by an execution id.
+//! Spin, BackUp, DriveOnHeading, DriveToFree: maneuvers that the robot executes on its own, identified by an execution id.
 
 use std::f64::consts::PI;
 
@@ -18,10 +18,10 @@ const PATIENCE: f64 = 10.0;
 /// Period at which the robot is asked for progress, s.
 const PERIOD: f64 = 0.2;
 
-/// Remainder below which a manoeuvre interrupted by a pause counts as done, m and rad.
+/// Remainder below which a maneuver interrupted by a pause counts as done, m and rad.
 const ALL_BUT: (f64, f64) = (0.02, 0.03);
 
-/// Nav2's error codes of manoeuvres, by registration id.
+/// Nav2's error codes of maneuvers, by registration id.
 #[derive(Clone, Copy)]
 struct Codes {
     unknown: i64,
@@ -42,7 +42,7 @@ impl Codes {
     }
 }
 
-/// A manoeuvre of the robot.
+/// A maneuver of the robot.
 #[derive(Default)]
 pub struct Behaviour {
     ticket: Option<Ticket>,
@@ -198,7 +198,7 @@ impl Leaf<Context> for Behaviour {
 }
 
 impl Behaviour {
-    /// The status that a report of the robot means; `None` while the manoeuvre runs. After a pause of the goal, the rest of the manoeuvre
+    /// The status that a report of the robot means; `None` while the maneuver runs. After a pause of the goal, the rest of the maneuver
     /// is started again.
     fn ended(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, report: &BehaviourReport) -> Option<Status> {
         if report.state != BehaviourState::Canceled || !ctx.is_held_up(&report.id) {
@@ -227,7 +227,7 @@ impl Behaviour {
     }
 }
 
-/// The manoeuvre requested by the node's ports.
+/// The maneuver requested by the node's ports.
 fn action(io: &LeafIo<'_>) -> Result<BehaviourAction, String> {
     let get = |port: &str, default: f64| match io.get_optional::<f64>(port) {
         Ok(value) => Ok(value.unwrap_or(default)).and_then(|value| {
@@ -258,7 +258,7 @@ fn action(io: &LeafIo<'_>) -> Result<BehaviourAction, String> {
     })
 }
 
-/// The status of an ended manoeuvre; `None` while it runs.
+/// The status of an ended maneuver; `None` while it runs.
 fn judge(io: &mut LeafIo<'_>, ctx: &mut Context, report: &BehaviourReport) -> Option<Status> {
     match report.state {
         BehaviourState::Running => None,

@@ -280,6 +280,7 @@ impl FollowPath {
         let parted = (along.x - memory.goal.x).hypot(along.y - memory.goal.y) > PARTED;
         if self.search.is_some() || parted {
             self.begin_search(ctx, memory.goal, 0.0);
+            self.search = self.search.take().map(Search::at_once);
         }
         true
     }
@@ -389,6 +390,7 @@ impl FollowPath {
                 // Speed limits may have changed, or the path may be shorter: this motion continues until there is a better one.
                 Ok(Recheck::Free) if rezoned => {
                     self.begin_search(ctx, memory.goal, 0.0);
+                    self.search = self.search.take().map(Search::at_once);
                     return step(io, ctx, "replanning: the zones of the map have changed");
                 }
                 Ok(Recheck::Free) if due => ctx.renew(),
@@ -439,8 +441,13 @@ impl FollowPath {
         let doubled = f64::from(1 << (self.others / 4).min(MOST_DOUBLED));
         self.next_other = ctx.now.plus_secs(LOOK_PERIOD * doubled);
         match search.step(ctx) {
-            Searching::Wait(_) if search.age(ctx.now) < OTHER_SECS => self.other = Some(search),
-            Searching::Wait(_) => search.cancel(ctx),
+            Searching::Wait(_) if search.age(ctx.now) < OTHER_SECS + 2.0 * ctx.latency_budget() => {
+                self.other = Some(search)
+            }
+            Searching::Wait(_) => {
+                search.watch_short_way(ctx);
+                search.cancel(ctx);
+            }
             Searching::Found(route) => {
                 let left = self.where_it_is(ctx).1.map(|(_, secs)| secs);
                 let waits = ctx.yields().map_or(0.0, |yields| yields.wait_secs);

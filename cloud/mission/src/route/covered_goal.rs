@@ -22,10 +22,7 @@ impl Search {
         let Some(model) = ctx.robot.model() else {
             return Vec::new();
         };
-        if self.request.from.is_some()
-            || ctx.config.settings.patience <= 0.0
-            || !ctx.map.is_occupied_within(goal, LARGEST)
-        {
+        if !self.may_wait(ctx) || !ctx.map.is_occupied_within(goal, LARGEST) {
             return Vec::new();
         }
         let gap = model.footprint.inscribed_radius() - NEARBY * ctx.goal.tolerance;

@@ -4,13 +4,15 @@
 //! from where it stands; a robot that moves otherwise is waited for.
 //!
 //! If there is no path, the worker is asked again as if the transient obstacles ([`transient`](crate::transient)) had left. If there is a
-//! path then, the search waits for them: it asks again when one of them leaves, and each second.
+//! path then, the search waits for them: it asks again when one of them leaves, and each second. If the path round them is much longer
+//! than the one through them, it waits, too, as long as that is likely to be sooner.
 
 mod approach;
 mod begin;
 mod covered_goal;
 mod request;
 mod waiting;
+mod way_round;
 
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
@@ -31,11 +33,11 @@ use super::motion::PlanDraft;
 use super::transient::TransientCell;
 use approach::Approach;
 use begin::{Begin, predicted};
-use waiting::Waiting;
 
 pub use approach::Tries;
 pub use request::RouteRequest;
-pub(crate) use waiting::look_at;
+pub(crate) use waiting::{Waiting, look_at};
+pub(crate) use way_round::short_way_opens;
 
 /// Nav2's error codes of path planning.
 pub mod error_code {
@@ -171,6 +173,8 @@ enum Stage {
     Asked(Ticket, Begin),
     /// Why there is no path; asked whether there would be one without the transient obstacles.
     Cleared(Ticket, NoRoute),
+    /// A route round what may leave; asked how long the way would be without that.
+    Weighed(Ticket, Box<Route>),
     /// The trajectory along the given path, joined from the robot's position.
     Given(Ticket, Begin, Vec<Point2<f64>>),
 }
@@ -189,6 +193,8 @@ pub struct Search {
     /// Whether some of them are one or two beam returns near a goal far away.
     doubts: bool,
     waiting: Option<Waiting>,
+    /// Whether the next route is taken although it leads round what may leave.
+    goes_round: bool,
     /// The approach to where the obstacle is in sight; whether the robot may be driven there.
     approach: Option<Approach>,
     may_approach: bool,
@@ -218,6 +224,7 @@ impl Search {
             cleared: Vec::new(),
             doubts: false,
             waiting: None,
+            goes_round: false,
             approach: None,
             may_approach: true,
             asked: from,
@@ -252,7 +259,10 @@ impl Search {
             ctx.goal.feedback.blockage = None;
         }
         match self.stage {
-            Stage::Asked(ticket, _) | Stage::Cleared(ticket, _) | Stage::Given(ticket, ..) => ctx.asks.forget(ticket),
+            Stage::Asked(ticket, _)
+            | Stage::Cleared(ticket, _)
+            | Stage::Weighed(ticket, _)
+            | Stage::Given(ticket, ..) => ctx.asks.forget(ticket),
             Stage::Idle(_) => {}
         }
     }
@@ -303,6 +313,10 @@ impl Search {
             Stage::Cleared(ticket, no_route) => match ctx.asks.take(ticket) {
                 None => Searching::Wait("asks what bars the way"),
                 Some(answer) => self.without_what_may_leave(ctx, no_route, answer),
+            },
+            Stage::Weighed(ticket, route) => match ctx.asks.take(ticket) {
+                None => Searching::Wait("asks what bars the short way"),
+                Some(answer) => self.weigh(ctx, route, answer),
             },
             Stage::Asked(ticket, begin) => match ctx.asks.take(ticket) {
                 None => self.awaits(ctx, "plans"),
@@ -503,7 +517,10 @@ impl Search {
                 map,
                 trajectory,
                 statistics: found,
-            }) => self.found(begin, path, map, trajectory, statistics(found)),
+            }) => {
+                let route = self.route(begin, path, map, trajectory, statistics(found));
+                self.unless_waiting_is_sooner(ctx, route)
+            }
         }
     }
 
@@ -538,6 +555,7 @@ impl Search {
     }
 
     fn no_path(&mut self, ctx: &mut Context, begin: &Begin, plan: &PlanReply) -> Searching {
+        self.goes_round = false;
         let goal = named(self.request.via.get(plan.leg).unwrap_or(&self.request.goal));
         let (code, reason) = match &plan.outcome {
             PlanOutcome::GoalOccupied { nearest_free } => {
@@ -577,12 +595,27 @@ impl Search {
         trajectory: Trajectory,
         statistics: PlanStatistics,
     ) -> Searching {
-        self.waiting = None;
-        let found = Route {
+        let route = self.route(begin, path, map, trajectory, statistics);
+        self.takes(route)
+    }
+
+    fn route(
+        &self,
+        begin: Begin,
+        path: Vec<Point2<f64>>,
+        map: MapRef,
+        trajectory: Trajectory,
+        statistics: PlanStatistics,
+    ) -> Box<Route> {
+        Box::new(Route {
             arrival_secs: self.arrival_secs,
             ..route(begin, self.request.goal, path, map, trajectory, statistics)
-        };
-        Searching::Found(Box::new(found))
+        })
+    }
+
+    fn takes(&mut self, route: Box<Route>) -> Searching {
+        self.waiting = None;
+        Searching::Found(route)
     }
 
     fn again(&mut self, ctx: &Context, why: &'static str) -> Searching {

@@ -1,7 +1,7 @@
 //! Waiting. Which transient obstacle blocks the way, and is it still worth waiting for?
 
 use nalgebra::Point2;
-use zenav_protocol::geometry::wrap_angle;
+use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::grid::Occupancy;
 use zenav_protocol::messages::{
     BehaviourAction, BehaviourRequest, Blockage, MotionReply, MotionRequest, PlanOutcome, PlanReply, PlanRequest,
@@ -11,12 +11,12 @@ use zenav_protocol::time::Stamp;
 use super::begin::Begin;
 use super::{NoRoute, Search, Searching, Stage, error_code, named};
 use crate::context::Context;
-use crate::io::{Answer, Ask, NoAnswer};
+use crate::io::{Answer, Ask, NoAnswer, Ticket};
 use crate::leaves::path;
 use crate::transient::TransientCell;
 
 /// Time between two attempts while waiting, s: at least, used when the obstacle gives way, and at most.
-const RETRY: [f64; 2] = [0.2, 1.0];
+pub(super) const RETRY: [f64; 2] = [0.2, 1.0];
 /// A departing obstacle leaves traces in the map for a while: for this long a missing path is requested again, s.
 const TRACES: f64 = 5.0;
 /// Margin inside the edge of its view within which a lidar sees the obstacle, rad; least time between turns of the robot towards it, s.
@@ -34,14 +34,16 @@ const TOLD_WITHIN: f64 = 3.0;
 const BESIDE: f64 = 0.08;
 /// Distance within which cells that block the way belong to one obstacle, m.
 pub(super) const ONE_THING: f64 = 0.8;
+/// Centres nearer to each other than this are of one cell, m.
+const SAME_CELL: f64 = 1e-3;
 /// A blockage this near to the previous one is the same, m …
 pub(super) const SAME_PLACE: f64 = 1.0;
 /// … unless the wait for it ended more than this long ago, s.
 const FORGOTTEN: f64 = 10.0;
 
-/// The obstacle that a search waits for.
-#[derive(Clone, Debug)]
-pub(super) struct Waiting {
+/// The obstacle that a search waits for, or drives round.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Waiting {
     pub(super) blockage: Blockage,
     /// Its cells, map frame, m.
     pub(super) cells: Vec<Point2<f64>>,
@@ -84,16 +86,37 @@ impl Waiting {
         })
     }
 
-    /// Records in the goal that the robot waits for this obstacle. If it was waited for before, it keeps its first time.
+    /// Records in the goal that the robot waits for this obstacle. If it was waited for or driven round before, it keeps its first time.
     pub(super) fn note(&mut self, ctx: &mut Context) {
-        let goal = &mut ctx.goal;
-        if let Some((before, last)) = goal.waited
-            && (before.x - self.blockage.x).hypot(before.y - self.blockage.y) <= SAME_PLACE
-            && ctx.now.secs_since(last) <= FORGOTTEN
-        {
+        let waited = ctx
+            .goal
+            .waited
+            .filter(|(_, last)| ctx.now.secs_since(*last) <= FORGOTTEN);
+        let avoided = ctx.goal.avoided.as_ref().filter(|avoided| avoided.count(ctx) > 0);
+        let before = [
+            waited.map(|(before, _)| before),
+            avoided.map(|avoided| avoided.blockage),
+        ];
+        for before in before.into_iter().flatten() {
+            self.keep_first_time(before);
+        }
+        ctx.goal.waited = Some((self.blockage, ctx.now));
+    }
+
+    fn keep_first_time(&mut self, before: Blockage) {
+        if (before.x - self.blockage.x).hypot(before.y - self.blockage.y) <= SAME_PLACE {
             self.blockage.since = self.blockage.since.min(before.since);
         }
-        goal.waited = Some((self.blockage, ctx.now));
+    }
+
+    /// What bars the same path now; the part of the obstacle that is left keeps its first time.
+    pub(super) fn now(&self, ctx: &Context) -> Option<Self> {
+        let cells = ctx.map.transient(&[Point2::new(self.blockage.x, self.blockage.y)]);
+        let mut now = Self::on(&self.way, &cells, reach(ctx), ctx.now)?;
+        if self.count(ctx) > 0 {
+            now.keep_first_time(self.blockage);
+        }
+        Some(now)
     }
 
     /// How long the obstacle has been there, s.
@@ -112,8 +135,13 @@ impl Waiting {
     }
 
     fn count(&self, ctx: &Context) -> usize {
+        self.standing(ctx).count()
+    }
+
+    /// Its cells that are still occupied.
+    fn standing(&self, ctx: &Context) -> impl Iterator<Item = &Point2<f64>> {
         let stands = |cell: &&Point2<f64>| ctx.map.occupancy(**cell) == Some(Occupancy::Occupied);
-        self.cells.iter().filter(stands).count()
+        self.cells.iter().filter(stands)
     }
 
     /// Moves the robot aside if it is in contact with another robot that has leaned on it for a while: that robot waits for this one, too.
@@ -158,6 +186,11 @@ impl Waiting {
 }
 
 impl Search {
+    /// Whether this search waits for anything.
+    pub(super) fn may_wait(&self, ctx: &Context) -> bool {
+        ctx.config.settings.patience > 0.0 && self.request.from.is_none()
+    }
+
     /// Whether the obstacle gives way.
     pub(super) fn may_go_on(&self, ctx: &Context) -> bool {
         let due = ctx.now.secs_since(self.asked) >= RETRY[0];
@@ -167,34 +200,52 @@ impl Search {
     /// No path was found: asks whether there would be one without the transient obstacles.
     pub(super) fn unless_it_leaves(&mut self, ctx: &mut Context, begin: &Begin, no_route: NoRoute) -> Searching {
         let may_pass = [error_code::GOAL_OCCUPIED, error_code::NO_VALID_PATH].contains(&no_route.code);
-        let (Some(model), Some(map)) = (ctx.robot.model().cloned(), ctx.map.newest()) else {
-            return self.given_up(ctx, no_route);
-        };
-        if !may_pass || self.request.from.is_some() || ctx.config.settings.patience <= 0.0 {
+        if !may_pass || !self.may_wait(ctx) {
             return self.given_up(ctx, no_route);
         }
-        let goals = self.request.via.iter().chain([&self.request.goal]);
-        let near = goals.map(|goal| Point2::new(goal.x, goal.y)).take(MAX_GOALS);
-        let near: Vec<Point2<f64>> = [begin.pose.position()].into_iter().chain(near).collect();
-        self.cleared = ctx.map.transient(&near);
+        self.cleared = self.what_may_leave(ctx, &[begin.pose.position()]);
         // One or two beam returns near a goal far away are not enough to tell what they hit.
         let goal = Point2::new(self.request.goal.x, self.request.goal.y);
-        let reach = model.footprint.circumscribed_radius() + BESIDE;
-        let is_far = (goal - begin.pose.position()).norm() > TOLD_WITHIN + reach;
+        let near = reach(ctx);
+        let is_far = (goal - begin.pose.position()).norm() > TOLD_WITHIN + near;
         self.doubts = no_route.code == error_code::GOAL_OCCUPIED && is_far && ctx.goal.tries.are_left();
         if self.doubts {
-            self.cleared.extend(ctx.map.lone(goal, reach));
+            self.cleared.extend(ctx.map.lone(goal, near));
         }
-        if self.cleared.is_empty() {
+        let Some(ticket) = self.ask_without_what_may_leave(ctx, begin.pose) else {
             return self.given_up(ctx, no_route);
+        };
+        self.stage = Stage::Cleared(ticket, no_route);
+        Searching::Wait("asks what bars the way")
+    }
+
+    /// Transient cells near these places and the goals.
+    pub(super) fn what_may_leave(&self, ctx: &Context, places: &[Point2<f64>]) -> Vec<TransientCell> {
+        let goals = self.request.via.iter().chain([&self.request.goal]);
+        let goals = goals.map(|goal| Point2::new(goal.x, goal.y)).take(MAX_GOALS);
+        let near: Vec<Point2<f64>> = places.iter().copied().chain(goals).collect();
+        let mut cells = ctx.map.transient(&near);
+        // What may leave may still do so when the robot sees another side of it.
+        if let Some(avoided) = &ctx.goal.avoided {
+            let since = Some(avoided.blockage.since);
+            let is_new = |center: &&Point2<f64>| cells.iter().all(|cell| (cell.center - **center).norm() > SAME_CELL);
+            let more: Vec<&Point2<f64>> = avoided.standing(ctx).filter(is_new).collect();
+            cells.extend(more.into_iter().map(|center| TransientCell { center: *center, since }));
+        }
+        cells
+    }
+
+    /// Asks for a path as if the transient cells had left; `None` if there are none.
+    pub(super) fn ask_without_what_may_leave(&self, ctx: &mut Context, start: Pose2) -> Option<Ticket> {
+        let (model, map) = (ctx.robot.model().cloned()?, ctx.map.newest()?);
+        if self.cleared.is_empty() {
+            return None;
         }
         let request = PlanRequest {
             cleared: self.cleared.iter().map(|cell| cell.center).collect(),
-            ..self.plan_request(ctx, model, map, begin.pose)
+            ..self.plan_request(ctx, model, map, start)
         };
-        let ask = Ask::Motion(Box::new(MotionRequest::Plan(request)));
-        self.stage = Stage::Cleared(ctx.asks.ask(ask), no_route);
-        Searching::Wait("asks what bars the way")
+        Some(ctx.asks.ask(Ask::Motion(Box::new(MotionRequest::Plan(request)))))
     }
 
     /// The answer to that request.
@@ -204,18 +255,8 @@ impl Search {
         no_route: NoRoute,
         answer: Result<Answer, NoAnswer>,
     ) -> Searching {
-        let path = match answer {
-            Ok(Answer::Motion(reply)) => match *reply {
-                MotionReply::Plan(PlanReply {
-                    outcome: PlanOutcome::Found { path, .. },
-                    ..
-                }) => path,
-                _ => Vec::new(),
-            },
-            _ => Vec::new(),
-        };
         let cells = std::mem::take(&mut self.cleared);
-        self.wait(ctx, &path, &cells, no_route)
+        self.wait(ctx, &path_of(answer), &cells, no_route)
     }
 
     /// There is a path, but it cannot be driven. Somebody seen from one side only may stand at one of its ends: at the goal, or so near to
@@ -227,7 +268,7 @@ impl Search {
         path: &[Point2<f64>],
         no_route: NoRoute,
     ) -> Searching {
-        if ctx.config.settings.patience <= 0.0 || self.request.from.is_some() {
+        if !self.may_wait(ctx) {
             return self.given_up(ctx, no_route);
         }
         let ends = [
@@ -268,9 +309,7 @@ impl Search {
         cells: &[TransientCell],
         no_route: NoRoute,
     ) -> Searching {
-        let model = ctx.robot.model();
-        let radius = model.map_or(0.0, |model| model.footprint.circumscribed_radius());
-        let Some(mut waiting) = Waiting::on(path, cells, radius + BESIDE, ctx.now) else {
+        let Some(mut waiting) = Waiting::on(path, cells, reach(ctx), ctx.now) else {
             return self.given_up(ctx, no_route);
         };
         if self.doubts {
@@ -286,11 +325,16 @@ impl Search {
             .goal
             .unseen_until
             .map_or(f64::INFINITY, |until| ctx.now.secs_since(until));
-        if waiting.stood(ctx.now).min(seen) > ctx.config.settings.patience {
+        if waiting.stood(ctx.now).min(seen) > patience(ctx) {
             let reason = format!("{}; {}", no_route.reason, waiting.given_up(ctx.now));
             self.waiting = None;
             return Searching::Failed(NoRoute { reason, ..no_route });
         }
+        self.wait_for(ctx, waiting)
+    }
+
+    /// Waits for an obstacle, until the next path request.
+    pub(super) fn wait_for(&mut self, ctx: &Context, waiting: Waiting) -> Searching {
         if self.waiting.is_none() {
             tracing::info!(goal = ctx.goal.id, what = waiting.said(ctx.now), "the way is barred");
         }
@@ -310,6 +354,34 @@ impl Search {
     }
 }
 
+/// How long an obstacle is waited for, s: until the goal's deadline, at which the goal ends; without one, as long as the setting says.
+pub(super) fn patience(ctx: &Context) -> f64 {
+    match ctx.goal.deadline {
+        Some(_) => f64::INFINITY,
+        None => ctx.config.settings.patience,
+    }
+}
+
+/// Distance from the robot's centre within which an obstacle may touch it, m.
+pub(super) fn reach(ctx: &Context) -> f64 {
+    let model = ctx.robot.model();
+    model.map_or(0.0, |model| model.footprint.circumscribed_radius()) + BESIDE
+}
+
+/// The path of an answer; empty without one.
+pub(super) fn path_of(answer: Result<Answer, NoAnswer>) -> Vec<Point2<f64>> {
+    match answer {
+        Ok(Answer::Motion(reply)) => match *reply {
+            MotionReply::Plan(PlanReply {
+                outcome: PlanOutcome::Found { path, .. },
+                ..
+            }) => path,
+            _ => Vec::new(),
+        },
+        _ => Vec::new(),
+    }
+}
+
 /// Turns a robot at rest towards a place outside the view of all its lidars: an obstacle that leaves there would stay in the map.
 pub(crate) fn look_at(ctx: &mut Context, place: Point2<f64>) {
     let looked = ctx.goal.looked.is_some_and(|at| ctx.now.secs_since(at) < VIEW.1);
@@ -325,7 +397,7 @@ pub(crate) fn look_at(ctx: &mut Context, place: Point2<f64>) {
     }
 }
 
-/// Requests a manoeuvre of a robot at rest, if allowed. Its completion shows in the robot's pose.
+/// Requests a maneuver of a robot at rest, if allowed. Its completion shows in the robot's pose.
 fn ask_behaviour(ctx: &mut Context, action: BehaviourAction) -> bool {
     let Some(epoch) = ctx.lease.epoch() else {
         return false;
