@@ -10,6 +10,7 @@ use clap::{Args, Subcommand};
 use serde::Serialize;
 use zenav_protocol::bus::Bus;
 use zenav_protocol::config_text::OutOfBounds;
+use zenav_protocol::messages::InfoRequest;
 use zenav_protocol::topics;
 
 use super::files::{self, Target};
@@ -336,7 +337,6 @@ fn compare(layout: &Layout<'_>, link: &LinkArgs, format: Format) -> Outcome {
                 State::Runs => "runs",
                 State::Missing => "MISSING",
                 State::Unnamed => "not in the file",
-                State::NotAnnounced => "not announced",
             };
             vec![row.host.clone(), row.part.clone(), state.to_owned(), row.detail.clone()]
         };
@@ -345,9 +345,7 @@ fn compare(layout: &Layout<'_>, link: &LinkArgs, format: Format) -> Outcome {
             &rows.iter().map(row).collect::<Vec<_>>(),
         )
     })?;
-    let is_well = findings
-        .iter()
-        .all(|finding| matches!(finding.state, State::Runs | State::NotAnnounced));
+    let is_well = findings.iter().all(|finding| finding.state == State::Runs);
     Ok(if is_well { exit_code::OK } else { exit_code::FAILED })
 }
 
@@ -419,6 +417,7 @@ async fn fill(seen: &mut Seen, bus: &Bus) -> Result<(), Failure> {
                 .insert((*worker).to_owned());
         }
     }
+    seen.gateways = gateways(bus).await?;
     let mut leading = BTreeMap::new();
     let until = tokio::time::Instant::now() + GLANCE;
     while let Ok(Some(received)) = tokio::time::timeout_at(until, statuses.next()).await {
@@ -428,4 +427,42 @@ async fn fill(seen: &mut Seen, bus: &Bus) -> Result<(), Failure> {
     }
     seen.orchestrators = leading;
     Ok(())
+}
+
+/// Number of gateways that answer.
+async fn gateways(bus: &Bus) -> Result<usize, Failure> {
+    let answers = bus.ask_all(&topics::PART_INFO, &["*"], &InfoRequest {}, GLANCE).await?;
+    let parts = answers.into_iter().filter_map(|answer| answer.result.ok());
+    Ok(parts.filter(|info| info.component == "gateway").count())
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use zenav_protocol::bus::{BusConfig, Router, RouterConfig};
+
+    use super::*;
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_gateway_is_seen_on_the_bus_as_long_as_it_answers() {
+        let free = RouterConfig {
+            listen: vec!["tcp/127.0.0.1:0".to_owned()],
+            ..RouterConfig::default()
+        };
+        let router = Router::open(&free).await.unwrap();
+        let open = async |name: &str| {
+            let config = BusConfig::service(name, &router.endpoints().await[0]);
+            Bus::open(config).await.unwrap()
+        };
+        let (gateway, operator) = (open("gateway").await, open("operator").await);
+        let seen = async |count| {
+            let look = async { while gateways(&operator).await.unwrap() != count {} };
+            tokio::time::timeout(Duration::from_secs(60), look).await.unwrap();
+        };
+        seen(0).await;
+        gateway.serve_info("gateway", "", BTreeMap::new()).unwrap();
+        seen(1).await;
+        gateway.close().await;
+        seen(0).await;
+    }
 }

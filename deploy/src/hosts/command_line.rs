@@ -4,7 +4,7 @@
 
 use std::net::IpAddr;
 
-use super::layout::{Host, Layout, METRICS_PORT, host_of};
+use super::layout::{Host, Layout, METRICS_PORT, host_of, is_loopback};
 use super::part::Part;
 use crate::config::Profile;
 
@@ -109,6 +109,13 @@ pub(super) fn arguments(layout: &Layout<'_>, host: &Host, part: &Part, place: &P
             for other in layout.dialled_by_router(host) {
                 line.flag("--connect", dial(other, &Part::Router));
             }
+            let router = &layout.deployment.router;
+            for other in &router.connect {
+                line.flag("--connect", other.clone());
+            }
+            if !router.rest.is_empty() {
+                line.flag("--rest", router.rest.clone());
+            }
         }
         Part::World => {
             let simulation = &layout.deployment.simulation;
@@ -155,16 +162,14 @@ pub(super) fn arguments(layout: &Layout<'_>, host: &Host, part: &Part, place: &P
     if matches!(part, Part::Edge(_) | Part::Mapping(_) | Part::Mission(_)) {
         line.flag("--data", place.data.clone());
     }
-    match (listen, layout.profile) {
-        (Some(listen), Profile::Open) => {
-            line.flag("--listen", listen);
-            line.words(&["--insecure"]);
-        }
-        (Some(listen), Profile::Mtls) => line.flag("--listen", listen),
-        (None, _) => {}
+    let is_reachable = listen.is_some() || !is_loopback(&place.metrics);
+    if let Some(listen) = listen {
+        line.flag("--listen", listen);
     }
-    if layout.profile == Profile::Mtls {
-        line.flag("--identity", place.identity.clone());
+    match layout.profile {
+        Profile::Open if is_reachable => line.words(&["--insecure"]),
+        Profile::Open => {}
+        Profile::Mtls => line.flag("--identity", place.identity.clone()),
     }
     line.flag("--metrics", place.metrics.clone());
     line.0

@@ -5,9 +5,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use zenav_protocol::config_text::OutOfBounds;
 use zenav_protocol::id::Id;
 
-use super::layout::{EDGE_PORT, Host, is_loopback, port_of};
+use super::layout::{EDGE_PORT, Host, ROUTER_PORT, host_of, is_loopback, port_of};
 use super::part::{Part, is_label};
-use crate::config::{Deployment, HostSection, Role};
+use crate::config::{Deployment, HostSection, Role, RouterSection};
 
 /// Most letters of a host's and a part's name together: Kubernetes appends eleven, and a label holds 63.
 const MOST_LETTERS: usize = 52;
@@ -26,6 +26,7 @@ pub(super) fn of(deployment: &Deployment) -> Vec<OutOfBounds> {
     }
     found.of_places(deployment, &parsed);
     found.of_ports(deployment, &parsed);
+    found.of_routers(deployment, &parsed);
     found.of_robots(deployment, &parsed);
     found.0
 }
@@ -231,7 +232,11 @@ impl Found {
             for part in parts {
                 let listens = host.port(deployment, part);
                 let page = port_of(&deployment.gateway.settings.listen).filter(|_| *part == Part::Gateway);
-                for port in [listens, page, Some(host.metrics_port(part))].into_iter().flatten() {
+                let rest = port_of(&deployment.router.rest).filter(|_| *part == Part::Router);
+                for port in [listens, page, rest, Some(host.metrics_port(part))]
+                    .into_iter()
+                    .flatten()
+                {
                     let who = format!("`{part}` of {name}");
                     if let Some(other) = taken.insert((section.address.as_str(), port), who.clone()) {
                         self.add(
@@ -245,6 +250,41 @@ impl Found {
                     }
                 }
             }
+        }
+    }
+
+    /// Settings of the router that cannot hold for the routers of all hosts.
+    fn of_routers(&mut self, deployment: &Deployment, parsed: &Parsed<'_>) {
+        let RouterSection {
+            listen, connect, rest, ..
+        } = &deployment.router;
+        if *listen != RouterSection::default().listen {
+            self.add(
+                "router.listen",
+                format!(
+                    "is set: the router of a host listens on port {ROUTER_PORT} of all its addresses; expected none"
+                ),
+            );
+        }
+        for endpoint in connect {
+            let is_it = |name: &str| deployment.hosts[name].address == host_of(endpoint);
+            let mut routers = parsed.iter().filter(|(_, parts)| parts.contains(&Part::Router));
+            if port_of(endpoint) == Some(ROUTER_PORT)
+                && let Some((name, _)) = routers.find(|(name, _)| is_it(name))
+            {
+                self.add(
+                    "router.connect",
+                    format!(
+                        "names `{endpoint}`, the router of {name}: expected routers that are not in the file; those that are link to one another"
+                    ),
+                );
+            }
+        }
+        if !rest.is_empty() && !is_loopback(rest) {
+            self.add(
+                "router.rest",
+                format!("is `{rest}`: expected an address of loopback, for this host's own programs"),
+            );
         }
     }
 

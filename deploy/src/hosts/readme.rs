@@ -53,7 +53,7 @@ pub(super) fn text(layout: &Layout<'_>, wanted: &dyn Fn(Target) -> bool) -> Stri
             text,
             "\n## Containers\n\nThe image is `{IMAGE}`, or what `ZENAV_IMAGE` names. On each host, with `etc` copied to `/etc/zenav`: \
              `docker compose -f hosts/NAME/compose.yaml up -d`{}. All of it on this machine, each part with an address of its own: \
-             `docker compose up -d`.",
+             `docker compose up -d`. Where Compose is a separate program, write `docker-compose` instead of `docker compose`.",
             match layout.profile {
                 Profile::Mtls =>
                     ", after `chown -R 65532:65532 /etc/zenav-identity`: the containers' user reads the keys",

@@ -1,6 +1,6 @@
 //! Running deployment. Compares a deployment with the parts announced on the bus, including those that it does not name. Pure.
 //!
-//! Parts are seen by liveliness: a frozen part is seen until its link ends. Gateways announce nothing.
+//! Parts are seen by liveliness: a frozen part is seen until its link ends. Gateways have no token: they are seen by their answer to `info`.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -20,6 +20,8 @@ pub struct Seen {
     pub workers: BTreeMap<String, BTreeSet<String>>,
     /// Number of orchestrators of each robot: the leader and its standbys.
     pub orchestrators: BTreeMap<String, usize>,
+    /// Number of gateways that answer.
+    pub gateways: usize,
 }
 
 /// State of a part compared with the deployment.
@@ -32,8 +34,6 @@ pub enum State {
     Missing,
     /// It runs, but the deployment does not name it.
     Unnamed,
-    /// It announces nothing.
-    NotAnnounced,
 }
 
 /// Result for one part.
@@ -141,7 +141,14 @@ fn judge(layout: &Layout<'_>, host: &Host, part: &Part, seen: &Seen) -> Finding 
                 several => (State::Runs, format!("{several} workers")),
             }
         }
-        Part::Gateway => (State::NotAnnounced, String::new()),
+        Part::Gateway => {
+            // Whose gateway answers is unknown: if one of two is missing, it may be either.
+            let meant = layout.parts().filter(|(_, part)| **part == Part::Gateway).count();
+            match seen.gateways {
+                there if there >= meant => (State::Runs, String::new()),
+                there => (State::Missing, format!("{there} of {meant} gateways answer")),
+            }
+        }
     };
     Finding {
         host: host.name.clone(),

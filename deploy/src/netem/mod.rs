@@ -1,4 +1,5 @@
-//! `zenav netem`: a TCP proxy that imitates a bad link with delay, rate limit, stalls and cuts; needs no root.
+//! `zenav netem`: a TCP proxy that imitates a bad link with delay, rate limit, stalls and cuts; needs no root. All its connections share the
+//! one link.
 //!
 //! | file | answers |
 //! |---|---|
@@ -10,6 +11,7 @@ mod script;
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
@@ -23,7 +25,7 @@ use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::launch::runtime;
 use link::{Impairment, Link};
-use script::Script;
+pub use script::Script;
 
 /// Largest piece forwarded at once, bytes.
 const PIECE: usize = 16 * 1024;
@@ -53,7 +55,7 @@ pub struct NetemArgs {
     /// Largest additional delay, random for each piece
     #[arg(long, value_name = "TIME", default_value = "0ms", value_parser = script::duration)]
     jitter: Duration,
-    /// Rate each way in bits per second, such as 256kbit [default: unlimited]
+    /// Rate each way in bits per second, such as 256kbit, shared by all connections [default: unlimited]
     #[arg(long, value_name = "RATE")]
     rate: Option<String>,
     /// Length of random stalls and mean time between them, such as 500ms/10s
@@ -122,6 +124,35 @@ fn timeline(args: &NetemArgs) -> Result<Script, Failure> {
     Ok(script)
 }
 
+/// One direction of the link, shared by all connections.
+#[derive(Clone)]
+struct Shared(Arc<Mutex<Link>>);
+
+impl Shared {
+    fn new(link: Link) -> Self {
+        Self(Arc::new(Mutex::new(link)))
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Link> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Waits until the queue before the link has room, which other connections take too, and returns the most bytes to read then.
+    async fn room(&self, start: Instant) -> usize {
+        loop {
+            let now = start.elapsed();
+            let (full, most) = {
+                let link = self.lock();
+                (link.full_for(now), link.piece(now, PIECE))
+            };
+            if full.is_zero() {
+                return most;
+            }
+            tokio::time::sleep(full).await;
+        }
+    }
+}
+
 /// Forwards every connection until accepting fails.
 async fn serve(listener: &TcpListener, to: &str, script: &Script, seed: u64) -> std::io::Error {
     let start = Instant::now();
@@ -137,19 +168,18 @@ async fn serve(listener: &TcpListener, to: &str, script: &Script, seed: u64) -> 
         // No further resets; the channel must stay open.
         reset.closed().await;
     });
-    let mut connections = 0_u64;
+    // Each direction has its own random numbers.
+    let link = |way: u64| {
+        let seed = seed.wrapping_mul(1_000_003).wrapping_add(way);
+        Shared::new(Link::new(script.changes.clone(), script.cuts.clone(), seed))
+    };
+    let (up, down) = (link(0), link(1));
     let error = loop {
         let (client, peer) = match listener.accept().await {
             Ok(accepted) => accepted,
             Err(error) => break error,
         };
-        connections += 1;
-        // Both directions, each with its own random numbers.
-        let link = |way: u64| {
-            let seed = seed.wrapping_mul(1_000_003).wrapping_add(2 * connections + way);
-            Link::new(script.changes.clone(), script.cuts.clone(), seed)
-        };
-        let (up, down, to, mut resets) = (link(0), link(1), to.to_owned(), resets.clone());
+        let (up, down, to, mut resets) = (up.clone(), down.clone(), to.to_owned(), resets.clone());
         resets.mark_unchanged();
         tokio::spawn(async move {
             tracing::info!(%peer, "connected");
@@ -167,7 +197,7 @@ async fn serve(listener: &TcpListener, to: &str, script: &Script, seed: u64) -> 
 }
 
 /// Forwards one connection until both sides have closed it.
-async fn connect(client: TcpStream, to: &str, up: Link, down: Link, start: Instant) -> std::io::Result<()> {
+async fn connect(client: TcpStream, to: &str, up: Shared, down: Shared, start: Instant) -> std::io::Result<()> {
     let server = first_of(to, async |address| socket(address)?.connect(address).await).await?;
     client.set_nodelay(true)?;
     server.set_nodelay(true)?;
@@ -213,18 +243,17 @@ fn socket(address: SocketAddr) -> std::io::Result<TcpSocket> {
 }
 
 /// One direction of a connection.
-async fn pass(mut from: OwnedReadHalf, mut to: OwnedWriteHalf, mut link: Link, start: Instant) -> std::io::Result<()> {
+async fn pass(mut from: OwnedReadHalf, mut to: OwnedWriteHalf, link: Shared, start: Instant) -> std::io::Result<()> {
     let (sender, mut under_way) = mpsc::channel::<(Duration, Vec<u8>)>(UNDER_WAY);
     let reading = async move {
         let mut buffer = vec![0; PIECE];
         loop {
-            tokio::time::sleep(link.full_for(start.elapsed())).await;
-            let most = link.piece(start.elapsed(), PIECE);
+            let most = link.room(start).await;
             let bytes = from.read(buffer.get_mut(..most).unwrap_or_default()).await?;
             let Some(piece) = buffer.get(..bytes).filter(|piece| !piece.is_empty()) else {
                 return std::io::Result::Ok(());
             };
-            let arrival = link.arrival(start.elapsed(), bytes);
+            let arrival = link.lock().arrival(start.elapsed(), bytes);
             if sender.send((arrival, piece.to_vec())).await.is_err() {
                 return Ok(());
             }
@@ -248,4 +277,49 @@ async fn pass(mut from: OwnedReadHalf, mut to: OwnedWriteHalf, mut link: Link, s
 /// `HOST:PORT`, with or without `tcp/` before it.
 fn address(text: &str) -> Result<String, String> {
     crate::connect::address(text.strip_prefix("tcp/").unwrap_or(text))
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    /// Bytes that each connection sends.
+    const SENT: usize = 16_000;
+
+    /// Sends over one connection; returns once the last byte has left.
+    async fn send(address: SocketAddr) -> std::io::Result<()> {
+        let mut stream = TcpStream::connect(address).await?;
+        stream.write_all(&[7; SENT]).await?;
+        stream.shutdown().await
+    }
+
+    /// Receives what one connection sends.
+    async fn receive(listener: &TcpListener) -> std::io::Result<usize> {
+        let (mut stream, _) = listener.accept().await?;
+        let mut bytes = Vec::new();
+        stream.read_to_end(&mut bytes).await
+    }
+
+    #[tokio::test]
+    async fn two_connections_share_the_rate_of_one_link() {
+        let (proxy, server) = (
+            listen("127.0.0.1:0").await.unwrap(),
+            listen("127.0.0.1:0").await.unwrap(),
+        );
+        let (address, to) = (proxy.local_addr().unwrap(), server.local_addr().unwrap().to_string());
+        let script = Script::from_start(Impairment {
+            rate: Some(32_000.0),
+            ..Impairment::default()
+        });
+        let begun = Instant::now();
+        let transfer = async { tokio::try_join!(send(address), send(address), receive(&server), receive(&server)) };
+        let (.., first, second) = tokio::select! {
+            transferred = transfer => transferred.unwrap(),
+            error = serve(&proxy, &to, &script, 0) => panic!("{error}"),
+        };
+        assert_eq!((first, second), (SENT, SENT));
+        // 32,000 bytes at 32,000 bytes a second.
+        assert!(begun.elapsed() >= Duration::from_secs(1), "{:?}", begun.elapsed());
+    }
 }

@@ -17,11 +17,11 @@ use super::link::{Change, Cut, Impairment};
 
 /// Impairments of a link over time.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Script {
-    pub changes: Vec<Change>,
-    pub cuts: Vec<Cut>,
+pub struct Script {
+    pub(super) changes: Vec<Change>,
+    pub(super) cuts: Vec<Cut>,
     /// Times at which every connection is closed.
-    pub resets: Vec<Duration>,
+    pub(super) resets: Vec<Duration>,
 }
 
 impl Script {
@@ -37,7 +37,7 @@ impl Script {
     ///
     /// # Errors
     /// The line, and what was expected there.
-    pub(super) fn read(&mut self, text: &str) -> Result<(), String> {
+    pub fn read(&mut self, text: &str) -> Result<(), String> {
         for (number, line) in (1_usize..).zip(text.lines()) {
             let line = line.split('#').next().unwrap_or_default();
             let words: Vec<&str> = line.split_whitespace().collect();

@@ -11,6 +11,8 @@ use crate::usage::Held;
 
 /// Bytes of a MiB.
 const MIB: f64 = 1024.0 * 1024.0;
+/// Seconds of an hour.
+const HOUR: f64 = 3600.0;
 /// Fewest faults in a third of a run: fewer do not show growth.
 const FEWEST: usize = 5;
 
@@ -65,13 +67,15 @@ pub fn faults(time: Duration, seed: u64) -> impl Iterator<Item = Fault> + Send {
     })
 }
 
-/// Resources of a lasting part: medians of the second third of a run and of the last.
+/// Resources of a lasting part in the second third of a run and in the last; in the first it settles.
 #[derive(Clone, Debug)]
 pub struct Growth {
     /// The part.
     pub part: &'static str,
     /// Medians of the second third and of the last.
     pub held: [Held; 2],
+    /// Slope of the line that fits the resident memory of both thirds best (least squares), MiB an hour.
+    pub hourly: f64,
     /// Processor time per second of wall time.
     pub cores: f64,
 }
@@ -83,11 +87,16 @@ impl Growth {
         self.held.map(|held| held.memory as f64 / MIB)
     }
 
-    /// Whether it has not grown by more than a tenth and 2 MiB, 4 handles and 2 threads.
+    /// Whether it has not grown by more than a tenth and 2 MiB, from the second third to the last and in an hour, nor by more than 4 handles
+    /// and 2 threads.
     #[must_use]
     pub fn is_flat(&self) -> bool {
         let ([then, now], [before, after]) = (self.memory(), self.held);
-        now <= 1.1 * then + 2.0 && after.handles <= before.handles + 4 && after.threads <= before.threads + 2
+        let most = 0.1 * then + 2.0;
+        now - then <= most
+            && self.hourly <= most
+            && after.handles <= before.handles + 4
+            && after.threads <= before.threads + 2
     }
 }
 
@@ -117,10 +126,22 @@ pub fn growth(findings: &Findings) -> Result<Vec<Growth>, String> {
         Ok(Growth {
             part,
             held: [then, now],
+            hourly: hourly(&all[third..]),
             cores,
         })
     };
     LASTING.into_iter().map(of).collect()
+}
+
+/// Slope of the least-squares line through the resident memory over time, MiB an hour.
+fn hourly(all: &[(f64, Held)]) -> f64 {
+    let points = || all.iter().map(|(secs, held)| (*secs, held.memory as f64 / MIB));
+    let count = all.len() as f64;
+    let (secs, memory) = points().fold((0.0, 0.0), |sums, point| (sums.0 + point.0, sums.1 + point.1));
+    let from_mean = || points().map(move |point| (point.0 - secs / count, point.1 - memory / count));
+    let covariance: f64 = from_mean().map(|(secs, memory)| secs * memory).sum();
+    let variance: f64 = from_mean().map(|(secs, _)| secs * secs).sum();
+    HOUR * covariance / variance
 }
 
 fn median(all: &[(f64, Held)]) -> Held {
@@ -141,6 +162,7 @@ fn median(all: &[(f64, Held)]) -> Held {
 mod tests {
     use super::*;
 
+    /// Half an hour, a minute a fault, in which every part grows by so much a minute.
     fn growing(bytes: u64) -> Findings {
         let mut findings = Findings::default();
         for nth in 0..30 {
@@ -156,7 +178,7 @@ mod tests {
                     .entry(part.to_owned())
                     .or_insert((1, Vec::new()))
                     .1
-                    .push((nth as f64, now));
+                    .push((60.0 * nth as f64, now));
             }
             findings.rows.push(super::super::trial::Row {
                 fault: Fault::Kill(REPLACED[0]),
@@ -169,9 +191,25 @@ mod tests {
     }
 
     #[test]
-    fn what_only_grows_is_seen_and_what_flickers_is_not() {
-        assert!(growth(&growing(100_000)).unwrap().iter().all(Growth::is_flat));
-        assert!(!growth(&growing(1_000_000)).unwrap().iter().any(Growth::is_flat));
+    fn what_grows_by_more_than_a_tenth_in_an_hour_is_seen_in_half_of_it() {
+        let mib = |parts: &[Growth]| parts[0].memory()[1] - parts[0].memory()[0];
+        let [flat, slow, fast] = [80_000, 300_000, 1_000_000].map(|bytes| growth(&growing(bytes)).unwrap());
+        assert!(flat.iter().all(Growth::is_flat), "{flat:?}");
+        assert!(mib(&slow) < 3.0 && !slow.iter().any(Growth::is_flat), "{slow:?}");
+        assert!(mib(&fast) > 9.0 && !fast.iter().any(Growth::is_flat), "{fast:?}");
+        assert!((slow[0].hourly - 300_000.0 * 60.0 / MIB).abs() < 1e-6, "{slow:?}");
+    }
+
+    #[test]
+    fn what_flickers_does_not_grow() {
+        let mut findings = growing(0);
+        for (_, all) in findings.held.values_mut() {
+            for (nth, (_, held)) in all.iter_mut().enumerate() {
+                held.memory += (nth as u64 % 3) * 1024 * 1024;
+            }
+        }
+        let flickers = growth(&findings).unwrap();
+        assert!(flickers.iter().all(Growth::is_flat), "{flickers:?}");
     }
 
     #[test]

@@ -164,6 +164,49 @@ fn what_cannot_be_is_told_by_key_and_with_what_was_expected() {
 }
 
 #[test]
+fn the_router_s_rest_and_further_routers_are_rendered_and_what_cannot_be_is_refused() {
+    let with = |router: &str| deployment(&format!("[router]\n{router}\n{FLEET}"));
+    let linked = with("rest = \"127.0.0.1:8000\"\nconnect = [\"quic/other.example.org:7447\"]");
+    let files = render(&Layout::of(&linked).unwrap(), &[], Target::Systemd).unwrap();
+    for (path, text) in files.iter().filter(|(path, _)| path.ends_with(".service")) {
+        let is_router = path.ends_with("zenav-router.service");
+        let line = text.lines().find(|line| line.starts_with("ExecStart=")).unwrap();
+        for flags in [" --rest 127.0.0.1:8000 ", " --connect quic/other.example.org:7447 "] {
+            assert_eq!(line.contains(flags), is_router, "{path}: {line}");
+        }
+    }
+    for (router, key, why) in [
+        (
+            "rest = \"0.0.0.0:8000\"",
+            "router.rest",
+            "expected an address of loopback",
+        ),
+        (
+            "rest = \"127.0.0.1:9464\"",
+            "hosts.fleet-a.address",
+            "listen on port 9464",
+        ),
+        (
+            "connect = [\"quic/fleet-b.example.org:7447\"]",
+            "router.connect",
+            "the router of fleet-b",
+        ),
+        (
+            "listen = [\"tcp/0.0.0.0:7500\"]",
+            "router.listen",
+            "listens on port 7447",
+        ),
+    ] {
+        let refused = with(router);
+        let problems = Layout::of(&refused).map(|_| ()).unwrap_err();
+        assert!(
+            problems[0].key == key && problems[0].problem.contains(why),
+            "{router}: {problems:#?}"
+        );
+    }
+}
+
+#[test]
 fn loopback_is_what_an_address_is_and_not_what_it_contains() {
     for (endpoint, expected) in [
         ("tcp/127.0.0.1:7450", true),
@@ -221,10 +264,10 @@ fn what_does_not_show_on_the_bus_is_missing_and_what_nobody_named_is_told() {
         ]
         .into(),
         orchestrators: ["anna", "bert_2", "carl"].map(|robot| (robot.to_owned(), 2)).into(),
+        gateways: 1,
     };
-    let is_well = |state| matches!(state, State::Runs | State::NotAnnounced);
     let well = compare(&layout, &seen);
-    assert!(well.iter().all(|finding| is_well(finding.state)), "{well:#?}");
+    assert!(well.iter().all(|finding| finding.state == State::Runs), "{well:#?}");
     assert_eq!(well.len(), layout.parts().count());
 
     let worse = Seen {
@@ -232,10 +275,11 @@ fn what_does_not_show_on_the_bus_is_missing_and_what_nobody_named_is_told() {
         robots: robots(&["anna", "carl", "stranger"]),
         workers: [("motion".to_owned(), set(&["fleet-a-1", "elsewhere-1"]))].into(),
         orchestrators: [("anna".to_owned(), 1), ("carl".to_owned(), 2)].into(),
+        gateways: 0,
     };
     let found: BTreeSet<String> = compare(&layout, &worse)
         .into_iter()
-        .filter(|finding| !is_well(finding.state))
+        .filter(|finding| finding.state != State::Runs)
         .map(|finding| format!("{} {} {:?}", finding.host, finding.part, finding.state))
         .collect();
     let expected = [
@@ -243,6 +287,7 @@ fn what_does_not_show_on_the_bus_is_missing_and_what_nobody_named_is_told() {
         "fleet-b motion Missing",
         "fleet-a mission Missing",
         "fleet-b mission Missing",
+        "fleet-b gateway Missing",
         "site world Missing",
         "site mapping:bert_2 Missing",
         "robot-b edge:bert_2 Missing",

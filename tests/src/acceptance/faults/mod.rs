@@ -12,17 +12,20 @@
 //! | `rig` | how are the parts started, cut off, killed and frozen? |
 //! | `watch` | what does the robot do meanwhile, seen over an unimpaired link? |
 //! | `run` | how does one row run? |
+//! | `result` | what was found, and which limits were missed? |
 //! | `table` | how are the results reported? |
 
 mod flood;
+mod result;
 mod rig;
 mod rows;
 mod run;
 mod table;
 mod watch;
 
-pub use rows::{Row, all, short};
-pub use run::{Result, run};
+pub use result::{Memory, Result, Slowdown, compare};
+pub use rows::{Row, all, select, short};
+pub use run::run;
 pub use table::{OwnNetwork, markdown};
 
 /// Environment variable that is set if a row runs in its own network.

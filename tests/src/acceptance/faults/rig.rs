@@ -1,5 +1,6 @@
 //! Rig. Starts, cuts off, kills and freezes the parts.
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -273,16 +274,14 @@ impl Rig {
             .map(|(_, process)| process)
     }
 
-    /// Memory of every part, MiB.
+    /// Memory of every part, MiB, by part and process.
     #[must_use]
-    pub fn memory(&self) -> Vec<(&'static str, f64)> {
-        let mut parts: Vec<_> = self.parts.iter().collect();
-        parts.sort_by_key(|(part, _)| *part);
+    pub fn memory(&self) -> BTreeMap<(Part, u32), f64> {
         let resident = |(part, process): &(Part, Process)| {
             let bytes = memory(process.id()).unwrap_or_default();
-            (part.name(), bytes as f64 / (1024.0 * 1024.0))
+            ((*part, process.id()), bytes as f64 / (1024.0 * 1024.0))
         };
-        parts.into_iter().map(resident).collect()
+        self.parts.iter().map(resident).collect()
     }
 
     /// The parts that have ended by themselves, each with the end of its log.

@@ -77,6 +77,9 @@ pub enum Fault {
     Twin(u32),
 }
 
+/// The row of a world without a fault.
+const NO_FAULT: &str = "no fault";
+
 /// One row of the table.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Row {
@@ -131,6 +134,22 @@ impl Row {
         }
     }
 
+    /// Most time of a mission, as a multiple of that without a fault, if it is limited.
+    #[must_use]
+    pub const fn most_slowdown(&self) -> Option<f64> {
+        match self.line {
+            Line::RoundTrip(1000) => Some(1.2),
+            Line::RoundTrip(2000) => Some(2.0),
+            _ => None,
+        }
+    }
+
+    /// Name of the row whose missions those of this one are compared with, if their time is limited.
+    #[must_use]
+    pub fn compared_with(&self) -> Option<String> {
+        self.most_slowdown().map(|_| Self::new(self.place, NO_FAULT).name)
+    }
+
     fn braking(self) -> Self {
         Self {
             name: format!("{}, policy `stop`", self.name),
@@ -145,8 +164,8 @@ impl Row {
 pub fn all() -> Vec<Row> {
     let mut rows = Vec::new();
     for place in [Place::Depot, Place::Kitchen] {
-        rows.push(Row::new(place, "no fault"));
-        for millis in [50, 200, 500, 1000] {
+        rows.push(Row::new(place, NO_FAULT));
+        for millis in [50, 200, 500, 1000, 2000, 5000] {
             let what = format!("round trip {millis} ms");
             rows.push(Row::line(place, &what, Line::RoundTrip(millis)));
         }
@@ -193,6 +212,31 @@ pub fn all() -> Vec<Row> {
     rows
 }
 
+/// The row of this name, or without one all rows whose names contain it; and the rows that their missions are compared with.
+///
+/// # Errors
+/// Without such a row; the message lists all names.
+pub fn select(rows: &[Row], only: &str) -> Result<Vec<Row>, String> {
+    let is_name = rows.iter().any(|row| row.name == only);
+    let wanted: Vec<&Row> = rows
+        .iter()
+        .filter(|row| row.name == only || !is_name && row.name.contains(only))
+        .collect();
+    if wanted.is_empty() {
+        let names: String = rows.iter().map(|row| format!("\n  {}", row.name)).collect();
+        return Err(format!(
+            "--only `{only}`: no such row; expected one of these names, or a part of one:{names}"
+        ));
+    }
+    let compared: Vec<String> = wanted.iter().filter_map(|row| row.compared_with()).collect();
+    let is_compared = |row: &Row| compared.contains(&row.name);
+    Ok(rows
+        .iter()
+        .filter(|row| wanted.contains(row) || is_compared(row))
+        .cloned()
+        .collect())
+}
+
 /// A few representative rows that take a minute and a half.
 #[must_use]
 pub fn short() -> Vec<Row> {
@@ -213,4 +257,42 @@ fn orders() -> [(&'static str, [Part; 5]); 3] {
         ("robot first, router last", [Edge, Mapping, Motion, Mission, Router]),
         ("motion worker last", [Router, Mission, Mapping, Edge, Motion]),
     ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn selected(only: &str) -> Vec<String> {
+        let rows = select(&all(), only).unwrap_or_default();
+        rows.into_iter().map(|row| row.name).collect()
+    }
+
+    #[test]
+    fn a_name_selects_its_row_alone_and_a_part_of_one_all_that_contain_it() {
+        assert_eq!(selected("depot: loss 5 %"), ["depot: loss 5 %"]);
+        assert_eq!(selected("kitchen: flood for 5 s"), ["kitchen: flood for 5 s"]);
+        assert_eq!(selected("loss 5 %").len(), 4, "two worlds, two policies");
+        assert_eq!(selected("").len(), all().len());
+    }
+
+    #[test]
+    fn a_row_whose_slowdown_is_limited_brings_the_one_that_it_is_compared_with() {
+        let name = "kitchen: round trip 1000 ms";
+        assert_eq!(selected(name), ["kitchen: no fault", name]);
+    }
+
+    #[test]
+    fn a_name_of_no_row_is_refused_with_all_names() {
+        let refusal = select(&all(), "nonsense").unwrap_err();
+        assert!(all().iter().all(|row| refusal.contains(&row.name)), "{refusal}");
+    }
+
+    #[test]
+    fn every_row_has_a_name_of_its_own() {
+        let mut names: Vec<String> = all().into_iter().map(|row| row.name).collect();
+        names.sort_unstable();
+        names.dedup();
+        assert_eq!(names.len(), all().len());
+    }
 }

@@ -1,17 +1,18 @@
 //! Run. Runs one row: goals one after the other, and the fault injected and healed while the robot drives.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Duration;
 
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
-use serde::{Deserialize, Serialize};
 use tokio::time::{Instant, sleep, timeout};
 use zenav_protocol::bus::{Bus, Latest};
 use zenav_protocol::messages::{GoalPhase, GoalRequest, GoalState, GoalsRequest};
 use zenav_protocol::topics;
 
 use super::flood::Flood;
+use super::result::{Memory, Result};
 use super::rig::Rig;
 use super::rows::{Fault, Place, Row};
 use super::watch::Watch;
@@ -29,47 +30,6 @@ const LEFT: f64 = 6.0;
 const LONGEST_DRIVE: f64 = 2.0;
 /// Most missions, however few faults were injected.
 const MOST_MISSIONS: usize = 12;
-
-/// The results of a row.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
-pub struct Result {
-    /// Its name.
-    pub name: String,
-    /// Numbers of acknowledged and of succeeded missions.
-    pub missions: (usize, usize),
-    /// Acknowledged goals that the mission no longer knows.
-    pub lost: usize,
-    /// Contacts.
-    pub collisions: usize,
-    /// Motion without a valid horizon.
-    pub invalid: Vec<String>,
-    /// Times from healing until the robot drove again, s; zero if it had not come to rest.
-    pub resumes: Vec<f64>,
-    /// Wall time of each mission, s.
-    pub secs: Vec<f64>,
-    /// Share of this time in which the robot did not drive.
-    pub rest: f64,
-    /// Memory of each part at the end, MiB.
-    pub memory: Vec<(String, f64)>,
-    /// Number of flood messages.
-    pub flooded: usize,
-    /// Other failures.
-    pub failures: Vec<String>,
-}
-
-impl Result {
-    /// Whether the contract held.
-    #[must_use]
-    pub fn is_good(&self) -> bool {
-        let (asked, succeeded) = self.missions;
-        asked > 0
-            && asked == succeeded
-            && self.lost == 0
-            && self.collisions == 0
-            && self.invalid.is_empty()
-            && self.failures.is_empty()
-    }
-}
 
 /// State of a running row.
 struct Running<'a> {
@@ -102,7 +62,11 @@ pub async fn run(binary: PathBuf, row: &Row, seed: u64) -> std::result::Result<R
         faults: 0,
         observed: (0, 0),
     };
+    let mut settled = BTreeMap::new();
     while running.found.missions.0 < row.missions || running.faults < row.times {
+        if running.found.missions.0 == 1 {
+            settled = running.rig.memory();
+        }
         if running.found.missions.0 == MOST_MISSIONS {
             let text = format!("only {} of {} faults were injected", running.faults, row.times);
             running.found.failures.push(text);
@@ -121,7 +85,11 @@ pub async fn run(binary: PathBuf, row: &Row, seed: u64) -> std::result::Result<R
         .rig
         .memory()
         .into_iter()
-        .map(|(part, mib)| (part.to_owned(), mib))
+        .map(|(process, end)| Memory {
+            part: process.0.name().to_owned(),
+            settled: settled.get(&process).copied(),
+            end,
+        })
         .collect();
     found.collisions = running.watch.collisions;
     found.invalid = running.watch.invalid;

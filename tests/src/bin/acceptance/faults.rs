@@ -19,8 +19,8 @@ pub struct Faults {
     /// A few rows only
     #[arg(long)]
     short: bool,
-    /// Rows whose names contain this
-    #[arg(long, default_value = "")]
+    /// The row of this name; without one, rows whose names contain it [default: all]
+    #[arg(long, default_value = "", hide_default_value = true)]
     only: String,
     /// Rows at a time
     #[arg(long, default_value_t = 1)]
@@ -48,10 +48,7 @@ pub fn run(arguments: &Faults) -> Verdict {
         println!("{FOUND}{}", serde_json::to_string(&found)?);
         return Ok(found.is_good());
     }
-    let rows: Vec<Row> = rows
-        .into_iter()
-        .filter(|row| row.name.contains(&arguments.only))
-        .collect();
+    let rows = faults::select(&rows, &arguments.only)?;
     let network = if can_unshare() { OwnNetwork::Yes } else { OwnNetwork::No };
     println!("{} rows, network of their own: {network:?}", rows.len());
     let (next, found) = (AtomicUsize::new(0), Mutex::new(vec![None; rows.len()]));
@@ -72,14 +69,22 @@ pub fn run(arguments: &Faults) -> Verdict {
             });
         }
     });
-    let found: Vec<Result> = found
+    let mut found: Vec<Result> = found
         .into_inner()
         .map_err(|_| "a row panicked")?
         .into_iter()
         .flatten()
         .collect();
+    faults::compare(&rows, &mut found);
+    for result in &found {
+        println!("{}", verdict(result));
+    }
     let short = if arguments.short { " --short" } else { "" };
-    let command = format!("acceptance faults{short} --seed {}", arguments.seed);
+    let only = match arguments.only.as_str() {
+        "" => String::new(),
+        only => format!(" --only \"{only}\""),
+    };
+    let command = format!("acceptance faults{short}{only} --seed {}", arguments.seed);
     let page = faults::markdown(&command, &found, network);
     match &arguments.write {
         Some(path) => std::fs::write(path, page)?,
@@ -88,17 +93,26 @@ pub fn run(arguments: &Faults) -> Verdict {
     Ok(found.len() == rows.len() && found.iter().all(Result::is_good))
 }
 
+/// The figures of a row as soon as it has run. Its verdict may need another row.
 fn line(found: &Result) -> String {
-    let verdict = if found.is_good() { "good" } else { "FELL SHORT" };
     let (asked, succeeded) = found.missions;
     format!(
-        "{}: {verdict}; {succeeded} of {asked} missions, resumes {:.2?}, {:.0} % at rest; {:?} {:?}",
+        "{}: {succeeded} of {asked} missions in {:.1?} s, resumes {:.2?}, {:.0} % at rest; {:?} {:?}",
         found.name,
+        found.secs,
         found.resumes,
         100.0 * found.rest,
         found.failures,
         found.invalid.first()
     )
+}
+
+/// Whether a row is good, or what it missed.
+fn verdict(found: &Result) -> String {
+    match found.is_good() {
+        true => format!("{}: good", found.name),
+        false => format!("{}: FELL SHORT: {}", found.name, found.missed().join("; ")),
+    }
 }
 
 /// Whether a process may have its own network here, and impair it.

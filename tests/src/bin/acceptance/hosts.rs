@@ -30,17 +30,17 @@ pub fn soak(minutes: f64, speed: f64, seed: u64) -> Verdict {
     let findings = run(soak::faults(time, seed), speed)?;
     let growth = soak::growth(&findings)?;
     println!(
-        "{} faults in {minutes} min, {:.0} min of the world's time; medians of the second third, and of the last",
+        "{} faults in {minutes} min, {:.0} min of the world's time; medians of the second third and of the last, and the slope over both",
         findings.rows.len(),
         minutes * speed
     );
-    println!("| part | memory, MiB | handles | threads | cores |\n|---|---|---|---|---|");
+    println!("| part | memory, MiB | MiB an hour | handles | threads | cores |\n|---|---|---|---|---|---|");
     for part in &growth {
         let [then, now] = part.memory();
         let [before, after] = part.held;
         println!(
-            "| {} | {then:.1}, {now:.1} | {}, {} | {}, {} | {:.3} |",
-            part.part, before.handles, after.handles, before.threads, after.threads, part.cores
+            "| {} | {then:.1}, {now:.1} | {:+.1} | {}, {} | {}, {} | {:.3} |",
+            part.part, part.hourly, before.handles, after.handles, before.threads, after.threads, part.cores
         );
     }
     let grown = growth.iter().filter(|part| !part.is_flat());
