@@ -11,7 +11,7 @@ use std::str::FromStr;
 use std::time::Duration;
 
 use tokio::time::Instant;
-use zenav_protocol::bus::{Bus, BusConfig, BusError, link_protocol};
+use zenav_protocol::bus::{Act, Bus, BusConfig, BusError, link_protocol};
 use zenav_protocol::config_text::Expected;
 use zenav_protocol::id::Id;
 use zenav_protocol::topics;
@@ -327,8 +327,9 @@ pub async fn tell_absence(bus: &Bus, robot: Option<&str>) {
 /// The robots with this component, sorted.
 ///
 /// # Errors
-/// [`exit_code::NOT_FOUND`] if none is found within a while.
+/// [`exit_code::NOT_FOUND`] if none is found within a while; an identity that may not see all robots.
 pub async fn with_component(bus: &Bus, component: &str) -> Result<Vec<String>, Failure> {
+    sees_all(bus)?;
     let start = Instant::now();
     loop {
         let alive = robots(bus).await?;
@@ -349,11 +350,21 @@ pub async fn with_component(bus: &Bus, component: &str) -> Result<Vec<String>, F
     }
 }
 
+/// Checks that this process's identity may see all robots; a robot's sees its own alone.
+///
+/// # Errors
+/// [`exit_code::REJECTED`].
+pub fn sees_all(bus: &Bus) -> Result<(), Failure> {
+    let tokens = topics::alive_key(topics::ALIVE_COMPONENT, &["*", "*"]);
+    Ok(bus.check(Act::Hear, &tokens)?)
+}
+
 /// Waits until a dispatcher takes goals for a group.
 ///
 /// # Errors
-/// [`exit_code::NOT_FOUND`] if none does within a while; lists the existing groups.
+/// [`exit_code::NOT_FOUND`] if none does within a while; lists the existing groups. As [`with_component`].
 pub async fn find_group(bus: &Bus, group: &str) -> Result<(), Failure> {
+    sees_all(bus)?;
     let start = Instant::now();
     loop {
         let alive = bus
@@ -386,7 +397,9 @@ pub async fn find_group(bus: &Bus, group: &str) -> Result<(), Failure> {
 ///
 /// # Errors
 /// [`exit_code::NOT_FOUND`] for none or an unknown one, [`exit_code::USAGE`] if there are several; both list the robots found.
+/// [`exit_code::REJECTED`] for a robot that this process's identity may not see.
 pub async fn find(bus: &Bus, wanted: Option<&str>) -> Result<String, Failure> {
+    bus.check(Act::Hear, &topics::STATE.key(&[wanted.unwrap_or("*")]))?;
     let mut states = bus.latest(&topics::STATE, &[wanted.unwrap_or("*")])?;
     let start = Instant::now();
     let mut seen = BTreeSet::new();

@@ -10,7 +10,7 @@ use zenav_observability::logging::{self, Format};
 use zenav_sim::World;
 
 use crate::components::{Parts, places};
-use crate::config::{Deployment, IdentityArgs, Layers};
+use crate::config::{Deployment, Layers, SecurityArgs};
 use crate::connect;
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
@@ -44,7 +44,7 @@ pub struct GatewayArgs {
     #[arg(long)]
     world: Option<String>,
     #[command(flatten)]
-    identity: IdentityArgs,
+    security: SecurityArgs,
     #[command(flatten)]
     health: HealthArgs,
 }
@@ -199,9 +199,9 @@ pub fn gateway(args: &GatewayArgs) -> Outcome {
         deployment.gateway.settings.token_file = Some(file.clone());
     }
     let world = layers.world(args.world.as_deref())?;
-    let security = args.identity.security_of(&deployment)?;
+    let security = args.security.security_of(&deployment)?;
     runtime()?.block_on(async {
-        args.health.serve().await?;
+        args.health.serve(&security).await?;
         let mut parts = Parts::new(security);
         parts.told_gateway(&deployment, &world).await?;
         until_interrupted(parts).await

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use zenav_observability::{server, trace};
+use zenav_protocol::bus::Security;
 
 use crate::connect;
 use crate::exit_code;
@@ -23,11 +24,15 @@ pub(crate) struct HealthArgs {
 }
 
 impl HealthArgs {
-    /// Serves as long as the runtime runs. Started before anything else, so that a part still waiting for a router can be queried too.
+    /// Serves as long as the runtime runs, to other machines only if `security` allows it. Started before anything else, so that a part
+    /// still waiting for a router can be queried too.
     ///
     /// # Errors
-    /// An invalid address, one that is taken, or a file that cannot be created.
-    pub(crate) async fn serve(&self) -> Result<(), Failure> {
+    /// An address that is invalid, taken, or reachable from other machines; a file that cannot be created.
+    pub(crate) async fn serve(&self, security: &Security) -> Result<(), Failure> {
+        if let Some(address) = &self.metrics {
+            security.check_metrics(address)?;
+        }
         if let Some(file) = &self.trace {
             trace::start(file).map_err(|error| Failure::failed(format!("--trace {}: {error}", file.display())))?;
         }

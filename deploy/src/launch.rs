@@ -4,16 +4,19 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use clap::{Args, ValueEnum};
-use zenav_protocol::bus::{Identity, Router, RouterConfig, interrupted, service_manager, threads};
+use tokio::task::JoinHandle;
+use zenav_protocol::bus::{Bus, BusConfig, Identity, Router, RouterConfig, interrupted, service_manager, threads};
 use zenav_protocol::config_text::Expected;
 use zenav_protocol::geometry::Pose2;
 use zenav_sim::World;
 
+use crate::completion;
 use crate::components::{CloudPart, Parts};
-use crate::config::{Deployment, IdentityArgs, Layers, RobotSection, SecurityArgs};
+use crate::config::{Deployment, Layers, RobotSection, SecurityArgs};
 use crate::connect::{self, DEFAULT_ENDPOINT, ROBOT_ENDPOINT, finite};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
+use crate::farewell::Farewell;
 use crate::gateway::{self, PageArgs};
 use crate::greeting::Greeting;
 use crate::health::HealthArgs;
@@ -105,7 +108,7 @@ pub struct UpArgs {
     #[command(flatten)]
     rest: RestArgs,
     /// World, instead of the deployment's
-    #[arg(long)]
+    #[arg(long, add = completion::worlds())]
     world: Option<String>,
     /// Simulated time relative to wall time, instead of the deployment's
     #[arg(long, value_parser = connect::speed)]
@@ -122,6 +125,9 @@ pub struct UpArgs {
     /// Serve live bus traffic to Foxglove, at a loopback address
     #[arg(long, value_name = "ADDRESS:PORT", num_args = 0..=1, default_missing_value = record::FOXGLOVE_LISTEN, value_parser = connect::address)]
     foxglove: Option<String>,
+    /// Accept poses that Foxglove publishes on `/goal` as goals
+    #[arg(long, requires = "foxglove")]
+    goals: bool,
     #[command(flatten)]
     security: SecurityArgs,
     #[command(flatten)]
@@ -167,7 +173,7 @@ struct PartArgs {
     #[arg(long)]
     data: Option<PathBuf>,
     /// World, instead of the deployment's: its places are named goals, and a simulated robot drives in it
-    #[arg(long)]
+    #[arg(long, add = completion::worlds())]
     world: Option<String>,
     /// Run only this robot of the deployment
     #[arg(long)]
@@ -238,7 +244,7 @@ pub struct CloudArgs {
     #[command(flatten)]
     known: KnownMapArgs,
     #[command(flatten)]
-    identity: IdentityArgs,
+    security: SecurityArgs,
 }
 
 /// Runtime for services and commands.
@@ -328,7 +334,7 @@ pub fn up(args: &UpArgs) -> Outcome {
     let security = args.security.security_of(&deployment)?;
     free_robot_endpoint(&mut deployment);
     runtime()?.block_on(async {
-        args.health.serve().await?;
+        args.health.serve(&security).await?;
         let router = if deployment.router.enabled {
             let rest = args.rest.rest.as_ref().unwrap_or(&deployment.router.rest);
             let config = RouterConfig {
@@ -343,9 +349,9 @@ pub fn up(args: &UpArgs) -> Outcome {
         };
         let mut parts = Parts::new(security);
         if let Some(listen) = args.foxglove.clone() {
-            let bus = parts.bus(&deployment, "foxglove");
+            let (bus, goals) = (parts.bus(&deployment, "foxglove"), args.goals);
             parts.spawn("foxglove".to_owned(), bus, move |bus, shutdown| async move {
-                let view = LiveView::start(&bus, None, &listen, false).await?;
+                let view = LiveView::start(&bus, None, &listen, goals).await?;
                 tracing::info!("Foxglove: {}", view.address());
                 bus.started();
                 shutdown.wait().await;
@@ -354,7 +360,11 @@ pub fn up(args: &UpArgs) -> Outcome {
         }
         let started = start_all(&mut parts, &deployment, &world).await;
         let result = match started {
-            Ok(()) => until_interrupted(parts).await,
+            Ok(greeted) => {
+                let ended = until_interrupted(parts).await;
+                farewell(greeted).await;
+                ended
+            }
             Err(failure) => {
                 parts.end().await;
                 Err(failure)
@@ -398,17 +408,38 @@ fn free_robot_endpoint(deployment: &mut Deployment) {
     }
 }
 
-async fn start_all(parts: &mut Parts, deployment: &Deployment, world: &World) -> Result<(), Failure> {
+/// Starts all parts. The task greets once they are ready, and follows what their end would lose.
+async fn start_all(
+    parts: &mut Parts,
+    deployment: &Deployment,
+    world: &World,
+) -> Result<JoinHandle<Option<Farewell>>, Failure> {
     let start = Instant::now();
     parts.edges(deployment, world, None)?;
     parts.cloud(deployment, world, CloudPart::All, "worker")?;
     let page = parts.gateway(deployment, world).await?;
     let (begun, greeting) = (parts.all_begun(), Greeting::new(deployment, world, page));
-    tokio::spawn(async move {
+    let bus = BusConfig {
+        retry: false,
+        ..parts.bus(deployment, "up")
+    };
+    let deployment = deployment.clone();
+    Ok(tokio::spawn(async move {
         begun.await;
-        greeting.tell(start).await;
-    });
-    Ok(())
+        let bus = Bus::open(bus).await.ok();
+        greeting.tell(start, bus.as_ref()).await;
+        Farewell::new(&deployment, bus?).ok()?
+    }))
+}
+
+/// Tells what the end has lost; nothing if it came before the greeting.
+async fn farewell(greeted: JoinHandle<Option<Farewell>>) {
+    if !greeted.is_finished() {
+        greeted.abort();
+    }
+    if let Ok(Some(farewell)) = greeted.await {
+        farewell.tell();
+    }
 }
 
 /// Opens a router, and its REST server if there is an address for it.
@@ -434,7 +465,7 @@ pub fn router(args: &RouterArgs) -> Outcome {
         ..RouterConfig::default()
     };
     let is_outdated = runtime()?.block_on(async {
-        args.health.serve().await?;
+        args.health.serve(&config.security).await?;
         let router = open_router(&config, args.rest.rest.as_deref().unwrap_or_default()).await?;
         service_manager::ready();
         let is_outdated = tokio::select! {
@@ -489,7 +520,7 @@ pub fn edge(args: &EdgeArgs) -> Outcome {
     let world = layers.world(args.part.world.as_deref())?;
     let security = args.security.security_of(&deployment)?;
     runtime()?.block_on(async {
-        args.part.health.serve().await?;
+        args.part.health.serve(&security).await?;
         let mut parts = Parts::new(security);
         parts.edges(&deployment, &world, args.attach_to.as_deref())?;
         until_interrupted(parts).await
@@ -513,9 +544,9 @@ pub fn cloud(args: &CloudArgs) -> Outcome {
         .worker
         .clone()
         .unwrap_or_else(|| format!("worker-{}", std::process::id()));
-    let security = args.identity.security_of(&deployment)?;
+    let security = args.security.security_of(&deployment)?;
     runtime()?.block_on(async {
-        args.part.health.serve().await?;
+        args.part.health.serve(&security).await?;
         let mut parts = Parts::new(security);
         parts.cloud(&deployment, &world, args.service, &worker)?;
         until_interrupted(parts).await

@@ -9,7 +9,7 @@ use zenav_protocol::messages::{EdgeState, InfoReply, InfoRequest, LeaseState, Re
 use zenav_protocol::topics::{self, Ask, Message};
 
 /// A robot that has had no orchestrator that may lead for so long is taken to get none: one may be starting.
-const GRACE: Duration = Duration::from_secs(1);
+const GRACE: Duration = Duration::from_secs(3);
 /// Longest wait for the robot's state, and for the missions' names.
 const WORD: Duration = Duration::from_millis(500);
 /// Pause between two looks.
@@ -17,7 +17,7 @@ const PAUSE: Duration = Duration::from_millis(250);
 /// What helps if no orchestrator that runs may lead.
 pub(crate) const CURE: &str = "`zenav doctor` says which may; `zenav lease forget` if it will not come back";
 
-/// Asks the robot's mission. If none of the missions that run may lead, this fails after a second instead of at the deadline.
+/// Asks the robot's mission. If none of the missions that run may lead, this fails after some seconds instead of at the deadline.
 ///
 /// # Errors
 /// Those of [`Bus::ask`].
@@ -35,7 +35,7 @@ pub(crate) async fn ask<Q: Message, R: Message>(
     }
 }
 
-/// Waits until it is certain that none of the missions that run may lead the robot.
+/// Waits until none of the missions that have answered for some seconds may lead the robot.
 pub(crate) async fn never_led(bus: &Bus, robot: &str) {
     let Ok(mut states) = bus.latest(&topics::STATE, &[robot]) else {
         return std::future::pending().await;

@@ -5,6 +5,7 @@
 //! | `cli` | which commands there are, and their exit codes |
 //! | `config` | what a deployment is made of, and where each value came from |
 //! | `launch` | what `up`, `router`, `edge` and `cloud` run |
+//! | `greeting`, `farewell` | what `up` says when it is ready, and at its end |
 //! | `components` | how the parts that share a process start and stop |
 //! | `hosts` | a deployment of many hosts as units, containers and manifests, and checks of its state |
 //! | `rest` | values of keys over HTTP, read-only |
@@ -13,7 +14,8 @@
 //! | `demo`, `report` | one scenario on this machine over real Zenoh sessions |
 //! | `lockstep` | the same cores without a network, bit-for-bit repeatable |
 //! | `connect` | how a command reaches the router and its robot |
-//! | `live_map` | a robot's current state, drawn in a terminal |
+//! | `leadership` | whether any orchestrator that runs will keep a robot's goals |
+//! | `live_map`, `freshness` | a robot's current state, drawn in a terminal; how old it is |
 //! | `goal`, `operator` | goals and hand control from anywhere |
 //! | `annotations` | places and zones of a running robot's map |
 //! | `keys` | the members of a fleet, and their certificates |
@@ -40,7 +42,9 @@ pub mod connect;
 pub mod demo;
 pub mod drawing;
 pub mod failure;
+mod farewell;
 pub mod files;
+mod freshness;
 pub mod gateway;
 pub mod goal;
 mod greeting;
@@ -49,6 +53,7 @@ pub mod hosts;
 pub mod inspect;
 pub mod keys;
 pub mod launch;
+mod leadership;
 pub mod live_map;
 pub mod localise;
 pub mod lockstep;

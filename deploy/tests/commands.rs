@@ -273,6 +273,11 @@ async fn topics_are_printed_as_they_are_and_measured() {
         .expect(0)
         .json();
     assert!(hz[0]["hz"].as_f64().unwrap() > 1.0, "{hz}");
+    let lines = zenav(&endpoint, &["topic", "hz", "state", "--for", "5"])
+        .await
+        .expect(0)
+        .out;
+    assert!(lines.lines().count() >= 3, "one each second, and the last: {lines}");
     zenav(&endpoint, &["topic", "hz", "heartbeat", "--for", "0.3"])
         .await
         .expect(5);
@@ -291,6 +296,32 @@ async fn topics_are_printed_as_they_are_and_measured() {
         keys.contains(&"zenav/r1/edge/state") && keys.contains(&"zenav/r1/cloud/map"),
         "{keys:?}"
     );
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_message_is_checked_against_its_key_however_the_key_is_written() {
+    let (_router, endpoint) = router().await;
+    let _fake = Fake::start(&endpoint, "r1").await;
+    for key in ["zenav/r1/operator/teleop", "r1/operator/teleop", "operator/teleop"] {
+        let refused = zenav(&endpoint, &["topic", "pub", key, "{}"]).await.expect(2);
+        assert!(refused.err.contains("no Teleop"), "{key}: {}", refused.err);
+    }
+    let foreign = zenav(&endpoint, &["topic", "pub", "r1/lamp", "{}"]).await.expect(0);
+    assert!(foreign.err.contains("r1/lamp is not a key of zenav"), "{}", foreign.err);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_robot_that_is_not_there_is_not_recorded() {
+    let (_router, endpoint) = router().await;
+    let _fake = Fake::start(&endpoint, "r1").await;
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("run.mcap");
+    let record = ["record", "--for", "1", file.to_str().unwrap(), "--robot"];
+    let refused = zenav(&endpoint, &[&record[..], &["r9"]].concat()).await.expect(3);
+    assert!(refused.err.contains("no robot `r9`: there is r1"), "{}", refused.err);
+    assert!(!file.exists());
+    zenav(&endpoint, &[&record[..], &["r1"]].concat()).await.expect(0);
+    assert!(file.exists());
 }
 
 #[tokio::test(flavor = "multi_thread")]

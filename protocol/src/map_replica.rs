@@ -101,7 +101,9 @@ impl MapReplica {
         }
         let from_unknown = patch.base_revision == 0 && (!same || self.map.revision == 0);
         // Anything but the next revision is not of mapping: with it, the patches that follow would count as old.
-        let is_next = same && patch.base_revision == self.map.revision && patch.map.revision.checked_sub(1) == Some(patch.base_revision);
+        let is_next = same
+            && patch.base_revision == self.map.revision
+            && patch.map.revision.checked_sub(1) == Some(patch.base_revision);
         if !(from_unknown || is_next) || !is_well_formed(patch) {
             return PatchResult::Gap;
         }

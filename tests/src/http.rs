@@ -45,13 +45,33 @@ impl Answer {
 /// Without an answer.
 #[must_use]
 pub fn request(address: &str, method: &str, path: &str, host: &str) -> Answer {
+    send(address, method, path, &[("Host", host)])
+}
+
+/// A `GET` with a bearer token.
+///
+/// # Panics
+/// Without an answer.
+#[must_use]
+pub fn get_with_token(address: &str, path: &str, token: &str) -> Answer {
+    let bearer = format!("Bearer {token}");
+    send(
+        address,
+        "GET",
+        path,
+        &[("Host", address), ("Authorization", bearer.as_str())],
+    )
+}
+
+fn send(address: &str, method: &str, path: &str, headers: &[(&str, &str)]) -> Answer {
+    let headers: String = headers
+        .iter()
+        .map(|(name, value)| format!("{name}: {value}\r\n"))
+        .collect();
     let ask = || -> std::io::Result<Vec<u8>> {
         let mut link = TcpStream::connect(address)?;
         link.set_read_timeout(Some(LONG))?;
-        write!(
-            link,
-            "{method} {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n"
-        )?;
+        write!(link, "{method} {path} HTTP/1.1\r\n{headers}Connection: close\r\n\r\n")?;
         let mut bytes = Vec::new();
         link.read_to_end(&mut bytes)?;
         Ok(bytes)

@@ -10,6 +10,7 @@
 //! | [`hosts`] | multi-host deployments, as containers or in network namespaces |
 //! | [`observer`] | what a robot publishes, and how to wait for it |
 //! | [`acceptance`] | the long runs: many worlds, many kills |
+//! | [`untrusted`] | any bytes as a message or a file, for the fuzz targets and an ordinary test |
 //! | [`usage`] | processor time and memory of a process |
 
 pub mod acceptance;
@@ -20,4 +21,5 @@ pub mod http;
 pub mod observer;
 pub mod process;
 pub mod secured;
+pub mod untrusted;
 pub mod usage;

@@ -104,6 +104,8 @@ async fn maps_are_stored_loaded_and_begun_with() {
         "a copy under a name is not the robot's own map: {stored}"
     );
     assert_eq!(zenav(&["map", "list"])[0]["name"], "mine");
+    let names = offered(&["map", "load", "--connect", &deployment.router, "mi"]);
+    assert!(names.contains("mine"), "{names}");
     let saved = zenav(&["map", "save", "known"]);
     let loaded = zenav(&["map", "load", "mine"]);
     assert!(loaded["id"] != stored["id"] && loaded["stored"] == true, "{loaded}");
@@ -128,7 +130,9 @@ async fn maps_are_stored_loaded_and_begun_with() {
     // The mission was interrupted for each of these, and is in command again.
     client(&deployment, &["goal", "submit", "-0.9", "0.1", "--wait"], 0);
     up.assert_running();
-    up.kill();
+    up.until("ready in", LONG);
+    assert_eq!(up.interrupt(LONG), Ok(0));
+    up.until(&format!("the map of {ROBOT} is not kept: `zenav map store`"), LONG);
 
     // Another start, with a known map and a pose on it.
     let known = [
@@ -155,7 +159,9 @@ async fn maps_are_stored_loaded_and_begun_with() {
     client(&deployment, &["goal", "submit", "-0.9", "0.1", "--wait"], 0);
     up.assert_running();
     robot.assert_untouched();
-    up.kill();
+    up.until("ready in", LONG);
+    assert_eq!(up.interrupt(LONG), Ok(0));
+    assert!(!up.log().contains("is not kept"), "this map came from a file");
 
     let refused = deployment.zenav(&[
         "up",
@@ -352,6 +358,8 @@ async fn parameters_maneuvers_and_requests_by_hand() {
         (Some(before), Some(0.07))
     );
     assert_eq!(zenav(&["param", "list"])["guard_margin"], 0.07);
+    let names = offered(&["param", "get", "--connect", &deployment.router, "guard_m"]);
+    assert!(names.contains("guard_margin"), "{names}");
     for (words, code, what) in [
         (&["param", "set", "guard_margin", "-1"][..], 7, "guard_margin"),
         (&["param", "get", "guard_margins"], 3, "guard_margin"),

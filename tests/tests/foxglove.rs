@@ -150,3 +150,28 @@ async fn foxglove_sees_a_robot_and_a_pose_published_there_becomes_its_goal() {
     let ended = timeout(LONG, ended).await.unwrap();
     assert_eq!(ended.state, GoalPhase::Succeeded, "{ended:?}");
 }
+
+/// Whether a server takes what its viewers publish.
+async fn takes_goals(address: &str) -> bool {
+    let mut viewer = Viewer::connect(address).await;
+    loop {
+        let message = timeout(LONG, viewer.socket.next()).await.unwrap().unwrap().unwrap();
+        let Message::Text(text) = message else { continue };
+        let message: Value = serde_json::from_str(&text).unwrap();
+        if message["op"] == "serverInfo" {
+            let capabilities = message["capabilities"].as_array().unwrap();
+            return capabilities.iter().any(|capability| capability == "clientPublish");
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_deployment_takes_goals_from_foxglove_only_where_it_was_told_to() {
+    for (more, expected) in [(&[][..], false), (&["--goals"], true)] {
+        let deployment = Deployment::new(ZENAV, "kitchen", 4.0);
+        let mut up = deployment.start_up_with(&[&["--foxglove", "127.0.0.1:0"], more].concat());
+        let line = up.until("Foxglove: ", LONG);
+        let (_, address) = line.split_once("Foxglove: ").unwrap();
+        assert_eq!(takes_goals(address.trim()).await, expected, "{more:?}");
+    }
+}

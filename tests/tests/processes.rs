@@ -4,7 +4,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 
 use std::path::Path;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use nalgebra::Point2;
 use tokio::time::timeout;
@@ -499,4 +499,32 @@ async fn when_the_leading_orchestrator_dies_or_freezes_the_other_goes_on_and_a_w
     let findings = zenav_tests::acceptance::handover::run(ZENAV, &faults, 1).await.unwrap();
     assert!(findings.failures().is_empty(), "{findings:#?}");
     assert_eq!(findings.takeovers.len(), 2, "{findings:#?}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn a_robot_that_no_running_orchestrator_may_lead_is_told_at_once_with_the_cure() {
+    let deployment = Deployment::new(ZENAV, "kitchen", SPEED);
+    let (_router, _edge) = (deployment.start_router(), deployment.start_edge());
+    let mut anna = deployment.start_mission("anna");
+    let bus = deployment.bus().await;
+    let mut robot = Observer::new(&bus, ROBOT);
+    robot.until("anna leads", LONG, |state| state.lease.leader_live).await;
+    // Its disk is lost with it.
+    anna.kill();
+    robot
+        .until("anna is gone", LONG, |state| !state.lease.leader_live)
+        .await;
+    let mut bert = deployment.start_mission("bert");
+    bert.until("stands by", LONG);
+    for words in [&["goal", "list"][..], &["goal", "submit", "0", "0"], &["ask", "goals"]] {
+        let begun = Instant::now();
+        let refused = deployment.client(&[words, &["--timeout", "50"]].concat());
+        let told = String::from_utf8_lossy(&refused.stderr);
+        assert_eq!(refused.status.code(), Some(1), "{words:?}: {told}");
+        assert!(
+            told.contains("not the leader") && told.contains("`zenav lease forget`"),
+            "{words:?}: {told}"
+        );
+        assert!(begun.elapsed() < LONG, "{words:?} took {:?}", begun.elapsed());
+    }
 }

@@ -67,7 +67,9 @@ async fn a_router_tells_the_value_of_a_key_over_http_and_lets_nobody_write() {
         let key = row.pattern.replace("{robot}", ROBOT).replace(['{', '}'], "");
         let asked = get(&format!("/{key}"));
         let name = key.rsplit('/').next().unwrap();
-        let shows = ["mode", "param", "info", "goals", "map", "localise", "annotate", "log", "part"];
+        let shows = [
+            "mode", "param", "info", "goals", "map", "localise", "annotate", "log", "part",
+        ];
         assert_eq!(asked.status != 405, shows.contains(&name), "{key}: {}", asked.status);
     }
     let everything = get("/zenav/**");

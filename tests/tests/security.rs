@@ -435,6 +435,9 @@ fn nobody_listens_to_other_machines_by_mistake() {
         &["up", "--listen", everywhere, "--no-gateway"],
         &["sim", "serve", "--listen", everywhere],
         &["edge", "--listen", everywhere],
+        &["router", "--listen", "tcp/127.0.0.1:0", "--metrics", "0.0.0.0:0"],
+        &["cloud", "motion", "--metrics", "0.0.0.0:0"],
+        &["gateway", "--listen", "127.0.0.1:0", "--metrics", "0.0.0.0:0"],
     ] {
         let output = run(ZENAV, arguments, folder.path(), LIMIT);
         let text = said(&output);

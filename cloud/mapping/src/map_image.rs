@@ -34,9 +34,11 @@ pub fn to_grid(image: GrayImage, yaml: &MapYaml) -> Result<OccupancyGrid, GridEr
     };
     let mut grid = OccupancyGrid::from_values(spec, values)?;
     // The first row of an image is the highest.
-    let width = (image.width as usize).max(1);
+    let width = image.width as usize;
     let (low, high) = grid.values_mut().split_at_mut(image.height as usize / 2 * width);
-    for (low, high) in low.chunks_exact_mut(width).zip(high.rchunks_exact_mut(width)) {
+    // Chunks have a length, also where there are none: an image may have no columns.
+    let row = width.max(1);
+    for (low, high) in low.chunks_exact_mut(row).zip(high.rchunks_exact_mut(row)) {
         low.swap_with_slice(high);
     }
     Ok(grid)
@@ -186,6 +188,24 @@ mod tests {
             }
             let back = to_grid(to_image(&map, MapMode::Trinary), &to_yaml(&map, MapMode::Trinary, "")).unwrap();
             prop_assert_eq!(back.map(|value| Occupancy::of(*value)), map.map(|value| Occupancy::of(*value)));
+        }
+    }
+
+    #[test]
+    fn a_picture_without_pixels_is_an_empty_grid() {
+        for (width, height) in [(0, 0), (0, 5), (5, 0)] {
+            let picture = GrayImage {
+                width,
+                height,
+                gray: Vec::new(),
+                opacity: None,
+                comments: Vec::new(),
+            };
+            let grid = to_grid(picture, &MapYaml::new("", 0.05, Point2::origin())).unwrap();
+            assert_eq!(
+                (grid.spec().width, grid.spec().height, grid.values().len()),
+                (width, height, 0)
+            );
         }
     }
 

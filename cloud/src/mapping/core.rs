@@ -7,7 +7,7 @@ use zenav_mapping::{Insertion, Mapper};
 use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::messages::{
-    Correction, Health, Localisation, MapFrame, MapRef, PoseGraph, Refusal, Scan, may_follow,
+    Correction, Health, Localisation, MOST_MISSED_FRAMES, MapFrame, MapRef, PoseGraph, Refusal, Scan, may_follow,
 };
 use zenav_protocol::time::Stamp;
 use zenav_slam::{SessionError, SlamSettings};
@@ -275,8 +275,11 @@ impl MappingCore {
     /// Takes the map frame from the robot's newest state. With SLAM, a robot frame later than the map's stems from an earlier run, and the
     /// numbering of frames continues from it. With other sources the map never moves, and it takes the robot's frame.
     pub fn hear_frame(&mut self, robot_frame: u64) {
-        let known = Some(self.mapper.map().frame).filter(|frame| *frame > 0);
-        if !may_follow(robot_frame, known) {
+        // Robot and mission must be able to follow to the frames that come after it.
+        if !may_follow(
+            robot_frame.saturating_add(MOST_MISSED_FRAMES / 2),
+            self.mapper.map().frame,
+        ) {
             return;
         }
         self.robot_frame = robot_frame;
@@ -295,9 +298,9 @@ impl MappingCore {
 
     /// The report on a robot that localises itself: it is trusted. `None` for a robot that is localised here.
     pub(super) fn by_the_robot(&self, boot_id: &str) -> Option<Localisation> {
-        let (stamp, _) = self.last.as_ref()?;
+        let stamp = self.last.as_ref().map_or(Stamp::ZERO, |(stamp, _)| *stamp);
         matches!(self.poses, Poses::Edge).then(|| Localisation {
-            stamp: *stamp,
+            stamp,
             boot_id: boot_id.to_owned(),
             health: Health::Tracking,
             map_from_base: self.last_pose,

@@ -1,17 +1,22 @@
-//! Graph. When is SLAM's pose graph published? When it has changed, at most once a second, and if anybody may hear it; the present one
-//! when a first subscriber comes.
+//! Graph. When is SLAM's pose graph published? When it has changed, at most once a second and more rarely the larger it is, and if anybody
+//! may hear it; unchanged, when a first subscriber comes and from time to time.
 
 use zenav_protocol::time::Stamp;
 
 use super::Service;
 
-/// Shortest time between two graphs, s.
+/// Shortest time between two graphs, s, and the number of nodes with which it grows by as much: the data rate stays bounded.
 const PERIOD: f64 = 1.0;
+const NODES: f64 = 500.0;
+/// An unchanged graph is repeated after so many of these times, for a subscriber who came later.
+const REPEATED: f64 = 10.0;
 
 /// When the graph was last published.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct GraphPace {
     told: Option<Stamp>,
+    /// Shortest time to the next one, s.
+    period: f64,
     /// Whether there has been a subscriber ever since.
     is_known: bool,
 }
@@ -21,12 +26,16 @@ impl GraphPace {
     fn due(&mut self, now: Stamp, is_heard: bool) -> Option<bool> {
         self.is_known &= is_heard;
         // After a restart of the simulation its clock is before the last graph.
-        let is_over = |then: Stamp| now.secs_since(then) >= PERIOD || now < then;
-        (is_heard && self.told.is_none_or(is_over)).then_some(!self.is_known)
+        let is_over = |periods: f64| {
+            self.told
+                .is_none_or(|then| now.secs_since(then) >= periods * self.period || now < then)
+        };
+        (is_heard && is_over(1.0)).then(|| !self.is_known || is_over(REPEATED))
     }
 
-    fn told(&mut self, now: Stamp) {
+    fn told(&mut self, now: Stamp, nodes: usize) {
         (self.told, self.is_known) = (Some(now), true);
+        self.period = PERIOD * (1.0 + nodes as f64 / NODES);
     }
 }
 
@@ -38,7 +47,7 @@ impl Service {
         };
         if let Some(graph) = self.core.untold_graph(anyway) {
             self.graphs.put(&graph);
-            self.graph_pace.told(now);
+            self.graph_pace.told(now, graph.nodes.len());
         }
     }
 }
@@ -54,10 +63,10 @@ mod tests {
         assert_eq!(pace.due(at(10.0), false), None, "nobody listens");
         assert_eq!(pace.due(at(10.1), true), Some(true));
         assert_eq!(pace.due(at(10.2), true), Some(true), "none was published yet");
-        pace.told(at(10.2));
+        pace.told(at(10.2), 0);
         assert_eq!(pace.due(at(11.1), true), None);
         assert_eq!(pace.due(at(11.2), true), Some(false));
-        pace.told(at(11.2));
+        pace.told(at(11.2), 0);
         assert_eq!(pace.due(at(11.3), false), None);
         assert_eq!(
             pace.due(at(11.4), true),
@@ -66,5 +75,9 @@ mod tests {
         );
         assert_eq!(pace.due(at(12.2), true), Some(true));
         assert_eq!(pace.due(at(1.0), true), Some(true), "another simulation");
+        pace.told(at(20.0), 1500);
+        assert_eq!(pace.due(at(23.9), true), None, "a large one goes out more rarely");
+        assert_eq!(pace.due(at(24.0), true), Some(false));
+        assert_eq!(pace.due(at(60.0), true), Some(true), "for a subscriber who came later");
     }
 }

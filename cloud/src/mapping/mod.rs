@@ -156,6 +156,8 @@ pub enum MappingError {
 const FOOTPRINT_DEADLINE: Duration = Duration::from_secs(30);
 /// Time from a foreign message on a key of this service to its own again.
 const RESTATE_AFTER: Duration = Duration::from_secs(1);
+/// Interval of later repetitions.
+const RESTATE_EVERY: Duration = Duration::from_secs(10);
 /// Pause before a robot with another schema is asked again: it may have been replaced.
 const FOREIGN: Duration = Duration::from_secs(5);
 
@@ -449,13 +451,21 @@ impl Service {
     /// Hears what stands on a key of this service; `is_other`: it is not what this service published last. The service then repeats it, no
     /// more often than once a second: two services of one robot do not flood the bus.
     fn doubt(&mut self, is_other: bool) {
-        if is_other && self.restate_at.is_none() {
-            self.restate_at = Some(Instant::now() + RESTATE_AFTER);
+        let soon = Instant::now() + RESTATE_AFTER;
+        if is_other && self.restate_at.is_none_or(|at| at > soon) {
+            if self.restate_at.is_none() {
+                tracing::warn!(
+                    robot = self.config.robot,
+                    "somebody else publishes on the keys of this robot's mapping"
+                );
+            }
+            self.restate_at = Some(soon);
         }
     }
 
+    /// Publishes what others may have been told otherwise, now and from time to time: a subscriber who comes later may be told both.
     fn restate(&mut self) {
-        self.restate_at = None;
+        self.restate_at = Some(Instant::now() + RESTATE_EVERY);
         self.frames.put(&self.frame);
         self.annotations_topic.put(self.annotations.now());
         if let Some(localisation) = self.core.by_the_robot(&self.boot_id) {

@@ -120,9 +120,9 @@ enum Command {
     Router(launch::RouterArgs),
     /// Render the units, containers and manifests of a deployment of many hosts, and check it
     Deploy(hosts::DeployArgs),
-    /// Pass TCP connections on over a bad link: delay, jitter, rate, stalls, cuts
-    Netem(netem::NetemArgs),
     /// Proxy TCP connections over a bad link: delay, jitter, rate, stalls, cuts
+    Netem(netem::NetemArgs),
+    /// Make, issue, list and revoke the certificates of a fleet
     Keys(keys::KeysArgs),
     /// Run the robot side of a deployment
     Edge(launch::EdgeArgs),

@@ -31,7 +31,7 @@ use indicatif::ProgressBar;
 use zenav_cloud::mapping::PoseSource;
 use zenav_mapping::map_file;
 use zenav_planning::Planner;
-use zenav_protocol::bus::{Bus, BusConfig, Router, RouterConfig, interrupted};
+use zenav_protocol::bus::{Bus, BusConfig, Router, RouterConfig, Security, interrupted};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::{DrivingProfile, GoalRequest, LostPolicy};
 use zenav_protocol::topics;
@@ -297,7 +297,7 @@ async fn scenario(args: &DemoArgs) -> Result<DemoReport, Failure> {
         poses => poses,
     };
     let result = async {
-        args.health.serve().await?;
+        args.health.serve(&Security::Loopback).await?;
         let router = Router::open(&RouterConfig {
             listen: vec!["tcp/127.0.0.1:0".to_owned()],
             ..RouterConfig::default()

@@ -5,7 +5,8 @@ use std::time::Duration;
 
 use zenav_protocol::SCHEMA_VERSION;
 use zenav_protocol::messages::{
-    EdgeState, Faults, GuardZone, Health, InfoReply, LeaseRole, Localisation, MapInfo, MissionStatus, Mode, PoseEstimate,
+    EdgeState, Faults, GuardZone, Health, InfoReply, LeaseRole, Localisation, MapInfo, MissionStatus, Mode,
+    PoseEstimate,
 };
 
 use super::check::Check;

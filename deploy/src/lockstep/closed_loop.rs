@@ -303,12 +303,17 @@ impl RobotLoop {
                 self.down.send(now, Down::Correction(correction));
             }
             if let Some(localisation) = mapped.localisation {
-                self.inputs.localisation = Some(localisation.clone());
-                self.down.send(now, Down::Localisation(localisation));
+                self.localised(now, localisation);
             }
         } else {
             self.mapping.insert_further(scan, BOOT);
         }
+    }
+
+    /// Tells mission and robot how well the robot is localised.
+    fn localised(&mut self, now: Stamp, localisation: Localisation) {
+        self.inputs.localisation = Some(localisation.clone());
+        self.down.send(now, Down::Localisation(localisation));
     }
 
     /// The mission's step, if it is due. Returns its effects.
@@ -347,12 +352,15 @@ impl RobotLoop {
                         return self.inputs.answers.push((ticket, answer));
                     }
                     Ask::Localise(request) => {
-                        let done = match request.action {
+                        let told = match request.action {
                             LocaliseAction::Global => self.mapping.look_everywhere(),
-                            LocaliseAction::Report | LocaliseAction::At => Ok(()),
+                            LocaliseAction::Report | LocaliseAction::At => Ok(None),
                         };
                         let health = self.mapping.health();
-                        let answer = done.map(|()| Answer::Localised(LocaliseReply { health }));
+                        if let Ok(Some(localisation)) = &told {
+                            self.localised(now, localisation.clone());
+                        }
+                        let answer = told.map(|_| Answer::Localised(LocaliseReply { health }));
                         let answer = answer.map_err(NoAnswer::Refused);
                         return self.inputs.answers.push((ticket, answer));
                     }

@@ -84,16 +84,20 @@ fn act(args: &StopArgs, stop: bool) -> Outcome {
         let robot = match &args.robot.robot {
             // A named robot is asked at once, in parallel with looking it up.
             Some(robot) => {
-                tokio::select! {
+                let mut answer = std::pin::pin!(ask(&bus, robot));
+                let answer = tokio::select! {
                     biased;
-                    answer = ask(&bus, robot) => {
-                        if answer.is_ok() {
-                            warn_if_not_stored(&bus, robot).await;
-                        }
-                        return Ok(BTreeMap::from([(robot.clone(), answer)]));
+                    answer = &mut answer => answer,
+                    // The same request goes on: a second one would count as another stop, or lift a later one.
+                    found = connect::find(&bus, Some(robot)) => {
+                        found?;
+                        answer.await
                     }
-                    found = connect::find(&bus, Some(robot)) => found?,
+                };
+                if answer.is_ok() {
+                    warn_if_not_stored(&bus, robot).await;
                 }
+                return Ok(BTreeMap::from([(robot.clone(), answer)]));
             }
             None => connect::find(&bus, None).await?,
         };
@@ -147,10 +151,12 @@ async fn ask(bus: Bus, robot: String, stop: bool, patience: Duration) -> Result<
 pub(super) async fn release(bus: &Bus, robot: &str, by: String, patience: Duration) -> Result<StopReply, AskError> {
     let began = Instant::now();
     let key = topics::STATE.key(&[robot]);
-    let mut states = bus.latest(&topics::STATE, &[robot]).map_err(|error| AskError::Unaskable {
-        key: key.clone(),
-        reason: error.to_string(),
-    })?;
+    let mut states = bus
+        .latest(&topics::STATE, &[robot])
+        .map_err(|error| AskError::Unaskable {
+            key: key.clone(),
+            reason: error.to_string(),
+        })?;
     let Ok(state) = tokio::time::timeout(patience, states.next()).await else {
         return Err(AskError::Timeout { key });
     };
@@ -180,11 +186,12 @@ async fn warn_if_not_stored(bus: &Bus, robot: &str) {
 pub(super) async fn everywhere(bus: &Bus, link: &LinkArgs, robot: &str) -> Result<(), Failure> {
     let patience = link.patience();
     let mut links = JoinSet::new();
-    links.spawn(confirmed(bus.clone(), robot.to_owned(), patience));
+    let request = StopRequest::new(holder());
+    links.spawn(confirmed(bus.clone(), robot.to_owned(), request.clone(), patience));
     for endpoint in &link.connect {
-        let (robot, mut link) = (robot.to_owned(), link.clone());
+        let (robot, request, mut link) = (robot.to_owned(), request.clone(), link.clone());
         link.connect = vec![endpoint.clone()];
-        links.spawn(async move { confirmed(connect::open(&link).await?, robot, patience).await });
+        links.spawn(async move { confirmed(connect::open(&link).await?, robot, request, patience).await });
     }
     let mut failure = None;
     let end = Instant::now() + patience;
@@ -199,8 +206,8 @@ pub(super) async fn everywhere(bus: &Bus, link: &LinkArgs, robot: &str) -> Resul
     Err(failure.filter(|_| links.is_empty()).unwrap_or_else(silent))
 }
 
-async fn confirmed(bus: Bus, robot: String, within: Duration) -> Result<(), Failure> {
-    let request = StopRequest::new(holder());
+/// The same request over every link counts as one stop.
+async fn confirmed(bus: Bus, robot: String, request: StopRequest, within: Duration) -> Result<(), Failure> {
     match bus.ask(&topics::STOP, &[&robot], &request, within).await?.stopped {
         true => Ok(()),
         false => Err(Failure::failed("it says that it is not stopped")),

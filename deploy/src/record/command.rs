@@ -100,7 +100,9 @@ fn size(text: &str) -> Result<u64, String> {
 pub fn record(args: &RecordArgs) -> Outcome {
     let robot = args.robot.robot.as_deref();
     let patterns = if args.all {
-        vec!["**".to_owned()]
+        // A member of a fleet is granted keys of zenav only.
+        let is_member = args.robot.link.identity.identity.is_some();
+        vec![if is_member { "zenav/**" } else { "**" }.to_owned()]
     } else if args.keys.is_empty() {
         let mut patterns = vec![format!("zenav/{}/**", robot.unwrap_or("*"))];
         if robot.is_some() {

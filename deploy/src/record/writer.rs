@@ -222,7 +222,7 @@ impl RecordWriter {
             }
         };
         self.written.files.push(next);
-        self.delete_oldest()?;
+        self.delete_oldest();
         self.artist.begin_file();
         // Makes each file usable without the ones before it.
         let mut beginning: Vec<Sample> = self.replies.values().cloned().collect();
@@ -237,18 +237,20 @@ impl RecordWriter {
     }
 
     /// Deletes the oldest files of this recording beyond those that are kept.
-    fn delete_oldest(&mut self) -> Result<(), RecordError> {
+    fn delete_oldest(&mut self) {
         let kept = self.options.max_files.unwrap_or(usize::MAX).max(1);
         let excess = self.written.files.len().saturating_sub(kept);
         for file in self.written.files.drain(..excess) {
             match std::fs::remove_file(&file) {
                 // Moved away meanwhile.
                 Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}
-                deleted => deleted.map_err(|error| RecordError::new(&file, Problem::Io(error)))?,
+                Err(error) => {
+                    tracing::warn!(%error, file = %file.display(), "an old file of the record is not deleted")
+                }
+                Ok(()) => {}
             }
             self.written.deleted += 1;
         }
-        Ok(())
     }
 }
 

@@ -96,7 +96,7 @@ pub fn serve(args: &ServeArgs) -> Outcome {
     };
     let security = args.security.security()?;
     runtime()?.block_on(async {
-        args.health.serve().await?;
+        args.health.serve(&security).await?;
         // With an endpoint it is a router itself: readings reach the edges without a detour.
         let config = BusConfig {
             connect: args.connect.clone(),

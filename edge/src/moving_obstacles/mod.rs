@@ -483,7 +483,12 @@ mod tests {
         let mut hidden = false;
         for step in 1..30 {
             let stamp = Stamp::from_secs(0.1 * f64::from(step));
-            let sweep = sweep(lidar, stamp.as_secs(), Pose2::IDENTITY, Some(2.6 - 0.03 * f64::from(step)));
+            let sweep = sweep(
+                lidar,
+                stamp.as_secs(),
+                Pose2::IDENTITY,
+                Some(2.6 - 0.03 * f64::from(step)),
+            );
             moving.insert(0, &projector.project(&sweep, Pose2::IDENTITY).unwrap());
             let track = moving.tracks().iter().next().cloned();
             if let Some(track) = track.filter(|_| !hidden) {

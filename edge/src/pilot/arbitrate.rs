@@ -86,7 +86,10 @@ impl Pilot {
                     velocity: self.estimator.velocity(),
                     speed_cap: f64::INFINITY,
                 };
-                (self.return_home.step(&view, &self.config.model, &self.gains), Braking::Normal)
+                (
+                    self.return_home.step(&view, &self.config.model, &self.gains),
+                    Braking::Normal,
+                )
             }
             MotionSource::Teleop => {
                 self.mode = Mode::Teleop;

@@ -36,7 +36,7 @@ impl Frame {
     /// Advances to the frame of a correction. Returns how the map moved, or `None` if the correction is ignored.
     fn advance(&mut self, correction: &Correction) -> Option<Pose2> {
         let frame = correction.frame;
-        if !may_follow(frame, self.number) {
+        if !may_follow(frame, self.number()) {
             return None;
         }
         let moved = match self.number {

@@ -18,9 +18,9 @@ use super::flow::Arrivals;
 use super::inbox::{Inbox, Queue};
 use super::subscribe::encoding_of;
 use super::{Bus, BusError, threads};
+use crate::SCHEMA_VERSION;
 use crate::codec::{self, CodecError, Encoding};
 use crate::messages::Refusal;
-use crate::SCHEMA_VERSION;
 use crate::topics::{Ask, Asker, CLOUD_INFO, EDGE_INFO, PART_INFO, STOP, row_of};
 
 /// Selector parameter with the schema version of the program that asks. Without it, as from plain Zenoh tools, any request is read.
@@ -108,8 +108,12 @@ impl<Q: DeserializeOwned, R> Server<Q, R> {
         } else {
             return Err(Refusal::bad_request("expected a key without wildcards"));
         };
-        let theirs = query.parameters().get(SCHEMA).and_then(|schema| schema.parse::<u32>().ok());
-        if let Some(theirs) = theirs.filter(|theirs| *theirs != SCHEMA_VERSION && !suits_every_schema(self.ask.pattern)) {
+        let theirs = query
+            .parameters()
+            .get(SCHEMA)
+            .and_then(|schema| schema.parse::<u32>().ok());
+        if let Some(theirs) = theirs.filter(|theirs| *theirs != SCHEMA_VERSION && !suits_every_schema(self.ask.pattern))
+        {
             return Err(Refusal::bad_request(format!(
                 "the program that asks speaks schema {theirs}, this one ({}) schema {SCHEMA_VERSION}: expected the same",
                 env!("CARGO_PKG_VERSION")

@@ -13,15 +13,13 @@ use crate::time::Stamp;
 /// Most moves in a message: a receiver that missed more frames than this starts over.
 pub const MOST_MOVES: usize = 16;
 
-/// Most frames that a receiver may have missed, and the highest frame that it believes without knowing an earlier one: anything later is
-/// not of mapping, and would make everything that follows count as old.
-const MOST_MISSED: u64 = 1 << 20;
-const HIGHEST: u64 = u64::MAX / 2;
+/// Most frames that a receiver may have missed: anything later is not of mapping, and would make everything that follows count as old.
+pub const MOST_MISSED_FRAMES: u64 = 1 << 20;
 
-/// Whether a frame can come after the one that is known, or be the first.
+/// Whether a frame can come after the one that is known; before the first one, 0.
 #[must_use]
-pub fn may_follow(frame: u64, known: Option<u64>) -> bool {
-    frame <= known.map_or(HIGHEST, |known| known.saturating_add(MOST_MISSED))
+pub const fn may_follow(frame: u64, known: u64) -> bool {
+    frame <= known.saturating_add(MOST_MISSED_FRAMES)
 }
 
 /// A place farther than this from the origins of all parts belongs to no part, m: it was never seen from close by.

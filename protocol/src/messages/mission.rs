@@ -77,7 +77,7 @@ pub struct InfoReply {
     /// Version of the component's program.
     pub version: String,
     /// Version of the component's message schema ([`SCHEMA_VERSION`](crate::SCHEMA_VERSION)). A component refuses the requests of programs
-    /// with another one, except a stop and the request for this.
+    /// that tell another one, except a stop and the request for this.
     pub schema: u32,
     /// The robot that the component serves.
     pub robot: String,

@@ -142,7 +142,10 @@ async fn a_program_of_another_schema_is_refused_and_may_still_stop_a_robot() {
     let other = SCHEMA_VERSION + 1;
     let ask = async |what: &str| {
         let selector = format!("zenav/r1/ask/edge/{what}?schema={other}");
-        let replies = asker.raw_query(&selector, Some(b"{}".to_vec()), PATIENCE).await.unwrap();
+        let replies = asker
+            .raw_query(&selector, Some(b"{}".to_vec()), PATIENCE)
+            .await
+            .unwrap();
         match replies.into_iter().next().unwrap() {
             RawReply::Ok(sample) => String::from_utf8(sample.bytes).unwrap(),
             RawReply::Err { bytes, .. } => String::from_utf8(bytes).unwrap(),

@@ -15,7 +15,7 @@ use zenav_mission::MissionConfig;
 use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::id::Id;
-use zenav_protocol::messages::{GoalPhase, GoalRequest, Health, Mode};
+use zenav_protocol::messages::{GoalPhase, GoalRequest, Mode};
 use zenav_protocol::robot::{Footprint, RobotModel};
 use zenav_protocol::topics::MissionRequest;
 use zenav_sim::{RobotSpec, Simulation, World};
@@ -198,10 +198,7 @@ pub fn kidnap(seed: u64, source: PoseSource) -> Result<Kidnapping, String> {
             told.trusted_wrong |= is_trusted
                 && !is_right
                 && told.found_after.is_none()
-                && !matches!(
-                    stage.robots[0].mapping.health(),
-                    Health::Lost | Health::Ambiguous { .. }
-                )
+                && stage.robots[0].mapping.health().is_trusted()
                 && now - since > told.noticed_after.unwrap_or(0.0) + 1.0;
         }
         told.collisions = truth.collisions;

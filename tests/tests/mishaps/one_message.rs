@@ -6,8 +6,8 @@ use zenav_protocol::SCHEMA_VERSION;
 use zenav_protocol::bus::{Bus, Publisher};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::{
-    Annotations, Correction, EdgeState, Event, EventKind, Health, InfoReply, Leader, LeaseAction, LeaseRequest, LeaseRole,
-    Localisation, MapFrame, MapRef, Mode, Plan, Revision, SimClock, Zone, ZoneRule,
+    Annotations, Correction, EdgeState, Event, EventKind, Health, InfoReply, Leader, LeaseAction, LeaseRequest,
+    LeaseRole, Localisation, MapFrame, MapRef, Mode, Plan, Revision, SimClock, Zone, ZoneRule,
 };
 use zenav_protocol::readings::Readings;
 use zenav_protocol::time::Stamp;
@@ -180,6 +180,9 @@ async fn what_is_said_in_the_name_of_mapping_holds_for_seconds_only() {
             map: MapRef { frame, ..map.clone() },
             ..MapFrame::default()
         });
+        // Each is read: only the newest one is kept.
+        robot.next(LONG).await;
+        robot.next(LONG).await;
     }
     let annotations = bus.publisher(&topics::ANNOTATIONS, &[ROBOT]).unwrap();
     heard(&annotations).await;

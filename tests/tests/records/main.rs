@@ -192,6 +192,7 @@ async fn a_drive_is_recorded_read_replayed_computed_again_and_told() {
         "Clearance, m",
         "Behaviour tree",
         "succeeded",
+        "0.88, 0.09 <span class=\"soft\">there</span>",
     ] {
         assert!(page.contains(part), "{part}");
     }

@@ -222,7 +222,11 @@ impl Session {
 
     /// Ends the drive, if there is one: the robot's lease is given back.
     fn let_go(&mut self) {
-        self.ending = self.drive.take().map(|driving| driving.drive.ended).or(self.ending.take());
+        self.ending = self
+            .drive
+            .take()
+            .map(|driving| driving.drive.ended)
+            .or(self.ending.take());
     }
 
     async fn arm(&mut self, socket: &mut WebSocket, robot: String) -> Result<(), Gone> {

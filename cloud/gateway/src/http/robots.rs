@@ -118,7 +118,8 @@ async fn reported_stops(shared: &Shared, robot: &str) -> Result<u64, ApiError> {
             return Ok(stops);
         }
         if shared.hub.now() >= end {
-            let reason = format!("{robot} has not reported its state since it was stopped: look at it, and resume it again");
+            let reason =
+                format!("{robot} has not reported its state since it was stopped: look at it, and resume it again");
             return Err(ApiError::new(StatusCode::SERVICE_UNAVAILABLE, "Unavailable", reason));
         }
         tokio::time::sleep(LOOK_AGAIN).await;

@@ -34,7 +34,10 @@ impl MotionWorker {
         let model = checked(&plan.model)?;
         let began = (given.clock)();
         let mut reply = TrajectoryReply {
-            plan: PlanReply::without_path(given.map.map_or(&plan.map, MapReplica::map).clone(), PlanOutcome::NoPath),
+            plan: PlanReply::without_path(
+                given.map.map_or(&plan.map, MapReplica::map).clone(),
+                PlanOutcome::NoPath,
+            ),
             smooth: None,
             arrival_secs: None,
         };

@@ -193,7 +193,10 @@ fn copies_of_a_stop_and_of_a_resume_that_the_network_repeats_change_nothing() {
     rig.run(0.2);
     assert_eq!(stopped(&rig), (false, 1));
     // A copy of the resume arrives after the next stop, even one that names no stop.
-    let careless = ResumeRequest { stop: None, ..ResumeRequest::new("somebody", 1) };
+    let careless = ResumeRequest {
+        stop: None,
+        ..ResumeRequest::new("somebody", 1)
+    };
     rig.ask(EdgeRequest::Resume(careless.clone())).unwrap();
     rig.ask(EdgeRequest::Stop(StopRequest::new("somebody else"))).unwrap();
     for copy in [resume, careless] {
@@ -243,8 +246,7 @@ fn stop_needs_no_lease_and_a_replayed_plan_after_resume_moves_nothing() {
 fn a_stop_survives_a_restart_and_epochs_go_on() {
     let mut rig = fresh();
     rig.mission();
-    rig.ask(EdgeRequest::Stop(StopRequest::new("me")))
-        .unwrap();
+    rig.ask(EdgeRequest::Stop(StopRequest::new("me"))).unwrap();
     let mut rig = Rig::new(rig.stored);
     assert_eq!(rig.state.as_ref().unwrap().mode, Mode::Stopped);
     let epoch = rig.mission();
