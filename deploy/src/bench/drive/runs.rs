@@ -19,7 +19,7 @@ use crate::lockstep::{ContactKind, ContactReport, Entrant, RunOutcome, RunReport
 /// Mean delay from scan to plan, ms.
 const DELAY_MS: f64 = 100.0;
 /// Intimate distance, in which people do not like a robot (Hall, "The Hidden Dimension", 1966), m.
-const PERSONAL_SPACE: f64 = 0.45;
+const INTIMATE_DISTANCE: f64 = 0.45;
 /// Below this a robot is at rest, m/s and rad/s.
 const AT_REST: f64 = 0.01;
 /// Above this a robot has set out, m/s and rad/s.
@@ -30,7 +30,7 @@ const SETS_OUT: f64 = 0.05;
 #[serde(rename_all = "snake_case")]
 pub(super) enum Driver {
     Zenav,
-    /// The robot with the longest straight line to its goal, without other robots in the world.
+    /// The robot with the longest way to its goal, without other robots in the world.
     Alone,
     #[serde(untagged)]
     Anchor(Anchor),
@@ -59,7 +59,7 @@ pub(super) struct Run {
     pub(super) reason: Option<String>,
     pub(super) time_s: f64,
     /// Length of the shortest path of the inscribed disc over the top speed, s; for several robots, the time that the robot with the
-    /// longest straight line to its goal takes alone.
+    /// longest way to its goal takes alone.
     pub(super) ideal_s: f64,
     pub(super) length_m: f64,
     pub(super) min_clearance_m: f64,
@@ -140,7 +140,7 @@ impl Watch {
     /// Call after every tick of any driver.
     fn see_people(&mut self, truth: &Truth) {
         self.ticks += 1;
-        self.close += u32::from(truth.to_person < PERSONAL_SPACE);
+        self.close += u32::from(truth.to_person < INTIMATE_DISTANCE);
     }
 
     fn close_share(&self, case: &Case) -> Option<f64> {
@@ -262,11 +262,16 @@ fn one(layers: &Layers, case: &Case) -> Result<Vec<Run>, Failure> {
             goal,
         })
         .collect();
-    let way = |one: &&Entrant<'_>| one.start.map_or(0.0, |start| (start.position() - one.goal).norm());
-    let farthest = entrants.iter().max_by(|a, b| way(a).total_cmp(&way(b))).copied();
     let several = entrants.len() > 1;
+    // The robot with the longest way.
+    let ways = entrants.iter().filter(|_| several).map(|one| {
+        let field = Field::new(&case.world, case.model.footprint.inscribed_radius(), one.goal);
+        let way = one.start.map_or(0.0, |start| field.shortest(start.position()));
+        (way, *one)
+    });
+    let farthest = ways.max_by(|(a, _), (b, _)| a.total_cmp(b)).map(|(_, one)| one);
     let mut runs = vec![zenav(layers, case, Driver::Zenav, entrants, ideal_s)?];
-    if let Some(one) = farthest.filter(|_| several) {
+    if let Some(one) = farthest {
         let alone = zenav(layers, case, Driver::Alone, vec![one], ideal_s)?;
         // The ratio then shows the cost of the other robots.
         runs.iter_mut().for_each(|together| together.ideal_s = alone.time_s);

@@ -51,10 +51,15 @@ pub(super) fn tight(robots: &[String], seeds: Range<u64>) -> Result<Vec<Case>, F
     Ok(cases)
 }
 
-/// S6: pillars, a trap, an office; each with an unknown and a known map.
+/// S6: pillars, a trap, an office, a warehouse; each with an unknown and a known map.
 pub(super) fn rooms(robots: &[String], seeds: Range<u64>) -> Result<Vec<Case>, Failure> {
     let mut cases = Vec::new();
-    let scenarios: [(&str, Make); 3] = [("S6 clutter", clutter), ("S6 trap", trap), ("S6 office", office)];
+    let scenarios: [(&str, Make); 4] = [
+        ("S6 clutter", clutter),
+        ("S6 trap", trap),
+        ("S6 office", office),
+        ("S6 warehouse", warehouse),
+    ];
     for (scenario, make) in scenarios {
         for (how, known_map) in [("unknown", false), ("known", true)] {
             for robot in robots {
@@ -120,4 +125,24 @@ pub(super) fn office(rng: &mut Pcg64Mcg) -> (Floor, [f64; 2]) {
             .block([left - 0.05, 7.0], [left + 0.05, 12.0]);
     }
     (floor, [19.0, 11.0])
+}
+
+/// Racks of 1.2 m by 6 m with aisles of 2 m, cross aisles at their ends, and pallets that narrow the aisles to 1.2 m or block them.
+fn warehouse(rng: &mut Pcg64Mcg) -> (Floor, [f64; 2]) {
+    let mut floor = Floor::new([26.0, 18.0], [1.0, 1.0, 0.0]);
+    for row in 0..5 {
+        for column in 0..3 {
+            let (left, low) = (3.0 + 7.5 * f64::from(column), 2.0 + 3.2 * f64::from(row));
+            floor = floor.block([left, low], [left + 6.0, low + 1.2]);
+            // A pallet in the aisle above the rack.
+            let (x, deep) = (
+                left + rng.random_range(0.5..4.7),
+                if rng.random_bool(0.15) { 2.0 } else { 0.8 },
+            );
+            if rng.random_bool(0.5) {
+                floor = floor.block([x, low + 1.2], [x + 0.8, low + 1.2 + deep]);
+            }
+        }
+    }
+    (floor, [25.0, 17.0])
 }
