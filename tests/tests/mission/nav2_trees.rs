@@ -228,8 +228,6 @@ fn a_much_longer_path_near_the_goal_is_waited_out() {
     // A wall with a door ahead, and another door far to the side.
     let is_door = |y: f64| y.abs() < 0.6 || (3.0..4.2).contains(&y);
     let mut rig = Rig::on(room(|at| (at.x - 3.85).abs() < 0.1 && !is_door(at.y)));
-    // The tree itself decides whether a longer path is driven.
-    rig.config.settings.patience = 0.0;
     rig.submit(goal(&tree, 5.0, 0.0)).unwrap();
     assert!(rig.run_until(10.0, |rig| rig.pose().x > 2.1));
     rig.occupy(3.85, 0.0, 0.4);

@@ -128,30 +128,6 @@ fn a_deadline_after_the_usual_patience_is_waited_for() {
 }
 
 #[test]
-fn somebody_in_the_short_way_is_waited_for_where_the_way_round_is_long() {
-    let mut rig = Rig::in_world(&halls(11.0, 12.5, 14.0));
-    rig.submit(to(2.0, 3.8)).unwrap();
-    assert!(
-        rig.run_until(10.0, |rig| rig.goal("a").feedback.blockage.is_some()),
-        "{:?}",
-        rig.goal("a").feedback
-    );
-    rig.success_of("a", 30.0);
-    assert!(rig.driven() < 10.0, "{} m", rig.driven());
-}
-
-#[test]
-fn who_stays_in_the_short_way_is_waited_for_as_long_as_the_way_round_costs() {
-    let mut rig = Rig::in_world(&halls(11.0, 12.5, 10_000.0));
-    rig.submit(to(2.0, 3.8)).unwrap();
-    assert!(rig.run_until(60.0, |rig| rig.pose().x > 6.0));
-    let set_out = rig.stage.now().as_secs();
-    rig.success_of("a", 60.0);
-    let driven = rig.stage.now().as_secs() - set_out;
-    assert!((0.5..1.6).contains(&(set_out / driven)), "{set_out} s, {driven} s");
-}
-
-#[test]
 fn a_short_way_round_is_driven_at_once() {
     let mut rig = Rig::in_world(&halls(5.2, 6.4, 10_000.0));
     rig.submit(to(2.0, 3.8)).unwrap();

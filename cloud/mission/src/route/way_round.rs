@@ -27,7 +27,9 @@ const SPARE: f64 = 0.2;
 impl Search {
     /// Takes a route, unless it is much longer than necessary: then asks what the way would be without the obstacles that may leave.
     pub(super) fn unless_waiting_is_sooner(&mut self, ctx: &mut Context, route: Box<Route>) -> Searching {
-        let is_given = self.goes_round || self.request.past_others || !self.may_wait(ctx);
+        // A moving robot goes on: in front of the obstacle it may have no room to set out again.
+        let is_moving = route.plan.splice.is_some();
+        let is_given = is_moving || self.goes_round || self.request.past_others || !self.may_wait(ctx);
         if is_given || !self.is_long(ctx, &route) {
             return self.takes(route);
         }
