@@ -20,7 +20,7 @@ use zenav_protocol::{robot, topics};
 use zenav_sim::world;
 
 use crate::config::IdentityArgs;
-use crate::connect::{self, DEFAULT_ENDPOINT, LinkArgs};
+use crate::connect::{self, LinkArgs};
 use crate::failure::Failure;
 use crate::inspect::message_names;
 use crate::{annotations, exit_code};
@@ -198,9 +198,8 @@ fn on_bus(look: impl AsyncFnOnce(Bus, Option<String>) -> Result<Vec<String>, Fai
     let link = LinkArgs {
         connect: option(&words, "--connect")
             .or_else(|| std::env::var("ZENAV_BUS__CONNECT").ok())
-            .as_deref()
-            .unwrap_or(DEFAULT_ENDPOINT)
-            .split(',')
+            .iter()
+            .flat_map(|endpoints| endpoints.split(','))
             .map(str::to_owned)
             .collect(),
         namespace: option(&words, "--namespace").unwrap_or_else(connect::namespace),

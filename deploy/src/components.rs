@@ -34,6 +34,33 @@ const DRAIN: Duration = Duration::from_secs(8);
 /// Pause before a failed mission is restarted: initial and largest.
 const MISSION_PAUSE: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(60));
 
+/// A start pose where no robot can be: in which world, and what says where. The known map is not the world, which is easily mistaken.
+fn bad_start(deployment: &Deployment, world: &World, robot: &Id, error: &SimError) -> Failure {
+    let option = if deployment.robots.len() == 1 {
+        "`--pose`, or "
+    } else {
+        ""
+    };
+    let mut told = format!(
+        "world `{}`: {error}; {option}`start` of [robots.{robot}] says where",
+        world.name()
+    );
+    let map = deployment
+        .mapping
+        .run
+        .map
+        .as_deref()
+        .map(|map| map.display().to_string());
+    // A map's description counts as a world, an image does not.
+    let is_world = |map: &String| map.ends_with(".yaml") || map.ends_with(".yml");
+    if let Some(map) = map.filter(|map| is_world(map) && *map != deployment.simulation.world) {
+        told.push_str(&format!(
+            ". The simulated robot drives in the world, not in the map: `--world {map}` makes a world of the map"
+        ));
+    }
+    Failure::usage(told)
+}
+
 /// Off-board services.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum CloudPart {
@@ -99,6 +126,11 @@ impl Parts {
             security,
             waiting: Arc::new(watch::Sender::new(0)),
         }
+    }
+
+    /// Protection of the links of all parts.
+    pub(crate) fn security(&self) -> &Security {
+        &self.security
     }
 
     /// Bus configuration of a part of a deployment.
@@ -191,7 +223,7 @@ impl Parts {
         let simulation =
             Simulation::new(world, specs.clone(), deployment.simulation.seed).map_err(|error| match &error {
                 SimError::Outside { robot, .. } | SimError::Occupied { robot, .. } | SimError::NotFinite(robot) => {
-                    Failure::usage(format!("{error}; `start` of [robots.{robot}] says where"))
+                    bad_start(deployment, world, robot, &error)
                 }
                 _ => Failure::usage(&error),
             })?;
@@ -250,7 +282,10 @@ impl Parts {
                 } = attached.map_err(|error| Failure::new(exit_code::of_attach(&error), error.to_string()))?;
                 match body_bus {
                     None => Ok((body_bus_open, (body, reply, None))),
-                    Some(_) => Ok((Bus::open(bus).await?, (body, reply, Some(body_bus_open)))),
+                    Some(_) => {
+                        body_bus_open.started();
+                        Ok((Bus::open(bus).await?, (body, reply, Some(body_bus_open))))
+                    }
                 }
             }
         };
@@ -535,4 +570,38 @@ pub fn places(world: &World) -> BTreeMap<String, GoalPoint> {
             )
         })
         .collect()
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use nalgebra::Point2;
+
+    use super::*;
+
+    #[test]
+    fn a_bad_start_is_told_with_its_world_its_option_and_the_world_of_the_map() {
+        let world = World::shipped("kitchen").unwrap();
+        let robot = Id::robot("tiago").unwrap();
+        let error = SimError::Outside {
+            robot: robot.clone(),
+            at: Point2::new(5.0, 5.0),
+            low: world.bounds().0,
+            high: world.bounds().1,
+        };
+        let mut deployment = Deployment::default();
+        let plain = bad_start(&deployment, &world, &robot, &error).message;
+        assert!(
+            plain.starts_with("world `kitchen`: robot `tiago` cannot stand at (5, 5)")
+                && plain.ends_with("; `--pose`, or `start` of [robots.tiago] says where"),
+            "{plain}"
+        );
+        deployment.mapping.run.map = Some("maps/depot.yaml".into());
+        deployment.robots.insert("bert".to_owned(), RobotSection::default());
+        let mapped = bad_start(&deployment, &world, &robot, &error).message;
+        assert!(
+            mapped.contains("`--world maps/depot.yaml`") && !mapped.contains("--pose"),
+            "{mapped}"
+        );
+    }
 }

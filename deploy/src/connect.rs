@@ -13,7 +13,9 @@ use std::time::Duration;
 use tokio::time::Instant;
 use zenav_protocol::bus::{Act, Bus, BusConfig, BusError, link_protocol};
 use zenav_protocol::config_text::Expected;
+use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
+use zenav_protocol::member::Member;
 use zenav_protocol::topics;
 
 use crate::completion;
@@ -35,8 +37,9 @@ const STATE_ROUND: Duration = Duration::from_millis(300);
 /// Connection, and longest wait for answers.
 #[derive(Clone, Debug, clap::Args)]
 pub struct LinkArgs {
-    /// Router to connect to, or a robot's own endpoint; or several separated by commas, of which one must be reachable
-    #[arg(long, global = true, value_name = "ENDPOINT", value_delimiter = ',', default_value = DEFAULT_ENDPOINT, env = "ZENAV_BUS__CONNECT", hide_env_values = true, value_parser = endpoint)]
+    /// Router to connect to, or a robot's own endpoint; or several separated by commas, of which one must be reachable [default:
+    /// tcp/127.0.0.1:7447]
+    #[arg(long, global = true, value_name = "ENDPOINT", value_delimiter = ',', env = "ZENAV_BUS__CONNECT", hide_env_values = true, value_parser = endpoint)]
     pub connect: Vec<String>,
     /// Namespace of the deployment, if its file sets one
     #[arg(
@@ -64,13 +67,23 @@ impl LinkArgs {
         Duration::try_from_secs_f64(self.timeout).unwrap_or(Duration::MAX)
     }
 
+    /// The given endpoints; without any, that of this machine's router.
+    #[must_use]
+    pub fn endpoints(&self) -> Vec<String> {
+        if self.connect.is_empty() {
+            vec![DEFAULT_ENDPOINT.to_owned()]
+        } else {
+            self.connect.clone()
+        }
+    }
+
     /// For requests that must reach a robot without a router: if no endpoint was given, also tries the endpoint of this machine's own
     /// robot.
     #[must_use]
     pub fn with_robot(&self) -> Self {
         let mut link = self.clone();
-        if link.connect == [DEFAULT_ENDPOINT] {
-            link.connect.push(ROBOT_ENDPOINT.to_owned());
+        if link.connect.is_empty() {
+            link.connect = [DEFAULT_ENDPOINT, ROBOT_ENDPOINT].map(str::to_owned).to_vec();
         }
         link
     }
@@ -140,6 +153,26 @@ pub fn finite(text: &str) -> Result<f64, String> {
 /// Invalid text; the message says what was expected.
 pub fn heading(text: &str) -> Result<f64, String> {
     number(text, Expected::Angle)
+}
+
+/// A pose given as X and Y, m, and YAW, rad, by an option such as `--start`.
+///
+/// # Errors
+/// Exit code 2, with the option: another number of numbers, or a heading that is probably in degrees.
+pub(crate) fn pose(option: &str, numbers: &[f64]) -> Result<Pose2, Failure> {
+    let [x, y, yaw] = *numbers else {
+        return Err(Failure::usage(format!("{option}: expected X Y YAW")));
+    };
+    let checked = Expected::Angle.check(yaw);
+    let yaw = checked.map_err(|why| Failure::usage(format!("{option}: YAW {why}")))?;
+    Ok(Pose2::new(x, y, yaw))
+}
+
+/// A time of so many seconds; at most 2^30 (34 years), which any clock can add.
+#[must_use]
+pub fn seconds(secs: f64) -> Duration {
+    let most = Duration::from_secs(1 << 30);
+    Duration::try_from_secs_f64(secs.max(0.0)).map_or(most, |time| time.min(most))
 }
 
 /// A positive, finite number on the command line.
@@ -261,9 +294,9 @@ fn unknown_host(endpoint: &str) -> Option<&str> {
 /// # Errors
 /// [`exit_code::CANNOT_CONNECT`] without a router, [`exit_code::USAGE`] for an invalid endpoint.
 pub async fn open(link: &LinkArgs) -> Result<Bus, Failure> {
-    let endpoints = link.connect.join(", ");
+    let endpoints = link.endpoints();
     let config = BusConfig {
-        connect: link.connect.clone(),
+        connect: endpoints.clone(),
         name: "zenav-cli".to_owned(),
         retry: false,
         security: link.identity.security()?,
@@ -275,14 +308,15 @@ pub async fn open(link: &LinkArgs) -> Result<Bus, Failure> {
             Some(identity) => format!(", or who answers is not of the fleet of {}", identity.member()),
             None => String::new(),
         };
-        let why = match link.connect.iter().find_map(|endpoint| unknown_host(endpoint)) {
+        let why = match endpoints.iter().find_map(|endpoint| unknown_host(endpoint)) {
             Some(host) => format!("no host `{host}` is known here"),
             None => format!("nobody answers there{or_refused}"),
         };
         Failure::new(
             exit_code::CANNOT_CONNECT,
             format!(
-                "cannot connect to {endpoints}: {why} (`zenav up` starts a deployment, `zenav router` a router; --connect names another endpoint)"
+                "cannot connect to {}: {why} (`zenav up` starts a deployment, `zenav router` a router; --connect names another endpoint)",
+                endpoints.join(", ")
             ),
         )
     };
@@ -343,7 +377,7 @@ pub async fn with_component(bus: &Bus, component: &str) -> Result<Vec<String>, F
         }
         if start.elapsed() > LOOK_FOR {
             let known: BTreeSet<String> = alive.into_keys().collect();
-            let there = unknown(None, &known);
+            let there = unknown(None, &known, bus.member());
             return Err(Failure::not_found(format!("no {component} runs here: {there}")));
         }
         tokio::time::sleep(PAUSE).await;
@@ -399,6 +433,14 @@ pub async fn find_group(bus: &Bus, group: &str) -> Result<(), Failure> {
 /// [`exit_code::NOT_FOUND`] for none or an unknown one, [`exit_code::USAGE`] if there are several; both list the robots found.
 /// [`exit_code::REJECTED`] for a robot that this process's identity may not see.
 pub async fn find(bus: &Bus, wanted: Option<&str>) -> Result<String, Failure> {
+    find_or(bus, wanted, |_| "name one with --robot".to_owned()).await
+}
+
+/// As [`find`]. `cure` words what to do where there are several robots and none was named, from their names, sorted.
+///
+/// # Errors
+/// As [`find`].
+pub async fn find_or(bus: &Bus, wanted: Option<&str>, cure: impl Fn(&[&str]) -> String) -> Result<String, Failure> {
     bus.check(Act::Hear, &topics::STATE.key(&[wanted.unwrap_or("*")]))?;
     let mut states = bus.latest(&topics::STATE, &[wanted.unwrap_or("*")])?;
     let start = Instant::now();
@@ -426,34 +468,43 @@ pub async fn find(bus: &Bus, wanted: Option<&str>) -> Result<String, Failure> {
             || (seen.is_empty() && !known.is_empty());
         match wanted {
             Some(name) if seen.contains(name) || alive.contains_key(name) => return Ok(name.to_owned()),
-            None if complete => return choose(&known),
+            None if complete => return choose(&known, cure),
             _ => {}
         }
         if start.elapsed() > LOOK_FOR {
             let known: BTreeSet<String> = alive.into_keys().chain(known).collect();
-            return Err(unknown(wanted, &known));
+            return Err(unknown(wanted, &known, bus.member()));
         }
         tokio::time::sleep(PAUSE).await;
     }
 }
 
-fn choose(known: &BTreeSet<String>) -> Result<String, Failure> {
+fn choose(known: &BTreeSet<String>, cure: impl Fn(&[&str]) -> String) -> Result<String, Failure> {
     let names: Vec<&str> = known.iter().map(String::as_str).collect();
     match names.as_slice() {
         [one] => Ok((*one).to_owned()),
         several => Err(Failure::usage(format!(
-            "there are several robots ({}): name one with --robot",
-            several.join(", ")
+            "there are several robots ({}): {}",
+            several.join(", "),
+            cure(several)
         ))),
     }
 }
 
-fn unknown(wanted: Option<&str>, known: &BTreeSet<String>) -> Failure {
+/// That no robot at all shows.
+pub(crate) fn none_shows(bus: &Bus) -> Failure {
+    unknown(None, &BTreeSet::new(), bus.member())
+}
+
+fn unknown(wanted: Option<&str>, known: &BTreeSet<String>, member: Option<&Member>) -> Failure {
     let names: Vec<&str> = known.iter().map(String::as_str).collect();
-    let found = if names.is_empty() {
-        "no robot shows here".to_owned()
-    } else {
-        format!("there is {}", names.join(", "))
+    let found = match (names.is_empty(), member) {
+        (false, _) => format!("there is {}", names.join(", ")),
+        // Whoever is not admitted finds nothing, as if nothing ran.
+        (true, Some(member)) => {
+            format!("no robot shows here; `zenav doctor` says whether the router admits {member}")
+        }
+        (true, None) => "no robot shows here".to_owned(),
     };
     Failure::not_found(match wanted {
         Some(name) => format!("no robot `{name}`: {found}"),
@@ -478,20 +529,45 @@ mod tests {
 
     #[test]
     fn the_only_robot_need_not_be_named_and_one_of_several_must() {
-        assert_eq!(choose(&names(&["a"])).unwrap(), "a");
-        let failure = choose(&names(&["a", "b"])).unwrap_err();
+        let first = |names: &[&str]| format!("such as {}", names[0]);
+        assert_eq!(choose(&names(&["a"]), first).unwrap(), "a");
+        let failure = choose(&names(&["a", "b"]), first).unwrap_err();
         assert_eq!(failure.code, exit_code::USAGE);
-        assert!(failure.message.contains("a, b"), "{failure}");
+        assert_eq!(failure.message, "there are several robots (a, b): such as a");
     }
 
     #[test]
     fn an_unknown_robot_is_answered_with_the_known_ones() {
-        let failure = unknown(Some("x"), &names(&["a", "b"]));
+        let failure = unknown(Some("x"), &names(&["a", "b"]), None);
         assert_eq!(failure.code, exit_code::NOT_FOUND);
         assert!(
             failure.message.contains('x') && failure.message.contains("a, b"),
             "{failure}"
         );
+    }
+
+    #[test]
+    fn an_identity_that_sees_no_robot_is_told_how_to_find_out_whether_it_is_admitted() {
+        let anna: Member = "operator.anna".parse().unwrap();
+        for wanted in [None, Some("x")] {
+            let told = |member| unknown(wanted, &BTreeSet::new(), member).message;
+            let with = told(Some(&anna));
+            assert!(
+                with.contains("`zenav doctor`") && with.contains("operator.anna"),
+                "{with}"
+            );
+            assert!(!told(None).contains("doctor"), "{}", told(None));
+        }
+    }
+
+    #[test]
+    fn a_given_endpoint_is_told_from_none_even_if_it_is_the_default_one() {
+        let link = |words: &[&str]| crate::cli::parsed::<LinkArgs>(words).unwrap();
+        let none = link(&[]);
+        assert_eq!(none.endpoints(), [DEFAULT_ENDPOINT]);
+        assert_eq!(none.with_robot().endpoints(), [DEFAULT_ENDPOINT, ROBOT_ENDPOINT]);
+        let given = link(&["--connect", DEFAULT_ENDPOINT]);
+        assert_eq!(given.with_robot().endpoints(), [DEFAULT_ENDPOINT]);
     }
 
     #[test]
@@ -512,6 +588,26 @@ mod tests {
         ] {
             assert!(endpoint(bad).unwrap_err().contains("tcp/127.0.0.1:7447"), "{bad}");
         }
+    }
+
+    #[test]
+    fn any_number_of_seconds_is_a_time_that_a_clock_can_add() {
+        assert_eq!(seconds(10.0 / 2.0), Duration::from_secs(5));
+        for none in [-1.0, f64::NEG_INFINITY, f64::NAN] {
+            assert_eq!(seconds(none), Duration::ZERO, "{none}");
+        }
+        for most in [1e300, f64::INFINITY] {
+            assert_eq!(seconds(most), Duration::from_secs(1 << 30), "{most}");
+        }
+    }
+
+    #[test]
+    fn a_pose_with_a_heading_in_degrees_is_refused_with_its_option() {
+        assert_eq!(pose("--start", &[1.0, -2.0, 3.0]).unwrap(), Pose2::new(1.0, -2.0, 3.0));
+        let refused = pose("--start", &[0.0, 0.0, 90.0]).unwrap_err();
+        assert_eq!(refused.code, exit_code::USAGE);
+        assert!(refused.message.starts_with("--start: YAW 90: expected"), "{refused}");
+        assert!(pose("--start", &[0.0, 0.0]).is_err());
     }
 
     #[test]

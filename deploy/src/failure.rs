@@ -37,6 +37,12 @@ impl Failure {
         Self::new(exit_code::USAGE, message)
     }
 
+    /// The bus ended while it was listened to.
+    #[must_use]
+    pub fn closed() -> Self {
+        Self::new(exit_code::CANNOT_CONNECT, "the bus was closed")
+    }
+
     /// A robot, goal or file that does not exist.
     #[must_use]
     pub fn not_found(message: impl Display) -> Self {

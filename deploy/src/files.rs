@@ -97,6 +97,15 @@ pub fn write(path: &Path, bytes: impl AsRef<[u8]>) -> Result<(), Failure> {
     std::fs::write(path, bytes).map_err(Failure::failed_at(path))
 }
 
+/// Refuses a file that cannot be written, before the work for its content begins. The file is created; one that exists stays as it is.
+///
+/// # Errors
+/// A file that cannot be written, with its name.
+pub fn writable(path: &Path) -> Result<(), Failure> {
+    let opened = std::fs::OpenOptions::new().create(true).append(true).open(path);
+    opened.map(drop).map_err(Failure::failed_at(path))
+}
+
 /// Writes a map file atomically: no reader ever sees part of it.
 ///
 /// # Errors
@@ -124,11 +133,11 @@ pub fn zones(path: Option<&Path>) -> Result<Arc<Zones>, Failure> {
         .map_err(Failure::usage)
 }
 
-/// Failure for a name that is neither shipped nor a file.
-fn unknown(kind: &str, name: &str, shipped: impl Iterator<Item = &'static str>) -> Failure {
+/// Failure for a name, with where it stands, that is neither shipped nor a file.
+fn unknown(kind: &str, name: &str, place: &str, shipped: impl Iterator<Item = &'static str>) -> Failure {
     let known: Vec<&str> = shipped.collect();
     Failure::not_found(format!(
-        "no {kind} `{name}`: expected a file or one of {}",
+        "no {kind} `{name}`{place}: expected a file or one of {}",
         known.join(", ")
     ))
 }
@@ -151,6 +160,24 @@ fn map_world(name: &str, map: OccupancyGrid) -> World {
     World::from_map(name, map, start.unwrap_or_default())
 }
 
+/// The extension of a file's name, in lower case; empty if it has none.
+#[must_use]
+pub fn ending(path: &Path) -> String {
+    path.extension()
+        .unwrap_or_default()
+        .to_string_lossy()
+        .to_ascii_lowercase()
+}
+
+/// Failure of `--out` with a file of an unknown kind.
+#[must_use]
+pub fn unknown_ending(out: &Path, expected: &str) -> Failure {
+    Failure::usage(format!(
+        "--out {}: expected a name that ends with {expected}",
+        out.display()
+    ))
+}
+
 /// A world by file or shipped name; the `.yaml` of a ROS map counts as one too. Suspicious contents cause a warning.
 ///
 /// # Errors
@@ -169,12 +196,14 @@ fn read_world(name: &str) -> Result<World, Failure> {
         if world::shipped(name).is_some() {
             return World::shipped(name).map_err(Failure::failed);
         }
-        return Err(unknown("world", name, world::SHIPPED.iter().map(|(known, _)| *known)));
+        return Err(unknown(
+            "world",
+            name,
+            "",
+            world::SHIPPED.iter().map(|(known, _)| *known),
+        ));
     }
-    if path
-        .extension()
-        .is_some_and(|ending| ending == "yaml" || ending == "yml")
-    {
+    if matches!(ending(path).as_str(), "yaml" | "yml") {
         let stem = path
             .file_stem()
             .map_or_else(|| name.into(), |stem| stem.to_string_lossy());
@@ -182,7 +211,14 @@ fn read_world(name: &str) -> Result<World, Failure> {
     }
     let folder = path.parent().unwrap_or_else(|| Path::new("."));
     let load = |yaml: &str| map_file::read_map(&folder.join(yaml), BARE_RESOLUTION).map_err(|error| error.to_string());
-    World::from_toml(&text(path)?, name, &load).map_err(Failure::usage)
+    let is_picture = matches!(ending(path).as_str(), "png" | "pgm");
+    let text = String::from_utf8(bytes_within(path, MAX_TEXT)?).ok();
+    let text = text.filter(|_| !is_picture).ok_or_else(|| {
+        Failure::usage(format!(
+            "{name}: expected a world in TOML, or the YAML file of a map, which names the map's picture"
+        ))
+    })?;
+    World::from_toml(&text, name, &load).map_err(Failure::usage)
 }
 
 /// A robot by file or shipped name, with its options: `jackal+rear_lidar`.
@@ -195,13 +231,18 @@ pub fn robot(name: &str) -> Result<RobotModel, Failure> {
         if path.is_file() {
             return text(path).map_err(|failure| failure.to_string());
         }
-        let names =
-            |shipped: &[(&'static str, &str)]| shipped.iter().map(|(known, _)| *known).collect::<Vec<_>>().join(", ");
-        Err(format!(
-            "no robot or option `{part}` in `{name}`: expected a file or one of {}, and after each `+` a file or one of {}",
-            names(robot::SHIPPED),
-            names(robot::OPTIONS)
-        ))
+        let (kind, shipped) = if name.split('+').next() == Some(part) {
+            ("robot", robot::SHIPPED)
+        } else {
+            ("option", robot::OPTIONS)
+        };
+        let combined = if part == name {
+            String::new()
+        } else {
+            format!(" in `{name}`")
+        };
+        let missing = unknown(kind, part, &combined, shipped.iter().map(|(known, _)| *known));
+        Err(missing.to_string())
     };
     let model = RobotModel::with_options(name, read).map_err(|error| match error {
         RobotError::Unknown { reason, .. } => Failure::not_found(reason),
@@ -219,10 +260,39 @@ pub fn map(path: &Path) -> Result<OccupancyGrid, Failure> {
     if !path.is_file() {
         return Err(Failure::not_found(format!("{}: no such map file", path.display())));
     }
-    let resolution = if path.extension().is_some_and(|ending| ending == "map") {
-        1.0
-    } else {
-        BARE_RESOLUTION
-    };
+    let resolution = if ending(path) == "map" { 1.0 } else { BARE_RESOLUTION };
     map_file::read_map(path, resolution).map_err(Failure::usage)
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_robot_or_an_option_that_nobody_knows_is_told_with_the_names_that_there_are() {
+        let told = |name| robot(name).map(|_| ()).unwrap_err().to_string();
+        let models = "expected a file or one of tiago, neato, ";
+        assert!(told("waffle").starts_with(&format!("no robot `waffle`: {models}")));
+        assert!(told("waffle+indoor").starts_with(&format!("no robot `waffle` in `waffle+indoor`: {models}")));
+        let option = "no option `indor` in `tiago+indor`: expected a file or one of rear_lidar, indoor, ";
+        assert!(told("tiago+indor").starts_with(option), "{}", told("tiago+indor"));
+    }
+
+    #[test]
+    fn a_picture_is_no_world_and_the_file_that_can_be_one_is_told() {
+        let folder = tempfile::tempdir().unwrap();
+        for (name, content) in [
+            ("map.png", &b"\x89PNG\r\n"[..]),
+            ("map.pgm", b"P2\n1 1\n255\n0\n"),
+            ("world.toml", b"\xfe\xff"),
+        ] {
+            let path = folder.path().join(name);
+            std::fs::write(&path, content).unwrap();
+            let refused = world(path.to_str().unwrap()).map(|_| ()).unwrap_err();
+            assert_eq!(refused.code, exit_code::USAGE);
+            let told = "expected a world in TOML, or the YAML file of a map";
+            assert!(refused.message.contains(told), "{refused}");
+        }
+    }
 }

@@ -7,6 +7,7 @@ use clap::Args;
 use zenav_cloud::gateway::{Gateway, GatewayConfig, GatewayError};
 use zenav_gateway::DEFAULT_LISTEN;
 use zenav_observability::logging::{self, Format};
+use zenav_protocol::member::Role;
 use zenav_sim::World;
 
 use crate::components::{Parts, places};
@@ -15,10 +16,13 @@ use crate::connect;
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::health::HealthArgs;
+use crate::inspect::serve_schemas;
 use crate::launch::{runtime, until_interrupted};
 
 /// Longest wait for a first robot before the address is printed.
 const FIRST_ROBOT: Duration = Duration::from_secs(5);
+/// Roles in which the page is of use: an operator's commands; a viewer's and a service's show at least what goes on.
+const PAGE: [Role; 4] = [Role::Operator, Role::Viewer, Role::Service, Role::Router];
 /// A free loopback port.
 pub(crate) const FREE_PORT: &str = "127.0.0.1:0";
 
@@ -117,6 +121,7 @@ impl Parts {
         };
         let bus = self.bus(deployment, "gateway");
         self.spawn("gateway".to_owned(), bus, move |bus, shutdown| async move {
+            serve_schemas(&bus)?;
             gateway.run(bus, shutdown).await.map_err(Failure::failed)
         });
         Ok(Some(address))
@@ -137,6 +142,7 @@ impl Parts {
         });
         let bus = self.bus(deployment, "gateway");
         self.spawn("gateway".to_owned(), bus, move |bus, shutdown| async move {
+            serve_schemas(&bus)?;
             gateway.run(bus, shutdown).await.map_err(Failure::failed)
         });
         Ok(())
@@ -200,10 +206,12 @@ pub fn gateway(args: &GatewayArgs) -> Outcome {
     }
     let world = layers.world(args.world.as_deref())?;
     let security = args.security.security_of(&deployment)?;
-    runtime()?.block_on(async {
+    security.check_role("`zenav gateway`", &PAGE)?;
+    let ended = runtime()?.block_on(async {
         args.health.serve(&security).await?;
         let mut parts = Parts::new(security);
         parts.told_gateway(&deployment, &world).await?;
         until_interrupted(parts).await
-    })
+    })?;
+    ended.outcome()
 }

@@ -1,13 +1,12 @@
 //! Launcher. What `zenav up`, `router`, `edge` and `cloud` run: the parts of a deployment, all in one process or each in its own.
 
 use std::path::PathBuf;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use clap::{Args, ValueEnum};
 use tokio::task::JoinHandle;
-use zenav_protocol::bus::{Bus, BusConfig, Identity, Router, RouterConfig, interrupted, service_manager, threads};
-use zenav_protocol::config_text::Expected;
-use zenav_protocol::geometry::Pose2;
+use zenav_protocol::bus::{Bus, BusConfig, Router, RouterConfig, interrupted, service_manager, threads};
+use zenav_protocol::member::Role;
 use zenav_sim::World;
 
 use crate::completion;
@@ -20,11 +19,9 @@ use crate::farewell::Farewell;
 use crate::gateway::{self, PageArgs};
 use crate::greeting::Greeting;
 use crate::health::HealthArgs;
+use crate::inspect::serve_schemas;
 use crate::record::{self, LiveView};
 use crate::rest;
-
-/// Period at which a router checks whether the fleet has changed.
-const FLEET_LOOK: Duration = Duration::from_secs(1);
 
 /// Known map that mapping starts with.
 #[derive(Debug, Default, Args)]
@@ -76,15 +73,14 @@ impl PoseArgs {
     /// # Errors
     /// Several robots, or a heading that is probably not in radians.
     pub(crate) fn apply(&self, deployment: &mut Deployment) -> Result<(), Failure> {
-        let Some([x, y, yaw]) = self.pose.as_deref() else {
+        let Some(pose) = self.pose.as_deref() else {
             return Ok(());
         };
-        let check = Expected::Angle.check(*yaw);
-        check.map_err(|why| Failure::usage(format!("--pose: YAW {why}")))?;
+        let pose = connect::pose("--pose", pose)?;
         let count = deployment.robots.len();
         match deployment.robots.values_mut().next() {
             Some(robot) if count == 1 => {
-                robot.start = Some(Pose2::new(*x, *y, *yaw));
+                robot.start = Some(pose);
                 Ok(())
             }
             _ => Err(Failure::usage(format!(
@@ -106,7 +102,7 @@ pub struct UpArgs {
     #[arg(long, value_parser = connect::endpoint)]
     listen: Vec<String>,
     #[command(flatten)]
-    rest: RestArgs,
+    outside: OutsideArgs,
     /// World, instead of the deployment's
     #[arg(long, add = completion::worlds())]
     world: Option<String>,
@@ -145,19 +141,22 @@ pub struct RouterArgs {
     #[arg(long, value_parser = connect::endpoint)]
     connect: Vec<String>,
     #[command(flatten)]
-    rest: RestArgs,
+    outside: OutsideArgs,
     #[command(flatten)]
     security: SecurityArgs,
     #[command(flatten)]
     health: HealthArgs,
 }
 
-/// Key values over HTTP.
+/// The router for programs that are not zenav.
 #[derive(Debug, Args)]
-struct RestArgs {
+struct OutsideArgs {
     /// Answer `GET /KEY` with a key's value, at a loopback address
     #[arg(long, value_name = "ADDRESS:PORT", num_args = 0..=1, default_missing_value = rest::DEFAULT_LISTEN, value_parser = connect::address)]
     rest: Option<String>,
+    /// Answer Zenoh's multicast scouting: its tools on this network find the router without its endpoint
+    #[arg(long)]
+    scouting: bool,
 }
 
 /// Arguments shared by `zenav edge` and `zenav cloud`.
@@ -255,22 +254,50 @@ pub fn runtime() -> Result<tokio::runtime::Runtime, Failure> {
     Ok(tokio::runtime::Builder::new_multi_thread().enable_all().build()?)
 }
 
-/// Runs parts until Ctrl-C or until one fails.
-pub(crate) async fn until_interrupted(mut parts: Parts) -> Outcome {
+/// Why a process has ended its parts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Ended {
+    /// It was asked to end, or they had nothing more to do.
+    Done,
+    /// The fleet has changed: they still admit a member that was revoked.
+    Outdated,
+}
+
+impl Ended {
+    /// The same, unless an interrupt has come by now: it ends the process, even while its parts end for another reason.
+    fn unless_interrupted(self, interrupt: &JoinHandle<()>) -> Self {
+        if interrupt.is_finished() { Self::Done } else { self }
+    }
+
+    /// Ends the process, or starts it anew with the same arguments.
+    pub(crate) fn outcome(self) -> Outcome {
+        if self == Self::Done {
+            return Ok(exit_code::OK);
+        }
+        tracing::info!("the fleet's members or the certificate have changed: the process starts anew");
+        Err(Failure::failed(format!("cannot start anew: {}", threads::restart())))
+    }
+}
+
+/// Runs parts until Ctrl-C, until one fails, or until a member of the fleet was revoked.
+pub(crate) async fn until_interrupted(mut parts: Parts) -> Result<Ended, Failure> {
     let begun = parts.all_begun();
+    let security = parts.security().clone();
     tokio::spawn(async move {
         begun.await;
         service_manager::ready();
     });
+    let mut interrupt = tokio::spawn(interrupted());
     let result = tokio::select! {
-        () = interrupted() => {
+        _ = &mut interrupt => {
             tracing::info!("stopping");
-            Ok(exit_code::OK)
+            Ok(Ended::Done)
         }
-        ended = parts.first_end() => ended.map(|()| exit_code::OK),
+        () = security.revoked() => Ok(Ended::Outdated),
+        ended = parts.first_end() => ended.map(|()| Ended::Done),
     };
     parts.end().await;
-    result
+    result.map(|ended| ended.unless_interrupted(&interrupt))
 }
 
 impl PartArgs {
@@ -328,18 +355,31 @@ pub fn up(args: &UpArgs) -> Outcome {
     if args.page.names_address() || layers.sets("gateway.listen") {
         gateway::check_named(&deployment)?;
     }
+    let outside = &args.outside;
+    let asked = [("--scouting", outside.scouting), ("--rest", outside.rest.is_some())];
+    if !deployment.router.enabled
+        && let Some((option, _)) = asked.into_iter().find(|(_, is_asked)| *is_asked)
+    {
+        return Err(Failure::usage(format!(
+            "{option}: the deployment starts no router that could answer (router.enabled = false): expected it at `zenav router`"
+        )));
+    }
     // Checked before anything starts that would only have to stop again.
     let data = &deployment.data.dir;
     std::fs::create_dir_all(data).map_err(Failure::failed_at(data))?;
     let security = args.security.security_of(&deployment)?;
+    if deployment.router.enabled {
+        security.check_role("a deployment with its router in one process", &[Role::Router])?;
+    }
     free_robot_endpoint(&mut deployment);
-    runtime()?.block_on(async {
+    let ended = runtime()?.block_on(async {
         args.health.serve(&security).await?;
         let router = if deployment.router.enabled {
-            let rest = args.rest.rest.as_ref().unwrap_or(&deployment.router.rest);
+            let rest = args.outside.rest.as_ref().unwrap_or(&deployment.router.rest);
             let config = RouterConfig {
                 listen: deployment.router.listen.clone(),
                 connect: deployment.router.connect.clone(),
+                scouting: args.outside.scouting || deployment.router.scouting,
                 security: security.clone(),
                 ..RouterConfig::default()
             };
@@ -374,7 +414,8 @@ pub fn up(args: &UpArgs) -> Outcome {
             router.close().await;
         }
         result
-    })
+    })?;
+    ended.outcome()
 }
 
 /// The endpoint with port 0 replaced by a port that is free now: all parts have to know it.
@@ -442,9 +483,10 @@ async fn farewell(greeted: JoinHandle<Option<Farewell>>) {
     }
 }
 
-/// Opens a router, and its REST server if there is an address for it.
+/// Opens a router that tells the schemas of messages, and its REST server if there is an address for it.
 async fn open_router(config: &RouterConfig, rest: &str) -> Result<Router, Failure> {
     let router = Router::open(config).await?;
+    serve_schemas(&router.bus("schema"))?;
     tracing::info!(endpoints = ?router.endpoints().await, "router up");
     if !rest.is_empty() {
         let address = rest::start(rest, router.bus("rest")).await?;
@@ -456,46 +498,35 @@ async fn open_router(config: &RouterConfig, rest: &str) -> Result<Router, Failur
 /// `zenav router`.
 ///
 /// # Errors
-/// A taken port or a bad endpoint.
+/// A taken port or a bad endpoint, an identity that is not a router's.
 pub fn router(args: &RouterArgs) -> Outcome {
     let config = RouterConfig {
         listen: args.listen.clone(),
         connect: args.connect.clone(),
+        scouting: args.outside.scouting,
         security: args.security.security()?,
         ..RouterConfig::default()
     };
-    let is_outdated = runtime()?.block_on(async {
+    config.security.check_role("`zenav router`", &[Role::Router])?;
+    let ended = runtime()?.block_on(async {
         args.health.serve(&config.security).await?;
-        let router = open_router(&config, args.rest.rest.as_deref().unwrap_or_default()).await?;
+        let router = open_router(&config, args.outside.rest.as_deref().unwrap_or_default()).await?;
         service_manager::ready();
-        let is_outdated = tokio::select! {
-            () = interrupted() => false,
-            () = outdated(config.security.identity()) => true,
+        let outdated = async {
+            match config.security.identity() {
+                Some(identity) => identity.outdated().await,
+                None => std::future::pending().await,
+            }
+        };
+        let mut interrupt = tokio::spawn(interrupted());
+        let ended = tokio::select! {
+            _ = &mut interrupt => Ended::Done,
+            () = outdated => Ended::Outdated,
         };
         router.close().await;
-        Ok::<_, Failure>(is_outdated)
+        Ok::<_, Failure>(ended.unless_interrupted(&interrupt))
     })?;
-    if is_outdated {
-        tracing::info!("the fleet's members or the certificate have changed: the router starts anew");
-        let error = threads::restart();
-        return Err(Failure::failed(format!("cannot start anew: {error}")));
-    }
-    Ok(exit_code::OK)
-}
-
-/// Waits until the identity no longer matches its folder: a member was issued or revoked, or the certificate renewed. Zenoh cannot reload
-/// these while it runs.
-async fn outdated(identity: Option<&Identity>) {
-    let Some(identity) = identity else {
-        return std::future::pending().await;
-    };
-    let mut pace = tokio::time::interval(FLEET_LOOK);
-    loop {
-        pace.tick().await;
-        if identity.is_outdated() {
-            return;
-        }
-    }
+    ended.outcome()
 }
 
 /// `zenav edge`.
@@ -519,18 +550,19 @@ pub fn edge(args: &EdgeArgs) -> Outcome {
     args.begin.apply(&mut deployment)?;
     let world = layers.world(args.part.world.as_deref())?;
     let security = args.security.security_of(&deployment)?;
-    runtime()?.block_on(async {
+    let ended = runtime()?.block_on(async {
         args.part.health.serve(&security).await?;
         let mut parts = Parts::new(security);
         parts.edges(&deployment, &world, args.attach_to.as_deref())?;
         until_interrupted(parts).await
-    })
+    })?;
+    ended.outcome()
 }
 
 /// `zenav cloud`.
 ///
 /// # Errors
-/// Bad files, a store that another process has.
+/// Bad files, a store that another process has, an identity of another role.
 pub fn cloud(args: &CloudArgs) -> Outcome {
     let layers = Layers::load(args.part.deployment.as_deref())?;
     args.known.check_files(&layers, args.service)?;
@@ -545,10 +577,12 @@ pub fn cloud(args: &CloudArgs) -> Outcome {
         .clone()
         .unwrap_or_else(|| format!("worker-{}", std::process::id()));
     let security = args.security.security_of(&deployment)?;
-    runtime()?.block_on(async {
+    security.check_role("`zenav cloud`", &[Role::Service, Role::Router])?;
+    let ended = runtime()?.block_on(async {
         args.part.health.serve(&security).await?;
         let mut parts = Parts::new(security);
         parts.cloud(&deployment, &world, args.service, &worker)?;
         until_interrupted(parts).await
-    })
+    })?;
+    ended.outcome()
 }

@@ -29,6 +29,7 @@
 //! | `files` | worlds, robots and maps by file or shipped name |
 //! | `drawing` | pictures: maps, worlds, films, trees |
 //! | `completion` | names that a shell offers: shipped ones, and those on the bus |
+//! | `parallel` | independent jobs on several threads |
 //! | `output`, `failure` | tables and JSON; errors with their exit codes |
 
 pub mod annotations;
@@ -60,6 +61,7 @@ pub mod lockstep;
 pub mod netem;
 pub mod operator;
 pub mod output;
+pub mod parallel;
 pub mod record;
 pub mod report;
 mod rest;

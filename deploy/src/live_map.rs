@@ -9,12 +9,15 @@ use tokio::task::AbortHandle;
 use zenav_cloud::map_subscriber::MapSubscriber;
 use zenav_protocol::bus::{Bus, Latest};
 use zenav_protocol::geometry::Pose2;
-use zenav_protocol::messages::{Annotations, EdgeState, GoalState, MapRef, MissionStatus, Plan, PoseEstimate, Scan};
+use zenav_protocol::messages::{
+    Annotations, EdgeState, GoalPhase, GoalState, MapRef, MissionStatus, Plan, PoseEstimate, Scan,
+};
 use zenav_protocol::topics;
 
 use crate::drawing::terminal::{self, Mark, Screen};
 use crate::failure::Failure;
 use crate::freshness::{Ages, Heard, RouterLink, dimmed};
+use crate::output::hundredths;
 
 /// Period of pictures.
 const PERIOD: Duration = Duration::from_millis(200);
@@ -124,7 +127,7 @@ impl LiveMap {
             seen.plan = if points.is_empty() { plan.waypoints } else { points };
         }
         while let Some(goal) = self.goals.take() {
-            seen.goal = (!goal.state.is_end()).then_some(goal);
+            seen.hear(goal);
         }
         if let Some(state) = self.states.take() {
             seen.state = Some(state);
@@ -162,6 +165,15 @@ impl LiveMap {
 }
 
 impl Seen {
+    /// Takes in the state of any goal, and keeps the one that runs: others wait, or end, meanwhile.
+    fn hear(&mut self, goal: GoalState) {
+        if matches!(goal.state, GoalPhase::Active | GoalPhase::Paused) {
+            self.goal = Some(goal);
+        } else if self.goal.as_ref().is_some_and(|known| known.id == goal.id) {
+            self.goal = None;
+        }
+    }
+
     fn marks(&self) -> Vec<Mark<'_>> {
         let places = self.annotations.places.iter();
         let mut marks: Vec<Mark<'_>> = places
@@ -198,7 +210,7 @@ fn state_text(state: &EdgeState) -> String {
     let link = state.round_trip_secs.map(|secs| format!(" {:.0} ms", 1e3 * secs));
     format!(
         "  {:.2} m/s  {:?}  monitor {:?}  link {:?}{}  battery {:.0} %",
-        state.velocity.v,
+        hundredths(state.velocity.v),
         state.mode,
         state.guard,
         state.link,
@@ -208,8 +220,31 @@ fn state_text(state: &EdgeState) -> String {
 }
 
 #[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_goal_that_shows_is_the_one_that_runs() {
+        let goal = |id: &str, state: &str| -> GoalState {
+            let told = serde_json::json!({
+                "id": id, "robot": "r", "state": state, "reason": null, "accepted": 0, "request": { "place": "sink" }
+            });
+            serde_json::from_value(told).unwrap()
+        };
+        let mut seen = Seen::default();
+        for (id, state, shown) in [
+            ("a", "Active", Some("a")),
+            ("b", "Accepted", Some("a")),
+            ("b", "Canceled", Some("a")),
+            ("a", "Paused", Some("a")),
+            ("a", "Succeeded", None),
+            ("c", "Accepted", None),
+        ] {
+            seen.hear(goal(id, state));
+            assert_eq!(seen.goal.as_ref().map(|goal| goal.id.as_str()), shown, "{id} {state}");
+        }
+    }
 
     #[test]
     fn the_status_line_tells_the_ages_and_is_faint_once_they_are_old() {

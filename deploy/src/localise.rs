@@ -13,12 +13,13 @@ use zenav_protocol::messages::{Health, Scan};
 use zenav_slam::Ordered;
 
 use crate::batch::thread_time;
+use crate::connect;
 use crate::drawing::canvas::Color;
 use crate::drawing::plane::{DEGENERATE, Mark, Plane, ROBOT, UNKNOWN};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::Format;
-use crate::slam::{drawn, read_in_order, skipped_warning};
+use crate::slam::{drawn, read_in_order};
 use crate::{files, output};
 
 /// Colour of untrusted poses.
@@ -45,13 +46,13 @@ pub struct LocaliseArgs {
     #[arg(long, conflicts_with = "start")]
     global: bool,
     /// Pose at the first scan, to within some decimetres: m, m, rad
-    #[arg(long, num_args = 3, value_names = ["X", "Y", "YAW"], value_parser = crate::connect::finite)]
+    #[arg(long, num_args = 3, value_names = ["X", "Y", "YAW"], value_parser = connect::finite)]
     start: Option<Vec<f64>>,
     /// Folder for trajectory.csv and localise.png
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Side of a cell if the map does not give it, m
-    #[arg(long, value_name = "M", default_value_t = 0.05, value_parser = crate::connect::positive)]
+    #[arg(long, value_name = "M", default_value_t = 0.05, value_parser = connect::positive)]
     resolution: f64,
     /// Output format
     #[arg(short, long, value_enum, default_value_t)]
@@ -122,9 +123,11 @@ fn read(path: &Path, resolution: f64) -> Result<OccupancyGrid, Failure> {
 }
 
 fn followed(args: &LocaliseArgs) -> Result<Followed, Failure> {
+    let start = args.start.as_deref().map(|start| connect::pose("--start", start));
+    let start = start.transpose()?;
     let map = read(&args.map, args.resolution)?;
-    let log = read_in_order(&args.log)?;
-    let (steps, mut times) = follow(&map, &log.scans, args.start.as_deref());
+    let (log, mut warnings) = read_in_order(&args.log)?;
+    let (steps, mut times) = follow(&map, &log.scans, start);
     let Some((begun, _)) = steps.first() else {
         return Err(Failure::usage(format!(
             "{}: no scan of it makes sense",
@@ -134,6 +137,7 @@ fn followed(args: &LocaliseArgs) -> Result<Followed, Failure> {
     if let Some(out) = &args.out {
         write(out, &map, &steps)?;
     }
+    warnings.extend(repeated_warning(&args.log, &log, steps.len()));
     let count = |is: fn(&Health) -> bool| steps.iter().filter(|(_, located)| is(&located.health)).count();
     let trusted = steps.iter().filter(|(_, located)| located.health.is_trusted());
     let agreeing: Vec<f64> = trusted.map(|(_, located)| located.evidence.agreeing).collect();
@@ -143,7 +147,7 @@ fn followed(args: &LocaliseArgs) -> Result<Followed, Failure> {
     Ok(Followed {
         scans: steps.len(),
         skipped: log.skipped + log.scans.len() - steps.len(),
-        warnings: warnings(&args.log, &log, steps.len()),
+        warnings,
         tracking: count(|health| matches!(health, Health::Tracking)),
         degraded: count(|health| matches!(health, Health::Degraded { .. })),
         searching: count(|health| matches!(health, Health::Searching)),
@@ -151,9 +155,9 @@ fn followed(args: &LocaliseArgs) -> Result<Followed, Failure> {
         ambiguous: count(|health| matches!(health, Health::Ambiguous { .. })),
         found: steps.iter().filter(|(_, located)| located.is_found_anew).count(),
         found_after_s: first.map(|(stamp, _)| stamp - begun),
-        agreeing: agreeing.iter().sum::<f64>() / agreeing.len().max(1) as f64,
+        agreeing: mean(&agreeing),
         cpu_ms_per_scan: Times {
-            mean: 1e3 * times.iter().sum::<f64>() / times.len() as f64,
+            mean: 1e3 * mean(&times),
             p50: at(0.5),
             p99: at(0.99),
             max: at(1.0),
@@ -162,17 +166,16 @@ fn followed(args: &LocaliseArgs) -> Result<Followed, Failure> {
     })
 }
 
-/// Warnings about the scans that were left out, by reason.
-fn warnings(path: &Path, log: &Ordered, used: usize) -> Vec<String> {
+/// A warning about the scans that were left out because of their stamps, though these do not go back.
+fn repeated_warning(path: &Path, log: &Ordered, used: usize) -> Option<String> {
     let unused = log.scans.len() - used;
-    let repeated = (unused > 0).then(|| {
+    (unused > 0).then(|| {
         format!(
             "{}: {unused} of {} scans have the stamp of the scan before them and were skipped",
             path.display(),
             log.skipped + log.scans.len()
         )
-    });
-    skipped_warning(path, log).into_iter().chain(repeated).collect()
+    })
 }
 
 impl Followed {
@@ -201,7 +204,7 @@ impl Followed {
 }
 
 /// Localisation of each scan, and its processor time, s. A scan with the stamp of the scan before it is left out.
-fn follow(map: &OccupancyGrid, scans: &[Scan], start: Option<&[f64]>) -> (Vec<Step>, Vec<f64>) {
+fn follow(map: &OccupancyGrid, scans: &[Scan], start: Option<Pose2>) -> (Vec<Step>, Vec<f64>) {
     let mut localiser = Localiser::new(LocalisationSettings::default(), map);
     if start.is_none() {
         localiser.lose();
@@ -209,8 +212,8 @@ fn follow(map: &OccupancyGrid, scans: &[Scan], start: Option<&[f64]>) -> (Vec<St
     let (mut steps, mut times) = (Vec::new(), Vec::new());
     for scan in scans {
         let guess = match start {
-            Some([x, y, yaw]) => Pose2::new(*x, *y, *yaw) * scan.odom_from_base.inverse(),
-            _ => scan.map_from_odom,
+            Some(start) => start * scan.odom_from_base.inverse(),
+            None => scan.map_from_odom,
         };
         let scan = Scan {
             map_from_odom: guess,
@@ -237,6 +240,8 @@ fn write(out: &Path, map: &OccupancyGrid, steps: &[Step]) -> Result<(), Failure>
             Health::Searching => "searching",
             Health::Lost => "lost",
             Health::Ambiguous { .. } => "ambiguous",
+            Health::Unchecked => "unchecked",
+            Health::Contradicted => "contradicted",
         };
         // Writing to a string cannot fail.
         let _ = writeln!(rows, "{stamp},{x},{y},{yaw},{health}");
@@ -268,38 +273,47 @@ fn write(out: &Path, map: &OccupancyGrid, steps: &[Step]) -> Result<(), Failure>
     plane.polyline(&stretch, color, 1.5);
     plane.map_legend();
     plane.gap();
-    plane.legend(Mark::Line, ROBOT, "way in the map");
+    plane.legend(Mark::Line, ROBOT, "trajectory");
     plane.legend(Mark::Line, DEGENERATE, "degenerate stretch");
-    plane.legend(Mark::Line, UNSURE, "not to be trusted");
+    plane.legend(Mark::Line, UNSURE, "lost or ambiguous");
     files::write(&out.join("localise.png"), plane.finish()?.png()?)
+}
+
+/// The mean; zero of nothing.
+fn mean(values: &[f64]) -> f64 {
+    // The sum of nothing is -0.
+    values.iter().sum::<f64>() / values.len().max(1) as f64 + 0.0
 }
 
 fn color_of(health: &Health) -> Color {
     match health {
         Health::Tracking => ROBOT,
         Health::Degraded { .. } => DEGENERATE,
-        Health::Searching | Health::Lost | Health::Ambiguous { .. } => UNSURE,
+        _ => UNSURE,
     }
 }
 
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
-    use clap::Parser as _;
-
     use super::*;
     use crate::slam::drive;
 
-    #[derive(clap::Parser)]
-    struct Command {
-        #[command(flatten)]
-        localise: LocaliseArgs,
-    }
-
     fn arguments(map: &Path, log: &Path) -> LocaliseArgs {
         let [map, log] = [map, log].map(|path| path.to_str().unwrap());
-        let words = ["localise", "--map", map, "--log", log, "--start", "0", "0", "0"];
-        Command::try_parse_from(words).unwrap().localise
+        crate::cli::parsed(&["--map", map, "--log", log, "--start", "0", "0", "0"]).unwrap()
+    }
+
+    #[test]
+    fn a_start_in_degrees_is_refused_before_the_files_are_read() {
+        let args = crate::cli::parsed(&["--map", "m.yaml", "--log", "a.log", "--start", "0", "0", "90"]).unwrap();
+        let refused = followed(&args).unwrap_err();
+        assert!(refused.message.starts_with("--start: YAW 90: expected"), "{refused}");
+    }
+
+    #[test]
+    fn a_mean_of_nothing_is_zero_without_a_sign() {
+        assert_eq!((mean(&[]).to_string(), mean(&[1.0, 2.0])), ("0".to_owned(), 1.5));
     }
 
     #[test]

@@ -10,7 +10,7 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle, WeakProgressBar}
 use serde::Serialize;
 
 use crate::exit_code;
-use crate::failure::Failure;
+use crate::failure::{Failure, Outcome};
 
 /// Format of printed data.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
@@ -61,6 +61,23 @@ pub fn counted<N: Display + PartialEq + From<u8>>(count: N, thing: &str) -> Stri
     format!("{count} {thing}{plural}")
 }
 
+/// Text escaped for XML and HTML, for contents and attributes; control characters but line breaks become spaces.
+#[must_use]
+pub fn escape(text: &str) -> String {
+    let mut escaped = String::with_capacity(text.len());
+    for letter in text.chars() {
+        match letter {
+            '&' => escaped.push_str("&amp;"),
+            '<' => escaped.push_str("&lt;"),
+            '>' => escaped.push_str("&gt;"),
+            '"' => escaped.push_str("&quot;"),
+            letter if letter.is_control() && letter != '\n' => escaped.push(' '),
+            letter => escaped.push(letter),
+        }
+    }
+    escaped
+}
+
 /// `, perhaps `X``: the most similar known name, within so many edits.
 #[must_use]
 pub fn perhaps<'n>(meant: &str, known: impl IntoIterator<Item = &'n str>, slips: usize) -> String {
@@ -75,30 +92,36 @@ pub fn perhaps<'n>(meant: &str, known: impl IntoIterator<Item = &'n str>, slips:
 ///
 /// # Errors
 /// The value cannot be written as JSON.
-pub fn value<T: Serialize>(format: Format, value: &T, table: impl FnOnce(&T) -> String) -> Result<(), Failure> {
+pub fn value<T: Serialize>(format: Format, value: &T, table: impl FnOnce(&T) -> String) -> Outcome {
     let text = match format {
         Format::Table => table(value),
         Format::Json => serde_json::to_string_pretty(value).map_err(Failure::failed)?,
         Format::Ndjson => serde_json::to_string(value).map_err(Failure::failed)?,
     };
     line(text.trim_end_matches('\n'));
-    Ok(())
+    Ok(exit_code::OK)
 }
 
 /// Prints several values: a JSON array, one object per line, or one table.
 ///
 /// # Errors
 /// A value cannot be written as JSON.
-pub fn values<T: Serialize>(format: Format, values: &[T], table: impl FnOnce(&[T]) -> String) -> Result<(), Failure> {
+pub fn values<T: Serialize>(format: Format, values: &[T], table: impl FnOnce(&[T]) -> String) -> Outcome {
     match format {
         Format::Ndjson => {
             for one in values {
                 value(Format::Ndjson, one, |_| String::new())?;
             }
-            Ok(())
+            Ok(exit_code::OK)
         }
         other => value(other, &values, |values| table(values)),
     }
+}
+
+/// A value rounded to hundredths; a rounded zero has no sign.
+#[must_use]
+pub fn hundredths(value: f64) -> f64 {
+    (100.0 * value).round() / 100.0 + 0.0
 }
 
 /// A progress bar from a template; hidden if stderr is not a terminal.
@@ -165,10 +188,11 @@ impl std::io::Write for LogWriter {
 
 /// Aligns rows of cells under a header.
 #[must_use]
-pub fn table(header: &[&str], rows: &[Vec<String>]) -> String {
+pub fn table<R: AsRef<[String]>>(header: &[&str], rows: impl IntoIterator<Item = R>) -> String {
+    let rows: Vec<R> = rows.into_iter().collect();
     let width = |column: usize| {
         rows.iter()
-            .filter_map(|row| row.get(column))
+            .filter_map(|row| row.as_ref().get(column))
             .map(|cell| cell.chars().count())
             .chain([header[column].chars().count()])
             .max()
@@ -183,6 +207,9 @@ pub fn table(header: &[&str], rows: &[Vec<String>]) -> String {
         padded.join("  ").trim_end().to_owned()
     };
     let mut lines = vec![print(&mut header.iter().copied())];
-    lines.extend(rows.iter().map(|row| print(&mut row.iter().map(String::as_str))));
+    lines.extend(
+        rows.iter()
+            .map(|row| print(&mut row.as_ref().iter().map(String::as_str))),
+    );
     lines.join("\n")
 }

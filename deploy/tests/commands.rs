@@ -61,6 +61,56 @@ async fn zenav(endpoint: &str, words: &[&str]) -> Answer {
     )
 }
 
+/// A command that needs no bus.
+fn offline(words: &[&str]) -> Answer {
+    Answer::of(&Command::new(env!("CARGO_BIN_EXE_zenav")).args(words).output().unwrap())
+}
+
+#[test]
+fn a_map_whose_unknown_cells_become_free_is_warned_of_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let (image, yaml) = (folder.path().join("hall.pgm"), folder.path().join("hall.yaml"));
+    std::fs::write(image, "P2 3 1 255 205 254 205").unwrap();
+    let show = |threshold: &str| {
+        let text = format!("image: hall.pgm\nresolution: 0.05\norigin: [0, 0, 0]\nfree_thresh: {threshold}\n");
+        std::fs::write(&yaml, text).unwrap();
+        offline(&["map", "show", yaml.to_str().unwrap()]).expect(0)
+    };
+    let shown = show("0.25");
+    let warned = shown.err.matches("hall.yaml:4: `free_thresh` 0.25 makes 2 cells free");
+    assert_eq!(warned.count(), 1, "{}", shown.err);
+    assert!(
+        shown.err.contains("`free_thresh: 0.196` keeps them unknown"),
+        "{}",
+        shown.err
+    );
+    assert!(shown.out.contains("3 free, 0 unknown"), "{}", shown.out);
+    assert!(!show("0.196").err.contains("free_thresh"));
+    // In scale mode no threshold helps.
+    let scaled = show("0.196\nmode: scale");
+    let told = "hall.yaml:5: `mode: scale` makes 2 cells free";
+    let remedy = "`mode: trinary` with `free_thresh: 0.196` keeps them unknown";
+    assert!(
+        scaled.err.contains(told) && scaled.err.contains(remedy),
+        "{}",
+        scaled.err
+    );
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_run_is_reported_although_its_trajectory_cannot_be_stored() {
+    let run = "run --world empty --goal 0.5 0 --known-map --trajectory /dev/full";
+    let ran = offline(&run.split(' ').collect::<Vec<_>>());
+    assert!(
+        ran.code != 0 && ran.out.starts_with("Reached"),
+        "{}{}",
+        ran.out,
+        ran.err
+    );
+    assert!(ran.err.contains("/dev/full"), "{}", ran.err);
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_goal_is_waited_for_and_its_end_is_the_exit_code() {
     let (_router, endpoint) = router().await;
@@ -304,7 +354,7 @@ async fn a_message_is_checked_against_its_key_however_the_key_is_written() {
     let _fake = Fake::start(&endpoint, "r1").await;
     for key in ["zenav/r1/operator/teleop", "r1/operator/teleop", "operator/teleop"] {
         let refused = zenav(&endpoint, &["topic", "pub", key, "{}"]).await.expect(2);
-        assert!(refused.err.contains("no Teleop"), "{key}: {}", refused.err);
+        assert!(refused.err.contains("not a Teleop"), "{key}: {}", refused.err);
     }
     let foreign = zenav(&endpoint, &["topic", "pub", "r1/lamp", "{}"]).await.expect(0);
     assert!(foreign.err.contains("r1/lamp is not a key of zenav"), "{}", foreign.err);

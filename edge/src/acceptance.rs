@@ -19,6 +19,10 @@ const LIMIT_SLACK: f64 = 0.02;
 const STEP_SLACK: f64 = 0.1;
 /// A trajectory ends at rest: largest wheel surface speed there, m/s.
 const END_SPEED: f64 = 0.1;
+/// Largest coordinate of a point, m: with greater ones lengths would overflow. And longest trajectory, m: some trackers divide it into
+/// equal steps.
+const FARTHEST: f64 = 1e8;
+const LONGEST: f64 = 1e5;
 /// Most trajectory points and waypoints looked at.
 const MOST_POINTS: usize = 100_000;
 /// Longest goal id, bytes.
@@ -217,6 +221,28 @@ pub struct Grant<'a> {
 
 /// Checks a plan's header: who wrote it, when, for how long. Returns its expiry on the edge's clock.
 ///
+/// ```
+/// # use nalgebra::Point2;
+/// # use zenav_edge::acceptance::{Grant, Rejection, judge_head};
+/// # use zenav_protocol::messages::{BasedOn, MapRef, Plan, PlanStatistics, Revision, Trajectory};
+/// # use zenav_protocol::time::Stamp;
+/// # let plan = Plan {
+/// #     goal_id: "tea".into(), epoch: 4, revision: Revision { incarnation: 1, counter: 1 }, trajectory_id: 1, map: MapRef::default(),
+/// #     frame: "map".into(), based_on: BasedOn { stamp: Stamp::from_secs(10.0), boot_id: "boot-1".into() }, valid_for: 3.0,
+/// #     waypoints: vec![Point2::new(1.0, 0.0)], trajectory: Trajectory::default(), splice: None, statistics: PlanStatistics::default(),
+/// # };
+/// # let grant = Grant {
+/// #     now: Stamp::from_secs(10.2), boot_id: "boot-1", epoch: 4, mission_live: true, stopped: false, resumed: None, newest: None,
+/// #     max_validity: 10.0, longest_step: 1000,
+/// # };
+/// // A plan of epoch 4, made from the pose at 10 s and valid for 3 s, arrives at 10.2 s.
+/// assert_eq!(judge_head(&plan, &grant), Ok(Stamp::from_secs(13.0)));
+/// let late = Grant { now: Stamp::from_secs(13.5), ..grant.clone() };
+/// assert_eq!(judge_head(&plan, &late).unwrap_err().to_string(), "plan expired 0.500 s ago");
+/// let of_another = Grant { epoch: 5, ..grant };
+/// assert_eq!(judge_head(&plan, &of_another), Err(Rejection::WrongEpoch { got: 4, current: 5 }));
+/// ```
+///
 /// # Errors
 /// [`Rejection`].
 pub fn judge_head(plan: &Plan, grant: &Grant<'_>) -> Result<Stamp, Rejection> {
@@ -289,6 +315,24 @@ fn leaps(revision: Revision, newest: Revision, longest: u64) -> bool {
 
 /// Checks a plan's content by itself: finite, monotone, within the limits of this robot.
 ///
+/// ```
+/// # use nalgebra::Point2;
+/// # use zenav_edge::acceptance::judge_course;
+/// # use zenav_protocol::messages::{BasedOn, MapRef, Plan, PlanStatistics, Revision, Trajectory, TrajectoryPoint};
+/// # let drive = zenav_fixtures::robot("tiago").drive;
+/// # let plan = Plan {
+/// #     goal_id: "tea".into(), epoch: 4, revision: Revision::default(), trajectory_id: 1, map: MapRef::default(), frame: "map".into(),
+/// #     based_on: BasedOn::default(), valid_for: 3.0, waypoints: vec![Point2::new(1.0, 0.0)], trajectory: Trajectory::default(),
+/// #     splice: None, statistics: PlanStatistics::default(),
+/// # };
+/// // A list of waypoints is driven at the robot's own speed; a trajectory must keep its limits.
+/// assert_eq!(judge_course(&plan, &drive), Ok(()));
+/// let at = |t: f64, x: f64, v: f64| TrajectoryPoint { t, x, v, ..TrajectoryPoint::default() };
+/// let trajectory = vec![at(0.0, 0.0, 0.0), at(1.0, 0.5, 1.0), at(2.0, 1.0, 0.0)].into();
+/// let error = judge_course(&Plan { trajectory, ..plan }, &drive).unwrap_err();
+/// assert_eq!(error.to_string(), "wheel speed at point 1 is 10.152, over the limit of 6.280");
+/// ```
+///
 /// # Errors
 /// [`Rejection`].
 pub fn judge_course(plan: &Plan, drive: &Drive) -> Result<(), Rejection> {
@@ -311,6 +355,16 @@ pub fn judge_course(plan: &Plan, drive: &Drive) -> Result<(), Rejection> {
         .all(|p| p.t.is_finite() && p.pose().is_finite() && p.twist().is_finite())
     {
         return Err(Rejection::Malformed("a trajectory point is not finite"));
+    }
+    let points = plan.trajectory.iter().map(TrajectoryPoint::position);
+    if !points
+        .chain(plan.waypoints.iter().copied())
+        .all(|point| point.coords.amax() <= FARTHEST)
+    {
+        return Err(Rejection::Malformed("a point is too far from the map's origin"));
+    }
+    if plan.trajectory.length() > LONGEST {
+        return Err(Rejection::Malformed("the trajectory is too long"));
     }
     if plan.splice.is_some_and(|splice| !splice.time.is_finite()) {
         return Err(Rejection::Malformed("plan splice time is not finite"));
@@ -457,6 +511,25 @@ mod tests {
     use zenav_protocol::trajectory::TrajectoryPoint;
 
     use super::*;
+
+    #[test]
+    fn a_trajectory_that_leads_out_of_all_reach_is_refused() {
+        let drive = zenav_fixtures::robot("tiago").drive;
+        let judge = |x: f64| {
+            // Slowly enough for any robot.
+            let at = |t: f64, x: f64| TrajectoryPoint::new(t, Pose2::new(x, 0.0, 0.0), Twist2::ZERO);
+            let trajectory = vec![at(0.0, 0.0), at(10.0 * x, x)].into();
+            let plan = Plan {
+                trajectory,
+                ..Plan::default()
+            };
+            judge_course(&plan, &drive)
+        };
+        assert_eq!(judge(5e4), Ok(()));
+        for x in [2e5, 1e9] {
+            assert!(matches!(judge(x), Err(Rejection::Malformed(_))), "{x}");
+        }
+    }
 
     #[test]
     fn what_touches_the_robot_bars_only_a_motion_farther_into_it() {

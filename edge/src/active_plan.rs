@@ -10,7 +10,7 @@ use crate::acceptance::{Rejection, judge_course, judge_free, judge_start};
 use crate::avoidance::Ahead;
 use crate::local_obstacles::LocalObstacles;
 use crate::settings::{EdgeSettings, PlanSettings};
-use crate::trackers::{Law, Progress, Tracker, TrackerInput};
+use crate::trackers::{Law, Tracker, TrackerInput};
 
 /// The plan in force.
 #[derive(Clone, Debug)]
@@ -227,7 +227,7 @@ impl ActivePlan {
 
     /// True once, when the end has been reached.
     pub fn ends(&mut self, map_from_base: &Pose2) -> bool {
-        let ends = self.raw_progress(map_from_base).finished && !self.end_reported;
+        let ends = self.tracker.progress(map_from_base).finished && !self.end_reported;
         self.end_reported |= ends;
         ends
     }
@@ -256,14 +256,10 @@ impl ActivePlan {
         &self.plan
     }
 
-    fn raw_progress(&self, map_from_base: &Pose2) -> Progress {
-        self.tracker.progress(map_from_base)
-    }
-
     /// Progress along the plan.
     #[must_use]
     pub fn progress(&self, now: Stamp, map_from_base: &Pose2) -> PlanProgress {
-        let progress = self.raw_progress(map_from_base);
+        let progress = self.tracker.progress(map_from_base);
         PlanProgress {
             goal_id: self.plan.goal_id.clone(),
             epoch: self.plan.epoch,
@@ -281,7 +277,7 @@ impl ActivePlan {
 
     /// Time left by the plan, s.
     pub(crate) fn time_left(&self, map_from_base: &Pose2) -> f64 {
-        self.raw_progress(map_from_base).time_left
+        self.tracker.progress(map_from_base).time_left
     }
 
     /// Marker of the waypoint or reference that the robot drives to.

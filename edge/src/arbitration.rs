@@ -29,6 +29,16 @@ pub enum MotionSource {
 }
 
 /// Reads the motion table. `plan_valid`: there is an accepted plan that has not expired.
+///
+/// ```
+/// use zenav_edge::arbitration::{MotionSource, motion_source};
+/// use zenav_protocol::messages::{LeaseRole, Link, LostPolicy};
+///
+/// let source = |live, plan_valid| motion_source(live, Some(LeaseRole::Mission), plan_valid, LostPolicy::ReturnHome, Link::Lost);
+/// assert_eq!(source(true, true), MotionSource::Plan);
+/// assert_eq!(source(false, true), MotionSource::Plan, "the horizon is finished without a cloud");
+/// assert_eq!(source(false, false), MotionSource::ReturnHome);
+/// ```
 #[must_use]
 pub fn motion_source(
     lease_live: bool,

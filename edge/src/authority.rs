@@ -8,16 +8,17 @@ use std::time::Duration;
 use zenav_protocol::lease::{self, LeaseArbiter};
 use zenav_protocol::messages::{
     EventKind, Heartbeat, LeaseAction, LeaseReply, LeaseRequest, LeaseRole, LeaseState, Link, LostPolicy, ModeRequest,
-    Refusal, ResumeRequest, StopReply, StopRequest,
+    Refusal, ResumeRequest, Revision, StopReply, StopRequest,
 };
 use zenav_protocol::time::Stamp;
 
+use crate::acceptance::Grant;
 use crate::arbitration::{self, MotionSource};
 use crate::config::EdgeConfig;
 use crate::control_io::Persisted;
 use crate::event_log::EventLog;
 use crate::link;
-use crate::settings::LeaseSettings;
+use crate::settings::{AcceptanceSettings, LeaseSettings};
 use crate::teleop::Dropped;
 
 /// Longest name of a holder or request, bytes.
@@ -32,7 +33,7 @@ const MEMORY: usize = 64;
 pub struct Authority {
     arbiter: LeaseArbiter,
     stopped: bool,
-    /// Stops so far, those before a restart included.
+    /// Stops since this start.
     stops: u64,
     /// Ids of the latest stops and resumes.
     obeyed: VecDeque<String>,
@@ -44,6 +45,8 @@ pub struct Authority {
     first_answers: VecDeque<(LeaseRequest, Result<LeaseReply, Refusal>)>,
     /// The last measured round trip, until it is taken.
     measured: Option<Duration>,
+    /// The present grant, if nothing could be stored when it was made: its holder is refused then. Told once that holder is heard.
+    untold: Option<EventKind>,
     stored: Persisted,
 }
 
@@ -79,7 +82,7 @@ impl Authority {
                 stored.leader.clone(),
             ),
             stopped: stored.stopped,
-            stops: stored.stops,
+            stops: 0,
             obeyed: VecDeque::new(),
             resumed: None,
             policy: config.on_lost,
@@ -88,12 +91,20 @@ impl Authority {
             settings: config.settings.lease.clone(),
             first_answers: VecDeque::new(),
             measured: None,
+            untold: None,
             stored,
         }
     }
 
-    /// Answers a request for the lease; a repeated request gets the first answer.
-    pub fn lease(&mut self, now: Stamp, request: &LeaseRequest, events: &mut EventLog) -> Decision<LeaseReply> {
+    /// Answers a request for the lease; a repeated request gets the first answer. `can_store`: whether the last state was stored; while none
+    /// can be, the answer to a grant is replaced by a refusal, so the grant is not recorded.
+    pub fn lease(
+        &mut self,
+        now: Stamp,
+        request: &LeaseRequest,
+        can_store: bool,
+        events: &mut EventLog,
+    ) -> Decision<LeaseReply> {
         if let Err(why) = well_formed(request) {
             return Decision::without_effect(Err(Refusal::bad_request(why)));
         }
@@ -109,15 +120,17 @@ impl Authority {
             } else {
                 "released"
             };
-            let holder = self.arbiter.state(now).holder;
-            events.record(
-                now,
-                EventKind::Lease {
-                    holder,
-                    epoch: self.arbiter.epoch(),
-                    reason: reason.to_owned(),
-                },
-            );
+            let event = EventKind::Lease {
+                holder: self.arbiter.state(now).holder,
+                epoch: self.arbiter.epoch(),
+                reason: reason.to_owned(),
+            };
+            self.untold = None;
+            if can_store || request.action != LeaseAction::Acquire {
+                events.record(now, event);
+            } else {
+                self.untold = Some(event);
+            }
         }
         self.live = self.arbiter.is_live(now);
         self.measured = granted
@@ -143,8 +156,11 @@ impl Authority {
     }
 
     /// Renews the lease by a heartbeat.
-    pub fn heartbeat(&mut self, now: Stamp, heartbeat: &Heartbeat) {
+    pub fn heartbeat(&mut self, now: Stamp, heartbeat: &Heartbeat, events: &mut EventLog) {
         if self.arbiter.renew(now, heartbeat) {
+            if let Some(grant) = self.untold.take() {
+                events.record(now, grant);
+            }
             self.measured = lease::measured(now, heartbeat.echo).or(self.measured);
         }
     }
@@ -196,13 +212,20 @@ impl Authority {
         }
     }
 
-    /// Releases the stop: allows a new plan, and nothing else. A request made before the newest stop is refused, and a copy of an earlier
-    /// request has no effect.
+    /// Releases the stop: allows a new plan, and nothing else. A request made before the newest stop or before a restart is refused, and a
+    /// copy of an earlier request has no effect.
     pub fn resume(&mut self, now: Stamp, request: &ResumeRequest, events: &mut EventLog) -> Decision<StopReply> {
-        if self.stopped && request.stop.is_some_and(|stop| stop != self.stops) {
-            return Decision::without_effect(Err(Refusal::rejected(
-                "the robot was stopped again since: look at it, and resume it again",
+        if request.stop.is_some() && request.boot_id.is_none() {
+            return Decision::without_effect(Err(Refusal::bad_request(
+                "`stop`: expected with the `boot_id` of the state that counted it",
             )));
+        }
+        let is_of_other_boot = request.boot_id.as_deref().is_some_and(|id| id != events.boot_id());
+        if self.stopped && (is_of_other_boot || request.stop.is_some_and(|stop| stop != self.stops)) {
+            let since = if is_of_other_boot { "restarted" } else { "stopped again" };
+            return Decision::without_effect(Err(Refusal::rejected(format!(
+                "the robot was {since} since: look at it, and resume it again"
+            ))));
         }
         if self.is_copy(request.request_id.as_deref()) {
             return Decision::without_effect(Ok(StopReply { stopped: self.stopped }));
@@ -271,7 +294,7 @@ impl Authority {
     /// Updates the link; records an expired lease and a changed link.
     pub fn update_link(&mut self, now: Stamp, events: &mut EventLog) {
         let live = self.arbiter.is_live(now);
-        if self.live && !live && self.arbiter.role().is_some() {
+        if self.live && !live && self.arbiter.role().is_some() && self.untold.is_none() {
             events.record(
                 now,
                 EventKind::Lease {
@@ -298,7 +321,6 @@ impl Authority {
         let wanted = Persisted {
             epoch: self.arbiter.epoch(),
             stopped: self.stopped,
-            stops: self.stops,
             leader: self.arbiter.leader().cloned(),
         };
         (wanted != self.stored).then(|| {
@@ -323,22 +345,39 @@ impl Authority {
         }
     }
 
+    /// Against what a plan's header is checked. `newest`: the newest accepted plan, by epoch and revision.
+    #[must_use]
+    pub fn grant<'a>(
+        &self,
+        now: Stamp,
+        boot_id: &'a str,
+        newest: Option<(u64, Revision)>,
+        settings: &AcceptanceSettings,
+    ) -> Grant<'a> {
+        let epoch = self.epoch();
+        Grant {
+            now,
+            boot_id,
+            epoch,
+            mission_live: self.is_live_as(now, LeaseRole::Mission),
+            stopped: self.stopped,
+            resumed: self.resumed,
+            newest: newest.filter(|(of, _)| *of == epoch).map(|(_, revision)| revision),
+            max_validity: settings.max_validity,
+            longest_step: settings.longest_step,
+        }
+    }
+
     /// Whether the stop is latched.
     #[must_use]
     pub fn is_stopped(&self) -> bool {
         self.stopped
     }
 
-    /// Number of stops so far.
+    /// Number of stops since this start.
     #[must_use]
     pub fn stops(&self) -> u64 {
         self.stops
-    }
-
-    /// When the stop was last released.
-    #[must_use]
-    pub fn resumed(&self) -> Option<Stamp> {
-        self.resumed
     }
 
     /// Whether a holder with this role has a live lease.

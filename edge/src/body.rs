@@ -4,8 +4,33 @@ use thiserror::Error;
 use zenav_protocol::readings::Readings;
 
 /// A robot's hardware, real or simulated.
+///
+/// ```
+/// use zenav_edge::{Body, BodyError};
+/// use zenav_protocol::{readings::Readings, time::Stamp};
+///
+/// /// A base whose wheels turn exactly as told.
+/// struct Ideal { angles: [f64; 2], speeds: [f64; 2], now: Stamp }
+///
+/// impl Body for Ideal {
+///     fn read(&mut self) -> Result<Readings, BodyError> {
+///         self.now = self.now.plus_secs(0.02);
+///         self.angles = [0, 1].map(|side| self.angles[side] + 0.02 * self.speeds[side]);
+///         Ok(Readings { wheels: self.angles, ..Readings::new(self.now) })
+///     }
+///     fn drive(&mut self, wheels: [f64; 2]) -> Result<(), BodyError> {
+///         self.speeds = wheels;
+///         Ok(())
+///     }
+/// }
+///
+/// let mut body = Ideal { angles: [0.0; 2], speeds: [0.0; 2], now: Stamp::ZERO };
+/// body.drive([1.0, 2.0])?;
+/// assert_eq!(body.read()?.wheels, [0.02, 0.04]);
+/// # Ok::<(), BodyError>(())
+/// ```
 pub trait Body: Send {
-    /// The readings of this control tick. A simulated body first advances its world by one tick.
+    /// The readings of this control tick; those from before the last ones are refused. A simulated body first advances its world by one tick.
     ///
     /// # Errors
     /// [`BodyError`] when the hardware does not answer; the caller brakes and tries again at the next tick.

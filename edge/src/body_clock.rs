@@ -61,6 +61,18 @@ impl BodyClock {
 
     /// Judges the stamp of readings; if accepted, the clock shows it from then on.
     ///
+    /// ```
+    /// use zenav_edge::body_clock::{BodyClock, NotNow};
+    /// use zenav_protocol::time::Stamp;
+    ///
+    /// let mut clock = BodyClock::new(1.0);
+    /// let mut judge = |secs| clock.judge(Stamp::from_secs(secs));
+    /// let first: Vec<bool> = [0.02, 0.04, 0.06, 0.08].map(|secs| judge(secs).is_ok()).to_vec();
+    /// assert_eq!(first, [false, false, true, true], "two more confirm the first");
+    /// assert!(matches!(judge(60.0), Err(NotNow::Leap { .. })));
+    /// assert_eq!(judge(0.1), Ok(()), "the leap was false");
+    /// ```
+    ///
     /// # Errors
     /// [`NotNow`]: the readings must not be used.
     pub fn judge(&mut self, stamp: Stamp) -> Result<(), NotNow> {

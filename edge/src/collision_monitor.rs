@@ -2,13 +2,14 @@
 //!
 //! It scales the wanted twist down, at constant curvature, until the robot can stop before any static obstacle, before any moving obstacle
 //! could reach it, and within the floor that the lidar has seen, unless it feels its way at `unseen_speed`. It does not swing towards a
-//! moving obstacle that has left the field of view (see [`crate::passive_safety`]). A robot that only grazes an obstacle inside the margin
-//! may creep on while its time to contact is at least a second; motion that does not reduce the clearance is always allowed. A gentle
-//! motion begins only after the motors' response to a faster one has faded.
+//! moving obstacle that has left the field of view, and slows down where somebody may come out from behind a corner (see
+//! [`crate::passive_safety`]). A robot that only grazes an obstacle inside the margin may creep on while its time to contact is at least a
+//! second; motion that does not reduce the clearance is always allowed. A gentle motion begins only after the motors' response to a faster
+//! one has faded.
 //!
 //! Late scans delay the robot's reaction, so it drives accordingly more slowly. When scans stop arriving it slows down, and is at rest a
-//! set time after the last one. While the wheel encoders are silent it drives slowly. A scan that is too old, a command that is not finite,
-//! and bumper contact stop it at once.
+//! set time after the last one. While the wheel encoders are silent, or a lidar is mounted crooked, it drives slowly. A scan that is too
+//! old or of the future, a command or an odometry that is not finite, and bumper contact stop it at once.
 
 use std::f64::consts::PI;
 
@@ -18,6 +19,7 @@ use zenav_protocol::messages::{Bump, GuardZone};
 use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 
+use crate::field_of_view::rigid;
 use crate::local_obstacles::LocalObstacles;
 use crate::passive_safety::{
     LEAST_CLEARANCE, Motion, Mover, closing_speed, contact_point, fastest_outward, share_beside,
@@ -26,8 +28,17 @@ use crate::settings::{CollisionMonitorSettings, EdgeSettings, PassiveSafetySetti
 use crate::time_to_contact::SweptFootprint;
 use crate::wheel_coordination::WheelCoordination;
 
+/// Reason of slowing down where nothing is in the way yet.
+pub const AT_A_CORNER: &str = "somebody may come out from behind a corner";
+/// Reasons of slowing down or stopping for want of scans.
+pub const SCAN_TOO_OLD: &str = "lidar scan too old";
+/// See [`SCAN_TOO_OLD`].
+pub const NO_SCAN: &str = "no lidar scan yet";
+
 /// No point of the outline moves outwards faster than this once a faster motion has faded, m/s.
 const FADED: f64 = 0.009;
+/// A body stops by itself if it gets no command for longer than this, s.
+const LONGEST_PERIOD: f64 = 0.1;
 /// A contact felt again within this time is the same contact, s.
 const CHATTER: f64 = 0.5;
 
@@ -35,9 +46,18 @@ const CHATTER: f64 = 0.5;
 #[derive(Clone, Debug)]
 pub struct CollisionMonitor {
     model: RobotModel,
+    /// Control period, s.
     tick: f64,
+    /// Time until the next verdict, s: the control period, or what it has been of late if the body's readings come more slowly.
+    period: f64,
+    /// When the last verdict was given, and how long after the one before, s.
+    judged: Option<(Stamp, f64)>,
     settings: CollisionMonitorSettings,
     passive_safety: PassiveSafetySettings,
+    /// Age of a scan at which the robot stops, s.
+    scan_timeout: f64,
+    /// Time from the last scan until the robot is at rest, s.
+    rest_after_silence: f64,
     /// Distance kept beyond the braking distance, m.
     pub margin: f64,
     /// Largest speed into the lidar's blind spot, m/s.
@@ -46,6 +66,8 @@ pub struct CollisionMonitor {
     pub unseen_speed: f64,
     /// Whether the wheel encoders are silent although the wheels turn.
     pub encoders_silent: bool,
+    /// Whether a lidar looks elsewhere than its file says.
+    pub lidar_crooked: bool,
     /// Model of the motors' response to the commands so far.
     motors: WheelCoordination,
     /// Bearing of the last contact if its bumper gave none, rad: the direction of motion when it began; and when it was last felt.
@@ -73,15 +95,21 @@ impl CollisionMonitor {
     /// Monitors a robot with this control period, s.
     #[must_use]
     pub fn new(model: &RobotModel, tick: f64) -> Self {
+        let settings = EdgeSettings::default();
         Self {
             model: model.clone(),
             tick,
-            settings: CollisionMonitorSettings::default(),
-            passive_safety: PassiveSafetySettings::default(),
+            period: tick,
+            judged: None,
+            scan_timeout: settings.scan_timeout(model),
+            rest_after_silence: settings.rest_after_silence(model, tick),
+            settings: settings.collision_monitor,
+            passive_safety: settings.passive_safety,
             margin: model.controller.guard_margin,
             blind_speed: model.controller.blind_speed,
             unseen_speed: 0.0,
             encoders_silent: false,
+            lidar_crooked: false,
             motors: WheelCoordination::new(&model.drive),
             felt_toward: None,
             scan: None,
@@ -96,6 +124,8 @@ impl CollisionMonitor {
     pub fn with_settings(mut self, settings: &EdgeSettings) -> Self {
         self.settings = settings.collision_monitor.clone();
         self.passive_safety = settings.passive_safety.clone();
+        self.scan_timeout = settings.scan_timeout(&self.model);
+        self.rest_after_silence = settings.rest_after_silence(&self.model, self.tick);
         self
     }
 
@@ -106,6 +136,22 @@ impl CollisionMonitor {
     }
 
     /// Judges a wanted twist.
+    ///
+    /// ```
+    /// # use zenav_edge::{collision_monitor::CollisionMonitor, local_obstacles::LocalObstacles};
+    /// # use zenav_protocol::{geometry::{Pose2, Twist2}, messages::{Bump, GuardZone}, time::Stamp};
+    /// # let tiago = zenav_fixtures::robot("tiago");
+    /// # let lidar = tiago.lidar.as_ref().unwrap();
+    /// // Full speed ahead, 50 ms after a scan that shows a wall this far ahead of the base; the robot's radius is 0.265 m.
+    /// let judge = |ahead: f64| {
+    ///     let mut obstacles = LocalObstacles::new(&tiago);
+    ///     obstacles.insert(&zenav_fixtures::sweep_in_room(lidar, 1.0, Pose2::IDENTITY, (ahead, 2.0), &[]), Pose2::IDENTITY);
+    ///     let (now, wanted) = (Stamp::from_secs(1.05), Twist2::new(0.6, 0.0));
+    ///     CollisionMonitor::new(&tiago, 0.02).judge(now, wanted, &obstacles, Pose2::IDENTITY, &Bump::none(now))
+    /// };
+    /// assert!(judge(2.0).zone == GuardZone::Clear && judge(2.0).twist.v > 0.59);
+    /// assert_eq!((judge(0.27).zone, judge(0.27).twist), (GuardZone::Stop, Twist2::ZERO));
+    /// ```
     pub fn judge(
         &mut self,
         now: Stamp,
@@ -114,6 +160,7 @@ impl CollisionMonitor {
         odom_from_base: Pose2,
         bump: &Bump,
     ) -> Verdict {
+        self.keep_pace(now);
         self.feel(now, bump);
         let silence = self.silence(now, obstacles);
         let (share, reason) = self.share(now, wanted, obstacles, odom_from_base, bump, silence);
@@ -130,12 +177,22 @@ impl CollisionMonitor {
             Twist2::new(share * wanted.v, share * wanted.w)
         };
         let twist = if self.fades(allowed) { Twist2::ZERO } else { allowed };
-        self.motors.command(self.model.drive.wheels(twist), self.tick);
+        self.motors.command(self.model.drive.wheels(twist), self.period);
         Verdict {
             twist,
             zone,
             change: self.enter(now, zone, reason),
         }
+    }
+
+    /// Measures the time between verdicts. One long interval is a late tick; two in a row are the pace of the body.
+    fn keep_pace(&mut self, now: Stamp) {
+        let (gap, before) = match self.judged {
+            Some((last, before)) => (now.secs_since(last).clamp(0.0, LONGEST_PERIOD), before),
+            None => (0.0, 0.0),
+        };
+        self.period = self.tick.max(gap.min(before));
+        self.judged = Some((now, gap));
     }
 
     /// The body has stopped its wheels by itself.
@@ -194,11 +251,7 @@ impl CollisionMonitor {
         let occluded = motion.limit_occluded(now, obstacles, odom_from_base);
         let moving = motion.limit_among(movers).min(occluded);
         let Some(bump) = touched else { return moving };
-        let felt = if bump.pressed {
-            self.share_in_contact(wanted, bump)
-        } else {
-            1.0
-        };
+        let felt = self.share_in_contact(wanted, bump);
         let standing = motion.limit_static(obstacles, odom_from_base);
         let floor = motion.limit_blind_spot(
             obstacles,
@@ -209,6 +262,21 @@ impl CollisionMonitor {
         moving.min(felt).min(standing).min(floor)
     }
 
+    /// The share of a wanted twist that these people allow, who may come out from behind corners.
+    pub(crate) fn share_past_corners(
+        &self,
+        now: Stamp,
+        wanted: Twist2,
+        people: &[Mover],
+        obstacles: &LocalObstacles,
+    ) -> f64 {
+        let motion = self.motion(wanted, obstacles.age(now).unwrap_or(0.0).max(0.0));
+        if motion.speed < 1e-6 {
+            return 1.0;
+        }
+        motion.limit_corners(people)
+    }
+
     /// Allowed speed into the blind spot, m/s: zero while an obstacle that entered it may still be there.
     pub(crate) fn speed_into_blind_spot(&self, now: Stamp, obstacles: &LocalObstacles, odom_from_base: Pose2) -> f64 {
         match obstacles.moving().may_be_in_blind_spot(now, odom_from_base.position()) {
@@ -217,13 +285,21 @@ impl CollisionMonitor {
         }
     }
 
+    /// People who may come out from behind corners, where no beam sees them.
+    pub(crate) fn people_behind_corners(&self, obstacles: &LocalObstacles, odom_from_base: Pose2) -> Vec<Mover> {
+        let speed = self.passive_safety.speed_round_corners(self.model.drive.top_speed());
+        let base_from_odom = rigid(odom_from_base).inverse();
+        let corners = obstacles.blind_corners().filter(|_| speed > 0.0);
+        corners.map(|corner| corner.person(&base_from_odom, speed)).collect()
+    }
+
     fn motion(&self, wanted: Twist2, age: f64) -> Motion<'_> {
         Motion::new(
             &self.model.footprint,
             &self.model.drive,
             wanted,
             age,
-            self.tick,
+            self.period,
             self.margin,
             &self.passive_safety,
         )
@@ -255,16 +331,16 @@ impl CollisionMonitor {
         if !wanted.is_finite() {
             return (0.0, "the command is not finite");
         }
+        if !odom_from_base.is_finite() {
+            return (0.0, "the odometry is not finite");
+        }
         let age = match obstacles.age(now) {
-            Some(age) if age <= self.settings.scan_timeout => age.max(0.0),
-            Some(_) => return (0.0, "lidar scan too old"),
-            None => return (0.0, "no lidar scan yet"),
+            Some(age) if age.abs() <= self.scan_timeout => age.max(0.0),
+            Some(age) if age < 0.0 => return (0.0, "lidar scan of the future"),
+            Some(_) => return (0.0, SCAN_TOO_OLD),
+            None => return (0.0, NO_SCAN),
         };
-        let in_contact = if bump.pressed {
-            self.share_in_contact(wanted, bump)
-        } else {
-            1.0
-        };
+        let in_contact = self.share_in_contact(wanted, bump);
         if in_contact <= 0.0 {
             return (0.0, "bumper contact");
         }
@@ -272,21 +348,23 @@ impl CollisionMonitor {
         if motion.speed < 1e-6 {
             return (1.0, "");
         }
-        let left =
-            self.settings.rest_after_silence - silence - self.tick - self.passive_safety.lags_to_rest * motion.lag;
-        let without_encoders = if self.encoders_silent {
-            self.settings.without_encoders * self.model.drive.top_speed() / motion.speed
-        } else {
-            1.0
+        let left = self.rest_after_silence - silence - self.period - self.passive_safety.lags_to_rest * motion.lag;
+        let share_of_top = |share: f64, applies: bool| match applies {
+            true => (share * self.model.drive.top_speed() / motion.speed).min(1.0),
+            false => 1.0,
         };
         let blind_speed = self.speed_into_blind_spot(now, obstacles, odom_from_base);
         let limits = [
             (in_contact, "sliding along a contact"),
-            (without_encoders.min(1.0), "the wheel encoders are silent"),
             (
-                (motion.braking * left / motion.speed).clamp(0.0, 1.0),
-                "lidar scan too old",
+                share_of_top(self.settings.without_encoders, self.encoders_silent),
+                "the wheel encoders are silent",
             ),
+            (
+                share_of_top(self.settings.with_crooked_lidar, self.lidar_crooked),
+                "a lidar looks elsewhere than its file says",
+            ),
+            ((motion.braking * left / motion.speed).clamp(0.0, 1.0), SCAN_TOO_OLD),
             (motion.limit_static(obstacles, odom_from_base), "obstacle in the way"),
             (
                 motion.limit_dynamic(obstacles, odom_from_base),
@@ -299,6 +377,10 @@ impl CollisionMonitor {
             (
                 motion.limit_occluded(now, obstacles, odom_from_base),
                 "a moving obstacle may be in the lidar's blind spot",
+            ),
+            (
+                motion.limit_corners(&self.people_behind_corners(obstacles, odom_from_base)),
+                AT_A_CORNER,
             ),
         ];
         limits
@@ -323,9 +405,12 @@ impl CollisionMonitor {
             .unwrap_or(0.0)
     }
 
-    /// The share of a motion allowed in contact: all of it away from the contact, slowly along it, and nothing towards it. Without a
-    /// bearing the contact is assumed to lie where the robot was moving when it began, and no motion along it is allowed.
+    /// The share of a motion allowed while the bumper is pressed: all of it away from the contact, slowly along it, and nothing towards it.
+    /// Without a bearing the contact is assumed to lie where the robot was moving when it began, and no motion along it is allowed.
     fn share_in_contact(&self, wanted: Twist2, bump: &Bump) -> f64 {
+        if !bump.pressed {
+            return 1.0;
+        }
         let touched = contact_point(&self.model.footprint, self.bearing(bump));
         let share = share_beside(&self.model.footprint, wanted, touched);
         let (closing, speed) = (closing_speed(&self.model.footprint, wanted, touched), wanted.v.abs());

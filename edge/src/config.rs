@@ -7,6 +7,9 @@ use zenav_protocol::robot::RobotModel;
 
 use crate::settings::EdgeSettings;
 
+/// Control period, unless the body has another one, s.
+pub const TICK: f64 = 0.02;
+
 /// Configuration of one edge.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EdgeConfig {
@@ -26,13 +29,25 @@ pub struct EdgeConfig {
 
 impl EdgeConfig {
     /// The defaults for a robot that stands at `start` in the map.
+    ///
+    /// ```
+    /// # let model = zenav_fixtures::robot("tiago");
+    /// use zenav_edge::EdgeConfig;
+    /// use zenav_protocol::{geometry::Pose2, id::Id, messages::LostPolicy};
+    ///
+    /// let config = EdgeConfig::new(Id::robot("tiago")?, model, Pose2::new(1.0, 2.0, 0.0));
+    /// assert_eq!((config.tick, config.on_lost), (0.02, LostPolicy::FinishHorizon));
+    /// let autonomous = EdgeConfig { on_lost: LostPolicy::ReturnHome, ..config };
+    /// assert_eq!(autonomous.settings.lease.lost_after, 3.0, "s without a heartbeat until it turns back");
+    /// # Ok::<(), zenav_protocol::id::InvalidId>(())
+    /// ```
     #[must_use]
     pub fn new(robot: Id, model: RobotModel, start: Pose2) -> Self {
         Self {
             robot,
             model,
             start,
-            tick: 0.02,
+            tick: TICK,
             on_lost: LostPolicy::FinishHorizon,
             settings: EdgeSettings::default(),
         }

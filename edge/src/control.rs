@@ -1,13 +1,16 @@
 //! Control loop. When does the pilot step? On a thread of its own, at absolute deadlines or when the body has new readings; a missed tick
-//! is skipped and counted, never caught up. The loop never waits for the network.
+//! is skipped and counted, never caught up. The loop never waits for the network. Readings from before the last ones are none: the robot
+//! brakes.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use zenav_protocol::readings::Readings;
 use zenav_protocol::time::Stamp;
 
-use crate::body::Body;
+use crate::body::{Body, BodyError};
+use crate::body_clock::NotNow;
 use crate::handoff::Handoff;
 use crate::metrics::ControlMetrics;
 use crate::pilot::Pilot;
@@ -73,6 +76,15 @@ impl Pace {
     }
 }
 
+/// The readings, unless the body's clock was set back: everything that has a deadline would then last for as long again.
+fn in_order(readings: Readings, last: Stamp) -> Result<Readings, BodyError> {
+    if readings.stamp >= last {
+        return Ok(readings);
+    }
+    let (got, shown) = (readings.stamp.as_secs(), last.as_secs());
+    Err(BodyError(NotNow::Old { got, shown }.to_string()))
+}
+
 /// Runs the loop until `halt` is set and the robot is at rest. `tick` is the body's time between readings, s; `speed` is the rate of its time
 /// against wall time.
 pub(crate) fn run(
@@ -102,7 +114,8 @@ pub(crate) fn run(
             missed_ticks += missed;
             late = Some(by);
         }
-        let readings = match body.0.read() {
+        let last = pilot.now();
+        let readings = match body.0.read().and_then(|readings| in_order(readings, last)) {
             Ok(readings) => readings,
             Err(error) => {
                 if !std::mem::replace(&mut failing, true) {
@@ -144,5 +157,104 @@ pub(crate) fn run(
         if halting > 0 && (at_rest || halting > HALTING_TICKS) {
             return;
         }
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use std::sync::Mutex;
+
+    use zenav_protocol::geometry::Pose2;
+    use zenav_protocol::id::Id;
+    use zenav_protocol::messages::{EdgeState, LostPolicy};
+    use zenav_protocol::robot::RobotModel;
+
+    use super::*;
+    use crate::config::{EdgeConfig, TICK};
+    use crate::control_io::{Persisted, Publication};
+
+    /// Readings until the body's clock is set back, and after that.
+    const READINGS: [u32; 2] = [400, 20];
+
+    /// A perfect body in a square room, whose clock is set back; it ends the loop some readings later.
+    struct SetBack {
+        model: RobotModel,
+        read: u32,
+        pose: Pose2,
+        angles: [f64; 2],
+        /// The commands before and after.
+        commands: Arc<Mutex<[Vec<[f64; 2]>; 2]>>,
+        halt: Arc<AtomicBool>,
+    }
+
+    impl SetBack {
+        fn is_set_back(&self) -> bool {
+            self.read > READINGS[0]
+        }
+    }
+
+    impl Body for SetBack {
+        fn read(&mut self) -> Result<Readings, BodyError> {
+            self.read += 1;
+            if self.read > READINGS[0] + READINGS[1] {
+                self.halt.store(true, Ordering::Relaxed);
+            }
+            let hours = if self.is_set_back() { 1.0 } else { 2.0 };
+            let stamp = Stamp::from_secs(3600.0 * hours + TICK * f64::from(self.read));
+            let sweep = self.read.is_multiple_of(5).then(|| {
+                let lidar = self.model.first_lidar().unwrap();
+                zenav_fixtures::sweep_in_room(lidar, stamp.as_secs(), self.pose, (2.5, 2.5), &[])
+            });
+            Ok(Readings {
+                wheels: self.angles,
+                sweeps: sweep.into_iter().collect(),
+                ..Readings::new(stamp)
+            })
+        }
+
+        fn drive(&mut self, wheels: [f64; 2]) -> Result<(), BodyError> {
+            let after = usize::from(self.is_set_back());
+            self.commands.lock().unwrap()[after].push(wheels);
+            self.angles = [0, 1].map(|side: usize| self.angles[side] + TICK * wheels[side]);
+            self.pose = self.pose.advance(self.model.drive.twist(wheels), TICK);
+            Ok(())
+        }
+
+        fn gives_the_pace(&self) -> bool {
+            true
+        }
+    }
+
+    #[tokio::test]
+    async fn a_robot_whose_clock_is_set_back_stands_still_and_says_why() {
+        let model = zenav_fixtures::robot("tiago");
+        // It follows walls by itself.
+        let config = EdgeConfig {
+            on_lost: LostPolicy::WallFollow,
+            ..EdgeConfig::new(Id::robot("tiago").unwrap(), model.clone(), Pose2::IDENTITY)
+        };
+        let (commands, halt) = (Arc::default(), Arc::new(AtomicBool::new(false)));
+        let body = SetBack {
+            model,
+            read: 0,
+            pose: Pose2::IDENTITY,
+            angles: [0.0; 2],
+            commands: Arc::clone(&commands),
+            halt: Arc::clone(&halt),
+        };
+        let pilot = Pilot::new(config, "boot-1".into(), Persisted::default());
+        let (handoff, metrics) = (Arc::new(Handoff::default()), ControlMetrics::new("tiago"));
+        run(Box::new(body), pilot, &handoff, (TICK, 1.0), &halt, &metrics);
+        let [before, after] = std::mem::take(&mut *commands.lock().unwrap());
+        assert!(before.iter().any(|wheels| *wheels != [0.0; 2]), "it drove");
+        assert!(after.iter().all(|wheels| *wheels == [0.0; 2]), "{after:?}");
+        let published = handoff.bundle().await.unwrap().publications;
+        let state = published.iter().find_map(|publication| match publication {
+            Publication::State(state) => Some(&**state),
+            _ => None,
+        });
+        let fault = state.and_then(|EdgeState { faults, .. }| faults.body.as_deref());
+        assert!(fault.is_some_and(|why| why.contains("began anew")), "{fault:?}");
     }
 }

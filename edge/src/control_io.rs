@@ -47,9 +47,6 @@ pub struct Persisted {
     pub epoch: u64,
     /// Whether the stop is latched.
     pub stopped: bool,
-    /// Number of stops so far: a resume of before a restart must not lift a later stop.
-    #[serde(default)]
-    pub stops: u64,
     /// Which mission store leads.
     pub leader: Option<Leader>,
 }

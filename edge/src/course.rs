@@ -26,6 +26,15 @@ pub struct Course {
 
 impl Course {
     /// Position `secs` after the track's stamp, odometry frame.
+    ///
+    /// ```
+    /// use nalgebra::Point2;
+    /// use zenav_edge::course::Course;
+    ///
+    /// let course = Course { places: vec![Point2::new(0.0, 0.0), Point2::new(0.4, 0.0)], step: 0.5, ..Course::default() };
+    /// assert!((course.at(0.25).x - 0.2).abs() < 1e-9);
+    /// assert_eq!(course.at(9.0).x, 0.4, "the robot stays at the last place");
+    /// ```
     #[must_use]
     pub fn at(&self, secs: f64) -> Point2<f64> {
         let share = ((self.begun + secs) / self.step).clamp(0.0, self.places.len() as f64);

@@ -74,8 +74,8 @@ pub(crate) fn deskewed<'a>(
         let (turn, range) = if (lidar.range_min..=lidar.range_max).contains(&seen) {
             let (sin, cos) = (laser.yaw + angle).sin_cos();
             let (x, y) = (laser.x + seen * cos, laser.y + seen * sin);
-            // Clamped so that it stays a return.
-            let range = x.hypot(y).clamp(1.001 * lidar.range_min, 0.999 * lidar.range_max);
+            // Bounded so that it stays a return.
+            let range = x.hypot(y).min(0.999 * lidar.range_max).max(1.001 * lidar.range_min);
             (wrap_angle(y.atan2(x) - angle), range as f32)
         } else if seen > lidar.range_max {
             (laser.yaw, f32::INFINITY)
@@ -242,6 +242,19 @@ mod tests {
         assert!(matches!(deskewed(&sweep, &swept, drives), Cow::Owned(_)));
         // Before the first odometry the motion is unknown.
         assert!(matches!(deskewed(&sweep, &swept, |_| None), Cow::Borrowed(_)));
+    }
+
+    #[test]
+    fn a_lidar_of_hardly_any_range_is_no_reason_to_panic() {
+        let narrow = LidarModel {
+            range_min: 9.99,
+            range_max: 10.0,
+            ..lidar("neato", 0.2)
+        };
+        let turns = |stamp: Stamp| Some(Pose2::new(0.0, 0.0, stamp.as_secs()));
+        let sweep = Sweep::new(Stamp::from_secs(STAMP), vec![9.995; narrow.beams]);
+        let deskewed = deskewed(&sweep, &narrow, turns);
+        assert!(deskewed.ranges.iter().all(|range| range.is_finite()));
     }
 
     #[test]

@@ -23,6 +23,17 @@ impl EventLog {
     }
 
     /// Records an event.
+    ///
+    /// ```
+    /// use zenav_edge::event_log::EventLog;
+    /// use zenav_protocol::{messages::EventKind, time::Stamp};
+    ///
+    /// let mut events = EventLog::new("boot-1".into());
+    /// events.record(Stamp::from_secs(0.02), EventKind::Started);
+    /// let taken = events.take();
+    /// assert_eq!((taken[0].sequence, taken[0].boot_id.as_str()), (1, "boot-1"));
+    /// assert!(events.take().is_empty());
+    /// ```
     pub fn record(&mut self, now: Stamp, kind: EventKind) {
         self.sequence += 1;
         self.pending.push(Event {

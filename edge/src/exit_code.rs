@@ -25,6 +25,14 @@ pub const REJECTED: u8 = 7;
 pub const INTERRUPTED: u8 = 130;
 
 /// Exit code of a command whose request was refused.
+///
+/// ```
+/// use zenav_edge::exit_code::{NOT_FOUND, REJECTED, of_refusal};
+/// use zenav_protocol::messages::Refusal;
+///
+/// assert_eq!(of_refusal(&Refusal::rejected("the goal is in a wall")), REJECTED);
+/// assert_eq!(of_refusal(&Refusal::NotFound { what: "goal tea-1".into() }), NOT_FOUND);
+/// ```
 #[must_use]
 pub const fn of_refusal(refusal: &Refusal) -> u8 {
     match refusal {

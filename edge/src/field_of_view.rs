@@ -18,6 +18,16 @@ pub(crate) fn rigid(pose: Pose2) -> Isometry2<f64> {
     Isometry2::new(Vector2::new(pose.x, pose.y), pose.yaw)
 }
 
+/// The number of the beam nearest to an angle, rad, counted from the first beam, at most a full circle; a lidar that sees less than that has
+/// no beam of the higher numbers. `None` before the first beam.
+pub(crate) fn nearest_beam(lidar: &LidarModel, angle: f64) -> Option<usize> {
+    let spacing = lidar.angle_increment();
+    let beam = (angle / spacing).round();
+    // A full circle ends at its first beam.
+    let circle = (TAU / spacing).round();
+    (beam >= 0.0).then_some(if beam < circle { beam as usize } else { 0 })
+}
+
 /// The sector that one lidar sees, in the base frame.
 #[derive(Clone, Copy, Debug)]
 struct Sector {
@@ -160,7 +170,14 @@ impl ProjectedScan<'_> {
         let off = place - self.laser();
         let (first, toward) = (self.rays.first()?, off.try_normalize(1e-6)?);
         let angle = first.perp(&toward).atan2(first.dot(&toward)).rem_euclid(TAU);
-        Some(((angle / self.lidar.angle_increment()).round() as usize, off.norm()))
+        Some((nearest_beam(self.lidar, angle)?, off.norm()))
+    }
+
+    /// Whether a beam and those up to `half` beside it all reach farther than a range, m.
+    pub(crate) fn reaches(&self, beam: usize, half: usize, range: f64) -> bool {
+        let beams = beam.saturating_sub(half)..(beam + half + 1).min(self.ranges.len());
+        let through = self.ranges.get(beams).unwrap_or_default();
+        !through.is_empty() && through.iter().all(|seen| f64::from(*seen) > range)
     }
 
     /// When a beam was measured; a beam beyond the last counts as the last.

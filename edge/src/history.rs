@@ -5,8 +5,9 @@ use std::collections::VecDeque;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::time::Stamp;
 
-/// Poses kept: five seconds at 50 Hz.
-const CAPACITY: usize = 256;
+/// Poses are kept for longer than any sensor of a robot file takes to deliver, s, whatever their rate; and at most so many of them.
+const KEPT: f64 = 11.0;
+const MOST: usize = 4096;
 
 /// Odometry poses in the order of their stamps.
 #[derive(Clone, Debug, Default)]
@@ -20,10 +21,12 @@ impl PoseHistory {
         if self.poses.back().is_some_and(|(last, _)| *last >= stamp) {
             return;
         }
-        if self.poses.len() == CAPACITY {
+        self.poses.push_back((stamp, odom_from_base));
+        // The last pose before that time stays: the next ones are interpolated from it.
+        let is_old = |(known, _): &(Stamp, Pose2)| stamp.secs_since(*known) >= KEPT;
+        while self.poses.len() > MOST || self.poses.get(1).is_some_and(is_old) {
             self.poses.pop_front();
         }
-        self.poses.push_back((stamp, odom_from_base));
     }
 
     /// Stamp of the newest pose.
@@ -33,6 +36,19 @@ impl PoseHistory {
     }
 
     /// The pose at a stamp; the newest pose for later ones, `None` for a stamp before the oldest.
+    ///
+    /// ```
+    /// use zenav_edge::history::PoseHistory;
+    /// use zenav_protocol::{geometry::Pose2, time::Stamp};
+    ///
+    /// let mut history = PoseHistory::default();
+    /// for (secs, x) in [(1.0, 0.0), (1.02, 0.01)] {
+    ///     history.push(Stamp::from_secs(secs), Pose2::new(x, 0.0, 0.0));
+    /// }
+    /// let x_at = |secs| history.at(Stamp::from_secs(secs)).map(|pose| pose.x);
+    /// assert!((x_at(1.01).unwrap() - 0.005).abs() < 1e-9);
+    /// assert_eq!((x_at(0.9), x_at(2.0)), (None, Some(0.01)));
+    /// ```
     #[must_use]
     pub fn at(&self, stamp: Stamp) -> Option<Pose2> {
         let after = self.poses.partition_point(|(known, _)| *known < stamp);
@@ -52,6 +68,27 @@ impl PoseHistory {
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_body_that_reports_often_is_remembered_for_as_long_as_another() {
+        for rate in [20.0, 50.0, 250.0] {
+            let mut history = PoseHistory::default();
+            for nth in 0..(20.0 * rate) as u32 {
+                let secs = f64::from(nth) / rate;
+                history.push(Stamp::from_secs(secs), Pose2::new(secs, 0.0, 0.0));
+            }
+            let last = history.newest().unwrap();
+            let x = history.at(last.plus_secs(-10.5)).map(|pose| pose.x);
+            assert!(
+                x.is_some_and(|x| (x - last.as_secs() + 10.5).abs() < 1e-6),
+                "{rate} Hz: {x:?}"
+            );
+            assert_eq!(history.at(last.plus_secs(-12.0)), None, "{rate} Hz");
+        }
+        let mut history = PoseHistory::default();
+        (0..100_000).for_each(|nth| history.push(Stamp(nth), Pose2::IDENTITY));
+        assert_eq!(history.poses.len(), MOST);
+    }
 
     #[test]
     fn a_pose_between_two_ticks_is_interpolated_across_the_turn_of_the_circle() {

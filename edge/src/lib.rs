@@ -8,9 +8,13 @@
 //! | [`body`] | what must a robot's hardware provide? |
 //! | `encoder_watch` | how far have the wheels turned while their encoders are silent? |
 //! | [`estimator`], [`history`] | where is the robot, and where was it? |
+//! | `fixes` | which measurements by GPS and compass go out with a scan? |
 //! | `gyro_settling` | is the gyro's bias known well enough where nothing else gives the heading? |
+//! | `mount_watch` | does a lidar look where its file says? |
 //! | `lost_beams` | which beams without a return hit nothing, and which did the lidar lose? |
 //! | [`local_obstacles`], [`moving_obstacles`], [`obstacle_tracks`], `slow_movers`, [`recent_places`], [`blind_spot_grid`] | which obstacles are near, which move, which floor is unseen? |
+//! | `contact_memory` | what has the robot touched that no beam shows? |
+//! | `blind_corners` | where could somebody stand behind a corner, unseen, and come out? |
 //! | [`authority`], [`link`] | who may command the robot, and how long ago was the lease renewed? |
 //! | [`acceptance`] | may this plan move the robot? |
 //! | [`active_plan`], [`trackers`] | how is an accepted plan driven, renewed and ended? |
@@ -33,11 +37,13 @@ pub mod active_plan;
 pub mod arbitration;
 pub mod authority;
 pub mod avoidance;
+mod blind_corners;
 pub mod blind_spot_grid;
 pub mod body;
 pub mod body_clock;
 pub mod collision_monitor;
 pub mod config;
+mod contact_memory;
 mod control;
 pub mod control_io;
 pub mod course;
@@ -47,6 +53,7 @@ pub mod estimator;
 pub mod event_log;
 pub mod exit_code;
 mod field_of_view;
+mod fixes;
 mod gyro_settling;
 pub mod handoff;
 pub mod history;
@@ -57,6 +64,7 @@ pub mod loop_timing;
 mod lost_beams;
 pub mod maneuvers;
 mod metrics;
+mod mount_watch;
 pub mod moving_obstacles;
 pub mod obstacle_tracks;
 pub mod other_robots;

@@ -38,6 +38,19 @@ impl Limiter {
 
     /// The wheel speeds (left, right; rad/s) to set after `dt` seconds on the way to a twist; a twist that is not
     /// finite counts as rest.
+    ///
+    /// ```
+    /// # let drive = zenav_fixtures::robot("tiago").drive;
+    /// use zenav_edge::limiter::{Braking, Limiter};
+    /// use zenav_protocol::geometry::Twist2;
+    ///
+    /// let mut limiter = Limiter::new(&drive);
+    /// let [left, _] = limiter.limit(Twist2::new(0.5, 0.0), 0.02, Braking::Normal);
+    /// assert!((left - drive.max_wheel_acceleration * 0.02).abs() < 1e-9);
+    /// limiter.set([4.0, 4.0], 0.02);
+    /// let [left, _] = limiter.limit(Twist2::ZERO, 0.02, Braking::Hard);
+    /// assert!((4.0 - left - drive.wheel_braking() * 0.02).abs() < 1e-9);
+    /// ```
     #[must_use]
     pub fn limit(&self, target: Twist2, dt: f64, braking: Braking) -> [f64; 2] {
         let target = if target.is_finite() {
@@ -96,6 +109,17 @@ impl Limiter {
 }
 
 /// Scales a twist down until wheels, speed and yaw rate keep their limits; the curvature stays.
+///
+/// ```
+/// # let drive = zenav_fixtures::robot("tiago").drive;
+/// use zenav_edge::limiter::within_speed;
+/// use zenav_protocol::geometry::Twist2;
+///
+/// let allowed = within_speed(&drive, Twist2::new(1.0, 2.0));
+/// assert!((allowed.v / allowed.w - 0.5).abs() < 1e-9, "the same curve");
+/// let fastest = drive.wheels(allowed).into_iter().fold(0.0, f64::max);
+/// assert!((fastest - drive.max_wheel_speed).abs() < 1e-9);
+/// ```
 #[must_use]
 pub fn within_speed(drive: &Drive, twist: Twist2) -> Twist2 {
     let wheels = drive.wheels(twist);

@@ -5,6 +5,15 @@ use std::time::Duration;
 use zenav_protocol::messages::Link;
 
 /// The link state for an age of the lease's last renewal; `None` (no holder) is lost.
+///
+/// ```
+/// use std::time::Duration;
+/// use zenav_edge::link::link;
+/// use zenav_protocol::messages::Link;
+///
+/// let after = |ms| link(Some(Duration::from_millis(ms)), Duration::from_millis(500), Duration::from_secs(3));
+/// assert_eq!([after(100), after(500), after(3000)], [Link::Connected, Link::Stale, Link::Lost]);
+/// ```
 #[must_use]
 pub fn link(age: Option<Duration>, stale_after: Duration, lost_after: Duration) -> Link {
     match age {

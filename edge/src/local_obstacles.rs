@@ -1,5 +1,5 @@
 //! Local obstacle memory. Which obstacles are around the robot, and which of them move? The newest sweep of every lidar, and in the blind
-//! spot what earlier sweeps saw.
+//! spot what earlier sweeps saw; and what the robot has touched that no beam shows (`contact_memory`).
 //!
 //! Points lie on surfaces, as far as the noise of single beams allows (`range_filter`). They are kept in the odometry frame: it is
 //! continuous, so a correction of the map never moves an obstacle.
@@ -12,16 +12,22 @@ use zenav_protocol::readings::Sweep;
 use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 
+use crate::blind_corners::{self, BlindCorner};
 use crate::blind_spot_grid::BlindSpotGrid;
-use crate::field_of_view::{FieldOfView, ProjectedScan, ScanProjector, rigid};
+use crate::contact_memory::ContactMemory;
+use crate::field_of_view::{FieldOfView, ProjectedScan, ScanProjector, nearest_beam, rigid};
 use crate::moving_obstacles::MovingObstacles;
 use crate::obstacle_tracks::Track;
 use crate::passive_safety::Hidden;
 use crate::range_filter::RangeFilter;
 use crate::settings::{EdgeSettings, LocalObstacleSettings};
 
+/// A sweep is missing if none has come for longer than this, in periods of the lidar.
+const MISSING: f64 = 1.5;
 /// A return this near to a robot's disc belongs to that robot, m.
 const ON_ROBOT: f64 = 0.1;
+/// Anything that moves this near to a contact is what was touched, m.
+const MOVES: f64 = 0.5;
 
 /// Obstacle points around the robot.
 #[derive(Clone, Debug)]
@@ -34,6 +40,8 @@ pub struct LocalObstacles {
     remembered: VecDeque<Point2<f64>>,
     /// The present contact point.
     touched: Option<Point2<f64>>,
+    /// What was touched and no beam shows.
+    contacts: ContactMemory,
     moving: MovingObstacles,
     blind_spots: BlindSpotGrid,
     settings: LocalObstacleSettings,
@@ -52,6 +60,20 @@ struct LidarView {
     odom_from_laser: Isometry2<f64>,
     /// Its ranges, with the noise filtered out.
     filter: RangeFilter,
+    /// Corners behind which its newest sweep leaves room for a person.
+    corners: Vec<BlindCorner>,
+}
+
+impl LidarView {
+    /// Whether a beam of the newest sweep passes through a place (odometry frame).
+    fn passes(&self, place: Point2<f64>) -> bool {
+        let model = self.projector.lidar();
+        let local = self.odom_from_laser.inverse() * place;
+        let angle = local.y.atan2(local.x) - model.angle_min();
+        let beam = nearest_beam(model, angle);
+        let range = beam.and_then(|beam| self.filter.ranges().get(beam));
+        range.is_some_and(|range| f64::from(*range) > local.coords.norm())
+    }
 }
 
 impl LocalObstacles {
@@ -72,12 +94,14 @@ impl LocalObstacles {
             seen: Vec::new(),
             odom_from_laser: Isometry2::identity(),
             filter: RangeFilter::new(lidar.angle_increment(), lidar.noise),
+            corners: Vec::new(),
         });
         Self {
             lidars: lidars.collect(),
             odom_from_base: Isometry2::identity(),
             remembered: VecDeque::new(),
             touched: None,
+            contacts: ContactMemory::new(&model.footprint, settings.local_obstacles.range),
             moving: MovingObstacles::new(model, view.clone(), settings),
             blind_spots: BlindSpotGrid::new(view.clone(), &model.footprint, settings),
             view,
@@ -97,6 +121,7 @@ impl LocalObstacles {
             seen,
             odom_from_laser,
             filter,
+            corners,
             ..
         }) = self.lidars.get_mut(index)
         else {
@@ -109,7 +134,8 @@ impl LocalObstacles {
             return false;
         };
         if self.view.has_blind_spot() {
-            if stamp.is_some_and(|last| sweep.stamp.secs_since(last) > self.settings.scan_gap) {
+            let gap = self.settings.scan_gap.max(MISSING / scan.lidar.rate_hz);
+            if stamp.is_some_and(|last| sweep.stamp.secs_since(last) > gap) {
                 self.moving.note_occlusion(odom_from_base.position(), sweep.stamp);
             }
             let base_from_odom = scan.odom_from_base.inverse();
@@ -131,16 +157,44 @@ impl LocalObstacles {
         }
         seen.extend(unseen);
         self.moving.insert(index, &scan);
+        let tracks = self.moving.tracks();
+        let moves = |corner: Point2<f64>| tracks.at(corner).is_some();
+        blind_corners::find(&scan, filter.ranges(), moves, corners);
         self.blind_spots.insert(&scan);
         *stamp = Some(sweep.stamp);
         self.odom_from_base = scan.odom_from_base;
+        self.judge_contact(index);
         true
     }
 
+    /// Remembers the present contact if the beams of a lidar's newest sweep, taken while it lasted, pass through it, and nothing seen or
+    /// moving is near.
+    fn judge_contact(&mut self, index: usize) {
+        let Some(lidar) = self.lidars.get(index) else { return };
+        let sweep_time = lidar.projector.lidar().sweep_time.abs();
+        let begun = lidar.stamp.map(|stamp| stamp.plus_secs(-sweep_time));
+        let Some(contact) = begun.and_then(|begun| self.contacts.lasting(begun)) else {
+            return;
+        };
+        let is_shown = |point: &Point2<f64>| self.contacts.is_shown_at(&contact, *point);
+        let is_seen = || self.lidars.iter().flat_map(|lidar| &lidar.seen).any(is_shown);
+        let moves = |track: &Track| (track.position - contact.place).norm() <= track.radius + MOVES;
+        if lidar.passes(contact.behind()) && !is_seen() && !self.moving.tracks().iter().any(moves) {
+            self.contacts.remember(&contact);
+        }
+    }
+
     /// Takes the bumper's present contact point (base frame): an obstacle while the contact lasts. In the blind spot it counts as a moving
-    /// one.
-    pub fn touch(&mut self, now: Stamp, place: Option<Point2<f64>>, odom_from_base: Pose2) {
+    /// one; elsewhere it is remembered if no beam shows it, unless the place is a guess (`is_felt` is false).
+    pub fn touch(&mut self, now: Stamp, place: Option<Point2<f64>>, is_felt: bool, odom_from_base: Pose2) {
         self.touched = place.map(|place| odom_from_base.transform_point(place));
+        match place {
+            None => self.contacts.forget(now, odom_from_base),
+            Some(place) if is_felt && !self.view.in_blind_spot(place) => {
+                self.contacts.touch(now, place, odom_from_base);
+            }
+            Some(_) => {}
+        }
         if let Some((place, touched)) = place.zip(self.touched)
             && self.view.in_blind_spot(place)
         {
@@ -176,7 +230,12 @@ impl LocalObstacles {
     /// All known points in the odometry frame.
     fn in_odom(&self) -> impl Iterator<Item = Point2<f64>> + '_ {
         let seen = self.lidars.iter().flat_map(|lidar| &lidar.seen);
-        seen.chain(&self.remembered).chain(&self.touched).copied()
+        let unseen = self
+            .remembered
+            .iter()
+            .chain(&self.touched)
+            .chain(self.contacts.points());
+        seen.chain(unseen).copied()
     }
 
     /// The known points that are on no track, in the odometry frame.
@@ -187,25 +246,17 @@ impl LocalObstacles {
     /// Whether a beam of a newest sweep passes through a place (odometry frame).
     #[must_use]
     pub fn is_seen_free(&self, place: Point2<f64>) -> bool {
-        self.lidars.iter().any(|lidar| {
-            let model = lidar.projector.lidar();
-            let local = lidar.odom_from_laser.inverse() * place;
-            let angle = local.y.atan2(local.x) - model.angle_min();
-            let beam = (angle / model.angle_increment()).round();
-            let range = lidar
-                .filter
-                .ranges()
-                .get(if beam >= 0.0 { beam as usize } else { usize::MAX });
-            range.is_some_and(|range| f64::from(*range) > local.coords.norm())
-        })
+        self.lidars.iter().any(|lidar| lidar.passes(place))
     }
 
-    /// The points of all lidars' newest sweeps that are on no track, in another frame.
+    /// The points of all lidars' newest sweeps that are on no track, and what was touched and no beam shows, in another frame.
     pub fn standing_in(&self, frame_from_odom: Pose2) -> impl Iterator<Item = Point2<f64>> + '_ {
         let frame_from_odom = rigid(frame_from_odom);
         let seen = self.lidars.iter().flat_map(|lidar| &lidar.seen);
         let standing = seen.filter(|point| self.moving.tracks().at(**point).is_none());
-        standing.map(move |point| frame_from_odom * point)
+        standing
+            .chain(self.contacts.points())
+            .map(move |point| frame_from_odom * point)
     }
 
     /// The runs of beams of a lidar's newest sweep that hit a tracked obstacle: the first beam, and the one after the last.
@@ -260,6 +311,24 @@ impl LocalObstacles {
             }
         }
         points
+    }
+
+    /// Corners behind which a person may stand, unseen by every lidar, and come out.
+    pub(crate) fn blind_corners(&self) -> impl Iterator<Item = &BlindCorner> {
+        let corners = self.lidars.iter().flat_map(|lidar| &lidar.corners);
+        corners.filter(|corner| !self.is_seen_free(corner.place))
+    }
+
+    /// What was touched lately and no beam shows, as straight lines: what is known of a surface, and how far it is assumed to go; x and y of
+    /// either end, m, in the base frame of a robot at `odom_from_base`.
+    #[must_use]
+    pub fn touched_lines(&self, now: Stamp, odom_from_base: Pose2) -> Vec<[[f64; 4]; 2]> {
+        self.contacts.lines(now, odom_from_base)
+    }
+
+    /// Forgets what was touched: odometry does not tell where the robot has been.
+    pub(crate) fn forget_touched(&mut self) {
+        self.contacts.clear();
     }
 
     /// The filtered ranges of a lidar's newest sweep, m; empty before its first.
@@ -391,6 +460,19 @@ mod tests {
     }
 
     #[test]
+    fn a_full_circle_is_seen_free_all_around_at_its_seam_too() {
+        let model = zenav_fixtures::robot("neato");
+        let lidar = model.first_lidar().unwrap();
+        let mut obstacles = LocalObstacles::new(&model);
+        assert!(obstacles.insert(&zenav_fixtures::sweep(lidar, 1.0, |_| 2.0), Pose2::IDENTITY));
+        for step in 0..3600_u32 {
+            let (sin, cos) = (0.1 * f64::from(step) + 0.05).to_radians().sin_cos();
+            let place = lidar.mount.transform_point(Point2::new(cos, sin));
+            assert!(obstacles.is_seen_free(place), "{place:?}");
+        }
+    }
+
+    #[test]
     fn a_point_that_leaves_the_field_of_view_is_remembered_until_it_is_left_behind() {
         let model = tiago();
         let mut obstacles = LocalObstacles::new(&model);
@@ -414,6 +496,58 @@ mod tests {
         obstacles.insert(&sweep(&model, 1.0, Some((333, 0.6))), Pose2::IDENTITY);
         obstacles.insert(&sweep(&model, 1.1, None), Pose2::IDENTITY);
         assert_eq!(obstacles.in_base(Pose2::IDENTITY).count(), 0);
+    }
+
+    #[test]
+    fn what_is_felt_in_view_is_remembered_only_if_no_beam_shows_it() {
+        let model = tiago();
+        let at = |x: f64, is_felt: bool, hit: Option<(usize, f32)>| {
+            let mut obstacles = LocalObstacles::new(&model);
+            obstacles.insert(&sweep(&model, 1.0, hit), Pose2::IDENTITY);
+            for tick in 0..10 {
+                let now = Stamp::from_secs(1.0 + 0.02 * f64::from(tick));
+                obstacles.touch(now, Some(Point2::new(x, 0.0)), is_felt, Pose2::IDENTITY);
+            }
+            for nth in 2..10 {
+                obstacles.insert(&sweep(&model, 1.0 + 0.1 * f64::from(nth), hit), Pose2::IDENTITY);
+            }
+            let end = Stamp::from_secs(1.9);
+            obstacles.touch(end, None, false, Pose2::IDENTITY);
+            obstacles.insert(&sweep(&model, 2.0, None), Pose2::IDENTITY);
+            let lines = obstacles.touched_lines(end, Pose2::new(1.0, 0.0, 0.0));
+            (obstacles.standing().count(), lines)
+        };
+        let (points, lines) = at(0.266, true, None);
+        assert!(points > 10);
+        let [[known, [ax, ay, bx, by]]] = lines[..] else {
+            panic!("{lines:?}")
+        };
+        assert!((ax + 0.734).abs() < 1e-6 && (bx - ax).abs() < 1e-6 && (ay + by).abs() < 1e-6);
+        assert!((by - ay).abs() > 0.7, "{ay} {by}");
+        assert!((known[0] + 0.734).abs() < 1e-6 && (known[1] - known[3]).abs() < 1e-6);
+        assert_eq!(at(0.266, false, None), (0, Vec::new()), "a bumper without a bearing");
+        for range in [0.066, 0.19] {
+            let shown = at(0.266, true, Some((333, range)));
+            assert_eq!(shown, (0, Vec::new()), "a beam shows it");
+        }
+        assert_eq!(at(-0.266, true, None), (0, Vec::new()), "nothing is seen there anyway");
+    }
+
+    #[test]
+    fn what_was_touched_is_forgotten_when_the_robot_is_found_elsewhere() {
+        let model = tiago();
+        let mut obstacles = LocalObstacles::new(&model);
+        obstacles.touch(
+            Stamp::from_secs(1.0),
+            Some(Point2::new(0.266, 0.0)),
+            true,
+            Pose2::IDENTITY,
+        );
+        obstacles.insert(&sweep(&model, 1.05, None), Pose2::IDENTITY);
+        obstacles.touch(Stamp::from_secs(1.1), None, false, Pose2::IDENTITY);
+        assert!(obstacles.standing().count() > 10);
+        obstacles.forget_touched();
+        assert_eq!(obstacles.standing().count(), 0);
     }
 
     #[test]

@@ -29,6 +29,19 @@ impl Default for LoopTiming {
 
 impl LoopTiming {
     /// Records a tick that began this late.
+    ///
+    /// ```
+    /// use std::time::Duration;
+    /// use zenav_edge::loop_timing::LoopTiming;
+    ///
+    /// let mut timing = LoopTiming::default();
+    /// for late in [0, 5, 1000] {
+    ///     timing.record(Duration::from_micros(late));
+    /// }
+    /// let pacing = timing.pacing();
+    /// assert_eq!(pacing.ticks, 3);
+    /// assert!((pacing.late_p50_ms - 0.02).abs() < 1e-9 && (pacing.late_max_ms - 1.0).abs() < 1e-9, "{pacing:?}");
+    /// ```
     pub fn record(&mut self, late: Duration) {
         let bucket = usize::try_from(late.as_nanos() / BUCKET.as_nanos()).unwrap_or(BUCKETS);
         if let Some(count) = self.counts.get_mut(bucket.min(BUCKETS - 1)) {

@@ -3,15 +3,17 @@
 mod deployment;
 
 use std::io::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::Parser;
+use zenav_edge::config::TICK;
 use zenav_edge::settings::BodySettings;
 use zenav_edge::{AttachError, Attached, Body, EdgeConfig, RemoteBody, ServiceConfig, exit_code};
 use zenav_observability::{logging, server, trace};
 use zenav_protocol::bus::{
-    Bus, BusConfig, BusError, DEFAULT_ENDPOINT, IdentityError, ROBOT_ENDPOINT, Shutdown, service_manager, threads,
+    Bus, BusConfig, BusError, DEFAULT_ENDPOINT, IdentityError, ROBOT_ENDPOINT, Security, Shutdown, interrupted,
+    service_manager, threads,
 };
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
@@ -176,16 +178,24 @@ impl From<AttachError> for Failure {
     }
 }
 
-/// Reads the file at `path`, which is not the name of a shipped item; the error lists the shipped names.
-fn read_file(what: &str, path: &str, known: &[(&str, &str)]) -> Result<String, Failure> {
-    std::fs::read_to_string(path).map_err(|error| {
-        let names: Vec<_> = known.iter().map(|(name, _)| *name).collect();
-        let reason = format!("{what} `{path}`: {error}; shipped ones are {}", names.join(", "));
-        Failure::new(exit_code::NOT_FOUND, reason)
+/// Neither the name of a shipped item nor a file that can be read.
+fn unknown(what: &str, name: &str, why: impl std::fmt::Display, shipped: &[&[(&str, &str)]]) -> Failure {
+    let names: Vec<_> = shipped.iter().copied().flatten().map(|(name, _)| *name).collect();
+    let reason = format!("{what} `{name}`: {why}; shipped ones are {}", names.join(", "));
+    Failure::new(exit_code::NOT_FOUND, reason)
+}
+
+/// The robot's model, by a shipped name or a file, with its options. Relative paths begin at `folder`.
+fn model(names: &str, folder: &Path) -> Result<RobotModel, Failure> {
+    let read = |name: &str| std::fs::read_to_string(folder.join(name)).map_err(|error| error.to_string());
+    RobotModel::with_options(names, read).map_err(|error| match error {
+        RobotError::Unknown { name, reason } => unknown("robot", &name, reason, &[SHIPPED, OPTIONS]),
+        error => Failure::usage(error),
     })
 }
 
-fn start(arguments: Arguments) -> Result<(), Failure> {
+/// The robot's section of the deployment file, if there is one, and its model.
+fn section(arguments: &Arguments) -> Result<(RobotSection, RobotModel), Failure> {
     let section = match &arguments.deployment {
         Some(path) => {
             let text = std::fs::read_to_string(path)
@@ -194,22 +204,22 @@ fn start(arguments: Arguments) -> Result<(), Failure> {
         }
         None => RobotSection::default(),
     };
-    let model = arguments
-        .model
-        .clone()
-        .or(section.model)
-        .unwrap_or_else(|| "tiago".to_owned());
-    let model = RobotModel::with_options(&model, |name| {
-        std::fs::read_to_string(name).map_err(|error| error.to_string())
-    });
-    let model = model.map_err(|error| match error {
-        RobotError::Unknown { name, reason } => {
-            let names: Vec<_> = SHIPPED.iter().chain(OPTIONS).map(|(name, _)| *name).collect();
-            let reason = format!("robot `{name}`: {reason}; shipped ones are {}", names.join(", "));
-            Failure::new(exit_code::NOT_FOUND, reason)
-        }
-        error => Failure::usage(error),
-    })?;
+    let model = match (&arguments.model, &section.model, &arguments.deployment) {
+        (Some(names), ..) => model(names, Path::new("")),
+        // Beside the deployment file.
+        (None, Some(names), Some(file)) => model(names, file.parent().unwrap_or(Path::new(""))),
+        _ => model("tiago", Path::new("")),
+    }?;
+    if let (Some(path), Err(error)) = (&arguments.deployment, section.edge.check_for(&model, TICK)) {
+        let error = error.within("edge").within(&arguments.id).within("robots");
+        return Err(Failure::usage(format!("{}: {error}", path.display())));
+    }
+    Ok((section, model))
+}
+
+/// Runs the edge until it is interrupted, or until a member of the fleet was revoked: its process then starts anew.
+fn start(arguments: Arguments) -> Result<(), Failure> {
+    let (section, model) = section(&arguments)?;
     let id = Id::robot(arguments.id.clone()).map_err(Failure::usage)?;
     let security = section
         .security
@@ -217,13 +227,53 @@ fn start(arguments: Arguments) -> Result<(), Failure> {
     if let Some(address) = &arguments.metrics {
         security.check_metrics(address)?;
     }
-    security.check_robot(&id, !arguments.attach && arguments.body.is_none())?;
+    let is_remote = arguments.attach || arguments.body.is_some();
+    security.check_robot(&id, !is_remote)?;
     // Bad files are reported before waiting for a router.
-    let here = if arguments.attach || arguments.body.is_some() {
-        None
-    } else {
-        Some(simulated(&arguments, &model, &id)?)
+    let here = match is_remote {
+        true => None,
+        false => Some(simulated(&arguments, &model, &id)?),
     };
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(2)
+        .enable_all()
+        .build()
+        .map_err(|error| Failure::new(exit_code::FAILED, error))?;
+    let is_outdated = runtime.block_on(async {
+        serve_health(&arguments).await?;
+        run(arguments, section, security, (id, model), here).await
+    })?;
+    if is_outdated {
+        let error = threads::restart();
+        return Err(Failure::new(exit_code::FAILED, format!("cannot start anew: {error}")));
+    }
+    Ok(())
+}
+
+/// Begins to serve health and metrics, and to write spans, as far as that was asked for.
+async fn serve_health(arguments: &Arguments) -> Result<(), Failure> {
+    if let Some(address) = &arguments.metrics {
+        let served = server::serve(address)
+            .await
+            .map_err(|error| Failure::new(exit_code::CANNOT_CONNECT, format!("--metrics {address}: {error}")))?;
+        tracing::info!("health: http://{served}/readyz, http://{served}/metrics");
+    }
+    if let Some(file) = &arguments.trace {
+        let wrong =
+            |error: std::io::Error| Failure::new(exit_code::FAILED, format!("--trace {}: {error}", file.display()));
+        trace::start(file).map_err(wrong)?;
+    }
+    Ok(())
+}
+
+/// Runs the robot with a body that is `here`, or else on the bus. Returns whether a member of the fleet was revoked meanwhile.
+async fn run(
+    arguments: Arguments,
+    section: RobotSection,
+    security: Security,
+    (id, model): (Id, RobotModel),
+    here: Option<Started>,
+) -> Result<bool, Failure> {
     let mut listen = arguments.listen;
     if listen.is_empty() {
         listen.push(section.listen.unwrap_or_else(|| ROBOT_ENDPOINT.to_owned()));
@@ -233,56 +283,48 @@ fn start(arguments: Arguments) -> Result<(), Failure> {
         listen,
         name: format!("edge-{}", arguments.id),
         retry: true,
-        security,
+        security: security.clone(),
         namespace: arguments.namespace,
     };
-    let runtime = tokio::runtime::Builder::new_multi_thread()
-        .worker_threads(2)
-        .enable_all()
-        .build()
-        .map_err(|error| Failure::new(exit_code::FAILED, error))?;
-    runtime.block_on(async {
-        if let Some(address) = &arguments.metrics {
-            let served = server::serve(address)
-                .await
-                .map_err(|error| Failure::new(exit_code::CANNOT_CONNECT, format!("--metrics {address}: {error}")))?;
-            tracing::info!("health: http://{served}/readyz, http://{served}/metrics");
+    let gives_the_time = here.is_some();
+    let (bus, started) = match here {
+        Some(here) => (Bus::open(bus).await?, here),
+        None if arguments.body == Some(BodyKind::Bus) => {
+            on_the_bus(bus, &id, arguments.start, &section.edge.body).await?
         }
-        if let Some(file) = &arguments.trace {
-            let wrong =
-                |error: std::io::Error| Failure::new(exit_code::FAILED, format!("--trace {}: {error}", file.display()));
-            trace::start(file).map_err(wrong)?;
-        }
-        let gives_the_time = here.is_some();
-        let (bus, started) = match here {
-            Some(here) => (Bus::open(bus).await?, here),
-            None if arguments.body == Some(BodyKind::Bus) => {
-                on_the_bus(bus, &id, arguments.start, &section.edge.body).await?
-            }
-            None => attached(&bus, &id, &model, arguments.start, &section.edge.body).await?,
-        };
-        tracing::info!(endpoints = ?bus.endpoints().await, "listening");
-        service_manager::ready();
-        let Started {
-            body,
-            start,
-            tick,
-            speed,
-        } = started;
-        let mut edge = EdgeConfig::new(id, model, start);
-        edge.tick = tick.unwrap_or(edge.tick);
-        edge.on_lost = arguments.on_lost.or(section.on_lost).unwrap_or_default();
-        edge.settings = section.edge;
-        let config = ServiceConfig {
-            edge,
-            state_dir: arguments.state_dir,
-            speed,
-            gives_the_time,
-        };
-        let result = zenav_edge::run(bus.clone(), config, body, Shutdown::on_interrupt()).await;
-        bus.close().await;
-        result.map_err(|error| Failure::new(exit_code::FAILED, error))
-    })
+        None => attached(&bus, &id, &model, arguments.start, &section.edge.body).await?,
+    };
+    tracing::info!(endpoints = ?bus.endpoints().await, "listening");
+    service_manager::ready();
+    let Started {
+        body,
+        start,
+        tick,
+        speed,
+    } = started;
+    let mut edge = EdgeConfig::new(id, model, start);
+    edge.tick = tick.unwrap_or(edge.tick);
+    edge.on_lost = arguments.on_lost.or(section.on_lost).unwrap_or_default();
+    edge.settings = section.edge;
+    let config = ServiceConfig {
+        edge,
+        state_dir: arguments.state_dir,
+        speed,
+        gives_the_time,
+    };
+    let shutdown = Shutdown::on_interrupt();
+    let interrupt = tokio::spawn(interrupted());
+    let ender = shutdown.clone();
+    let revoked = tokio::spawn(async move {
+        security.revoked().await;
+        tracing::info!("a member of the fleet was revoked: the robot comes to rest, and its process starts anew");
+        ender.trigger();
+    });
+    let result = zenav_edge::run(bus.clone(), config, body, shutdown).await;
+    bus.close().await;
+    result.map_err(|error| Failure::new(exit_code::FAILED, error))?;
+    // An interrupt while the robot came to rest still ends the process.
+    Ok(revoked.is_finished() && !interrupt.is_finished())
 }
 
 /// A body and its start conditions.
@@ -342,7 +384,9 @@ fn simulated(arguments: &Arguments, model: &RobotModel, id: &Id) -> Result<Start
         World::shipped(name)
     } else {
         let no_images = |_: &str| Err("this binary reads no map images; use `zenav edge`".to_owned());
-        World::from_toml(&read_file("world", name, world::SHIPPED)?, name, &no_images)
+        let text = std::fs::read_to_string(name);
+        let text = text.map_err(|error| unknown("world", name, error, &[world::SHIPPED]))?;
+        World::from_toml(&text, name, &no_images)
     };
     let world = world.map_err(Failure::usage)?;
     let start = arguments.start.unwrap_or_else(|| world.start());

@@ -584,13 +584,10 @@ fn segment(scan: &ProjectedScan<'_>, moved: &[bool], beams: (usize, usize), lase
 
 /// Whether the beams through a track's place go on behind it.
 fn is_seen_empty(scan: &ProjectedScan<'_>, track: &Track) -> bool {
-    let Some((beam, range)) = scan.beam_to(track.position) else {
-        return false;
-    };
-    let half = ((track.radius / range.max(0.1)) / scan.lidar.angle_increment()) as usize;
-    let beams = beam.saturating_sub(half)..(beam + half + 1).min(scan.ranges.len());
-    let through = scan.ranges.get(beams).unwrap_or_default();
-    !through.is_empty() && through.iter().all(|seen| f64::from(*seen) > range + track.radius)
+    scan.beam_to(track.position).is_some_and(|(beam, range)| {
+        let half = ((track.radius / range.max(0.1)) / scan.lidar.angle_increment()) as usize;
+        scan.reaches(beam, half, range + track.radius)
+    })
 }
 
 #[cfg(test)]

@@ -32,6 +32,18 @@ pub fn read(gains: &ControllerGains, wall: &WallFollowing, name: Option<&str>) -
 
 /// Sets one gain, for a robot with circumscribed radius `reach`, m.
 ///
+/// ```
+/// use zenav_edge::params::write;
+/// use zenav_protocol::{robot::ControllerGains, wall_following::WallFollowing};
+///
+/// let (mut gains, mut wall) = (ControllerGains::default(), WallFollowing::default());
+/// write(&mut gains, &mut wall, 0.265, "guard_margin", 0.1)?;
+/// assert_eq!(gains.guard_margin, 0.1);
+/// let refused = write(&mut gains, &mut wall, 0.265, "guard_margin", 0.0).unwrap_err();
+/// assert_eq!(refused.to_string(), "rejected: `guard_margin` is 0: expected 0.01 to 0.5 m");
+/// # Ok::<(), zenav_protocol::messages::Refusal>(())
+/// ```
+///
 /// # Errors
 /// [`Refusal::NotFound`] for an unknown name, [`Refusal::Rejected`] for a value out of bounds or one that does not fit the others.
 pub fn write(

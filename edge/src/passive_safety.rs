@@ -1,14 +1,17 @@
-//! Passive safety. How fast may a robot go and still be at rest before any contact? Four limits: static obstacles, moving obstacles, the
-//! lidar's blind spot, and moving obstacles that have left the field of view. Each is a share of the wanted twist at constant curvature.
+//! Passive safety. How fast may a robot go and still be at rest before any contact? Five limits: static obstacles, moving obstacles, the
+//! lidar's blind spot, moving obstacles that have left the field of view, and people who may come out from behind a corner. Each is a share
+//! of the wanted twist at constant curvature.
 //!
 //! Static: reaction (scan age, tick, motor lag) plus braking distance, `u tau + u²/(2 a)`, within the time to contact along the robot's own
-//! arc. Moving: passive safety (Macek et al., "Towards safe vehicle navigation in dynamic urban scenarios", Automatika 2009): a moving
+//! arc. Slow motors count with as many time constants as they need to come to rest, so that the approach is critically damped.
+//! Moving: passive safety (Macek et al., "Towards safe vehicle navigation in dynamic urban scenarios", Automatika 2009): a moving
 //! obstacle may approach at the assumed speed, around the robot but not through it; the robot is at rest by the time that it could arrive.
 //! Occluded (Bouraine et al., "Provably safe navigation for mobile robots with limited field-of-views in dynamic environments", Autonomous
 //! Robots 2012): by that time no point of the outline moves outwards faster than gently, by driving or by turning.
 
 use nalgebra::{Isometry2, Point2, Vector2};
 use zenav_protocol::geometry::{Pose2, Twist2};
+use zenav_protocol::polygon::{Edge, edges};
 use zenav_protocol::robot::{Drive, Footprint};
 use zenav_protocol::time::Stamp;
 
@@ -32,6 +35,8 @@ const MAX_POSES: f64 = 100.0;
 const FASTEST_ROBOT: f64 = 3.0;
 /// A closing speed up to this counts as none, m/s.
 const RESTING: f64 = 1e-6;
+/// Whoever may come out from behind a corner slows the robot down to this at most, m/s: a corner never leaves, so nothing would end a stop.
+const PAST_CORNERS: f64 = 0.1;
 /// Contact at this speed is harmless, m/s.
 pub(crate) const GENTLE: f64 = 0.008;
 /// Harmless residual speed of a controller towards a contact, m/s.
@@ -58,6 +63,8 @@ pub struct Motion<'a> {
     pub braking: f64,
     /// Time constant of the motors, s.
     pub lag: f64,
+    /// What slow motors add to the reaction before a static obstacle, s: with one time constant alone they would overshoot.
+    pub trailing: f64,
     /// Distance kept beyond the braking distance, m.
     pub margin: f64,
     /// Tunables.
@@ -75,7 +82,7 @@ pub struct Mover {
     pub velocity: Vector2<f64>,
     /// Its largest speed relative to that, m/s.
     pub speed: f64,
-    /// How far it may have moved between the beam that hit it and the newest sweep's stamp, m.
+    /// How far it may have moved between the beam that hit it and the newest sweep's stamp, m; negative: how far it must move to be there.
     pub travelled: f64,
 }
 
@@ -172,13 +179,21 @@ impl<'a> Motion<'a> {
         margin: f64,
         settings: &'a PassiveSafetySettings,
     ) -> Self {
+        let (lag, braking) = (drive.motor_lag, drive.hard_braking);
+        // While the robot brakes, its speed is `braking * lag` above the commanded one, which carries it `braking * lag²` farther.
+        let is_slow = braking * lag * lag > LEAST_CLEARANCE;
         Self {
             footprint,
             twist,
             speed: drive.surface_speed(twist),
-            reaction: age + tick + drive.motor_lag,
-            braking: drive.hard_braking,
-            lag: drive.motor_lag,
+            reaction: age + tick + lag,
+            braking,
+            lag,
+            trailing: if is_slow {
+                (settings.lags_to_rest - 1.0).max(0.0) * lag
+            } else {
+                0.0
+            },
             margin,
             settings,
         }
@@ -187,7 +202,7 @@ impl<'a> Motion<'a> {
     /// Distance until rest at a share of the speed, m.
     fn stopping_distance(&self, share: f64) -> f64 {
         let speed = share * self.speed;
-        speed * self.reaction + 0.5 * speed * speed / self.braking
+        speed * (self.reaction + self.trailing) + 0.5 * speed * speed / self.braking
     }
 
     /// Time until rest at a share of the speed, s.
@@ -197,7 +212,7 @@ impl<'a> Motion<'a> {
 
     /// The largest share that stops within a free distance (m).
     fn share_within(&self, free: f64) -> f64 {
-        let lag = self.braking * self.reaction;
+        let lag = self.braking * (self.reaction + self.trailing);
         ((lag * lag + 2.0 * self.braking * free).sqrt() - lag) / self.speed
     }
 
@@ -234,9 +249,8 @@ impl<'a> Motion<'a> {
                     share => share,
                 }
             } else {
-                let creeping = inner
-                    .time_to_contact(point)
-                    .map_or(1.0, |time| time / self.settings.creep_time);
+                let creep_time = self.settings.creep_time.max(self.lag + self.trailing);
+                let creeping = inner.time_to_contact(point).map_or(1.0, |time| time / creep_time);
                 creeping.max(slow)
             };
             share = share.min(stopping.max(creeping));
@@ -282,6 +296,12 @@ impl<'a> Motion<'a> {
         SHARES.iter().find(safe).copied().unwrap_or(0.0)
     }
 
+    /// Limit by people who may come out from behind corners, as [`Self::limit_among`]; the robot creeps past where no speed is slow enough.
+    #[must_use]
+    pub fn limit_corners(&self, people: &[Mover]) -> f64 {
+        self.limit_among(people).max((PAST_CORNERS / self.speed).min(1.0))
+    }
+
     /// Bounds the robot's motion from a share of its speed until rest, in steps.
     fn until_rest(&self, share: f64) -> impl Iterator<Item = Step> + '_ {
         let (speed, all) = (share * self.speed, self.stopping_time(share));
@@ -309,7 +329,7 @@ impl<'a> Motion<'a> {
             let occupied = step.always_occupied(there_from_here, inscribed);
             movers.iter().any(|mover| {
                 let place = there_from_here * (mover.at + mover.velocity * step.until);
-                let way = self.margin + mover.travelled + mover.speed * step.until;
+                let way = (self.margin + mover.travelled + mover.speed * step.until).max(0.0);
                 let reach = way + mover.radius;
                 samples.iter().any(|(at, normal)| {
                     (place - at).norm_squared() <= reach * reach
@@ -475,15 +495,14 @@ fn outline_samples(footprint: &Footprint, margin: f64) -> Vec<(Point2<f64>, Vect
                 .collect()
         }
         Footprint::Polygon(corners) => {
-            let edges = corners.iter().zip(corners.iter().cycle().skip(1));
             let normal = |a: &Point2<f64>, b: &Point2<f64>| {
                 let along = (b - a).normalize();
                 Vector2::new(along.y, -along.x)
             };
-            let mut samples: Vec<_> = edges
-                .flat_map(|(a, b)| {
+            let mut samples: Vec<_> = edges(corners)
+                .flat_map(|Edge { a, b }| {
                     let along = (b - a).normalize();
-                    let normal = normal(a, b);
+                    let normal = normal(&a, &b);
                     let length = (b - a).norm() + 2.0 * margin;
                     let count = (length / SAMPLE).ceil().clamp(1.0, 1000.0);
                     let from = a + (normal - along) * margin;
@@ -526,13 +545,12 @@ pub(crate) fn closing_speed(footprint: &Footprint, twist: Twist2, point: Point2<
         match footprint {
             Footprint::Radius(_) => -point.coords.dot(&motion) / point.coords.norm().max(1e-9),
             Footprint::Polygon(corners) => {
-                let edges = || corners.iter().zip(corners.iter().cycle().skip(1));
-                let inward = |(a, b): (&Point2<f64>, &Point2<f64>)| {
+                let inward = |Edge { a, b }| {
                     let along = (b - a).normalize();
                     (along.perp(&(point - a)), along.perp(&motion))
                 };
-                let depth = edges().map(|edge| inward(edge).0).fold(f64::INFINITY, f64::min);
-                edges()
+                let depth = edges(corners).map(|edge| inward(edge).0).fold(f64::INFINITY, f64::min);
+                edges(corners)
                     .map(inward)
                     .filter(|(deep, _)| *deep <= depth + CORNER)
                     .map(|(_, closing)| closing)

@@ -35,7 +35,8 @@ impl Pilot {
     }
 
     fn lease(&mut self, now: Stamp, request: &LeaseRequest) -> Result<LeaseReply, Refusal> {
-        let decision = self.authority.lease(now, request, &mut self.events);
+        let can_store = self.faults.storage.is_none();
+        let decision = self.authority.lease(now, request, can_store, &mut self.events);
         self.carry_out(now, decision)
     }
 
@@ -118,6 +119,11 @@ impl Pilot {
                 reason: format!("maneuver {running} is running"),
             });
         }
+        self.begin_maneuver(now, request).map(Some)
+    }
+
+    /// Begins a maneuver, or reports that an obstacle is in its way.
+    fn begin_maneuver(&mut self, now: Stamp, request: &BehaviourRequest) -> Result<BehaviourReport, Refusal> {
         let odom_from_base = self.estimator.odom_from_base();
         let footprint = &self.config.model.footprint;
         let unseen = self.config.settings.maneuvers.unseen_clearance;
@@ -161,13 +167,13 @@ impl Pilot {
             self.collision_monitor
                 .free_time(twist, secs, &self.obstacles, self.estimator.odom_from_base())
         });
-        Ok(Some(match blocked {
+        Ok(match blocked {
             Some(_) => {
                 let report = maneuver.report(BehaviourState::Failed, Some("obstacle in the way"));
                 self.maneuvers.refuse(now, report, &mut self.events)
             }
             None => self.maneuvers.start(maneuver),
-        }))
+        })
     }
 
     fn info(&self, now: Stamp) -> InfoReply {

@@ -37,6 +37,8 @@ use crate::trackers::{Law, UnknownTracker};
 
 /// Most messages of a topic that wait in the bus.
 const QUEUE: usize = 32;
+/// Longest control period, wall time, s.
+const LONGEST_PERIOD: f64 = 60.0;
 /// A robot without readings for this long is not ready.
 const SILENCE: Duration = Duration::from_secs(3);
 /// Time between two attempts to store what could not be stored.
@@ -69,14 +71,14 @@ pub enum EdgeError {
     /// The control thread could not be started.
     #[error("no control thread: {0}")]
     Thread(std::io::Error),
-    /// A setting is out of its bounds.
+    /// A setting is out of its bounds, or does not suit the robot.
     #[error("settings: {0}")]
     Settings(#[from] OutOfBounds),
     /// The robot file names an unknown tracker.
     #[error(transparent)]
     Tracker(#[from] UnknownTracker),
-    /// The speed is not a positive number.
-    #[error("speed {0}: expected a positive number")]
+    /// The speed is not a positive number, or a control period would last for minutes.
+    #[error("speed {0}: expected a positive number, and control periods of at most a minute")]
     Speed(f64),
     /// The control thread panicked; the wheels were stopped.
     #[error("the control thread panicked")]
@@ -86,13 +88,33 @@ pub enum EdgeError {
 /// Runs an edge until shutdown: the robot is stopped first, then the last messages go out. Needs no router: clients that
 /// reach the bus's own endpoint are served.
 ///
+/// ```no_run
+/// # use zenav_edge::{EdgeConfig, ServiceConfig, SimBody, run};
+/// # use zenav_protocol::{bus::{Bus, BusConfig, Shutdown}, geometry::Pose2, id::Id, robot::RobotModel};
+/// # use zenav_sim::Simulation;
+/// # async fn edge(model: RobotModel, simulation: Simulation) -> Result<(), Box<dyn std::error::Error>> {
+/// let config = ServiceConfig {
+///     edge: EdgeConfig::new(Id::robot("tiago")?, model, Pose2::IDENTITY),
+///     state_dir: "state".into(),
+///     speed: 1.0,
+///     gives_the_time: true,
+/// };
+/// let (body, _referee) = SimBody::all(simulation).remove(0);
+/// let bus = Bus::open(BusConfig::service("tiago", "tcp/127.0.0.1:7447")).await?;
+/// run(bus, config, Box::new(body), Shutdown::new()).await?;
+/// # Ok(())
+/// # }
+/// ```
+///
 /// # Errors
 /// [`EdgeError`].
 pub async fn run(bus: Bus, config: ServiceConfig, body: Box<dyn Body>, shutdown: Shutdown) -> Result<(), EdgeError> {
-    if !(config.speed.is_finite() && config.speed > 0.0) {
+    let period = config.edge.tick / config.speed;
+    if !(config.speed.is_finite() && config.speed > 0.0 && (0.0..=LONGEST_PERIOD).contains(&period)) {
         return Err(EdgeError::Speed(config.speed));
     }
     config.edge.settings.check()?;
+    config.edge.settings.check_for(&config.edge.model, config.edge.tick)?;
     Law::named(&config.edge.model.controller.tracker)?;
     let robot = config.edge.robot.to_string();
     let readings = bus.expects("its readings have come, and a pose is known");

@@ -4,12 +4,38 @@
 //! robot model (gains, distances of the wall follower) are in the robot file instead. Numerical epsilons and memory bounds stay private
 //! constants of their subsystem.
 
+use std::ops::RangeInclusive;
+
 use zenav_protocol::config_text::OutOfBounds;
+use zenav_protocol::robot::RobotModel;
+use zenav_protocol::sensors::LidarModel;
+use zenav_protocol::settings::check;
 
 use crate::blind_spot_grid::SIDE;
 
+/// A person walks at up to this speed, m/s.
+const WALKING: f64 = 1.4;
+/// People turn a corner that they cannot see round at up to this speed, unless set, m/s.
+const ROUND_CORNERS: f64 = 0.7;
+/// Age of a lidar scan at which a robot stops, and time from the last scan until it is at rest, unless it needs longer or they are set, s.
+const STOPPED_AFTER: (f64, f64) = (1.0, 0.7);
+/// Share of the top speed at which a robot may still drive when the next scan is due: without `rest_after_silence`, and at the least value
+/// of it that is accepted.
+const SPEED_KEPT: (f64, f64) = (0.9, 0.25);
+
 zenav_protocol::settings! {
     /// All tunables of an edge.
+    ///
+    /// ```
+    /// use zenav_edge::EdgeSettings;
+    /// use zenav_protocol::settings::Settings;
+    ///
+    /// let settings: EdgeSettings = serde_json::from_str(r#"{"lease": {"lost_after": 5.0}}"#)?;
+    /// assert_eq!((settings.lease.lost_after, settings.lease.ttl), (5.0, 1.0));
+    /// let hasty: EdgeSettings = serde_json::from_str(r#"{"lease": {"lost_after": 0.2}}"#)?;
+    /// assert_eq!(hasty.check().unwrap_err().to_string(), "`lease.lost_after` is 0.2: expected at least `stale_after`, 0.5");
+    /// # Ok::<(), serde_json::Error>(())
+    /// ```
     pub struct EdgeSettings {
         /// The body's readings.
         pub body: BodySettings;
@@ -194,13 +220,18 @@ zenav_protocol::settings! {
 zenav_protocol::settings! {
     /// Collision monitor.
     pub struct CollisionMonitorSettings {
-        /// A lidar scan older than this stops the robot.
-        pub scan_timeout: f64 = 1.0, "s", 0.05..=5.0;
-        /// Once scans stop arriving, the robot is at rest this long after the last one (0.7: a lidar of 10 Hz does not slow a robot that
-        /// brakes from its top speed in 0.4 s).
-        pub rest_after_silence: f64 = 0.7, "s", 0.1..=5.0;
+        /// A lidar scan older than this stops the robot; if unset, 1 s, or the latency and two periods of its slowest lidar if that is
+        /// longer.
+        pub scan_timeout: Option<f64> = None, "s";
+        /// Once scans stop arriving, the robot is at rest this long after the last one; if unset, 0.7 s, or what it needs to drive at nine
+        /// tenths of its top speed until the next scan is due, if that is longer: the period of its slowest lidar, a control period,
+        /// `passive_safety.lags_to_rest` motor time constants, and the time to brake. A value that leaves less than a quarter of the top
+        /// speed is refused.
+        pub rest_after_silence: Option<f64> = None, "s";
         /// Share of the top speed allowed while the wheel encoders are silent.
         pub without_encoders: f64 = 0.5, "", 0.0..=1.0;
+        /// Share of the top speed allowed while a lidar looks elsewhere than its file says: obstacles are not where they seem to be.
+        pub with_crooked_lidar: f64 = 0.5, "", 0.0..=1.0;
         /// A zone is left for a milder one once it has not been needed for this long.
         pub hysteresis: f64 = 0.3, "s", 0.0..=5.0;
         /// In contact, a motion counts as leading away if it moves away from the contact at this share of its speed at least.
@@ -216,6 +247,13 @@ zenav_protocol::settings! {
         /// A motion scaled to more than this share of it counts as clear.
         pub clear_share: f64 = 0.95, "", 0.5..=1.0;
     }
+    check = |monitor: &CollisionMonitorSettings| {
+        let set = |key: &str, value: Option<f64>, bounds: RangeInclusive<f64>| {
+            value.map_or(Ok(()), |value| check(key, value, "s", &bounds))
+        };
+        set("scan_timeout", monitor.scan_timeout, 0.05..=30.0)?;
+        set("rest_after_silence", monitor.rest_after_silence, 0.1..=60.0)
+    };
 }
 
 zenav_protocol::settings! {
@@ -223,8 +261,9 @@ zenav_protocol::settings! {
     pub struct PassiveSafetySettings {
         /// Assumed speed of moving obstacles in view that have no track yet; if unset, the robot's own top speed.
         pub speed_in_view: Option<f64> = None, "m/s";
-        /// Assumed speed of moving obstacles that have left the field of view; if unset, the robot's own top speed (1.4 m/s is a walking
-        /// person).
+        /// Assumed speed of moving obstacles that have left the field of view, and of people behind corners; if unset, that of a walking
+        /// person, 1.4 m/s, or the robot's own top speed if that is greater, and behind corners its own, at most 0.7 m/s (at 1.4 m/s it
+        /// creeps at narrow corners).
         pub speed_out_of_sight: Option<f64> = None, "m/s";
         /// A robot that announces its course is assumed to deviate from its velocity by at most this, or to brake.
         pub robot_deviation: f64 = 0.1, "m/s", 0.0..=5.0;
@@ -237,10 +276,7 @@ zenav_protocol::settings! {
     }
     check = |safety: &PassiveSafetySettings| {
         let speeds = [("speed_in_view", safety.speed_in_view), ("speed_out_of_sight", safety.speed_out_of_sight)];
-        speeds.into_iter().try_for_each(|(key, speed)| match speed {
-            Some(speed) if !(0.0..=20.0).contains(&speed) => Err(OutOfBounds::unlike(key, speed, "0 to 20 m/s")),
-            _ => Ok(()),
-        })
+        speeds.into_iter().try_for_each(|(key, speed)| speed.map_or(Ok(()), |speed| check(key, speed, "m/s", &(0.0..=20.0))))
     };
 }
 
@@ -253,7 +289,8 @@ zenav_protocol::settings! {
         pub spacing: f64 = 0.02, "m", 0.001..=0.5;
         /// Most points remembered; the oldest are dropped first.
         pub max_points: usize = 2048, "", 1..=100_000;
-        /// After this long without a scan, a moving obstacle may have entered the blind spot unseen.
+        /// After this long without a scan of a lidar, or one and a half of its periods if that is longer, a moving obstacle may have entered
+        /// the blind spot unseen.
         pub scan_gap: f64 = 0.5, "s", 0.05..=10.0;
     }
 }
@@ -448,6 +485,83 @@ zenav_protocol::settings! {
     }
 }
 
+impl EdgeSettings {
+    /// Age of a lidar scan at which this robot stops, s.
+    #[must_use]
+    pub fn scan_timeout(&self, model: &RobotModel) -> f64 {
+        let needed = slowest(model, |lidar| lidar.latency + 2.0 / lidar.rate_hz);
+        self.collision_monitor
+            .scan_timeout
+            .unwrap_or(needed.max(STOPPED_AFTER.0))
+    }
+
+    /// Time from the last scan until this robot, with this control period (s), is at rest, s.
+    ///
+    /// ```
+    /// use zenav_edge::EdgeSettings;
+    ///
+    /// let (settings, mut tiago) = (EdgeSettings::default(), zenav_fixtures::robot("tiago"));
+    /// assert_eq!(settings.rest_after_silence(&tiago, 0.02), 0.7);
+    /// // Four time constants of its motors alone are 1.2 s.
+    /// tiago.drive.motor_lag = 0.3;
+    /// assert!((1.6..1.8).contains(&settings.rest_after_silence(&tiago, 0.02)));
+    /// ```
+    #[must_use]
+    pub fn rest_after_silence(&self, model: &RobotModel, tick: f64) -> f64 {
+        let needed = self.silence_until_rest(model, tick, SPEED_KEPT.0);
+        self.collision_monitor
+            .rest_after_silence
+            .unwrap_or(needed.max(STOPPED_AFTER.1))
+    }
+
+    /// Time from a scan until a robot is at rest that drives at this share of its top speed until the next one is due, s.
+    fn silence_until_rest(&self, model: &RobotModel, tick: f64, share: f64) -> f64 {
+        let drive = &model.drive;
+        let braking = share * drive.top_speed() / drive.hard_braking;
+        slowest(model, |lidar| 1.0 / lidar.rate_hz)
+            + tick
+            + self.passive_safety.lags_to_rest * drive.motor_lag
+            + braking
+    }
+
+    /// Whether what is set suits this robot, with this control period, s.
+    ///
+    /// ```
+    /// use zenav_edge::EdgeSettings;
+    ///
+    /// let (mut settings, tiago) = (EdgeSettings::default(), zenav_fixtures::robot("tiago"));
+    /// settings.collision_monitor.rest_after_silence = Some(0.3);
+    /// assert_eq!(
+    ///     settings.check_for(&tiago, 0.02).unwrap_err().to_string(),
+    ///     "`collision_monitor.rest_after_silence` is 0.3: expected at least 0.43 s, for the robot's lidars and motors"
+    /// );
+    /// ```
+    ///
+    /// # Errors
+    /// The first value with which the robot would not move, or hardly, by its key, and the least value that works.
+    pub fn check_for(&self, model: &RobotModel, tick: f64) -> Result<(), OutOfBounds> {
+        let monitor = &self.collision_monitor;
+        let scan = slowest(model, |lidar| lidar.latency + 1.0 / lidar.rate_hz) + tick;
+        let rest = self.silence_until_rest(model, tick, SPEED_KEPT.1);
+        for (key, value, least) in [
+            ("scan_timeout", monitor.scan_timeout, scan),
+            ("rest_after_silence", monitor.rest_after_silence, rest),
+        ] {
+            if let Some(value) = value.filter(|value| *value < least) {
+                let least = (100.0 * least).ceil() / 100.0;
+                let expected = format!("at least {least} s, for the robot's lidars and motors");
+                return Err(OutOfBounds::unlike(key, value, expected).within("collision_monitor"));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The longest of a time of each of the robot's lidars, s.
+fn slowest(model: &RobotModel, time: impl Fn(&LidarModel) -> f64) -> f64 {
+    model.all_lidars().map(|(_, lidar)| time(lidar)).fold(0.0, f64::max)
+}
+
 impl BlindSpotGridSettings {
     /// Largest distance that the grid covers around the robot, m: a bit less than half its width.
     #[must_use]
@@ -474,7 +588,13 @@ impl PassiveSafetySettings {
     /// Assumed speed of moving obstacles out of sight, m/s, for a robot with this top speed.
     #[must_use]
     pub fn speed_out_of_sight(&self, top_speed: f64) -> f64 {
-        self.speed_out_of_sight.unwrap_or(top_speed)
+        self.speed_out_of_sight.unwrap_or(top_speed.max(WALKING))
+    }
+
+    /// Assumed speed of people who come out from behind corners, m/s, for a robot with this top speed.
+    #[must_use]
+    pub fn speed_round_corners(&self, top_speed: f64) -> f64 {
+        self.speed_out_of_sight.unwrap_or(top_speed.min(ROUND_CORNERS))
     }
 }
 
@@ -482,6 +602,7 @@ impl PassiveSafetySettings {
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
+    use zenav_protocol::robot::SHIPPED;
     use zenav_protocol::settings::Settings;
 
     #[test]
@@ -512,5 +633,54 @@ mod tests {
             assert!(settings.check().unwrap_err().to_string().contains(key), "{text}");
         }
         assert!(serde_json::from_str::<EdgeSettings>(r#"{"guard": {"margin": 1.0}}"#).is_err());
+    }
+
+    #[test]
+    fn a_robot_is_at_rest_as_soon_after_the_last_scan_as_its_lidars_and_motors_allow() {
+        const TICK: f64 = 0.02;
+        let settings = EdgeSettings::default();
+        for (name, _) in SHIPPED {
+            let model = zenav_fixtures::robot(name);
+            assert_eq!(settings.scan_timeout(&model), 1.0, "{name}");
+            assert_eq!(settings.rest_after_silence(&model, TICK), 0.7, "{name}");
+        }
+        let tiago = zenav_fixtures::robot("tiago");
+        let braking = 0.9 * tiago.drive.top_speed() / tiago.drive.hard_braking;
+        for (lag, rate, timeout) in [(0.3, 10.0, 1.0), (1.0, 10.0, 1.0), (0.05, 2.0, 1.0), (0.05, 1.0, 2.0)] {
+            let mut model = tiago.clone();
+            model.drive.motor_lag = lag;
+            model.lidar.as_mut().unwrap().rate_hz = rate;
+            let rest = settings.rest_after_silence(&model, TICK);
+            assert!(
+                (rest - (1.0 / rate + TICK + 4.0 * lag + braking)).abs() < 1e-9,
+                "{lag} {rate}: {rest}"
+            );
+            assert_eq!(settings.scan_timeout(&model), timeout);
+        }
+    }
+
+    #[test]
+    fn a_value_at_which_the_robot_would_hardly_move_is_refused_with_the_least_that_works() {
+        let set = |text| serde_json::from_str::<EdgeSettings>(text).unwrap();
+        let mut model = zenav_fixtures::robot("tiago");
+        model.lidar.as_mut().unwrap().rate_hz = 1.0;
+        for (text, least) in [
+            (
+                r#"{"collision_monitor": {"rest_after_silence": 0.7}}"#,
+                "`collision_monitor.rest_after_silence` is 0.7: expected at least 1.33 s",
+            ),
+            (
+                r#"{"collision_monitor": {"scan_timeout": 0.9}}"#,
+                "`collision_monitor.scan_timeout` is 0.9: expected at least 1.02 s",
+            ),
+        ] {
+            let settings = set(text);
+            settings.check().unwrap();
+            let error = settings.check_for(&model, 0.02).unwrap_err().to_string();
+            assert!(error.starts_with(least), "{error}");
+        }
+        let works = set(r#"{"collision_monitor": {"rest_after_silence": 1.33, "scan_timeout": 1.02}}"#);
+        works.check_for(&model, 0.02).unwrap();
+        EdgeSettings::default().check_for(&model, 0.02).unwrap();
     }
 }

@@ -7,7 +7,7 @@ use std::time::Duration;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::readings::Readings;
 use zenav_protocol::time::Stamp;
-use zenav_sim::{SimError, Simulation, Truth};
+use zenav_sim::{SimError, Simulation, Truth, World};
 
 use crate::body::{Body, BodyError};
 
@@ -65,6 +65,23 @@ impl Shared {
 
 impl SimBody {
     /// All robots of a simulation in order, each with its ground truth. The world stands still until each of them is driven or dropped.
+    ///
+    /// ```
+    /// # use zenav_protocol::{id::Id, time::Stamp};
+    /// # use zenav_sim::{RobotSpec, Simulation, World};
+    /// # let kitchen = World::shipped("kitchen")?;
+    /// # let tiago = RobotSpec { id: Id::robot("tiago")?, model: zenav_fixtures::robot("tiago"), start: kitchen.start() };
+    /// use zenav_edge::{Body, SimBody};
+    ///
+    /// let (mut body, referee) = SimBody::all(Simulation::new(&kitchen, vec![tiago], 1)?).remove(0);
+    /// body.drive([3.0, 3.0])?;
+    /// for _ in 0..50 {
+    ///     body.read()?;
+    /// }
+    /// assert_eq!(referee.now(), Stamp::from_secs(1.0), "each reading is a step of 20 ms");
+    /// assert!(referee.truth().length > 0.1);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     #[must_use]
     pub fn all(simulation: Simulation) -> Vec<(Self, Referee)> {
         let robots = simulation.robots();
@@ -156,12 +173,12 @@ impl Referee {
         self.shared.lock().simulation.truth(self.robot)
     }
 
-    /// Carries the robot to another place.
+    /// Carries the robot to another place of its world.
     ///
     /// # Errors
     /// If the robot does not fit there.
-    pub fn carry(&self, to: Pose2) -> Result<(), SimError> {
-        self.shared.lock().simulation.carry(self.robot, to)
+    pub fn carry(&self, world: &World, to: Pose2) -> Result<(), SimError> {
+        self.shared.lock().simulation.carry(world, self.robot, to)
     }
 
     /// Simulated time.
@@ -175,7 +192,7 @@ impl Referee {
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use zenav_protocol::id::Id;
-    use zenav_sim::{RobotSpec, World};
+    use zenav_sim::RobotSpec;
 
     use super::*;
 

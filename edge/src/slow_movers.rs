@@ -139,12 +139,8 @@ impl Watched {
 
 /// Whether the beams through a place, odometry frame, continue behind it.
 fn is_seen_through(scan: &ProjectedScan<'_>, place: Point2<f64>) -> bool {
-    let Some((beam, range)) = scan.beam_to(place) else {
-        return false;
-    };
-    let beams = beam.saturating_sub(1)..(beam + 2).min(scan.ranges.len());
-    let through = scan.ranges.get(beams).unwrap_or_default();
-    !through.is_empty() && through.iter().all(|seen| f64::from(*seen) > range + BEHIND)
+    scan.beam_to(place)
+        .is_some_and(|(beam, range)| scan.reaches(beam, 1, range + BEHIND))
 }
 
 #[cfg(test)]

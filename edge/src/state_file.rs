@@ -68,6 +68,20 @@ fn has_no_room(error: &io::Error) -> bool {
 impl StateFile {
     /// The file of a robot in a folder, which is created if it is missing and the disk has room.
     ///
+    /// ```
+    /// # let folder = tempfile::tempdir()?;
+    /// use zenav_edge::{Persisted, state_file::{StateError, StateFile}};
+    /// use zenav_protocol::id::Id;
+    ///
+    /// let tiago = Id::robot("tiago")?;
+    /// let file = StateFile::open(folder.path(), &tiago)?;
+    /// assert_eq!(file.load()?, Persisted::default());
+    /// file.save(&Persisted { epoch: 7, ..Persisted::default() })?;
+    /// assert_eq!(file.load()?.epoch, 7);
+    /// assert!(matches!(StateFile::open(folder.path(), &tiago), Err(StateError::Locked { .. })), "one edge for each robot");
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
     /// # Errors
     /// [`StateError::Io`] when the folder cannot be made; [`StateError::Locked`] while another edge has it.
     pub fn open(folder: &Path, robot: &Id) -> Result<Self, StateError> {
@@ -168,7 +182,6 @@ mod tests {
         let state = Persisted {
             epoch: 42,
             stopped: true,
-            stops: 7,
             leader: Some(Leader {
                 store: "a".into(),
                 epoch: 42,

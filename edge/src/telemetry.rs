@@ -15,6 +15,7 @@ use zenav_protocol::time::Stamp;
 
 use crate::control_io::Publication;
 use crate::estimator::{Estimator, Tally};
+use crate::local_obstacles::LocalObstacles;
 use crate::settings::{TelemetrySettings, UplinkSettings};
 use crate::uplink::{Sieve, Uplink};
 
@@ -79,9 +80,9 @@ impl Telemetry {
         }
     }
 
-    /// A round trip to the holder of the lease of this epoch was measured.
-    pub fn measured(&mut self, now: Stamp, round_trip: Duration, epoch: u64) {
-        self.uplink.measured(now, round_trip, epoch);
+    /// A round trip to the holder of the lease was measured.
+    pub fn measured(&mut self, now: Stamp, round_trip: Duration, holder: &str) {
+        self.uplink.measured(now, round_trip, holder);
     }
 
     /// Share of its sensors' messages that the link carries, above 0 to 1.
@@ -183,30 +184,32 @@ impl Telemetry {
     }
 }
 
-/// A scan as a message, with filtered ranges (m), the runs of beams that hit a moving obstacle and the poses at its own stamp; `None` if
-/// the stamp is too old for the poses to be known, or the lidar is unknown.
+/// A scan as a message, with what the local obstacles know of it, and the poses at its own stamp; `None` if the stamp is too old for the
+/// poses to be known, or the lidar is unknown.
 #[must_use]
 pub fn scan(
     sweep: &Sweep,
-    ranges: Vec<f32>,
-    moving: Vec<[u32; 2]>,
+    obstacles: &LocalObstacles,
     boot_id: &str,
     model: &RobotModel,
     estimator: &Estimator,
 ) -> Option<Scan> {
     let (_, lidar) = model.all_lidars().find(|(name, _)| *name == sweep.lidar)?;
+    let odom_from_base = estimator.odom_from_base_at(sweep.stamp)?;
     Some(Scan {
         stamp: sweep.stamp,
         angle_min: lidar.angle_min(),
         angle_increment: lidar.angle_increment(),
         range_min: lidar.range_min,
         range_max: lidar.range_max,
-        ranges,
+        ranges: obstacles.ranges(&sweep.lidar).to_vec(),
         boot_id: boot_id.to_owned(),
-        moving,
+        moving: obstacles.moving_beams(&sweep.lidar),
+        touched: obstacles.touched_lines(sweep.stamp, odom_from_base),
+        fixes: Vec::new(),
         base_from_laser: lidar.mount,
         map_from_odom: estimator.map_from_odom(),
-        odom_from_base: estimator.odom_from_base_at(sweep.stamp)?,
+        odom_from_base,
     })
 }
 

@@ -96,6 +96,18 @@ impl DeadMan {
 
     /// Takes a message of the operator's current epoch. Returns whether it is new: the same message again has no effect.
     ///
+    /// ```
+    /// use zenav_edge::teleop::{DeadMan, Dropped};
+    /// use zenav_protocol::{geometry::Twist2, messages::Teleop, time::Stamp};
+    ///
+    /// let mut dead_man = DeadMan::new(0.3);
+    /// let teleop = Teleop { epoch: 1, twist: Twist2::new(0.2, 0.0), echo: Stamp::from_secs(10.0) };
+    /// assert_eq!(dead_man.take(Stamp::from_secs(10.1), &teleop), Ok(true));
+    /// assert_eq!(dead_man.twist(Stamp::from_secs(10.2)), teleop.twist);
+    /// assert_eq!(dead_man.twist(Stamp::from_secs(10.4)), Twist2::ZERO, "the operator has let go, or the link is slow");
+    /// assert!(matches!(dead_man.take(Stamp::from_secs(10.4), &teleop), Err(Dropped::Old { .. })));
+    /// ```
+    ///
     /// # Errors
     /// [`Dropped`]. Of several messages with one echo the first is taken, because their order is unknown; a stop is always taken.
     pub fn take(&mut self, now: Stamp, teleop: &Teleop) -> Result<bool, Dropped> {

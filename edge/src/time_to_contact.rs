@@ -8,22 +8,16 @@ use std::f64::consts::TAU;
 
 use nalgebra::{Point2, Vector2};
 use zenav_protocol::geometry::Twist2;
-use zenav_protocol::polygon::offset;
+use zenav_protocol::polygon::{Edge, edges, offset};
 use zenav_protocol::robot::Footprint;
 
 /// An outline, grown by a margin, that moves with a twist.
 #[derive(Clone, Debug)]
 pub struct SweptFootprint {
-    shape: Shape,
+    shape: Footprint,
     motion: Motion,
     /// Points whose distance to the centre of rotation lies outside this band are never touched.
     band: (f64, f64),
-}
-
-#[derive(Clone, Debug)]
-enum Shape {
-    Disc(f64),
-    Polygon(Vec<Point2<f64>>),
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -38,8 +32,8 @@ impl SweptFootprint {
     #[must_use]
     pub fn new(footprint: &Footprint, margin: f64, twist: Twist2) -> Self {
         let shape = match footprint {
-            Footprint::Radius(radius) => Shape::Disc(radius + margin),
-            Footprint::Polygon(corners) => Shape::Polygon(offset(corners, margin)),
+            Footprint::Radius(radius) => Footprint::Radius(radius + margin),
+            Footprint::Polygon(corners) => Footprint::Polygon(offset(corners, margin)),
         };
         let motion = if twist.w.abs() > 1e-6 {
             Motion::Arc {
@@ -53,21 +47,21 @@ impl SweptFootprint {
         };
         let band = match (&shape, motion) {
             (_, Motion::Rest) => (f64::INFINITY, 0.0),
-            (Shape::Disc(radius), Motion::Straight { .. }) => (-radius, *radius),
-            (Shape::Polygon(corners), Motion::Straight { .. }) => {
+            (Footprint::Radius(radius), Motion::Straight { .. }) => (-radius, *radius),
+            (Footprint::Polygon(corners), Motion::Straight { .. }) => {
                 corners.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |band, corner| {
                     (band.0.min(corner.y), band.1.max(corner.y))
                 })
             }
-            (Shape::Disc(radius), Motion::Arc { center, .. }) => {
+            (Footprint::Radius(radius), Motion::Arc { center, .. }) => {
                 ((center.coords.norm() - radius).max(0.0), center.coords.norm() + radius)
             }
-            (Shape::Polygon(corners), Motion::Arc { center, .. }) => {
+            (Footprint::Polygon(corners), Motion::Arc { center, .. }) => {
                 let outer = corners
                     .iter()
                     .map(|corner| (corner - center).norm())
                     .fold(0.0, f64::max);
-                (Footprint::Polygon(corners.clone()).distance(center), outer)
+                (shape.distance(center), outer)
             }
         };
         Self { shape, motion, band }
@@ -77,12 +71,23 @@ impl SweptFootprint {
     #[must_use]
     pub fn contains(&self, point: Point2<f64>) -> bool {
         match &self.shape {
-            Shape::Disc(radius) => point.coords.norm_squared() < radius * radius,
-            Shape::Polygon(corners) => edges(corners).all(|(a, b)| (b - a).perp(&(point - a)) > 0.0),
+            Footprint::Radius(radius) => point.coords.norm_squared() < radius * radius,
+            Footprint::Polygon(corners) => edges(corners).all(|Edge { a, b }| (b - a).perp(&(point - a)) > 0.0),
         }
     }
 
     /// Time until the grown outline first touches a point that it does not contain now (base frame), s; `None` for no contact.
+    ///
+    /// ```
+    /// use nalgebra::Point2;
+    /// use zenav_edge::time_to_contact::SweptFootprint;
+    /// use zenav_protocol::{geometry::Twist2, robot::Footprint};
+    ///
+    /// // A disc of 0.27 m with a margin of 0.03 m, at 0.5 m/s.
+    /// let swept = SweptFootprint::new(&Footprint::Radius(0.27), 0.03, Twist2::new(0.5, 0.0));
+    /// assert!((swept.time_to_contact(Point2::new(1.3, 0.0)).unwrap() - 2.0).abs() < 1e-9);
+    /// assert_eq!(swept.time_to_contact(Point2::new(1.3, 0.31)), None, "it passes beside the robot");
+    /// ```
     #[must_use]
     pub fn time_to_contact(&self, point: Point2<f64>) -> Option<f64> {
         match self.motion {
@@ -109,13 +114,13 @@ impl SweptFootprint {
     /// Distance until a point that moves along the x axis enters, m.
     fn straight(&self, point: Point2<f64>, sign: f64) -> Option<f64> {
         match &self.shape {
-            Shape::Disc(radius) => {
+            Footprint::Radius(radius) => {
                 let half = (radius * radius - point.y * point.y).max(0.0).sqrt();
                 let way = sign * point.x - half;
                 (way >= 0.0).then_some(way)
             }
-            Shape::Polygon(corners) => {
-                let crossings = edges(corners).filter_map(|(a, b)| {
+            Footprint::Polygon(corners) => {
+                let crossings = edges(corners).filter_map(|Edge { a, b }| {
                     let rise = b.y - a.y;
                     let share = (point.y - a.y) / rise;
                     (rise.abs() > 1e-12 && (0.0..=1.0).contains(&share))
@@ -131,7 +136,7 @@ impl SweptFootprint {
         let turn_to =
             |target: Vector2<f64>| (sign * from_center.perp(&target).atan2(from_center.dot(&target))).rem_euclid(TAU);
         match &self.shape {
-            Shape::Disc(disc) => {
+            Footprint::Radius(disc) => {
                 let reach = center.coords.norm();
                 if reach < 1e-9 || radius < 1e-9 {
                     return None;
@@ -143,9 +148,9 @@ impl SweptFootprint {
                 let angle = turn_to(-center.coords) - cos.acos();
                 (angle >= 0.0).then_some(angle)
             }
-            Shape::Polygon(corners) => {
+            Footprint::Polygon(corners) => {
                 let mut first: Option<f64> = None;
-                for (a, b) in edges(corners) {
+                for Edge { a, b } in edges(corners) {
                     for crossing in circle_crossings(center, radius, a, b).into_iter().flatten() {
                         let angle = turn_to(crossing - center);
                         first = Some(first.map_or(angle, |known| known.min(angle)));
@@ -155,10 +160,6 @@ impl SweptFootprint {
             }
         }
     }
-}
-
-fn edges(corners: &[Point2<f64>]) -> impl Iterator<Item = (Point2<f64>, Point2<f64>)> + '_ {
-    corners.iter().copied().zip(corners.iter().copied().cycle().skip(1))
 }
 
 /// Where a circle crosses the segment from `a` to `b`.

@@ -3,10 +3,11 @@
 //! Messages beyond a link's capacity wait in a queue, and with them the few messages that a mission needs to drive the robot. The queueing
 //! delay is the round trip of the heartbeats less the least one of late: the idea of LEDBAT (RFC 6817), here with increase and decrease in
 //! turn, because the queue must empty now and then for its length to be known. The growth rate of the round trip gives the capacity: the
-//! share of the data sent that does not add to the queue.
+//! share of the data sent that does not add to the queue. A queue longer than any lease lasts is met with next to no data until it has drained.
 
 use std::time::Duration;
 
+use zenav_protocol::lease::LONGEST_ROUND_TRIP;
 use zenav_protocol::time::Stamp;
 
 use crate::settings::UplinkSettings;
@@ -26,8 +27,10 @@ const LEAST: f64 = 0.02;
 /// After this many windows in a row with the same delay, to within this share of it, although less was sent, the delay is not a queue: the
 /// link has become longer.
 const SAME: (u32, f64) = (3, 0.2);
-/// After this long without a measurement the queue is unknown, s: an operator who drives by hand sends no heartbeat echoes.
+/// After this long without a measurement the share grows again, s: an operator who drives by hand sends no heartbeat echoes.
 const UNMEASURED: f64 = 5.0;
+/// The same after a queue was found, s: it has to drain first.
+const DRAINED: f64 = 60.0;
 
 /// The share of its sensors' messages that the robot sends.
 #[derive(Clone, Debug)]
@@ -39,12 +42,14 @@ pub struct Uplink {
     look: Option<Look>,
     /// Earliest start of the next window.
     not_before: Stamp,
-    /// The lease epoch of the measurements: another holder is reached over another path.
-    epoch: u64,
+    /// The lease holder of the measurements: another one is reached over another path.
+    holder: String,
     /// The run of windows that found a queue.
     full: Option<Full>,
-    /// Time of the last measurement; moved on whenever the share grows without one.
+    /// Time of the last measurement.
     last: Stamp,
+    /// Earliest time at which the share grows without a measurement.
+    grows_at: Stamp,
 }
 
 /// A run of windows that found a queue.
@@ -75,9 +80,10 @@ impl Uplink {
             base: None,
             look: None,
             not_before: Stamp::ZERO,
-            epoch: 0,
+            holder: String::new(),
             full: None,
             last: Stamp::ZERO,
+            grows_at: Stamp::ZERO,
         }
     }
 
@@ -89,18 +95,19 @@ impl Uplink {
 
     /// Advances time: without measurements the share grows again.
     pub fn elapse(&mut self, now: Stamp) {
-        if self.share < 1.0 && now.secs_since(self.last) >= UNMEASURED {
+        let silence = if self.full.is_some() { DRAINED } else { UNMEASURED };
+        if self.share < 1.0 && now.secs_since(self.last) >= silence && now >= self.grows_at {
             self.share = (INCREASE * self.share).min(1.0);
-            self.last = now.plus_secs(LOOK - UNMEASURED);
+            self.grows_at = now.plus_secs(LOOK);
         }
     }
 
     /// A round trip to the holder of a lease was measured.
-    pub fn measured(&mut self, now: Stamp, round_trip: Duration, epoch: u64) {
+    pub fn measured(&mut self, now: Stamp, round_trip: Duration, holder: &str) {
         let round_trip = round_trip.as_secs_f64();
         self.last = now;
-        if epoch != self.epoch {
-            self.epoch = epoch;
+        if holder != self.holder {
+            self.holder = holder.to_owned();
             (self.base, self.look, self.full) = (None, None, None);
         }
         let (since, least, before) = match self.base {
@@ -124,7 +131,13 @@ impl Uplink {
         }
         let look = *look;
         self.look = None;
-        let queued = look.least - least.min(before);
+        // A link of that length carries no lease, whatever is sent: only a queue can become shorter.
+        let is_hopeless = look.least >= LONGEST_ROUND_TRIP.as_secs_f64();
+        let queued = if is_hopeless {
+            f64::INFINITY
+        } else {
+            look.least - least.min(before)
+        };
         if queued <= self.settings.longest_queue {
             self.full = None;
             self.share = (INCREASE * self.share).min(1.0);
@@ -136,7 +149,7 @@ impl Uplink {
             wait: queued,
             share,
         });
-        let is_same = (queued - full.wait).abs() <= SAME.1 * full.wait;
+        let is_same = full.wait.is_finite() && (queued - full.wait).abs() <= SAME.1 * full.wait;
         (full.same, full.wait) = if is_same {
             (full.same + 1, full.wait)
         } else {
@@ -151,7 +164,8 @@ impl Uplink {
         let growth = ((round_trip - look.first) / secs).clamp(0.0, STEEPEST);
         // Data sent before still has to pass.
         self.not_before = now.plus_secs(round_trip);
-        self.share = (DECREASE * (1.0 - growth) * share).max(LEAST);
+        let kept = if is_hopeless { 0.0 } else { DECREASE * (1.0 - growth) };
+        self.share = (kept * share).max(LEAST);
     }
 }
 
@@ -182,17 +196,29 @@ mod tests {
 
     /// A link that carries `rate` times the robot's full data, with a round trip of `delay` s, from a time (s) on: the share and the queue,
     /// s, at each beat of 0.1 s.
-    fn drive(uplink: &mut Uplink, from: f64, (rate, delay): (f64, f64), secs: f64) -> Vec<(f64, f64)> {
+    fn drive(uplink: &mut Uplink, from: f64, link: (f64, f64), secs: f64) -> Vec<(f64, f64)> {
+        drive_behind(uplink, from, link, 0.0, secs)
+    }
+
+    /// The same with a queue, s, at the beginning.
+    fn drive_behind(
+        uplink: &mut Uplink,
+        from: f64,
+        (rate, delay): (f64, f64),
+        begun: f64,
+        secs: f64,
+    ) -> Vec<(f64, f64)> {
         let mut found: Vec<(f64, f64)> = Vec::new();
         for beat in 0..(10.0 * secs) as usize {
-            let queue = found.last().map_or(0.0, |(_, queue)| *queue);
+            let queue = found.last().map_or(begun, |(_, queue)| *queue);
             found.push((uplink.share(), (queue + 0.1 * (uplink.share() - rate) / rate).max(0.0)));
             // A beat shows the queue that the newest message to come through had ahead of it.
             let came = |(said, (_, queue)): &(usize, &(f64, f64))| 0.1 * (beat - said) as f64 + 1e-9 >= queue + delay;
             let newest = found.iter().enumerate().rev().find(came);
             if let Some((_, (_, queue))) = newest {
                 let now = Stamp::from_secs(from + 0.1 * beat as f64);
-                uplink.measured(now, Duration::from_secs_f64(delay + queue), 1);
+                let round_trip = Duration::from_secs_f64(delay + queue).min(LONGEST_ROUND_TRIP);
+                uplink.measured(now, round_trip, "mission");
             }
         }
         found
@@ -223,6 +249,52 @@ mod tests {
     }
 
     #[test]
+    fn a_queue_longer_than_any_lease_drains() {
+        let mut uplink = uplink();
+        // It was filled while nobody measured, and grows until the first message behind it comes through.
+        let found = drive_behind(&mut uplink, 0.0, (0.28, 0.6), 30.0, 300.0);
+        assert!(found[500].1 > 90.0);
+        assert!(found[2000..].iter().all(|(_, queue)| *queue < 3.0));
+        let share = found[2000..].iter().map(|(share, _)| share).sum::<f64>() / 1000.0;
+        assert!(share > 0.15, "{share}");
+    }
+
+    #[test]
+    fn a_long_queue_that_drains_is_no_longer_link() {
+        let mut uplink = uplink();
+        let mut now = 0.0;
+        let mut look = |uplink: &mut Uplink, round_trip: f64| {
+            for _ in 0..12 {
+                now += 0.1;
+                uplink.measured(Stamp::from_secs(now), Duration::from_secs_f64(round_trip), "mission");
+            }
+            // What was sent before has passed.
+            now += round_trip;
+            uplink.share()
+        };
+        assert_eq!(look(&mut uplink, 0.05), 1.0);
+        // The first of these windows began before.
+        look(&mut uplink, 10.0);
+        for round_trip in [10.0, 9.0, 7.0, 5.0, 4.0, 3.0] {
+            assert_eq!(look(&mut uplink, round_trip), LEAST, "{round_trip}");
+        }
+    }
+
+    #[test]
+    fn after_a_queue_the_share_waits_for_a_measurement() {
+        let mut uplink = uplink();
+        for beat in 0..30_u32 {
+            let now = Stamp::from_secs(0.1 * f64::from(beat));
+            uplink.measured(now, LONGEST_ROUND_TRIP, "mission");
+        }
+        assert_eq!(uplink.share(), LEAST);
+        uplink.elapse(Stamp::from_secs(50.0));
+        assert_eq!(uplink.share(), LEAST);
+        uplink.elapse(Stamp::from_secs(70.0));
+        assert!(uplink.share() > LEAST);
+    }
+
+    #[test]
     fn a_link_that_widens_is_used_again() {
         let mut uplink = uplink();
         drive(&mut uplink, 0.0, (0.2, 0.05), 60.0);
@@ -242,7 +314,7 @@ mod tests {
             uplink.measured(
                 Stamp::from_secs(80.0 + 0.1 * f64::from(beat)),
                 Duration::from_secs(2),
-                2,
+                "another",
             );
             assert!((uplink.share() - 1.0).abs() < 1e-9);
         }
@@ -258,7 +330,7 @@ mod tests {
             uplink.share()
         };
         assert_eq!(grown(&mut uplink, 4), before);
-        assert!((grown(&mut uplink, 60) - 1.0).abs() < 1e-9);
+        assert!((grown(&mut uplink, 130) - 1.0).abs() < 1e-9);
     }
 
     #[test]
@@ -269,7 +341,7 @@ mod tests {
             uplink.measured(
                 Stamp::from_secs(0.1 * f64::from(beat)),
                 Duration::from_secs_f64(late),
-                1,
+                "mission",
             );
             assert!((uplink.share() - 1.0).abs() < 1e-9);
         }

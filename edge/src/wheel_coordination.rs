@@ -41,6 +41,19 @@ impl WheelCoordination {
     }
 
     /// The commands (left, right; rad/s) for the next `dt` seconds that reach a target as fast as possible with both wheels in proportion.
+    ///
+    /// ```
+    /// # let drive = zenav_fixtures::robot("tiago").drive;
+    /// use zenav_edge::wheel_coordination::WheelCoordination;
+    ///
+    /// let mut wheels = WheelCoordination::new(&drive);
+    /// for _ in 0..100 {
+    ///     wheels.command([2.0, 4.0], 0.02);
+    /// }
+    /// // Both wheels brake in proportion: the robot stays on its curve.
+    /// let [left, right] = wheels.command([0.0, 0.0], 0.02);
+    /// assert!(right > 2.0 && (right / left - 2.0).abs() < 1e-3);
+    /// ```
     pub fn command(&mut self, target: [f64; 2], dt: f64) -> [f64; 2] {
         let answer = if self.lag > 0.0 {
             1.0 - (-dt / self.lag).exp()

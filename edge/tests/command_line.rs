@@ -58,3 +58,21 @@ fn the_security_of_a_deployment_file_holds() {
     let flag = ["--identity", "other-keys"];
     assert_usage(keys, &[&file[..], &flag].concat(), &["identity other-keys"]);
 }
+
+#[test]
+fn a_model_in_a_deployment_file_is_a_file_beside_it() {
+    let folder = TempDir::new().unwrap();
+    let site = folder.path().join("site");
+    std::fs::create_dir(&site).unwrap();
+    std::fs::write(site.join("site.toml"), "[robots.tiago]\nmodel = \"mine.toml\"\n").unwrap();
+    std::fs::write(site.join("mine.toml"), "wheels = 3\n").unwrap();
+    let output = Command::new(env!("CARGO_BIN_EXE_zenav-edge"))
+        .args(["--attach", "--deployment", "site/site.toml"])
+        .current_dir(folder.path())
+        .env_remove("ZENAV_IDENTITY")
+        .output()
+        .unwrap();
+    let text = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(i32::from(exit_code::USAGE)), "{text}");
+    assert!(text.contains("mine.toml") && text.contains("wheels"), "{text}");
+}

@@ -28,30 +28,41 @@ struct Edge {
     running: tokio::task::JoinHandle<Result<(), EdgeError>>,
 }
 
+/// A robot in the kitchen, whose time passes at this rate.
+fn simulated(state_dir: &Path, speed: f64) -> (ServiceConfig, SimBody, Referee) {
+    let world = World::shipped("kitchen").unwrap();
+    let model = zenav_fixtures::robot("tiago");
+    let id = Id::robot("tiago").unwrap();
+    let spec = RobotSpec {
+        id: id.clone(),
+        model: model.clone(),
+        start: world.start(),
+    };
+    let (body, referee) = SimBody::all(Simulation::new(&world, vec![spec], 1).unwrap()).remove(0);
+    let config = ServiceConfig {
+        edge: EdgeConfig::new(id, model, world.start()),
+        state_dir: state_dir.to_owned(),
+        speed,
+        gives_the_time: true,
+    };
+    (config, body, referee)
+}
+
+/// The bus of an edge without a router.
+async fn own_bus() -> Bus {
+    let listen = BusConfig {
+        connect: Vec::new(),
+        listen: vec!["tcp/127.0.0.1:0".into()],
+        name: "edge".into(),
+        ..BusConfig::default()
+    };
+    Bus::open(listen).await.unwrap()
+}
+
 impl Edge {
     async fn start(state_dir: &Path) -> Self {
-        let world = World::shipped("kitchen").unwrap();
-        let model = zenav_fixtures::robot("tiago");
-        let id = Id::robot("tiago").unwrap();
-        let spec = RobotSpec {
-            id: id.clone(),
-            model: model.clone(),
-            start: world.start(),
-        };
-        let (body, referee) = SimBody::all(Simulation::new(&world, vec![spec], 1).unwrap()).remove(0);
-        let config = ServiceConfig {
-            edge: EdgeConfig::new(id, model, world.start()),
-            state_dir: state_dir.to_owned(),
-            speed: 2.0,
-            gives_the_time: true,
-        };
-        let listen = BusConfig {
-            connect: Vec::new(),
-            listen: vec!["tcp/127.0.0.1:0".into()],
-            name: "edge".into(),
-            ..BusConfig::default()
-        };
-        let bus = Bus::open(listen).await.unwrap();
+        let (config, body, referee) = simulated(state_dir, 2.0);
+        let bus = own_bus().await;
         let endpoint = bus
             .endpoints()
             .await
@@ -199,4 +210,16 @@ async fn an_operator_drives_by_hand_and_a_change_without_the_epoch_is_refused() 
         "{refused:?}"
     );
     edge.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_speed_at_which_a_control_period_would_never_end_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    for speed in [0.0, -1.0, f64::NAN, f64::INFINITY, 1e-6, 1e-310] {
+        let (config, body, _) = simulated(folder.path(), speed);
+        let bus = own_bus().await;
+        let refused = zenav_edge::run(bus.clone(), config, Box::new(body), Shutdown::new()).await;
+        bus.close().await;
+        assert!(matches!(refused, Err(EdgeError::Speed(_))), "{speed}: {refused:?}");
+    }
 }

@@ -57,33 +57,17 @@ pub(crate) trait Declared: Collector + Clone + Sized + 'static {
     fn new(opts: Opts, labels: &[&str]) -> prometheus::Result<Self>;
 }
 
-impl Declared for IntCounterVec {
-    const KIND: Kind = Kind::Counter;
-    fn new(opts: Opts, labels: &[&str]) -> prometheus::Result<Self> {
-        Self::new(opts, labels)
-    }
+macro_rules! declared {
+    ($($Type:ident: $kind:ident),*) => {$(
+        impl Declared for $Type {
+            const KIND: Kind = Kind::$kind;
+            fn new(opts: Opts, labels: &[&str]) -> prometheus::Result<Self> {
+                Self::new(opts, labels)
+            }
+        }
+    )*};
 }
-
-impl Declared for CounterVec {
-    const KIND: Kind = Kind::Counter;
-    fn new(opts: Opts, labels: &[&str]) -> prometheus::Result<Self> {
-        Self::new(opts, labels)
-    }
-}
-
-impl Declared for GaugeVec {
-    const KIND: Kind = Kind::Gauge;
-    fn new(opts: Opts, labels: &[&str]) -> prometheus::Result<Self> {
-        Self::new(opts, labels)
-    }
-}
-
-impl Declared for IntGaugeVec {
-    const KIND: Kind = Kind::Gauge;
-    fn new(opts: Opts, labels: &[&str]) -> prometheus::Result<Self> {
-        Self::new(opts, labels)
-    }
-}
+declared!(IntCounterVec: Counter, CounterVec: Counter, GaugeVec: Gauge, IntGaugeVec: Gauge);
 
 impl Declared for HistogramVec {
     const KIND: Kind = Kind::Histogram;

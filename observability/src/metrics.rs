@@ -37,6 +37,9 @@ metrics! {
         SCANS: IntCounterVec = "zenav_scans_total" ["robot", "outcome"], "Scans that mapping took: inserted, held (the map is not to change), left_out.";
         MAP_CELLS: GaugeVec = "zenav_map_cells" ["robot", "state"], "Cells of the map: free, occupied, unknown.";
         MAP_REVISION: GaugeVec = "zenav_map_revision" ["robot"], "Revision of the map.";
+        MAPPING_LEADS: GaugeVec = "zenav_mapping_leads" ["robot"], "1 where this mapping service leads, 0 where it follows.";
+        MAP_COPY_AGE: GaugeVec = "zenav_map_copy_age_seconds" ["robot"], "Time since a mapping service that follows last held the newest map that the leader named; 0 where it leads.";
+        MAPPING_TAKEOVERS: IntCounterVec = "zenav_mapping_takeovers_total" ["robot"], "Times that this mapping service took over: from another one, or again after it had stepped back.";
     }
     "a goal, to the wheels" {
         GOAL_ACCEPTANCE: HistogramVec = "zenav_goal_acceptance_seconds" ["robot"], "A goal: from its request to the answer, stored here and with every standby.";
@@ -60,7 +63,7 @@ metrics! {
         BUS_RECEIVED_BYTES: IntCounterVec = "zenav_bus_received_bytes_total" ["part", "topic"], "Bytes of the messages that arrived on a topic.";
         BUS_PUBLISHED: IntCounterVec = "zenav_bus_messages_published_total" ["part", "topic"], "Messages published on a topic.";
         BUS_PUBLISHED_BYTES: IntCounterVec = "zenav_bus_published_bytes_total" ["part", "topic"], "Bytes of the messages published on a topic.";
-        BUS_DISCARDED: IntCounterVec = "zenav_bus_messages_discarded_total" ["part", "topic", "reason"], "Messages and requests that were not read: dropped (the reader was too slow), too_large, undecodable, unpublished.";
+        BUS_DISCARDED: IntCounterVec = "zenav_bus_messages_discarded_total" ["part", "topic", "reason"], "Messages and requests that were not read: dropped (the reader was too slow), rate (far faster than the key's), too_large, undecodable, unpublished.";
         BUS_WAITING: IntGaugeVec = "zenav_bus_messages_waiting" ["part", "topic"], "Messages and requests that wait to be read.";
     }
     "world" {

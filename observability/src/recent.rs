@@ -31,18 +31,18 @@ fn kept() -> MutexGuard<'static, Kept> {
 }
 
 /// A line of the log.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Line {
     /// Number within this process, from one.
     pub sequence: u64,
     /// Time by the machine's wall clock, s of UNIX time.
     pub unix_secs: f64,
     /// `ERROR`, `WARN` or `INFO`.
-    pub level: &'static str,
+    pub level: String,
     /// Message of the event.
     pub message: String,
     /// Fields of the event.
-    pub fields: BTreeMap<&'static str, String>,
+    pub fields: BTreeMap<String, String>,
 }
 
 /// The lines after a number, oldest first, as far as they are kept.
@@ -66,17 +66,15 @@ impl<S: Subscriber> Layer<S> for KeepRecent {
         if *metadata.level() > Level::INFO {
             return;
         }
-        let mut words = Words::default();
-        event.record(&mut words);
+        let mut line = Line {
+            unix_secs: unix_secs(),
+            level: metadata.level().to_string(),
+            ..Line::default()
+        };
+        event.record(&mut line);
         let mut kept = kept();
         kept.next += 1;
-        let line = Line {
-            sequence: kept.next,
-            unix_secs: unix_secs(),
-            level: metadata.level().as_str(),
-            message: words.message,
-            fields: words.fields,
-        };
+        line.sequence = kept.next;
         if kept.lines.len() == MOST_LINES {
             kept.lines.pop_front();
         }
@@ -84,24 +82,18 @@ impl<S: Subscriber> Layer<S> for KeepRecent {
     }
 }
 
-#[derive(Default)]
-struct Words {
-    message: String,
-    fields: BTreeMap<&'static str, String>,
-}
-
-impl Words {
+impl Line {
     fn put(&mut self, field: &Field, text: &str) {
         let text = text.chars().take(LONGEST).collect();
         if field.name() == "message" {
             self.message = text;
         } else if self.fields.len() < MOST_FIELDS {
-            self.fields.insert(field.name(), text);
+            self.fields.insert(field.name().to_owned(), text);
         }
     }
 }
 
-impl Visit for Words {
+impl Visit for Line {
     fn record_str(&mut self, field: &Field, value: &str) {
         self.put(field, value);
     }
@@ -133,7 +125,7 @@ mod tests {
         let lines = since(0);
         assert!(lines.len() <= MOST_LINES);
         let last = lines.last().unwrap();
-        assert_eq!((last.level, last.message.as_str()), ("WARN", "plan rejected"));
+        assert_eq!((last.level.as_str(), last.message.as_str()), ("WARN", "plan rejected"));
         assert_eq!(
             (last.fields["robot"].as_str(), last.fields["reason"].len()),
             ("recent", LONGEST)

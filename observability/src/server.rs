@@ -12,8 +12,8 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
-use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
-use tokio::net::{TcpListener, TcpStream};
+use tokio::io::{AsyncRead, AsyncReadExt as _, AsyncWrite, AsyncWriteExt as _};
+use tokio::net::TcpListener;
 use tokio::sync::Semaphore;
 use tokio::time::timeout;
 
@@ -84,7 +84,11 @@ async fn take(listener: TcpListener) {
     }
 }
 
-async fn answer(mut stream: TcpStream) -> io::Result<()> {
+/// Answers the request that arrives on a connection, and closes it.
+///
+/// # Errors
+/// When the connection fails.
+pub async fn answer(mut stream: impl AsyncRead + AsyncWrite + Unpin) -> io::Result<()> {
     let mut head = Vec::with_capacity(1024);
     let response = loop {
         let mut chunk = [0; 1024];
@@ -142,6 +146,8 @@ fn respond(method: &str, path: &str) -> Response {
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
+    use tokio::net::TcpStream;
+
     use super::*;
     use crate::Readiness;
 

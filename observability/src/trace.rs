@@ -14,6 +14,7 @@ use std::sync::OnceLock;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
+use serde_json::json;
 use uuid::Uuid;
 
 use crate::metrics::SPANS_DROPPED;
@@ -188,44 +189,32 @@ impl Span {
 
     /// An OTLP export request with only this span, and a newline.
     fn line(&self, host: &str) -> String {
-        let parent = self.parent.map(|parent| hex(&parent)).unwrap_or_default();
-        let attributes: Vec<String> = self
-            .attributes
-            .iter()
-            .map(|(name, value)| attribute(name, value))
-            .collect();
-        format!(
-            "{{\"resourceSpans\":[{{\"resource\":{{\"attributes\":[{},{}]}},\"scopeSpans\":[{{\"scope\":{{\"name\":\"zenav\",\"version\":\"{}\"}},\
-             \"spans\":[{{\"traceId\":\"{}\",\"spanId\":\"{}\",\"parentSpanId\":\"{parent}\",\"name\":{},\"kind\":1,\
-             \"startTimeUnixNano\":\"{}\",\"endTimeUnixNano\":\"{}\",\"attributes\":[{}],\"status\":{{}}}}]}}]}}]}}\n",
-            attribute("service.name", &self.part),
-            attribute("host.name", host),
-            env!("CARGO_PKG_VERSION"),
-            hex(&self.context.trace),
-            hex(&self.context.span),
-            text(self.name),
-            self.began.as_nanos(),
-            self.ended.as_nanos(),
-            attributes.join(",")
-        )
+        let attribute = |name: &str, value: &str| json!({ "key": name, "value": { "stringValue": value } });
+        let attributes = self.attributes.iter().map(|(name, value)| attribute(name, value));
+        let span = json!({
+            "traceId": hex(&self.context.trace),
+            "spanId": hex(&self.context.span),
+            "parentSpanId": self.parent.map(|parent| hex(&parent)).unwrap_or_default(),
+            "name": self.name,
+            "kind": 1,
+            "startTimeUnixNano": self.began.as_nanos().to_string(),
+            "endTimeUnixNano": self.ended.as_nanos().to_string(),
+            "attributes": attributes.collect::<Vec<_>>(),
+            "status": {},
+        });
+        let request = json!({ "resourceSpans": [{
+            "resource": { "attributes": [attribute("service.name", &self.part), attribute("host.name", host)] },
+            "scopeSpans": [{
+                "scope": { "name": "zenav", "version": env!("CARGO_PKG_VERSION") },
+                "spans": [span],
+            }],
+        }] });
+        format!("{request}\n")
     }
 }
 
 fn now() -> Duration {
     SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default()
-}
-
-fn attribute(name: &str, value: &str) -> String {
-    format!(
-        "{{\"key\":{},\"value\":{{\"stringValue\":{}}}}}",
-        text(name),
-        text(value)
-    )
-}
-
-/// A JSON string.
-fn text(value: &str) -> String {
-    serde_json::Value::from(value).to_string()
 }
 
 #[cfg(test)]

@@ -37,6 +37,17 @@ pub struct Grants {
 
 impl Grants {
     /// The keys that the key table grants a member.
+    ///
+    /// ```
+    /// use zenav_protocol::access::Grants;
+    ///
+    /// let robot = Grants::of(&"robot.tiago".parse()?);
+    /// assert!(robot.writes.contains(&"zenav/tiago/edge/state".to_owned()));
+    /// assert!(!robot.writes.iter().any(|key| key.ends_with("/cloud/plan")));
+    /// let viewer = Grants::of(&"viewer.wall".parse()?);
+    /// assert!(viewer.writes.is_empty() && viewer.hears == ["zenav/**"]);
+    /// # Ok::<(), zenav_protocol::member::NoMember>(())
+    /// ```
     #[must_use]
     pub fn of(member: &Member) -> Self {
         let role = member.role;
@@ -156,6 +167,7 @@ mod tests {
             "zenav/*/ask/cloud/goals",
             "zenav/*/ask/cloud/info",
             "zenav/svc/info/*",
+            "zenav/svc/schema/*",
         ];
         assert_eq!(viewer.asks, asks);
     }
@@ -166,7 +178,10 @@ mod tests {
         assert_eq!(operator.writes, ["zenav/*/cloud/heartbeat", "zenav/*/operator/teleop"]);
         assert!(operator.asks.contains(&"zenav/*/ask/edge/stop".to_owned()));
         assert!(!operator.asks.contains(&"zenav/*/ask/cloud/join".to_owned()));
-        assert_eq!(operator.serves, ["zenav/svc/log/*", "zenav/svc/info/*"]);
+        assert_eq!(
+            operator.serves,
+            ["zenav/svc/log/*", "zenav/svc/info/*", "zenav/svc/schema/*"]
+        );
     }
 
     #[test]

@@ -49,6 +49,13 @@ impl Encoding {
     }
 
     /// The encoding by its name: CBOR for `application/cbor` (a schema suffix after `;` is ignored), JSON for everything else.
+    ///
+    /// ```
+    /// use zenav_protocol::codec::Encoding;
+    ///
+    /// assert_eq!(Encoding::of("application/cbor;zenav/map_patch"), Encoding::Cbor);
+    /// assert_eq!(Encoding::of("zenoh/bytes"), Encoding::Json, "what a plain Zenoh client sends");
+    /// ```
     #[must_use]
     pub fn of(mime: &str) -> Self {
         let name = mime.split(';').next().unwrap_or_default().trim();
@@ -114,34 +121,55 @@ impl CodecError {
 /// [`CodecError::Unencodable`] for a type that the encoding cannot represent: a bug in the program, not in the data.
 pub fn encode<T: Serialize + ?Sized>(message: &T, encoding: Encoding) -> Result<Vec<u8>, CodecError> {
     let mut bytes = Vec::with_capacity(256);
-    match encoding {
-        Encoding::Json => {
-            serde_json::to_writer(&mut bytes, message).map_err(|error| CodecError::Unencodable {
-                encoding,
-                reason: error.to_string(),
-            })?;
-        }
-        Encoding::Cbor => {
-            ciborium::into_writer(message, &mut bytes).map_err(|error| CodecError::Unencodable {
-                encoding,
-                reason: error.to_string(),
-            })?;
-        }
+    let written = match encoding {
+        Encoding::Json => serde_json::to_writer(&mut bytes, message).map_err(|error| error.to_string()),
+        Encoding::Cbor => ciborium::into_writer(message, &mut bytes).map_err(|error| error.to_string()),
+    };
+    match written {
+        Ok(()) => Ok(bytes),
+        Err(reason) => Err(CodecError::Unencodable { encoding, reason }),
     }
+}
+
+/// Encodes a message of at most `max_bytes`, which is all that a receiver decodes.
+///
+/// # Errors
+/// [`CodecError::TooLarge`]; as [`encode`].
+pub fn encode_within<T: Serialize + ?Sized>(
+    message: &T,
+    encoding: Encoding,
+    max_bytes: usize,
+) -> Result<Vec<u8>, CodecError> {
+    let bytes = encode(message, encoding)?;
+    check_size(&bytes, max_bytes)?;
     Ok(bytes)
+}
+
+fn check_size(bytes: &[u8], limit: usize) -> Result<(), CodecError> {
+    let got = bytes.len();
+    if got > limit {
+        return Err(CodecError::TooLarge { limit, got });
+    }
+    Ok(())
 }
 
 /// Decodes a message of at most `max_bytes`.
 ///
+/// ```
+/// use zenav_protocol::codec::{CodecError, Encoding, decode};
+/// use zenav_protocol::messages::StopReply;
+///
+/// let reply: StopReply = decode(br#"{"stopped": true, "news": 1}"#, Encoding::Json, 1024)?;
+/// assert!(reply.stopped, "unknown fields are ignored");
+/// let cut = decode::<StopReply>(br#"{"stopped": tr"#, Encoding::Json, 1024);
+/// assert!(matches!(cut, Err(CodecError::Malformed { .. })));
+/// # Ok::<(), CodecError>(())
+/// ```
+///
 /// # Errors
 /// [`CodecError::TooLarge`], without decoding anything; [`CodecError::Malformed`] unless the bytes are exactly one message.
 pub fn decode<T: DeserializeOwned>(bytes: &[u8], encoding: Encoding, max_bytes: usize) -> Result<T, CodecError> {
-    if bytes.len() > max_bytes {
-        return Err(CodecError::TooLarge {
-            limit: max_bytes,
-            got: bytes.len(),
-        });
-    }
+    check_size(bytes, max_bytes)?;
     match encoding {
         Encoding::Json => serde_json::from_slice(bytes).map_err(|error| CodecError::malformed(&error)),
         Encoding::Cbor => {

@@ -4,6 +4,7 @@ use std::f64::consts::TAU;
 use std::fmt;
 
 use nalgebra::Point2;
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer, Serialize};
 use thiserror::Error;
 
@@ -34,6 +35,84 @@ impl From<Pair> for Point2<f64> {
 /// Reads a [`Pair`] into a plain array.
 pub(crate) fn pair<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f64; 2], D::Error> {
     Pair::deserialize(deserializer).map(|Pair(numbers)| numbers)
+}
+
+/// Why a file's text was refused.
+#[derive(Debug, Error)]
+pub enum TextError {
+    /// The TOML does not fit: an unknown, missing or mistyped key.
+    #[error("{file}:{line}: {source}")]
+    Toml {
+        /// The file.
+        file: String,
+        /// Counted from 1.
+        line: usize,
+        /// What and where.
+        source: Box<toml::de::Error>,
+    },
+    /// A value that may not be.
+    #[error("{file}:{line}: `{key}`: {problem}")]
+    Value {
+        /// The file.
+        file: String,
+        /// Counted from 1.
+        line: usize,
+        /// The key.
+        key: &'static str,
+        /// What is wrong with it.
+        problem: String,
+    },
+}
+
+/// A file's text, whose errors name the line.
+///
+/// ```
+/// use std::collections::BTreeMap;
+/// use zenav_protocol::config_text::Source;
+///
+/// let source = Source { text: "a = 1\nb = -2\n", file: "my.toml" };
+/// let numbers: BTreeMap<String, toml::Spanned<f64>> = source.toml()?;
+/// let refused = source.refused(numbers["b"].span().start, "b", "-2: expected a positive number");
+/// assert_eq!(refused.to_string(), "my.toml:2: `b`: -2: expected a positive number");
+/// # Ok::<(), zenav_protocol::config_text::TextError>(())
+/// ```
+#[derive(Clone, Copy, Debug)]
+pub struct Source<'a> {
+    /// The text.
+    pub text: &'a str,
+    /// The file's name, for errors.
+    pub file: &'a str,
+}
+
+impl Source<'_> {
+    /// The text, read as TOML.
+    ///
+    /// # Errors
+    /// [`TextError::Toml`].
+    pub fn toml<T: DeserializeOwned>(self) -> Result<T, TextError> {
+        toml::from_str(self.text).map_err(|error| TextError::Toml {
+            file: self.file.to_owned(),
+            line: self.line(error.span().map_or(0, |span| span.start)),
+            source: Box::new(error),
+        })
+    }
+
+    /// Line of a byte, from 1.
+    #[must_use]
+    pub fn line(self, byte: usize) -> usize {
+        1 + self.text.bytes().take(byte).filter(|byte| *byte == b'\n').count()
+    }
+
+    /// Why the value at a byte is refused.
+    #[must_use]
+    pub fn refused(self, byte: usize, key: &'static str, problem: impl Into<String>) -> TextError {
+        TextError::Value {
+            file: self.file.to_owned(),
+            line: self.line(byte),
+            key,
+            problem: problem.into(),
+        }
+    }
 }
 
 /// A setting whose value is out of bounds.
@@ -157,23 +236,47 @@ impl fmt::Display for Number {
 
 /// Line (from 1) of a dotted key in a TOML text; the line of its table if the key is not written. `None` if neither is written, or if the
 /// text is not TOML.
+///
+/// ```
+/// use zenav_protocol::config_text::line_of;
+///
+/// let text = "name = \"rover\"\n[drive]\nwheel_radius = -1\n";
+/// assert_eq!(line_of(text, "drive.wheel_radius"), Some(3));
+/// assert_eq!(line_of(text, "drive.max_speed"), Some(2), "not written: the line of its table");
+/// ```
 #[must_use]
 pub fn line_of(text: &str, key: &str) -> Option<usize> {
+    Some(nearest(text, key)?.0)
+}
+
+/// As [`line_of`], but `None` if the key itself is not written.
+#[must_use]
+pub fn line_if_written(text: &str, key: &str) -> Option<usize> {
+    let (line, is_whole) = nearest(text, key)?;
+    is_whole.then_some(line)
+}
+
+/// Line of a key or of the innermost table on its way, and whether it is the key's own. A quoted name may have dots of its own.
+fn nearest(text: &str, key: &str) -> Option<(usize, bool)> {
     let document = toml::de::DeTable::parse(text).ok()?;
     let mut table = document.get_ref();
-    let mut found = None;
-    for part in key.split('.') {
-        let Some((name, value)) = table.get_key_value(part) else {
+    let (mut rest, mut found, mut is_whole) = (key, None, false);
+    loop {
+        let named = table.iter().filter_map(|(name, value)| {
+            let left = rest.strip_prefix(&**name.get_ref())?;
+            let left = if left.is_empty() { left } else { left.strip_prefix('.')? };
+            Some((left, name, value))
+        });
+        let Some((left, name, value)) = named.min_by_key(|(left, ..)| left.len()) else {
             break;
         };
-        found = Some(name.span().start);
+        (rest, found, is_whole) = (left, Some(name.span().start), left.is_empty());
         match value.get_ref().as_table() {
-            Some(inner) => table = inner,
-            None => break,
+            Some(inner) if !is_whole => table = inner,
+            _ => break,
         }
     }
-    let newlines = text.bytes().take(found?).filter(|byte| *byte == b'\n').count();
-    Some(newlines + 1)
+    Some((Source { text, file: "" }.line(found?), is_whole))
 }
 
 #[cfg(test)]
@@ -211,6 +314,16 @@ mod tests {
             assert_eq!(line_of(text, key), line, "{key}");
         }
         assert_eq!(line_of("a = ", "a"), None);
+        let text = "[hosts.fleet]\nrole = 1\n[hosts.\"fleet.b\"]\nrole = 2\n";
+        for (key, line, own) in [
+            ("hosts.fleet.b.role", Some(4), Some(4)),
+            ("hosts.fleet.b.address", Some(3), None),
+            ("hosts.fleet.b", Some(3), Some(3)),
+            ("hosts.fleet.role", Some(2), Some(2)),
+            ("hosts.flee", Some(1), None),
+        ] {
+            assert_eq!((line_of(text, key), line_if_written(text, key)), (line, own), "{key}");
+        }
     }
 
     #[test]

@@ -55,7 +55,7 @@ pub struct Drive {
     /// Largest jerk of the base along its path, m/s³; without it the acceleration of plans and commands may jump.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub max_jerk: Option<f64>,
-    /// Time constant of the motors, s.
+    /// Time constant of the motors, s; at most 1 s: a robot comes to rest within a few of them, and its plans are valid for seconds.
     #[serde(default)]
     pub motor_lag: f64,
     /// Errors of the simulated drive that the robot does not model.
@@ -148,6 +148,16 @@ impl Drive {
     }
 
     /// Twist of wheel speeds (left, right; rad/s).
+    ///
+    /// ```
+    /// # use zenav_protocol::robot::{RobotModel, shipped};
+    /// # let drive = RobotModel::from_toml(shipped("tiago").unwrap_or_default(), "tiago")?.drive;
+    /// // The left wheel turns backwards, the right one forwards, at 1 rad/s each.
+    /// let twist = drive.twist([-1.0, 1.0]);
+    /// assert_eq!(twist.v, 0.0);
+    /// assert!((twist.w - 2.0 * drive.wheel_radius / drive.wheel_separation).abs() < 1e-12, "to the left");
+    /// # Ok::<(), zenav_protocol::robot::RobotError>(())
+    /// ```
     #[must_use]
     pub fn twist(&self, wheels: [f64; 2]) -> Twist2 {
         match self.kind {
@@ -179,6 +189,16 @@ impl Drive {
 
     /// Wheel speeds (left, right; rad/s) within the limits of wheels and base: each wheel is clamped, then both are scaled alike, which
     /// keeps the curvature.
+    ///
+    /// ```
+    /// # use zenav_protocol::robot::{RobotModel, shipped};
+    /// # let mut drive = RobotModel::from_toml(shipped("tiago").unwrap_or_default(), "tiago")?.drive;
+    /// drive.max_speed = 0.3;
+    /// let [left, right] = drive.bounded([4.0, 6.0]);
+    /// assert!((drive.twist([left, right]).v - 0.3).abs() < 1e-12);
+    /// assert!((right / left - 1.5).abs() < 1e-12, "the same curve, driven more slowly");
+    /// # Ok::<(), zenav_protocol::robot::RobotError>(())
+    /// ```
     #[must_use]
     pub fn bounded(&self, wheels: [f64; 2]) -> [f64; 2] {
         let bounded = wheels.map(|speed| speed.clamp(-self.max_wheel_speed, self.max_wheel_speed));
@@ -194,7 +214,7 @@ impl Drive {
         const ERROR: Expected = Expected::Range(-0.5, 0.5, "a share, -0.5 to 0.5");
         const LOAD: Expected = Expected::Range(-0.9, 10.0, "a share, -0.9 to 10");
         const LATE: Expected = Expected::Range(0.0, 2.0, "0 to 2 s");
-        const LAG: Expected = Expected::Range(0.0, 5.0, "0 to 5 s");
+        const LAG: Expected = Expected::Range(0.0, 1.0, "0 to 1 s");
         const WHEEL: Expected = Expected::Range(f64::MIN_POSITIVE, 5.0, "a positive number of metres, at most 5");
         const METRES: Expected = Expected::Range(f64::MIN_POSITIVE, 10.0, "a positive number of metres, at most 10");
         let [left, right] = self.errors.wheel_radius;

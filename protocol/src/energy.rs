@@ -60,6 +60,17 @@ impl MotorModel {
 
 impl RobotModel {
     /// Electrical power (W) at wheel `speeds` (left, right, rad/s) and `accelerations` (rad/s²).
+    ///
+    /// ```
+    /// use zenav_protocol::geometry::Twist2;
+    /// use zenav_protocol::robot::{RobotModel, shipped};
+    ///
+    /// let tiago = RobotModel::from_toml(shipped("tiago").unwrap_or_default(), "tiago")?;
+    /// assert_eq!(tiago.power([0.0; 2], [0.0; 2]), tiago.battery.idle_power);
+    /// let cruising = tiago.power(tiago.drive.wheels(Twist2::new(0.5, 0.0)), [0.0; 2]);
+    /// assert!((cruising - 59.6).abs() < 0.1, "{cruising} W at a steady 0.5 m/s");
+    /// # Ok::<(), zenav_protocol::robot::RobotError>(())
+    /// ```
     #[must_use]
     pub fn power(&self, speeds: [f64; 2], accelerations: [f64; 2]) -> f64 {
         let motors = &self.motors;

@@ -8,9 +8,22 @@ use std::ops::Mul;
 use nalgebra::{Isometry2, Point2, Vector2};
 use serde::{Deserialize, Serialize};
 
+/// Largest absolute coordinate of maps, goals, zones, worlds and positions, m. Here a coordinate is still exact to 1e-9 cells of 0.05 m, the
+/// tolerance of footprint checks; at the coordinates of national grids it would not be.
+pub const MAX_COORDINATE: f64 = 100_000.0;
+
 /// Wraps an angle (rad) into (-pi, pi].
 ///
 /// Returns NaN for a non-finite angle.
+///
+/// ```
+/// use std::f64::consts::PI;
+/// use zenav_protocol::geometry::wrap_angle;
+///
+/// assert!((wrap_angle(6.5 * PI) - 0.5 * PI).abs() < 1e-9);
+/// assert_eq!(wrap_angle(-PI), PI, "-pi itself is outside");
+/// assert!(wrap_angle(f64::INFINITY).is_nan());
+/// ```
 #[must_use]
 pub fn wrap_angle(angle: f64) -> f64 {
     if angle > -PI && angle <= PI {
@@ -45,6 +58,18 @@ impl Pose2 {
     };
 
     /// A pose from metres, metres and radians; the yaw is wrapped.
+    ///
+    /// ```
+    /// use std::f64::consts::FRAC_PI_2;
+    /// use zenav_protocol::geometry::Pose2;
+    ///
+    /// // The robot is at (2, 1) and faces along the map's y axis; its lidar is mounted 0.2 m ahead of the base's origin.
+    /// let map_from_base = Pose2::new(2.0, 1.0, FRAC_PI_2);
+    /// let base_from_laser = Pose2::new(0.2, 0.0, 0.0);
+    /// let map_from_laser = map_from_base * base_from_laser;
+    /// assert!((map_from_laser.x - 2.0).abs() < 1e-12 && (map_from_laser.y - 1.2).abs() < 1e-12);
+    /// assert_eq!(map_from_laser.yaw, FRAC_PI_2);
+    /// ```
     #[must_use]
     pub fn new(x: f64, y: f64, yaw: f64) -> Self {
         Self {
@@ -79,6 +104,16 @@ impl Pose2 {
     }
 
     /// `b_from_a` of this `a_from_b`.
+    ///
+    /// ```
+    /// use nalgebra::Point2;
+    /// use zenav_protocol::geometry::Pose2;
+    ///
+    /// // A table at (3, 1) in the map, as seen by a robot at (1, 1) that faces along the map's y axis.
+    /// let map_from_base = Pose2::new(1.0, 1.0, std::f64::consts::FRAC_PI_2);
+    /// let table = map_from_base.inverse().transform_point(Point2::new(3.0, 1.0));
+    /// assert!(table.x.abs() < 1e-12 && (table.y + 2.0).abs() < 1e-12, "2 m to the right: y points left");
+    /// ```
     #[must_use]
     pub fn inverse(&self) -> Self {
         let (sin, cos) = self.yaw.sin_cos();
@@ -122,6 +157,15 @@ impl Pose2 {
     }
 
     /// The pose after driving `twist` for `secs` along an arc (exact for constant velocities).
+    ///
+    /// ```
+    /// use std::f64::consts::PI;
+    /// use zenav_protocol::geometry::{Pose2, Twist2};
+    ///
+    /// // 0.5 m/s at 0.5 rad/s is a circle of 1 m radius; pi seconds are a quarter of it, to the left.
+    /// let end = Pose2::IDENTITY.advance(Twist2::new(0.5, 0.5), PI);
+    /// assert!((end.x - 1.0).abs() < 1e-9 && (end.y - 1.0).abs() < 1e-9 && (end.yaw - 0.5 * PI).abs() < 1e-9);
+    /// ```
     #[must_use]
     pub fn advance(&self, twist: Twist2, secs: f64) -> Self {
         let turn = twist.w * secs;

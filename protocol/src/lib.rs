@@ -10,6 +10,7 @@
 //! | [`grid`] | the grid convention, occupancy values, the one ray walk |
 //! | [`trajectory`] | a path in time: sample, splice, nearest ahead |
 //! | [`time`] | stamps in nanoseconds |
+//! | [`token_bucket`] | messages that come too fast |
 //! | [`id`] | names that are valid in a key, and unique ids |
 //! | [`robot`] | footprint, limits and sensors of a robot, and its TOML file |
 //! | [`drive`] | wheels, their limits and kinematics |
@@ -53,9 +54,10 @@ mod robot_check;
 pub mod sensors;
 pub mod settings;
 pub mod time;
+pub mod token_bucket;
 pub mod topics;
 pub mod trajectory;
 pub mod wall_following;
 
 /// Version of the message schema. Two components that communicate must have the same one; each states it in its `info` reply.
-pub const SCHEMA_VERSION: u32 = 4;
+pub const SCHEMA_VERSION: u32 = 5;

@@ -22,6 +22,16 @@ pub struct Edge {
     pub b: Point2<f64>,
 }
 
+impl Edge {
+    /// The point of the edge that is nearest to a point; `a` of an edge without length.
+    #[must_use]
+    pub fn nearest(&self, point: Point2<f64>) -> Point2<f64> {
+        let along = self.b - self.a;
+        let share = (point - self.a).dot(&along) / along.norm_squared().max(f64::MIN_POSITIVE);
+        self.a + along * share.clamp(0.0, 1.0)
+    }
+}
+
 /// The edges of a polygon; the last joins the last corner to the first.
 pub fn edges(corners: &[Point2<f64>]) -> impl Iterator<Item = Edge> + '_ {
     corners
@@ -70,6 +80,15 @@ pub fn offset(corners: &[Point2<f64>], by: f64) -> Vec<Point2<f64>> {
 }
 
 /// Whether a point lies inside a polygon (crossing number; points on the boundary may count as either).
+///
+/// ```
+/// use nalgebra::Point2;
+/// use zenav_protocol::polygon::contains;
+///
+/// // An L, 2 m by 2 m without its upper right quarter.
+/// let corners = [(0.0, 0.0), (2.0, 0.0), (2.0, 1.0), (1.0, 1.0), (1.0, 2.0), (0.0, 2.0)].map(|(x, y)| Point2::new(x, y));
+/// assert!(contains(&corners, Point2::new(0.5, 1.5)) && !contains(&corners, Point2::new(1.5, 1.5)));
+/// ```
 #[must_use]
 pub fn contains(corners: &[Point2<f64>], point: Point2<f64>) -> bool {
     crossings(edges(corners), point)
@@ -117,6 +136,18 @@ pub enum OutlineError {
 }
 
 /// Checks that corners form a simple polygon, and orders them counter-clockwise. Cost: quadratic in the number of corners.
+///
+/// ```
+/// use nalgebra::Point2;
+/// use zenav_protocol::polygon::{OutlineError, doubled_area, simple};
+///
+/// let outline = |corners: [(f64, f64); 4]| simple(corners.map(|(x, y)| Point2::new(x, y)).to_vec());
+/// let square = outline([(0.0, 0.0), (0.0, 1.0), (1.0, 1.0), (1.0, 0.0)])?;
+/// assert_eq!(doubled_area(&square), 2.0, "now counter-clockwise");
+/// let bow_tie = outline([(0.0, 0.0), (1.0, 1.0), (1.0, 0.0), (0.0, 1.0)]);
+/// assert!(matches!(bow_tie, Err(OutlineError::MeetsItself(_))));
+/// # Ok::<(), OutlineError>(())
+/// ```
 ///
 /// # Errors
 /// [`OutlineError`].

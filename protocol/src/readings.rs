@@ -54,6 +54,17 @@ macro_rules! readings {
             }
 
             /// Merges these readings with later ones into those of one tick, without losing a measurement.
+            ///
+            /// ```
+            /// use zenav_protocol::{readings::{Readings, Sweep}, time::Stamp};
+            ///
+            /// let (first, second) = (Stamp::from_secs(0.02), Stamp::from_secs(0.04));
+            /// let mut earlier = Readings::new(first);
+            /// earlier.sweeps.push(Sweep::new(first, vec![1.5]));
+            /// earlier.bump.pressed = true;
+            /// let both = earlier.followed_by(Readings::new(second));
+            /// assert_eq!((both.stamp, both.sweeps.len(), both.bump.pressed), (second, 1, true));
+            /// ```
             #[must_use]
             pub fn followed_by(self, mut later: Self) -> Self {
                 let bump = if self.bump.pressed && !later.bump.pressed {

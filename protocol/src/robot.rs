@@ -12,7 +12,7 @@ use crate::config_text::{OutOfBounds, Pair};
 pub use crate::drive::{Drive, DriveErrors, DriveKind};
 use crate::energy::MotorModel;
 pub use crate::gains::ControllerGains;
-use crate::polygon;
+use crate::polygon::{self, Edge};
 pub use crate::robot_check::RobotError;
 use crate::sensors::DEFAULT_LIDAR;
 pub use crate::sensors::{BatteryModel, EncoderModel, GpsModel, ImuModel, LidarModel};
@@ -81,6 +81,18 @@ macro_rules! robot_model {
 crate::sensor_kinds!(robot_model []);
 
 /// Outline on the floor, base frame.
+///
+/// ```
+/// use nalgebra::Point2;
+/// use zenav_protocol::robot::Footprint;
+///
+/// // 0.5 m by 0.4 m; the axle is 0.1 m in front of the middle.
+/// let corners = [(-0.35, -0.2), (0.15, -0.2), (0.15, 0.2), (-0.35, 0.2)];
+/// let footprint = Footprint::Polygon(corners.map(|(x, y)| Point2::new(x, y)).to_vec());
+/// assert!((footprint.inscribed_radius() - 0.15).abs() < 1e-9);
+/// assert!((footprint.circumscribed_radius() - 0.35_f64.hypot(0.2)).abs() < 1e-9);
+/// assert!((footprint.distance(Point2::new(0.65, 0.0)) - 0.5).abs() < 1e-9);
+/// ```
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", try_from = "FootprintTable")]
 pub enum Footprint {
@@ -90,7 +102,7 @@ pub enum Footprint {
     Polygon(Vec<Point2<f64>>),
 }
 
-/// A footprint as written in the file: exactly one of the keys.
+/// A footprint as written in the file: exactly one of the keys. The corners run either way round.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct FootprintTable {
@@ -110,7 +122,13 @@ impl TryFrom<FootprintTable> for Footprint {
             FootprintTable {
                 radius: None,
                 polygon: Some(corners),
-            } => Ok(Self::Polygon(corners.into_iter().map(Point2::from).collect())),
+            } => {
+                let mut corners: Vec<Point2<f64>> = corners.into_iter().map(Point2::from).collect();
+                if polygon::doubled_area(&corners) < 0.0 {
+                    corners.reverse();
+                }
+                Ok(Self::Polygon(corners))
+            }
             FootprintTable { radius: Some(_), .. } => {
                 Err("`footprint` has both `radius` and `polygon`: expected either of them")
             }
@@ -126,13 +144,11 @@ impl Footprint {
         match self {
             Self::Radius(radius) => *radius,
             Self::Polygon(corners) => {
-                let edges = corners.iter().zip(corners.iter().cycle().skip(1));
-                edges
-                    .map(|(a, b)| {
-                        let d = b - a;
-                        (d.x * a.y - d.y * a.x).abs() / d.norm()
-                    })
-                    .fold(f64::INFINITY, f64::min)
+                let distance = |Edge { a, b }| {
+                    let d = b - a;
+                    (d.x * a.y - d.y * a.x).abs() / d.norm()
+                };
+                polygon::edges(corners).map(distance).fold(f64::INFINITY, f64::min)
             }
         }
     }
@@ -172,10 +188,9 @@ impl Footprint {
         match self {
             Self::Radius(radius) => (point.coords.norm() - radius).max(0.0),
             Self::Polygon(corners) => {
-                let edges = corners.iter().zip(corners.iter().cycle().skip(1));
                 let mut inside = true;
                 let mut nearest = f64::INFINITY;
-                for (a, b) in edges {
+                for Edge { a, b } in polygon::edges(corners) {
                     let (along, to) = (b - a, point - a);
                     inside &= along.x * to.y - along.y * to.x >= 0.0;
                     let share = (to.dot(&along) / along.norm_squared()).clamp(0.0, 1.0);
@@ -191,13 +206,10 @@ impl Footprint {
     pub fn depth(&self, point: Point2<f64>) -> f64 {
         match self {
             Self::Radius(radius) => (radius - point.coords.norm()).max(0.0),
-            Self::Polygon(corners) => {
-                let edges = corners.iter().zip(corners.iter().cycle().skip(1));
-                edges
-                    .map(|(a, b)| (b - a).perp(&(point - a)) / (b - a).norm())
-                    .fold(f64::INFINITY, f64::min)
-                    .max(0.0)
-            }
+            Self::Polygon(corners) => polygon::edges(corners)
+                .map(|Edge { a, b }| (b - a).perp(&(point - a)) / (b - a).norm())
+                .fold(f64::INFINITY, f64::min)
+                .max(0.0),
         }
     }
 }
@@ -228,6 +240,18 @@ pub fn shipped(name: &str) -> Option<&'static str> {
 
 impl RobotModel {
     /// Reads a robot file's text; `name` is used in errors.
+    ///
+    /// ```
+    /// use zenav_protocol::robot::{RobotModel, shipped};
+    ///
+    /// let text = shipped("tiago").unwrap_or_default();
+    /// let tiago = RobotModel::from_toml(text, "tiago.toml")?;
+    /// assert!((tiago.drive.top_speed() - 0.619).abs() < 0.001, "m/s");
+    /// let in_millimetres = text.replace("wheel_radius = 0.0985", "wheel_radius = 98.5");
+    /// let error = RobotModel::from_toml(&in_millimetres, "tiago.toml").unwrap_err().to_string();
+    /// assert!(error.starts_with("tiago.toml:8: `drive.wheel_radius` is 98.5"), "{error}");
+    /// # Ok::<(), zenav_protocol::robot::RobotError>(())
+    /// ```
     ///
     /// # Errors
     /// [`RobotError`] for text that is not TOML, unknown or missing keys, and values out of bounds: with file, line and key.
@@ -440,6 +464,22 @@ mod tests {
         assert!((jackal.circumscribed_radius() - 0.21_f64.hypot(0.165)).abs() < 1e-12);
         assert!((jackal.distance(Point2::new(0.31, 0.0)) - 0.1).abs() < 1e-12);
         assert_eq!(jackal.distance(Point2::new(0.1, 0.1)), 0.0);
+    }
+
+    #[test]
+    fn the_corners_of_a_footprint_run_either_way_round() {
+        let (left, right) = (
+            "[[0.2, -0.15], [0.2, 0.15], [-0.2, 0]]",
+            "[[-0.2, 0], [0.2, 0.15], [0.2, -0.15]]",
+        );
+        let model = |corners: &str| {
+            let text = shipped("tiago")
+                .unwrap()
+                .replace("radius = 0.265", &format!("polygon = {corners}"));
+            RobotModel::from_toml(&text, "mine").unwrap().footprint
+        };
+        assert_eq!(model(right), model(left));
+        assert!(matches!(model(right), Footprint::Polygon(corners) if polygon::is_convex(&corners)));
     }
 
     #[test]

@@ -1,17 +1,21 @@
 //! Validation of robot files. Which values are allowed? A value out of bounds is reported with file, line and key.
 
+use std::ops::RangeInclusive;
+
 use nalgebra::Point2;
 use thiserror::Error;
 
 use crate::config_text::{Expected, Number, OutOfBounds, check_all, line_of};
 use crate::id::Id;
-use crate::polygon::is_convex;
+use crate::polygon::{cross, edges, is_convex};
 use crate::robot::{Footprint, RobotModel};
 use crate::sensors::DEFAULT_LIDAR;
 use crate::settings::Settings as _;
 
 /// Greatest reach of a footprint from the base, m.
 const MAX_REACH: f64 = 10.0;
+/// Numbers of corners that a polygon may have.
+const CORNERS: RangeInclusive<usize> = 3..=64;
 /// Most lidars of one robot.
 const MAX_LIDARS: usize = 16;
 
@@ -94,13 +98,16 @@ impl RobotModel {
 
     fn check_footprint(&self) -> Result<(), OutOfBounds> {
         if let Footprint::Polygon(corners) = &self.footprint {
-            let around_base =
-                self.footprint.distance(Point2::origin()) == 0.0 && self.footprint.inscribed_radius() > 0.0;
-            if corners.len() < 3 || corners.len() > 64 || !is_convex(corners) || !around_base {
+            let is_around_base =
+                || self.footprint.distance(Point2::origin()) == 0.0 && self.footprint.inscribed_radius() > 0.0;
+            let problem = outline_problem(corners).or_else(|| {
+                let outside = "does not enclose the base: expected the base, (0, 0), inside the outline";
+                (!is_around_base()).then(|| outside.to_owned())
+            });
+            if let Some(problem) = problem {
                 return Err(OutOfBounds {
                     key: "footprint.polygon".to_owned(),
-                    problem: "does not enclose the base: expected 3 to 64 corners of a convex polygon around the base, counter-clockwise"
-                        .to_owned(),
+                    problem,
                 });
             }
         }
@@ -156,6 +163,48 @@ impl RobotModel {
         }
         Ok(())
     }
+}
+
+/// Why corners are no convex outline; none if they are one.
+fn outline_problem(corners: &[Point2<f64>]) -> Option<String> {
+    let at = |corner: Point2<f64>| format!("({}, {})", Number(corner.x), Number(corner.y));
+    if !CORNERS.contains(&corners.len()) {
+        let (least, most) = CORNERS.into_inner();
+        return Some(format!("has {} corners: expected {least} to {most}", corners.len()));
+    }
+    if let Some(corner) = corners
+        .iter()
+        .find(|corner| !(corner.x.is_finite() && corner.y.is_finite()))
+    {
+        return Some(format!("has a corner at {}: expected finite numbers", at(*corner)));
+    }
+    if corners.first() == corners.last() {
+        return Some(format!(
+            "ends with its first corner, {}: expected each corner once",
+            at(corners[0])
+        ));
+    }
+    if let Some(edge) = edges(corners).find(|edge| edge.a == edge.b) {
+        return Some(format!(
+            "has the corner {} twice in a row: expected each corner once",
+            at(edge.a)
+        ));
+    }
+    if is_convex(corners) {
+        return None;
+    }
+    let following = corners.iter().cycle().skip(2);
+    let mut turns = edges(corners).zip(following);
+    let not_left = turns.find(|(edge, next)| cross(edge.b - edge.a, **next - edge.b) <= 0.0);
+    Some(not_left.map_or_else(
+        || "crosses itself: expected a convex outline".to_owned(),
+        |(edge, _)| {
+            format!(
+                "is not convex at {}: expected a turn to the same side at every corner",
+                at(edge.b)
+            )
+        },
+    ))
 }
 
 #[cfg(test)]
@@ -217,7 +266,7 @@ mod tests {
                 "motor_lag = 0.05",
                 "motor_lag = 50",
                 line_of("motor_lag = 0.05"),
-                "`drive.motor_lag` is 50: expected 0 to 5 s",
+                "`drive.motor_lag` is 50: expected 0 to 1 s",
             ),
             (
                 "mount = { x = 0.2, y = 0.0, yaw = 0.0 }",
@@ -309,6 +358,47 @@ mod tests {
             assert!(
                 said.contains(&format!("my.toml:{at}:")) && said.contains(words),
                 "{by}: {said}"
+            );
+        }
+    }
+
+    #[test]
+    fn each_fault_of_a_polygon_is_told_by_itself() {
+        for (polygon, words) in [
+            ("[[1, 0], [-1, 0]]", "has 2 corners: expected 3 to 64"),
+            (
+                "[[1, 0], [nan, 1], [-1, 0]]",
+                "has a corner at (NaN, 1): expected finite numbers",
+            ),
+            (
+                "[[1, 1], [-1, 1], [-1, -1], [1, -1], [1, 1]]",
+                "ends with its first corner, (1, 1): expected each corner once",
+            ),
+            (
+                "[[1, 1], [-1, 1], [-1, 1], [-1, -1], [1, -1]]",
+                "has the corner (-1, 1) twice in a row: expected each corner once",
+            ),
+            (
+                "[[1, 1], [0.2, 0], [-1, 1], [-1, -1], [1, -1]]",
+                "is not convex at (0.2, 0): expected a turn to the same side at every corner",
+            ),
+            (
+                "[[1, 1], [0, 1], [-1, 1], [-1, -1], [1, -1]]",
+                "is not convex at (0, 1): expected a turn to the same side at every corner",
+            ),
+            (
+                "[[0, 10], [-6, -8], [9.5, 3], [-9.5, 3], [6, -8]]",
+                "crosses itself: expected a convex outline",
+            ),
+            (
+                "[[2, 1], [1, 1], [1, -1], [2, -1]]",
+                "does not enclose the base: expected the base, (0, 0), inside the outline",
+            ),
+        ] {
+            let said = said("radius = 0.265", &format!("polygon = {polygon}"));
+            assert!(
+                said.ends_with(&format!("`footprint.polygon` {words}")),
+                "{polygon}: {said}"
             );
         }
     }

@@ -143,6 +143,17 @@ pub trait Settings: Clone + Default + Serialize + DeserializeOwned {
 
     /// A copy with one number changed; `None` if no numeric setting has this key.
     ///
+    /// ```
+    /// use zenav_protocol::{robot::ControllerGains, settings::Settings};
+    ///
+    /// let gains = ControllerGains::default();
+    /// assert_eq!(gains.with_number("guard_margin", 0.1).unwrap()?.guard_margin, 0.1);
+    /// let refused = gains.with_number("guard_margin", 2.0).unwrap().unwrap_err();
+    /// assert_eq!(refused.to_string(), "`guard_margin` is 2: expected 0.01 to 0.5 m");
+    /// assert!(gains.with_number("tracker", 1.0).is_none(), "a name, not a number");
+    /// # Ok::<(), zenav_protocol::config_text::OutOfBounds>(())
+    /// ```
+    ///
     /// # Errors
     /// The value is out of bounds, not a whole number where one is needed, or inconsistent with the other settings.
     fn with_number(&self, key: &str, value: f64) -> Option<Result<Self, OutOfBounds>> {

@@ -18,10 +18,10 @@ use crate::messages::{
     CancelRequest, Correction, EdgeState, Event, GoalReply, GoalRequest, GoalState, GoalsReply, GoalsRequest,
     Heartbeat, Imu, InfoReply, InfoRequest, Intent, JoinReply, JoinRequest, JournalEntry, JournalReply, LeaseReply,
     LeaseRequest, Localisation, LocaliseReply, LocaliseRequest, LogReply, LogRequest, MapFrame, MapInfo, MapPatch,
-    MapReply, MapRequest, Marker, MissionStatus, ModeReply, ModeRequest, MotionRecord, MotionReply, MotionRequest,
-    MoveGoalRequest, Obstacles, Odometry, ParamReply, ParamRequest, PauseRequest, Plan, PoseEstimate, PoseGraph,
-    RemoteReply, RemoteRequest, ResumeRequest, Scan, SearchTree, SimClock, StopReply, StopRequest, Teleop, WheelSpeeds,
-    Yield,
+    MapReply, MapRequest, MappingLeader, Marker, MissionStatus, ModeReply, ModeRequest, MotionRecord, MotionReply,
+    MotionRequest, MoveGoalRequest, Obstacles, Odometry, ParamReply, ParamRequest, PauseRequest, Plan, PoseEstimate,
+    PoseGraph, RemoteReply, RemoteRequest, ResumeRequest, Scan, SchemaReply, SchemaRequest, SearchTree, SimClock,
+    StopReply, StopRequest, Teleop, WheelSpeeds, Yield,
 };
 use crate::readings::Readings;
 
@@ -85,6 +85,9 @@ pub struct Topic<T> {
     pub pattern: &'static str,
     /// Quality of service.
     pub qos: Qos,
+    /// Most messages a second of one writer on one key, in the robot's own time; a receiver drops what comes faster by far. `None`: never
+    /// limited, because the newest message may be a stop, or is the time itself.
+    pub rate: Option<u16>,
     /// Largest payload that a receiver decodes, bytes.
     pub max_bytes: usize,
     /// Encoding used by the writer; a receiver accepts JSON everywhere.
@@ -120,15 +123,36 @@ impl<Q, R> Copy for Ask<Q, R> {}
 
 impl<T> Topic<T> {
     /// The key, with its named chunks filled in order; a chunk may be `*`.
+    ///
+    /// ```
+    /// use zenav_protocol::topics::{GOAL_STATE, SCAN};
+    ///
+    /// assert_eq!(SCAN.key(&["tiago"]), "zenav/tiago/edge/scan");
+    /// assert_eq!(GOAL_STATE.key(&["tiago", "*"]), "zenav/tiago/cloud/goal/*", "all goals of a robot");
+    /// ```
     #[must_use]
     pub fn key(&self, chunks: &[&str]) -> String {
         fill(self.pattern, chunks)
     }
 
     /// The chunks of a concrete key at this pattern's names; empty for a key of another topic.
+    ///
+    /// ```
+    /// use zenav_protocol::topics::{GOAL_STATE, PLAN};
+    ///
+    /// let key = "zenav/tiago/cloud/goal/tea-1";
+    /// assert_eq!(GOAL_STATE.chunks(key), ["tiago", "tea-1"]);
+    /// assert!(PLAN.chunks(key).is_empty());
+    /// ```
     #[must_use]
     pub fn chunks(&self, key: &str) -> Vec<String> {
         owned_chunks(self.pattern, key)
+    }
+
+    /// The same topic without a rate, for benches: they publish faster than any robot.
+    #[must_use]
+    pub fn without_rate(self) -> Self {
+        Self { rate: None, ..self }
     }
 }
 
@@ -245,6 +269,8 @@ pub struct Row {
     pub producer: Producer,
     /// Quality of service of a topic; `None` for an ask.
     pub qos: Option<Qos>,
+    /// Most messages a second of one writer on one key; `None` for an ask, and for a topic that is never limited.
+    pub rate: Option<u16>,
     /// Permitted requesters; `None` for a topic.
     pub asked_by: Option<Asker>,
     /// Largest payload that is decoded, bytes.
@@ -253,6 +279,9 @@ pub struct Row {
 
 const KIB: usize = 1024;
 const MIB: usize = 1024 * KIB;
+
+/// Rate of what a robot publishes at most once in a control tick, of 20 ms by default.
+const TICKS: Option<u16> = Some(250);
 
 /// JSON unless the table says otherwise.
 macro_rules! encoding {
@@ -271,18 +300,18 @@ macro_rules! key_table {
         $(use crate::sensors::$Reading;)*
 
         key_table! {
-            topics { $($before)* $($TOPIC: $Reading = $key, Edge, Qos::Latest, 4 * KIB;)* $($after)* }
+            topics { $($before)* $($TOPIC: $Reading = $key, Edge, Qos::Latest, TICKS, 4 * KIB;)* $($after)* }
             $($rest)*
         }
     };
-    (topics { $($topic:ident: $message:ty = $pattern:literal, $producer:ident, $qos:expr, $max:expr $(, $encoding:ident)?;)* }
+    (topics { $($topic:ident: $message:ty = $pattern:literal, $producer:ident, $qos:expr, $rate:expr, $max:expr $(, $encoding:ident)?;)* }
      $(part $server:ident, $Request:ident => $Reply:ident {
         $($part_ask:ident, $variant:ident: $part_request:ty => $part_reply:ty = $part_pattern:literal, $part_asker:ident, $part_max:expr $(, $part_encoding:ident)?;)*
      })*
      asks { $($ask:ident: $request:ty => $reply:ty = $ask_pattern:literal, $ask_server:ident, $asker:ident, $ask_max:expr $(, $reply_encoding:ident)?;)* }) => {
         $(
             #[doc = concat!("`", $pattern, "`: ", stringify!($message), ", written by ", stringify!($producer), ".")]
-            pub const $topic: Topic<$message> = Topic { pattern: $pattern, qos: $qos, max_bytes: $max, encoding: encoding!($($encoding)?), message: PhantomData };
+            pub const $topic: Topic<$message> = Topic { pattern: $pattern, qos: $qos, rate: $rate, max_bytes: $max, encoding: encoding!($($encoding)?), message: PhantomData };
         )*
         $(
             $(ask!($part_ask: $part_request => $part_reply = $part_pattern, $server, $part_max $(, $part_encoding)?);)*
@@ -330,9 +359,9 @@ macro_rules! key_table {
 
         /// Every topic and ask, in the order of the data way.
         pub const TABLE: &[Row] = &[
-            $(Row { pattern: $pattern, message: stringify!($message), producer: Producer::$producer, qos: Some($qos), asked_by: None, max_bytes: $max },)*
-            $($(Row { pattern: $part_pattern, message: concat!(stringify!($part_request), " -> ", stringify!($part_reply)), producer: Producer::$server, qos: None, asked_by: Some(Asker::$part_asker), max_bytes: $part_max },)*)*
-            $(Row { pattern: $ask_pattern, message: concat!(stringify!($request), " -> ", stringify!($reply)), producer: Producer::$ask_server, qos: None, asked_by: Some(Asker::$asker), max_bytes: $ask_max },)*
+            $(Row { pattern: $pattern, message: stringify!($message), producer: Producer::$producer, qos: Some($qos), rate: $rate, asked_by: None, max_bytes: $max },)*
+            $($(Row { pattern: $part_pattern, message: concat!(stringify!($part_request), " -> ", stringify!($part_reply)), producer: Producer::$server, qos: None, rate: None, asked_by: Some(Asker::$part_asker), max_bytes: $part_max },)*)*
+            $(Row { pattern: $ask_pattern, message: concat!(stringify!($request), " -> ", stringify!($reply)), producer: Producer::$ask_server, qos: None, rate: None, asked_by: Some(Asker::$asker), max_bytes: $ask_max },)*
         ];
     };
 }
@@ -346,38 +375,39 @@ macro_rules! ask {
 
 crate::sensor_kinds!(key_table [
     {
-        READINGS: Readings = "zenav/{robot}/body/readings", Body, Qos::RealTime, 256 * KIB;
-        WHEELS: WheelSpeeds = "zenav/{robot}/edge/wheels", Edge, Qos::RealTime, KIB;
-        SCAN: Scan = "zenav/{robot}/edge/scan", Edge, Qos::Latest, 256 * KIB;
-        LIDAR_SCAN: Scan = "zenav/{robot}/edge/scan/{lidar}", Edge, Qos::Latest, 256 * KIB;
-        ODOMETRY: Odometry = "zenav/{robot}/edge/odometry", Edge, Qos::Latest, 4 * KIB;
-        IMU: Imu = "zenav/{robot}/edge/imu", Edge, Qos::Latest, 4 * KIB;
+        READINGS: Readings = "zenav/{robot}/body/readings", Body, Qos::RealTime, TICKS, 256 * KIB;
+        WHEELS: WheelSpeeds = "zenav/{robot}/edge/wheels", Edge, Qos::RealTime, None, KIB;
+        SCAN: Scan = "zenav/{robot}/edge/scan", Edge, Qos::Latest, Some(50), 256 * KIB;
+        LIDAR_SCAN: Scan = "zenav/{robot}/edge/scan/{lidar}", Edge, Qos::Latest, Some(50), 256 * KIB;
+        ODOMETRY: Odometry = "zenav/{robot}/edge/odometry", Edge, Qos::Latest, TICKS, 4 * KIB;
+        IMU: Imu = "zenav/{robot}/edge/imu", Edge, Qos::Latest, TICKS, 4 * KIB;
     }
     sensors {
-        BUMP: Bump = "zenav/{robot}/edge/bump", Edge, Qos::Latest, 4 * KIB;
-        BATTERY: Battery = "zenav/{robot}/edge/battery", Edge, Qos::Latest, 4 * KIB;
-        POSE: PoseEstimate = "zenav/{robot}/edge/pose", Edge, Qos::Latest, 4 * KIB;
-        STATE: EdgeState = "zenav/{robot}/edge/state", Edge, Qos::Latest, 16 * KIB;
-        EVENT: Event = "zenav/{robot}/edge/event", Edge, Qos::Events { cache: 256 }, 16 * KIB;
-        OBSTACLES: Obstacles = "zenav/{robot}/edge/obstacles", Edge, Qos::Latest, 64 * KIB;
-        INTENT: Intent = "zenav/{robot}/edge/intent", Edge, Qos::Latest, 16 * KIB;
-        YIELD: Yield = "zenav/{robot}/edge/yield", Edge, Qos::Latest, 256 * KIB;
-        MARKER: Marker = "zenav/{robot}/edge/marker", Edge, Qos::Latest, 64 * KIB;
-        MAP_INFO: MapInfo = "zenav/{robot}/cloud/map", Mapping, Qos::State, 16 * KIB;
-        MAP_PATCH: MapPatch = "zenav/{robot}/cloud/map_patch", Mapping, Qos::Events { cache: 4 }, 64 * MIB, Cbor;
-        MAP_FRAME: MapFrame = "zenav/{robot}/cloud/frame", Mapping, Qos::State, MIB;
-        ANNOTATIONS: Annotations = "zenav/{robot}/cloud/annotations", Mapping, Qos::State, 4 * MIB;
-        CORRECTION: Correction = "zenav/{robot}/cloud/correction", Mapping, Qos::Latest, 4 * KIB;
-        LOCALISATION: Localisation = "zenav/{robot}/cloud/localisation", Mapping, Qos::State, 16 * KIB;
-        GRAPH: PoseGraph = "zenav/{robot}/cloud/graph", Mapping, Qos::Latest, 4 * MIB;
-        HEARTBEAT: Heartbeat = "zenav/{robot}/cloud/heartbeat", Holder, Qos::RealTime, 4 * KIB;
-        PLAN: Plan = "zenav/{robot}/cloud/plan", Mission, Qos::State, 4 * MIB;
-        TREE: SearchTree = "zenav/{robot}/cloud/tree", Motion, Qos::Latest, 4 * MIB;
-        MOTION: MotionRecord = "zenav/{robot}/cloud/motion", Motion, Qos::Events { cache: 16 }, 8 * MIB;
-        MISSION: MissionStatus = "zenav/{robot}/cloud/mission", Mission, Qos::State, 4 * MIB;
-        GOAL_STATE: GoalState = "zenav/{robot}/cloud/goal/{id}", Mission, Qos::State, 2 * MIB;
-        TELEOP: Teleop = "zenav/{robot}/operator/teleop", Operator, Qos::RealTime, 4 * KIB;
-        SIM_CLOCK: SimClock = "zenav/sim/clock", Sim, Qos::Latest, KIB;
+        BUMP: Bump = "zenav/{robot}/edge/bump", Edge, Qos::Latest, TICKS, 4 * KIB;
+        BATTERY: Battery = "zenav/{robot}/edge/battery", Edge, Qos::Latest, Some(10), 4 * KIB;
+        POSE: PoseEstimate = "zenav/{robot}/edge/pose", Edge, Qos::Latest, TICKS, 4 * KIB;
+        STATE: EdgeState = "zenav/{robot}/edge/state", Edge, Qos::Latest, Some(50), 16 * KIB;
+        EVENT: Event = "zenav/{robot}/edge/event", Edge, Qos::Events { cache: 256 }, Some(50), 16 * KIB;
+        OBSTACLES: Obstacles = "zenav/{robot}/edge/obstacles", Edge, Qos::Latest, Some(50), 64 * KIB;
+        INTENT: Intent = "zenav/{robot}/edge/intent", Edge, Qos::Latest, Some(50), 16 * KIB;
+        YIELD: Yield = "zenav/{robot}/edge/yield", Edge, Qos::Latest, Some(5), 256 * KIB;
+        MARKER: Marker = "zenav/{robot}/edge/marker", Edge, Qos::Latest, Some(50), 64 * KIB;
+        MAP_INFO: MapInfo = "zenav/{robot}/cloud/map", Mapping, Qos::State, Some(100), 16 * KIB;
+        MAP_PATCH: MapPatch = "zenav/{robot}/cloud/map_patch", Mapping, Qos::Events { cache: 4 }, Some(100), 64 * MIB, Cbor;
+        MAP_FRAME: MapFrame = "zenav/{robot}/cloud/frame", Mapping, Qos::State, Some(20), MIB;
+        ANNOTATIONS: Annotations = "zenav/{robot}/cloud/annotations", Mapping, Qos::State, Some(20), 4 * MIB;
+        CORRECTION: Correction = "zenav/{robot}/cloud/correction", Mapping, Qos::Latest, Some(100), 4 * KIB;
+        LOCALISATION: Localisation = "zenav/{robot}/cloud/localisation", Mapping, Qos::State, Some(100), 16 * KIB;
+        GRAPH: PoseGraph = "zenav/{robot}/cloud/graph", Mapping, Qos::Latest, Some(1), 4 * MIB;
+        MAPPING_LEADER: MappingLeader = "zenav/{robot}/cloud/mapping", Mapping, Qos::Latest, Some(50), 4 * KIB;
+        HEARTBEAT: Heartbeat = "zenav/{robot}/cloud/heartbeat", Holder, Qos::RealTime, None, 4 * KIB;
+        PLAN: Plan = "zenav/{robot}/cloud/plan", Mission, Qos::State, Some(50), 4 * MIB;
+        TREE: SearchTree = "zenav/{robot}/cloud/tree", Motion, Qos::Latest, Some(50), 4 * MIB;
+        MOTION: MotionRecord = "zenav/{robot}/cloud/motion", Motion, Qos::Events { cache: 16 }, Some(50), 8 * MIB;
+        MISSION: MissionStatus = "zenav/{robot}/cloud/mission", Mission, Qos::State, Some(50), 4 * MIB;
+        GOAL_STATE: GoalState = "zenav/{robot}/cloud/goal/{id}", Mission, Qos::State, Some(50), 2 * MIB;
+        TELEOP: Teleop = "zenav/{robot}/operator/teleop", Operator, Qos::RealTime, Some(100), 4 * KIB;
+        SIM_CLOCK: SimClock = "zenav/sim/clock", Sim, Qos::Latest, None, KIB;
     }
     part Edge, EdgeRequest => EdgeReply {
         LEASE, Lease: LeaseRequest => LeaseReply = "zenav/{robot}/ask/edge/lease", Operator, 16 * KIB;
@@ -406,11 +436,22 @@ crate::sensor_kinds!(key_table [
         EDGE_LOG: LogRequest => LogReply = "zenav/{robot}/ask/edge/log", Edge, Operator, 4 * KIB;
         PART_LOG: LogRequest => LogReply = "zenav/svc/log/{part}", Part, Operator, 4 * KIB;
         PART_INFO: InfoRequest => InfoReply = "zenav/svc/info/{part}", Part, Viewer, 4 * KIB;
+        MESSAGE_SCHEMA: SchemaRequest => SchemaReply = "zenav/svc/schema/{message}", Part, Viewer, 4 * KIB;
         ATTACH: AttachRequest => AttachReply = "zenav/sim/attach", Sim, Robot, 64 * KIB;
     }
 ]);
 
 /// The row that a concrete key belongs to; `None` for a key outside the table.
+///
+/// ```
+/// use zenav_protocol::topics::{Asker, Producer, row_of};
+///
+/// let plan = row_of("zenav/tiago/cloud/plan").unwrap();
+/// assert_eq!((plan.message, plan.producer), ("Plan", Producer::Mission));
+/// let stop = row_of("zenav/tiago/ask/edge/stop").unwrap();
+/// assert_eq!((stop.message, stop.asked_by), ("StopRequest -> StopReply", Some(Asker::Operator)));
+/// assert!(row_of("zenav/tiago/edge/plan").is_none());
+/// ```
 #[must_use]
 pub fn row_of(key: &str) -> Option<&'static Row> {
     TABLE.iter().find(|row| unfill(row.pattern, key).is_some())
@@ -424,7 +465,8 @@ pub const REMOTE_ACTION: Ask<RemoteRequest, RemoteReply> = Ask {
     message: PhantomData,
 };
 
-/// Liveliness of a robot's component (`edge`, `mapping`, `mission`): for discovery only, never for authority.
+/// Liveliness of a robot's component (`edge`, `mapping`, `mission`; `mapping-standby` for copies of the mapping service): for discovery
+/// only, never for authority.
 pub const ALIVE_COMPONENT: &str = "zenav/{robot}/alive/{component}";
 /// Liveliness of a stateless `motion` worker, and of a group's goal server (`group-{name}`).
 pub const ALIVE_WORKER: &str = "zenav/svc/alive/{service}/{worker}";
@@ -463,9 +505,10 @@ pub fn table_markdown() -> String {
         } else {
             format!("{} KiB", row.max_bytes / KIB)
         };
+        let rate = row.rate.map_or(String::new(), |rate| format!(", {rate} a second"));
         let producer = format!("{:?}", row.producer).to_lowercase();
         text.push_str(&format!(
-            "| `{}` | `{}` | {producer} | {kind} | {size} |\n",
+            "| `{}` | `{}` | {producer} | {kind} | {size}{rate} |\n",
             row.pattern, row.message
         ));
     }
@@ -484,6 +527,14 @@ mod tests {
         assert_eq!(SCAN.key(&["*"]), "zenav/*/edge/scan");
         assert!(SCAN.chunks("zenav/tiago/edge/pose").is_empty());
         assert_eq!(SIM_CLOCK.key(&[]), "zenav/sim/clock");
+    }
+
+    #[test]
+    fn what_may_be_a_stop_is_never_limited() {
+        let unlimited = TABLE.iter().filter(|row| row.qos.is_some() && row.rate.is_none());
+        let patterns: Vec<_> = unlimited.map(|row| row.pattern).collect();
+        assert_eq!(patterns, [WHEELS.pattern, HEARTBEAT.pattern, SIM_CLOCK.pattern]);
+        assert!(TABLE.iter().all(|row| row.qos.is_some() || row.rate.is_none()), "asks");
     }
 
     #[test]

@@ -234,6 +234,18 @@ impl Trajectory {
     }
 
     /// This trajectory from `now` up to `until` (s), then `next`, whose time zero is `until` here.
+    ///
+    /// ```
+    /// use zenav_protocol::trajectory::{Trajectory, TrajectoryPoint};
+    ///
+    /// let at = |t: f64, x: f64| TrajectoryPoint { t, x, v: 1.0, ..TrajectoryPoint::default() };
+    /// let driven = Trajectory::new(vec![at(0.0, 0.0), at(10.0, 10.0)]);
+    /// // At 2 s a replan arrives that begins where the robot will be at 3 s.
+    /// let replanned = Trajectory::new(vec![at(0.0, 3.0), at(5.0, 8.0)]);
+    /// let spliced = driven.spliced(2.0, 3.0, &replanned);
+    /// assert_eq!((spliced.start_time(), spliced.end_time()), (-1.0, 5.0));
+    /// assert_eq!(spliced.sample(-0.5).x, 2.5);
+    /// ```
     #[must_use]
     pub fn spliced(&self, now: f64, until: f64, next: &Self) -> Self {
         let mut points = Vec::with_capacity(next.len() + 64);
@@ -269,6 +281,17 @@ impl Trajectory {
 
     /// The same motion with fewer points: a point is dropped if it lies on the line between its neighbours to within half a millimetre, 2
     /// mrad, 5 mm/s and 10 mrad/s. Both ends are kept, and points at most 2 s apart.
+    ///
+    /// ```
+    /// use zenav_protocol::trajectory::{Trajectory, TrajectoryPoint};
+    ///
+    /// // A straight metre at 1 m/s, a point every 10 ms.
+    /// let points = (0..=100).map(|step| 0.01 * f64::from(step));
+    /// let dense: Trajectory = points.map(|t| TrajectoryPoint { t, x: t, v: 1.0, ..TrajectoryPoint::default() }).collect();
+    /// let thinned = dense.thinned();
+    /// assert_eq!((dense.len(), thinned.len()), (101, 2));
+    /// assert!((thinned.sample(0.5).x - 0.5).abs() < 5e-4);
+    /// ```
     #[must_use]
     pub fn thinned(&self) -> Self {
         let mut kept: Vec<TrajectoryPoint> = self.points.first().copied().into_iter().collect();
@@ -318,6 +341,18 @@ impl Trajectory {
 
     /// The point nearest to a position (map frame) from time `from` (s) on, searched `window` (m) ahead along the path, so that a path that
     /// returns close to itself is not cut short. Of several equally near points, the last.
+    ///
+    /// ```
+    /// use nalgebra::Point2;
+    /// use zenav_protocol::trajectory::{Trajectory, TrajectoryPoint};
+    ///
+    /// // 2 m along the x axis in 2 s, and back.
+    /// let at = |t: f64, x: f64| TrajectoryPoint { t, x, ..TrajectoryPoint::default() };
+    /// let trajectory = Trajectory::new(vec![at(0.0, 0.0), at(2.0, 2.0), at(4.0, 0.0)]);
+    /// let robot = Point2::new(0.5, 0.1);
+    /// assert_eq!(trajectory.nearest_ahead(0.0, robot, 1.0).t, 0.5, "on the way there");
+    /// assert_eq!(trajectory.nearest_ahead(2.5, robot, 1.0).t, 3.5, "on the way back");
+    /// ```
     #[must_use]
     pub fn nearest_ahead(&self, from: f64, point: Point2<f64>, window: f64) -> Nearest {
         let first = self.next_index(from).saturating_sub(1);

@@ -17,10 +17,10 @@ use zenav_protocol::messages::{
     CancelRequest, Correction, EdgeState, Event, GoalReply, GoalRequest, GoalState, GoalsReply, GoalsRequest,
     Heartbeat, Imu, InfoReply, InfoRequest, Intent, JoinReply, JoinRequest, JournalEntry, JournalReply, LeaseReply,
     LeaseRequest, Localisation, LocaliseReply, LocaliseRequest, LogReply, LogRequest, MapFrame, MapInfo, MapPatch,
-    MapReply, MapRequest, Marker, MissionStatus, ModeReply, ModeRequest, MotionRecord, MotionReply, MotionRequest,
-    MoveGoalRequest, Obstacles, Odometry, ParamReply, ParamRequest, PauseRequest, Plan, PoseEstimate, PoseGraph,
-    Refusal, RemoteReply, RemoteRequest, ResumeRequest, Scan, SearchTree, SimClock, StopReply, StopRequest, Teleop,
-    Tile, WheelSpeeds, Yield,
+    MapReply, MapRequest, MappingLeader, Marker, MissionStatus, ModeReply, ModeRequest, MotionRecord, MotionReply,
+    MotionRequest, MoveGoalRequest, Obstacles, Odometry, ParamReply, ParamRequest, PauseRequest, Plan, PoseEstimate,
+    PoseGraph, Refusal, RemoteReply, RemoteRequest, ResumeRequest, Scan, SchemaReply, SchemaRequest, SearchTree,
+    SimClock, StopReply, StopRequest, Teleop, Tile, WheelSpeeds, Yield,
 };
 use zenav_protocol::readings::Readings;
 use zenav_protocol::topics::TABLE;
@@ -68,6 +68,7 @@ zenav_protocol::sensor_kinds!(messages [
     MapPatch
     MapFrame
     PoseGraph
+    MappingLeader
     Correction
     Heartbeat
     Plan
@@ -114,6 +115,8 @@ zenav_protocol::sensor_kinds!(messages [
     MotionReply
     AttachRequest
     AttachReply
+    SchemaRequest
+    SchemaReply
     RemoteRequest
     RemoteReply
     Refusal

@@ -11,7 +11,7 @@ use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::robot::{BatteryModel, Drive, RobotModel};
 use zenav_protocol::time::Stamp;
 
-use crate::clearance::Placed;
+use crate::clearance::{Placed, halved};
 use crate::crowd::Crowd;
 use crate::motors::Motors;
 use crate::scene::Scene;
@@ -288,17 +288,10 @@ impl Chassis {
                 self.touch(around, turning, now);
                 continue;
             }
-            let (mut free, mut taken) = (0.0, 1.0);
             // Pressed against an obstacle already: nothing left to halve.
             let halvings = if before <= 2.0 * SKIN { 0 } else { HALVINGS };
-            for _ in 0..halvings {
-                let middle = 0.5 * (free + taken);
-                if exact(here.advance(twist, middle * piece)) > SKIN {
-                    free = middle;
-                } else {
-                    taken = middle;
-                }
-            }
+            let is_free = |share: f64| exact(here.advance(twist, share * piece)) > SKIN;
+            let free = halved(0.0, 1.0, halvings, is_free);
             self.truth.map_from_base = here.advance(twist, free * piece);
             self.clearance = exact(self.truth.map_from_base);
             self.touch(around, turning, now);

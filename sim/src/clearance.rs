@@ -9,7 +9,20 @@ use zenav_protocol::geometry::Pose2;
 use zenav_protocol::robot::Footprint;
 
 use crate::bridge;
-use crate::shape::Shape;
+use crate::shape::form;
+
+/// How far something comes from `free` towards `taken`, halved this many times.
+pub(crate) fn halved(mut free: f64, mut taken: f64, times: u32, mut is_free: impl FnMut(f64) -> bool) -> f64 {
+    for _ in 0..times {
+        let middle = 0.5 * (free + taken);
+        if is_free(middle) {
+            free = middle;
+        } else {
+            taken = middle;
+        }
+    }
+    free
+}
 
 /// A form at a pose.
 #[derive(Clone)]
@@ -27,9 +40,20 @@ impl Placed {
     }
 
     /// Puts a footprint at a pose in the world.
+    ///
+    /// ```
+    /// use zenav_protocol::{geometry::Pose2, robot::Footprint};
+    /// use zenav_sim::clearance::Placed;
+    ///
+    /// let robot = Placed::footprint(&Footprint::Radius(0.25), Pose2::IDENTITY);
+    /// let other = robot.at(Pose2::new(1.0, 0.0, 0.0));
+    /// assert!((robot.distance(&other) - 0.5).abs() < 1e-9);
+    /// let nearer = other.at(Pose2::new(0.4, 0.0, 0.0));
+    /// assert!(robot.touches(&nearer) && robot.distance(&nearer) == 0.0);
+    /// ```
     #[must_use]
     pub fn footprint(footprint: &Footprint, map_from_base: Pose2) -> Self {
-        Self::new(Shape::from(footprint).form(), map_from_base)
+        Self::new(form(footprint), map_from_base)
     }
 
     /// The same form at another pose.
@@ -112,9 +136,7 @@ mod tests {
     }
 
     fn to_point(edge: &Edge, point: Point2<f64>) -> f64 {
-        let along = edge.b - edge.a;
-        let share = ((point - edge.a).dot(&along) / along.norm_squared()).clamp(0.0, 1.0);
-        (edge.a + along * share - point).norm()
+        (edge.nearest(point) - point).norm()
     }
 
     /// Reference: the distance from a footprint to an edge, both in the base frame.
@@ -172,7 +194,7 @@ mod tests {
         let notched = [[-2.0, -2.0], [2.0, -2.0], [2.0, 2.0], [0.0, 1.5], [-2.0, 2.0]];
         for corners in [&square[..], &notched] {
             let corners = corners.iter().map(|[x, y]| Point2::new(*x, *y)).collect();
-            let wagon = Solid::new(Shape::Polygon(corners), Pose2::IDENTITY);
+            let wagon = Solid::new(Footprint::Polygon(corners), Pose2::IDENTITY);
             let distance = |pose| wagon.distance(&Placed::footprint(&Footprint::Radius(0.2), pose));
             assert_eq!(distance(Pose2::IDENTITY), 0.0);
             assert!((distance(Pose2::new(3.0, 0.0, 1.0)) - 0.8).abs() < 1e-12);

@@ -123,7 +123,6 @@ impl Crowd {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::shape::Shape;
     use proptest::prelude::*;
     use zenav_protocol::robot::Footprint;
 
@@ -139,7 +138,7 @@ mod tests {
             but in 0..40_usize,
         ) {
             let square = [[-0.2, -0.2], [0.2, -0.2], [0.2, 0.2], [-0.2, 0.2]].map(|[x, y]| Point2::new(x, y)).to_vec();
-            let shape = |i: usize| if i.is_multiple_of(2) { Shape::Disc(0.3) } else { Shape::Polygon(square.clone()) };
+            let shape = |i: usize| if i.is_multiple_of(2) { Footprint::Radius(0.3) } else { Footprint::Polygon(square.clone()) };
             let mut crowd = Crowd::new(poses.iter().enumerate().map(|(i, (pose, _))| Solid::new(shape(i), *pose)).collect());
             for (index, (_, pose)) in poses.iter().enumerate().filter(|(index, _)| index % 3 == 0) {
                 crowd.place(index, *pose);

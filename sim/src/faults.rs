@@ -48,6 +48,21 @@ pub struct Fault {
 
 impl Fault {
     /// All faults of one sensor that are active at a moment, added up.
+    ///
+    /// ```
+    /// use zenav_protocol::time::Stamp;
+    /// use zenav_sim::faults::{Fault, FaultKind, FaultModel};
+    ///
+    /// let late = FaultModel {
+    ///     at: "my.toml:3".into(),
+    ///     robot: None,
+    ///     sensor: "gps".into(),
+    ///     kind: FaultKind::Late(0.5),
+    ///     window: 10.0..20.0,
+    /// };
+    /// assert_eq!(Fault::at(&[late.clone()], Stamp::from_secs(10.0)).late, 0.5);
+    /// assert_eq!(Fault::at(&[late], Stamp::from_secs(20.0)), Fault::default());
+    /// ```
     #[must_use]
     pub fn at(faults: &[FaultModel], now: Stamp) -> Self {
         let holding = faults.iter().filter(|fault| fault.window.contains(&now.as_secs()));

@@ -11,6 +11,15 @@ use crate::world::World;
 use crate::world_check::WorldError;
 
 /// A world file of `shapes` regular polygons of `sides` sides on a lattice in a walled square of `size` m.
+///
+/// ```
+/// use zenav_sim::{World, made_worlds::polygons};
+///
+/// let world = World::from_toml(&polygons(9, 5, 10.0), "made.toml", &|_| Err(String::new()))?;
+/// let corners = world.polygons().iter().map(Vec::len);
+/// assert_eq!(corners.filter(|count| *count == 5).count(), 9, "pentagons; the walls have four corners");
+/// # Ok::<(), zenav_sim::WorldError>(())
+/// ```
 #[must_use]
 pub fn polygons(shapes: usize, sides: usize, size: f64) -> String {
     let mut text = format!("size = [{size:?}, {size:?}]\n");
@@ -38,6 +47,15 @@ pub fn polygons(shapes: usize, sides: usize, size: f64) -> String {
 }
 
 /// A walled floor with room for `count` robots of a model and with quadrilaterals to see, one for every ten robots, at least twenty.
+///
+/// ```
+/// # let neato = zenav_fixtures::robot("neato");
+/// use zenav_sim::{made_worlds::floor, scatter::scatter};
+///
+/// let world = floor(&neato, 30)?;
+/// assert_eq!(scatter(&world, &neato, 30, 0.2, 1).len(), 30);
+/// # Ok::<(), zenav_sim::WorldError>(())
+/// ```
 ///
 /// # Errors
 /// [`WorldError`] for more things than a world may hold.

@@ -105,6 +105,18 @@ impl Manners {
     }
 
     /// The velocity for the next `secs` seconds among `others` and nearest points of walls (from the walker's centre, m).
+    ///
+    /// ```
+    /// use nalgebra::Vector2;
+    /// use zenav_sim::manners::{Manners, Neighbour, Walker};
+    ///
+    /// // Somebody comes towards a walker, a little to its left.
+    /// let ahead = Vector2::new(1.0, 0.0);
+    /// let walker = Walker { velocity: ahead, wanted: ahead, radius: 0.3, speed: 1.0 };
+    /// let other = Neighbour { offset: Vector2::new(2.0, 0.1), velocity: -ahead, radius: 0.3 };
+    /// assert_eq!(Manners::Blind.velocity(&walker, &[other], &[], 0.1), ahead);
+    /// assert!(Manners::Orca.velocity(&walker, &[other], &[], 0.1).y < 0.0, "it passes on the right");
+    /// ```
     #[must_use]
     pub fn velocity(self, walker: &Walker, others: &[Neighbour], walls: &[Vector2<f64>], secs: f64) -> Vector2<f64> {
         match self {

@@ -49,6 +49,18 @@ impl Motors {
     }
 
     /// Advances the motors; returns the mean wheel speeds over the time (left, right; rad/s).
+    ///
+    /// ```
+    /// # let drive = zenav_fixtures::robot("tiago").drive;
+    /// use zenav_sim::motors::Motors;
+    ///
+    /// let mut motors = Motors::at_rest();
+    /// motors.command(&drive, [3.0, 3.0]);
+    /// let mean = motors.step(&drive, 0.1);
+    /// // The wheels gain at most 8 rad/s²; over the step their mean speed is half of what they reach.
+    /// assert_eq!(drive.max_wheel_acceleration, 8.0);
+    /// assert!((motors.speed()[0] - 0.8).abs() < 1e-9 && (mean[0] - 0.4).abs() < 1e-9);
+    /// ```
     pub fn step(&mut self, drive: &Drive, secs: f64) -> [f64; 2] {
         for (left, _) in &mut self.waiting {
             *left -= secs;

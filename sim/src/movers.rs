@@ -11,16 +11,16 @@ use rand_pcg::Pcg64Mcg;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::robot::Footprint;
 
-use crate::clearance::Placed;
+use crate::clearance::{Placed, halved};
 use crate::manners::{self, Manners, Neighbour, Walker};
 use crate::scene::Scene;
-use crate::shape::{Shape, Solid};
+use crate::shape::{Edge, Solid};
 
 /// A moving obstacle as the world file describes it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MoverModel {
-    /// Its form around its position.
-    pub shape: Shape,
+    /// Its form around its position; as a polygon it may be concave.
+    pub shape: Footprint,
     /// Its route.
     pub route: Route,
     /// Speed, m/s.
@@ -36,12 +36,8 @@ impl MoverModel {
         let to_route = match &self.route {
             Route::Path(corners) => {
                 let legs = corners.iter().zip(corners.iter().cycle().skip(1));
-                legs.map(|((from, _), (to, _))| {
-                    let (along, off) = (to - from, place - from);
-                    let share = (off.dot(&along) / along.norm_squared().max(1e-12)).clamp(0.0, 1.0);
-                    (off - along * share).norm()
-                })
-                .fold(f64::INFINITY, f64::min)
+                legs.map(|((from, _), (to, _))| (place - Edge { a: *from, b: *to }.nearest(place)).norm())
+                    .fold(f64::INFINITY, f64::min)
             }
             Route::Walk { start, low, high } => {
                 let nearest = Point2::new(
@@ -51,7 +47,7 @@ impl MoverModel {
                 (place - nearest).norm()
             }
         };
-        to_route - Solid::new(self.shape.clone(), Pose2::IDENTITY).reach()
+        to_route - self.shape.circumscribed_radius()
     }
 }
 
@@ -249,19 +245,15 @@ impl Mover {
         let next = slid(scene, radius, at, wanted * secs);
         solid.place(Pose2::new(next.x, next.y, 0.0));
         if blocked(solid) {
-            let (mut free, mut taken) = (0.0, 1.0);
-            for _ in 0..HALVINGS {
-                let middle = 0.5 * (free + taken);
-                let place = at + (next - at) * middle;
-                solid.place(Pose2::new(place.x, place.y, 0.0));
-                (free, taken) = if blocked(solid) {
-                    (free, middle)
-                } else {
-                    (middle, taken)
-                };
-            }
-            let place = at + (next - at) * free;
-            solid.place(Pose2::new(place.x, place.y, 0.0));
+            let place = |solid: &mut Solid, share: f64| {
+                let at = at + (next - at) * share;
+                solid.place(Pose2::new(at.x, at.y, 0.0));
+            };
+            let free = halved(0.0, 1.0, HALVINGS, |share| {
+                place(solid, share);
+                !blocked(solid)
+            });
+            place(solid, free);
         }
         self.velocity = (solid.center() - at) / secs;
         let waits = self.rest <= 0.0 && self.velocity.norm() < HELD * self.speed;
@@ -305,18 +297,11 @@ impl Mover {
             let next = (self.along + self.speed * left).min(self.length());
             solid.place(self.at(next));
             if blocked(solid) {
-                let (mut free, mut taken) = (self.along, next);
-                for _ in 0..HALVINGS {
-                    let middle = 0.5 * (free + taken);
-                    solid.place(self.at(middle));
-                    if blocked(solid) {
-                        taken = middle;
-                    } else {
-                        free = middle;
-                    }
-                }
-                self.along = free;
-                solid.place(self.at(free));
+                self.along = halved(self.along, next, HALVINGS, |along| {
+                    solid.place(self.at(along));
+                    !blocked(solid)
+                });
+                solid.place(self.at(self.along));
                 return false;
             }
             left -= (next - self.along) / self.speed;
@@ -373,7 +358,7 @@ mod tests {
 
     fn square() -> MoverModel {
         MoverModel {
-            shape: Shape::Disc(0.2),
+            shape: Footprint::Radius(0.2),
             route: Route::Path(
                 [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
                     .map(|[x, y]| (Point2::new(x, y), 0.0))

@@ -11,6 +11,19 @@ use crate::shape::Edge;
 /// The boundary of all occupied cells; unknown cells are open. Edges that meet share bit-identical corners.
 ///
 /// Cost: one visit per cell and direction.
+///
+/// ```
+/// use nalgebra::Point2;
+/// use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
+/// use zenav_sim::outline::outline;
+///
+/// let spec = GridSpec { origin: Point2::origin(), resolution: 0.5, width: 4, height: 3 };
+/// let mut map = OccupancyGrid::filled(spec, Occupancy::FREE);
+/// (map[Cell::new(1, 1)], map[Cell::new(2, 1)]) = (Occupancy::OCCUPIED, Occupancy::OCCUPIED);
+/// let edges = outline(&map);
+/// let circumference: f64 = edges.iter().map(|edge| (edge.b - edge.a).norm()).sum();
+/// assert_eq!((edges.len(), circumference), (4, 3.0), "one rectangle of 1 m by 0.5 m");
+/// ```
 #[must_use]
 pub fn outline(map: &OccupancyGrid) -> Vec<Edge> {
     let spec = *map.spec();

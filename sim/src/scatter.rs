@@ -15,6 +15,17 @@ const TRIES: usize = 10_000;
 
 /// Places `count` robots at random in the free part of a world, at least `margin` m apart from everything; fewer if there is no room
 /// left. Robots are only compared with those in the cells around them.
+///
+/// ```
+/// # let tiago = zenav_fixtures::robot("tiago");
+/// use zenav_sim::{World, scatter::scatter};
+///
+/// let world = World::shipped("empty")?;
+/// let poses = scatter(&world, &tiago, 20, 0.5, 7);
+/// assert_eq!(poses.len(), 20);
+/// assert_eq!(poses, scatter(&world, &tiago, 20, 0.5, 7), "the same seed gives the same poses");
+/// # Ok::<(), zenav_sim::WorldError>(())
+/// ```
 #[must_use]
 pub fn scatter(world: &World, model: &RobotModel, count: usize, margin: f64, seed: u64) -> Vec<Pose2> {
     let mut rng = Pcg64Mcg::seed_from_u64(seed);

@@ -137,9 +137,7 @@ impl<F: FnMut(Point2<f64>)> Visitor<Edge> for Nearby<F> {
 
     fn meet(&mut self, edges: &[Edge]) {
         for edge in edges {
-            let (along, off) = (edge.b - edge.a, self.place - edge.a);
-            let share = (off.dot(&along) / along.norm_squared().max(1e-12)).clamp(0.0, 1.0);
-            self.found(edge.a + along * share);
+            self.found(edge.nearest(self.place));
         }
     }
 }

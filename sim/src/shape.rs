@@ -22,44 +22,15 @@ pub struct Disc {
     pub radius: f64,
 }
 
-/// The form of a solid in its own frame.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Shape {
-    /// A disc around the origin, m.
-    Disc(f64),
-    /// Corners of a simple polygon, counter-clockwise, m.
-    Polygon(Vec<Point2<f64>>),
-}
-
-impl From<&Footprint> for Shape {
-    fn from(footprint: &Footprint) -> Self {
-        match footprint {
-            Footprint::Radius(radius) => Self::Disc(*radius),
-            Footprint::Polygon(corners) => Self::Polygon(corners.clone()),
-        }
-    }
-}
-
-impl Shape {
-    /// The form for parry: solid if it is convex, otherwise its outline.
-    #[must_use]
-    pub fn form(&self) -> SharedShape {
-        match self {
-            Self::Disc(radius) => SharedShape::ball(*radius),
-            Self::Polygon(corners) => {
-                let points = || corners.iter().map(|corner| bridge::vector(*corner));
-                let solid = is_convex(corners).then(|| SharedShape::convex_polyline_unmodified(points().collect()));
-                let outline = || SharedShape::polyline(points().chain(points().take(1)).collect(), None);
-                solid.flatten().unwrap_or_else(outline)
-            }
-        }
-    }
-
-    /// Largest distance of any part from its origin, m.
-    fn reach(&self) -> f64 {
-        match self {
-            Self::Disc(radius) => *radius,
-            Self::Polygon(corners) => corners.iter().map(|corner| corner.coords.norm()).fold(0.0, f64::max),
+/// A form for parry: solid if it is convex, otherwise its outline.
+pub(crate) fn form(shape: &Footprint) -> SharedShape {
+    match shape {
+        Footprint::Radius(radius) => SharedShape::ball(*radius),
+        Footprint::Polygon(corners) => {
+            let points = || corners.iter().map(|corner| bridge::vector(*corner));
+            let solid = is_convex(corners).then(|| SharedShape::convex_polyline_unmodified(points().collect()));
+            let outline = || SharedShape::polyline(points().chain(points().take(1)).collect(), None);
+            solid.flatten().unwrap_or_else(outline)
         }
     }
 }
@@ -67,19 +38,19 @@ impl Shape {
 /// A solid that can move: its form and its present place, in world coordinates.
 #[derive(Clone)]
 pub struct Solid {
-    shape: Shape,
+    shape: Footprint,
     placed: Placed,
     reach: f64,
     edges: Vec<Edge>,
 }
 
 impl Solid {
-    /// A form at a pose.
+    /// A form at a pose; as a polygon it may be concave.
     #[must_use]
-    pub fn new(shape: Shape, pose: Pose2) -> Self {
+    pub fn new(shape: Footprint, pose: Pose2) -> Self {
         let mut solid = Self {
-            placed: Placed::new(shape.form(), pose),
-            reach: shape.reach(),
+            placed: Placed::new(form(&shape), pose),
+            reach: shape.circumscribed_radius(),
             edges: Vec::new(),
             shape,
         };
@@ -91,7 +62,7 @@ impl Solid {
     pub fn place(&mut self, pose: Pose2) {
         self.placed = self.placed.at(pose);
         self.edges.clear();
-        if let Shape::Polygon(corners) = &self.shape {
+        if let Footprint::Polygon(corners) = &self.shape {
             let (sin, cos) = pose.yaw.sin_cos();
             let placed = |p: Point2<f64>| Point2::new(pose.x + cos * p.x - sin * p.y, pose.y + sin * p.x + cos * p.y);
             self.edges.extend(edges(corners).map(|edge| Edge {
@@ -123,11 +94,11 @@ impl Solid {
     #[must_use]
     pub fn disc(&self) -> Option<Disc> {
         match self.shape {
-            Shape::Disc(radius) => Some(Disc {
+            Footprint::Radius(radius) => Some(Disc {
                 center: self.center(),
                 radius,
             }),
-            Shape::Polygon(_) => None,
+            Footprint::Polygon(_) => None,
         }
     }
 
@@ -167,7 +138,7 @@ mod tests {
     #[test]
     fn a_placed_solid_turns_with_its_pose() {
         let solid = Solid::new(
-            Shape::Polygon(l_shape()),
+            Footprint::Polygon(l_shape()),
             Pose2::new(5.0, 5.0, std::f64::consts::FRAC_PI_2),
         );
         let dot = Placed::new(SharedShape::ball(0.1), Pose2::IDENTITY);

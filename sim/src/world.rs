@@ -38,13 +38,12 @@ pub struct World {
     pub(crate) low: Point2<f64>,
     pub(crate) high: Point2<f64>,
     pub(crate) start: Pose2,
-    pub(crate) polygons: Vec<Vec<Point2<f64>>>,
-    pub(crate) discs: Vec<Disc>,
+    pub(crate) solids: Solids,
     pub(crate) map: Option<OccupancyGrid>,
     pub(crate) movers: Vec<MoverModel>,
     pub(crate) faults: Vec<FaultModel>,
     pub(crate) places: Vec<Place>,
-    scene: Arc<Scene>,
+    pub(crate) scene: Arc<Scene>,
 }
 
 /// Names and texts of the shipped worlds.
@@ -66,31 +65,25 @@ pub(crate) fn within(low: Point2<f64>, high: Point2<f64>, point: Point2<f64>) ->
     (low.x..=high.x).contains(&point.x) && (low.y..=high.y).contains(&point.y)
 }
 
-/// Parts of a world, before they are indexed.
-pub(crate) struct Parts {
-    pub name: String,
-    pub low: Point2<f64>,
-    pub high: Point2<f64>,
-    pub start: Pose2,
-    pub seen: Solids,
-    pub glass: Solids,
-    pub map: Option<OccupancyGrid>,
-    pub movers: Vec<MoverModel>,
-    pub faults: Vec<FaultModel>,
-    pub places: Vec<Place>,
-}
-
-/// Static solids.
-#[derive(Default)]
+/// Static solids, of glass too.
+#[derive(Clone, Default)]
 pub(crate) struct Solids {
     pub polygons: Vec<Vec<Point2<f64>>>,
     pub discs: Vec<Disc>,
 }
 
-impl Solids {
-    fn edges(&self) -> impl Iterator<Item = Edge> {
-        self.polygons.iter().flat_map(|polygon| shape::edges(polygon))
-    }
+/// Indexes a map, solids and glass.
+pub(crate) fn scene(map: Option<&OccupancyGrid>, seen: &Solids, glass: &Solids) -> Arc<Scene> {
+    let sides = |solids: &Solids| -> Vec<Edge> {
+        solids
+            .polygons
+            .iter()
+            .flat_map(|polygon| shape::edges(polygon))
+            .collect()
+    };
+    let mut edges = map.map(outline).unwrap_or_default();
+    edges.extend(sides(seen));
+    Arc::new(Scene::new(edges, seen.discs.clone()).with_glass(sides(glass), &glass.discs))
 }
 
 impl World {
@@ -99,6 +92,19 @@ impl World {
     /// `file` is named in errors. `load_map` opens the path in `[map] yaml`, exactly as written there: the caller knows what the path is
     /// relative to, and reads images.
     ///
+    /// ```
+    /// use nalgebra::Point2;
+    /// use zenav_sim::World;
+    ///
+    /// let text = "size = [4.0, 3.0]\n[[circle]]\nx = 1.0\ny = 1.0\nradius = 0.2\n";
+    /// let no_map = |path: &str| Err(format!("{path}: no map here"));
+    /// let world = World::from_toml(text, "my.toml", &no_map)?;
+    /// assert!(world.is_solid(Point2::new(1.1, 1.0)) && !world.is_solid(Point2::new(1.3, 1.0)));
+    /// let error = World::from_toml(&text.replace("0.2", "-0.2"), "my.toml", &no_map).err().unwrap();
+    /// assert_eq!(error.to_string(), "my.toml:5: `circle.radius`: -0.2: expected a positive number up to 100000");
+    /// # Ok::<(), zenav_sim::WorldError>(())
+    /// ```
+    ///
     /// # Errors
     /// [`WorldError`] names the file, the line and the key.
     pub fn from_toml(
@@ -106,10 +112,20 @@ impl World {
         file: &str,
         load_map: &dyn Fn(&str) -> Result<OccupancyGrid, String>,
     ) -> Result<Self, WorldError> {
-        world_file::read(text, file, load_map).map(Self::new)
+        world_file::read(text, file, load_map)
     }
 
     /// A shipped world by name: `kitchen`, `wall_follow`, `house`, `empty`.
+    ///
+    /// ```
+    /// use zenav_sim::World;
+    ///
+    /// let kitchen = World::shipped("kitchen")?;
+    /// assert_eq!(kitchen.place("sink").map(|sink| (sink.x, sink.y)), Some((0.88, 0.09)));
+    /// let error = World::shipped("attic").err().unwrap();
+    /// assert_eq!(error.to_string(), "no shipped world is named `attic`: there are kitchen, wall_follow, house, empty");
+    /// # Ok::<(), zenav_sim::WorldError>(())
+    /// ```
     ///
     /// # Errors
     /// [`WorldError::Unknown`] for another name.
@@ -122,51 +138,34 @@ impl World {
     }
 
     /// A world that consists of a map only: occupied cells are solid, all others open.
+    ///
+    /// ```
+    /// use nalgebra::Point2;
+    /// use zenav_protocol::{geometry::Pose2, grid::{Cell, GridSpec, Occupancy, OccupancyGrid}};
+    /// use zenav_sim::World;
+    ///
+    /// let spec = GridSpec { origin: Point2::new(-2.0, 0.0), resolution: 1.0, width: 4, height: 3 };
+    /// let mut map = OccupancyGrid::filled(spec, Occupancy::UNKNOWN);
+    /// map[Cell::new(2, 1)] = Occupancy::OCCUPIED;
+    /// let world = World::from_map("drawn", map, Pose2::new(-1.5, 0.5, 0.0));
+    /// assert_eq!(world.bounds(), (Point2::new(-2.0, 0.0), Point2::new(2.0, 3.0)));
+    /// assert!(world.is_solid(Point2::new(0.5, 1.5)) && !world.is_solid(Point2::new(-0.5, 1.5)));
+    /// ```
     #[must_use]
     pub fn from_map(name: &str, map: OccupancyGrid, start: Pose2) -> Self {
         let spec = *map.spec();
-        Self::new(Parts {
+        let nothing = Solids::default();
+        Self {
             name: name.to_owned(),
             low: spec.origin,
             high: spec.upper(),
             start,
-            seen: Solids::default(),
-            glass: Solids::default(),
+            scene: scene(Some(&map), &nothing, &nothing),
+            solids: nothing,
             map: Some(map),
             movers: Vec::new(),
             faults: Vec::new(),
             places: Vec::new(),
-        })
-    }
-
-    fn new(parts: Parts) -> Self {
-        let Parts {
-            name,
-            low,
-            high,
-            start,
-            seen,
-            glass,
-            map,
-            movers,
-            faults,
-            places,
-        } = parts;
-        let mut edges = map.as_ref().map(outline).unwrap_or_default();
-        edges.extend(seen.edges());
-        let scene = Scene::new(edges, seen.discs.clone()).with_glass(glass.edges().collect(), &glass.discs);
-        Self {
-            name,
-            low,
-            high,
-            start,
-            polygons: seen.polygons.into_iter().chain(glass.polygons).collect(),
-            discs: seen.discs.into_iter().chain(glass.discs).collect(),
-            map,
-            movers,
-            faults,
-            places,
-            scene: Arc::new(scene),
         }
     }
 
@@ -194,7 +193,17 @@ impl World {
         within(self.low, self.high, point)
     }
 
-    /// Values that can be simulated but are hardly intended: a start or places where no robot can stand, each in words.
+    /// Values that can be simulated but are hardly intended, each in words: a start or places where no robot can stand, a map without an
+    /// occupied cell.
+    ///
+    /// ```
+    /// use zenav_sim::World;
+    ///
+    /// let text = "size = [4.0, 3.0]\n[start]\nx = 1.0\ny = 1.0\n[[circle]]\nx = 1.2\ny = 1.0\nradius = 0.5\n";
+    /// let world = World::from_toml(text, "my.toml", &|_| Err(String::new()))?;
+    /// assert_eq!(world.doubts(), ["the start at (1, 1) lies inside something solid"]);
+    /// # Ok::<(), zenav_sim::WorldError>(())
+    /// ```
     #[must_use]
     pub fn doubts(&self) -> Vec<String> {
         let start = ("the start".to_owned(), self.start.position());
@@ -208,7 +217,10 @@ impl World {
             Some(format!("{what} at ({}, {}) {why}", Number(at.x), Number(at.y)))
         };
         let all = [start].into_iter().chain(self.places.iter().map(named));
-        all.filter_map(doubt).collect()
+        let is_solid = |value: &i8| Occupancy::of(*value) == Occupancy::Occupied;
+        let bare = self.map.as_ref().filter(|map| !map.values().iter().any(is_solid));
+        let bare = bare.map(|_| "the map has no occupied cell: there is no wall in it".to_owned());
+        all.filter_map(doubt).chain(bare).collect()
     }
 
     /// Named goals, in the order of the file.
@@ -238,13 +250,13 @@ impl World {
     /// Solid polygons (walls and glass too), counter-clockwise, m.
     #[must_use]
     pub fn polygons(&self) -> &[Vec<Point2<f64>>] {
-        &self.polygons
+        &self.solids.polygons
     }
 
     /// Solid discs (of glass too), m.
     #[must_use]
     pub fn discs(&self) -> &[Disc] {
-        &self.discs
+        &self.solids.discs
     }
 
     /// The map, if the world has one.
@@ -272,14 +284,33 @@ impl World {
             .and_then(|map| map.at(point))
             .is_some_and(|value| Occupancy::of(*value) == Occupancy::Occupied);
         let in_disc = || {
-            self.discs
+            self.solids
+                .discs
                 .iter()
                 .any(|disc| (disc.center - point).norm_squared() <= disc.radius * disc.radius)
         };
-        in_map || in_disc() || self.polygons.iter().any(|polygon| shape::contains(polygon, point))
+        in_map
+            || in_disc()
+            || self
+                .solids
+                .polygons
+                .iter()
+                .any(|polygon| shape::contains(polygon, point))
     }
 
     /// Distance from a footprint at a pose to the nearest static solid, m; zero on and inside it, infinite if there is none.
+    ///
+    /// ```
+    /// use zenav_protocol::{geometry::Pose2, robot::Footprint};
+    /// use zenav_sim::World;
+    ///
+    /// // The left side of the table lies at x = -0.6.
+    /// let kitchen = World::shipped("kitchen")?;
+    /// let clearance = |x| kitchen.clearance(&Footprint::Radius(0.2), Pose2::new(x, -1.8, 0.0));
+    /// assert!((clearance(-1.1) - 0.3).abs() < 1e-6);
+    /// assert_eq!((clearance(-0.7), clearance(0.0)), (0.0, 0.0), "at its edge, and inside it");
+    /// # Ok::<(), zenav_sim::WorldError>(())
+    /// ```
     #[must_use]
     pub fn clearance(&self, footprint: &Footprint, map_from_base: Pose2) -> f64 {
         if self.is_solid(map_from_base.position()) {
@@ -292,9 +323,30 @@ impl World {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used, reason = "tests")]
+    use zenav_protocol::grid::{Cell, GridSpec};
+
     use super::*;
 
     const TIAGO: Footprint = Footprint::Radius(0.265);
+
+    #[test]
+    fn a_map_without_an_occupied_cell_is_told_of() {
+        let spec = GridSpec {
+            origin: Point2::new(-1.0, -1.0),
+            resolution: 0.1,
+            width: 20,
+            height: 20,
+        };
+        let mut map = OccupancyGrid::filled(spec, Occupancy::FREE);
+        let doubts = |map: &OccupancyGrid| World::from_map("drawn", map.clone(), Pose2::IDENTITY).doubts();
+        let told = doubts(&map);
+        assert!(
+            matches!(&told[..], [told] if told.contains("no occupied cell")),
+            "{told:?}"
+        );
+        map[Cell::new(3, 3)] = Occupancy::OCCUPIED;
+        assert!(doubts(&map).is_empty());
+    }
 
     fn clearance(world: &World, x: f64, y: f64) -> f64 {
         world.clearance(&TIAGO, Pose2::new(x, y, 0.0))

@@ -5,7 +5,8 @@ use std::ops::Range;
 use nalgebra::Point2;
 use thiserror::Error;
 use toml::Spanned;
-use zenav_protocol::config_text::{Expected, Number, Pair};
+use zenav_protocol::config_text::{self, Expected, Number, Pair, TextError};
+use zenav_protocol::geometry::MAX_COORDINATE;
 use zenav_protocol::polygon;
 
 /// Largest number of polygons, circles and walls, each.
@@ -16,8 +17,6 @@ pub const MAX_CORNERS: usize = 1_000;
 pub const MAX_ALL_CORNERS: usize = 200_000;
 /// Largest number of movers, doors, places and faults, each.
 pub const MAX_MOVERS: usize = 1_000;
-/// Largest absolute coordinate, m.
-pub const MAX_COORDINATE: f64 = 100_000.0;
 /// Longest rest of a mover or door, s.
 pub const MAX_REST: f64 = 86_400.0;
 /// Largest speed of a mover, m/s.
@@ -34,49 +33,18 @@ pub enum WorldError {
         /// The names that are known.
         known: String,
     },
-    /// The TOML does not fit: an unknown, missing or mistyped key.
-    #[error("{file}:{line}: {source}")]
-    Toml {
-        /// The file.
-        file: String,
-        /// Counted from 1.
-        line: usize,
-        /// What and where.
-        source: Box<toml::de::Error>,
-    },
-    /// A value that no world may have.
-    #[error("{file}:{line}: `{key}`: {problem}")]
-    Value {
-        /// The file.
-        file: String,
-        /// Counted from 1.
-        line: usize,
-        /// The key.
-        key: &'static str,
-        /// What is wrong with it.
-        problem: String,
-    },
+    /// The file's text does not fit.
+    #[error(transparent)]
+    File(#[from] TextError),
 }
 
-/// The text of a file, to convert byte positions into lines.
+/// The text of a file, and the checks of its values.
 #[derive(Clone, Copy)]
-pub(crate) struct Source<'a> {
-    pub text: &'a str,
-    pub file: &'a str,
-}
+pub(crate) struct Source<'a>(pub config_text::Source<'a>);
 
 impl Source<'_> {
-    pub fn line(self, span: Range<usize>) -> usize {
-        1 + self.text.bytes().take(span.start).filter(|byte| *byte == b'\n').count()
-    }
-
     pub fn fail<T>(self, span: Range<usize>, key: &'static str, problem: impl Into<String>) -> Result<T, WorldError> {
-        Err(WorldError::Value {
-            file: self.file.to_owned(),
-            line: self.line(span),
-            key,
-            problem: problem.into(),
-        })
+        Err(self.0.refused(span.start, key, problem).into())
     }
 
     pub fn positive(self, value: &Spanned<f64>, key: &'static str) -> Result<f64, WorldError> {

@@ -11,6 +11,8 @@ use std::net::TcpStream;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
 use serde_json::{Value, json};
 
 use crate::process::{Process, free_endpoint};
@@ -110,6 +112,18 @@ impl Browser {
         self.call("POST", "/execute/async", &json!({ "script": script, "args": [] }))
     }
 
+    /// Runs a command of the `DevTools` protocol, such as `Input.dispatchTouchEvent`.
+    ///
+    /// # Panics
+    /// When the browser refuses.
+    pub fn command(&self, name: &str, parameters: &Value) {
+        self.call(
+            "POST",
+            "/goog/cdp/execute",
+            &json!({ "cmd": name, "params": parameters }),
+        );
+    }
+
     /// Waits until an expression of the page is true.
     ///
     /// # Panics
@@ -185,10 +199,11 @@ impl Browser {
     /// Writes a picture of the window, PNG.
     ///
     /// # Panics
-    /// When the file cannot be written.
+    /// When there is no picture, or the file cannot be written.
     pub fn screenshot(&self, file: &Path) {
         let text = self.call("GET", "/screenshot", &Value::Null);
-        std::fs::write(file, base64(text.as_str().unwrap_or_default())).expect("the picture is written");
+        let picture = STANDARD.decode(text.as_str().unwrap_or_default());
+        std::fs::write(file, picture.expect("base64")).expect("the picture is written");
     }
 
     /// Errors in the page's console.
@@ -262,26 +277,4 @@ impl Drop for Browser {
             let _ = self.answer("DELETE", &self.session, None);
         }
     }
-}
-
-/// Decodes base64; other characters are skipped.
-fn base64(text: &str) -> Vec<u8> {
-    let (mut bytes, mut held, mut bits) = (Vec::with_capacity(text.len() * 3 / 4), 0_u32, 0_u32);
-    for letter in text.bytes() {
-        let value = match letter {
-            b'A'..=b'Z' => letter - b'A',
-            b'a'..=b'z' => letter - b'a' + 26,
-            b'0'..=b'9' => letter - b'0' + 52,
-            b'+' => 62,
-            b'/' => 63,
-            _ => continue,
-        };
-        held = (held << 6 | u32::from(value)) & 0xFF_FFFF;
-        bits += 6;
-        if bits >= 8 {
-            bits -= 8;
-            bytes.push((held >> bits & 0xFF) as u8);
-        }
-    }
-    bytes
 }

@@ -12,7 +12,7 @@ use std::time::Duration;
 use tempfile::TempDir;
 use zenav_protocol::bus::{Bus, BusConfig};
 
-use crate::process::{Process, free_endpoint, run};
+use crate::process::{Process, free_endpoint, run, words};
 
 /// The robot of the shipped deployment.
 pub const ROBOT: &str = "tiago";
@@ -25,22 +25,12 @@ pub const CORRIDOR: &str = r#"
 name = "corridor"
 size = [18.0, 4.0]
 origin = [-1.0, -2.0]
-[[wall]]
-from = [-0.95, -1.5]
-to = [16.95, -1.5]
-thickness = 0.1
-[[wall]]
-from = [-0.95, 1.5]
-to = [16.95, 1.5]
-thickness = 0.1
-[[wall]]
-from = [-0.95, -1.5]
-to = [-0.95, 1.5]
-thickness = 0.1
-[[wall]]
-from = [16.95, -1.5]
-to = [16.95, 1.5]
-thickness = 0.1
+wall = [
+  { from = [-0.95, -1.5], to = [16.95, -1.5], thickness = 0.1 },
+  { from = [-0.95, 1.5], to = [16.95, 1.5], thickness = 0.1 },
+  { from = [-0.95, -1.5], to = [-0.95, 1.5], thickness = 0.1 },
+  { from = [16.95, -1.5], to = [16.95, 1.5], thickness = 0.1 },
+]
 [[place]]
 name = "far_end"
 x = 15.0
@@ -104,20 +94,10 @@ impl Deployment {
     /// `zenav edge`.
     #[must_use]
     pub fn start_edge(&self) -> Process {
-        let speed = self.speed.to_string();
-        self.start(&[
-            "edge",
-            "--connect",
-            &self.router,
-            "--listen",
-            &self.edge,
-            "--data",
-            "edge",
-            "--world",
-            &self.world,
-            "--speed",
-            &speed,
-        ])
+        let (router, edge, world, speed) = (&self.router, &self.edge, &self.world, self.speed);
+        self.start(&words(&format!(
+            "edge --connect {router} --listen {edge} --data edge --world {world} --speed {speed}"
+        )))
     }
 
     /// `zenav cloud all`.
@@ -129,48 +109,31 @@ impl Deployment {
     /// `zenav cloud` with one of its services.
     #[must_use]
     pub fn start_service(&self, service: &str) -> Process {
-        self.start(&[
-            "cloud",
-            service,
-            "--connect",
-            &self.router,
-            "--data",
-            "cloud",
-            "--world",
-            &self.world,
-        ])
+        self.start_service_in(service, "cloud")
+    }
+
+    /// `zenav cloud` with one of its services, as on a machine of its own: its files are in the folder `data`.
+    #[must_use]
+    pub fn start_service_in(&self, service: &str, data: &str) -> Process {
+        let (router, world) = (&self.router, &self.world);
+        self.start(&words(&format!(
+            "cloud {service} --connect {router} --data {data} --world {world}"
+        )))
     }
 
     /// `zenav cloud motion` under a worker's name.
     #[must_use]
     pub fn start_motion_worker(&self, worker: &str) -> Process {
-        self.start(&[
-            "cloud",
-            "motion",
-            "--connect",
-            &self.router,
-            "--data",
-            "cloud",
-            "--worker",
-            worker,
-        ])
+        let router = &self.router;
+        self.start(&words(&format!(
+            "cloud motion --connect {router} --data cloud --worker {worker}"
+        )))
     }
 
     /// `zenav cloud mission` under a name, which is also its folder.
     #[must_use]
     pub fn start_mission(&self, holder: &str) -> Process {
-        self.start(&[
-            "cloud",
-            "mission",
-            "--connect",
-            &self.router,
-            "--data",
-            holder,
-            "--holder",
-            holder,
-            "--world",
-            &self.world,
-        ])
+        self.start_service_in(&format!("mission --holder {holder}"), holder)
     }
 
     /// `zenav cloud mission` under a name, which is also its folder. `robots`: the robots' sections of a deployment file; `is_pinned`: only
@@ -233,9 +196,10 @@ impl Deployment {
     /// `zenav sim serve`: the world, and the router.
     #[must_use]
     pub fn start_served_world(&self) -> Process {
-        let speed = self.speed.to_string();
-        let world = ["--world", &self.world, "--speed", &speed];
-        self.start(&[&["sim", "serve", "--listen", &self.router][..], &world].concat())
+        let (router, world, speed) = (&self.router, &self.world, self.speed);
+        self.start(&words(&format!(
+            "sim serve --listen {router} --world {world} --speed {speed}"
+        )))
     }
 
     /// `zenav up` for robots of the served world; `robots`: their sections of a deployment file.

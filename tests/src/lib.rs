@@ -11,6 +11,7 @@
 //! | [`observer`] | what a robot publishes, and how to wait for it |
 //! | [`acceptance`] | the long runs: many worlds, many kills |
 //! | [`untrusted`] | any bytes as a message or a file, for the fuzz targets and an ordinary test |
+//! | [`provenance`] | the machine and the commit of a run |
 //! | [`usage`] | processor time and memory of a process |
 
 pub mod acceptance;
@@ -20,6 +21,7 @@ pub mod hosts;
 pub mod http;
 pub mod observer;
 pub mod process;
+pub mod provenance;
 pub mod secured;
 pub mod untrusted;
 pub mod usage;

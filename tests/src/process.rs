@@ -43,6 +43,11 @@ pub fn free_endpoint() -> String {
     format!("tcp/127.0.0.1:{port}")
 }
 
+/// The words of a command line, split at its spaces.
+pub(crate) fn words(line: &str) -> Vec<&str> {
+    line.split(' ').collect()
+}
+
 impl Process {
     /// Starts `binary` with arguments in a folder.
     ///

@@ -9,7 +9,7 @@ use std::time::Duration;
 use tempfile::TempDir;
 use zenav_protocol::bus::{Bus, BusConfig, BusError, Security};
 
-use crate::process::{Process, free_endpoint, run};
+use crate::process::{Process, free_endpoint, run, words};
 
 /// Longest run of a command.
 const COMMAND: Duration = Duration::from_secs(90);
@@ -120,38 +120,19 @@ impl SecuredFleet {
     /// `zenav sim serve` on the router.
     #[must_use]
     pub fn start_world(&self, member: &str) -> Process {
-        let speed = self.speed.to_string();
-        self.start(
-            member,
-            &[
-                "sim",
-                "serve",
-                "--connect",
-                &self.router,
-                "--world",
-                "kitchen",
-                "--speed",
-                &speed,
-            ],
-        )
+        let (router, speed) = (&self.router, self.speed);
+        let line = format!("sim serve --connect {router} --world kitchen --speed {speed}");
+        self.start(member, &words(&line))
     }
 
     /// `zenav edge` of a robot in the served world.
     #[must_use]
     pub fn start_edge(&self, member: &str) -> Process {
-        self.start(
-            member,
-            &[
-                "edge",
-                "--attach",
-                "--connect",
-                &self.router,
-                "--listen",
-                &self.edge,
-                "--data",
-                "edge",
-            ],
-        )
+        let line = format!(
+            "edge --attach --connect {} --listen {} --data edge",
+            self.router, self.edge
+        );
+        self.start(member, &words(&line))
     }
 
     /// `zenav cloud all`.

@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
+use std::process::Stdio;
 use std::time::Duration;
 
 use zenav_edge::trackers::LAWS;
@@ -25,6 +26,19 @@ fn whatever_it_is_told_the_robot_drives_into_nothing_and_finishes_what_is_harmle
         way > 25.0 && benign > 1,
         "a robot that never moves passes nothing: {way} m"
     );
+}
+
+#[test]
+fn a_run_whose_findings_nobody_reads_ends_without_an_error() {
+    let acceptance = std::process::Command::new(env!("CARGO_BIN_EXE_acceptance"))
+        .args(["replay", "1"])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn();
+    let mut acceptance = acceptance.unwrap();
+    drop(acceptance.stdout.take());
+    let ended = acceptance.wait_with_output().unwrap();
+    assert!(ended.status.success() && ended.stderr.is_empty(), "{ended:?}");
 }
 
 #[test]

@@ -68,6 +68,7 @@ fn key(pattern: &str) -> String {
         .replace("{worker}", "*")
         .replace("{store}", "*")
         .replace("{part}", "*")
+        .replace("{message}", "*")
 }
 
 /// The error reply of every server of a key, one each.
@@ -95,24 +96,19 @@ fn senseless() -> Vec<(String, Vec<u8>)> {
         range_min: -1.0,
         range_max: f64::NAN,
         ranges: vec![f32::NAN; 10],
-        boot_id: String::new(),
-        moving: Vec::new(),
         base_from_laser: nowhere,
         map_from_odom: nowhere,
         odom_from_base: nowhere,
+        ..Scan::default()
     };
     let far_away = Scan {
         stamp: Stamp::from_secs(1.0),
         angle_min: 0.0,
         angle_increment: 0.1,
-        range_min: 0.0,
         range_max: 1e300,
         ranges: vec![1e30; 10],
-        boot_id: String::new(),
-        moving: Vec::new(),
-        base_from_laser: Pose2::IDENTITY,
         map_from_odom: Pose2::new(1e300, -1e300, 0.0),
-        odom_from_base: Pose2::IDENTITY,
+        ..Scan::default()
     };
     let correction = Correction {
         stamp: Stamp(u64::MAX),

@@ -1,12 +1,13 @@
 //! Does every command of the README and of `docs/` do what the page says? Each ```` ```sh ```` block is run unchanged beside one `zenav
-//! up`, with the ports replaced by free ones; `CONTRIBUTING.md` describes the conventions.
+//! up`, with the ports replaced by free ones; `CONTRIBUTING.md` describes the conventions. Blocks for programs that are not zenav's
+//! (`# needs zenoh-cli`) are run by a test of their own.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 
-use std::collections::BTreeSet;
-use std::fmt::Write as _;
+use std::collections::{BTreeMap, BTreeSet};
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::{Path, PathBuf};
+use std::process::Output;
 use std::time::Duration;
 
 use zenav_protocol::bus::{Bus, BusConfig};
@@ -32,11 +33,23 @@ const PARTS: [&str; 6] = [
 ];
 /// Commands that already run, or must have run before this test.
 const DONE: [&str; 4] = ["zenav up", "cargo test --workspace", "cargo build --release", ".ci/run"];
-/// Ports named in the pages.
+/// Ports named in the pages: those of the deployment's router, robot, page and REST.
 const ROUTER_PORT: &str = "7447";
 const ROBOT_PORT: &str = "7450";
-/// Port of a health endpoint in the pages; clients of any kind use it.
-const HEALTH_PORT: &str = "9464";
+const PAGE_PORT: &str = "7480";
+const REST_PORT: &str = "8000";
+/// Other ports named in the pages: of a second router, and of a health endpoint.
+const OTHER_PORTS: [&str; 2] = ["7460", "9464"];
+/// Programs that blocks need: name, what succeeds where it is there, and how to get it.
+const TOOLS: [(&str, &str, &str); 3] = [
+    ("curl", "curl --version", "apt-get install curl"),
+    ("zenoh-cli", "zenoh --help", "PYTHON -m pip install zenoh-cli"),
+    (
+        "eclipse-zenoh",
+        "python3 -c 'import zenoh'",
+        "PYTHON -m pip install eclipse-zenoh",
+    ),
+];
 
 /// A fenced block.
 #[derive(Debug, PartialEq)]
@@ -47,6 +60,8 @@ struct Block {
     file: Option<String>,
     /// Why the block is not run: `# not run: REASON` in its first lines.
     not_run: Option<String>,
+    /// Programs that the block needs: `# needs NAME, NAME` in its first lines.
+    needs: Vec<String>,
     text: String,
 }
 
@@ -70,12 +85,14 @@ fn blocks(page: &str) -> Vec<Block> {
             .and_then(|rest| rest.strip_suffix(" -->"));
         let remarks = inside.iter().map_while(|line| remark(line));
         let not_run = remarks.clone().find_map(|remark| remark.strip_prefix("not run: "));
+        let needs = remarks.clone().find_map(|remark| remark.strip_prefix("needs "));
         let named = remarks.clone().next().filter(|name| is_file_name(name));
         found.push(Block {
             line: at + 1,
             language: language.to_owned(),
             file: above.or(named).map(str::to_owned),
             not_run: not_run.map(str::to_owned),
+            needs: needs.map_or_else(Vec::new, |names| names.split(", ").map(str::to_owned).collect()),
             text: inside.join("\n"),
         });
         at += length + 2;
@@ -173,48 +190,43 @@ fn is_in(expected: &[String], output: &str) -> Result<(), String> {
 /// Folder in which the commands of all pages run, beside one `zenav up`.
 struct Place {
     folder: tempfile::TempDir,
-    router: String,
-    /// A free port instead of [`HEALTH_PORT`].
-    health: String,
+    /// A free port for each port named in the pages.
+    ports: BTreeMap<&'static str, String>,
     /// Demonstrations already run: they take long, and two pages may show the same one.
     shown: BTreeSet<String>,
 }
 
 impl Place {
     fn new() -> Self {
+        let named = [ROUTER_PORT, ROBOT_PORT, PAGE_PORT, REST_PORT]
+            .into_iter()
+            .chain(OTHER_PORTS);
         let place = Self {
             folder: tempfile::tempdir().unwrap(),
-            router: free_endpoint(),
-            health: free_endpoint().rsplit(':').next().unwrap().to_owned(),
+            ports: named.map(|port| (port, free_port())).collect(),
             shown: BTreeSet::new(),
         };
-        let (router, robot) = (place.router.as_str(), free_endpoint());
-        let mut ports = String::new();
-        for (port, endpoint) in [(ROUTER_PORT, router), (ROBOT_PORT, &robot)] {
-            let free = endpoint.rsplit(':').next().unwrap();
-            let _ = write!(ports, "s/:{port}\\b/:{free}/g;");
-        }
-        // Each argument is rewritten separately and keeps its spaces. Commands that use the default endpoint are given the deployment's.
+        let [robot, page, rest] = [ROBOT_PORT, PAGE_PORT, REST_PORT].map(|port| place.ports[port].as_str());
+        // Commands that use the default endpoint are given the deployment's. A deployment of a block's own takes free ports.
         let zenav = format!(
             r#"#!/bin/sh
-count=$#
-while [ "$count" -gt 0 ]; do
-    set -- "$@" "$(printf '%s' "$1" | sed '{ports}')"
-    shift
-    count=$((count - 1))
-done
 has() {{ case " $all " in *" $1 "*) true ;; *) false ;; esac }}
 all="$*"
 case "$1 $2" in
-    "up "*) [ -n "$2" ] || export ZENAV_ROBOTS__{upper}__LISTEN={robot}
-        export ZENAV_ROUTER__LISTEN='["{router}"]' ZENAV_BUS__CONNECT={router} ZENAV_SIMULATION__SPEED={SPEED} ;;
+    "up ") export ZENAV_ROUTER__LISTEN="[\"$ROUTER\"]" ZENAV_BUS__CONNECT="$ROUTER" ZENAV_SIMULATION__SPEED={SPEED}
+        export ZENAV_ROBOTS__{upper}__LISTEN=tcp/127.0.0.1:{robot} ZENAV_GATEWAY__LISTEN=127.0.0.1:{page} ZENAV_ROUTER__REST=127.0.0.1:{rest} ;;
+    "up "*) export ZENAV_ROUTER__LISTEN="[\"$ROUTER\"]" ZENAV_BUS__CONNECT="$ROUTER" ZENAV_GATEWAY__LISTEN=127.0.0.1:0
+        ZENAV_DATA__DIR=$(mktemp -d ./up.XXXXXX) && export ZENAV_DATA__DIR
+        case "$2" in --*) export ZENAV_ROBOTS__{upper}__LISTEN=tcp/127.0.0.1:0 ;; esac ;;
     "demo "*) has --speed || set -- "$@" --speed {SPEED} ;;
-    "router "* | "sim serve") has --listen || set -- "$@" --listen {router} ;;
-    "map load" | "map store" | "map reset" | "map hold" | "map resume" | "map list") has --connect || set -- "$@" --connect {router} ;;
-    "map show" | "map save") case "$3" in *.yaml | *.png | *.pgm | *.map) ;; *) has --connect || set -- "$@" --connect {router} ;; esac ;;
+    "router "* | "sim serve") has --listen || set -- "$@" --listen "$ROUTER" ;;
+    "map load" | "map store" | "map reset" | "map hold" | "map resume" | "map list" | "map watch") has --connect || set -- "$@" --connect "$ROUTER" ;;
+    "map show" | "map save") case "$3" in *.yaml | *.png | *.pgm | *.map) ;; *) has --connect || set -- "$@" --connect "$ROUTER" ;; esac ;;
+    "view "*) has --listen || set -- "$@" --listen 127.0.0.1:0
+        has --connect || set -- "$@" --connect "$ROUTER" ;;
     "do "* | "param "* | "place "* | "zone "* | "ask "* | \
     "edge "* | "cloud "* | "gateway "* | "goal "* | "stop "* | "resume "* | "teleop "* | "lease "* | "topic "* | "ps "* | "logs "* | "doctor "* | "bt watch" | "record "* | "replay "* | "pose "*)
-        has --connect || set -- "$@" --connect {router} ;;
+        has --connect || set -- "$@" --connect "$ROUTER" ;;
 esac
 exec {ZENAV} "$@"
 "#,
@@ -235,9 +247,24 @@ exec {ZENAV} "$@"
         self.folder.path().join(".bin")
     }
 
+    fn router(&self) -> String {
+        format!("tcp/127.0.0.1:{}", self.ports[ROUTER_PORT])
+    }
+
+    /// A text of a page with the ports of this test.
+    fn local(&self, text: &str) -> String {
+        self.ports.iter().fold(text.to_owned(), |text, (named, free)| {
+            text.replace(&format!(":{named}"), &format!(":{free}"))
+        })
+    }
+
+    /// Programs are found beside zenav's, then beside the Python of `PYTHON`, then as usual.
     fn script(&self, command: &str) -> String {
-        let command = command.replace(&format!(":{HEALTH_PORT}"), &format!(":{}", self.health));
-        format!("PATH={}:$PATH\nset -e\n{command}", self.bin().display())
+        let python = PathBuf::from(std::env::var_os("PYTHON").unwrap_or_default());
+        let (bin, beside) = (self.bin(), python.parent().unwrap_or(Path::new("")));
+        let path = format!("{}:{}:$PATH", bin.display(), beside.display());
+        let (router, command) = (self.router(), self.local(command));
+        format!("PATH=\"{path}\"\nexport ROUTER={router}\nset -e\n{command}")
     }
 
     fn start(&self, command: &str) -> Process {
@@ -245,10 +272,15 @@ exec {ZENAV} "$@"
         Process::start("sh", &["-c", &script], self.folder.path())
     }
 
+    fn finish(&self, command: &str) -> Output {
+        let script = self.script(command);
+        tokio::task::block_in_place(|| run("sh", &["-c", &script], self.folder.path(), LIMIT))
+    }
+
     /// Starts the deployment for all pages, and waits until its mission commands the robot.
-    async fn up(&self) -> Process {
-        let up = self.start("zenav up");
-        let opening = Bus::open(BusConfig::service("docs", &self.router));
+    async fn up(&self, command: &str) -> Process {
+        let up = self.start(command);
+        let opening = Bus::open(BusConfig::service("docs", &self.router()));
         let bus = tokio::time::timeout(READY, opening)
             .await
             .expect("the router listens")
@@ -263,7 +295,7 @@ exec {ZENAV} "$@"
 
     /// Runs a block; returns the processes that keep running.
     fn run(&mut self, page: &str, block: &Block) -> Vec<Process> {
-        let mut running = Vec::new();
+        let (mut running, mut own) = (Vec::new(), None);
         for command in commands(block) {
             let at = format!("{page}:{}: {}", command.line, command.script);
             let is_done = DONE.contains(&command.script.as_str());
@@ -272,22 +304,41 @@ exec {ZENAV} "$@"
                 continue;
             }
             eprintln!("{at}");
-            if command.keeps_running {
-                running.push(self.start(&command.script));
+            if command.script.starts_with("zenav up ") {
+                // The commands below are for this deployment, which ends with the block.
+                let main = self.ports.insert(ROUTER_PORT, free_port());
+                let mut up = self.start(&command.script);
+                up.until("ready in", READY);
+                own = Some((main, up));
                 continue;
             }
-            let script = self.script(&command.script);
-            let done = tokio::task::block_in_place(|| run("sh", &["-c", &script], self.folder.path(), LIMIT));
+            if command.keeps_running {
+                let mut process = self.start(&command.script);
+                if command.script.starts_with("zenav router ") {
+                    process.until("router up", READY);
+                }
+                running.push(process);
+                continue;
+            }
+            let done = self.finish(&command.script);
             let (stdout, stderr) = (
                 String::from_utf8_lossy(&done.stdout),
                 String::from_utf8_lossy(&done.stderr),
             );
             assert_eq!(done.status.code(), Some(command.exits), "{at}\n{stdout}\n{stderr}");
-            let found = is_in(&command.output, &stdout);
+            let expected: Vec<String> = command.output.iter().map(|line| self.local(line)).collect();
+            let found = is_in(&expected, &stdout);
             assert!(found.is_ok(), "{at}: {}\n{stdout}\n{stderr}", found.unwrap_err());
+        }
+        if let Some((Some(main), _up)) = own {
+            self.ports.insert(ROUTER_PORT, main);
         }
         running
     }
+}
+
+fn free_port() -> String {
+    free_endpoint().rsplit(':').next().unwrap().to_owned()
 }
 
 /// The README and every page of `docs/`.
@@ -311,21 +362,29 @@ fn pages() -> Vec<PathBuf> {
     pages
 }
 
-#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
-async fn every_command_of_the_docs_does_what_its_page_says() {
+/// Runs the blocks of all pages beside a deployment: those that need other programs, or all others.
+async fn run_blocks(up: &str, with_tools: bool) {
     let mut place = Place::new();
-    let mut up = place.up().await;
+    let mut up = place.up(up).await;
     let (mut run, mut not_run) = (0, Vec::new());
     for path in pages() {
         let text = std::fs::read_to_string(&path).unwrap();
         let name = path.file_name().unwrap().to_string_lossy().into_owned();
         let mut running = Vec::new();
         for block in blocks(&text) {
+            let at = format!("{name}:{}", block.line);
             if let Some(file) = &block.file {
-                std::fs::write(place.folder.path().join(file), &block.text).unwrap();
+                std::fs::write(place.folder.path().join(file), place.local(&block.text)).unwrap();
             } else if let Some(reason) = &block.not_run {
-                not_run.push(format!("{name}:{}: {reason}", block.line));
+                not_run.push(format!("{at}: {reason}"));
+            } else if block.language == "sh" && block.needs.is_empty() == with_tools {
+                not_run.push(format!("{at}: by the other test"));
             } else if block.language == "sh" {
+                for (tool, works, how) in TOOLS {
+                    let is_needed = block.needs.iter().any(|needed| needed == tool);
+                    let is_there = !is_needed || place.finish(works).status.success();
+                    assert!(is_there, "{at} needs {tool}: {how}");
+                }
                 running.extend(place.run(&name, &block));
                 run += 1;
             }
@@ -337,17 +396,35 @@ async fn every_command_of_the_docs_does_what_its_page_says() {
     assert!(run > 0, "the docs have commands");
 }
 
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn every_command_of_the_docs_does_what_its_page_says() {
+    run_blocks("zenav up", false).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+#[ignore = "needs curl, and a Python with eclipse-zenoh and zenoh-cli, which .ci/run installs: PYTHON=… cargo test -p zenav-tests --test docs -- --ignored"]
+async fn curl_python_and_zenoh_s_own_tools_see_and_command_a_robot_as_the_docs_say() {
+    run_blocks("env ZENAV_ROUTER__SCOUTING=true zenav up", true).await;
+}
+
 #[test]
 fn blocks_commands_and_outputs_are_read_as_the_conventions_say() {
     let page = "text\n```toml\n# a.toml\n# not run: it is a file\nx = 1\n```\n```sh\nzenav topic hz edge/scan   # keeps running\n\nzenav goal \\\nlist\n\
                 #> goal … Succeeded\n# a remark\nzenav x; zenav y # exits 7: refused\n```\n```sh\n# not run: long\nz\n```\n\
-                <!-- file: s.json -->\n```json\n{}\n```\n";
+                ```sh\n# needs curl, zenoh-cli\ncurl x\n```\n<!-- file: s.json -->\n```json\n{}\n```\n";
     let found = blocks(page);
-    assert_eq!(found.len(), 4);
+    assert_eq!(found.len(), 5);
     assert_eq!(found[0].file.as_deref(), Some("a.toml"));
     assert_eq!((found[1].file.as_deref(), found[1].not_run.as_deref()), (None, None));
     assert_eq!(found[2].not_run.as_deref(), Some("long"));
-    assert_eq!(found[3].file.as_deref(), Some("s.json"));
+    assert!(found[3].needs == ["curl", "zenoh-cli"] && found[3].not_run.is_none() && found[2].needs.is_empty());
+    assert!(
+        found[3]
+            .needs
+            .iter()
+            .all(|tool| TOOLS.iter().any(|(name, ..)| name == tool))
+    );
+    assert_eq!(found[4].file.as_deref(), Some("s.json"));
     let commands = commands(&found[1]);
     assert_eq!(commands.len(), 3);
     assert!(commands[0].keeps_running && !commands[1].keeps_running);

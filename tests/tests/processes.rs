@@ -11,14 +11,17 @@ use tokio::time::timeout;
 use zenav_mission::records::{Record, StoredGoal};
 use zenav_mission::store::Store;
 use zenav_protocol::bus::{Bus, RawSample};
+use zenav_protocol::grid::{Cell, Occupancy};
 use zenav_protocol::messages::{
-    BasedOn, EdgeState, GoalPhase, GoalState, Heartbeat, LeaseAction, LeaseRequest, LeaseRole, Link, MapRef, Mode,
-    Plan, PlanStatistics, Revision,
+    AnnotateAction, AnnotateRequest, BasedOn, EdgeState, GoalPhase, GoalPoint, GoalState, Heartbeat, LeaseAction,
+    LeaseRequest, LeaseRole, Link, MapRef, MapReply, MapRequest, Mode, Plan, PlanStatistics, Revision,
 };
 use zenav_protocol::topics;
 use zenav_tests::acceptance::handover::Fault;
 use zenav_tests::deployment::{CORRIDOR, Deployment, ROBOT};
+use zenav_tests::http::request;
 use zenav_tests::observer::{Observer, assert_rests, is_rest};
+use zenav_tests::process::Process;
 
 const ZENAV: &str = env!("CARGO_BIN_EXE_zenav-under-test");
 /// Longest wait, wall time: far longer than needed even on a busy machine.
@@ -527,4 +530,191 @@ async fn a_robot_that_no_running_orchestrator_may_lead_is_told_at_once_with_the_
         );
         assert!(begun.elapsed() < LONG, "{words:?} took {:?}", begun.elapsed());
     }
+}
+
+/// The robot's map, once it is not that of an earlier leader.
+async fn map_after(bus: &Bus, before: Option<&MapReply>) -> MapReply {
+    let deadline = Instant::now() + LONG;
+    while Instant::now() < deadline {
+        // A frozen leader does not answer, and a request is not repeated at once.
+        let asked = bus
+            .ask(&topics::MAP, &[ROBOT], &MapRequest::default(), Duration::from_secs(1))
+            .await;
+        if let Ok(map) = asked
+            && map.info.free > 0
+            && before.is_none_or(|before| before.info.map.id != map.info.map.id)
+        {
+            return map;
+        }
+    }
+    panic!("no such map within {LONG:?}");
+}
+
+/// Share of the known cells of a map that are known in a later one.
+fn still_known(before: &MapReply, after: &MapReply) -> f64 {
+    let [before, after] = [before, after].map(|map| map.grid().unwrap());
+    let width = before.spec().width;
+    let is_known = |value: &i8| Occupancy::of(*value) != Occupancy::Unknown;
+    let known: Vec<u32> = (0..)
+        .zip(before.values())
+        .filter(|(_, value)| is_known(value))
+        .map(|(index, _)| index)
+        .collect();
+    let still = known.iter().filter(|index| {
+        let cell = Cell {
+            x: **index % width,
+            y: **index / width,
+        };
+        after.at(before.spec().center(cell)).is_some_and(is_known)
+    });
+    still.count() as f64 / known.len() as f64
+}
+
+/// A robot under way with two mapping services, of which the first leads; a place is added to its map.
+struct MappedTwice {
+    bus: Bus,
+    robot: Observer,
+    edge: Process,
+    mappers: [Process; 2],
+    /// Addresses of the mapping services' metrics.
+    health: [String; 2],
+    /// The map before anything happens.
+    before: MapReply,
+    _others: [Process; 3],
+    // Dropped after the processes that use its folder.
+    deployment: Deployment,
+}
+
+impl MappedTwice {
+    async fn new() -> Self {
+        let deployment = Deployment::new(ZENAV, CORRIDOR, 1.0);
+        let (router, edge) = (deployment.start_router(), deployment.start_edge());
+        let [motion, mission] = ["motion", "mission"].map(|service| deployment.start_service(service));
+        let bus = deployment.bus().await;
+        let mut robot = Observer::new(&bus, ROBOT);
+        let start = |folder| deployment.start_service_in("mapping --metrics 127.0.0.1:0", folder);
+        let mut first = start("mapper_a");
+        map_after(&bus, None).await;
+        let mut second = start("mapper_b");
+        second.until("holds the leader's map", LONG);
+        let health = [&mut first, &mut second].map(|mapper| {
+            let line = mapper.until("health: http://", LONG);
+            let address = line.split("http://").nth(1).and_then(|rest| rest.split('/').next());
+            address.unwrap().to_owned()
+        });
+        let driving = set_out(&deployment, &mut robot, "far").await;
+        let add = AnnotateRequest {
+            action: AnnotateAction::AddPlace {
+                name: "half_way".to_owned(),
+                at: GoalPoint {
+                    x: 7.0,
+                    y: 0.0,
+                    yaw: None,
+                },
+            },
+            request_id: Some("half_way".to_owned()),
+            epoch: Some(driving.lease.epoch),
+        };
+        bus.ask(&topics::ANNOTATE, &[ROBOT], &add, LONG).await.unwrap();
+        Self {
+            before: map_after(&bus, None).await,
+            bus,
+            robot,
+            edge,
+            mappers: [first, second],
+            health,
+            _others: [router, motion, mission],
+            deployment,
+        }
+    }
+
+    /// Whether each service leads, and how often it has taken over, by its metrics.
+    fn roles(&self) -> [(f64, f64); 2] {
+        self.health.each_ref().map(|address| {
+            let text = request(address, "GET", "/metrics", address).text();
+            let value = |name: &str| -> f64 {
+                let line = text.lines().find(|line| line.starts_with(&format!("{name}{{")));
+                let value = line.and_then(|line| line.rsplit(' ').next()?.parse().ok());
+                value.unwrap_or_else(|| panic!("no {name}:\n{text}"))
+            };
+            let leads = value("zenav_mapping_leads");
+            assert!(leads == 0.0 || value("zenav_map_copy_age_seconds") == 0.0, "{text}");
+            (leads, value("zenav_mapping_takeovers_total"))
+        })
+    }
+
+    /// The goal succeeds, once, and the robot has touched nothing.
+    fn assert_arrives(&mut self) {
+        let watched = self.deployment.client(&["goal", "watch", "far", "-o", "json"]);
+        assert_eq!(watched.status.code(), Some(0), "{watched:?}");
+        let pose = self.robot.pose().map_from_base;
+        assert!((pose.x - FAR_END).hypot(pose.y) < 0.3, "{pose:?}");
+        self.robot.assert_untouched();
+        let listed = self.deployment.client(&["goal", "list", "-o", "json"]);
+        let goals: Vec<GoalState> = serde_json::from_slice(&listed.stdout).unwrap();
+        let ends: Vec<_> = goals.iter().map(|goal| (goal.id.as_str(), goal.state)).collect();
+        assert_eq!(ends, [("far", GoalPhase::Succeeded)]);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn when_the_leading_mapping_service_is_killed_its_copy_keeps_the_map_and_no_goal_is_lost() {
+    let mut rig = MappedTwice::new().await;
+    assert_eq!(rig.roles(), [(1.0, 0.0), (0.0, 0.0)]);
+    rig.mappers[0].kill();
+    let after = map_after(&rig.bus, Some(&rig.before)).await;
+    let share = still_known(&rig.before, &after);
+    assert!(share > 0.97, "only {share:.3} of the cells are still known");
+    let told = rig
+        .bus
+        .ask(&topics::ANNOTATE, &[ROBOT], &AnnotateRequest::default(), LONG)
+        .await
+        .unwrap();
+    assert!(
+        told.places.contains_key("half_way") && told.places.contains_key("far_end"),
+        "{told:?}"
+    );
+    let state = rig.robot.next(LONG).await;
+    assert_eq!(
+        state.plan.map(|plan| plan.goal_id).as_deref(),
+        Some("far"),
+        "it drives on"
+    );
+    rig.assert_arrives();
+    let last = map_after(&rig.bus, None).await;
+    assert_eq!(last.info.map.id, after.info.map.id);
+    assert!(last.info.scans > after.info.scans, "the copy goes on mapping");
+    rig.edge.assert_running();
+    rig.mappers[1].assert_running();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn a_mapping_service_that_wakes_up_steps_back_and_takes_over_again_when_the_other_one_dies() {
+    let mut rig = MappedTwice::new().await;
+    let mut patches = rig.bus.subscribe(&topics::MAP_PATCH, &[ROBOT], 4096).unwrap();
+    rig.mappers[0].pause().unwrap();
+    let after = map_after(&rig.bus, Some(&rig.before)).await;
+    assert!(still_known(&rig.before, &after) > 0.97);
+    while patches.try_next().is_some() {}
+    let first = &mut rig.mappers[0];
+    first.resume().unwrap();
+    first.until("this process was suspended", LONG);
+    // Its copy of the map that the other one draws by now.
+    first.until("holds the leader's map", LONG);
+    let mut strays = 0;
+    let mut count = 0;
+    while let Some(patch) = patches.try_next() {
+        count += 1;
+        strays += usize::from(patch.message.map.id != after.info.map.id);
+    }
+    // What was on its way when it was suspended may still arrive.
+    assert!(strays <= 2, "{strays} of {count} patches");
+    assert_eq!(rig.roles(), [(0.0, 0.0), (1.0, 1.0)]);
+
+    rig.mappers[1].kill();
+    let again = map_after(&rig.bus, Some(&after)).await;
+    assert_ne!(again.info.map.id, rig.before.info.map.id);
+    assert!(still_known(&after, &again) > 0.97);
+    rig.assert_arrives();
+    rig.mappers[0].assert_running();
 }

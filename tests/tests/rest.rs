@@ -4,7 +4,8 @@
 
 use std::time::Duration;
 
-use serde_json::Value;
+use serde_json::{Value, json};
+use zenav_protocol::topics::TABLE;
 use zenav_tests::deployment::{Deployment, ROBOT};
 use zenav_tests::http::request;
 use zenav_tests::observer::Observer;
@@ -62,13 +63,12 @@ async fn a_router_tells_the_value_of_a_key_over_http_and_lets_nobody_write() {
         );
     }
     // Nor by asking: only asks that change nothing are passed on.
-    let rows = zenav_protocol::topics::TABLE.iter();
-    for row in rows.filter(|row| row.asked_by.is_some()) {
+    for row in TABLE.iter().filter(|row| row.asked_by.is_some()) {
         let key = row.pattern.replace("{robot}", ROBOT).replace(['{', '}'], "");
         let asked = get(&format!("/{key}"));
         let name = key.rsplit('/').next().unwrap();
         let shows = [
-            "mode", "param", "info", "goals", "map", "localise", "annotate", "log", "part",
+            "mode", "param", "info", "goals", "map", "localise", "annotate", "log", "part", "message",
         ];
         assert_eq!(asked.status != 405, shows.contains(&name), "{key}: {}", asked.status);
     }
@@ -76,6 +76,8 @@ async fn a_router_tells_the_value_of_a_key_over_http_and_lets_nobody_write() {
     assert_eq!(everything.status, 200);
     let stops = |value: &Value| value["key"] == "zenav/tiago/edge/state" && value["value"]["stops"] == 0;
     assert!(get("/zenav/*/edge/*").json().as_array().unwrap().iter().any(stops));
+    let schema = get("/zenav/svc/schema/GoalRequest").json();
+    assert_eq!(schema["title"], "GoalRequest", "{schema}");
     // A page of another site reaches this machine under its own host name.
     assert_eq!(
         request(address, "GET", "/zenav/tiago/edge/pose", "robot.example").status,
@@ -85,4 +87,52 @@ async fn a_router_tells_the_value_of_a_key_over_http_and_lets_nobody_write() {
     let refused = deployment.zenav(&["router", "--listen", "tcp/127.0.0.1:0", "--rest", "0.0.0.0:0"]);
     let why = String::from_utf8_lossy(&refused.stderr).into_owned();
     assert!(refused.status.code() == Some(2) && why.contains("loopback"), "{why}");
+}
+
+#[test]
+fn a_deployment_without_a_router_refuses_what_only_a_router_answers() {
+    let deployment = Deployment::new(ZENAV, "kitchen", 1.0);
+    std::fs::write(deployment.folder().join("bare.toml"), "[router]\nenabled = false\n").unwrap();
+    for option in ["--scouting", "--rest"] {
+        let refused = deployment.zenav(&["up", "bare.toml", option]);
+        let why = String::from_utf8_lossy(&refused.stderr).into_owned();
+        assert!(
+            refused.status.code() == Some(2) && why.contains(option) && why.contains("router.enabled"),
+            "{why}"
+        );
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_plain_zenoh_client_gets_the_schema_of_every_message() {
+    let deployment = Deployment::new(ZENAV, "kitchen", 1.0);
+    let mut router = deployment.start_router();
+    router.until("router up", LONG);
+    let mut config = zenoh::Config::default();
+    for (setting, value) in [
+        ("mode", json!("client")),
+        ("connect/endpoints", json!([&deployment.router])),
+        ("scouting/multicast/enabled", json!(false)),
+    ] {
+        config.insert_json5(setting, &value.to_string()).unwrap();
+    }
+    let session = zenoh::open(config).await.unwrap();
+    let get = async |name: &str| {
+        let replies = session.get(format!("zenav/svc/schema/{name}")).await.unwrap();
+        let reply = replies.recv_async().await.unwrap();
+        let (is_schema, bytes) = match reply.result() {
+            Ok(sample) => (true, sample.payload().to_bytes()),
+            Err(error) => (false, error.payload().to_bytes()),
+        };
+        (is_schema, serde_json::from_slice::<Value>(&bytes).unwrap())
+    };
+    for message in TABLE.iter().flat_map(|row| row.message.split(" -> ")) {
+        let (is_schema, schema) = get(message).await;
+        assert!(is_schema && schema["title"] == message, "{message}: {schema}");
+        assert!(schema["$schema"].as_str().unwrap().contains("2020-12"), "{schema}");
+    }
+    let (_, goal) = get("GoalRequest").await;
+    assert!(goal["properties"]["place"]["description"].is_string(), "{goal}");
+    let (is_schema, refusal) = get("GoalReguest").await;
+    assert!(!is_schema && refusal["error"] == "NotFound", "{refusal}");
 }

@@ -32,7 +32,8 @@ fn said(output: &Output) -> String {
 struct Running {
     fleet: SecuredFleet,
     router: Process,
-    _parts: [Process; 3],
+    edge: Process,
+    _parts: [Process; 2],
 }
 
 /// Starts everything in a namespace, or in none, and waits until the mission answers an operator.
@@ -47,11 +48,8 @@ async fn running(members: &[&str], namespace: &str) -> Running {
     let fleet = SecuredFleet::new(ZENAV, 4.0, &[&own[..], members].concat()).within(namespace);
     let mut router = fleet.start_router("router.site1");
     router.until("router up", LIMIT);
-    let parts = [
-        fleet.start_world("router.world"),
-        fleet.start_edge("robot.tiago"),
-        fleet.start_cloud("service.site1"),
-    ];
+    let parts = [fleet.start_world("router.world"), fleet.start_cloud("service.site1")];
+    let edge = fleet.start_edge("robot.tiago");
     let operator = fleet.join("operator.anna", &fleet.router).await;
     info(&operator, LIMIT).await.unwrap();
     let request = InfoRequest::default();
@@ -63,6 +61,7 @@ async fn running(members: &[&str], namespace: &str) -> Running {
     Running {
         fleet,
         router,
+        edge,
         _parts: parts,
     }
 }
@@ -186,24 +185,31 @@ fn assert_told(fleet: &SecuredFleet, member: &str, arguments: &[&str], told: [&s
 /// Publishes `forged`, which the sender may not, then `fair`, which it may: a viewer of everything must receive only `fair`, which came
 /// later over the same link.
 async fn only_the_second_passes(sender: &Bus, viewer: &Bus, forged: &str, fair: &str) {
+    only_the_second_of_these_passes(sender, viewer, (forged, 0), (fair, 0)).await;
+}
+
+/// As [`only_the_second_passes`], with each message padded by a number of spaces.
+async fn only_the_second_of_these_passes(sender: &Bus, viewer: &Bus, forged: (&str, usize), fair: (&str, usize)) {
     let mut heard = viewer.raw_subscribe("zenav/**", 4096).unwrap();
     let mark = format!("{{\"mark\":\"{}\"}}", zenav_protocol::id::Id::unique());
     let deadline = tokio::time::Instant::now() + LIMIT;
     loop {
-        sender.raw_put(forged, mark.clone().into_bytes(), JSON).unwrap();
-        sender.raw_put(fair, mark.clone().into_bytes(), JSON).unwrap();
+        for (key, padding) in [forged, fair] {
+            let text = format!("{mark}{:padding$}", "");
+            sender.raw_put(key, text.into_bytes(), JSON).unwrap();
+        }
         let next = async {
             loop {
                 let sample = heard.next().await.unwrap();
-                if sample.bytes == mark.as_bytes() {
-                    return sample.key;
+                if sample.bytes.starts_with(mark.as_bytes()) {
+                    return (sample.key, sample.bytes.len() - mark.len());
                 }
             }
         };
         match tokio::time::timeout(Duration::from_millis(500), next).await {
-            Ok(key) => return assert_eq!(key, fair, "{forged} passed"),
+            Ok((key, padding)) => return assert_eq!((key.as_str(), padding), fair, "{forged:?} passed"),
             // The router did not know the subscription yet.
-            Err(_) => assert!(tokio::time::Instant::now() < deadline, "{fair} does not pass either"),
+            Err(_) => assert!(tokio::time::Instant::now() < deadline, "{fair:?} does not pass either"),
         }
     }
 }
@@ -259,6 +265,9 @@ async fn every_role_does_its_part_in_a_mission_and_no_other() {
         only_the_second_passes(&neato, &viewer, &format!("zenav/{ROBOT}/{forged}"), &own("state")).await;
     }
     assert_may_not_stop(&neato).await;
+    // What is larger than its key allows ends where it arrives.
+    let too_large = topics::STATE.max_bytes + 2048;
+    only_the_second_of_these_passes(&neato, &viewer, (&own("state"), too_large), (&own("state"), 1024)).await;
     // And it learns nothing of another robot, as a client and as a router, which a robot with an endpoint of its own is.
     assert_hears_itself_alone(&neato, &service, &viewer).await;
     let neato_router = fleet.join_as_router("robot.neato", &fleet.router).await;
@@ -375,20 +384,44 @@ fn what_a_member_may_not_do_is_told_before_it_is_sent() {
 async fn who_was_revoked_is_let_in_no_more_and_the_others_are() {
     let mut running = running(&["operator.bert"], "").await;
     let fleet = &running.fleet;
-    let bert = fleet.join("operator.bert", &fleet.router).await;
-    info(&bert, LIMIT).await.unwrap();
+    // At the router, and at the robot's own endpoint: only these two listen.
+    let service = fleet.join("service.site1", &fleet.router).await;
+    assert_eq!(service.endpoints().await, Vec::<String>::new());
+    let linked = fleet.join("operator.bert", &fleet.router).await;
+    let linked_to_the_robot = fleet.join("operator.bert", &fleet.edge).await;
+    for bert in [&linked, &linked_to_the_robot] {
+        info(bert, LIMIT).await.unwrap();
+    }
     fleet.keys(&["revoke", "operator.bert"]);
     running.router.until("starts anew", LIMIT);
+    running.edge.until("starts anew", LIMIT);
     let anna = fleet.join("operator.anna", &fleet.router).await;
     info(&anna, LIMIT).await.unwrap();
-    assert!(matches!(info(&bert, IN_VAIN).await, Err(AskError::Timeout { .. })));
-    assert!(matches!(stop(&bert, IN_VAIN).await, Err(AskError::Timeout { .. })));
-    let stopped = fleet.client(
-        "operator.bert",
-        &fleet.router,
-        &["stop", "--robot", ROBOT, "--timeout", "3"],
+    let anna_at_the_robot = fleet.join("operator.anna", &fleet.edge).await;
+    info(&anna_at_the_robot, LIMIT).await.unwrap();
+    for bert in [&linked, &linked_to_the_robot] {
+        assert!(matches!(info(bert, IN_VAIN).await, Err(AskError::Timeout { .. })));
+        assert!(matches!(stop(bert, IN_VAIN).await, Err(AskError::Timeout { .. })));
+    }
+    for endpoint in [&fleet.router, &fleet.edge] {
+        let stopped = fleet.client("operator.bert", endpoint, &["stop", "--robot", ROBOT, "--timeout", "3"]);
+        assert!(!stopped.status.success());
+    }
+    // What is not answered is not taken for a fleet that does not run.
+    for (command, code) in [("ps", 5), ("logs", 5), ("doctor", 1)] {
+        let told = fleet.client("operator.bert", &fleet.router, &[command]);
+        assert!(
+            told.status.code() == Some(code) && said(&told).contains("members.txt"),
+            "{command}: {}",
+            said(&told)
+        );
+    }
+    let at_the_robot = fleet.client("operator.anna", &fleet.edge, &["doctor"]);
+    assert!(
+        said(&at_the_robot).contains("this is its own endpoint") && !said(&at_the_robot).contains("no worker shows"),
+        "{}",
+        said(&at_the_robot)
     );
-    assert!(!stopped.status.success());
     let mut observer = Observer::new(&anna, ROBOT);
     assert!(
         observer
@@ -496,6 +529,30 @@ fn no_secret_is_logged_or_shown() {
     for secret in lines.chain([TOKEN, "PRIVATE KEY"]) {
         let place = shown.iter().position(|text| text.contains(secret));
         assert_eq!(place, None, "a secret is shown in output {place:?}");
+    }
+}
+
+#[test]
+fn a_part_does_not_start_with_an_identity_of_another_role() {
+    let fleet = SecuredFleet::new(ZENAV, 1.0, &["robot.tiago", "operator.anna"]);
+    let listen = ["--listen", "quic/127.0.0.1:0"];
+    for (member, part, needed) in [
+        ("operator.anna", &["cloud", "motion"][..], "service.NAME"),
+        ("operator.anna", &["cloud", "mission"][..], "service.NAME"),
+        ("robot.tiago", &["cloud", "mapping"][..], "service.NAME"),
+        (
+            "robot.tiago",
+            &["gateway", "--listen", "127.0.0.1:0"][..],
+            "operator.NAME",
+        ),
+        ("robot.tiago", &["sim", "serve"][..], "router.NAME"),
+        ("robot.tiago", &["router", listen[0], listen[1]][..], "router.NAME"),
+    ] {
+        let output = fleet.client(member, &fleet.router, part);
+        let text = said(&output);
+        assert_eq!(output.status.code(), Some(2), "{part:?}: {text}");
+        let cure = format!("`zenav keys issue {needed}`");
+        assert!(text.contains(member) && text.contains(&cure), "{part:?}: {text}");
     }
 }
 

@@ -81,6 +81,17 @@ impl Blackboard {
     ///
     /// # Errors
     /// [`TypeError`] if the entry has another type and the value does not convert without loss.
+    ///
+    /// ```
+    /// use zenav_behaviour_tree::{Blackboard, Value};
+    ///
+    /// let mut board = Blackboard::default();
+    /// board.set("speed", 0.5)?;
+    /// board.set("speed", "0.8")?; // text is read as the entry's type
+    /// assert_eq!(board.get("speed"), Some(&Value::Double(0.8)));
+    /// assert!(board.set("speed", "fast").is_err());
+    /// # Ok::<(), zenav_behaviour_tree::TypeError>(())
+    /// ```
     pub fn set(&mut self, key: &str, value: impl Into<Value>) -> Result<(), TypeError> {
         let slot = self.resolve(0, key);
         self.write(slot, value.into())

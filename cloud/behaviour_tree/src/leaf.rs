@@ -63,7 +63,7 @@ pub trait Leaf<C>: Send {
         self.tick(io, ctx)
     }
 
-    /// Called exactly once if the leaf is stopped while `Running`, never otherwise.
+    /// Called exactly once if the leaf is stopped while `Running`, never otherwise: not if it has completed and a script after it fails.
     fn halt(&mut self, _io: &mut LeafIo<'_>, _ctx: &mut C) {}
 }
 
@@ -97,7 +97,7 @@ pub trait Decorator<C>: Send {
         child
     }
 
-    /// Called exactly once if the decorator is stopped while `Running`, after its child.
+    /// Called exactly once if the decorator is stopped while `Running`, or by an error while it ticks its child; after its child.
     fn halt(&mut self, _io: &mut LeafIo<'_>, _ctx: &mut C) {}
 }
 
@@ -144,6 +144,25 @@ impl LeafIo<'_> {
     ///
     /// # Errors
     /// [`PortError`]: not set, entry never written, or of another type.
+    ///
+    /// ```
+    /// # use std::time::Duration;
+    /// use zenav_behaviour_tree::{NodeSpec, PortType, Registry, Status, build};
+    ///
+    /// let mut registry = Registry::<()>::new();
+    /// let spec = NodeSpec::condition("IsNear", "SUCCESS within 0.5 m.").input("distance", PortType::Double, "m");
+    /// registry.function(spec, |io, _| match io.get::<f64>("distance") {
+    ///     Ok(distance) => Status::from_truth(distance < 0.5),
+    ///     Err(wrong) => io.fail(wrong.to_string()),
+    /// })?;
+    /// let text = r#"<root BTCPP_format="4"><BehaviorTree ID="Main"><IsNear distance="{left}"/></BehaviorTree></root>"#;
+    /// # let mut tree = build("near.xml", text.as_bytes(), &registry, None, &mut |_, _| Err("no includes".into()))?;
+    /// assert_eq!(tree.tick(Duration::ZERO, &mut ())?, Status::Failure);
+    /// assert_eq!(tree.report()[0].feedback, "the blackboard entry behind port `distance` has no value yet");
+    /// tree.blackboard_mut().set("left", 0.3)?;
+    /// assert_eq!(tree.tick(Duration::ZERO, &mut ())?, Status::Success);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     pub fn get<T: FromValue>(&self, port: &str) -> Result<T, PortError> {
         let value = self.value(port)?;
         T::from_value(value).ok_or_else(|| unfit(port, value, T::EXPECTED))
@@ -214,6 +233,23 @@ impl LeafIo<'_> {
     ///
     /// # Errors
     /// [`PortError::Type`] if the entry behind it has another type, [`PortError::Literal`].
+    ///
+    /// ```
+    /// # use std::time::Duration;
+    /// use zenav_behaviour_tree::{NodeSpec, PortType, Registry, Status, Value, build};
+    ///
+    /// let mut registry = Registry::<()>::new();
+    /// let spec = NodeSpec::action("Measure", "Measures the tank.").output("level", PortType::Double, "from 0 to 1");
+    /// registry.function(spec, |io, _| match io.set("level", 0.75) {
+    ///     Ok(()) => Status::Success,
+    ///     Err(wrong) => io.fail(wrong.to_string()),
+    /// })?;
+    /// let text = r#"<root BTCPP_format="4"><BehaviorTree ID="Main"><Measure level="{tank}"/></BehaviorTree></root>"#;
+    /// # let mut tree = build("tank.xml", text.as_bytes(), &registry, None, &mut |_, _| Err("no includes".into()))?;
+    /// tree.tick(Duration::ZERO, &mut ())?;
+    /// assert_eq!(tree.blackboard().get("tank"), Some(&Value::Double(0.75)));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     pub fn set(&mut self, port: &str, value: impl Into<Value>) -> Result<(), PortError> {
         self.write(port, value.into(), Blackboard::write)
     }
@@ -299,6 +335,29 @@ impl LeafIo<'_> {
     ///
     /// # Errors
     /// serde_json's error for values that JSON cannot represent.
+    ///
+    /// ```
+    /// # use std::time::Duration;
+    /// use zenav_behaviour_tree::{NodeSpec, Registry, Status, build};
+    ///
+    /// let mut registry = Registry::<()>::new();
+    /// registry.function(NodeSpec::action("Thrice", "SUCCESS in the third tick."), |io, _| {
+    ///     let ticks = io.recall::<u32>().unwrap_or(0) + 1;
+    ///     match io.remember(&ticks) {
+    ///         Ok(()) if ticks < 3 => Status::Running,
+    ///         Ok(()) => Status::Success,
+    ///         Err(wrong) => io.fail(wrong.to_string()),
+    ///     }
+    /// })?;
+    /// # let text = r#"<root BTCPP_format="4"><BehaviorTree ID="Main"><Thrice/></BehaviorTree></root>"#;
+    /// # let make = || build("thrice.xml", text.as_bytes(), &registry, None, &mut |_, _| Err("no includes".into()));
+    /// # let (mut tree, mut restarted) = (make()?, make()?);
+    /// tree.tick(Duration::ZERO, &mut ())?;
+    /// tree.tick(Duration::ZERO, &mut ())?;
+    /// restarted.restore(tree.snapshot())?;
+    /// assert_eq!(restarted.tick(Duration::ZERO, &mut ())?, Status::Success);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     pub fn remember<T: Serialize>(&mut self, what: &T) -> Result<(), serde_json::Error> {
         let kept = serde_json::to_value(what)?;
         if kept != self.memory.kept {

@@ -1,11 +1,14 @@
 //! Ports. What are the inputs and outputs of a node? Named, typed, documented ports, and the values or entries bound to them at each use of
 //! a node in a tree.
 
-use super::blackboard::Slot;
+use serde::{Serialize, Serializer};
+
+use super::blackboard::{Blackboard, Slot};
 use super::value::{MOST_NESTED, Value, ValueType, is_nested_within, parse_bool};
 
 /// Direction of a port's value.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Direction {
     /// Read by the node.
     Input,
@@ -13,6 +16,17 @@ pub enum Direction {
     Output,
     /// Both.
     InOut,
+}
+
+impl Direction {
+    /// The name used in a `TreeNodesModel`: `input`, `output`, `inout`.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Direction::Input => "input",
+            Direction::Output => "output",
+            Direction::InOut => "inout",
+        }
+    }
 }
 
 /// Type of a port.
@@ -72,6 +86,21 @@ impl PortType {
         }
     }
 
+    /// The name of the type in a `TreeNodesModel` (C++ spelling).
+    pub fn name(&self) -> &str {
+        match self {
+            PortType::Any => "BT::AnyTypeAllowed",
+            PortType::Bool => "bool",
+            PortType::Int => "int",
+            PortType::Unsigned => "unsigned int",
+            PortType::Double | PortType::Positive => "double",
+            PortType::Text | PortType::Script | PortType::Key | PortType::List(_) => "std::string",
+            PortType::Status => "BT::NodeStatus",
+            PortType::Ints => "std::vector<int>",
+            PortType::Data(name) => name,
+        }
+    }
+
     /// Description of the expected value, for messages.
     pub fn expected(&self) -> String {
         match self {
@@ -107,6 +136,14 @@ impl PortType {
     }
 
     /// Parses a literal of the tree file as a value of this type; `None` if it is invalid.
+    ///
+    /// ```
+    /// use zenav_behaviour_tree::{PortType, Value};
+    ///
+    /// assert_eq!(PortType::Unsigned.parse("250"), Some(Value::Int(250)));
+    /// assert_eq!(PortType::Positive.parse("0"), None);
+    /// assert_eq!(PortType::Status.parse("done"), None, "expected SUCCESS, FAILURE, SKIPPED or RUNNING");
+    /// ```
     pub fn parse(&self, text: &str) -> Option<Value> {
         let whole = Value::text(text);
         match self {
@@ -196,20 +233,26 @@ pub(crate) fn parse_ints(value: &Value) -> Option<Vec<i64>> {
 }
 
 /// Specification of a port.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct PortSpec {
     /// Its name, as in the tree file.
     pub name: String,
     /// Direction of its value.
     pub direction: Direction,
     /// Its type.
+    #[serde(rename = "type", serialize_with = "type_name")]
     pub kind: PortType,
     /// Default if the tree file does not set the port. May be `{key}`.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub default: Option<String>,
     /// Whether the tree file must set the port.
     pub required: bool,
     /// Description, with the unit.
     pub doc: String,
+}
+
+fn type_name<S: Serializer>(kind: &PortType, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_str(kind.name())
 }
 
 /// The binding of a port at one use of a node.
@@ -218,6 +261,17 @@ pub(crate) enum Source {
     Unset,
     Literal(Value),
     Slot(Slot),
+}
+
+impl Source {
+    /// The literal, or the value of the entry.
+    pub(crate) fn value<'s>(&'s self, board: &'s Blackboard) -> Option<&'s Value> {
+        match self {
+            Source::Literal(value) => Some(value),
+            Source::Slot(slot) => board.read(*slot),
+            Source::Unset => None,
+        }
+    }
 }
 
 /// A bound port of a node in a tree.
@@ -255,6 +309,19 @@ pub enum PortError {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_type_is_spelt_so_that_it_reads_back() {
+        for kind in [
+            PortType::Bool,
+            PortType::Int,
+            PortType::Unsigned,
+            PortType::Double,
+            PortType::Text,
+        ] {
+            assert_eq!(PortType::from_name(kind.name()), kind);
+        }
+    }
 
     #[test]
     fn literals_are_checked_by_type() {

@@ -4,13 +4,15 @@
 
 use std::collections::BTreeMap;
 
+use serde::Serialize;
+
 use super::leaf::{Decorator, FnLeaf, Leaf, LeafIo};
 use super::nodes::{self, MakeBuiltin, Row};
 use super::ports::{Direction, LiteralRules, PortSpec, PortType};
 use super::status::Status;
 
 /// Category of a node, as named by Groot2.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 pub enum Category {
     /// A leaf with an effect.
     Action,
@@ -51,20 +53,34 @@ impl Category {
 }
 
 /// Specification of a node: its id, category, ports, and number of children.
-#[derive(Debug, Clone, PartialEq)]
+///
+/// ```
+/// use zenav_behaviour_tree::{NodeSpec, PortType};
+///
+/// let spec = NodeSpec::action("MoveTo", "Drives to a place.")
+///     .input("place", PortType::Text, "its name")
+///     .input_or("speed", PortType::Positive, "0.5", "at most, m/s")
+///     .output("driven", PortType::Double, "distance, m");
+/// let speed = spec.find_port("speed").unwrap();
+/// assert!(!speed.required && speed.default.as_deref() == Some("0.5"));
+/// assert_eq!(spec.children, (0, 0), "a leaf");
+/// ```
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct NodeSpec {
     /// Registration id, unique in a registry.
     pub id: String,
     /// Category of the node.
     pub category: Category,
+    /// One-line description.
+    pub doc: String,
     /// Its ports, in display order.
     pub ports: Vec<PortSpec>,
     /// Least and greatest number of children.
+    #[serde(skip)]
     pub children: (usize, usize),
     /// Whether it accepts attributes without a declared port (leaves invented by a simulation).
+    #[serde(skip)]
     pub open: bool,
-    /// One-line description.
-    pub doc: String,
 }
 
 impl NodeSpec {
@@ -229,6 +245,29 @@ impl<C> Registry<C> {
     ///
     /// # Errors
     /// [`DuplicateNode`] if its id is taken. A declaration of the same id is replaced.
+    ///
+    /// ```
+    /// use zenav_behaviour_tree::{Leaf, LeafIo, NodeSpec, Registry, Status, build};
+    ///
+    /// /// Logs the name that it has in the tree.
+    /// struct Log(String);
+    /// impl Leaf<Vec<String>> for Log {
+    ///     fn start(&mut self, _: &mut LeafIo<'_>, log: &mut Vec<String>) -> Status {
+    ///         log.push(self.0.clone());
+    ///         Status::Success
+    ///     }
+    /// }
+    /// let mut registry = Registry::<Vec<String>>::new();
+    /// registry.leaf(NodeSpec::action("Log", "Logs its name."), |site| Box::new(Log(format!("{}: {}", site.uid, site.name))))?;
+    /// let text = r#"<root BTCPP_format="4"><BehaviorTree ID="Main">
+    ///     <Sequence><Log name="dock"/><Log name="charge"/></Sequence>
+    /// </BehaviorTree></root>"#;
+    /// # let mut tree = build("log.xml", text.as_bytes(), &registry, None, &mut |_, _| Err("no includes".into()))?;
+    /// let mut log = Vec::new();
+    /// tree.tick(std::time::Duration::ZERO, &mut log)?;
+    /// assert_eq!(log, ["2: dock", "3: charge"]);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     pub fn leaf(
         &mut self,
         spec: NodeSpec,
@@ -241,6 +280,17 @@ impl<C> Registry<C> {
     ///
     /// # Errors
     /// [`DuplicateNode`] if its id is taken.
+    ///
+    /// ```
+    /// use zenav_behaviour_tree::{NodeSpec, Registry, Status};
+    ///
+    /// let mut registry = Registry::<bool>::new();
+    /// let spec = NodeSpec::condition("DoorIsOpen", "SUCCESS while the door is open.");
+    /// registry.function(spec.clone(), |_, open| Status::from_truth(*open))?;
+    /// let again = registry.function(spec, |_, _| Status::Success);
+    /// assert_eq!(again.unwrap_err().to_string(), "a node `DoorIsOpen` is registered already");
+    /// # Ok::<(), zenav_behaviour_tree::DuplicateNode>(())
+    /// ```
     pub fn function(
         &mut self,
         spec: NodeSpec,
@@ -253,6 +303,26 @@ impl<C> Registry<C> {
     ///
     /// # Errors
     /// [`DuplicateNode`] if its id is taken.
+    ///
+    /// ```
+    /// # use std::time::Duration;
+    /// use zenav_behaviour_tree::{Decorator, Enter, LeafIo, NodeSpec, Registry, Status, build};
+    ///
+    /// /// Ticks its child while the battery has charge.
+    /// struct WhileCharged;
+    /// impl Decorator<f64> for WhileCharged {
+    ///     fn enter(&mut self, _: &mut LeafIo<'_>, charge: &mut f64, _: Status) -> Enter {
+    ///         if *charge > 0.2 { Enter::TickChild } else { Enter::Answer(Status::Failure) }
+    ///     }
+    /// }
+    /// let mut registry = Registry::<f64>::new();
+    /// registry.decorator(NodeSpec::decorator("WhileCharged", "FAILURE at 20 % or less."), |_| Box::new(WhileCharged))?;
+    /// let text = r#"<root BTCPP_format="4"><BehaviorTree ID="Main"><WhileCharged><Sleep msec="1000"/></WhileCharged></BehaviorTree></root>"#;
+    /// # let mut tree = build("work.xml", text.as_bytes(), &registry, None, &mut |_, _| Err("no includes".into()))?;
+    /// assert_eq!(tree.tick(Duration::ZERO, &mut 0.5)?, Status::Running);
+    /// assert_eq!(tree.tick(Duration::from_millis(10), &mut 0.2)?, Status::Failure, "Sleep is halted");
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     pub fn decorator(
         &mut self,
         spec: NodeSpec,
@@ -262,6 +332,19 @@ impl<C> Registry<C> {
     }
 
     /// Declares a node without an implementation. Does nothing if its id is taken.
+    ///
+    /// ```
+    /// use zenav_behaviour_tree::{Limits, NodeSpec, Registry, build, check};
+    ///
+    /// let mut registry = Registry::<()>::new();
+    /// registry.declare(NodeSpec::action("Dock", "Docks."));
+    /// let text = r#"<root BTCPP_format="4"><BehaviorTree ID="Main"><Dock/></BehaviorTree></root>"#;
+    /// let mut include = |_: &str, _: &str| Err("no includes".to_owned());
+    /// let summary = check("dock.xml", text.as_bytes(), &registry, &mut include, Limits::default())?;
+    /// assert!(summary.warnings[0].contains("nothing here implements `Dock`"));
+    /// assert!(build("dock.xml", text.as_bytes(), &registry, None, &mut include).is_err());
+    /// # Ok::<(), zenav_behaviour_tree::TreeErrors>(())
+    /// ```
     pub fn declare(&mut self, spec: NodeSpec) {
         self.nodes.entry(spec.id.clone()).or_insert((spec, Make::Declared));
     }
@@ -290,6 +373,15 @@ impl<C> Registry<C> {
     }
 
     /// The specification of a node.
+    ///
+    /// ```
+    /// use zenav_behaviour_tree::Registry;
+    ///
+    /// let registry = Registry::<()>::new();
+    /// let sleep = registry.spec("Sleep").unwrap();
+    /// assert_eq!((&*sleep.ports[0].name, &*sleep.ports[0].doc), ("msec", "wait, ms"));
+    /// assert!(registry.spec("Sleeep").is_none());
+    /// ```
     pub fn spec(&self, id: &str) -> Option<&NodeSpec> {
         self.nodes.get(id).map(|(spec, _)| spec)
     }

@@ -3,8 +3,7 @@
 use serde::{Deserialize, Serialize};
 use serde_json::Value as Json;
 
-use super::node::NodeId;
-use super::ports::Source;
+use super::node::{Info, NodeId};
 use super::status::Status;
 use super::tree::Tree;
 use super::value::Value;
@@ -42,7 +41,7 @@ const FIELDS: usize = 4;
 /// A short text for a value; a path of a thousand poses is shown by its length only.
 fn words(value: &Value) -> String {
     let inner = |value: &Json| match value {
-        Json::Number(number) => number
+        Json::Number(number) if number.is_f64() => number
             .as_f64()
             .map_or_else(String::new, |number| format!("{number:.2}")),
         Json::String(text) => text.chars().take(LONGEST).collect(),
@@ -73,6 +72,20 @@ fn words(value: &Value) -> String {
 
 impl<C> Tree<C> {
     /// Every node, in document order.
+    ///
+    /// ```
+    /// # use std::time::Duration;
+    /// # use zenav_behaviour_tree::{Registry, Status, build};
+    /// let text = r#"<root BTCPP_format="4"><BehaviorTree ID="Main">
+    ///     <RetryUntilSuccessful num_attempts="3"><AlwaysFailure name="grab"/></RetryUntilSuccessful>
+    /// </BehaviorTree></root>"#;
+    /// # let mut tree = build("grab.xml", text.as_bytes(), &Registry::<()>::new(), None, &mut |_, _| Err("no includes".into()))?;
+    /// tree.tick(Duration::ZERO, &mut ())?;
+    /// let grab = &tree.report()[1];
+    /// assert_eq!((grab.uid, grab.parent, &*grab.name, &*grab.id), (2, Some(1), "grab", "AlwaysFailure"));
+    /// assert_eq!((grab.last, grab.starts), (Status::Failure, 3));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     pub fn report(&self) -> Vec<NodeReport> {
         self.iter().collect()
     }
@@ -106,26 +119,36 @@ impl<C> Tree<C> {
     /// `uid` as in [`NodeReport`]; an unknown one has no ports. The texts are short for any value: structured data is described by its
     /// fields.
     pub fn port_values(&self, uid: u16) -> impl Iterator<Item = (&str, String)> {
-        let info = usize::from(uid).checked_sub(1).and_then(|index| self.infos.get(index));
-        let ports = info.map(|info| &*info.ports).unwrap_or_default();
-        ports.iter().filter_map(move |port| {
-            let value = match &port.source {
-                Source::Unset => None,
-                Source::Literal(value) => Some(value),
-                Source::Slot(slot) => self.board.read(*slot),
-            };
-            value.map(|value| (&*port.name, words(value)))
-        })
+        let ports = self.info(uid).map(|info| &*info.ports).unwrap_or_default();
+        ports
+            .iter()
+            .filter_map(move |port| Some((&*port.name, words(port.source.value(&self.board)?))))
     }
 
     /// The ports and scripts that the tree file sets for a node, in its order, as `(name, text)`; `uid` as in [`NodeReport`].
     pub fn written(&self, uid: u16) -> impl Iterator<Item = (&str, &str)> {
-        let info = usize::from(uid).checked_sub(1).and_then(|index| self.infos.get(index));
-        let written = info.map(|info| &*info.written).unwrap_or_default();
+        let written = self.info(uid).map(|info| &*info.written).unwrap_or_default();
         written.iter().map(|(name, text)| (&**name, &**text))
     }
 
+    fn info(&self, uid: u16) -> Option<&Info> {
+        self.infos.get(usize::from(uid).checked_sub(1)?)
+    }
+
     /// The tree drawn with lines, one node per row: name, id, status if any, feedback.
+    ///
+    /// ```
+    /// # use std::time::Duration;
+    /// # use zenav_behaviour_tree::{Registry, build};
+    /// let text = r#"<root BTCPP_format="4"><BehaviorTree ID="Main">
+    ///     <Sequence name="go"><AlwaysSuccess name="plan"/><Sleep msec="500"/></Sequence>
+    /// </BehaviorTree></root>"#;
+    /// # let mut tree = build("go.xml", text.as_bytes(), &Registry::<()>::new(), None, &mut |_, _| Err("no includes".into()))?;
+    /// tree.tick(Duration::ZERO, &mut ())?;
+    /// let rows = ["go [Sequence]  RUNNING", "├─ plan [AlwaysSuccess]  SUCCESS", "└─ Sleep  RUNNING"];
+    /// assert_eq!(tree.render().lines().collect::<Vec<_>>(), rows);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     pub fn render(&self) -> String {
         self.draw(|id, drawn| self.render_status(id, drawn))
     }
@@ -187,5 +210,21 @@ impl<C> Tree<C> {
         if !memory.feedback.is_empty() {
             let _ = write!(drawn, "  {}", memory.feedback);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn whole_numbers_are_shown_whole_and_others_with_two_digits() {
+        let path = json!({"route": 4_294_967_300_u64, "length": 2.0, "turn": -0.125});
+        let shown = words(&Value::Data(path.into()));
+        let mut fields: Vec<&str> = shown.split(", ").collect();
+        fields.sort_unstable();
+        assert_eq!(fields, ["length 2.00", "route 4294967300", "turn -0.12"]);
     }
 }

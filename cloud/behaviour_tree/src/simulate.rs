@@ -162,6 +162,20 @@ mod unscripted {
 ///
 /// # Errors
 /// All errors in the tree file.
+///
+/// ```
+/// use zenav_behaviour_tree::Status;
+/// use zenav_behaviour_tree::simulate::{Script, simulate};
+///
+/// let text = r#"<root BTCPP_format="4"><BehaviorTree ID="Main">
+///     <RetryUntilSuccessful num_attempts="3"><Grab/></RetryUntilSuccessful>
+/// </BehaviorTree></root>"#;
+/// // Every grab takes 200 ms; the first one fails.
+/// let script: Script = serde_json::from_str(r#"{"leaves": {"Grab": {"run_ms": 200, "fail": [[1, 1]]}}}"#)?;
+/// let outcome = simulate("grab.xml", text.as_bytes(), None, &script, &mut |_, _| Err("no includes".into()))?;
+/// assert_eq!((outcome.status, outcome.counts["Grab"], outcome.sim_time_ms), (Status::Success, 2, 400));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub fn simulate(
     file: &str,
     bytes: &[u8],

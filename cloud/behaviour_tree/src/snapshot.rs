@@ -50,6 +50,23 @@ pub enum RestoreError {
 
 impl<C> Tree<C> {
     /// The tree as data. Must be taken between ticks: during a tick, a leaf may not have finished remembering.
+    ///
+    /// ```
+    /// use std::time::Duration;
+    /// use zenav_behaviour_tree::{Registry, Status, build};
+    ///
+    /// let text = r#"<root BTCPP_format="4"><BehaviorTree ID="Main"><Sleep msec="500"/></BehaviorTree></root>"#;
+    /// let make = || build("wait.xml", text.as_bytes(), &Registry::<()>::new(), None, &mut |_, _| Err("no includes".into()));
+    /// let mut tree = make()?;
+    /// tree.tick(Duration::ZERO, &mut ())?;
+    /// let stored = serde_json::to_string(&tree.snapshot())?;
+    ///
+    /// let mut restarted = make()?;
+    /// restarted.restore(serde_json::from_str(&stored)?)?;
+    /// assert_eq!(restarted.tick(Duration::from_millis(499), &mut ())?, Status::Running);
+    /// assert_eq!(restarted.tick(Duration::from_millis(500), &mut ())?, Status::Success);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     pub fn snapshot(&self) -> TreeSnapshot {
         let memories = (1_u16..)
             .zip(&self.memories)
@@ -77,6 +94,19 @@ impl<C> Tree<C> {
     ///
     /// # Errors
     /// [`RestoreError`]; the tree is then unchanged.
+    ///
+    /// ```
+    /// use zenav_behaviour_tree::{Registry, RestoreError, build};
+    ///
+    /// let tree = |ms: u32| {
+    ///     let text = format!("<root BTCPP_format=\"4\"><BehaviorTree ID=\"Main\"><Sleep msec=\"{ms}\"/></BehaviorTree></root>");
+    ///     build("wait.xml", text.as_bytes(), &Registry::<()>::new(), None, &mut |_, _| Err("no includes".into()))
+    /// };
+    /// // The file has changed since the snapshot was taken.
+    /// assert_eq!(tree(400)?.restore(tree(500)?.snapshot()), Err(RestoreError::OtherTree("Main".into())));
+    /// assert_eq!(tree(500)?.restore(tree(500)?.snapshot()), Ok(()));
+    /// # Ok::<(), zenav_behaviour_tree::TreeErrors>(())
+    /// ```
     pub fn restore(&mut self, snapshot: TreeSnapshot) -> Result<(), RestoreError> {
         if snapshot.version != VERSION {
             return Err(RestoreError::Version(snapshot.version));

@@ -4,7 +4,7 @@
 //! behaviour of each node is in the file of its family. Nothing here allocates unless a node fails with an error.
 //!
 //! A node is halted exactly once for every start that it did not finish: [`Run::reset`] halts a node only if it is `Running`, and leaves it
-//! `Idle`.
+//! `Idle`. A node with children is `Running` while they are ticked, so an error below it halts it, too.
 
 use std::time::Duration;
 
@@ -79,6 +79,8 @@ impl<'a, C> Run<'a, C> {
                     None => self.enter(id, node, before)?,
                 };
                 if status.is_completed() {
+                    // It has ended: an error in these scripts does not halt it.
+                    self.states[id as usize].status = status;
                     self.after(id, guards, status)?;
                 }
                 status
@@ -90,13 +92,13 @@ impl<'a, C> Run<'a, C> {
                 "answered IDLE: expected RUNNING, SUCCESS, FAILURE or SKIPPED".into(),
             ));
         }
-        let state = &mut self.states[id as usize];
         // A skipped node keeps its status; it cannot still be running.
-        let kept = match status {
-            Status::Skipped if state.status == Status::Running => Status::Idle,
-            Status::Skipped => state.status,
-            other => other,
+        let kept = match (status, before) {
+            (Status::Skipped, Status::Running) => Status::Idle,
+            (Status::Skipped, before) => before,
+            (other, _) => other,
         };
+        let state = &mut self.states[id as usize];
         if state.last != status {
             self.changes += 1;
         }
@@ -110,10 +112,20 @@ impl<'a, C> Run<'a, C> {
             bump(&mut self.states[id as usize].starts);
         }
         match &node.role {
-            Role::Builtin(builtin) => builtin.tick(self, id, before),
+            Role::Builtin(builtin) => {
+                if node.child_count > 0 {
+                    self.starts_children(id);
+                }
+                builtin.tick(self, id, before)
+            }
             Role::Leaf(body) => self.leaf(id, *body, before),
             Role::Decorator(body) => self.decorator(id, *body, before),
         }
+    }
+
+    /// From here on the node counts as running: an error below it halts it with its children.
+    fn starts_children(&mut self, id: NodeId) {
+        self.states[id as usize].status = Status::Running;
     }
 
     /// `_failureIf`, `_successIf`, `_skipIf`, in this order, before a node starts; `_while` before it starts and before each of its ticks:
@@ -209,23 +221,23 @@ impl<'a, C> Run<'a, C> {
         }
     }
 
-    /// After a fault: halts every running leaf, whatever its ancestors' statuses; all controls start over, including those that had not
-    /// answered yet.
+    /// After a fault: halts what runs, from the root down as [`Tree::halt`](super::Tree::halt) does, and whatever else a damaged snapshot
+    /// left running.
     pub(crate) fn halt_everything(&mut self) {
-        for id in (0..self.nodes.len() as NodeId).rev() {
+        // A clean-up on halting has node visits of its own.
+        self.visits = 0;
+        for id in 0..self.nodes.len() as NodeId {
             self.reset(id);
-            if let Role::Builtin(builtin) = &self.nodes[id as usize].role {
-                builtin.after_halt(&mut self.states[id as usize]);
-            }
         }
     }
 
-    fn io(&mut self, id: NodeId) -> (LeafIo<'_>, &mut [Body<C>], &mut C) {
+    /// A node's view of the tree; `previous` is its status before this tick.
+    fn io(&mut self, id: NodeId, previous: Status) -> (LeafIo<'_>, &mut [Body<C>], &mut C) {
         let io = LeafIo {
             info: &self.infos[id as usize],
             uid: (id + 1) as u16,
             now: self.now,
-            previous: self.states[id as usize].status,
+            previous,
             board: self.board,
             memory: &mut self.memories[id as usize],
             wake: &mut self.wake,
@@ -235,7 +247,7 @@ impl<'a, C> Run<'a, C> {
     }
 
     fn leaf(&mut self, id: NodeId, body: u32, before: Status) -> Answer {
-        let (mut io, bodies, ctx) = self.io(id);
+        let (mut io, bodies, ctx) = self.io(id, before);
         let Some(Body::Leaf(leaf)) = bodies.get_mut(body as usize) else {
             return Err(Stop);
         };
@@ -261,43 +273,40 @@ impl<'a, C> Run<'a, C> {
     fn decorator(&mut self, id: NodeId, body: u32, before: Status) -> Answer {
         let child = self.child(id, 0)?;
         let child_status = self.states[child as usize].status;
-        let (mut io, bodies, ctx) = self.io(id);
+        let (mut io, bodies, ctx) = self.io(id, before);
         let Some(Body::Decorator(decorator)) = bodies.get_mut(body as usize) else {
             return Err(Stop);
         };
         if before != Status::Running {
             io.memory.feedback.clear();
         }
-        match decorator.enter(&mut io, ctx, child_status) {
-            Enter::Answer(status) => {
-                if let Some(why) = io.abort {
-                    return Err(self.fault(id, why));
-                }
-                if status != Status::Running {
-                    self.reset(child);
-                }
-                Ok(status)
-            }
+        let (status, abort) = match decorator.enter(&mut io, ctx, child_status) {
+            Enter::Answer(status) => (status, io.abort),
             Enter::TickChild => {
+                self.starts_children(id);
                 let answer = self.exec_and_reset(child)?;
-                let (mut io, bodies, ctx) = self.io(id);
+                let (mut io, bodies, ctx) = self.io(id, before);
                 let Some(Body::Decorator(decorator)) = bodies.get_mut(body as usize) else {
                     return Err(Stop);
                 };
-                let status = decorator.leave(&mut io, ctx, answer);
-                if let Some(why) = io.abort {
-                    return Err(self.fault(id, why));
-                }
-                if status != Status::Running {
-                    self.reset(child);
-                }
-                Ok(status)
+                (decorator.leave(&mut io, ctx, answer), io.abort)
+            }
+        };
+        if abort.is_some() || status != Status::Running {
+            self.reset(child);
+        }
+        match abort {
+            None => Ok(status),
+            Some(why) => {
+                // It has ended itself, as a leaf does.
+                self.states[id as usize].status = Status::Idle;
+                Err(self.fault(id, why))
             }
         }
     }
 
     fn halt_body(&mut self, id: NodeId, body: u32) {
-        let (mut io, bodies, ctx) = self.io(id);
+        let (mut io, bodies, ctx) = self.io(id, Status::Running);
         match bodies.get_mut(body as usize) {
             Some(Body::Leaf(leaf)) => leaf.halt(&mut io, ctx),
             Some(Body::Decorator(decorator)) => decorator.halt(&mut io, ctx),
@@ -346,11 +355,7 @@ impl<'a, C> Run<'a, C> {
 
     /// The value of a port, if it has one.
     pub(crate) fn value<'s>(&'s self, source: &'s Source) -> Option<&'s Value> {
-        match source {
-            Source::Literal(value) => Some(value),
-            Source::Slot(slot) => self.board.read(*slot),
-            Source::Unset => None,
-        }
+        source.value(self.board)
     }
 
     /// Reads a port that a built-in node requires.

@@ -73,6 +73,18 @@ impl<C> Tree<C> {
     }
 
     /// The blackboard, to write goals and parameters before and between ticks.
+    ///
+    /// ```
+    /// # use std::time::Duration;
+    /// # use zenav_behaviour_tree::{Registry, Status, build};
+    /// let text = r#"<root BTCPP_format="4"><BehaviorTree ID="Main"><ScriptCondition code="charge > 0.2"/></BehaviorTree></root>"#;
+    /// # let mut tree = build("charge.xml", text.as_bytes(), &Registry::<()>::new(), None, &mut |_, _| Err("no includes".into()))?;
+    /// for (charge, answer) in [(0.5, Status::Success), (0.1, Status::Failure)] {
+    ///     tree.blackboard_mut().set("charge", charge)?;
+    ///     assert_eq!(tree.tick(Duration::ZERO, &mut ())?, answer);
+    /// }
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     pub fn blackboard_mut(&mut self) -> &mut Blackboard {
         &mut self.board
     }
@@ -140,6 +152,19 @@ impl<C> Tree<C> {
     ///
     /// # Errors
     /// [`TickError`]: a node error. Every running leaf has been halted.
+    ///
+    /// ```
+    /// use std::time::Duration;
+    /// use zenav_behaviour_tree::{Registry, Status, build};
+    ///
+    /// let text = r#"<root BTCPP_format="4"><BehaviorTree ID="Main"><Timeout msec="100"><Sleep msec="500"/></Timeout></BehaviorTree></root>"#;
+    /// let mut tree = build("slow.xml", text.as_bytes(), &Registry::<()>::new(), None, &mut |_, _| Err("no includes".into()))?;
+    /// assert_eq!(tree.tick(Duration::ZERO, &mut ())?, Status::Running);
+    /// assert_eq!(tree.tick(Duration::from_millis(99), &mut ())?, Status::Running);
+    /// assert_eq!(tree.tick(Duration::from_millis(100), &mut ())?, Status::Failure);
+    /// assert_eq!(tree.status(), Status::Idle, "the run has ended");
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     pub fn tick(&mut self, now: Duration, ctx: &mut C) -> Result<Status, TickError> {
         self.run(now, ctx, ROUNDS)
     }
@@ -156,6 +181,21 @@ impl<C> Tree<C> {
     ///
     /// # Errors
     /// [`TickError`] from a script that runs on halting; the tree is halted nevertheless.
+    ///
+    /// ```
+    /// # use std::time::Duration;
+    /// # use zenav_behaviour_tree::{Registry, Status, build};
+    /// let text = r#"<root BTCPP_format="4"><BehaviorTree ID="Main"><Sleep msec="500"/></BehaviorTree></root>"#;
+    /// # let mut tree = build("wait.xml", text.as_bytes(), &Registry::<()>::new(), None, &mut |_, _| Err("no includes".into()))?;
+    /// tree.tick(Duration::ZERO, &mut ())?;
+    /// tree.halt(Duration::from_millis(400), &mut ())?;
+    /// assert_eq!((tree.report()[0].status, tree.report()[0].last), (Status::Idle, Status::Running));
+    /// // The next tick starts over: the wait lasts until 900 ms.
+    /// assert_eq!(tree.tick(Duration::from_millis(400), &mut ())?, Status::Running);
+    /// assert_eq!(tree.tick(Duration::from_millis(899), &mut ())?, Status::Running);
+    /// assert_eq!(tree.tick(Duration::from_millis(900), &mut ())?, Status::Success);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     pub fn halt(&mut self, now: Duration, ctx: &mut C) -> Result<(), TickError> {
         let mut run = self.take_apart(now, ctx);
         run.reset(0);

@@ -6,6 +6,8 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
+use super::status::Status;
+
 /// The type that an entry keeps after its first assignment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -50,6 +52,15 @@ impl Value {
     ///
     /// # Errors
     /// What serde_json reports, for example a map whose keys are not text.
+    ///
+    /// ```
+    /// use zenav_behaviour_tree::{Value, ValueType};
+    ///
+    /// let path = Value::data(&[[0.0, 0.0], [1.0, 2.5]])?;
+    /// assert_eq!(path.kind(), ValueType::Data);
+    /// assert_eq!(path.to_string(), "[[0.0,0.0],[1.0,2.5]]");
+    /// # Ok::<(), serde_json::Error>(())
+    /// ```
     pub fn data<T: Serialize>(data: &T) -> Result<Value, serde_json::Error> {
         Ok(Value::Data(Arc::new(serde_json::to_value(data)?)))
     }
@@ -139,6 +150,14 @@ impl Value {
     }
 
     /// Converted to `kind` without loss; a number does not convert to text, and text `true` becomes 1.
+    ///
+    /// ```
+    /// use zenav_behaviour_tree::{Value, ValueType};
+    ///
+    /// assert_eq!(Value::text("0.5").convert(ValueType::Double), Some(Value::Double(0.5)));
+    /// assert_eq!(Value::Double(2.5).convert(ValueType::Int), None, "half would be lost");
+    /// assert_eq!(Value::text("true").convert(ValueType::Int), Some(Value::Int(1)));
+    /// ```
     pub fn convert(&self, kind: ValueType) -> Option<Value> {
         match kind {
             ValueType::Bool => self.as_bool().map(Value::Bool),
@@ -251,6 +270,7 @@ from_value! {
     u64, "an integer of at least 0": |value| value.as_int()?.try_into().ok();
     f64, "a number": |value| value.as_double();
     String, "text": |value| Some(value.to_string());
+    Status, "a status": |value| Status::from_name(&value.to_string());
     Value, "a value": |value| Some(value.clone());
 }
 

@@ -15,7 +15,7 @@ use zenav_gateway::{
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::{
     AnnotateAction, Annotations, CancelRequest, EdgeState, GoalPoint, GoalReply, GoalRequest, GoalsReply, GoalsRequest,
-    LocaliseReply, MapReply, MoveGoalRequest, PauseRequest, PoseEstimate, Refusal, StopReply,
+    LocaliseReply, MapReply, MoveGoalRequest, PauseRequest, PoseEstimate, Refusal, ResumeRequest, StopReply,
 };
 
 const ROBOTS: [&str; 3] = ["anna", "bert", "carl"];
@@ -70,7 +70,7 @@ impl Operator for Stops {
     fn stop(&self, robot: &str, _: &str) -> Answer<StopReply> {
         self.set(robot, true)
     }
-    fn resume(&self, robot: &str, _: u64, _: &str) -> Answer<StopReply> {
+    fn resume(&self, robot: &str, _: ResumeRequest) -> Answer<StopReply> {
         self.set(robot, false)
     }
     fn map(&self, _: &str) -> Answer<MapReply> {

@@ -1,7 +1,7 @@
 // Panel of the map. Which places and zones does it have, and how are they added, changed and removed? By a click, or by numbers.
 
 import { deletePlace, deleteZone } from "./api.js";
-import { $, ask, degrees, el, radians, toast } from "./dom.js";
+import { $, ask, byName, capital, degrees, el, numberIn, radians, refill, toast } from "./dom.js";
 import { cornersOf } from "./polygon.js";
 import { attempt, savePlace, saveZone, sendPose } from "./send.js";
 import { store } from "./store.js";
@@ -12,14 +12,14 @@ let drawn = "";
 
 async function remove(kind, name, call) {
   const robot = store.watched;
-  const yes = await ask({ title: `Remove ${kind} “${name}”?`, text: `Everybody loses it, also the missions of ${robot}.`, yes: "Remove" });
-  if (yes && await attempt(`The ${kind} is not removed`, () => call(robot, name))) toast(`${kind} “${name}” is removed`, "good");
+  const yes = await ask({ title: `Remove ${kind} “${name}”?`, text: `It is removed for all users, and for the missions of ${robot}.`, yes: "Remove" });
+  if (yes && await attempt(`${capital(kind)} not removed`, () => call(robot, name))) toast(`${capital(kind)} “${name}” removed`, "good");
 }
 
 /** Asks for another name; the thing itself stays. */
 async function rename(kind, name, save) {
   const robot = store.watched;
-  const given = await ask({ title: `Rename ${kind}`, text: `“${name}” gets another name.`, yes: "Rename", field: "Name", value: name });
+  const given = await ask({ title: `Rename ${kind}`, text: `New name of “${name}”.`, yes: "Rename", field: "Name", value: name });
   if (given && given !== name && robot === store.watched) save(given);
 }
 
@@ -40,7 +40,7 @@ function placeRow([name, place]) {
 
 function zoneRow(zone) {
   const limit = limitOf(zone);
-  return row("zone", zone.name, `${limit === null ? "keep out" : `at most ${limit} m/s`}, ${zone.points.length} corners`, {
+  return row("zone", zone.name, `${limit === null ? "keep-out" : `at most ${limit} m/s`}, ${zone.points.length} corners`, {
     edit: () => tools.edit({ kind: "zone", original: zone.name, name: zone.name, limit, closed: true, points: zone.points.map((point) => [...point]) }),
     save: (given) => saveZone(zone.name, given, { rule: zone.rule, points: zone.points }),
     call: deleteZone,
@@ -52,19 +52,20 @@ function draw() {
   if (sign === drawn) return;
   drawn = sign;
   const none = (text) => [el("li", { class: "empty" }, text)];
-  const [places, zones] = [Object.entries(store.places), store.zones];
-  $("places").replaceChildren(...(places.length ? places.map(placeRow) : none("No place yet. The tool N adds one.")));
-  $("zones").replaceChildren(...(zones.length ? zones.map(zoneRow) : none("No zone yet. The tool Z draws one.")));
+  const places = Object.entries(store.places).sort(([a], [b]) => byName(a, b));
+  const zones = [...store.zones].sort((a, b) => byName(a.name, b.name));
+  refill($("places"), places.length ? places.map(placeRow) : none("No places yet. Add one with the diamond tool (N)."));
+  refill($("zones"), zones.length ? zones.map(zoneRow) : none("No zones yet. Draw one with the polygon tool (Z)."));
 }
 
 /** What stands in the fields for a place: null where a number is missing. */
 function numbers() {
-  const [x, y, heading] = ["at-x", "at-y", "at-yaw"].map((id) => $(id).valueAsNumber);
-  if (!Number.isFinite(x) || !Number.isFinite(y)) {
-    toast("Expected x and y in metres", "bad");
+  const [x, y, heading] = ["at-x", "at-y", "at-yaw"].map(numberIn);
+  if (!Number.isFinite(x) || !Number.isFinite(y) || Number.isNaN(heading)) {
+    toast("Expected x and y in metres, and a heading in degrees or none", "bad");
     return null;
   }
-  return { x, y, ...(Number.isFinite(heading) ? { yaw: radians(heading) } : {}) };
+  return { x, y, ...(heading === null ? {} : { yaw: radians(heading) }) };
 }
 
 export function startAnnotations() {
@@ -77,17 +78,21 @@ export function startAnnotations() {
     if (!at) return;
     const pose = { ...at, yaw: at.yaw ?? store.data("pose")?.yaw ?? 0 };
     const robot = store.watched;
-    const yes = await ask({ title: `Set the pose of ${robot}?`, text: "It stops, drops its plan, and goes on from there.", yes: "Set pose" });
+    const yes = await ask({ title: `Set the pose of ${robot}?`, text: "It stops and drops its plan.", yes: "Set pose" });
     if (yes && robot === store.watched) sendPose(pose);
   };
   $("add-zone").onclick = () => {
     const points = cornersOf($("zone-corners").value);
     if (!points) {
-      toast("Expected x and y of three corners or more, in metres", "bad");
+      toast("Expected x and y of three corners or more, in metres, with decimal points and spaces: 0.2 -1  0.8 -1  0.8 -0.4", "bad");
       return;
     }
-    const limit = $("zone-limit").valueAsNumber;
-    saveZone(null, $("zone-name").value.trim(), { rule: Number.isFinite(limit) ? { speed_limit: { max_speed: limit } } : "keep_out", points });
+    const limit = numberIn("zone-limit");
+    if (Number.isNaN(limit)) {
+      toast("Expected a speed limit in m/s, or none for keep-out", "bad");
+      return;
+    }
+    saveZone(null, $("zone-name").value.trim(), { rule: limit === null ? "keep_out" : { speed_limit: { max_speed: limit } }, points });
   };
   store.on("frame", draw);
   store.on("watch", draw);

@@ -1,19 +1,32 @@
 // API. How does the page ask the gateway? Each request has a deadline, each error a reason.
 
+import { recall, remember } from "./memory.js";
+
 const TOKEN = "zenav-token";
+let held = null;
+
+function decoded(text) {
+  try {
+    return decodeURIComponent(text);
+  } catch {
+    return text;
+  }
+}
 
 /** The gateway's token: out of the address (`#token=…`) once, then kept for this tab. */
 export function token() {
   const found = /[#&]token=([^&]+)/.exec(location.hash);
   if (found) {
-    sessionStorage.setItem(TOKEN, decodeURIComponent(found[1]));
     history.replaceState(null, "", location.pathname);
+    setToken(decoded(found[1]));
   }
-  return sessionStorage.getItem(TOKEN);
+  held ??= recall(TOKEN, "sessionStorage");
+  return held;
 }
 
 export function setToken(value) {
-  sessionStorage.setItem(TOKEN, value);
+  held = value;
+  remember(TOKEN, value, "sessionStorage");
 }
 
 /** An error reply, or no reply. */

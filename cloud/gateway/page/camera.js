@@ -33,12 +33,13 @@ export class Camera {
     this.y += dy / this.scale;
   }
 
-  /** Shows an extent [x0, y0, x1, y1] in m with a border. */
+  /** Shows an extent [x0, y0, x1, y1] in m with a border, beside the toolbar. */
   fit([x0, y0, x1, y1]) {
-    this.x = (x0 + x1) / 2;
-    this.y = (y0 + y1) / 2;
-    const scale = Math.min((this.width - 120) / Math.max(x1 - x0, 0.5), (this.height - 100) / Math.max(y1 - y0, 0.5));
+    const [left, right, upright] = [90, 40, 50];
+    const scale = Math.min((this.width - left - right) / Math.max(x1 - x0, 0.5), (this.height - 2 * upright) / Math.max(y1 - y0, 0.5));
     this.scale = Math.min(MOST, Math.max(LEAST, scale));
+    this.x = (x0 + x1) / 2 - (left - right) / 2 / this.scale;
+    this.y = (y0 + y1) / 2;
   }
 
   /** A round length in m that is some 90 to 200 pixels long. */

@@ -43,8 +43,17 @@ export function alarm(text) {
   setText($("alarm"), text);
 }
 
-/** Asks before something is done; resolves to the text of the field, or `true`, or `null` for no. */
+/** Takes an alarm back, unless another one was raised since. */
+export function calm(text) {
+  if (text && $("alarm").textContent === text) alarm("");
+}
+
+/** Answers the question that is open with no. */
+let refuse = () => {};
+
+/** Asks before something is done; resolves to the text of the field, or `true`, or `null` for no, which another question says too. */
 export function ask({ title, text, yes, field, wanted, value = "" }) {
+  refuse();
   const dialog = $("dialog");
   setText($("dialog-title"), title);
   setText($("dialog-text"), text);
@@ -57,9 +66,10 @@ export function ask({ title, text, yes, field, wanted, value = "" }) {
   input.oninput = check;
   check();
   dialog.returnValue = "no";
-  dialog.showModal();
+  if (!dialog.open) dialog.showModal();
   (field ? input : dialog.querySelector("button[value=no]")).focus();
   return new Promise((resolve) => {
+    refuse = () => resolve(null);
     dialog.onclose = () => {
       for (const note of ["toasts", "alarm"]) bringForward($(note));
       resolve(dialog.returnValue === "yes" ? (field ? input.value.trim() : true) : null);
@@ -80,6 +90,12 @@ export function isTyping(event) {
   return at instanceof HTMLInputElement || at instanceof HTMLSelectElement || at instanceof HTMLTextAreaElement || at.closest?.("dialog");
 }
 
+/** A text with a capital first letter. */
+export const capital = (text) => `${text[0].toUpperCase()}${text.slice(1)}`;
+
+/** Order of names: `table_2` before `table_10`. */
+export const byName = new Intl.Collator(undefined, { numeric: true }).compare;
+
 export const degrees = (rad) => Math.round((rad * 180) / Math.PI);
 export const radians = (deg) => (deg * Math.PI) / 180;
 
@@ -91,9 +107,32 @@ export function duration(secs) {
   return `${Math.floor(secs / 3600)} h ${Math.floor((secs % 3600) / 60)} min`;
 }
 
-/** Nanoseconds of a robot's clock: time of day, or seconds since the start of a simulation. */
+/** Nanoseconds of a robot's clock: time of day, here, and that day; or seconds since the start of a simulation. */
 export function clockTime(stamp) {
   const secs = stamp / 1e9;
-  if (secs < 1e8) return `${secs.toFixed(1)} s`;
-  return new Date(secs * 1000).toLocaleTimeString([], { hour12: false });
+  if (secs < 1e8) return { time: `${secs.toFixed(1)} s`, day: "" };
+  const date = new Date(secs * 1000);
+  return { time: date.toLocaleTimeString([], { hourCycle: "h23" }), day: date.toLocaleString([], { dateStyle: "full", timeStyle: "long" }) };
+}
+
+/** Puts other rows into a list; what had the focus, by its name, keeps it: in the row of the same title, if it has one. */
+export function refill(list, rows) {
+  const at = document.activeElement;
+  const name = list.contains(at) ? at.getAttribute("aria-label") : null;
+  const row = name === null ? -1 : [...list.children].findIndex((child) => child.contains(at));
+  const title = list.children[row]?.title;
+  list.replaceChildren(...rows);
+  if (name === null) return;
+  // Names need not be unique in a list: two goals may have the same place.
+  const within = title ? [...list.children].find((child) => child.title === title) : list;
+  const same = [...within?.querySelectorAll("[aria-label]") ?? []].find((node) => node.getAttribute("aria-label") === name);
+  // A control without a use at its new place, or one that is gone, leaves the focus beside it.
+  const beside = (same?.closest("li") ?? list.children[Math.min(row, list.children.length - 1)])?.querySelector("button:not(:disabled)");
+  (same && !same.disabled ? same : beside)?.focus({ preventScroll: true });
+}
+
+/** The number in a field: null if it is empty, NaN if it is none. */
+export function numberIn(id) {
+  const field = $(id);
+  return field.value === "" && !field.validity.badInput ? null : field.valueAsNumber;
 }

@@ -21,10 +21,10 @@ function words(draft) {
   const at = draft.kind === "zone" ? "" : `${draft.x.toFixed(2)}, ${draft.y.toFixed(2)} m, ${heading}`;
   switch (draft.kind) {
     case "goal": return `Goal ${at}`;
-    case "pose": return `${store.watched} is at ${at}: it stops and drops its plan`;
+    case "pose": return `Pose of ${store.watched}: ${at}. It stops and drops its plan`;
     case "place": return `Place ${at}`;
     default: return draft.closed ? `Zone, ${draft.points.length} corners` : draft.points.length < 3
-      ? "Zone: click its corners" : "Zone: click the first corner, or Enter, to close it";
+      ? "Zone: click its corners" : "Zone: click the first corner or press Enter to close it";
   }
 }
 
@@ -84,7 +84,7 @@ export async function sendDraft(draft) {
   let result;
   if (kind === "goal") {
     const { sent, near } = await sendGoal({ ...at, on_busy: store.isBusy() ? $("draft-busy").value : "queue" });
-    if (near) toast("The nearest free place is proposed instead");
+    if (near) toast("The nearest free position is proposed instead");
     result = { done: sent, near };
   } else if (kind === "pose") {
     result = { done: await sendPose(at) };

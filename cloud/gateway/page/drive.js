@@ -49,7 +49,7 @@ function letGo() {
 async function arm() {
   const robot = store.watched;
   const name = await ask({
-    title: "Drive by hand", text: `This takes the command of ${robot} from its mission, and drops its plan. Type the robot's name to arm.`,
+    title: "Drive by hand", text: `This takes control of ${robot} from its mission and drops its plan. Type the robot's name to arm.`,
     yes: "Arm", field: "Name of the robot", wanted: robot,
   });
   if (name === robot && store.watched === robot) send({ type: "arm", robot });

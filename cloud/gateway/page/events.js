@@ -1,15 +1,25 @@
 // Events. What happened on the robot, in words?
 
 import { $, clockTime, el, setText } from "./dom.js";
+import { titleOf } from "./goals.js";
 import { store } from "./store.js";
 
 const SHOWN = 150;
+/** Of each robot, the events that were on the screen: a page that reconnects hears them again. */
+const seen = new Map();
+const keyOf = (event) => `${event.boot_id} ${event.sequence}`;
 
 /** How well the robot is localised, in words and as a kind of event. */
 function localised(health) {
-  const trusted = health.state === "tracking" || health.state === "degraded";
+  const trusted = !["searching", "lost", "ambiguous"].includes(health.state);
   const places = health.hypotheses ? `, ${health.hypotheses.length} places` : "";
   return [`: ${health.state}${places}`, trusted ? "" : health.state === "searching" ? "warn" : "bad"];
+}
+
+/** The goal of an event, as it is listed. */
+function goalOf({ goal_id: id }) {
+  const goal = store.goals.get(id);
+  return ` for ${goal ? titleOf(goal) : id}`;
 }
 
 /** Name, words and kind of an event. */
@@ -17,9 +27,9 @@ function told(event) {
   const reason = event.reason ? `: ${event.reason}` : "";
   switch (event.event) {
     case "started": return ["edge started", "", ""];
-    case "plan_accepted": return ["plan accepted", ` for ${event.goal_id}`, ""];
+    case "plan_accepted": return ["plan accepted", goalOf(event), ""];
     case "plan_rejected": return ["plan refused", reason, "bad"];
-    case "plan_finished": return ["plan finished", ` for ${event.goal_id}`, ""];
+    case "plan_finished": return ["plan finished", goalOf(event), ""];
     case "plan_expired": return ["plan expired", "; the robot is at rest", "warn"];
     case "plan_discarded": return ["plan discarded", reason, "warn"];
     case "bumped": return ["bumped", "; the contact sensor was pressed", "bad"];
@@ -39,9 +49,14 @@ function told(event) {
 }
 
 export function drawEvents() {
-  const bad = store.events.filter((event) => told(event)[2] === "bad").length;
-  setText($("tab-events"), bad ? `Events (${bad} !)` : "Events");
-  if ($("panel-events").hidden) return;
+  const shows = !$("panel-events").hidden;
+  if (shows) seen.set(store.watched, new Set(store.events.map(keyOf)));
+  const known = seen.get(store.watched);
+  const count = $("tab-events").querySelector(".count");
+  const unseen = store.events.filter((event) => !known?.has(keyOf(event)) && told(event)[2] === "bad").length;
+  count.hidden = unseen === 0;
+  setText(count.firstChild, String(unseen));
+  if (!shows) return;
   const filter = $("event-filter").value.trim().toLowerCase();
   const words = filter ? filter.split(/\s+/) : [];
   const rows = [];
@@ -51,7 +66,8 @@ export function drawEvents() {
     const line = `${name} ${event.event} ${text}`.toLowerCase();
     if ($("event-warn").checked && !kind) continue;
     if (!words.every((word) => line.includes(word))) continue;
-    rows.push(el("li", { class: kind }, el("time", {}, clockTime(event.stamp)), el("span", {}, el("b", {}, name), text)));
+    const { time, day } = clockTime(event.stamp);
+    rows.push(el("li", { class: kind }, el("time", { title: day }, time), el("span", {}, el("b", {}, name), text)));
   }
   $("events").replaceChildren(...(rows.length ? rows : [el("li", { class: "empty" }, store.events.length ? "No event matches." : "No event yet.")]));
 }

@@ -1,8 +1,7 @@
 // Goals. Which run, wait, and have ended, and why?
 
 import { cancelGoal, listGoals, moveGoal, pauseGoal, resumeGoal } from "./api.js";
-import { $, degrees, duration, el, radians, setText, toast } from "./dom.js";
-import { placeOf } from "./layers.js";
+import { $, byName, degrees, duration, el, radians, refill, setText } from "./dom.js";
 import { attempt, sendGoal } from "./send.js";
 import { store } from "./store.js";
 
@@ -13,7 +12,7 @@ const SIGNS = {
 let drawn = "";
 let again;
 
-function titleOf(goal) {
+export function titleOf(goal) {
   const { request } = goal;
   if (request.place) return request.place;
   if (Number.isFinite(request.x)) {
@@ -22,7 +21,7 @@ function titleOf(goal) {
   }
   if (request.waypoints?.length) return `${request.waypoints.length} waypoints`;
   const tree = request.tree ?? "tree";
-  return tree.length < 40 ? tree : "tree of the goal's own";
+  return tree.length < 40 ? tree : "tree sent with the goal";
 }
 
 function seconds(from, to) {
@@ -32,7 +31,7 @@ function seconds(from, to) {
 function outcomeOf(goal) {
   const took = goal.started && goal.ended ? `${duration(seconds(goal.started, goal.ended))}` : "";
   const plans = goal.feedback?.plans ? `${goal.feedback.plans} ${goal.feedback.plans === 1 ? "plan" : "plans"}` : "";
-  return [goal.reason, goal.state === "Accepted" ? "waits" : took, plans].filter(Boolean).join(" · ");
+  return [goal.reason, goal.state === "Accepted" ? "queued" : took, plans].filter(Boolean).join(" · ");
 }
 
 /** Goals that wait, the next one first. */
@@ -77,7 +76,7 @@ function row(goal, place, count) {
   const [sign, kind] = SIGNS[goal.state] ?? ["", ""];
   const waits = goal.state === "Accepted";
   const item = el("li", { title: goal.id, class: waits ? "waits" : "" },
-    el("span", { class: kind, "aria-label": waits ? `Waits, place ${place + 1}` : goal.state, role: "img" }, waits ? `${place + 1}.` : sign),
+    el("span", { class: kind, "aria-label": waits ? `Queued, place ${place + 1}` : goal.state, role: "img" }, waits ? `${place + 1}.` : sign),
     el("span", {}, titleOf(goal), el("small", {}, outcomeOf(goal))), waits ? controls(goal, place, count) : null);
   if (waits) makeDraggable(item, goal, place);
   return item;
@@ -103,14 +102,15 @@ function drawActive(goal) {
   card.classList.toggle("paused", paused);
   const { feedback } = goal;
   const state = store.data("state");
-  const now = paused ? "Paused" : state?.mode === "stopped" ? "Stopped" : "Driving";
+  const drives = state?.mode === "follow" || state?.mode === "behaviour";
+  const now = paused ? "Paused" : state?.mode === "stopped" ? "Stopped" : drives ? "Driving" : "Waiting";
   setText(card.querySelector("span"), `${now}: ${titleOf(goal)}`);
   const left = state?.plan?.goal_id === goal.id ? state.plan.distance_left : feedback?.distance_left;
   const time = state?.plan?.goal_id === goal.id ? state.plan.time_left : feedback?.time_left;
-  setText(card.querySelector("h3 small"), Number.isFinite(left) ? `${left.toFixed(1)} m${Number.isFinite(time) ? `, ${duration(time)}` : ""}` : "");
-  const replans = feedback?.replans ? ` · replanned ${feedback.replans}×` : "";
-  const recoveries = feedback?.recoveries ? ` · recovered ${feedback.recoveries}×` : "";
-  const waits = feedback?.blockage ? " · waits for what bars the way" : "";
+  setText(card.querySelector("h3 small"), Number.isFinite(left) ? `${left.toFixed(1)} m${drives && Number.isFinite(time) ? `, ${duration(time)}` : ""}` : "");
+  const replans = feedback?.replans ? ` · replans: ${feedback.replans}` : "";
+  const recoveries = feedback?.recoveries ? ` · recoveries: ${feedback.recoveries}` : "";
+  const waits = feedback?.blockage ? " · path blocked, waiting" : "";
   setText(card.querySelector("p"), `${feedback?.step ?? ""}${replans}${recoveries}${waits}` || "starting");
   const bar = card.querySelector("progress");
   if (Number.isFinite(left)) {
@@ -118,8 +118,8 @@ function drawActive(goal) {
     bar.value = card.most > 0 ? 1 - left / card.most : 0;
   }
   const pause = card.querySelector(".pause");
-  setText(pause, paused ? "Go on" : "Pause");
-  pause.onclick = () => attempt(paused ? "Does not go on" : "Not paused", () => (paused ? resumeGoal : pauseGoal)(store.watched, goal.id));
+  setText(pause, paused ? "Resume" : "Pause");
+  pause.onclick = () => attempt(paused ? "Not resumed" : "Not paused", () => (paused ? resumeGoal : pauseGoal)(store.watched, goal.id));
 }
 
 export function drawGoals() {
@@ -132,8 +132,8 @@ export function drawGoals() {
   const sign = JSON.stringify([store.watched, shown.map((goal) => [goal.id, goal.state, goal.reason, goal.queue]), Boolean(running)]);
   if (sign === drawn) return;
   drawn = sign;
-  const empty = running ? [] : [el("li", { class: "empty" }, "No goal yet. Click on the map; drag for the heading.")];
-  $("goal-list").replaceChildren(...(shown.length ? shown.map((goal, place) => row(goal, place, waiting.length)) : empty));
+  const empty = running ? [] : [el("li", { class: "empty" }, "No goals yet. Click on the map to send one; drag to set its heading.")];
+  refill($("goal-list"), shown.length ? shown.map((goal, place) => row(goal, place, waiting.length)) : empty);
 }
 
 let listed = null;
@@ -144,9 +144,9 @@ function fillPlaces() {
   if (sign === listed) return;
   listed = sign;
   const chosen = $("place").value;
-  $("place").replaceChildren(...names.map((name) => el("option", { value: name }, name)));
+  $("place").replaceChildren(...names.sort(byName).map((name) => el("option", { value: name }, name)));
   $("place").disabled = $("go-place").disabled = names.length === 0;
-  if (!names.length) $("place").append(el("option", {}, "the map names none"));
+  if (!names.length) $("place").append(el("option", {}, "no places on this map"));
   else if (names.includes(chosen)) $("place").value = chosen;
 }
 
@@ -177,21 +177,19 @@ export function startGoals() {
     event.preventDefault();
     if ($("place").value) sendGoal({ place: $("place").value, on_busy: busy() });
   };
-  $("go-numbers").onclick = () => {
+  // A form of its own: Enter in one of its fields must not send the robot to the place above.
+  $("goal-numbers").onsubmit = (event) => {
+    event.preventDefault();
     const [x, y, yaw] = ["goal-x", "goal-y", "goal-yaw"].map((id) => $(id).valueAsNumber);
-    if (!Number.isFinite(x) || !Number.isFinite(y)) {
-      toast("A goal needs x and y in metres", "bad");
-      return;
-    }
     const goal = { x, y, on_busy: busy() };
     if (Number.isFinite(yaw)) goal.yaw = radians(yaw);
     sendGoal(goal);
   };
+  fillPlaces();
+  drawGoals();
   store.on("hello", fillPlaces);
   store.on("frame", fillPlaces);
   // The first frame of a robot's details begins the list anew.
   store.on("fresh", fetchGoals);
   store.on("frame", drawGoals);
 }
-
-export { placeOf };

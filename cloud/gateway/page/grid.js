@@ -3,7 +3,11 @@
 const TILE = 64;
 const UNKNOWN = 255;
 /** Clearance beyond this is not told apart, m. */
-const FAR = 1.5;
+export const FAR = 1.5;
+/** Colour of a clearance that is this share of `FAR`: red, green, blue, opacity. */
+const colourOf = (share) => [255 * (1 - share), 90 + 110 * share, 80 + 175 * share, 170 * (1 - share) + 20].map(Math.round);
+/** Colours of clearance from 0 to `FAR`, as CSS. */
+export const NEAR_TO_FAR = [0, 0.25, 0.5, 0.75, 1].map(colourOf).map(([red, green, blue, opacity]) => `rgb(${red} ${green} ${blue} / ${opacity / 255})`);
 
 function rgb(text) {
   const probe = document.createElement("canvas").getContext("2d", { willReadFrequently: true });
@@ -24,6 +28,8 @@ export class Raster {
     this.spec = null;
     this.values = null;
     this.clearance = null;
+    this.clearanceIsOld = false;
+    this.clearanceDue = 0;
     this.revision = 0;
   }
 
@@ -51,7 +57,7 @@ export class Raster {
       at += TILE * TILE;
     }
     this.revision = header.revision;
-    this.clearance = null;
+    this.clearanceIsOld = true;
     return true;
   }
 
@@ -131,9 +137,22 @@ export class Raster {
     return [origin[0] + x0 * resolution, origin[1] + y0 * resolution, origin[0] + (x1 + 1) * resolution, origin[1] + (y1 + 1) * resolution];
   }
 
-  /** A picture of the distance to the nearest occupied cell, made when it is asked for (Felzenszwalb and Huttenlocher, 2012). */
+  /**
+   * A picture of the distance to the nearest occupied cell, with the map's geometry at that time: made when it is asked for. While the map keeps
+   * changing, making it takes at most a tenth of the time: the page must stay quick to stop a robot.
+   */
   clearancePicture() {
-    if (!this.spec || this.clearance) return this.clearance;
+    const now = performance.now();
+    if (!this.clearance || this.clearanceIsOld && now >= this.clearanceDue) {
+      this.clearance = { picture: this.drawClearance(), spec: this.spec };
+      this.clearanceIsOld = false;
+      this.clearanceDue = now + 10 * (performance.now() - now);
+    }
+    return this.clearance;
+  }
+
+  /** The distance of each cell to the nearest occupied one, as a picture (Felzenszwalb and Huttenlocher, 2012). */
+  drawClearance() {
     const { width, height, resolution } = this.spec;
     const far = 1e9;
     const field = new Float64Array(width * height);
@@ -179,12 +198,10 @@ export class Raster {
         const metres = Math.sqrt(out[x]) * resolution;
         const pixel = ((height - 1 - y) * width + x) * 4;
         if (value === UNKNOWN || value > 65 || metres > FAR) continue;
-        const share = metres / FAR;
-        image.data.set([Math.round(255 * (1 - share)), Math.round(90 + 110 * share), Math.round(80 + 175 * share), Math.round(170 * (1 - share) + 20)], pixel);
+        image.data.set(colourOf(metres / FAR), pixel);
       }
     }
     context.putImageData(image, 0, 0);
-    this.clearance = canvas;
     return canvas;
   }
 }

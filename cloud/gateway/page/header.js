@@ -1,17 +1,26 @@
 // Header. How is the robot, who commands it, and how is it stopped?
 
 import { resumeRobot, stopAll, stopRobot } from "./api.js";
-import { $, alarm, ask, el, setText, toast } from "./dom.js";
+import { $, alarm, ask, calm, capital, degrees, el, setText, toast } from "./dom.js";
 import { watch } from "./live.js";
 import { STALE, store } from "./store.js";
 
 const MODES = {
-  idle: ["at rest", "good"], follow: ["follows a plan", "good"], teleop: ["driven by hand", "warn"], behaviour: ["maneuver", "good"],
-  wall_follow: ["follows walls alone", "warn"], return_home: ["drives home alone", "warn"], stopped: ["STOPPED", "bad"],
+  idle: ["idle", "good"], follow: ["following a plan", "good"], teleop: ["driven by hand", "warn"], behaviour: ["maneuver", "good"],
+  wall_follow: ["following walls", "warn"], return_home: ["returning home", "warn"], stopped: ["STOPPED", "bad"],
 };
+/** A stop that is not confirmed is asked for again after a pause, and for so long, ms: a link that is lost for a moment comes back. */
+const STOP_FOR = 15000;
+const STOP_PAUSE = 500;
+/** Answers of a gateway that will not change its mind: it does not let this page in. */
+const FINAL = [401, 403];
 /** The robots whose stop is not confirmed yet. */
 const stopping = new Set();
-let told = "";
+/** Whether a stop of all robots is not confirmed yet. */
+let stoppingAll = false;
+/** The alarm that the banner has raised last; empty while the link is not bad. */
+let raised = "";
+let fitted = "";
 
 function age(seconds) {
   if (!Number.isFinite(seconds)) return "never heard";
@@ -25,23 +34,24 @@ function median(values) {
 
 /** The link, from the page to the robot's command: text, kind, what stands in the tooltip. */
 export function linkOf(state) {
-  if (store.socket !== "open") return ["gateway lost: connecting again …", "bad", "The page does not hear the gateway. It tries again by itself."];
+  if (store.socket !== "open" && store.refused) return ["gateway refuses this page", "bad", "The gateway answers, but gives no live data. The page tries again by itself."];
+  if (store.socket !== "open") return ["gateway lost: reconnecting …", "bad", "No connection to the gateway. The page reconnects by itself."];
   if (!store.connected) return ["bus lost", "bad", "The gateway does not reach the router."];
-  const silent = store.age("state");
-  if (!state) return ["waiting for the robot", "warn", "Nothing was heard of it yet."];
-  if (silent > STALE) return [`robot silent, ${age(silent)}`, "bad", "The robot has published no state."];
+  if (!state) return ["waiting for the robot", "warn", "No state has been received yet."];
+  if (store.age("state") > STALE) return ["robot silent", "bad", "The robot publishes no state."];
   const operator = state.lease.role === "operator" && state.lease.live;
   const trip = store.data("round_trip");
   const ping = store.pings.length ? median(store.pings) : null;
   const lost = trip ? `${Math.round(trip.loss * 100)} % lost` : "";
   const detail = [
-    trip?.p50_ms != null ? `Round trip to the robot in the last two minutes: median ${trip.p50_ms} ms, 95 of 100 within ${trip.p95_ms} ms, ${lost}` : null,
+    trip?.p50_ms != null ? `Round trip to the robot in the last two minutes: median ${trip.p50_ms} ms, 95th percentile ${trip.p95_ms} ms, ${lost}` : null,
     ping !== null ? `page to gateway ${ping.toFixed(0)} ms` : null,
   ].filter(Boolean).join("; ");
   if (state.link === "Lost" && !operator) return ["cloud lost: the robot is on its own", "bad", detail];
   if (state.link === "Stale") return ["cloud is late", "warn", detail];
   const kind = trip?.loss > 0.05 ? "warn" : "good";
-  return [trip?.p50_ms != null ? `link ${trip.p50_ms.toFixed(0)} ms` : "link good", kind, detail, trip?.p50_ms != null ? `p95 ${trip.p95_ms.toFixed(0)} ms, ${lost}` : ""];
+  if (trip?.p50_ms == null) return ["link good", kind, detail];
+  return [`link ${trip.p50_ms.toFixed(0)} ms`, kind, detail, `p95 ${trip.p95_ms.toFixed(0)} ms${trip.loss > 0 ? `, ${lost}` : ""}`];
 }
 
 function badge(id, text, kind, title, small) {
@@ -58,17 +68,33 @@ function badge(id, text, kind, title, small) {
   node.lastElementChild.hidden = !small;
 }
 
-/** What a robot that does not know its place in the map is said to be; null while its pose is trusted. */
-function astray() {
+/** What is said of the robot's pose in its present boot; null if nothing is. */
+function healthOf() {
   const said = store.data("localisation");
   const state = store.data("state");
-  if (!said || !state || said.boot_id !== state.boot_id) return null;
-  const { health } = said;
-  switch (health.state) {
+  return said && state && said.boot_id === state.boot_id ? said.health : null;
+}
+
+/** What a robot that does not know its place in the map is said to be; null while its pose is trusted. */
+function astray() {
+  const health = healthOf();
+  switch (health?.state) {
     case "ambiguous": return `in one of ${health.hypotheses.length} places`;
-    case "searching": return "lost, looking for itself in the map";
+    case "searching": return "lost, searching the map";
     case "lost": return "lost";
     default: return null;
+  }
+}
+
+/** Words and kind of the badge on the robot's pose. */
+function localised() {
+  const lost = astray();
+  if (lost) return [lost, "bad"];
+  switch (healthOf()?.state) {
+    case "contradicted": return ["scans contradict the map", "bad"];
+    case "tracking": case "degraded": return ["localised", "good"];
+    // So it is said, or nothing is.
+    default: return ["pose unchecked", ""];
   }
 }
 
@@ -77,7 +103,11 @@ function drawBadges() {
   const stale = store.isStale();
   const [link, kind, title, small] = linkOf(state);
   badge("link", link, kind, title, small);
-  if (!state) return;
+  if (!state) {
+    // What shows was said of another robot, or before the gateway was lost.
+    for (const node of [...$("badges").children]) if (node.dataset.id !== "link") node.remove();
+    return;
+  }
   const old = stale ? " stale" : "";
   const [mode, modeKind] = MODES[state.mode] ?? [state.mode, ""];
   badge("mode", mode, modeKind + old, "What decides the robot's motion");
@@ -87,12 +117,32 @@ function drawBadges() {
   badge("speed", guard ? `${speed}, ${guard[0]}` : speed, (guard ? guard[1] : "") + old, "Speed, and the collision monitor's verdict");
   const charge = Math.round(state.battery * 100);
   badge("battery", `${charge} %`, (charge < 15 ? "bad" : charge < 30 ? "warn" : "") + old, "Battery", "battery");
-  const lost = astray();
-  badge("localisation", lost ?? "on its map", (lost ? "bad" : "good") + old, "Whether the robot's scans agree with the map", "localised");
+  const [words, poseKind] = localised();
+  badge("localisation", words, poseKind + old, "Whether the robot's scans agree with the known map");
   const { lease } = state;
-  const holder = lease.live ? lease.holder ?? "nobody" : "nobody";
+  const mine = store.teleop.state === "armed" && store.teleop.robot === store.watched;
+  const holder = !lease.live ? "nobody" : lease.role !== "operator" ? lease.holder ?? "nobody" : mine ? "this page" : "operator";
   badge("lease", holder, (lease.live ? (lease.role === "operator" ? "warn" : "good") : "warn") + old,
-    `Who may command the robot: ${lease.live ? `${lease.holder}, ${lease.role}, epoch ${lease.epoch}` : "nobody holds the lease"}`, "commands");
+    `Who may command the robot: ${lease.live ? `${lease.holder}, ${lease.role}, epoch ${lease.epoch}` : "nobody holds the lease"}`, "in command");
+}
+
+/** The robot's pose in figures, beside the pointer's position. */
+function drawPose() {
+  const pose = store.data("pose");
+  setText($("pose"), pose ? `robot ${pose.x.toFixed(2)}, ${pose.y.toFixed(2)} m, ${degrees(pose.yaw)}°` : "");
+  $("pose").className = store.isStale() ? "stale" : "";
+}
+
+/** Leaves out details while the badges have no room for them. */
+function fitBadges() {
+  const badges = $("badges");
+  const now = `${badges.textContent} ${badges.clientWidth}`;
+  if (now === fitted) return;
+  fitted = now;
+  for (const fit of ["", "tight", "tighter", "tightest"]) {
+    badges.className = fit;
+    if (badges.scrollWidth <= badges.clientWidth) return;
+  }
 }
 
 function drawBanner() {
@@ -105,29 +155,58 @@ function drawBanner() {
     setText(banner, text);
   };
   const [link, kind] = linkOf(state);
-  if (store.socket === "closed") say("Gateway lost: what shows is old, and STOP does not reach the robot from here. Connecting again …", true);
-  else if (state && kind === "bad") say(`${link[0].toUpperCase()}${link.slice(1)}. What shows is ${age(store.age("state"))}.`, true);
-  else if (state?.mode === "stopped") say(`${robot} is stopped, and stays so until it is resumed.`, true);
-  else if (astray()) say(`${robot} is ${astray()}. It follows no plan until it knows its place: set its pose on the map.`, true);
-  else if (state?.guard === "stop" && state.mode !== "idle") say("The collision monitor holds the robot: something is too close.", false);
+  if (store.socket === "closed" && store.refused) say("The gateway answers, but gives this page no live data: too many browsers, or an origin that it does not know. This is old data. Trying again …", true);
+  else if (store.socket === "closed") say("Gateway lost: this is old data, and STOP does not reach the robot from this page. Reconnecting …", true);
+  else if (state && kind === "bad") say(`${capital(link)}. Last state: ${age(store.age("state"))}.`, true);
+  else if (state?.mode === "stopped") say(`${robot} is stopped until somebody resumes it.`, true);
+  else if (astray()) say(`${robot} is ${astray()}. It follows no plan until it is localised: set its pose on the map (P).`, true);
+  else if (state?.guard === "stop" && state.mode !== "idle") say("The collision monitor holds the robot: an obstacle is too close.", false);
   else banner.hidden = true;
-  if (state && kind === "bad" && link.startsWith("cloud lost")) setText(banner, `Cloud lost: the robot is on its own. Stop works all the same.`);
-  const now = `${link}, ${state?.mode ?? ""}`;
-  if (now !== told && kind === "bad") alarm(link);
-  told = now;
+  if (state && kind === "bad" && link.startsWith("cloud lost")) setText(banner, `Cloud lost: the robot is on its own. STOP still works.`);
+  const next = kind === "bad" ? link : "";
+  if (next === raised) return;
+  if (next) alarm(next);
+  else calm(raised);
+  raised = next;
 }
 
 function drawStop() {
   const state = store.data("state");
   // What is old says nothing about now: the button stays a stop.
   const stopped = state?.mode === "stopped" && !store.isStale();
-  $("resume").hidden = !stopped;
-  $("stop-all").hidden = store.fleet.length < 2;
   const asked = stopping.has(store.watched);
+  // A stop that is still asked for, of this robot or of all, would follow a resume.
+  $("resume").hidden = !stopped || asked || stoppingAll;
+  $("stop-all").hidden = store.fleet.length < 2;
   $("stop").classList.toggle("done", stopped && !asked);
   const text = asked ? "STOPPING" : stopped ? "STOPPED" : "STOP";
   setText($("stop").lastChild, text);
   setText($("dialog-stop"), text);
+}
+
+/** Asks for a stop until it is confirmed, or for `STOP_FOR`: whether it was. */
+async function insist(ask) {
+  const end = performance.now() + STOP_FOR;
+  let told = "";
+  for (;;) {
+    try {
+      await ask();
+      calm(told);
+      return true;
+    } catch (error) {
+      const last = FINAL.includes(error.status) || performance.now() > end;
+      const missing = (error.body?.robots ?? []).filter((row) => !row.stopped).map((row) => row.robot);
+      const whom = missing.length ? ` by ${missing.join(", ")}` : "";
+      const text = `STOP NOT CONFIRMED${whom}: ${error.message}${last ? "" : "; asking again …"}`;
+      if (text !== told) {
+        alarm(text);
+        toast(text, "bad");
+        told = text;
+      }
+      if (last) return false;
+    }
+    await new Promise((resolve) => { setTimeout(resolve, STOP_PAUSE); });
+  }
 }
 
 export async function stop() {
@@ -135,20 +214,11 @@ export async function stop() {
   if (!robot || stopping.has(robot)) return;
   stopping.add(robot);
   drawStop();
-  for (let attempt = 1; ; attempt += 1) {
-    try {
-      const { stopped } = await stopRobot(robot);
-      if (stopped) {
-        toast(`${robot} is stopped`, "good");
-        break;
-      }
-      throw new Error("the robot says that it is not stopped");
-    } catch (error) {
-      alarm(`Stop not confirmed: ${error.message}`);
-      toast(`STOP NOT CONFIRMED (try ${attempt}): ${error.message}`, "bad");
-      if (attempt === 3) break;
-    }
-  }
+  const confirmed = await insist(async () => {
+    const { stopped } = await stopRobot(robot);
+    if (!stopped) throw new Error("the robot says that it is not stopped");
+  });
+  if (confirmed) toast(`${robot} is stopped`, "good");
   stopping.delete(robot);
   drawStop();
 }
@@ -156,7 +226,7 @@ export async function stop() {
 export async function resume() {
   const robot = store.watched;
   const yes = await ask({
-    title: `Resume ${robot}?`, text: "Its mission may send it off at once, from where it stands. Look at the robot first.", yes: "Resume",
+    title: `Resume ${robot}?`, text: "Its mission may drive on at once. Look at the robot first.", yes: "Resume",
   });
   if (!yes) return;
   try {
@@ -168,14 +238,18 @@ export async function resume() {
 }
 
 async function everybody() {
-  try {
+  $("stop-all").disabled = true;
+  stoppingAll = true;
+  drawStop();
+  let count = 0;
+  const confirmed = await insist(async () => {
     const { robots } = await stopAll();
-    toast(`${robots.length} robots are stopped`, "good");
-  } catch (error) {
-    const missing = (error.body?.robots ?? []).filter((row) => !row.stopped).map((row) => row.robot);
-    alarm("Stop not confirmed by every robot");
-    toast(`STOP NOT CONFIRMED by ${missing.join(", ") || "the gateway"}: ${error.message}`, "bad");
-  }
+    count = robots.length;
+  });
+  if (confirmed) toast(`${count} robots are stopped`, "good");
+  $("stop-all").disabled = false;
+  stoppingAll = false;
+  drawStop();
 }
 
 function drawFleet() {
@@ -185,6 +259,7 @@ function drawFleet() {
   if (select.options.length !== names.length || [...select.options].some((option, at) => option.value !== names[at])) {
     select.replaceChildren(...names.map((robot) => el("option", { value: robot }, robot)));
   }
+  select.parentElement.hidden = names.length === 0;
   if (store.watched) select.value = store.watched;
   const panel = $("fleet");
   panel.hidden = store.fleet.length < 2;
@@ -193,7 +268,7 @@ function drawFleet() {
   const known = new Map([...list.children].map((row) => [row.dataset.robot, row]));
   const rows = store.fleet.map((robot) => {
     const row = known.get(robot) ?? el("li", { "data-robot": robot },
-      el("button", { type: "button", onclick: () => watch(robot) }, el("i"), el("span", {}, robot), el("small"), el("small")));
+      el("button", { type: "button", title: robot, onclick: () => watch(robot) }, el("i"), el("span", {}, robot), el("small"), el("small")));
     const [sign, , mode, charge] = row.firstChild.children;
     const state = store.data("state", robot);
     const stale = store.isStale(robot);
@@ -216,7 +291,7 @@ function drawAges() {
   for (const id of ["goals", "panel-tree"]) $(id).classList.toggle("old", old && known);
   for (const note of document.querySelectorAll(".old-note")) {
     note.hidden = !(old && known);
-    setText(note, `The mission was heard last ${age(store.age("mission"))}.`);
+    setText(note, `Last message of the mission: ${age(store.age("mission"))}.`);
   }
 }
 
@@ -224,9 +299,11 @@ function drawAges() {
 export function drawHeader() {
   drawAges();
   drawBadges();
+  drawPose();
   drawBanner();
   drawStop();
   drawFleet();
+  fitBadges();
 }
 
 export function startHeader() {
@@ -237,6 +314,6 @@ export function startHeader() {
   $("robot").onchange = (event) => {
     watch(event.target.value);
     // Keys are for the robot again, not for the list.
-    event.target.blur();
+    $("map").focus({ preventScroll: true });
   };
 }

@@ -1,35 +1,37 @@
 // Layers. What is drawn on the map, in which order and colour? Each layer is a function; the list of layers makes the menu.
 
 import { degrees } from "./dom.js";
+import { NEAR_TO_FAR } from "./grid.js";
 import { drawGoal, drawPlace, drawZone, label, path } from "./pen.js";
 import { store } from "./store.js";
 
 const TAU = 2 * Math.PI;
 /** Colours of speed, from rest to the plan's greatest. */
-const RAMP = ["#7c5cff", "#4f7dff", "#2aa5f5", "#17c3c9", "#3ed598", "#a5dc4a", "#f3d13a"];
-export const ramp = RAMP;
+export const RAMP = ["#7c5cff", "#4f7dff", "#2aa5f5", "#17c3c9", "#3ed598", "#a5dc4a", "#f3d13a"];
 
-/** Name, title, whether it shows at first, colour of its sign. */
+/** A run of colours, as CSS. */
+export const gradient = (colours) => `linear-gradient(90deg, ${colours.join(", ")})`;
+
+/** Name, title, whether it shows at first, background of its sign. */
 export const layers = {
-  map: { title: "Map", on: true, colour: "map-wall" },
-  clearance: { title: "Clearance", on: false, colour: "bad" },
-  trail: { title: "Trail", on: true, colour: "trail" },
-  scan: { title: "Scan", on: true, colour: "scan" },
-  plan: { title: "Plan by speed", on: true, colour: "good" },
-  swath: { title: "Body along the plan", on: true, colour: "good" },
-  tree: { title: "Search tree", on: false, colour: "tree" },
-  graph: { title: "Pose graph", on: false, colour: "soft" },
-  obstacles: { title: "Moving obstacles", on: true, colour: "mover" },
-  markers: { title: "Markers", on: true, colour: "warn" },
-  zones: { title: "Zones", on: true, colour: "bad" },
-  places: { title: "Places", on: true, colour: "place" },
-  goals: { title: "Goals", on: true, colour: "goal" },
-  robots: { title: "Other robots", on: true, colour: "other" },
-  grid: { title: "Grid of 1 m", on: true, colour: "soft" },
+  map: { title: "Map", on: true, sign: "var(--map-wall)" },
+  clearance: { title: "Clearance", on: false, sign: gradient(NEAR_TO_FAR) },
+  trail: { title: "Trail", on: true, sign: "var(--trail)" },
+  scan: { title: "Scan", on: true, sign: "var(--scan)" },
+  plan: { title: "Plan, coloured by speed", on: true, sign: gradient(RAMP) },
+  swath: { title: "Footprint along the plan", on: true, sign: "var(--good)" },
+  tree: { title: "Search tree", on: false, sign: "var(--tree)" },
+  graph: { title: "Pose graph", on: false, sign: "var(--soft)" },
+  obstacles: { title: "Moving obstacles", on: true, sign: "var(--mover)" },
+  markers: { title: "Markers", on: true, sign: "var(--marker)" },
+  zones: { title: "Zones", on: true, sign: "var(--bad)" },
+  places: { title: "Places", on: true, sign: "var(--place)" },
+  goals: { title: "Goals", on: true, sign: "var(--goal)" },
+  robots: { title: "Other robots", on: true, sign: "var(--other)" },
+  grid: { title: "Grid", on: true, sign: "var(--soft)" },
 };
 
-function drawPicture(context, camera, picture) {
-  const spec = store.raster.spec;
+function drawPicture(context, camera, picture, spec) {
   const [x, y] = camera.toScreen(spec.origin[0], spec.origin[1] + spec.height * spec.resolution);
   context.imageSmoothingEnabled = camera.scale * spec.resolution < 1;
   context.drawImage(picture, x, y, spec.width * spec.resolution * camera.scale, spec.height * spec.resolution * camera.scale);
@@ -91,8 +93,9 @@ function drawScan(context, camera, colours, scan) {
   }
 }
 
-/** Trajectory of the plan that was driven to its end last. */
+/** Trajectory of the watched robot's plan that was driven to its end last. */
 let over = null;
+store.on("watch", () => { over = null; });
 
 /** Whether a plan counts now: it is driven, or was just made. */
 function isFresh(plan) {
@@ -102,15 +105,36 @@ function isFresh(plan) {
   return plan.trajectory_id !== over && (driven?.trajectory_id === plan.trajectory_id || store.age("plan") < 3);
 }
 
-/** What the robot's body will cover: its outline at every pose of the plan. */
+/** Whether the robot may no longer drive a plan: it is drawn faintly. */
+function isExpired(plan) {
+  const driven = store.data("state")?.plan;
+  return driven?.trajectory_id === plan.trajectory_id && driven.valid_for <= 0;
+}
+
+/** Poses along a plan, at most `step` m apart, so that outlines drawn at them join. */
+function posesAlong(plan, step) {
+  const poses = [];
+  plan.yaws.forEach((yaw, at) => {
+    const [x, y] = [plan.points[at * 3], plan.points[at * 3 + 1]];
+    const [fromX, fromY, fromYaw] = poses[poses.length - 1] ?? [x, y, yaw];
+    const turn = Math.atan2(Math.sin(yaw - fromYaw), Math.cos(yaw - fromYaw));
+    const parts = Math.ceil(Math.max(1, Math.hypot(x - fromX, y - fromY) / step, Math.abs(turn) / 0.2));
+    for (let part = 1; part <= parts; part += 1) {
+      const share = part / parts;
+      poses.push([fromX + (x - fromX) * share, fromY + (y - fromY) * share, fromYaw + turn * share]);
+    }
+  });
+  return poses;
+}
+
+/** The floor that the footprint will sweep: its outline along the plan. */
 function drawSwath(context, camera, colours, plan) {
   const outline = store.data("model")?.outline;
   if (!outline || plan.yaws.length === 0 || !isFresh(plan)) return;
   context.fillStyle = colours.good;
-  context.globalAlpha = 0.16;
+  context.globalAlpha = isExpired(plan) ? 0.06 : 0.16;
   context.beginPath();
-  plan.yaws.forEach((yaw, at) => {
-    const [x, y] = [plan.points[at * 3], plan.points[at * 3 + 1]];
+  for (const [x, y, yaw] of posesAlong(plan, Math.max(0.03, 6 / camera.scale))) {
     const [cos, sin] = [Math.cos(yaw), Math.sin(yaw)];
     outline.forEach(([px, py], corner) => {
       const place = camera.toScreen(x + px * cos - py * sin, y + px * sin + py * cos);
@@ -118,7 +142,7 @@ function drawSwath(context, camera, colours, plan) {
       else context.moveTo(...place);
     });
     context.closePath();
-  });
+  }
   context.fill();
   context.globalAlpha = 1;
 }
@@ -127,6 +151,7 @@ function drawPlan(context, camera, colours, plan) {
   const points = plan.points;
   if (!isFresh(plan)) return;
   const top = topOf(plan);
+  context.globalAlpha = isExpired(plan) ? 0.3 : 1;
   context.lineCap = "round";
   context.lineJoin = "round";
   context.strokeStyle = colours["map-free"];
@@ -146,6 +171,7 @@ function drawPlan(context, camera, colours, plan) {
     } while (at + 5 < points.length && colourAt(points[at + 2]) === colour);
     context.stroke();
   }
+  context.globalAlpha = 1;
 }
 
 function topOf(plan) {
@@ -157,7 +183,7 @@ function topOf(plan) {
 /** The plan that shows with its greatest speed, m/s, or null. */
 export function shownPlan() {
   const plan = store.data("plan");
-  return layers.plan.on && plan && isFresh(plan) ? { ...plan, top: topOf(plan) } : null;
+  return layers.plan.on && plan && isFresh(plan) ? { ...plan, top: topOf(plan), expired: isExpired(plan) } : null;
 }
 
 function drawSearch(context, camera, colours, tree) {
@@ -175,6 +201,11 @@ function drawSearch(context, camera, colours, tree) {
   path(context, camera, tree.path);
   context.stroke();
 }
+
+/** What the certificate of a pose graph says, beside its first node. */
+const CERTIFICATES = {
+  pending: "proof pending", certified: "certified optimal", refused: "not certified", elsewhere: "not certified", unknown: "not certified",
+};
 
 /** What SLAM's map rests on: scans as dots; odometry, closures, and closures that are held to be false between them. */
 function drawGraph(context, camera, colours, graph) {
@@ -201,6 +232,11 @@ function drawGraph(context, camera, colours, graph) {
     const [x, y] = at(node);
     context.fillRect(x - 1.5, y - 1.5, 3, 3);
   }
+  const verdict = CERTIFICATES[graph.certificate];
+  if (verdict && graph.nodes.length > 1) {
+    const [x, y] = at(0);
+    label(context, colours, verdict, x + 6, y - 6, graph.certificate === "certified" ? colours.good : colours.soft);
+  }
 }
 
 function drawMovers(context, camera, colours, movers) {
@@ -223,7 +259,7 @@ function drawMovers(context, camera, colours, movers) {
 }
 
 function drawMarkers(context, camera, colours) {
-  context.strokeStyle = colours.warn;
+  context.strokeStyle = colours.marker;
   context.lineWidth = 1.5;
   for (const [name, { data }] of store.detail) {
     if (!name.startsWith("marker/") || store.age(name) > 3) continue;
@@ -259,7 +295,7 @@ export function placeOf(goal) {
   // Where it lies now: the map may have moved since it was sent.
   if (goal.resolved?.length === 1 && !request.waypoints?.length) return goal.resolved[0];
   if (Number.isFinite(request.x) && Number.isFinite(request.y)) return request;
-  if (request.place && store.places[request.place]) return store.places[request.place];
+  if (request.place && Object.hasOwn(store.places, request.place)) return store.places[request.place];
   const leg = [...(goal.legs ?? [])].reverse().find((one) => one.state === "Active" && one.goal);
   return leg?.goal ?? null;
 }
@@ -306,7 +342,7 @@ function drawRobot(context, camera, colours, robot, pose, { colour, name, ghost 
   context.closePath();
   context.fill();
   context.restore();
-  if (name) label(context, colours, robot, x + reach + 4, y - reach, colour);
+  if (name) label(context, colours, robot, x + 0.75 * reach + 4, y - 0.75 * reach, colour);
 }
 
 export function drawAll(context, camera, colours, { pose, poseOf, tools }) {
@@ -314,8 +350,11 @@ export function drawAll(context, camera, colours, { pose, poseOf, tools }) {
   context.fillRect(0, 0, camera.width, camera.height);
   const on = (name) => layers[name].on;
   if (store.raster.spec) {
-    if (on("map")) drawPicture(context, camera, store.raster.canvas);
-    if (on("clearance")) drawPicture(context, camera, store.raster.clearancePicture());
+    if (on("map")) drawPicture(context, camera, store.raster.canvas, store.raster.spec);
+    if (on("clearance")) {
+      const { picture, spec } = store.raster.clearancePicture();
+      drawPicture(context, camera, picture, spec);
+    }
   }
   if (on("grid")) drawGrid(context, camera, colours);
   const detail = (name, draw) => {
@@ -329,8 +368,8 @@ export function drawAll(context, camera, colours, { pose, poseOf, tools }) {
   if (on("plan")) detail("plan", drawPlan);
   const edited = tools.draft;
   if (on("zones")) drawZones(context, camera, colours, edited);
-  if (on("places")) drawPlaces(context, camera, colours, edited);
   if (on("goals")) drawGoals(context, camera, colours);
+  if (on("places")) drawPlaces(context, camera, colours, edited);
   if (on("scan")) {
     for (const name of store.detail.keys()) {
       if (!name.startsWith("scan")) continue;

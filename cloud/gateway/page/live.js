@@ -2,6 +2,7 @@
 
 import { setToken, token } from "./api.js";
 import { ask } from "./dom.js";
+import { recall, remember } from "./memory.js";
 import { store } from "./store.js";
 
 /** A gateway that says nothing for this long is taken for gone, ms: it speaks every second. */
@@ -9,6 +10,8 @@ const SILENCE = 4000;
 let socket = null;
 let heard = 0;
 let wait = 250;
+/** Whether this socket has brought anything: one that is refused never does. */
+let greeted = false;
 /** When the gateway was last asked to watch a robot, ms, and how soon it is asked again. */
 let asked = 0;
 const ASK_AGAIN = 1000;
@@ -25,7 +28,8 @@ function askToWatch() {
 export function watch(robot) {
   if (store.watched !== robot) store.clearDetail();
   store.watched = robot;
-  if (robot) localStorage.setItem("zenav-robot", robot);
+  document.title = `${robot} · zenav mission control`;
+  if (robot) remember("zenav-robot", robot);
   askToWatch();
   store.tell("watch");
 }
@@ -45,9 +49,13 @@ async function reasonOfClose() {
 
 async function retry() {
   setState("closed");
-  if ((await reasonOfClose()) === 401) {
+  const wasGreeted = greeted;
+  greeted = false;
+  const reason = await reasonOfClose();
+  store.refused = reason === 200 && !wasGreeted;
+  if (reason === 401) {
     const given = await ask({
-      title: "Token of the gateway", text: "This gateway asks for a token: the first line of its token file.", yes: "Connect", field: "Token",
+      title: "Token of the gateway", text: "This gateway needs a token: the first line of its token file.", yes: "Connect", field: "Token",
     });
     if (given) setToken(given);
   }
@@ -81,14 +89,24 @@ export function connect() {
     take(JSON.parse(event.data));
   };
   mine.onclose = () => {
-    if (socket === mine) retry();
+    if (socket === mine) lose();
   };
+}
+
+/** Gives the socket up at once: on a dead link a browser waits long for the other side to say goodbye. */
+function lose() {
+  const lost = socket;
+  socket = null;
+  lost.close();
+  retry();
 }
 
 function take(message) {
   switch (message.type) {
     case "hello":
       wait = 250;
+      greeted = true;
+      store.refused = false;
       store.hello(message);
       setState("open");
       if (store.watched) watch(store.watched);
@@ -115,12 +133,12 @@ function take(message) {
 /** Watches the robot that was watched last, or the first. One that is watched stays so, heard or not: STOP must not go to another. */
 function chooseRobot() {
   if (store.watched) return;
-  const last = localStorage.getItem("zenav-robot");
+  const last = recall("zenav-robot");
   const robot = store.fleet.includes(last) ? last : store.fleet[0];
   if (robot) watch(robot);
 }
 
 setInterval(() => {
   send({ type: "ping", t: performance.now() });
-  if (socket && socket.readyState <= WebSocket.OPEN && performance.now() - heard > SILENCE) socket.close();
+  if (socket && performance.now() - heard > SILENCE) lose();
 }, 1000);

@@ -7,8 +7,10 @@ import { drives, startDrive } from "./drive.js";
 import { drawEvents, startEvents } from "./events.js";
 import { startGoals } from "./goals.js";
 import { drawHeader, startHeader, stop } from "./header.js";
-import { layers, ramp, shownPlan } from "./layers.js";
+import { FAR, NEAR_TO_FAR } from "./grid.js";
+import { RAMP, gradient, layers, shownPlan } from "./layers.js";
 import { connect } from "./live.js";
+import { recall, recallJson, remember } from "./memory.js";
 import { startPlots } from "./plots.js";
 import { store } from "./store.js";
 import { TOOLS, tools } from "./tools.js";
@@ -25,33 +27,46 @@ function setTheme(theme) {
 
 function startTheme() {
   const wished = window.matchMedia("(prefers-color-scheme: light)");
-  const now = () => localStorage.getItem(THEME) ?? (wished.matches ? "light" : "dark");
+  let chosen = recall(THEME);
+  const now = () => chosen ?? (wished.matches ? "light" : "dark");
   wished.addEventListener("change", () => setTheme(now()));
   $("theme").onclick = () => {
-    localStorage.setItem(THEME, now() === "light" ? "dark" : "light");
-    setTheme(now());
+    chosen = now() === "light" ? "dark" : "light";
+    remember(THEME, chosen);
+    setTheme(chosen);
   };
   document.documentElement.dataset.theme = now();
 }
 
 function startLayers() {
-  const kept = JSON.parse(localStorage.getItem(LAYERS) ?? "{}");
+  const kept = recallJson(LAYERS, {});
   for (const [name, layer] of Object.entries(layers)) {
     layer.on = kept[name] ?? layer.on;
     const box = el("input", { type: "checkbox", id: `layer-${name}`, checked: layer.on });
     box.onchange = () => {
       layer.on = box.checked;
-      localStorage.setItem(LAYERS, JSON.stringify(Object.fromEntries(Object.entries(layers).map(([key, value]) => [key, value.on]))));
+      remember(LAYERS, JSON.stringify(Object.fromEntries(Object.entries(layers).map(([key, value]) => [key, value.on]))));
+      drawLegend();
       redraw();
     };
     const sign = el("i");
-    sign.style.background = `var(--${layer.colour})`;
+    sign.style.background = layer.sign;
     $("layers").append(el("label", {}, box, sign, layer.title));
   }
-  $("layers-button").onclick = () => {
-    $("layers").hidden = !$("layers").hidden;
-    $("layers-button").setAttribute("aria-expanded", String(!$("layers").hidden));
-  };
+}
+
+/** Panels over the map, of which one at most is open. */
+const FLYOUTS = ["layers", "help"];
+
+function openFlyout(name) {
+  for (const each of FLYOUTS) {
+    $(each).hidden = each !== name;
+    $(`${each}-button`).setAttribute("aria-expanded", String(each === name));
+  }
+}
+
+function startFlyouts() {
+  for (const name of FLYOUTS) $(`${name}-button`).onclick = () => openFlyout($(name).hidden ? name : null);
 }
 
 function startTabs() {
@@ -84,16 +99,20 @@ function startToolbar() {
   $("follow").onclick = () => setFollow($("follow").getAttribute("aria-pressed") !== "true");
 }
 
+function startLegend() {
+  $("legend-plan").querySelector("b").style.backgroundImage = gradient(RAMP);
+  $("legend-clearance").querySelector("b").style.backgroundImage = gradient(NEAR_TO_FAR);
+  setText($("legend-clearance").querySelector("i:last-child"), `${FAR} m or more`);
+}
+
 function drawLegend() {
   const plan = shownPlan();
-  $("legend").hidden = !plan;
+  $("legend-plan").hidden = !plan;
+  $("legend-clearance").hidden = !layers.clearance.on;
+  $("legend").hidden = !plan && !layers.clearance.on;
   if (!plan) return;
-  if (!$("legend").firstChild) {
-    const bar = el("b");
-    bar.style.background = `linear-gradient(90deg, ${ramp.join(", ")})`;
-    $("legend").append(el("div", {}, "Speed of the plan"), bar, el("span", {}, el("i", {}, "0"), el("i")), el("div"));
-  }
-  const [, , scale, room] = $("legend").children;
+  const [title, , scale, room] = $("legend-plan").children;
+  setText(title, plan.expired ? "Planned speed, plan expired" : "Planned speed");
   setText(scale.lastChild, `${plan.top.toFixed(2)} m/s`);
   const clearance = plan.min_clearance === null ? "" : `clearance ${plan.min_clearance.toFixed(2)} m`;
   const corridor = plan.corridor_width === null ? "" : `corridor ${plan.corridor_width.toFixed(2)} m`;
@@ -104,7 +123,8 @@ function startKeys() {
   const press = (id) => $(id).click();
   const keys = {
     g: () => tools.choose("goal"), h: () => tools.choose("pan"), m: () => tools.choose("measure"), p: () => tools.choose("pose"), n: () => tools.choose("place"),
-    z: () => tools.choose("zone"), delete: () => tools.removeCorner(), backspace: () => tools.removeCorner(), f: () => press("follow"), l: () => press("layers-button"),
+    z: () => tools.choose("zone"), delete: () => tools.removeCorner(), backspace: () => tools.removeCorner(), f: () => press("follow"),
+    l: () => press("layers-button"), "?": () => press("help-button"),
     0: fit, "+": () => zoom(1.4), "=": () => zoom(1.4), "-": () => zoom(1 / 1.4), s: () => { if (!drives()) stop(); }, x: stop,
   };
   window.addEventListener("keydown", (event) => {
@@ -112,7 +132,7 @@ function startKeys() {
     if (event.key === "Escape") {
       tools.drop();
       tools.measure = null;
-      $("layers").hidden = true;
+      openFlyout(null);
       redraw();
       return;
     }
@@ -132,7 +152,9 @@ function startKeys() {
 }
 
 startTheme();
+startLegend();
 startLayers();
+startFlyouts();
 startTabs();
 startToolbar();
 startKeys();

@@ -8,7 +8,12 @@ export function path(context, camera, points, step = 2) {
   for (let at = 0; at + 1 < points.length; at += step) context.lineTo(...camera.toScreen(points[at], points[at + 1]));
 }
 
-export function label(context, colours, text, x, y, colour) {
+/** Most letters of a name on the map: the rest of a longer one stands in the panels. */
+const LETTERS = 32;
+
+export function label(context, colours, words, x, y, colour) {
+  const letters = [...words];
+  const text = letters.length > LETTERS ? `${letters.slice(0, LETTERS - 1).join("")}…` : words;
   context.font = "600 12px system-ui, 'DejaVu Sans', sans-serif";
   context.lineWidth = 3.5;
   context.lineJoin = "round";
@@ -88,5 +93,7 @@ export function drawZone(context, camera, colours, { name, limit, points, closed
   context.setLineDash([]);
   const middle = [0, 1].map((axis) => points.reduce((sum, point) => sum + point[axis], 0) / points.length);
   const [x, y] = camera.toScreen(middle[0], middle[1]);
-  if (name) label(context, colours, limit === null ? name : `${name}: ${limit} m/s`, x - 20, y + 4, colour);
+  context.textAlign = "center";
+  if (name) label(context, colours, limit === null ? name : `${name}: ${limit} m/s`, x, y + 4, colour);
+  context.textAlign = "start";
 }

@@ -1,9 +1,18 @@
 // Plots. How does a number of the robot change over time? Any numeric field of what the page hears, over the last minute.
 
 import { $, el, setText } from "./dom.js";
+import { recallJson, remember } from "./memory.js";
 import { store } from "./store.js";
 
+/** Time shown, s. */
 const SPAN = 60;
+/** A longer time without a value is a gap in the line, s. */
+const GAP = 2;
+/** Units of fields, by the last part of their path. */
+const UNITS = {
+  x: "m", y: "m", yaw: "rad", sd: "m", v: "m/s", w: "rad/s", distance_left: "m", length: "m", min_clearance: "m", corridor_width: "m",
+  time: "s", time_left: "s", valid_for: "s", duration: "s", round_trip_secs: "s", p50_ms: "ms", p95_ms: "ms",
+};
 const MAX_POINTS = 1200;
 const KEPT = "zenav-plots";
 let plots = [];
@@ -15,6 +24,15 @@ function fieldsOf(value, path, found) {
   else if (value && typeof value === "object" && !Array.isArray(value)) {
     for (const [key, inner] of Object.entries(value)) fieldsOf(inner, `${path}.${key}`, found);
   }
+}
+
+/** A number of four digits, and no more of them than it needs. */
+const short = (value) => String(Number(value.toPrecision(4)));
+
+/** A path with its unit. */
+function nameOf(path) {
+  const unit = UNITS[path.split(".").pop()];
+  return unit ? `${path}, ${unit}` : path;
 }
 
 function allFields() {
@@ -37,28 +55,29 @@ function valueOf(path) {
 function add(path) {
   if (!path || plots.some((plot) => plot.path === path)) return;
   const canvas = el("canvas", { role: "img" });
-  const text = el("span");
+  const text = el("b");
   const remove = el("button", { type: "button", "aria-label": `Remove ${path}`, onclick: () => {
     plots = plots.filter((plot) => plot.path !== path);
     figure.remove();
     keep();
   } }, "×");
-  const figure = el("figure", { class: "plot" }, el("figcaption", {}, el("span", {}, path), text, remove), canvas);
+  const figure = el("figure", { class: "plot" }, el("figcaption", {}, el("span", {}, nameOf(path)), text, remove), canvas);
   $("panel-plots").append(figure);
   plots.push({ path, canvas, text, points: [] });
   keep();
 }
 
 function keep() {
-  localStorage.setItem(KEPT, JSON.stringify(plots.map((plot) => plot.path)));
+  remember(KEPT, JSON.stringify(plots.map((plot) => plot.path)));
 }
 
+/** Takes the values of now; those of a robot that is silent are of the past, and no values of now. */
 function sample() {
   const now = performance.now() / 1000;
+  const isOld = store.isStale();
   for (const plot of plots) {
-    const value = valueOf(plot.path);
-    if (value === null) continue;
-    plot.points.push([now, value]);
+    const value = isOld ? null : valueOf(plot.path);
+    if (value !== null) plot.points.push([now, value]);
     while (plot.points.length > MAX_POINTS || now - plot.points[0]?.[0] > SPAN) plot.points.shift();
   }
   if (!$("panel-plots").hidden) draw(now);
@@ -74,27 +93,48 @@ function draw(now) {
     canvas.height = height * ratio;
     const context = canvas.getContext("2d");
     context.scale(ratio, ratio);
-    if (!points.length) continue;
+    if (!points.length) {
+      setText(text, "");
+      canvas.setAttribute("aria-label", `${nameOf(path)}: no value in the last minute`);
+      continue;
+    }
     let [low, high] = [Infinity, -Infinity];
     for (const [, value] of points) {
       low = Math.min(low, value);
       high = Math.max(high, value);
     }
-    const last = points[points.length - 1][1];
-    setText(text, `${last.toPrecision(4)}`);
-    canvas.setAttribute("aria-label", `${path}: now ${last.toPrecision(3)}, between ${low.toPrecision(3)} and ${high.toPrecision(3)} in the last minute`);
-    const room = Math.max(high - low, Math.abs(high) * 0.01, 1e-6);
-    const y = (value) => height - 8 - ((value - low) / room) * (height - 22);
+    const [at, last] = points[points.length - 1];
+    const isOld = now - at > GAP;
+    setText(text, isOld ? "" : short(last));
+    canvas.setAttribute("aria-label", `${nameOf(path)}: ${isOld ? "last" : "now"} ${short(last)}, between ${short(low)} and ${short(high)} in the last minute`);
+    // A constant is a line in the middle.
+    const pad = high - low < 1e-3 ? Math.max(0.005 * Math.abs(high), 5e-4) : 0;
+    [low, high] = [low - pad, high + pad];
+    const y = (value) => height - 8 - ((value - low) / (high - low)) * (height - 22);
     const x = (time) => width - ((now - time) / SPAN) * width;
     context.font = "10px system-ui, 'DejaVu Sans', sans-serif";
     context.fillStyle = style.getPropertyValue("--soft");
-    context.fillText(high.toPrecision(3), 4, 11);
-    context.fillText(low.toPrecision(3), 4, height - 3);
+    context.fillText(short(high), 4, 11);
+    context.fillText(short(low), 4, height - 3);
+    context.textAlign = "right";
+    context.fillText(`last ${SPAN} s`, width - 4, 11);
+    if (low < 0 && high > 0) {
+      context.strokeStyle = style.getPropertyValue("--line");
+      context.beginPath();
+      context.moveTo(0, y(0));
+      context.lineTo(width, y(0));
+      context.stroke();
+    }
     context.strokeStyle = style.getPropertyValue("--accent");
     context.lineWidth = 1.6;
     context.lineJoin = "round";
     context.beginPath();
-    for (const [time, value] of points) context.lineTo(x(time), y(value));
+    let before = -Infinity;
+    for (const [time, value] of points) {
+      if (time - before > GAP) context.moveTo(x(time), y(value));
+      else context.lineTo(x(time), y(value));
+      before = time;
+    }
     context.stroke();
   }
 }
@@ -103,25 +143,25 @@ export function startPlots() {
   select = el("select", { "aria-label": "Field to plot" });
   const fill = () => {
     const fields = allFields();
-    if (fields.length === select.options.length) return;
+    if (fields.join() === [...select.options].map((option) => option.value).join()) return;
     const chosen = select.value;
-    select.replaceChildren(...fields.map((path) => el("option", { value: path }, path)));
+    select.replaceChildren(...fields.map((path) => el("option", { value: path }, nameOf(path))));
     if (fields.includes(chosen)) select.value = chosen;
   };
-  const row = el("div", { class: "row" }, el("label", { class: "grow" }, "Field of the last minute", select),
+  const row = el("div", { class: "row" }, el("label", { class: "grow" }, "Field", select),
     el("button", { type: "button", onclick: () => add(select.value) }, "Plot"));
   select.addEventListener("focus", fill);
   $("panel-plots").append(row, el("p"));
-  let kept = ["pose.v", "pose.w", "state.battery"];
-  try {
-    kept = JSON.parse(localStorage.getItem(KEPT)) ?? kept;
-  } catch {
-    // What cannot be read is forgotten.
-  }
-  kept.filter((path) => typeof path === "string").slice(0, 8).forEach(add);
+  const kept = recallJson(KEPT, null);
+  const paths = Array.isArray(kept) ? kept : ["pose.v", "pose.w", "state.battery"];
+  paths.filter((path) => typeof path === "string").slice(0, 8).forEach(add);
   store.on("frame", () => {
     sample();
     if (select.options.length < 3) fill();
   });
+  // No frames come while the gateway is away, but time passes.
+  setInterval(() => {
+    if (store.socket !== "open") sample();
+  }, 1000);
   store.on("watch", () => plots.forEach((plot) => { plot.points = []; }));
 }

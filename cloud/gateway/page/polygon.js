@@ -23,8 +23,12 @@ export function sideNear(points, at, reach) {
   });
 }
 
-/** Corners out of text: two numbers a corner; null where it is none, or fewer than three. */
+/**
+ * Corners out of text: two numbers a corner; null where it is none, or fewer than three. A comma right between two digits is refused: it may be
+ * a decimal one.
+ */
 export function cornersOf(text) {
+  if (/\d,\d/.test(text)) return null;
   const words = text.trim().split(/[\s,;]+/);
   const numbers = words.map(Number);
   if (words.length < 6 || words.length % 2 || !numbers.every(Number.isFinite)) return null;

@@ -1,7 +1,7 @@
 // Send. How does what a person drew or typed reach the robot, and what are they told of it?
 
 import * as api from "./api.js";
-import { degrees, toast } from "./dom.js";
+import { capital, degrees, toast } from "./dom.js";
 import { store } from "./store.js";
 
 /** A goal that was sent is told of by then, ms. */
@@ -40,7 +40,7 @@ export async function sendGoal(goal) {
 export async function sendPose({ x, y, yaw }) {
   const robot = store.watched;
   const set = await attempt("Pose not set", () => api.setPose(robot, { x, y, yaw }));
-  if (set) toast(`${robot} goes on from ${x.toFixed(2)}, ${y.toFixed(2)} m, ${degrees(yaw)}°`, "good");
+  if (set) toast(`Pose of ${robot} set: ${x.toFixed(2)}, ${y.toFixed(2)} m, ${degrees(yaw)}°`, "good");
   return set;
 }
 
@@ -51,14 +51,14 @@ async function save(kind, known, put, remove, original, name) {
     return false;
   }
   if (name !== original && known.includes(name)) {
-    toast(`There is a ${kind} “${name}” already`, "bad");
+    toast(`${capital(kind)} “${name}” exists already`, "bad");
     return false;
   }
-  const saved = await attempt(`The ${kind} is not saved`, async () => {
+  const saved = await attempt(`${capital(kind)} not saved`, async () => {
     await put();
     if (original && original !== name) await remove(original);
   });
-  if (saved) toast(`${kind} “${name}” is saved`, "good");
+  if (saved) toast(`${capital(kind)} “${name}” saved`, "good");
   return saved;
 }
 

@@ -20,6 +20,8 @@ class Store extends EventTarget {
     super();
     /** `connecting`, `open` or `closed`: the link to the gateway. */
     this.socket = "connecting";
+    /** Whether the gateway answers, but refuses the link: too many browsers, or an origin that it does not know. */
+    this.refused = false;
     /** Whether the gateway reaches the bus. */
     this.connected = false;
     this.fleet = [];

@@ -1,6 +1,6 @@
 // Map tools. What does a press on the map mean? A goal, a pose or a place to be confirmed, a corner of a zone, a distance, or a move of the map.
 
-import { $ } from "./dom.js";
+import { $, setText } from "./dom.js";
 import { dropDraft, hideDraft, readDraft, sendDraft, showDraft } from "./draft.js";
 import { cornerNear, sideNear } from "./polygon.js";
 import { store } from "./store.js";
@@ -9,7 +9,12 @@ import { store } from "./store.js";
 const CLICK = 14;
 /** A press takes hold of a corner or a side within this distance, pixels. */
 const GRIP = 12;
-export const TOOLS = ["goal", "pan", "measure", "pose", "place", "zone"];
+/** What to do with each tool; nothing for the one of the first moment. */
+const HINTS = {
+  goal: "", pan: "Drag to pan", measure: "Drag to measure", pose: "Click where the robot is; drag to set its heading",
+  place: "Click to add a place; drag to set its heading", zone: "Click the corners of the zone",
+};
+export const TOOLS = Object.keys(HINTS);
 
 class Tools {
   constructor() {
@@ -22,9 +27,16 @@ class Tools {
     this.draft = null;
     this.measure = null;
     this.pressed = null;
+    /** What was there before the press, for one that is taken back. */
+    this.before = null;
     /** The corner that is held, or was held last. */
     this.corner = -1;
     this.onchange = () => {};
+  }
+
+  /** The heading that a drag sets now, rad; null without a drag. */
+  get heading() {
+    return this.pressed ? this.draft?.yaw ?? null : null;
   }
 
   choose(tool) {
@@ -32,6 +44,7 @@ class Tools {
     this.current = tool;
     for (const name of TOOLS) $(`tool-${name}`).setAttribute("aria-pressed", String(name === tool));
     $("map").classList.toggle("pan", tool === "pan");
+    setText($("hint"), HINTS[tool]);
     if (tool !== "measure") this.measure = null;
     this.onchange();
   }
@@ -47,6 +60,8 @@ class Tools {
 
   down(at, scale) {
     this.pressed = at;
+    const { draft } = this;
+    this.before = draft && { draft, points: draft.points?.slice(), closed: draft.closed };
     if (this.current === "zone") this.hold(at, GRIP / scale);
     else if (this.current === "measure") this.measure = [at, at];
     else if (this.current !== "pan") {
@@ -87,13 +102,14 @@ class Tools {
     }
   }
 
-  up() {
+  /** Ends a press; with `asks` even a goal is confirmed first. */
+  up(asks) {
     if (!this.pressed) return;
     this.pressed = null;
     if (this.draft?.kind === "pose" && this.draft.yaw === null) this.draft.yaw = store.data("pose")?.yaw ?? 0;
     if (!this.draft || this.current !== this.draft.kind) return;
     // To let go is to confirm, as long as there is nothing to ask: what becomes of the goal that runs.
-    if (this.draft.kind === "goal" && !store.isBusy()) this.confirm();
+    if (this.draft.kind === "goal" && !asks && !store.isBusy()) this.confirm();
     else this.propose();
   }
 
@@ -115,10 +131,20 @@ class Tools {
     return true;
   }
 
-  /** Drops what is being drawn: a second finger came. */
+  /** Takes a press back, and only that: a second finger came to move the map, or the system took the finger away. */
   abort() {
+    if (!this.pressed) return;
     this.pressed = null;
-    this.drop();
+    this.measure = null;
+    this.corner = -1;
+    if (!this.before) {
+      this.drop();
+      return;
+    }
+    const { draft, points, closed } = this.before;
+    this.draft = draft;
+    if (points) Object.assign(draft, { points, closed });
+    this.propose();
   }
 
   /** Asks for the confirmation of a draft. */
@@ -129,6 +155,7 @@ class Tools {
 
   drop() {
     this.draft = null;
+    this.pressed = null;
     this.corner = -1;
     dropDraft();
     this.onchange();
@@ -156,5 +183,5 @@ class Tools {
 export const tools = new Tools();
 // What was drawn for one robot is not sent to another.
 store.on("watch", () => {
-  if (tools.draft && tools.draft.robot !== store.watched) tools.abort();
+  if (tools.draft && tools.draft.robot !== store.watched) tools.drop();
 });

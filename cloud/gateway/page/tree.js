@@ -50,11 +50,13 @@ export function drawTree() {
   const mission = store.data("mission");
   const nodes = mission?.nodes ?? [];
   if (mission) {
-    const standby = mission.standbys?.length ? `, standby ${mission.standbys.join(", ")}` : "";
-    const queued = mission.queued ? `, ${mission.queued} in the queue` : "";
-    setText($("tree-head"), `${mission.tree ? `Tree ${mission.tree}` : shape ? "No tree runs, below is the last one" : "No tree runs"} · orchestrator ${mission.holder}${mission.leads ? "" : " (does not command)"}${queued}${standby}`);
+    const standby = mission.standbys?.length ? ` · standby ${mission.standbys.join(", ")}` : "";
+    const queued = mission.queued ? ` · ${mission.queued} queued` : "";
+    const tree = mission.tree ? `Tree: ${mission.tree}` : shape ? "No tree is running; this is the last one" : "No tree is running";
+    const standsBy = mission.leads ? "" : ` · ${mission.holder} is not in command`;
+    setText($("tree-head"), `${tree}${standsBy}${queued}${standby}`);
   } else {
-    setText($("tree-head"), "Nothing was heard of a mission.");
+    setText($("tree-head"), "No message from a mission yet.");
   }
   // The last tree stays until another one runs, but nothing of it runs any more.
   if (!nodes.length) {
@@ -93,6 +95,7 @@ export function drawTree() {
 
 export function startTree() {
   $("tree-ports").onchange = drawTree;
+  drawTree();
   store.on("frame", () => {
     if (!$("panel-tree").hidden) drawTree();
   });

@@ -1,13 +1,18 @@
 // Map view. When is the map drawn, and what does the pointer do? At most once a screen frame, and only when something changed.
 
 import { Camera } from "./camera.js";
-import { $ } from "./dom.js";
-import { drawAll, layers } from "./layers.js";
+import { $, degrees } from "./dom.js";
+import { drawAll, layers, placeOf } from "./layers.js";
 import { store } from "./store.js";
 import { tools } from "./tools.js";
 
 /** Frames come this often, s: the pose is drawn between the last two, so that it moves smoothly. */
 const BETWEEN = 0.1;
+
+/** Most that one turn of the wheel zooms, as a logarithm: there are wheels that spin freely. */
+const FASTEST = 0.5;
+/** A smaller change of the pose is rest, m and rad: poses are told to the millimetre. */
+const STILL = 0.0015;
 
 export const camera = new Camera();
 const canvas = $("map");
@@ -24,7 +29,7 @@ export function redraw() {
 export function readColours() {
   const style = getComputedStyle(document.documentElement);
   const names = ["ground", "panel", "line", "text", "soft", "accent", "good", "warn", "bad", "map-unknown", "map-free", "map-wall", "map-grid",
-    "scan", "trail", "robot", "other", "goal", "place", "tree", "mover"];
+    "scan", "trail", "robot", "other", "goal", "place", "tree", "mover", "marker"];
   colours = Object.fromEntries(names.map((name) => [name, style.getPropertyValue(`--${name}`).trim()]));
   store.raster.setColours({ unknown: colours["map-unknown"], free: colours["map-free"], wall: colours["map-wall"] });
   redraw();
@@ -40,15 +45,21 @@ export function poseOf(robot) {
   if (!before || last.heard - before.heard > 1) return last.data;
   const share = Math.min(1, Math.max(0, (now - last.heard) / Math.max(BETWEEN, last.heard - before.heard)));
   const [a, b] = [before.data, last.data];
-  if (Math.hypot(b.x - a.x, b.y - a.y) > 0.5) return b;
-  const turn = Math.atan2(Math.sin(b.yaw - a.yaw), Math.cos(b.yaw - a.yaw));
+  const [way, turn] = [Math.hypot(b.x - a.x, b.y - a.y), Math.atan2(Math.sin(b.yaw - a.yaw), Math.cos(b.yaw - a.yaw))];
+  // A jump is no motion, and what rests needs no screen frames in between.
+  if (way > 0.5 || way < STILL && Math.abs(turn) < STILL) return b;
   if (share < 1) redraw();
   return { ...b, x: a.x + (b.x - a.x) * share, y: a.y + (b.y - a.y) * share, yaw: a.yaw + turn * share };
 }
 
+/** Pixels of the screen in one of the page; a window that moves to another screen changes it, and nothing else. */
+const pixelRatio = () => window.devicePixelRatio || 1;
+let drawnRatio = 0;
+
 function resize() {
   const { clientWidth, clientHeight } = canvas;
-  const ratio = window.devicePixelRatio || 1;
+  const ratio = pixelRatio();
+  drawnRatio = ratio;
   canvas.width = Math.round(clientWidth * ratio);
   canvas.height = Math.round(clientHeight * ratio);
   camera.width = clientWidth;
@@ -56,21 +67,20 @@ function resize() {
   redraw();
 }
 
-/** The whole map, the robot and its goal. */
+/** The whole map, the robot and where it is sent. */
 export function fit() {
-  const extent = store.raster.known();
   const pose = store.data("pose");
-  if (extent) {
-    if (pose) {
-      extent[0] = Math.min(extent[0], pose.x - 0.5);
-      extent[1] = Math.min(extent[1], pose.y - 0.5);
-      extent[2] = Math.max(extent[2], pose.x + 0.5);
-      extent[3] = Math.max(extent[3], pose.y + 0.5);
-    }
-    camera.fit(extent);
-  } else if (pose) {
-    camera.fit([pose.x - 3, pose.y - 3, pose.x + 3, pose.y + 3]);
+  const extent = store.raster.known() ?? (pose ? [pose.x - 3, pose.y - 3, pose.x + 3, pose.y + 3] : null);
+  if (!extent) return;
+  const goal = store.runningGoal();
+  for (const place of [pose, goal ? placeOf(goal) : null]) {
+    if (!place) continue;
+    extent[0] = Math.min(extent[0], place.x - 0.5);
+    extent[1] = Math.min(extent[1], place.y - 0.5);
+    extent[2] = Math.max(extent[2], place.x + 0.5);
+    extent[3] = Math.max(extent[3], place.y + 0.5);
   }
+  camera.fit(extent);
   redraw();
 }
 
@@ -89,6 +99,7 @@ function drawScale() {
 
 function tick() {
   requestAnimationFrame(tick);
+  if (pixelRatio() !== drawnRatio) resize();
   if (!dirty || !camera.width) return;
   dirty = false;
   const pose = poseOf(store.watched);
@@ -98,8 +109,7 @@ function tick() {
     camera.y += (pose.y - camera.y) * share;
     if (Math.hypot(pose.x - camera.x, pose.y - camera.y) * camera.scale > 0.5) dirty = true;
   }
-  const ratio = window.devicePixelRatio || 1;
-  context.setTransform(ratio, 0, 0, ratio, 0, 0);
+  context.setTransform(drawnRatio, 0, 0, drawnRatio, 0, 0);
   drawAll(context, camera, colours, { pose, poseOf, tools });
   drawScale();
   view.drawn += 1;
@@ -110,7 +120,7 @@ export const view = { drawn: 0, camera, layers };
 
 function pointerText(event) {
   const [x, y] = camera.toWorld(event.offsetX, event.offsetY);
-  $("pointer").textContent = `${x.toFixed(2)}, ${y.toFixed(2)} m`;
+  $("pointer").textContent = tools.heading === null ? `pointer ${x.toFixed(2)}, ${y.toFixed(2)} m` : `heading ${degrees(tools.heading)}°`;
 }
 
 function startPointers() {
@@ -126,9 +136,11 @@ function startPointers() {
     redraw();
   });
   canvas.addEventListener("pointermove", (event) => {
-    pointerText(event);
     const before = pointers.get(event.pointerId);
-    if (!before) return;
+    if (!before) {
+      pointerText(event);
+      return;
+    }
     const here = [event.offsetX, event.offsetY];
     if (pointers.size === 2) {
       const other = [...pointers].find(([id]) => id !== event.pointerId)[1];
@@ -143,11 +155,15 @@ function startPointers() {
       tools.move(camera.toWorld(...here), camera.scale);
     }
     pointers.set(event.pointerId, here);
+    pointerText(event);
     redraw();
   });
   const up = (event) => {
     if (!pointers.delete(event.pointerId)) return;
-    if (!panning && pointers.size === 0 && event.type === "pointerup") tools.up(camera.toWorld(event.offsetX, event.offsetY));
+    // A finger touches a map also to move it, so what it set is confirmed first.
+    if (!panning && event.type === "pointerup") tools.up(event.pointerType === "touch");
+    else tools.abort();
+    pointerText(event);
     redraw();
   };
   canvas.addEventListener("pointerup", up);
@@ -156,8 +172,11 @@ function startPointers() {
   canvas.addEventListener("contextmenu", (event) => event.preventDefault());
   canvas.addEventListener("wheel", (event) => {
     event.preventDefault();
-    const lines = event.deltaMode === 1 ? 16 : 1;
-    camera.zoomAt(event.offsetX, event.offsetY, Math.exp(-event.deltaY * lines * 0.0015));
+    const unit = [1, 16, camera.height][event.deltaMode] ?? 1;
+    // Two fingers that spread on a trackpad come as a wheel with Ctrl, in far smaller steps.
+    const speed = event.ctrlKey ? 0.01 : 0.0015;
+    const step = Math.max(-FASTEST, Math.min(FASTEST, -event.deltaY * unit * speed));
+    camera.zoomAt(event.offsetX, event.offsetY, Math.exp(step));
     redraw();
   }, { passive: false });
 }

@@ -9,10 +9,18 @@
 use std::net::{IpAddr, SocketAddr};
 
 /// Who may use the gateway.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Default)]
 pub struct Access {
     token: Option<String>,
     origins: Vec<String>,
+}
+
+impl std::fmt::Debug for Access {
+    /// Without the token, which belongs in no log.
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let mut shown = f.debug_struct("Access");
+        shown.field("origins", &self.origins).finish_non_exhaustive()
+    }
 }
 
 /// Why a request is refused.
@@ -32,8 +40,17 @@ const SHORTEST_TOKEN: usize = 16;
 impl Access {
     /// Checks that the gateway may listen on an address with this token.
     ///
+    /// ```
+    /// use zenav_gateway::Access;
+    ///
+    /// assert!(Access::new("127.0.0.1:7480".parse()?, None, Vec::new()).is_ok());
+    /// let refused = Access::new("0.0.0.0:7480".parse()?, None, Vec::new()).unwrap_err();
+    /// assert!(refused.starts_with("0.0.0.0:7480 can be reached by other machines"), "{refused}");
+    /// # Ok::<(), std::net::AddrParseError>(())
+    /// ```
+    ///
     /// # Errors
-    /// A sentence: the address is reachable by other machines and there is no token, or the token is invalid.
+    /// A sentence: the address is reachable by other machines and there is no token, or the token or an origin is invalid.
     pub fn new(listen: SocketAddr, token: Option<String>, origins: Vec<String>) -> Result<Self, String> {
         match &token {
             None if !listen.ip().is_loopback() => Err(format!(
@@ -43,7 +60,12 @@ impl Access {
                 "the token: expected at least {SHORTEST_TOKEN} letters, digits or signs of !#$%&'*+-.^_`|~ (a browser offers no others for a \
                  WebSocket)"
             )),
-            _ => Ok(Self { token, origins }),
+            _ => match origins.iter().find(|origin| !is_origin(origin)) {
+                Some(origin) => Err(format!(
+                    "`[gateway] origins`: {origin:?}: expected a scheme and a host, such as `https://robots.example.org`"
+                )),
+                None => Ok(Self { token, origins }),
+            },
         }
     }
 
@@ -56,6 +78,17 @@ impl Access {
     }
 
     /// Whether a request for data or an action may pass, by its `Host`, its `Origin`, and its token.
+    ///
+    /// ```
+    /// use zenav_gateway::{Access, Denied};
+    ///
+    /// let (host, token) = (Some("robots.lan:7480"), Some("0123456789abcdef"));
+    /// let access = Access::new("0.0.0.0:7480".parse().unwrap(), token.map(str::to_owned), Vec::new())?;
+    /// assert_eq!(access.admit(host, None, token), Ok(()));
+    /// assert_eq!(access.admit(host, None, None), Err(Denied::Token));
+    /// assert_eq!(access.admit(host, Some("https://evil.example"), token), Err(Denied::Origin));
+    /// # Ok::<(), String>(())
+    /// ```
     ///
     /// # Errors
     /// Which of the three is refused.
@@ -74,7 +107,7 @@ impl Access {
     }
 
     fn is_own(&self, origin: &str, host: Option<&str>) -> bool {
-        let named = self.origins.iter().any(|named| named == origin);
+        let named = self.origins.iter().any(|named| named.eq_ignore_ascii_case(origin));
         let address = origin
             .strip_prefix("http://")
             .or_else(|| origin.strip_prefix("https://"));
@@ -85,6 +118,12 @@ impl Access {
 /// Whether a browser accepts this character in the name of a WebSocket's subprotocol, which carries the token (RFC 9110, section 5.6.2).
 fn is_token(byte: u8) -> bool {
     byte.is_ascii_alphanumeric() || b"!#$%&'*+-.^_`|~".contains(&byte)
+}
+
+/// Whether a browser could tell this origin: a scheme and a host, and a port if it is not the scheme's own.
+fn is_origin(text: &str) -> bool {
+    let host = text.split_once("://").map(|(_, host)| host);
+    host.is_some_and(|host| !host.is_empty() && !host.contains(['/', '?', '#', '@', ' ']))
 }
 
 /// Whether a `Host` header names loopback: a loopback address, or `localhost`.
@@ -130,6 +169,24 @@ mod tests {
     }
 
     #[test]
+    fn an_origin_that_no_browser_tells_is_refused_at_once() {
+        let with = |origin: &str| Access::new(LOOPBACK.parse().unwrap(), None, vec![origin.to_owned()]);
+        for wrong in ["https://robots.lan/", "robots.lan", "https://", "https://a/b", ""] {
+            assert!(
+                with(wrong).unwrap_err().contains("expected a scheme and a host"),
+                "{wrong}"
+            );
+        }
+        let access = with("https://Robots.lan:8443").unwrap();
+        let told = Some("https://robots.lan:8443");
+        assert_eq!(
+            access.admit(Some(LOOPBACK), told, None),
+            Ok(()),
+            "browsers tell it in small letters"
+        );
+    }
+
+    #[test]
     fn on_loopback_a_page_of_another_site_and_a_rebound_name_are_turned_away() {
         let access = access(LOOPBACK, None).unwrap();
         let host = Some("localhost:7480");
@@ -157,6 +214,7 @@ mod tests {
     fn with_a_token_nothing_passes_without_it() {
         let access = access(OPEN, Some(TOKEN)).unwrap();
         let host = Some("robots.lan:7480");
+        assert!(!format!("{access:?}").contains(TOKEN), "it belongs in no log");
         assert_eq!(access.admit_page(host), Ok(()));
         assert_eq!(access.admit(host, None, None), Err(Denied::Token));
         assert_eq!(access.admit(host, None, Some("0123456789abcdeg")), Err(Denied::Token));

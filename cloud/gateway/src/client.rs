@@ -4,9 +4,10 @@
 //! of the map. Each frame holds the newest value of everything that changed since, so a slow client skips values and never falls behind;
 //! there is no queue that could grow.
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
-use crate::view::{Entry, FleetView, TileCursor};
+use crate::view::{Entry, FleetView, RobotView, TileCursor};
 
 /// Longest time between two frames, s: without news, a frame shows that the gateway is alive.
 const KEEP_ALIVE: f64 = 1.0;
@@ -40,6 +41,17 @@ impl Client {
     }
 
     /// Watches a robot from now on: the next frame contains all its details.
+    ///
+    /// ```
+    /// use zenav_gateway::{Client, FleetView, Update};
+    ///
+    /// let (mut view, mut client) = (FleetView::new(), Client::new());
+    /// view.take("tiago", Update::RoundTrip(Some(0.02)), 1.0);
+    /// let overview = client.frame(&view, 1.0, true).text.unwrap();
+    /// client.watch(Some("tiago".into()));
+    /// let details = client.frame(&view, 1.1, true).text.unwrap();
+    /// assert!(!overview.contains("p50_ms") && details.contains(r#""p50_ms":20.0"#));
+    /// ```
     pub fn watch(&mut self, robot: Option<String>) {
         self.watched = robot;
         self.detail_seen = 0;
@@ -55,6 +67,14 @@ impl Client {
 
     /// The values that the client lacks at `now`, in seconds of the gateway's own clock; `connected` is whether the gateway reaches the
     /// bus.
+    ///
+    /// ```
+    /// use zenav_gateway::{Client, FleetView};
+    ///
+    /// let (view, mut client) = (FleetView::new(), Client::new());
+    /// let told = [0.0, 0.5, 1.1, 1.2].map(|now| client.frame(&view, now, false).text.is_some());
+    /// assert_eq!(told, [true, false, true, false], "without news once a second, as a sign of life");
+    /// ```
     pub fn frame(&mut self, view: &FleetView, now: f64, connected: bool) -> Frame {
         let changed = view.version > self.seen.min(self.detail_seen) || self.seen == 0;
         let due = self.last_frame.is_none_or(|last| now - last >= KEEP_ALIVE);
@@ -83,73 +103,71 @@ impl Client {
             let names: Vec<&str> = view.robots().collect();
             text.push_str(&serde_json::to_string(&names).unwrap_or_else(|_| "[]".to_owned()));
         }
-        text.push_str(",\"robots\":{");
-        let mut first = true;
-        for (name, robot) in &view.robots {
-            let mut fresh = robot
-                .summary
-                .iter()
-                .filter(|(_, entry)| entry.version > self.seen)
-                .peekable();
-            if fresh.peek().is_none() {
-                continue;
-            }
-            comma(&mut text, &mut first);
-            push_string(&mut text, name);
-            text.push_str(":{");
-            let mut inner = true;
-            for (channel, entry) in fresh {
-                comma(&mut text, &mut inner);
-                write_entry(&mut text, channel, entry, now);
-            }
-            text.push('}');
-        }
-        text.push('}');
+        self.push_summaries(&mut text, view, now);
         if let Some((name, robot)) = self
             .watched
             .as_ref()
             .and_then(|name| Some((name, view.robots.get(name)?)))
         {
-            text.push_str(",\"watched\":");
-            push_string(&mut text, name);
-            if self.detail_seen == 0 {
-                text.push_str(",\"fresh\":true");
-            }
-            text.push_str(",\"detail\":{");
-            let mut first = true;
-            for (channel, entry) in robot
-                .detail
-                .iter()
-                .filter(|(_, entry)| entry.version > self.detail_seen)
-            {
-                comma(&mut text, &mut first);
-                write_entry(&mut text, channel, entry, now);
-            }
-            text.push_str("},\"goals\":");
-            push_texts(
-                &mut text,
-                robot.goals.values().filter(|entry| entry.version > self.detail_seen),
-            );
-            text.push_str(",\"events\":");
-            push_texts(
-                &mut text,
-                robot.events.iter().filter(|entry| entry.version > self.detail_seen),
-            );
-            text.push_str(",\"trail\":[");
-            let mut first = true;
-            for (_, [x, y]) in robot.trail.iter().filter(|(version, _)| *version > self.detail_seen) {
-                comma(&mut text, &mut first);
-                let _ = if x.is_finite() {
-                    write!(text, "[{x:.3},{y:.3}]")
-                } else {
-                    write!(text, "null")
-                };
-            }
-            text.push(']');
+            self.push_details(&mut text, name, robot, now);
         }
         text.push('}');
         text
     }
+
+    /// What has changed of every robot.
+    fn push_summaries(&self, text: &mut String, view: &FleetView, now: f64) {
+        text.push_str(",\"robots\":{");
+        let mut first = true;
+        for (name, robot) in &view.robots {
+            let is_news = |entry: &Entry| entry.version > self.seen;
+            if robot.summary.values().any(is_news) {
+                comma(text, &mut first);
+                push_string(text, name);
+                text.push(':');
+                push_entries(text, &robot.summary, is_news, now);
+            }
+        }
+        text.push('}');
+    }
+
+    /// What has changed of the watched robot's details.
+    fn push_details(&self, text: &mut String, name: &str, robot: &RobotView, now: f64) {
+        let is_news = |entry: &Entry| entry.version > self.detail_seen;
+        text.push_str(",\"watched\":");
+        push_string(text, name);
+        if self.detail_seen == 0 {
+            text.push_str(",\"fresh\":true");
+        }
+        text.push_str(",\"detail\":");
+        push_entries(text, &robot.detail, is_news, now);
+        text.push_str(",\"goals\":");
+        push_texts(text, robot.goals.values().filter(|entry| is_news(entry)));
+        text.push_str(",\"events\":");
+        push_texts(text, robot.events.iter().filter(|entry| is_news(entry)));
+        text.push_str(",\"trail\":[");
+        let mut first = true;
+        for (_, [x, y]) in robot.trail.iter().filter(|(version, _)| *version > self.detail_seen) {
+            comma(text, &mut first);
+            let _ = if x.is_finite() {
+                write!(text, "[{x:.3},{y:.3}]")
+            } else {
+                write!(text, "null")
+            };
+        }
+        text.push(']');
+    }
+}
+
+/// The entries that are news, as an object by channel.
+fn push_entries(text: &mut String, entries: &BTreeMap<String, Entry>, is_news: impl Fn(&Entry) -> bool, now: f64) {
+    text.push('{');
+    let mut first = true;
+    for (channel, entry) in entries.iter().filter(|(_, entry)| is_news(entry)) {
+        comma(text, &mut first);
+        write_entry(text, channel, entry, now);
+    }
+    text.push('}');
 }
 
 /// `"name":{"age":…,"data":…}`, with the age in s.
@@ -343,7 +361,7 @@ mod tests {
         let (mut view, mut client) = (FleetView::new(), Client::new());
         let edge = |from: u32, to: u32, kind: &str, weight: f64| json!({ "from": from, "to": to, "kind": kind, "weight": weight });
         let graph = json!({
-            "stamp": 1, "boot_id": "b", "map": { "id": "m", "revision": 1 },
+            "stamp": 1, "boot_id": "b", "map": { "id": "m", "revision": 1 }, "certificate": "certified",
             "nodes": [{ "x": 0.0, "y": 0.0, "yaw": 0.0 }, { "x": 1.0, "y": 0.5, "yaw": 0.0 }, { "x": 2.0, "y": 0.0, "yaw": 0.0 }],
             "edges": [
                 edge(0, 2, "closure", 1.0), edge(1, 0, "closure", 0.0), edge(0, 1, "odometry", 1.0), edge(1, 2, "odometry", 1.0),
@@ -354,7 +372,10 @@ mod tests {
         client.watch(Some("a".into()));
         assert_eq!(
             told(&mut client, &view, 1.0)["detail"]["graph"]["data"],
-            json!({ "nodes": [0.0, 0.0, 1.0, 0.5, 2.0, 0.0], "odometry": [0, 1, 1, 2], "closures": [0, 2], "rejected": [1, 0] }),
+            json!({
+                "nodes": [0.0, 0.0, 1.0, 0.5, 2.0, 0.0], "odometry": [0, 1, 1, 2], "closures": [0, 2], "rejected": [1, 0],
+                "certificate": "certified",
+            }),
             "an edge to a node that does not exist is left out"
         );
     }

@@ -17,6 +17,14 @@ pub struct Hold {
 
 impl Hold {
     /// A command that arrived at `now`, in seconds of the gateway's own clock; one that is not finite becomes a stop.
+    ///
+    /// ```
+    /// use zenav_gateway::Hold;
+    /// use zenav_protocol::geometry::Twist2;
+    ///
+    /// let nonsense = Hold::new(Twist2::new(f64::NAN, 0.5), 10.0);
+    /// assert_eq!(nonsense.twist(10.0), Twist2::ZERO);
+    /// ```
     #[must_use]
     pub fn new(twist: Twist2, now: f64) -> Self {
         let twist = if twist.is_finite() { twist } else { Twist2::ZERO };
@@ -27,15 +35,18 @@ impl Hold {
     }
 
     /// The command at `now`: rest, unless it was repeated in time.
+    ///
+    /// ```
+    /// use zenav_gateway::{HOLD_SECS, Hold};
+    /// use zenav_protocol::geometry::Twist2;
+    ///
+    /// let ahead = Twist2::new(0.4, 0.0);
+    /// let hold = Hold::new(ahead, 10.0);
+    /// assert_eq!((hold.twist(10.0 + HOLD_SECS), hold.twist(10.4)), (ahead, Twist2::ZERO), "the key was released");
+    /// ```
     #[must_use]
     pub fn twist(&self, now: f64) -> Twist2 {
         if now <= self.until { self.twist } else { Twist2::ZERO }
-    }
-
-    /// Time since it stopped acting, s; negative while it acts.
-    #[must_use]
-    pub fn released_for(&self, now: f64) -> f64 {
-        now - self.until
     }
 }
 

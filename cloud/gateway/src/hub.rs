@@ -3,12 +3,13 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 use tokio::sync::watch;
 use tokio::time::Instant;
 use zenav_protocol::messages::GoalPoint;
+use zenav_protocol::token_bucket::TokenBucket;
 
-use crate::rate::TokenBucket;
 use crate::settings::GatewaySettings;
 use crate::view::{FleetView, Update};
 
@@ -37,7 +38,11 @@ impl Hub {
         Arc::new(Self {
             start: Instant::now(),
             view: Mutex::new(FleetView::new()),
-            rate: Mutex::new(TokenBucket::new(settings.requests_hz)),
+            rate: Mutex::new(TokenBucket::full(
+                settings.requests_hz,
+                settings.requests_hz,
+                Duration::ZERO,
+            )),
             rounds: watch::Sender::new(0),
             watchers: Mutex::default(),
             watched: watch::Sender::new(BTreeSet::new()),
@@ -61,6 +66,15 @@ impl Hub {
     }
 
     /// Takes a message about a robot into the view.
+    ///
+    /// ```
+    /// use std::collections::BTreeMap;
+    /// use zenav_gateway::{GatewaySettings, Hub, Update};
+    ///
+    /// let hub = Hub::new(GatewaySettings::default(), BTreeMap::new());
+    /// hub.take("tiago", Update::Part { component: "edge".into(), alive: true });
+    /// assert!(hub.view().knows("tiago"));
+    /// ```
     pub fn take(&self, robot: &str, update: Update) {
         let now = self.now();
         self.view().take(robot, update, now);
@@ -85,6 +99,21 @@ impl Hub {
     }
 
     /// Waits until a robot was heard.
+    ///
+    /// ```
+    /// # use std::{collections::BTreeMap, sync::Arc};
+    /// # use zenav_gateway::{GatewaySettings, Hub, Update};
+    /// # #[tokio::main(flavor = "current_thread")]
+    /// # async fn main() -> Result<(), tokio::task::JoinError> {
+    /// let hub = Hub::new(GatewaySettings::default(), BTreeMap::new());
+    /// let waiting = Arc::clone(&hub);
+    /// let waiting = tokio::spawn(async move { waiting.first_robot().await });
+    /// hub.take("tiago", Update::Part { component: "edge".into(), alive: true });
+    /// hub.announce(true);
+    /// waiting.await?;
+    /// # Ok(())
+    /// # }
+    /// ```
     pub async fn first_robot(&self) {
         let mut rounds = self.rounds.subscribe();
         while self.view().robots().next().is_none() {
@@ -113,8 +142,8 @@ impl Hub {
 
     /// Whether another request may be carried out now.
     pub(crate) fn admits(&self) -> bool {
-        let now = self.now();
-        self.rate.lock().unwrap_or_else(PoisonError::into_inner).take(now)
+        let mut rate = self.rate.lock().unwrap_or_else(PoisonError::into_inner);
+        rate.take(self.start.elapsed())
     }
 
     /// Number of connected browsers.

@@ -31,7 +31,7 @@
 //! | `settings` | all tunables: [`GatewaySettings`] |
 //! | `view` | the latest state of every robot, pure |
 //! | `client` | what one browser lacks, pure |
-//! | `access`, `rate`, `hold` | who may use it, how often, and the dead-man's switch, pure |
+//! | `access`, `hold` | who may use it, and the dead-man's switch, pure |
 //! | `hub` | where feed and clients meet |
 //! | `operator` | the operations on robots |
 //! | `http` | the API under `/api/v1`, its OpenAPI document, the WebSocket |
@@ -44,7 +44,6 @@ mod http;
 mod hub;
 mod operator;
 mod page;
-mod rate;
 mod settings;
 mod view;
 

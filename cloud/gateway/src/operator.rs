@@ -11,12 +11,22 @@ use tokio::sync::watch;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::{
     AnnotateAction, Annotations, CancelRequest, GoalReply, GoalRequest, GoalsReply, GoalsRequest, LocaliseReply,
-    MapReply, MoveGoalRequest, PauseRequest, Refusal, StopReply,
+    MapReply, MoveGoalRequest, PauseRequest, Refusal, ResumeRequest, StopReply,
 };
 
 use crate::hold::Hold;
 
 /// Why there is no answer.
+///
+/// ```
+/// use zenav_gateway::AskFailure;
+/// use zenav_protocol::messages::Refusal;
+///
+/// let late = AskFailure::Timeout { key: "zenav/tiago/ask/edge/stop".into() };
+/// assert_eq!(late.to_string(), "no answer from zenav/tiago/ask/edge/stop in time");
+/// let refused = AskFailure::Refused(Refusal::rejected("the goal is in a wall"));
+/// assert_eq!(refused.to_string(), "rejected: the goal is in a wall");
+/// ```
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum AskFailure {
     /// The server refused.
@@ -58,8 +68,8 @@ pub trait Operator: Send + Sync + 'static {
     fn set_pose(&self, robot: &str, pose: Pose2, by: &str) -> Answer<LocaliseReply>;
     /// Stops the robot until it is resumed.
     fn stop(&self, robot: &str, by: &str) -> Answer<StopReply>;
-    /// Lifts the stops up to this one (a number of `EdgeState::stops`), but none after it.
-    fn resume(&self, robot: &str, stop: u64, by: &str) -> Answer<StopReply>;
+    /// Lifts the stops up to the one that the request names, but none after it.
+    fn resume(&self, robot: &str, request: ResumeRequest) -> Answer<StopReply>;
     /// Gets the whole map.
     fn map(&self, robot: &str) -> Answer<MapReply>;
     /// Takes the operator's lease, to drive by hand.
@@ -67,6 +77,20 @@ pub trait Operator: Send + Sync + 'static {
 }
 
 /// A robot driven by hand: it obeys the newest [`Hold`] until this is dropped.
+///
+/// ```
+/// use tokio::sync::watch;
+/// use zenav_gateway::{Drive, Hold};
+/// use zenav_protocol::geometry::Twist2;
+///
+/// let (commands, newest) = watch::channel(None);
+/// let (_end, ended) = watch::channel(None::<String>);
+/// let drive = Drive { commands, ended };
+/// for v in [0.1, 0.2] {
+///     drive.commands.send_replace(Some(Hold::new(Twist2::new(v, 0.0), 5.0)));
+/// }
+/// assert_eq!(newest.borrow().map(|hold| hold.twist(5.1).v), Some(0.2), "only the newest counts");
+/// ```
 #[derive(Debug)]
 pub struct Drive {
     /// Commands; only the newest counts.

@@ -16,6 +16,7 @@ files! {
     "panels.css": "text/css; charset=utf-8";
     "icon.svg": "image/svg+xml";
     "main.js": "text/javascript; charset=utf-8";
+    "memory.js": "text/javascript; charset=utf-8";
     "api.js": "text/javascript; charset=utf-8";
     "live.js": "text/javascript; charset=utf-8";
     "store.js": "text/javascript; charset=utf-8";

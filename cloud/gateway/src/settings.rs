@@ -6,6 +6,16 @@ use zenav_protocol::settings;
 
 settings! {
     /// The gateway.
+    ///
+    /// ```
+    /// use zenav_gateway::{DEFAULT_LISTEN, GatewaySettings};
+    /// use zenav_protocol::settings::Settings;
+    ///
+    /// let mut settings = GatewaySettings::default();
+    /// assert_eq!(settings.listen, DEFAULT_LISTEN);
+    /// settings.live_hz = 60.0;
+    /// assert_eq!(settings.check().unwrap_err().to_string(), "`live_hz` is 60: expected 0.5 to 30 Hz");
+    /// ```
     pub struct GatewaySettings {
         /// Address of the page and the API. An address reachable by other machines requires a token.
         pub listen: String = DEFAULT_LISTEN.to_owned();

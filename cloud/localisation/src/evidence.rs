@@ -20,6 +20,19 @@ pub struct Evidence {
 /// Weighs a pose `map_from_base`. `laser`: where the beams begin, `points`: where they end, both in the frame of the base, m.
 ///
 /// Cost: one lookup per cell along each beam.
+///
+/// ```
+#[doc = include_str!("doc_setup/room.txt")]
+/// use zenav_localisation::{EvidenceSettings, KnownMap, evidence};
+///
+/// let known = KnownMap::new(&map, 0.08);
+/// // Seen from the middle of the room: a stretch of the wall at x = 3.
+/// let wall: Vec<_> = (-10..=10).map(|i| Point2::new(3.0, 0.05 * f64::from(i))).collect();
+/// let weigh = |x| evidence(&known, Point2::origin(), &wall, Pose2::new(x, 0.0, 0.0), &EvidenceSettings::default());
+/// assert_eq!((weigh(0.0).points, weigh(0.0).agreeing), (21, 1.0));
+/// // About a metre farther ahead every beam would pass the wall.
+/// assert_eq!((weigh(1.02).agreeing, weigh(1.02).through_walls), (0.0, 1.0));
+/// ```
 #[must_use]
 pub fn evidence(
     map: &KnownMap,

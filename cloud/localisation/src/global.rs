@@ -36,6 +36,21 @@ pub struct Hypothesis {
 }
 
 /// Result of a search.
+///
+/// ```
+#[doc = include_str!("doc_setup/room.txt")]
+/// use zenav_localisation::{Found, KnownMap, LocalisationSettings, find};
+///
+/// // The same room without pillars looks alike from two poses.
+/// let (empty, settings) = (KnownMap::new(&walled_room(spec, |_| false), 0.08), LocalisationSettings::default());
+/// let (truth, rotated) = (Pose2::new(0.5, 0.3, 0.0), Pose2::new(-0.5, -0.3, std::f64::consts::PI));
+/// let ranges = sweep_in_room(&lidar, 0.1, truth, (3.0, 2.0), &[]).ranges;
+/// let now = Scan { ranges, ..look(0.1, truth) };
+/// let seen = zenav_scan_matching::points(&now, Pose2::IDENTITY, 0.0, &settings.scan);
+/// let found = find(&empty, now.base_from_laser.position(), &seen, &settings);
+/// let Found::Ambiguous(places) = &found else { panic!("{found:?}") };
+/// assert!([truth, rotated].iter().all(|pose| places.iter().any(|place| place.pose.distance(pose) < 0.1)));
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub enum Found {
     /// One place, with no other about as good.
@@ -50,6 +65,22 @@ pub enum Found {
 
 /// Searches the whole map for the place of a scan, at all headings. `laser`: where the beams begin, `points`: where they end, both in the
 /// frame of the base, m.
+///
+/// ```
+#[doc = include_str!("doc_setup/room.txt")]
+/// use zenav_localisation::{Found, GlobalSettings, KnownMap, LocalisationSettings, find};
+///
+/// let settings = LocalisationSettings::default();
+/// let known = KnownMap::new(&map, settings.tracking.sigma);
+/// let (truth, laser) = (Pose2::new(0.2, 0.1, 2.0), lidar.mount.position());
+/// let seen = zenav_scan_matching::points(&look(0.1, truth), Pose2::IDENTITY, 0.0, &settings.scan);
+/// let found = find(&known, laser, &seen, &settings);
+/// let Found::Unique(place) = &found else { panic!("{found:?}") };
+/// assert!(place.pose.distance(&truth) < 0.1 && place.evidence.agreeing > 0.8);
+/// assert_eq!(find(&known, laser, &seen[..10], &settings), Found::Nowhere, "ten points say too little");
+/// let hasty = LocalisationSettings { global: GlobalSettings { budget: 1000, ..settings.global }, ..settings };
+/// assert_eq!(find(&known, laser, &seen, &hasty), Found::OutOfBudget);
+/// ```
 #[must_use]
 pub fn find(map: &KnownMap, laser: Point2<f64>, points: &[Point2<f64>], settings: &LocalisationSettings) -> Found {
     let global = &settings.global;
@@ -174,6 +205,16 @@ fn first_hits(map: &KnownMap, laser: Point2<f64>, points: &[Point2<f64>], map_fr
 }
 
 /// Whether a search counts two poses as one place.
+///
+/// ```
+/// use zenav_localisation::{LocalisationSettings, is_one_place};
+/// use zenav_protocol::geometry::Pose2;
+///
+/// let settings = LocalisationSettings::default();
+/// assert_eq!((settings.global.apart, settings.global.apart_turn), (0.5, 0.3));
+/// let is_same = |x, yaw| is_one_place(Pose2::IDENTITY, Pose2::new(x, 0.0, yaw), &settings);
+/// assert!(is_same(0.4, 0.2) && !is_same(0.6, 0.0) && !is_same(0.0, 0.4));
+/// ```
 #[must_use]
 pub fn is_one_place(a: Pose2, b: Pose2, settings: &LocalisationSettings) -> bool {
     let global = &settings.global;

@@ -32,6 +32,16 @@ const SEARCH_PERIOD: f64 = 0.5;
 const DOUBT: (f64, f64) = (0.5, 30.0);
 
 /// Result of a scan.
+///
+/// ```
+#[doc = include_str!("doc_setup/room.txt")]
+/// # use zenav_localisation::{LocalisationSettings, Localiser};
+/// let mut localiser = Localiser::new(LocalisationSettings::default(), &map);
+/// let located = localiser.step(&look(0.1, Pose2::IDENTITY)).unwrap();
+/// let deviation = located.covariance.unwrap().diagonal().map(f64::sqrt);
+/// // Never better than `tracking.floor`, 0.01 m: the map is not exact.
+/// assert!((0.01..0.05).contains(&deviation.x) && deviation.z < 0.05, "{deviation}");
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct Located {
     /// The best estimate of `map_from_base` at the scan's stamp.
@@ -97,6 +107,18 @@ struct Expected {
 
 impl Localiser {
     /// A robot somewhere in a map.
+    ///
+    /// ```
+    #[doc = include_str!("doc_setup/room.txt")]
+    /// use zenav_localisation::{LocalisationSettings, Localiser};
+    ///
+    /// let mut localiser = Localiser::new(LocalisationSettings::default(), &map);
+    /// let truth = Pose2::new(0.2, 0.1, 0.3);
+    /// // The guess for the first scan is 0.1 m off.
+    /// let guess = Pose2::new(0.3, 0.1, 0.3);
+    /// let located = localiser.step(&Scan { map_from_odom: guess, ..look(0.1, truth) }).unwrap();
+    /// assert!(located.pose.distance(&truth) < 0.05 && located.health.is_trusted(), "{located:?}");
+    /// ```
     #[must_use]
     pub fn new(settings: LocalisationSettings, map: &OccupancyGrid) -> Self {
         Self {
@@ -115,6 +137,19 @@ impl Localiser {
 
     /// Takes in a scan. Its `odom_from_base` is the odometry at its stamp; its `map_from_odom` is the initial guess for the first scan, and
     /// ignored later. `None` for a scan that is malformed or older than the last.
+    ///
+    /// ```
+    #[doc = include_str!("doc_setup/room.txt")]
+    /// # use zenav_localisation::{LocalisationSettings, Localiser};
+    /// let mut localiser = Localiser::new(LocalisationSettings::default(), &map);
+    /// for i in 1..=10 {
+    ///     // Odometry says 5.5 cm for each step of 5 cm.
+    ///     let (truth, odometry) = (Pose2::new(0.05 * f64::from(i), 0.0, 0.0), Pose2::new(0.055 * f64::from(i), 0.0, 0.0));
+    ///     let located = localiser.step(&Scan { odom_from_base: odometry, ..look(0.1 * f64::from(i), truth) }).unwrap();
+    ///     assert!(located.pose.distance(&truth) < 0.05, "{located:?}");
+    /// }
+    /// assert!(localiser.step(&look(0.5, Pose2::IDENTITY)).is_none(), "older than the last scan");
+    /// ```
     pub fn step(&mut self, scan: &Scan) -> Option<Located> {
         let odometry = scan.odom_from_base;
         if !scan.is_sane() || !odometry.is_finite() {
@@ -396,6 +431,16 @@ impl Localiser {
 
     /// Declares the robot's pose unknown, because it is elsewhere or its odometry restarted: the next scan is searched for in the whole
     /// map.
+    ///
+    /// ```
+    #[doc = include_str!("doc_setup/room.txt")]
+    /// # use zenav_localisation::{LocalisationSettings, Localiser};
+    /// let mut localiser = Localiser::new(LocalisationSettings::default(), &map);
+    /// localiser.lose();
+    /// let truth = Pose2::new(0.2, 0.1, 2.0);
+    /// let located = localiser.step(&look(0.1, truth)).unwrap();
+    /// assert!(located.is_found_anew && located.pose.distance(&truth) < 0.1, "{located:?}");
+    /// ```
     pub fn lose(&mut self) {
         (self.last, self.told) = (None, None);
         self.health = Health::Searching;
@@ -403,6 +448,17 @@ impl Localiser {
     }
 
     /// Sets the robot's pose, `map_from_base` at its last scan or, before the first, at the first.
+    ///
+    /// ```
+    #[doc = include_str!("doc_setup/room.txt")]
+    /// # use zenav_localisation::{LocalisationSettings, Localiser};
+    /// let mut localiser = Localiser::new(LocalisationSettings::default(), &map);
+    /// let truth = Pose2::new(0.2, 0.1, 2.0);
+    /// // An operator clicks on the map, 0.14 m beside the robot.
+    /// localiser.place(Pose2::new(0.3, 0.2, 1.95));
+    /// let located = localiser.step(&look(0.1, truth)).unwrap();
+    /// assert!(located.pose.distance(&truth) < 0.05 && !located.is_found_anew, "{located:?}");
+    /// ```
     pub fn place(&mut self, map_from_base: Pose2) {
         self.health = Health::Tracking;
         self.contradictions = 0;
@@ -416,6 +472,18 @@ impl Localiser {
     }
 
     /// Whether the last pose can be trusted.
+    ///
+    /// ```
+    /// use zenav_localisation::{LocalisationSettings, Localiser};
+    /// use zenav_protocol::grid::{GridSpec, Occupancy, OccupancyGrid};
+    /// use zenav_protocol::messages::Health;
+    ///
+    /// let spec = GridSpec { origin: nalgebra::Point2::origin(), resolution: 0.05, width: 40, height: 40 };
+    /// let mut localiser = Localiser::new(LocalisationSettings::default(), &OccupancyGrid::filled(spec, Occupancy::FREE));
+    /// assert_eq!(localiser.health(), &Health::Tracking, "the initial guess is believed");
+    /// localiser.lose();
+    /// assert!(!localiser.health().is_trusted(), "the robot must not drive by this map");
+    /// ```
     #[must_use]
     pub fn health(&self) -> &Health {
         &self.health

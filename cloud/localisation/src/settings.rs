@@ -4,6 +4,17 @@ use zenav_scan_matching::{OdometrySettings, RefineSettings, ScanSettings};
 
 zenav_protocol::settings! {
     /// How a robot is found in a known map.
+    ///
+    /// ```
+    /// use zenav_localisation::LocalisationSettings;
+    /// use zenav_protocol::settings::Settings;
+    ///
+    /// let settings = LocalisationSettings::default().with_number("tracking.sigma", 0.05).unwrap()?;
+    /// assert_eq!((settings.tracking.sigma, settings.tracking.reach), (0.05, 0.4));
+    /// let refused = settings.with_number("tracking.sigma", 0.0).unwrap().unwrap_err();
+    /// assert_eq!(refused.to_string(), "`tracking.sigma` is 0: expected 0.005 to 2 m");
+    /// # Ok::<(), zenav_protocol::config_text::OutOfBounds>(())
+    /// ```
     #[derive(Copy)]
     pub struct LocalisationSettings {
         /// Which points of a scan count.
@@ -23,6 +34,15 @@ zenav_protocol::settings! {
 
 zenav_protocol::settings! {
     /// Tracking of the robot.
+    ///
+    /// ```
+    /// use zenav_localisation::{LocalisationSettings, TrackingSettings};
+    /// use zenav_protocol::settings::Settings;
+    ///
+    /// let tracking = TrackingSettings { reach: 6.0, ..TrackingSettings::default() };
+    /// let settings = LocalisationSettings { tracking, ..LocalisationSettings::default() };
+    /// assert_eq!(settings.check().unwrap_err().to_string(), "`tracking.reach` is 6: expected 0 to 5 m");
+    /// ```
     #[derive(Copy)]
     pub struct TrackingSettings {
         /// Standard deviation of a point around its wall: the likelihood falls off with it.
@@ -55,6 +75,20 @@ zenav_protocol::settings! {
 
 zenav_protocol::settings! {
     /// When a scan agrees with the map.
+    ///
+    /// ```
+    /// # use nalgebra::Point2;
+    /// # use zenav_localisation::{EvidenceSettings, KnownMap, evidence};
+    /// # use zenav_protocol::{geometry::Pose2, grid::{Cell, GridSpec, Occupancy, OccupancyGrid}};
+    /// # let spec = GridSpec { origin: Point2::origin(), resolution: 0.05, width: 40, height: 3 };
+    /// # let mut map = OccupancyGrid::filled(spec, Occupancy::FREE);
+    /// # (0..3).for_each(|y| map[Cell::new(39, y)] = Occupancy::OCCUPIED);
+    /// // A wall at x = 1.95, and a beam along the x axis that ends 2 cm in front of it.
+    /// let known = KnownMap::new(&map, 0.08);
+    /// let agreeing = |settings| evidence(&known, Point2::new(0.5, 0.07), &[Point2::new(1.93, 0.07)], Pose2::IDENTITY, &settings).agreeing;
+    /// assert_eq!(agreeing(EvidenceSettings::default()), 1.0);
+    /// assert_eq!(agreeing(EvidenceSettings { explained: 0.9, ..EvidenceSettings::default() }), 0.0);
+    /// ```
     #[derive(Copy)]
     pub struct EvidenceSettings {
         /// A point agrees where the likelihood of a wall is at least this.
@@ -72,6 +106,17 @@ zenav_protocol::settings! {
 
 zenav_protocol::settings! {
     /// Finding the robot without a guess.
+    ///
+    /// ```
+    /// use zenav_localisation::GlobalSettings;
+    /// use zenav_protocol::settings::Settings;
+    ///
+    /// // A place is taken if three quarters of the scan agree with the map there, and fewer by a margin anywhere else.
+    /// let global = GlobalSettings::default();
+    /// assert_eq!((global.agrees, global.margin), (0.75, 0.15));
+    /// let never = GlobalSettings { agrees: 1.5, ..global }.check().unwrap_err();
+    /// assert_eq!(never.to_string(), "`agrees` is 1.5: expected 0 to 1");
+    /// ```
     #[derive(Copy)]
     pub struct GlobalSettings {
         /// Places that score less are ignored.

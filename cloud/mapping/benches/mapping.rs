@@ -110,11 +110,8 @@ impl Flat {
                     range_min: 0.02,
                     range_max,
                     ranges: Vec::new(),
-                    boot_id: String::new(),
-                    moving: Vec::new(),
-                    base_from_laser: Pose2::IDENTITY,
-                    map_from_odom: Pose2::IDENTITY,
                     odom_from_base: Pose2::new(at.x, at.y, turn + 0.5 * PI),
+                    ..Scan::default()
                 };
                 scan.ranges = (0..beams)
                     .map(|beam| {

@@ -52,11 +52,8 @@ fn main() {
             ranges: (0..BEAMS)
                 .map(|beam| range(pose.x, pose.y, pose.yaw + beam as f64 * angle_increment) as f32)
                 .collect(),
-            boot_id: String::new(),
-            moving: Vec::new(),
-            base_from_laser: Pose2::IDENTITY,
-            map_from_odom: Pose2::IDENTITY,
             odom_from_base: pose,
+            ..Scan::default()
         };
         mapper.insert(&scan);
     }

@@ -12,6 +12,18 @@ use crate::map_file::MapFileError;
 ///
 /// # Errors
 /// [`MapFileError::Io`].
+///
+/// ```
+/// use zenav_mapping::atomic::write_atomically;
+///
+/// let folder = tempfile::tempdir().unwrap();
+/// let path = folder.path().join("map.json");
+/// write_atomically(&path, b"old")?;
+/// write_atomically(&path, b"new")?;
+/// assert_eq!(std::fs::read(&path).unwrap(), b"new");
+/// assert!(write_atomically(&folder.path().join("missing/map.json"), b"").is_err(), "there is no such folder");
+/// # Ok::<(), zenav_mapping::MapFileError>(())
+/// ```
 pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), MapFileError> {
     Prepared::new(path, |file| file.write_all(bytes))?.publish()
 }
@@ -37,18 +49,12 @@ impl Prepared {
             write(&mut file)?;
             file.into_inner()?.sync_all()
         };
-        written().map_err(|source| MapFileError::Io {
-            path: prepared.path.clone(),
-            source,
-        })?;
+        written().map_err(MapFileError::io(path))?;
         Ok(prepared)
     }
 
     pub(super) fn publish(self) -> Result<(), MapFileError> {
-        std::fs::rename(&self.temporary, &self.path).map_err(|source| MapFileError::Io {
-            path: self.path.clone(),
-            source,
-        })?;
+        std::fs::rename(&self.temporary, &self.path).map_err(MapFileError::io(&self.path))?;
         // The rename is on disk only once its folder is; where folders cannot be opened, nothing more can be done.
         if let Some(folder) = self.path.parent().filter(|folder| !folder.as_os_str().is_empty())
             && let Ok(folder) = File::open(folder)

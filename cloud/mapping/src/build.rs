@@ -11,6 +11,14 @@ use crate::log_odds::{InsertMode, LogOddsGrid};
 use crate::settings::{BeamSettings, SensorModel};
 
 /// Why no map was built.
+///
+/// ```
+/// use zenav_mapping::carmen::LOG_BEAMS;
+/// use zenav_mapping::{InsertMode, build_map};
+///
+/// let refused = build_map(&[], -0.05, InsertMode::Reference, &LOG_BEAMS).unwrap_err();
+/// assert_eq!(refused.to_string(), "resolution -0.05 m: expected a positive number");
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum BuildError {
     /// The resolution is not positive.
@@ -110,6 +118,18 @@ pub struct Agreement {
 }
 
 /// Compares a map with a reference, cell by cell of the reference.
+///
+/// ```
+/// use nalgebra::Point2;
+/// use zenav_mapping::agreement;
+/// use zenav_protocol::grid::{GridSpec, OccupancyGrid};
+///
+/// let spec = GridSpec { origin: Point2::origin(), resolution: 0.05, width: 4, height: 1 };
+/// let maps = [[0, 0, 100, 100], [0, 0, 0, 100]];
+/// let [reference, other] = maps.map(|values| OccupancyGrid::from_values(spec, values.to_vec()).unwrap());
+/// let found = agreement(&reference, &other);
+/// assert_eq!((found.occupied, found.free), (0.5, 2.0 / 3.0));
+/// ```
 #[must_use]
 pub fn agreement(reference: &OccupancyGrid, other: &OccupancyGrid) -> Agreement {
     let share = |class: Occupancy| {
@@ -168,11 +188,8 @@ mod tests {
                 range_min: 0.02,
                 range_max: 20.0,
                 ranges: vec![1.0, 2.5, f32::INFINITY],
-                boot_id: String::new(),
-                moving: Vec::new(),
-                base_from_laser: Pose2::IDENTITY,
-                map_from_odom: Pose2::IDENTITY,
                 odom_from_base: Pose2::new(0.5, -0.5, yaw),
+                ..Scan::default()
             })
             .to_vec()
     }

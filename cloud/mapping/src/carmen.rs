@@ -1,9 +1,16 @@
 //! CARMEN logs. Reads and writes recorded laser scans at known poses.
 //!
-//! `FLASER n r1 … rn x y theta odom_x odom_y odom_theta time host logger_time` is a sweep of half a circle; the first pose is the laser's,
-//! the second one the robot's raw odometry. `ROBOTLASER1` states its own field of view. Other lines are skipped.
+//! `FLASER n r1 … rn x y theta odom_x odom_y odom_theta time host logger_time` is a sweep whose field of view follows from the number of
+//! readings; the first pose is the laser's, the second one the robot's raw odometry. `ROBOTLASER1` states its own field of view. Other lines
+//! are skipped. The time may be missing.
+//!
+//! [`open`] looks at the whole log first ([`survey()`]), and reads it accordingly:
+//!
+//! - a laser's pose that stands still while odometry moves is not taken; that of `ODOM` lines is, if neither pose in the lines moves, or if
+//!   the log has only `RAWLASER1` lines, which have none;
+//! - if the robot's clock was set back or stands still, the logger's is taken, if that runs on;
+//! - the reading that means no return, and a field of view other than usual, are found.
 
-use std::f64::consts::{FRAC_PI_2, PI};
 use std::fmt::Write as _;
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
@@ -13,22 +20,27 @@ use flate2::read::MultiGzDecoder;
 use thiserror::Error;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::Scan;
-use zenav_protocol::time::Stamp;
 
 use crate::settings::BeamSettings;
+
+mod survey;
+mod view;
+
+pub use survey::Survey;
+use view::View;
 
 /// Longest line that is read, bytes.
 const MAX_LINE: u64 = 1 << 20;
 /// Most readings in a sweep.
 const MAX_BEAMS: usize = 10_000;
-/// Readings from here on, m, mean no return: lasers of that time report 81.9 m.
+/// Readings from here on, m, mean no return in any log: lasers of that time report 81.9 m.
 const NOTHING_SEEN: f64 = 80.0;
 /// The reading, m, of a beam without a return in a sweep of half a circle.
 const NO_RETURN: f64 = 81.91;
 /// Shorter readings, m, are none.
 const RANGE_MIN: f64 = 0.02;
-/// Angles that differ by less, rad, are the same.
-const SAME_ANGLE: f64 = 1e-9;
+/// Numbers of a `ROBOTLASER1` and of a `RAWLASER1` line behind the remissions, time included.
+const BEHIND_REMISSIONS: (usize, usize) = (12, 1);
 
 /// Why a log could not be read.
 #[derive(Debug, Error)]
@@ -51,19 +63,107 @@ pub enum CarmenError {
     },
 }
 
+/// Kind of a line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    /// `FLASER`.
+    Front,
+    /// `ROBOTLASER1`.
+    Robot,
+    /// `RAWLASER1`.
+    Raw,
+    /// `ODOM`.
+    Odometry,
+}
+
+impl Kind {
+    /// The kind of a line, by its first word.
+    fn of(line: &[u8]) -> Option<Self> {
+        match line.split(u8::is_ascii_whitespace).next()? {
+            b"FLASER" => Some(Self::Front),
+            b"ROBOTLASER1" => Some(Self::Robot),
+            b"RAWLASER1" => Some(Self::Raw),
+            b"ODOM" => Some(Self::Odometry),
+            _ => None,
+        }
+    }
+}
+
+/// A sweep as its line has it.
+struct Sweep {
+    kind: Kind,
+    view: View,
+    /// The maximum range that the line states, m.
+    range_max: Option<f64>,
+    /// Readings in the order of the line, m.
+    ranges: Vec<f32>,
+    /// Of the laser and of the robot.
+    poses: Option<(Pose2, Pose2)>,
+    /// By the robot's and by the logger's clock, s.
+    times: (Option<f64>, Option<f64>),
+}
+
+/// A line that is read.
+enum Line {
+    Sweep(Sweep),
+    /// Pose and time, s.
+    Odometry(Pose2, Option<f64>),
+}
+
 /// Iterator over the scans of a log.
 pub struct CarmenReader<R> {
     input: R,
     line: u64,
     buffer: Vec<u8>,
     failed: bool,
+    cut_off: Option<CarmenError>,
+    survey: Survey,
+    /// Whether all lines are read, to find out what the log says as a whole.
+    is_survey: bool,
+    /// Whether a sweep had a time.
+    is_timed: bool,
+    /// Kind, time and number of readings of the last sweep.
+    last: Option<(Kind, Option<f64>, usize)>,
+    /// Scans read.
+    scans: u64,
 }
 
-/// Opens a log, compressed by gzip or not.
+/// Opens a log, compressed by gzip or not, and reads it as its [`survey()`] says, which [`CarmenReader::into_survey`] hands over.
 ///
 /// # Errors
 /// [`CarmenError::Io`].
 pub fn open(path: &Path) -> Result<CarmenReader<Box<dyn BufRead>>, CarmenError> {
+    Ok(CarmenReader {
+        survey: survey(path)?,
+        ..plain(path)?
+    })
+}
+
+/// Finds out what a log says as a whole: where the poses are, which clock runs on, what a missing return reads like, and the field of view.
+/// A mistake in a line ends the survey, and is told by the reader.
+///
+/// ```
+/// // The laser's pose stands still; the odometry beside it does not.
+/// let line = |i: u32| format!("FLASER 3 1 2 1 0 0 0 0.{i} 0 0 {i} host {i}\n");
+/// let folder = tempfile::tempdir()?;
+/// let path = folder.path().join("drive.log");
+/// std::fs::write(&path, (0..9).map(line).collect::<String>())?;
+/// let survey = zenav_mapping::carmen::survey(&path)?;
+/// assert!(survey.remarks()[0].starts_with("the laser's pose stands still while odometry moves"));
+/// assert_eq!(survey.line(9), Some(9));
+/// let last = zenav_mapping::carmen::open(&path)?.last().unwrap()?;
+/// assert_eq!(last.odom_from_base.x, 0.8);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// [`CarmenError::Io`].
+pub fn survey(path: &Path) -> Result<Survey, CarmenError> {
+    survey::survey(plain(path)?, || plain(path))
+}
+
+/// Opens a log of which nothing else is known.
+fn plain(path: &Path) -> Result<CarmenReader<Box<dyn BufRead>>, CarmenError> {
     let failed = |source| CarmenError::Io { line: 0, source };
     let mut file = BufReader::new(File::open(path).map_err(failed)?);
     let compressed = file.fill_buf().map_err(failed)?.starts_with(&[0x1f, 0x8b]);
@@ -76,17 +176,71 @@ pub fn open(path: &Path) -> Result<CarmenReader<Box<dyn BufRead>>, CarmenError> 
 }
 
 impl<R: BufRead> CarmenReader<R> {
-    /// Reads scans from plain text.
+    /// Reads scans from plain text, each line by itself: the pose is the laser's, the time the robot's. Scans without a time are taken to
+    /// be 0.1 s apart.
+    ///
+    /// ```
+    /// use zenav_mapping::carmen::CarmenReader;
+    ///
+    /// let mut scans = CarmenReader::new("ODOM 0 0 0 0 0 0 0.1 host 0.1\nFLASER 2 1.0\n".as_bytes());
+    /// let refused = scans.next().unwrap().unwrap_err();
+    /// assert_eq!(refused.to_string(), "line 2: expected a reading, found the end of the line");
+    /// assert!(scans.next().is_none(), "nothing is read after an error");
+    /// ```
     pub fn new(input: R) -> Self {
         Self {
             input,
             line: 0,
             buffer: Vec::new(),
             failed: false,
+            cut_off: None,
+            survey: Survey::default(),
+            is_survey: false,
+            is_timed: false,
+            last: None,
+            scans: 0,
         }
     }
 
-    fn next_scan(&mut self) -> Result<Option<Scan>, CarmenError> {
+    /// What is wrong with the log's last line, if that was cut off, as by a recorder that was killed: it is not read. Known after the last
+    /// scan.
+    ///
+    /// ```
+    /// use zenav_mapping::carmen::CarmenReader;
+    ///
+    /// let mut scans = CarmenReader::new("FLASER 1 2.5 0 0 0 0 0 0 0.1 host 0.1\nFLASER 1 2.5 0 0".as_bytes());
+    /// assert_eq!(scans.by_ref().count(), 1);
+    /// assert_eq!(scans.cut_off().unwrap().to_string(), "line 2: expected theta, found the end of the line");
+    /// ```
+    pub const fn cut_off(&self) -> Option<&CarmenError> {
+        self.cut_off.as_ref()
+    }
+
+    /// What the log as a whole says, by which its lines are read. Nothing but for a log that [`open`] opened.
+    ///
+    /// ```
+    /// # let folder = tempfile::tempdir()?;
+    /// # let path = folder.path().join("drive.log");
+    /// std::fs::write(&path, "PARAM a b\nFLASER 1 2.5 0 0 0 0 0 0 0.1 host 0.1\n")?;
+    /// let mut scans = zenav_mapping::carmen::open(&path)?;
+    /// assert_eq!(scans.by_ref().count(), 1);
+    /// assert_eq!(scans.into_survey().line(1), Some(2));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn into_survey(self) -> Survey {
+        self.survey
+    }
+
+    const fn reads(&self, kind: Kind) -> bool {
+        match kind {
+            Kind::Front | Kind::Robot => true,
+            Kind::Raw => self.is_survey || self.survey.reading.reads_raw,
+            Kind::Odometry => self.is_survey,
+        }
+    }
+
+    /// The next line that is read.
+    fn next_line(&mut self) -> Result<Option<Line>, CarmenError> {
         loop {
             self.buffer.clear();
             let read = (&mut self.input).take(MAX_LINE).read_until(b'\n', &mut self.buffer);
@@ -103,31 +257,58 @@ impl<R: BufRead> CarmenReader<R> {
             if self.buffer.len() as u64 == MAX_LINE {
                 return Err(wrong(format!("longer than {MAX_LINE} bytes")));
             }
-            if !["FLASER", "ROBOTLASER1"]
-                .iter()
-                .any(|kind| self.buffer.starts_with(kind.as_bytes()))
-            {
+            // Editors put a byte order mark before the first line.
+            let text = self.buffer.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&self.buffer);
+            let text = text.trim_ascii_start();
+            let Some(kind) = Kind::of(text).filter(|kind| self.reads(*kind)) else {
+                continue;
+            };
+            let parsed = Words::of(&String::from_utf8_lossy(text)).line(kind);
+            let is_timed = matches!(&parsed, Ok(Line::Sweep(sweep)) if sweep.times.0.is_some());
+            let parsed = match parsed {
+                Ok(Line::Sweep(_)) if self.is_timed && !is_timed => {
+                    Err(with_hint("expected the time, found the end of the line"))
+                }
+                parsed => parsed,
+            };
+            let is_needed = kind != Kind::Odometry && (kind != Kind::Raw || self.survey.reading.reads_raw);
+            self.is_timed |= is_timed && is_needed;
+            match parsed.map_err(wrong) {
+                // Of a log that can do without them.
+                Err(_) if !is_needed => {}
+                Err(error) if !self.buffer.ends_with(b"\n") => {
+                    self.cut_off = Some(error);
+                    return Ok(None);
+                }
+                parsed => return parsed.map(Some),
+            }
+        }
+    }
+
+    /// Whether a sweep was just read from a line of another kind: loggers write a sweep as several lines.
+    fn is_repeated(&mut self, sweep: &Sweep) -> bool {
+        let (kind, time, readings) = (sweep.kind, sweep.times.0, sweep.ranges.len());
+        let before = self.last.replace((kind, time, readings));
+        before.is_some_and(|before| before.0 != kind && time.is_some() && (before.1, before.2) == (time, readings))
+    }
+
+    fn next_scan(&mut self) -> Result<Option<Scan>, CarmenError> {
+        while let Some(line) = self.next_line()? {
+            let Line::Sweep(sweep) = line else { continue };
+            if self.is_repeated(&sweep) {
                 continue;
             }
-            let Ok(text) = std::str::from_utf8(&self.buffer) else {
-                return Err(wrong("expected text".to_owned()));
-            };
-            let mut words = Words {
-                words: text.split_ascii_whitespace(),
-            };
-            let scan = match words.words.next() {
-                Some("FLASER") => words.front_laser(),
-                Some("ROBOTLASER1") => words.robot_laser(),
-                _ => continue,
-            };
-            let scan = scan.map_err(wrong)?;
+            let scan = self.survey.reading.scan(sweep, self.line, self.scans);
+            self.scans += 1;
             if !scan.is_sane() {
-                return Err(wrong(
-                    "expected a finite pose and a field of view of at most a full circle".to_owned(),
-                ));
+                return Err(CarmenError::Line {
+                    line: self.line,
+                    what: "expected a finite pose and a field of view of at most a full circle".to_owned(),
+                });
             }
             return Ok(Some(scan));
         }
+        Ok(None)
     }
 }
 
@@ -144,11 +325,31 @@ impl<R: BufRead> Iterator for CarmenReader<R> {
     }
 }
 
+/// A mistake that a wrong number of readings leads to.
+fn with_hint(mistake: &str) -> String {
+    format!("{mistake}: is the number of readings right?")
+}
+
 struct Words<'t> {
     words: std::str::SplitAsciiWhitespace<'t>,
 }
 
-impl Words<'_> {
+impl<'t> Words<'t> {
+    fn of(line: &'t str) -> Self {
+        Self {
+            words: line.split_ascii_whitespace(),
+        }
+    }
+
+    fn line(mut self, kind: Kind) -> Result<Line, String> {
+        self.words.next();
+        match kind {
+            Kind::Front => self.front_laser().map(Line::Sweep),
+            Kind::Robot | Kind::Raw => self.stated_laser(kind).map(Line::Sweep),
+            Kind::Odometry => self.odometry(),
+        }
+    }
+
     fn number(&mut self, what: &str) -> Result<f64, String> {
         let word = self
             .words
@@ -160,6 +361,16 @@ impl Words<'_> {
             .ok_or_else(|| format!("expected {what}, found `{}`", word.chars().take(40).collect::<String>()))
     }
 
+    /// A number, or infinity where some drivers write `inf`, `nan` or `-inf`.
+    fn number_or_none(&mut self, what: &str) -> Result<f64, String> {
+        let word = self.words.clone().next().unwrap_or_default();
+        if word.parse().is_ok_and(|number: f64| !number.is_finite()) {
+            self.words.next();
+            return Ok(f64::INFINITY);
+        }
+        self.number(what)
+    }
+
     fn count(&mut self, what: &str) -> Result<usize, String> {
         let number = self.number(what)?;
         if number.fract() == 0.0 && (0.0..=MAX_BEAMS as f64).contains(&number) {
@@ -169,10 +380,11 @@ impl Words<'_> {
         }
     }
 
+    /// Readings, m; infinite for a beam without a return.
     fn ranges(&mut self) -> Result<Vec<f32>, String> {
         let count = self.count("the number of readings")?;
         (0..count)
-            .map(|_| self.number("a reading").map(|range| range as f32))
+            .map(|_| Ok(self.number_or_none("a reading")? as f32))
             .collect()
     }
 
@@ -180,83 +392,98 @@ impl Words<'_> {
         Ok(Pose2::new(self.number("x")?, self.number("y")?, self.number("theta")?))
     }
 
-    /// Reads the time. Only the logging host and its time may follow; more words mean a wrong number of readings.
-    fn time(&mut self) -> Result<f64, String> {
-        let time = self.number("the time");
+    /// Reads the time, if there is one, and that of the logger. Only the logging host stands between them; more words mean a wrong number of
+    /// readings.
+    fn times(&mut self) -> Result<(Option<f64>, Option<f64>), String> {
         let left = self.words.clone().count();
-        let time = match time {
-            Ok(_) if left > 2 => Err(format!(
-                "expected the host and its time at the end of the line, found {left} words"
+        if left == 0 {
+            return Ok((None, None));
+        }
+        let time = self.number("the time").and_then(|time| match left {
+            0..=3 => Ok(time),
+            _ => Err(format!(
+                "expected the host and its time at the end of the line, found {} words",
+                left - 1
             )),
-            time => time,
-        };
-        time.map_err(|error| format!("{error}: is the number of readings right?"))
+        });
+        let time = time.map_err(|mistake| with_hint(&mistake))?;
+        self.words.next();
+        Ok((Some(time), self.number("the logger's time").ok()))
     }
 
-    fn front_laser(mut self) -> Result<Scan, String> {
+    fn front_laser(mut self) -> Result<Sweep, String> {
         let ranges = self.ranges()?;
-        let laser = self.pose()?;
-        self.pose()?;
-        let time = self.time()?;
-        let angle_increment = half_circle_increment(ranges.len());
-        Ok(scan(time, laser, -FRAC_PI_2, angle_increment, NOTHING_SEEN, ranges))
+        Ok(Sweep {
+            kind: Kind::Front,
+            view: View::of_front(ranges.len()),
+            range_max: None,
+            ranges,
+            poses: Some((self.pose()?, self.pose()?)),
+            times: self.times()?,
+        })
     }
 
-    fn robot_laser(mut self) -> Result<Scan, String> {
+    fn stated_laser(mut self, kind: Kind) -> Result<Sweep, String> {
         self.number("the laser's type")?;
-        let angle_min = self.number("the start angle")?;
-        self.number("the field of view")?;
-        let angle_increment = self.number("the angular resolution")?;
-        let range_max = self.number("the maximum range")?.min(NOTHING_SEEN);
+        let start = self.number("the start angle")?;
+        let field_of_view = self.number("the field of view")?;
+        let resolution = self.number("the angular resolution")?;
+        let range_max = self.number_or_none("the maximum range")?;
         self.number("the accuracy")?;
         self.number("the remission mode")?;
-        let mut ranges = self.ranges()?;
-        // The maximum range itself means no return.
-        for range in ranges.iter_mut().filter(|range| **range >= range_max as f32) {
-            *range = f32::INFINITY;
+        let ranges = self.ranges()?;
+        let poses = if kind == Kind::Robot {
+            self.remissions(BEHIND_REMISSIONS.0)?;
+            let poses = (self.pose()?, self.pose()?);
+            for what in [
+                "the forward speed",
+                "the turning speed",
+                "the forward safety distance",
+                "the side safety distance",
+                "the turn axis",
+            ] {
+                self.number_or_none(what)?;
+            }
+            Some(poses)
+        } else {
+            self.remissions(BEHIND_REMISSIONS.1)?;
+            None
+        };
+        Ok(Sweep {
+            kind,
+            view: View::stated(start, field_of_view, resolution, ranges.len()),
+            range_max: Some(range_max),
+            ranges,
+            poses,
+            times: self.times()?,
+        })
+    }
+
+    /// Passes over the remissions, with so many numbers behind them. Some logs state their number and leave them out.
+    fn remissions(&mut self, behind: usize) -> Result<(), String> {
+        let is_number = |word: &&str| word.parse::<f64>().is_ok();
+        let numbers = self.words.clone().take_while(is_number).count();
+        // The host tells where the numbers end.
+        let is_whole = self.words.clone().nth(numbers).is_some();
+        let count = self.count("the number of remissions")?;
+        if !is_whole || numbers != behind + 1 {
+            for _ in 0..count {
+                self.number_or_none("a remission")?;
+            }
         }
-        for _ in 0..self.count("the number of remissions")? {
-            self.number("a remission")?;
-        }
-        let laser = self.pose()?;
-        self.pose()?;
-        for what in [
-            "the forward speed",
-            "the turning speed",
-            "the forward safety distance",
-            "the side safety distance",
-            "the turn axis",
-        ] {
-            self.number(what)?;
-        }
-        let time = self.time()?;
-        Ok(scan(time, laser, angle_min, angle_increment, range_max, ranges))
+        Ok(())
+    }
+
+    /// `x y theta`, two speeds, an acceleration, and the time.
+    fn odometry(mut self) -> Result<Line, String> {
+        let pose = self.pose()?;
+        Ok(Line::Odometry(pose, self.words.nth(3).and_then(finite)))
     }
 }
 
-/// Angle, rad, between the readings of a sweep of half a circle: 180 readings are a degree apart, and so are 181.
-fn half_circle_increment(readings: usize) -> f64 {
-    match readings {
-        180 | 181 => PI / 180.0,
-        360 | 361 => PI / 360.0,
-        count => PI / count.saturating_sub(1).max(1) as f64,
-    }
-}
-
-fn scan(time: f64, laser: Pose2, angle_min: f64, angle_increment: f64, range_max: f64, ranges: Vec<f32>) -> Scan {
-    Scan {
-        stamp: Stamp::from_secs(time),
-        angle_min,
-        angle_increment,
-        range_min: RANGE_MIN,
-        range_max,
-        ranges,
-        boot_id: String::new(),
-        moving: Vec::new(),
-        base_from_laser: Pose2::IDENTITY,
-        map_from_odom: Pose2::IDENTITY,
-        odom_from_base: laser,
-    }
+/// A finite number.
+fn finite(word: &str) -> Option<f64> {
+    word.parse().ok().filter(|value: &f64| value.is_finite())
 }
 
 /// The line of a scan, `FLASER` for a sweep of half a circle and `ROBOTLASER1` for any other. Its laser stands where the scan's own poses
@@ -275,11 +502,9 @@ fn scan(time: f64, laser: Pose2, angle_min: f64, angle_increment: f64, range_max
 /// ```
 #[must_use]
 pub fn line(scan: &Scan, odom_from_base: Pose2) -> String {
-    let is_half_circle = (scan.angle_min + FRAC_PI_2).abs() < SAME_ANGLE
-        && (scan.angle_increment - half_circle_increment(scan.ranges.len())).abs() < SAME_ANGLE;
     let laser = scan.map_from_laser();
     let mut line = String::new();
-    if is_half_circle {
+    if View::is_half_circle(scan) {
         line.push_str("FLASER");
         push_readings(&mut line, scan, NOTHING_SEEN, NO_RETURN);
         push_poses(&mut line, [laser, odom_from_base]);
@@ -331,148 +556,4 @@ pub const LOG_BEAMS: BeamSettings = BeamSettings {
 
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
-mod tests {
-    use super::*;
-
-    const LOG: &str = "# a comment\nPARAM robot_length 70\nODOM 0 0 0 0 0 0 0.1 host 0.1\nFLASER 3 1.0 2.0 81.9 0.5 -0.5 0.1 0.5 -0.5 0.1 1.25 host 1.25\nROBOTLASER1 0 -1.5 3.0 0.5 20 0.01 0 3 1.5 2.5 20 0 1 2 0.3 1 2 0.3 0 0 0.3 0.3 1e6 2.5 host 2.5\n";
-
-    #[test]
-    fn scans_of_both_kinds_are_read_and_all_else_is_passed_over() {
-        let scans: Vec<Scan> = CarmenReader::new(LOG.as_bytes()).map(Result::unwrap).collect();
-        assert_eq!(scans.len(), 2);
-        assert_eq!(
-            (scans[0].ranges.as_slice(), scans[0].map_from_laser(), scans[0].stamp),
-            (
-                [1.0, 2.0, 81.9].as_slice(),
-                Pose2::new(0.5, -0.5, 0.1),
-                Stamp::from_secs(1.25)
-            )
-        );
-        assert!((scans[0].angle(2) - FRAC_PI_2).abs() < 1e-12 && !scans[0].is_return(81.9));
-        assert_eq!(
-            (scans[1].angle_min, scans[1].angle_increment, scans[1].ranges.len()),
-            (-1.5, 0.5, 3)
-        );
-        // The maximum range means no return.
-        assert_eq!(scans[1].ranges, [1.5, 2.5, f32::INFINITY]);
-    }
-
-    /// What is read from the lines of scans.
-    fn read_back(scans: &[Scan], odom_from_base: Pose2) -> Vec<Scan> {
-        let text: String = scans.iter().map(|scan| line(scan, odom_from_base)).collect();
-        CarmenReader::new(text.as_bytes()).map(Result::unwrap).collect()
-    }
-
-    #[test]
-    fn the_lines_of_scans_are_read_back_as_the_same_scans() {
-        let corrected = |scan: Scan| Scan {
-            odom_from_base: Pose2::new(3.25, -7.5, 2.5),
-            ..scan
-        };
-        let mut scans: Vec<Scan> = CarmenReader::new(LOG.as_bytes())
-            .map(|scan| corrected(scan.unwrap()))
-            .collect();
-        // The maximum range of some lasers is no number of single precision.
-        let wide =
-            "ROBOTLASER1 0 -2.1 4.2 1.4 5.6 0.01 0 4 0.01 5.6 1.1 4.9 0 1 2 0.3 1 2 0.3 0 0 0.3 0.3 1e6 2.5 host 2.5\n";
-        let wide = CarmenReader::new(wide.as_bytes()).next().unwrap().unwrap();
-        assert_eq!(wide.ranges, [0.01, f32::INFINITY, 1.1, 4.9]);
-        scans.push(corrected(wide));
-        for readings in [180, 181, 360, 361, 541] {
-            let ranges = (0..readings).map(|reading| 0.1 + reading as f32 * 0.01).collect();
-            let laser = Pose2::new(0.1, 0.2, -0.3);
-            scans.push(scan(
-                7.5,
-                laser,
-                -FRAC_PI_2,
-                half_circle_increment(readings),
-                NOTHING_SEEN,
-                ranges,
-            ));
-        }
-        assert_eq!(read_back(&scans, Pose2::new(1.0, 2.0, 3.0)), scans);
-        let words = line(&scans[0], Pose2::new(1.0, 2.0, 3.0));
-        assert_eq!(words, "FLASER 3 1 2 81.9 3.25 -7.5 2.5 1 2 3 1.25 zenav 1.25\n");
-        assert!(
-            line(&scans[1], Pose2::IDENTITY)
-                .starts_with("ROBOTLASER1 0 -1.5 1 0.5 20 0 0 3 1.5 2.5 20 0 3.25 -7.5 2.5 ")
-        );
-    }
-
-    #[test]
-    fn a_beam_without_a_return_is_read_back_without_one() {
-        for angle_min in [-FRAC_PI_2, -1.0] {
-            let near = Scan {
-                range_min: 0.5,
-                ranges: vec![f32::INFINITY, f32::NAN, 0.3, 9.0, 4.0],
-                ..scan(
-                    1.0,
-                    Pose2::IDENTITY,
-                    angle_min,
-                    half_circle_increment(5),
-                    8.0,
-                    Vec::new(),
-                )
-            };
-            let read = &read_back(std::slice::from_ref(&near), Pose2::IDENTITY)[0];
-            let returns =
-                |scan: &Scan| -> Vec<bool> { scan.ranges.iter().map(|range| scan.is_return(*range)).collect() };
-            assert_eq!(returns(read), [false, false, false, false, true]);
-            assert_eq!(returns(read), returns(&near));
-        }
-    }
-
-    #[test]
-    fn a_mistake_is_named_with_its_line() {
-        let error = |text: &str| {
-            CarmenReader::new(text.as_bytes())
-                .find_map(Result::err)
-                .unwrap()
-                .to_string()
-        };
-        assert_eq!(
-            error("ODOM\nFLASER 3 1.0 2.0\n"),
-            "line 2: expected a reading, found the end of the line"
-        );
-        assert_eq!(
-            error("FLASER many 1.0\n"),
-            "line 1: expected the number of readings, found `many`"
-        );
-        assert_eq!(
-            error("FLASER 1e9 1.0\n"),
-            "line 1: expected the number of readings up to 10000, found 1000000000"
-        );
-        assert_eq!(
-            error("FLASER 2 1.0 2.0 3.0 0.5 -0.5 0.1 0.5 -0.5 0.1 1.25 host 1.25\n"),
-            "line 1: expected the host and its time at the end of the line, found 3 words: is the number of readings right?"
-        );
-        assert_eq!(
-            error("FLASER 4 1.0 2.0 3.0 0.5 -0.5 0.1 0.5 -0.5 0.1 1.25 host 1.25\n"),
-            "line 1: expected the time, found `host`: is the number of readings right?"
-        );
-        assert_eq!(
-            error("FLASER 1 nan 0 0 0 0 0 0 1\n"),
-            "line 1: expected a reading, found `nan`"
-        );
-    }
-
-    #[test]
-    fn a_compressed_log_reads_like_a_plain_one_and_a_broken_one_is_an_error() {
-        use std::io::Write;
-        let folder = tempfile::tempdir().unwrap();
-        let (plain, packed, broken) = (
-            folder.path().join("a.log"),
-            folder.path().join("a.log.gz"),
-            folder.path().join("b.log.gz"),
-        );
-        std::fs::write(&plain, LOG).unwrap();
-        let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
-        encoder.write_all(LOG.as_bytes()).unwrap();
-        let bytes = encoder.finish().unwrap();
-        std::fs::write(&packed, &bytes).unwrap();
-        std::fs::write(&broken, &bytes[..bytes.len() / 2]).unwrap();
-        let read = |path| open(path).unwrap().collect::<Result<Vec<Scan>, CarmenError>>();
-        assert_eq!(read(&plain).unwrap(), read(&packed).unwrap());
-        assert!(matches!(read(&broken), Err(CarmenError::Io { .. })));
-    }
-}
+mod tests;

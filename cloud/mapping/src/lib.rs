@@ -45,6 +45,7 @@ pub mod map_image;
 pub mod map_yaml;
 mod mapper;
 pub mod moving_ai;
+mod no_return;
 mod sensor_model;
 mod settings;
 pub mod store;

@@ -12,7 +12,7 @@ use zenav_protocol::grid::{GridError, GridSpec, MAX_CELLS, OccupancyGrid};
 
 use crate::atomic::Prepared;
 use crate::image::{self, GrayImage, ImageError};
-use crate::map_image::{shade, to_grid, to_yaml};
+use crate::map_image::{shade, to_grid, to_yaml, unknown_made_free};
 use crate::map_yaml::{MapMode, MapYaml, MapYamlError};
 use crate::moving_ai::{self, MovingAiError};
 
@@ -98,6 +98,23 @@ pub enum MapFileError {
     },
 }
 
+impl MapFileError {
+    /// The file system's failure at a path.
+    pub(crate) fn io(path: &Path) -> impl Fn(std::io::Error) -> Self + Copy + '_ {
+        move |source| Self::Io {
+            path: path.to_owned(),
+            source,
+        }
+    }
+
+    fn grid(path: &Path) -> impl Fn(GridError) -> Self + '_ {
+        move |source| Self::Grid {
+            path: path.to_owned(),
+            source,
+        }
+    }
+}
+
 /// Reads a map: a `map_server` description (`.yaml`) with its image, a plain image (`.pgm`, `.png`: usual thresholds, origin zero), or a
 /// Moving AI map (`.map`). Files that do not state their scale get `resolution` metres for each cell.
 ///
@@ -105,6 +122,18 @@ pub enum MapFileError {
 ///
 /// # Errors
 /// [`MapFileError`], naming the file and what was expected.
+///
+/// ```
+/// use std::path::Path;
+/// use zenav_mapping::read_map;
+///
+/// let folder = tempfile::tempdir().unwrap();
+/// let image = folder.path().join("room.pgm");
+/// std::fs::write(&image, "P2 3 1 255 0 205 254").unwrap();
+/// assert_eq!(read_map(&image, 0.05).unwrap().values(), [100, -1, 0]);
+/// let refused = read_map(Path::new("room.jpg"), 0.05).unwrap_err();
+/// assert_eq!(refused.to_string(), "room.jpg: expected a map: .yaml, .pgm, .png or .map");
+/// ```
 pub fn read_map(path: &Path, resolution: f64) -> Result<OccupancyGrid, MapFileError> {
     let extension = path
         .extension()
@@ -114,12 +143,8 @@ pub fn read_map(path: &Path, resolution: f64) -> Result<OccupancyGrid, MapFileEr
     match extension.as_str() {
         "yaml" | "yml" => read_described(path),
         "pgm" | "png" => {
-            to_grid(read_image(path)?, &MapYaml::new("", resolution, Point2::origin())).map_err(|source| {
-                MapFileError::Grid {
-                    path: path.to_owned(),
-                    source,
-                }
-            })
+            let yaml = MapYaml::new("", resolution, Point2::origin());
+            to_grid(read_image(path)?, &yaml).map_err(MapFileError::grid(path))
         }
         "map" => {
             let text = read_bytes(path, MAX_FILE)?;
@@ -140,7 +165,7 @@ pub fn read_map(path: &Path, resolution: f64) -> Result<OccupancyGrid, MapFileEr
 pub(super) fn read_stored(path: &Path) -> Result<OccupancyGrid, MapFileError> {
     let text = read_bytes(path, MAX_YAML)?;
     let text = String::from_utf8_lossy(&text);
-    if let Some(tag) = own_tag(&text)
+    if let Some(tag) = own_tags(&text).next()
         && let Ok(yaml) = MapYaml::parse(&text)
     {
         let stored = MapYaml::new(yaml.image.clone(), tag.resolution, tag.origin);
@@ -167,10 +192,10 @@ pub(super) fn read_stored(path: &Path) -> Result<OccupancyGrid, MapFileError> {
     read_described(path)
 }
 
-/// The tag in a description written by zenav.
-fn own_tag(text: &str) -> Option<Tag> {
+/// The tags in a description; zenav writes one.
+fn own_tags(text: &str) -> impl Iterator<Item = Tag> {
     text.lines()
-        .find_map(|line| Tag::parse(line.trim_start_matches('#').trim()))
+        .filter_map(|line| Tag::parse(line.trim_start_matches('#').trim()))
 }
 
 fn read_described(path: &Path) -> Result<OccupancyGrid, MapFileError> {
@@ -182,7 +207,7 @@ fn read_described(path: &Path) -> Result<OccupancyGrid, MapFileError> {
     })?;
     for (line, key, meant) in MapYaml::slips(&text) {
         tracing::warn!(
-            "{}:{line}: `{key}` says nothing here, perhaps `{meant}` is meant",
+            "{}:{line}: unknown key `{key}` is ignored, perhaps `{meant}` is meant",
             path.display()
         );
     }
@@ -193,20 +218,35 @@ fn read_described(path: &Path) -> Result<OccupancyGrid, MapFileError> {
         line: MapYaml::line_of(&text, "image").unwrap_or(1),
         source: Box::new(source),
     })?;
+    let unknown = unknown_made_free(&image, &yaml);
+    if unknown > 0 {
+        // In scale mode only transparent pixels are unknown.
+        let (key, cause, remedy) = match yaml.mode {
+            MapMode::Scale => (
+                "mode",
+                "`mode: scale`".to_owned(),
+                "`mode: trinary` with `free_thresh: 0.196`",
+            ),
+            _ => (
+                "free_thresh",
+                format!("`free_thresh` {}", yaml.free_thresh),
+                "`free_thresh: 0.196`",
+            ),
+        };
+        tracing::warn!(
+            "{}:{}: {cause} makes {unknown} cells free that `map_saver` stores as unknown (grey 205); {remedy} keeps them unknown",
+            path.display(),
+            MapYaml::line_of(&text, key).unwrap_or(1)
+        );
+    }
     // Our own images state their place too, so an image replaced just before a crash is not read with the older place.
     if let Some(tag) = image.comments.iter().find_map(|comment| Tag::parse(comment))
-        && !text
-            .lines()
-            .filter_map(|line| Tag::parse(line.trim_start_matches('#').trim()))
-            .any(|other| other == tag)
+        && !own_tags(&text).any(|other| other == tag)
         && text.contains(TAG)
     {
         (yaml.resolution, yaml.origin) = (tag.resolution, tag.origin);
     }
-    to_grid(image, &yaml).map_err(|source| MapFileError::Grid {
-        path: path.to_owned(),
-        source,
-    })
+    to_grid(image, &yaml).map_err(MapFileError::grid(path))
 }
 
 fn read_image(path: &Path) -> Result<GrayImage, MapFileError> {
@@ -218,10 +258,7 @@ fn read_image(path: &Path) -> Result<GrayImage, MapFileError> {
 
 /// Reads a file up to a limit.
 pub(super) fn read_bytes(path: &Path, limit: u64) -> Result<Vec<u8>, MapFileError> {
-    let failed = |source| MapFileError::Io {
-        path: path.to_owned(),
-        source,
-    };
+    let failed = MapFileError::io(path);
     let file = File::open(path).map_err(failed)?;
     let mut bytes = Vec::new();
     file.take(limit + 1).read_to_end(&mut bytes).map_err(failed)?;
@@ -285,10 +322,7 @@ impl Tag {
 /// assert_eq!(read_map(&yaml, 1.0).unwrap(), map);
 /// ```
 pub fn write_map(folder: &Path, stem: &str, grid: &OccupancyGrid, label: &str) -> Result<PathBuf, MapFileError> {
-    std::fs::create_dir_all(folder).map_err(|source| MapFileError::Io {
-        path: folder.to_owned(),
-        source,
-    })?;
+    std::fs::create_dir_all(folder).map_err(MapFileError::io(folder))?;
     let tag = Tag {
         resolution: grid.spec().resolution,
         origin: grid.spec().origin,

@@ -11,6 +11,17 @@ use crate::map_yaml::{MapMode, MapYaml};
 ///
 /// # Errors
 /// [`GridError`] when the size or the description is out of bounds.
+///
+/// ```
+/// use nalgebra::Point2;
+/// use zenav_mapping::map_yaml::MapYaml;
+/// use zenav_mapping::{image, map_image};
+///
+/// // Black above white: the first row of an image is the highest, the first row of a grid the lowest.
+/// let picture = image::decode(b"P2 1 2 255 0 255".to_vec()).unwrap();
+/// let map = map_image::to_grid(picture, &MapYaml::new("", 0.05, Point2::origin())).unwrap();
+/// assert_eq!(map.values(), [0, 100]);
+/// ```
 pub fn to_grid(image: GrayImage, yaml: &MapYaml) -> Result<OccupancyGrid, GridError> {
     let spec = GridSpec {
         origin: yaml.origin,
@@ -44,6 +55,26 @@ pub fn to_grid(image: GrayImage, yaml: &MapYaml) -> Result<OccupancyGrid, GridEr
     Ok(grid)
 }
 
+/// Brightness of an unknown cell as `map_saver` writes it.
+const UNKNOWN_GRAY: u8 = 205;
+
+/// Number of pixels with `map_saver`'s brightness of unknown cells that this description makes free.
+pub(super) fn unknown_made_free(image: &GrayImage, yaml: &MapYaml) -> usize {
+    if occupancy(UNKNOWN_GRAY, 255, yaml) != Occupancy::FREE {
+        return 0;
+    }
+    let is_opaque = |at: usize| {
+        image
+            .opacity
+            .as_ref()
+            .is_none_or(|opacity| opacity.get(at) == Some(&255))
+    };
+    let pixels = image.gray.iter().enumerate();
+    pixels
+        .filter(|(at, gray)| **gray == UNKNOWN_GRAY && is_opaque(*at))
+        .count()
+}
+
 fn occupancy(gray: u8, opacity: u8, yaml: &MapYaml) -> i8 {
     let (gray, opacity) = (f64::from(gray), f64::from(opacity));
     let shade = match yaml.mode {
@@ -67,6 +98,18 @@ fn occupancy(gray: u8, opacity: u8, yaml: &MapYaml) -> i8 {
 
 /// Converts a grid to an image: trinary as `map_saver` writes it (0, 205, 254); scale with transparent unknown cells (for PNG: a graymap
 /// cannot express them); raw with 255 for unknown.
+///
+/// ```
+/// use nalgebra::Point2;
+/// use zenav_mapping::map_image::to_image;
+/// use zenav_mapping::map_yaml::MapMode;
+/// use zenav_protocol::grid::{GridSpec, OccupancyGrid};
+///
+/// let spec = GridSpec { origin: Point2::origin(), resolution: 0.05, width: 3, height: 1 };
+/// let map = OccupancyGrid::from_values(spec, vec![90, -1, 10]).unwrap();
+/// assert_eq!(to_image(&map, MapMode::Trinary).gray, [0, 205, 254]);
+/// assert_eq!(to_image(&map, MapMode::Raw).gray, [90, 255, 10]);
+/// ```
 #[must_use]
 pub fn to_image(grid: &OccupancyGrid, mode: MapMode) -> GrayImage {
     let spec = grid.spec();
@@ -95,7 +138,7 @@ pub(super) fn shade(value: i8, mode: MapMode) -> u8 {
     match mode {
         MapMode::Trinary => match Occupancy::of(value) {
             Occupancy::Occupied => 0,
-            Occupancy::Unknown => 205,
+            Occupancy::Unknown => UNKNOWN_GRAY,
             Occupancy::Free => 254,
         },
         _ if !(0..=100).contains(&value) => 255,
@@ -149,7 +192,7 @@ pub fn to_png(grid: &OccupancyGrid) -> Result<Vec<u8>, ImageError> {
         picture = GrayImage {
             width: 1,
             height: 1,
-            gray: vec![205],
+            gray: vec![UNKNOWN_GRAY],
             opacity: None,
             comments: Vec::new(),
         };
@@ -273,6 +316,30 @@ mod tests {
                 Occupancy::Free
             )
         );
+    }
+
+    #[test]
+    fn a_threshold_that_makes_unknown_cells_free_is_counted() {
+        let picture = |opacity| GrayImage {
+            width: 3,
+            height: 1,
+            gray: vec![205, 254, 205],
+            opacity,
+            comments: Vec::new(),
+        };
+        let usual = MapYaml::new("", 0.1, Point2::origin());
+        let nav2 = MapYaml {
+            free_thresh: 0.25,
+            ..usual.clone()
+        };
+        assert_eq!(unknown_made_free(&picture(None), &usual), 0);
+        assert_eq!(unknown_made_free(&picture(None), &nav2), 2);
+        assert_eq!(unknown_made_free(&picture(Some(vec![0, 255, 255])), &nav2), 1);
+        let raw = MapYaml {
+            mode: MapMode::Raw,
+            ..nav2
+        };
+        assert_eq!(unknown_made_free(&picture(None), &raw), 0);
     }
 
     #[test]

@@ -8,6 +8,7 @@ use std::path::Path;
 
 use nalgebra::Point2;
 use thiserror::Error;
+use zenav_protocol::geometry::MAX_COORDINATE;
 
 /// The recognised keys.
 const KEYS: [&str; 7] = [
@@ -21,8 +22,6 @@ const KEYS: [&str; 7] = [
 ];
 /// Side of a pixel, m.
 const RESOLUTION: RangeInclusive<f64> = 1e-3..=100.0;
-/// Largest distance of a map from the origin along an axis, m: coordinates of national grids fit.
-const FARTHEST: f64 = 1e7;
 /// An unknown key that differs from a known one in at most this many letters is taken for a typing error.
 const SLIPS: usize = 2;
 
@@ -104,10 +103,13 @@ struct Entry {
 
 impl Entry {
     fn wrong(&self, expected: &str) -> MapYamlError {
-        let found: String = self.values.join(", ").chars().take(80).collect();
+        let found = match self.values.as_slice() {
+            [] => "nothing".to_owned(),
+            values => format!("`{}`", values.join(", ").chars().take(80).collect::<String>()),
+        };
         MapYamlError::Line {
             line: self.line,
-            what: format!("`{}`: expected {expected}, found `{found}`", self.key),
+            what: format!("`{}`: expected {expected}, found {found}", self.key),
         }
     }
 
@@ -124,6 +126,10 @@ impl Entry {
             .ok()
             .filter(|value: &f64| value.is_finite() && is_good(*value))
             .ok_or_else(|| self.wrong(expected))
+    }
+
+    fn share(&self) -> Result<f64, MapYamlError> {
+        self.number("a number from 0 to 1", |value| (0.0..=1.0).contains(&value))
     }
 }
 
@@ -178,20 +184,22 @@ impl MapYaml {
                     yaml.resolution = entry.number("0.001 to 100 m", |value| RESOLUTION.contains(&value))?
                 }
                 "origin" => {
-                    let numbers: Vec<f64> = entry
-                        .values
-                        .iter()
-                        .filter_map(|value| value.parse().ok())
-                        .filter(|value: &f64| value.abs() <= FARTHEST)
-                        .collect();
-                    match (numbers.as_slice(), entry.values.len()) {
-                        ([x, y], 2) => yaml.origin = Point2::new(*x, *y),
-                        ([x, y, yaw], 3) if yaw.abs() < 1e-9 => yaml.origin = Point2::new(*x, *y),
-                        ([_, _, _], 3) => {
-                            return Err(entry.wrong("a yaw of 0 (rotated maps are not supported: rotate the image)"));
-                        }
-                        _ => return Err(entry.wrong("[x, y, yaw], m within 10000000")),
+                    let number = |value: &String| value.parse().ok().filter(|value: &f64| value.is_finite());
+                    let numbers: Option<Vec<f64>> = entry.values.iter().map(number).collect();
+                    let (x, y, yaw) = match numbers.as_deref() {
+                        Some([x, y]) => (*x, *y, 0.0),
+                        Some([x, y, yaw]) => (*x, *y, *yaw),
+                        _ => return Err(entry.wrong("[x, y, yaw] in metres and radians")),
+                    };
+                    if x.abs().max(y.abs()) > MAX_COORDINATE {
+                        return Err(entry.wrong(&format!(
+                            "[x, y, yaw], m within {MAX_COORDINATE} (choose a nearer origin for maps in coordinates of a national grid)"
+                        )));
                     }
+                    if yaw.abs() >= 1e-9 {
+                        return Err(entry.wrong("a yaw of 0 (rotated maps are not supported: rotate the image)"));
+                    }
+                    yaml.origin = Point2::new(x, y);
                     has_origin = true;
                 }
                 "negate" => {
@@ -201,31 +209,28 @@ impl MapYaml {
                         _ => return Err(entry.wrong("0 or 1")),
                     }
                 }
-                "occupied_thresh" => {
-                    yaml.occupied_thresh = entry.number("a number from 0 to 1", |value| (0.0..=1.0).contains(&value))?
-                }
-                "free_thresh" => {
-                    yaml.free_thresh = entry.number("a number from 0 to 1", |value| (0.0..=1.0).contains(&value))?
-                }
+                "occupied_thresh" => yaml.occupied_thresh = entry.share()?,
+                "free_thresh" => yaml.free_thresh = entry.share()?,
                 "mode" => {
                     let modes = [MapMode::Trinary, MapMode::Scale, MapMode::Raw];
                     let name = entry.text()?;
+                    // Upper or lower case, as in `map_server`.
                     yaml.mode = *modes
                         .iter()
-                        .find(|mode| mode.name() == name)
+                        .find(|mode| name.eq_ignore_ascii_case(mode.name()))
                         .ok_or_else(|| entry.wrong("trinary, scale or raw"))?;
                 }
                 _ => {}
             }
         }
         if yaml.image.is_empty() {
-            return Err(MapYamlError::Missing("image"));
+            return Err(missing(&entries, "image"));
         }
         if yaml.resolution <= 0.0 {
-            return Err(MapYamlError::Missing("resolution"));
+            return Err(missing(&entries, "resolution"));
         }
         if !has_origin {
-            return Err(MapYamlError::Missing("origin"));
+            return Err(missing(&entries, "origin"));
         }
         if yaml.free_thresh > yaml.occupied_thresh {
             let (free, occupied) = (yaml.free_thresh, yaml.occupied_thresh);
@@ -258,6 +263,16 @@ impl MapYaml {
     }
 
     /// The description as text, with all digits; `comments` come first.
+    ///
+    /// ```
+    /// use nalgebra::Point2;
+    /// use zenav_mapping::map_yaml::MapYaml;
+    ///
+    /// let yaml = MapYaml::new("kitchen.pgm", 0.05, Point2::new(-1.5, 2.0));
+    /// let text = yaml.to_text(&["revision 7".to_owned()]);
+    /// assert!(text.starts_with("# revision 7\nimage: kitchen.pgm\n"));
+    /// assert_eq!(MapYaml::parse(&text), Ok(yaml));
+    /// ```
     #[must_use]
     pub fn to_text(&self, comments: &[String]) -> String {
         let comments: String = comments
@@ -278,48 +293,57 @@ impl MapYaml {
     }
 }
 
+/// A mandatory key is missing: names the line of an unknown key that looks like a typing error of it, if there is one.
+fn missing(entries: &[Entry], key: &'static str) -> MapYamlError {
+    let is_slip = |entry: &&Entry| {
+        !KEYS.contains(&entry.key.as_str()) && strsim::osa_distance(&entry.key.to_ascii_lowercase(), key) <= SLIPS
+    };
+    match entries.iter().find(is_slip) {
+        Some(entry) => MapYamlError::Line {
+            line: entry.line,
+            what: format!(
+                "unknown key `{}`: perhaps `{key}` is meant, which is missing",
+                entry.key
+            ),
+        },
+        None => MapYamlError::Missing(key),
+    }
+}
+
 fn entries(text: &str) -> Result<Vec<Entry>, MapYamlError> {
     let mut entries: Vec<Entry> = Vec::new();
     // Windows editors begin a file with a byte order mark.
     let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     for (index, line) in text.lines().enumerate() {
         let line_number = index + 1;
+        let wrong = |what: String| MapYamlError::Line {
+            line: line_number,
+            what,
+        };
         let content = without_comment(line).trim();
         if content.is_empty() || content == "---" || content == "..." || content.starts_with('%') {
             continue;
         }
         if content.starts_with('{') {
-            return Err(MapYamlError::Line {
-                line: line_number,
-                what: "`{` begins a map in one line: expected `key: value` with a line for each key".to_owned(),
-            });
+            let what = "`{` begins a map in one line: expected `key: value` with a line for each key";
+            return Err(wrong(what.to_owned()));
         }
         if let Some(item) = content.strip_prefix("- ").or_else(|| (content == "-").then_some("")) {
-            match entries.last_mut() {
-                Some(entry) => entry.values.push(unquoted(item)),
-                None => {
-                    return Err(MapYamlError::Line {
-                        line: line_number,
-                        what: "a list item without a key".to_owned(),
-                    });
-                }
-            }
+            let entry = entries.last_mut();
+            let entry = entry.ok_or_else(|| wrong("a list item without a key".to_owned()))?;
+            entry.values.push(unquoted(item));
             continue;
         }
         let Some((key, value)) = content.split_once(':') else {
             let found: String = content.chars().take(60).collect();
-            return Err(MapYamlError::Line {
-                line: line_number,
-                what: format!("expected `key: value`, found `{found}`"),
-            });
+            return Err(wrong(format!("expected `key: value`, found `{found}`")));
         };
         let value = value.trim();
         let values = match value.strip_prefix('[') {
             Some(list) => {
-                let list = list.strip_suffix(']').ok_or_else(|| MapYamlError::Line {
-                    line: line_number,
-                    what: "`[` without `]`".to_owned(),
-                })?;
+                let list = list
+                    .strip_suffix(']')
+                    .ok_or_else(|| wrong("`[` without `]`".to_owned()))?;
                 list.split(',').map(unquoted).collect()
             }
             None if value.is_empty() => Vec::new(),
@@ -382,6 +406,8 @@ mod tests {
         );
         let listed = "---\nfree_thresh: 0.25\nimage: \"my map.pgm\"\nmode: scale\nnegate: 1\noccupied_thresh: 0.65\norigin:\n- -10.0\n- 2.0\n- 0\nresolution: 0.05\n";
         assert_eq!(MapYaml::parse(listed).unwrap(), yaml);
+        let capitals = listed.replace("scale", "Scale");
+        assert_eq!(MapYaml::parse(&capitals).unwrap(), yaml, "as in `map_server`");
     }
 
     #[test]
@@ -409,14 +435,31 @@ mod tests {
             "line 1: `mode`: expected trinary, scale or raw, found `grey`"
         );
         assert_eq!(error("- 3\n"), "line 1: a list item without a key");
+        for origin in ["-10 -10 0", "[1]", "[1, 2, north]", "[1, inf, 0]"] {
+            let told = error(&format!("image: a.pgm\nresolution: 0.1\norigin: {origin}\n"));
+            let expected = "line 3: `origin`: expected [x, y, yaw] in metres and radians, found `";
+            assert!(told.starts_with(expected), "{told}");
+        }
+        assert_eq!(
+            error("image: a.pgm\nresolution: 0.1\norigin:\n  x: 1\n  y: 2\n"),
+            "line 3: `origin`: expected [x, y, yaw] in metres and radians, found nothing"
+        );
+        for key in ["resolutoin", "Resolution", "RESOLUTION"] {
+            assert_eq!(
+                error(&format!("image: a.pgm\n{key}: 0.1\norigin: [0, 0, 0]\n")),
+                format!("line 2: unknown key `{key}`: perhaps `resolution` is meant, which is missing")
+            );
+        }
         assert_eq!(
             error("image: a.pgm\nresolution: 1e-9\n"),
             "line 2: `resolution`: expected 0.001 to 100 m, found `1e-9`"
         );
         assert_eq!(
             error("image: a.pgm\norigin: [-1e99, 0, 0]\n"),
-            "line 2: `origin`: expected [x, y, yaw], m within 10000000, found `-1e99, 0, 0`"
+            "line 2: `origin`: expected [x, y, yaw], m within 100000 (choose a nearer origin for maps in coordinates of a national grid), found `-1e99, 0, 0`"
         );
+        assert!(MapYaml::parse("image: a.pgm\nresolution: 0.1\norigin: [1e5, -1e5, 0]\n").is_ok());
+        assert!(error("image: a.pgm\nresolution: 0.1\norigin: [500000, 5400000, 0]\n").contains("a nearer origin"));
         assert_eq!(
             error("resolution: 0.1\nimage: a.pgm\nresolution: 0.05\n"),
             "line 3: `resolution` is written twice: line 1 has it too"

@@ -45,7 +45,6 @@ const MAX_TRAJECTORY: usize = 100_000;
 ///
 /// ```
 /// use zenav_mapping::{Insertion, Mapper, MappingSettings};
-/// use zenav_protocol::geometry::Pose2;
 /// use zenav_protocol::messages::Scan;
 /// use zenav_protocol::time::Stamp;
 ///
@@ -56,11 +55,7 @@ const MAX_TRAJECTORY: usize = 100_000;
 ///     range_min: 0.02,
 ///     range_max: 5.0,
 ///     ranges: vec![2.0; 100],
-///     boot_id: String::new(),
-///     moving: Vec::new(),
-///     base_from_laser: Pose2::IDENTITY,
-///     map_from_odom: Pose2::IDENTITY,
-///     odom_from_base: Pose2::IDENTITY,
+///     ..Scan::default()
 /// };
 /// let mut mapper = Mapper::new(MappingSettings::default(), "kitchen");
 /// assert_eq!(mapper.insert(&scan), Insertion::Inserted);
@@ -113,6 +108,20 @@ impl Mapper {
     }
 
     /// A stored map: it counts as complete, and is held until it is resumed. The first patches carry all of it.
+    ///
+    /// ```
+    /// use nalgebra::Point2;
+    /// use zenav_mapping::{Mapper, MappingSettings};
+    /// use zenav_protocol::grid::{GridSpec, Occupancy, OccupancyGrid};
+    /// use zenav_protocol::messages::MapRef;
+    ///
+    /// let spec = GridSpec { origin: Point2::origin(), resolution: 0.05, width: 20, height: 10 };
+    /// let map = OccupancyGrid::filled(spec, Occupancy::FREE);
+    /// let stored = MapRef { id: "kitchen".into(), revision: 7, frame: 0 };
+    /// let mut mapper = Mapper::with_stored(MappingSettings::default(), stored, &map, Vec::new(), 100);
+    /// assert!(mapper.is_held() && mapper.info().stored);
+    /// assert_eq!(mapper.take_patch().unwrap().map.revision, 8);
+    /// ```
     #[must_use]
     pub fn with_stored(
         settings: MappingSettings,
@@ -133,7 +142,52 @@ impl Mapper {
         }
     }
 
+    /// A map that another mapper has drawn, from a replica and the last description of it. Scans are inserted, and the first patch carries
+    /// all of it, so that no replica has a part of it only. The id must be new.
+    ///
+    /// ```
+    /// use nalgebra::Point2;
+    /// use zenav_mapping::{Mapper, MappingSettings};
+    /// use zenav_protocol::grid::{GridSpec, Occupancy, OccupancyGrid};
+    /// use zenav_protocol::messages::MapRef;
+    ///
+    /// let spec = GridSpec { origin: Point2::origin(), resolution: 0.05, width: 4096, height: 64 };
+    /// let replica = OccupancyGrid::filled(spec, Occupancy::FREE);
+    /// let map = MapRef { id: "kitchen-2".into(), revision: 0, frame: 3 };
+    /// let mut mapper = Mapper::inheriting(MappingSettings::default(), map, &replica, None);
+    /// assert!(!mapper.is_held() && !mapper.is_stored());
+    /// let patch = mapper.take_patch().unwrap();
+    /// assert_eq!((patch.base_revision, patch.map.frame, patch.tiles.len()), (0, 3, 64));
+    /// assert!(!mapper.has_changes());
+    /// ```
+    #[must_use]
+    pub fn inheriting(settings: MappingSettings, map: MapRef, replica: &OccupancyGrid, info: Option<&MapInfo>) -> Self {
+        Self {
+            stored: info.is_some_and(|info| info.stored),
+            held: false,
+            is_moved: true,
+            ..Self::with_stored(settings, map, replica, Vec::new(), info.map_or(0, |info| info.scans))
+        }
+    }
+
     /// Sets the footprint under which cells are cleared.
+    ///
+    /// ```
+    /// # use nalgebra::Point2;
+    /// # use zenav_mapping::carmen::{CarmenReader, LOG_BEAMS};
+    /// use zenav_mapping::{Mapper, MappingSettings};
+    /// use zenav_protocol::grid::Occupancy;
+    /// use zenav_protocol::robot::Footprint;
+    ///
+    /// # let log = "FLASER 3 1.0 1.5 1.0 0 0 0 0 0 0 1.0 host 1.0\n";
+    /// # let scan = CarmenReader::new(log.as_bytes()).next().unwrap().unwrap();
+    /// # let settings = MappingSettings { beams: LOG_BEAMS, ..MappingSettings::default() };
+    /// // The lidar looks ahead only; behind it, 0.2 m away, stands the robot itself.
+    /// let mut mapper = Mapper::new(settings, "kitchen").with_footprint(Footprint::Radius(0.3));
+    /// mapper.insert(&scan);
+    /// let behind = mapper.grid().at(Point2::new(-0.2, 0.1)).map(|value| Occupancy::of(*value));
+    /// assert_eq!(behind, Some(Occupancy::Free));
+    /// ```
     #[must_use]
     pub fn with_footprint(mut self, footprint: Footprint) -> Self {
         self.set_footprint(footprint);
@@ -141,6 +195,20 @@ impl Mapper {
     }
 
     /// Inserts a scan and returns the outcome.
+    ///
+    /// ```
+    /// use zenav_mapping::carmen::CarmenReader;
+    /// use zenav_mapping::{Insertion, Mapper, MappingSettings};
+    ///
+    /// // The second scan was taken 0.1 s before the first one.
+    /// let log = "FLASER 3 1.0 1.5 1.0 0 0 0 0 0 0 2.0 host 2.0
+    /// FLASER 3 1.0 1.5 1.0 0 0 0 0 0 0 1.9 host 1.9\n";
+    /// let scans: Vec<_> = CarmenReader::new(log.as_bytes()).collect::<Result<_, _>>()?;
+    /// let mut mapper = Mapper::new(MappingSettings::default(), "kitchen");
+    /// assert_eq!(mapper.insert(&scans[0]), Insertion::Inserted);
+    /// assert_eq!(mapper.insert(&scans[1]), Insertion::OutOfOrder);
+    /// # Ok::<(), zenav_mapping::carmen::CarmenError>(())
+    /// ```
     pub fn insert(&mut self, scan: &Scan) -> Insertion {
         if self.held {
             return Insertion::Held;
@@ -173,6 +241,15 @@ impl Mapper {
             grid: self.grid.unseen(),
             map: self.map.clone(),
             ..Self::new(self.settings.clone(), "")
+        }
+    }
+
+    /// As [`Self::redrawing`], over what an earlier map shows.
+    #[must_use]
+    pub fn redrawing_over(&self, base: &Self) -> Self {
+        Self {
+            grid: base.grid.clone(),
+            ..self.redrawing()
         }
     }
 
@@ -286,11 +363,26 @@ impl Mapper {
     }
 
     /// The map at this moment. Cheap: the cells are shared until they change, and converted when the snapshot is read.
+    ///
+    /// ```
+    /// # use zenav_mapping::carmen::{CarmenReader, LOG_BEAMS};
+    /// use zenav_mapping::{Mapper, MappingSettings};
+    ///
+    /// # let log = "FLASER 3 1.0 1.5 1.0 0 0 0 0 0 0 1.0 host 1.0\n";
+    /// # let scan = CarmenReader::new(log.as_bytes()).next().unwrap().unwrap();
+    /// # let settings = MappingSettings { beams: LOG_BEAMS, ..MappingSettings::default() };
+    /// let mut mapper = Mapper::new(settings, "kitchen");
+    /// let before = mapper.snapshot();
+    /// mapper.insert(&scan); // three beams, three returns
+    /// assert_eq!((before.info.scans, before.info.occupied), (0, 0));
+    /// assert_eq!((mapper.snapshot().info.scans, mapper.snapshot().info.occupied), (1, 3));
+    /// ```
     #[must_use]
     pub fn snapshot(&self) -> MapSnapshot {
         MapSnapshot {
             info: self.info(),
             trajectory: self.trajectory.clone(),
+            touched: self.grid.touched_cells(),
             grid: self.grid.snapshot(),
         }
     }
@@ -320,6 +412,18 @@ impl Mapper {
     }
 
     /// Starts a new map, all unknown, in the previous map's frame, and resumes inserting scans.
+    ///
+    /// ```
+    /// # use zenav_mapping::carmen::CarmenReader;
+    /// use zenav_mapping::{Mapper, MappingSettings};
+    ///
+    /// # let log = "FLASER 3 1.0 1.5 1.0 0 0 0 0 0 0 1.0 host 1.0\n";
+    /// # let scan = CarmenReader::new(log.as_bytes()).next().unwrap().unwrap();
+    /// let mut mapper = Mapper::new(MappingSettings::default(), "kitchen");
+    /// mapper.insert(&scan);
+    /// mapper.reset("kitchen-2");
+    /// assert_eq!((&*mapper.map().id, mapper.map().revision, mapper.info().scans), ("kitchen-2", 0, 0));
+    /// ```
     pub fn reset(&mut self, map_id: impl Into<String>) {
         let (footprint, frame) = (self.footprint.take(), self.map.frame);
         *self = Self::new(self.settings.clone(), map_id);
@@ -333,12 +437,30 @@ impl Mapper {
         (self.footprint, self.map.frame) = (footprint, frame);
     }
 
+    /// Adds what the robot had touched in a stored map ([`MapSnapshot::touched`]): beams do not clear it.
+    pub fn restore_touched(&mut self, cells: &[[u32; 2]]) {
+        self.grid.restore_touched(cells);
+    }
+
     /// Decays every transient obstacle now.
     pub fn decay_now(&mut self) {
         self.grid.decay_now();
     }
 
     /// Holds the map: no scan is inserted until [`resume`](Self::resume).
+    ///
+    /// ```
+    /// # use zenav_mapping::carmen::CarmenReader;
+    /// use zenav_mapping::{Insertion, Mapper, MappingSettings};
+    ///
+    /// # let log = "FLASER 3 1.0 1.5 1.0 0 0 0 0 0 0 1.0 host 1.0\n";
+    /// # let scan = CarmenReader::new(log.as_bytes()).next().unwrap().unwrap();
+    /// let mut mapper = Mapper::new(MappingSettings::default(), "kitchen");
+    /// mapper.hold();
+    /// assert_eq!(mapper.insert(&scan), Insertion::Held);
+    /// mapper.resume();
+    /// assert_eq!(mapper.insert(&scan), Insertion::Inserted);
+    /// ```
     pub fn hold(&mut self) {
         self.held = true;
     }
@@ -381,6 +503,8 @@ pub struct MapSnapshot {
     pub info: MapInfo,
     /// Positions of the robot while the map was built, map frame.
     pub trajectory: Vec<Point2<f64>>,
+    /// The cells that the robot has touched though no beam shows an obstacle there: column and row.
+    pub touched: Vec<[u32; 2]>,
     grid: GridSnapshot,
 }
 
@@ -528,5 +652,36 @@ mod tests {
         assert_eq!(second.insert(&scan(3, 1.0)), Insertion::Inserted);
         second.reset("another");
         assert!(!second.is_stored() && second.info().spec.is_empty() && second.trajectory().is_empty());
+    }
+
+    #[test]
+    fn what_was_touched_in_a_stored_map_is_not_cleared_by_beams() {
+        let settings = MappingSettings::default();
+        let mut first = Mapper::new(settings.clone(), "kitchen");
+        let pane = [[1.02, -0.2, 1.02, 0.2]; 2];
+        for stamp in 1..20 {
+            first.insert(&Scan {
+                touched: vec![pane],
+                ..scan(stamp, -3.0)
+            });
+        }
+        let stored = first.snapshot();
+        assert!((16..=18).contains(&stored.touched.len()), "{:?}", stored.touched);
+        for (touched, stays) in [(&stored.touched[..], true), (&stored.touched[..0], false)] {
+            let mut second = Mapper::with_stored(settings.clone(), first.map().clone(), &stored.grid(), Vec::new(), 1);
+            second.restore_touched(touched);
+            // A file may be of anybody.
+            second.restore_touched(&[[u32::MAX, 0], [0, u32::MAX]]);
+            assert_eq!(second.snapshot().touched, touched);
+            second.resume();
+            for stamp in 1..40 {
+                assert_eq!(second.insert(&scan(stamp, -3.0)), Insertion::Inserted);
+            }
+            let there = second
+                .grid()
+                .at(Point2::new(-1.985, 0.12))
+                .map(|value| Occupancy::of(*value));
+            assert_eq!(there == Some(Occupancy::Occupied), stays, "{there:?}");
+        }
     }
 }

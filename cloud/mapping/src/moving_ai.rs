@@ -42,6 +42,16 @@ pub struct Scenario {
 }
 
 /// The cell at a column and row counted from the top left; `None` outside the grid.
+///
+/// ```
+/// use nalgebra::Point2;
+/// use zenav_mapping::moving_ai::cell_from_top;
+/// use zenav_protocol::grid::{Cell, GridSpec};
+///
+/// let spec = GridSpec { origin: Point2::origin(), resolution: 1.0, width: 4, height: 3 };
+/// assert_eq!(cell_from_top(&spec, [1, 0]), Some(Cell::new(1, 2)));
+/// assert_eq!(cell_from_top(&spec, [1, 3]), None);
+/// ```
 #[must_use]
 pub fn cell_from_top(spec: &GridSpec, [x, y]: [u32; 2]) -> Option<Cell> {
     (x < spec.width && y < spec.height).then(|| Cell::new(x, spec.height - 1 - y))
@@ -132,6 +142,14 @@ pub fn parse_map(text: &[u8], resolution: f64) -> Result<OccupancyGrid, MovingAi
 ///
 /// # Errors
 /// [`MovingAiError`] with the line.
+///
+/// ```
+/// use zenav_mapping::moving_ai::parse_scenarios;
+///
+/// let scenarios = parse_scenarios(b"version 1\n0\troom.map\t3\t2\t0\t0\t2\t1\t2.41421356\n").unwrap();
+/// assert_eq!((&*scenarios[0].map, scenarios[0].goal), ("room.map", [2, 1]));
+/// assert!(parse_scenarios(b"0 room.map 3 2\n").unwrap_err().to_string().starts_with("line 1: expected bucket, map"));
+/// ```
 pub fn parse_scenarios(text: &[u8]) -> Result<Vec<Scenario>, MovingAiError> {
     let mut scenarios = Vec::new();
     for (index, line) in lines(text) {

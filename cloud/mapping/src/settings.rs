@@ -8,6 +8,17 @@ use crate::log_odds::InsertMode;
 
 zenav_protocol::settings! {
     /// How scans become a map.
+    ///
+    /// ```
+    /// use zenav_mapping::MappingSettings;
+    /// use zenav_protocol::settings::Settings;
+    ///
+    /// let coarse = MappingSettings::default().with_number("resolution", 0.05).unwrap()?;
+    /// assert_eq!((coarse.resolution, coarse.decay_after), (0.05, 30.0));
+    /// let refused = coarse.with_number("sensor_model.hit", 0.3).unwrap().unwrap_err();
+    /// assert!(refused.to_string().starts_with("`sensor_model.hit` is 0.3"));
+    /// # Ok::<(), zenav_protocol::config_text::OutOfBounds>(())
+    /// ```
     pub struct MappingSettings {
         /// Side of a cell (half of Nav2's usual one: a door 5 cm wider than the robot is open, at four times the memory).
         pub resolution: f64 = 0.025, "m", 0.005..=10.0;
@@ -34,6 +45,23 @@ zenav_protocol::settings! {
     ///
     /// With the defaults one observation makes an unknown cell free (19 %) or occupied (66 %), and a cell stays occupied as long as more
     /// than about a quarter of the scans that observe it hit it: range noise moves hits between neighbouring cells.
+    ///
+    /// ```
+    /// # use zenav_mapping::carmen::{CarmenReader, LOG_BEAMS};
+    /// use zenav_mapping::{InsertMode, LogOddsGrid, SensorModel};
+    ///
+    /// # let log = "FLASER 3 1.0 1.5 1.0 0 0 0 0 0 0 1.0 host 1.0\n";
+    /// # let scan = CarmenReader::new(log.as_bytes()).next().unwrap().unwrap();
+    /// // With so little evidence in a hit, one scan with three returns is not enough, and ten are.
+    /// let mut map = LogOddsGrid::new(0.05, &SensorModel { hit: 0.55, ..SensorModel::default() });
+    /// let mut occupied_after = |scans| {
+    ///     for _ in 0..scans {
+    ///         map.insert(&scan, &LOG_BEAMS, InsertMode::Reference, None);
+    ///     }
+    ///     map.counts().occupied
+    /// };
+    /// assert_eq!((occupied_after(1), occupied_after(9)), (0, 3));
+    /// ```
     #[derive(Copy)]
     pub struct SensorModel {
         /// Prior probability of an unseen cell: most space is free.
@@ -51,6 +79,22 @@ zenav_protocol::settings! {
 
 zenav_protocol::settings! {
     /// Which beams of a scan are used.
+    ///
+    /// ```
+    /// # use zenav_mapping::carmen::CarmenReader;
+    /// use zenav_mapping::{BeamSettings, InsertMode, LogOddsGrid, SensorModel};
+    ///
+    /// # let log = "FLASER 3 1.0 1.5 1.0 0 0 0 0 0 0 1.0 host 1.0\n";
+    /// # let scan = CarmenReader::new(log.as_bytes()).next().unwrap().unwrap();
+    /// // Returns at 1 m, 1.5 m and 1 m.
+    /// let occupied = |max_range| {
+    ///     let beams = BeamSettings { trim: 0, max_range, ..BeamSettings::default() };
+    ///     let mut map = LogOddsGrid::new(0.05, &SensorModel::default());
+    ///     map.insert(&scan, &beams, InsertMode::Reference, None);
+    ///     map.counts().occupied
+    /// };
+    /// assert_eq!((occupied(None), occupied(Some(1.2))), (3, 2));
+    /// ```
     #[derive(Copy)]
     pub struct BeamSettings {
         /// Beams dropped at each end of the sweep, where lidars see their own housing; a full circle has no ends.

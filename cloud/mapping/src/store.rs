@@ -30,6 +30,8 @@ pub struct MapRecord {
     pub scans: u64,
     /// Positions of the robot while the map was built, map frame, m.
     pub trajectory: Vec<Point2<f64>>,
+    /// Cells that the robot has touched though no beam shows an obstacle there: column and row, from the map's lower-left cell.
+    pub touched: Vec<[u32; 2]>,
 }
 
 /// A map and its record.
@@ -45,6 +47,20 @@ pub struct StoredMap {
 ///
 /// # Errors
 /// [`MapFileError::Io`].
+///
+/// ```
+/// use nalgebra::Point2;
+/// use zenav_mapping::store::{MapRecord, StoredMap, load, save};
+/// use zenav_protocol::grid::{GridSpec, Occupancy, OccupancyGrid};
+///
+/// let spec = GridSpec { origin: Point2::origin(), resolution: 0.05, width: 20, height: 10 };
+/// let record = MapRecord { scans: 40, trajectory: vec![Point2::new(0.5, 0.25)], ..MapRecord::default() };
+/// let stored = StoredMap { grid: OccupancyGrid::filled(spec, Occupancy::FREE), record };
+/// let folder = tempfile::tempdir().unwrap();
+/// save(folder.path(), &stored)?;
+/// assert_eq!(load(folder.path())?, Some(stored));
+/// # Ok::<(), zenav_mapping::MapFileError>(())
+/// ```
 pub fn save(folder: &Path, stored: &StoredMap) -> Result<PathBuf, MapFileError> {
     let map = &stored.record.map;
     let path = write_map(folder, STEM, &stored.grid, &format!("{} {}", map.id, map.revision))?;
@@ -87,6 +103,19 @@ pub fn list(folder: &Path) -> Result<Vec<(String, MapRecord)>, MapFileError> {
 ///
 /// # Errors
 /// [`MapFileError`] for files that exist but are not a map, or whose description was changed after it was stored.
+///
+/// ```
+/// use zenav_mapping::store::load;
+///
+/// let folder = tempfile::tempdir().unwrap();
+/// assert_eq!(load(folder.path())?, None);
+/// // A map that another tool wrote has an empty record.
+/// std::fs::write(folder.path().join("map.pgm"), "P2 2 1 255 0 254").unwrap();
+/// std::fs::write(folder.path().join("map.yaml"), "image: map.pgm\nresolution: 0.05\norigin: [0, 0, 0]\n").unwrap();
+/// let stored = load(folder.path())?.unwrap();
+/// assert_eq!((stored.grid.values(), stored.record.scans), (&[100, 0][..], 0));
+/// # Ok::<(), zenav_mapping::MapFileError>(())
+/// ```
 pub fn load(folder: &Path) -> Result<Option<StoredMap>, MapFileError> {
     let path = folder.join(format!("{STEM}.yaml"));
     if !path.exists() {
@@ -138,6 +167,7 @@ mod tests {
             stamp: Stamp(7),
             scans: 40,
             trajectory: vec![Point2::new(0.5, 0.25)],
+            touched: vec![[1, 0]],
         };
         StoredMap {
             grid: OccupancyGrid::from_values(spec, vec![0, 100, -1]).unwrap(),
@@ -151,6 +181,21 @@ mod tests {
         assert_eq!(load(folder.path()).unwrap(), None);
         save(folder.path(), &stored()).unwrap();
         assert_eq!(load(folder.path()).unwrap(), Some(stored()));
+    }
+
+    #[test]
+    fn the_record_of_an_older_version_has_no_touched_cells() {
+        let folder = tempfile::tempdir().unwrap();
+        save(folder.path(), &stored()).unwrap();
+        let text = std::fs::read_to_string(sidecar(folder.path())).unwrap();
+        let older = text.replace(r#","touched":[[1,0]]"#, "");
+        assert_ne!(older, text);
+        std::fs::write(sidecar(folder.path()), older).unwrap();
+        let expected = MapRecord {
+            touched: Vec::new(),
+            ..stored().record
+        };
+        assert_eq!(load(folder.path()).unwrap().unwrap().record, expected);
     }
 
     #[test]

@@ -31,6 +31,17 @@ pub struct MissionConfig {
 
 impl MissionConfig {
     /// The defaults for a robot.
+    ///
+    /// ```
+    /// use zenav_mission::MissionConfig;
+    /// use zenav_protocol::id::Id;
+    ///
+    /// let mut config = MissionConfig::new(Id::robot("tiago")?, "mission-1", "tiago.redb".into());
+    /// assert_eq!((&*config.planner, config.settings.tolerance), ("astar", 0.15));
+    /// config.settings.tolerance = 0.05; // m
+    /// assert!(Id::robot("svc").is_err(), "a reserved name");
+    /// # Ok::<(), zenav_protocol::id::InvalidId>(())
+    /// ```
     #[must_use]
     pub fn new(robot: Id, holder: impl Into<String>, store: PathBuf) -> Self {
         Self {

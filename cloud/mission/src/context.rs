@@ -19,7 +19,7 @@ use super::map::RobotMap;
 use super::motion::MotionKeeper;
 use super::records::Restored;
 use super::robot::RobotView;
-use super::route::{Route, Tries, Waiting};
+use super::route::{InSight, Route, Tries, Waiting};
 use zenav_space::{ConfigurationSpace, Zones};
 
 /// Most pending requests; beyond that the oldest is dropped.
@@ -123,8 +123,8 @@ pub struct ActiveGoal {
     pub(crate) avoided: Option<Waiting>,
     /// Last time at which the robot was turned towards the obstacle.
     pub looked: Option<Stamp>,
-    /// Last time at which the obstacle was out of sight and the robot was approaching it.
-    pub unseen_until: Option<Stamp>,
+    /// How long the obstacle that was out of sight has been in sight since.
+    pub(crate) in_sight: Option<InSight>,
     /// Approaches made.
     pub tries: Tries,
     /// The obstacle that covers the goal: its position, since when the robot has waited for it, and when it was last seen there.
@@ -296,8 +296,9 @@ impl Context {
     /// Switches to the frame of the newest map, with the plan in force and the places. Returns the previous frame if it changed.
     pub(super) fn settle(&mut self) -> Option<u64> {
         let before = self.frames.settle(self.map.newest().as_ref());
-        if before.is_some() {
-            self.goal.avoided = None;
+        if let Some(before) = before {
+            let avoided = self.goal.avoided.take();
+            self.goal.avoided = avoided.and_then(|avoided| avoided.settle(before, self));
             self.motion.settle(&self.frames);
             if self.annotated {
                 self.carry_places();
@@ -403,9 +404,15 @@ impl Context {
         self.robot.yields(self.now, self.motion.id()?, self.frames.at())
     }
 
+    /// Time in which the robot can be brought to rest from now on, s: braking, the latency budget, and a lead. `None` without its model.
+    pub(crate) fn stopping_time(&self) -> Option<f64> {
+        let braking = zenav_smoothing::Limits::of(self.robot.model()?).braking_time(self.robot.velocity());
+        Some(braking + self.latency_budget() + self.config.settings.obstacle.brake_early)
+    }
+
     /// How long a plan is valid from the state that it was made from, s. The plan has used up one round trip of that when it arrives; the
     /// setting covers an ordinary link, and the excess is added.
-    fn plan_valid(&self) -> f64 {
+    pub(crate) fn plan_valid(&self) -> f64 {
         let settings = &self.config.settings;
         settings.plan_valid + (self.round_trip() - settings.latency_budget).max(0.0)
     }

@@ -88,6 +88,24 @@ impl Frames {
     }
 
     /// Where a place of a frame is in the present one. A place that belongs to no part keeps its coordinates.
+    ///
+    /// ```
+    /// use zenav_mission::frames::Frames;
+    /// use zenav_protocol::geometry::Pose2;
+    /// use zenav_protocol::messages::{GoalPoint, MapFrame, MapRef};
+    ///
+    /// let map = |frame| MapRef { id: "kitchen".into(), revision: 1, frame };
+    /// let frame = |number, moves, part| MapFrame { map: map(number), moves, parts: vec![part], ..MapFrame::default() };
+    /// let moved = Pose2::new(0.0, 1.0, 0.0);
+    /// let mut frames = Frames::default();
+    /// frames.observe(frame(0, Vec::new(), Pose2::IDENTITY));
+    /// frames.settle(Some(&map(0)));
+    /// // A loop closure moves the map by 1 m along y.
+    /// frames.observe(frame(1, vec![moved], moved));
+    /// frames.settle(Some(&map(1)));
+    /// let goal = GoalPoint { x: 2.0, y: 0.5, yaw: None };
+    /// assert_eq!(frames.place(0, goal), GoalPoint { y: 1.5, ..goal });
+    /// ```
     #[must_use]
     pub fn place(&self, from: u64, place: GoalPoint) -> GoalPoint {
         let moved = || {

@@ -40,24 +40,68 @@ pub enum Target {
 /// # Errors
 /// [`Refusal::BadRequest`] with what was expected, [`Refusal::NotFound`] for an unknown place, [`Refusal::Busy`] for one that may still be
 /// announced.
+///
+/// ```
+/// use zenav_mission::context::Context;
+/// use zenav_mission::goal_validation::{Target, target};
+/// use zenav_mission::{MissionConfig, Restored};
+/// use zenav_protocol::id::Id;
+/// use zenav_protocol::messages::{GoalPoint, GoalRequest, Refusal};
+///
+/// let mut config = MissionConfig::new(Id::robot("tiago").unwrap(), "mission-1", "unused.redb".into());
+/// let sink = GoalPoint { x: 2.0, y: 1.5, yaw: Some(0.0) };
+/// config.places.insert("sink".into(), sink);
+/// let ctx = Context::new(config, &Restored::fresh());
+/// let to_sink = GoalRequest { place: Some("sink".into()), ..GoalRequest::default() };
+/// assert_eq!(target(&to_sink, &ctx)?, Target::Pose(sink));
+/// let both = GoalRequest { x: Some(1.0), y: Some(1.0), ..to_sink };
+/// assert!(matches!(target(&both, &ctx), Err(Refusal::BadRequest { .. })));
+/// # Ok::<(), Refusal>(())
+/// ```
 pub fn target(request: &GoalRequest, ctx: &Context) -> Result<Target, Refusal> {
-    let bad = |reason: String| Err(Refusal::BadRequest { reason });
-    if let Some(id) = &request.id
-        && let Err(error) = Id::new(id.clone())
-    {
-        return bad(format!("`id`: {error}"));
-    }
+    check_fields(request)?;
     let point = request.x.is_some() || request.y.is_some();
     let kinds = [point, request.place.is_some(), !request.waypoints.is_empty()];
     let kinds = kinds.iter().filter(|kind| **kind).count();
     if kinds > 1 || (kinds == 0 && request.tree.is_none()) {
-        return bad(
-            "expected exactly one of `x` and `y`, `place`, `waypoints`, or a `tree`, alone or for one of them"
-                .to_owned(),
-        );
+        return bad("expected exactly one of `x` and `y`, `place`, `waypoints`, or a `tree`, alone or for one of them");
     }
     if request.yaw.is_some() && !point && request.place.is_none() {
-        return bad("`yaw` goes with `x` and `y` or with `place`".to_owned());
+        return bad("`yaw` goes with `x` and `y` or with `place`");
+    }
+    if let Some(tree) = &request.tree {
+        trees::build(tree).or_else(|errors| bad(errors.to_string()))?;
+        if kinds == 0 {
+            return Ok(Target::Tree);
+        }
+    }
+    if let Some(name) = &request.place {
+        let place = place(name, ctx)?;
+        let yaw = request.yaw.or(place.yaw);
+        return checked_point(GoalPoint { yaw, ..place }, "place").map(Target::Pose);
+    }
+    if !request.waypoints.is_empty() {
+        for (index, waypoint) in request.waypoints.iter().enumerate() {
+            checked_point(*waypoint, &format!("waypoints[{index}]"))?;
+        }
+        return Ok(Target::Waypoints(request.waypoints.clone()));
+    }
+    match (request.x, request.y) {
+        (Some(x), Some(y)) => checked_point(GoalPoint { x, y, yaw: request.yaw }, "goal").map(Target::Pose),
+        _ => bad("`x` and `y` go together"),
+    }
+}
+
+fn bad<T>(reason: impl Into<String>) -> Result<T, Refusal> {
+    Err(Refusal::BadRequest { reason: reason.into() })
+}
+
+/// Checks each field by itself.
+fn check_fields(request: &GoalRequest) -> Result<(), Refusal> {
+    if let Some(id) = &request.id
+        && let Err(error) = Id::new(id.clone())
+    {
+        return bad(format!("`id`: {error}"));
     }
     if let Some(tolerance) = request.tolerance.filter(|tolerance| !TOLERANCE.contains(tolerance)) {
         return bad(format!(
@@ -66,20 +110,14 @@ pub fn target(request: &GoalRequest, ctx: &Context) -> Result<Target, Refusal> {
             TOLERANCE.end()
         ));
     }
-    if let Some(secs) = request
-        .deadline_secs
-        .filter(|secs| !(*secs > 0.0 && *secs <= LONGEST_DEADLINE))
-    {
+    let is_deadline = |secs: &f64| *secs > 0.0 && *secs <= LONGEST_DEADLINE;
+    if let Some(secs) = request.deadline_secs.filter(|secs| !is_deadline(secs)) {
         return bad(format!(
             "`deadline_secs` is {secs}: expected more than 0 and at most {LONGEST_DEADLINE} s"
         ));
     }
-    if request.blackboard.len() > MAX_ENTRIES
-        || request
-            .blackboard
-            .keys()
-            .any(|name| name.is_empty() || name.len() > MAX_NAME)
-    {
+    let is_name = |name: &String| !name.is_empty() && name.len() <= MAX_NAME;
+    if request.blackboard.len() > MAX_ENTRIES || !request.blackboard.keys().all(is_name) {
         return bad(format!(
             "`blackboard`: expected at most {MAX_ENTRIES} entries with names of 1 to {MAX_NAME} bytes"
         ));
@@ -90,62 +128,36 @@ pub fn target(request: &GoalRequest, ctx: &Context) -> Result<Target, Refusal> {
             "`blackboard.{name}`: expected arrays and objects at most {MOST_NESTED} deep inside one another"
         ));
     }
-    if let Some(tree) = &request.tree {
-        trees::build(tree).map_err(|errors| Refusal::BadRequest {
-            reason: errors.to_string(),
-        })?;
-        if kinds == 0 {
-            return Ok(Target::Tree);
-        }
+    let (given, most) = (request.waypoints.len(), GoalRequest::MAX_WAYPOINTS);
+    if given > most {
+        return bad(format!("`waypoints`: {given} given, expected at most {most}"));
     }
-    if let Some(name) = &request.place {
-        let Some(place) = ctx.config.places.get(name) else {
-            if ctx.may_learn_places() {
-                return Err(Refusal::Busy {
-                    reason: "the places of the map have not come yet".to_owned(),
-                });
-            }
-            let name: String = name.chars().take(80).collect();
-            let known: Vec<&str> = ctx.config.places.keys().take(20).map(String::as_str).collect();
-            return Err(Refusal::NotFound {
-                what: match known.is_empty() {
-                    true => format!("place `{name}`; the map has no named places"),
-                    false => format!("place `{name}`; there are {}", known.join(", ")),
-                },
-            });
-        };
-        return checked_point(
-            GoalPoint {
-                yaw: request.yaw.or(place.yaw),
-                ..*place
-            },
-            "place",
-        )
-        .map(Target::Pose);
+    Ok(())
+}
+
+/// A named place of the map.
+fn place(name: &str, ctx: &Context) -> Result<GoalPoint, Refusal> {
+    let places = &ctx.config.places;
+    if let Some(place) = places.get(name) {
+        return Ok(*place);
     }
-    if request.waypoints.len() > GoalRequest::MAX_WAYPOINTS {
-        return bad(format!(
-            "`waypoints`: {} given, expected at most {}",
-            request.waypoints.len(),
-            GoalRequest::MAX_WAYPOINTS
-        ));
+    if ctx.may_learn_places() {
+        return Err(Refusal::Busy {
+            reason: "the places of the map have not come yet".to_owned(),
+        });
     }
-    if !request.waypoints.is_empty() {
-        for (index, waypoint) in request.waypoints.iter().enumerate() {
-            checked_point(*waypoint, &format!("waypoints[{index}]"))?;
-        }
-        return Ok(Target::Waypoints(request.waypoints.clone()));
-    }
-    match (request.x, request.y) {
-        (Some(x), Some(y)) => checked_point(GoalPoint { x, y, yaw: request.yaw }, "goal").map(Target::Pose),
-        _ => bad("`x` and `y` go together".to_owned()),
-    }
+    let name: String = name.chars().take(80).collect();
+    let known: Vec<&str> = places.keys().take(20).map(String::as_str).collect();
+    Err(Refusal::NotFound {
+        what: match known.is_empty() {
+            true => format!("place `{name}`; the map has no named places"),
+            false => format!("place `{name}`; there are {}", known.join(", ")),
+        },
+    })
 }
 
 fn checked_point(point: GoalPoint, name: &str) -> Result<GoalPoint, Refusal> {
-    point.checked().map_err(|why| Refusal::BadRequest {
-        reason: format!("{name}: {why}"),
-    })
+    point.checked().or_else(|why| bad(format!("{name}: {why}")))
 }
 
 /// Whether the robot can reach the target on the known map, or a place within the tolerance (m) of the pose; unknown space and space taken
@@ -179,13 +191,11 @@ pub fn reachable(target: &Target, tolerance: f64, ctx: &mut Context) -> Result<(
     let small = space.spec().len() <= MAX_FLOODED;
     let from = position.filter(|_| small);
     let reached = from.and_then(|position| reach::flood(&space, position));
+    // Whether the robot fits there, and whether it can get there.
     let admits = |space: &ConfigurationSpace, reached: &Option<BitGrid>, point: Point2<f64>| {
+        let is_connected = |reached: &BitGrid| reach::is_reached(space, reached, point);
         let fits = space.clearance(point) > space.radius();
-        let reached = reached.as_ref();
-        (
-            fits,
-            reached.is_none_or(|reached| reach::is_reached(space, reached, point)),
-        )
+        (fits, reached.as_ref().is_none_or(is_connected))
     };
     // The map without its transient obstacles, computed on demand.
     let mut later: Option<(ConfigurationSpace, Option<BitGrid>)> = None;
@@ -235,15 +245,19 @@ pub fn reachable(target: &Target, tolerance: f64, ctx: &mut Context) -> Result<(
         };
         // If the robot itself does not fit where it stands, its reachable space is unknown.
         let told = nearest.filter(|_| reached.is_some() || from.is_none());
-        let nearest_free = told.map(|free| GoalPoint {
+        return Err(rejected(goal, what, told));
+    }
+    Ok(())
+}
+
+/// The rejection of a goal, with the nearest place that can be reached, map frame, if it is known.
+fn rejected(goal: GoalPoint, what: &str, nearest: Option<Point2<f64>>) -> Refusal {
+    Refusal::Rejected {
+        reason: format!("({:.2}, {:.2}) {what}", goal.x, goal.y),
+        nearest_free: nearest.map(|free| GoalPoint {
             x: free.x,
             y: free.y,
             yaw: goal.yaw,
-        });
-        return Err(Refusal::Rejected {
-            reason: format!("({:.2}, {:.2}) {what}", goal.x, goal.y),
-            nearest_free,
-        });
+        }),
     }
-    Ok(())
 }

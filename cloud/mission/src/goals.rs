@@ -79,6 +79,18 @@ impl GoalTable {
     }
 
     /// The first goal of the queue: preempting goals first, then by priority, then by age.
+    ///
+    /// ```
+    /// use zenav_mission::goals::GoalTable;
+    /// use zenav_protocol::messages::GoalRequest;
+    /// use zenav_protocol::time::Stamp;
+    ///
+    /// let mut goals = GoalTable::default();
+    /// for (id, priority) in [("sweep", 0), ("deliver", 5)] {
+    ///     goals.accept("tiago", id.into(), GoalRequest { priority, ..GoalRequest::default() }, false, Stamp::from_secs(1.0));
+    /// }
+    /// assert_eq!(goals.next().unwrap().state.id, "deliver");
+    /// ```
     #[must_use]
     pub fn next(&self) -> Option<&StoredGoal> {
         self.waiting().min_by_key(|goal| goal.turn().key())
@@ -101,6 +113,21 @@ impl GoalTable {
     ///
     /// # Errors
     /// [`Refusal::Rejected`] for a goal that is not waiting.
+    ///
+    /// ```
+    /// use zenav_mission::goals::GoalTable;
+    /// use zenav_protocol::messages::GoalRequest;
+    /// use zenav_protocol::time::Stamp;
+    ///
+    /// let mut goals = GoalTable::default();
+    /// for id in ["a", "b", "c"] {
+    ///     goals.accept("tiago", id.into(), GoalRequest::default(), false, Stamp::from_secs(1.0));
+    /// }
+    /// goals.move_before("c", Some("a"))?;
+    /// assert_eq!(goals.next().unwrap().state.id, "c");
+    /// assert!(goals.move_before("d", None).is_err(), "there is no such goal");
+    /// # Ok::<(), zenav_protocol::messages::Refusal>(())
+    /// ```
     pub fn move_before(&mut self, id: &str, before: Option<&str>) -> Result<(), Refusal> {
         let queue = self.queue();
         let place = |id: &str| {
@@ -226,6 +253,18 @@ impl GoalTable {
     }
 
     /// Ends a goal; `false` if it is unknown or has already ended.
+    ///
+    /// ```
+    /// use zenav_mission::goals::GoalTable;
+    /// use zenav_protocol::messages::{GoalPhase, GoalRequest};
+    /// use zenav_protocol::time::Stamp;
+    ///
+    /// let mut goals = GoalTable::default();
+    /// goals.accept("tiago", "a".into(), GoalRequest::default(), false, Stamp::from_secs(1.0));
+    /// assert!(goals.end("a", GoalPhase::Succeeded, None, Stamp::from_secs(9.0)));
+    /// assert!(!goals.end("a", GoalPhase::Aborted, Some("too late".into()), Stamp::from_secs(9.1)));
+    /// assert_eq!(goals.get("a").unwrap().state.state, GoalPhase::Succeeded);
+    /// ```
     pub fn end(&mut self, id: &str, state: GoalPhase, reason: Option<String>, now: Stamp) -> bool {
         let ends = self.get(id).is_some_and(|goal| !goal.state.state.is_end()) && state.is_end();
         if ends {
@@ -263,6 +302,19 @@ impl GoalTable {
     }
 
     /// The answer to a resubmitted goal: its state, or a refusal if the id belongs to a different goal. `None` for a new id.
+    ///
+    /// ```
+    /// use zenav_mission::goals::GoalTable;
+    /// use zenav_protocol::messages::GoalRequest;
+    /// use zenav_protocol::time::Stamp;
+    ///
+    /// let goal = GoalRequest { id: Some("a".into()), x: Some(1.0), y: Some(2.0), ..GoalRequest::default() };
+    /// let mut goals = GoalTable::default();
+    /// assert!(goals.resubmitted(&goal).is_none());
+    /// goals.accept("tiago", "a".into(), goal.clone(), false, Stamp::from_secs(1.0));
+    /// assert!(matches!(goals.resubmitted(&goal), Some(Ok(_))));
+    /// assert!(matches!(goals.resubmitted(&GoalRequest { x: Some(7.0), ..goal }), Some(Err(_))));
+    /// ```
     #[must_use]
     pub fn resubmitted(&self, request: &GoalRequest) -> Option<Result<GoalReply, Refusal>> {
         let known = self.get(request.id.as_ref()?)?;
@@ -318,6 +370,22 @@ impl GoalTable {
     ///
     /// # Errors
     /// [`Refusal::NotFound`] for an unknown id.
+    ///
+    /// ```
+    /// use zenav_mission::goals::GoalTable;
+    /// use zenav_protocol::messages::{GoalPhase, GoalRequest, GoalsRequest};
+    /// use zenav_protocol::time::Stamp;
+    ///
+    /// let mut goals = GoalTable::default();
+    /// for id in ["a", "b", "c"] {
+    ///     goals.accept("tiago", id.into(), GoalRequest::default(), false, Stamp::from_secs(1.0));
+    /// }
+    /// goals.end("b", GoalPhase::Canceled, None, Stamp::from_secs(2.0));
+    /// let waiting = GoalsRequest { states: vec![GoalPhase::Accepted], ..GoalsRequest::default() };
+    /// let listed = goals.list(&waiting)?.goals;
+    /// assert_eq!(listed.iter().map(|goal| (&*goal.id, goal.queue)).collect::<Vec<_>>(), [("c", Some(2)), ("a", Some(1))]);
+    /// # Ok::<(), zenav_protocol::messages::Refusal>(())
+    /// ```
     pub fn list(&self, request: &GoalsRequest) -> Result<GoalsReply, Refusal> {
         if let Some(id) = &request.id
             && self.get(id).is_none()

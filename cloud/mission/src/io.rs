@@ -70,6 +70,14 @@ pub enum Ask {
 
 impl Ask {
     /// How long the service waits for an answer, s of wall time.
+    ///
+    /// ```
+    /// use zenav_mission::Ask;
+    /// use zenav_protocol::messages::{InfoRequest, MapRequest};
+    ///
+    /// assert_eq!(Ask::Map(MapRequest::default()).patience_secs(), 5.0);
+    /// assert!(Ask::EdgeInfo(InfoRequest {}).patience_secs() > 2.0, "the link may be slow");
+    /// ```
     #[must_use]
     pub fn patience_secs(&self) -> f64 {
         match self {

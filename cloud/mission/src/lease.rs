@@ -192,6 +192,24 @@ impl LeaseClient {
     }
 
     /// Requests the lease if it is not held; returns a heartbeat if one is due. `echo` is the robot's time, as far as known.
+    ///
+    /// ```
+    /// use zenav_mission::context::Asks;
+    /// use zenav_mission::lease::LeaseClient;
+    /// use zenav_mission::records::Leadership;
+    /// use zenav_mission::{Answer, Ask};
+    /// use zenav_protocol::messages::LeaseReply;
+    /// use zenav_protocol::time::Stamp;
+    ///
+    /// let (mut client, mut asks) = (LeaseClient::new("mission-1", 1, None, Leadership::default()), Asks::new(1));
+    /// let robot_time = Some(Stamp::from_secs(5.0));
+    /// assert!(client.step(Stamp::from_secs(1.0), robot_time, &mut asks).is_none(), "no heartbeat without the lease");
+    /// let (ticket, asked) = asks.take_new().remove(0);
+    /// assert!(matches!(asked, Ask::Lease(_)));
+    /// let lease = LeaseReply { epoch: 3, ttl_secs: 1.0, boot_id: "boot".into(), round_trip_secs: Some(0.02) };
+    /// asks.answer(ticket, Ok(Answer::Lease(lease)));
+    /// assert_eq!(client.step(Stamp::from_secs(1.1), robot_time, &mut asks).unwrap().epoch, 3);
+    /// ```
     pub fn step(&mut self, now: Stamp, echo: Option<Stamp>, asks: &mut Asks) -> Option<Heartbeat> {
         if let Some(last) = self.last_step.replace(now)
             && now.secs_since(last) > SLEPT
@@ -279,6 +297,13 @@ impl LeaseClient {
 }
 
 /// A counter that grows over restarts: the incarnation in the upper 32 bits, the count below.
+///
+/// ```
+/// use zenav_mission::lease::newer;
+///
+/// // The first number of a run is higher than every number of the run before.
+/// assert!(newer(2, 0) > newer(1, 4_000_000_000));
+/// ```
 #[must_use]
 pub fn newer(incarnation: u64, count: u64) -> u64 {
     (incarnation << 32) | (count & 0xffff_ffff)

@@ -78,6 +78,8 @@ pub mod orchestrator;
 mod publishing;
 pub mod records;
 mod requests;
+#[cfg(test)]
+mod rig;
 pub mod robot;
 pub mod route;
 mod settings;

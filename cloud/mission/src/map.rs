@@ -98,6 +98,28 @@ impl RobotMap {
     }
 
     /// Why the replica cannot be used to check for free space: it is empty, or no mapper has updated it for longer than `patience`, s.
+    ///
+    /// ```
+    /// # use nalgebra::Point2;
+    /// # use zenav_protocol::grid::{GridSpec, Occupancy};
+    /// # use zenav_protocol::messages::{MapPatch, MapRef, TILE, Tile};
+    /// use zenav_mission::map::RobotMap;
+    /// use zenav_protocol::time::Stamp;
+    ///
+    /// # let patch = MapPatch {
+    /// #     stamp: Stamp(1),
+    /// #     map: MapRef { id: "kitchen".into(), revision: 1, frame: 0 },
+    /// #     base_revision: 0,
+    /// #     spec: GridSpec { origin: Point2::origin(), resolution: 0.05, width: TILE, height: TILE },
+    /// #     tiles: vec![Tile { x: 0, y: 0, values: vec![Occupancy::FREE; (TILE * TILE) as usize] }],
+    /// # };
+    /// let (mut map, at) = (RobotMap::default(), Stamp::from_secs);
+    /// assert_eq!(map.unusable(at(1.0), 10.0).as_deref(), Some("no map has come yet"));
+    /// map.observe(at(1.0), None, &[patch]);
+    /// map.observe_mapper(at(5.0), false);
+    /// assert_eq!(map.unusable(at(14.0), 10.0), None);
+    /// assert_eq!(map.unusable(at(17.0), 10.0).as_deref(), Some("the mapper has been gone for 12 s"));
+    /// ```
     #[must_use]
     pub fn unusable(&self, now: Stamp, patience: f64) -> Option<String> {
         if self.spec().is_none_or(|spec| spec.is_empty()) {
@@ -187,6 +209,11 @@ impl RobotMap {
         self.transients.cells(self.replica.grid(), grows, near)
     }
 
+    /// Notes that an obstacle of these cells is in the way; returns since when it has been, `since` at the latest.
+    pub(crate) fn notice(&mut self, cells: &[Point2<f64>], since: Stamp) -> Stamp {
+        self.transients.notice(self.replica.grid(), cells, since)
+    }
+
     /// Whether a cell within a distance (m) of a place is occupied.
     #[must_use]
     pub fn is_occupied_within(&self, place: Point2<f64>, within: f64) -> bool {
@@ -244,6 +271,30 @@ impl RobotMap {
     }
 
     /// The configuration space, with unknown cells free; `None` without a map.
+    ///
+    /// ```
+    /// # use nalgebra::Point2;
+    /// # use zenav_protocol::grid::{GridSpec, Occupancy};
+    /// # use zenav_protocol::messages::{MapPatch, MapRef, TILE, Tile};
+    /// # use zenav_protocol::time::Stamp;
+    /// use zenav_mission::map::RobotMap;
+    /// use zenav_protocol::robot::Footprint;
+    ///
+    /// # let mut values = vec![Occupancy::FREE; (TILE * TILE) as usize];
+    /// # values[32 * TILE as usize + 32] = Occupancy::OCCUPIED;
+    /// # let patch = MapPatch {
+    /// #     stamp: Stamp(1),
+    /// #     map: MapRef { id: "kitchen".into(), revision: 1, frame: 0 },
+    /// #     base_revision: 0,
+    /// #     spec: GridSpec { origin: Point2::origin(), resolution: 0.05, width: TILE, height: TILE },
+    /// #     tiles: vec![Tile { x: 0, y: 0, values }],
+    /// # };
+    /// let mut map = RobotMap::default();
+    /// assert!(map.space(&Footprint::Radius(0.3)).is_none(), "no map has come yet");
+    /// map.observe(Stamp::from_secs(1.0), None, &[patch]); // one occupied cell, from (1.6, 1.6) to (1.65, 1.65)
+    /// let space = map.space(&Footprint::Radius(0.3)).unwrap();
+    /// assert!((space.clearance(Point2::new(1.2, 1.62)) - 0.4).abs() < 1e-9);
+    /// ```
     pub fn space(&mut self, footprint: &Footprint) -> Option<Arc<ConfigurationSpace>> {
         let mapped = self.replica.has_map() && !self.replica.grid().spec().is_empty();
         mapped.then(|| {

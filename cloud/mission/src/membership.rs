@@ -160,6 +160,20 @@ impl Membership {
     }
 
     /// Whether the newest batch may be acknowledged: every standby that the robot may list has it on disk.
+    ///
+    /// ```
+    /// use zenav_mission::membership::Membership;
+    /// use zenav_mission::records::Leadership;
+    ///
+    /// let mut leader = Membership::new("a", Leadership::default(), 1);
+    /// leader.lead(Some(7));
+    /// leader.share(true);
+    /// leader.admit(["b".to_owned()]);
+    /// assert_eq!(leader.report().unwrap().caught_up, ["a", "b"]);
+    /// leader.settle(); // the robot has taken the report
+    /// leader.next_batch();
+    /// assert!(!leader.may_tell(|_| Some(0)) && leader.may_tell(|_| Some(1)));
+    /// ```
     #[must_use]
     pub fn may_tell(&self, stored: impl Fn(&str) -> Option<u64>) -> bool {
         self.is_settled() && self.members.iter().all(|member| stored(member) >= Some(self.batch))

@@ -58,6 +58,31 @@ impl std::fmt::Debug for Mission {
 
 impl Mission {
     /// A mission that continues where the stored one ended.
+    ///
+    /// ```
+    /// use zenav_mission::{Client, Effect, Inputs, Mission, MissionConfig, Record, Restored};
+    /// use zenav_protocol::id::Id;
+    /// use zenav_protocol::messages::GoalRequest;
+    /// use zenav_protocol::time::Stamp;
+    /// use zenav_protocol::topics::MissionRequest;
+    ///
+    /// let config = MissionConfig::new(Id::robot("tiago")?, "mission-1", "unused.redb".into());
+    /// let tree = r#"<root BTCPP_format="4"><BehaviorTree ID="Main"><Sleep msec="60000"/></BehaviorTree></root>"#;
+    /// let goal = MissionRequest::Goal(GoalRequest { tree: Some(tree.into()), ..GoalRequest::default() });
+    /// let mut first = Mission::new(config.clone(), Restored::fresh());
+    /// let inputs = Inputs { requests: vec![(Client(1), goal)], ..Inputs::default() };
+    /// let effects = first.step(Stamp::from_secs(1.0), inputs);
+    ///
+    /// // What was stored is all that the next run needs.
+    /// let Effect::Persist(records) = &effects[0] else { panic!("it is stored first") };
+    /// let goals = records.iter().filter_map(|record| match record {
+    ///     Record::Goal(goal) => Some((**goal).clone()),
+    ///     _ => None,
+    /// });
+    /// let second = Mission::new(config, Restored { incarnation: 2, goals: goals.collect(), ..Restored::default() });
+    /// assert_eq!(second.open_goals().count(), 1);
+    /// # Ok::<(), zenav_protocol::id::InvalidId>(())
+    /// ```
     #[must_use]
     pub fn new(config: MissionConfig, restored: Restored) -> Self {
         let mut ctx = Context::new(config, &restored);
@@ -82,6 +107,27 @@ impl Mission {
 
     /// One step, about twenty times a second and whenever a client asks. The caller carries out the effects in order; the first,
     /// [`Effect::Persist`], must complete before any other begins.
+    ///
+    /// ```
+    /// use zenav_mission::{Client, Effect, Inputs, Mission, MissionConfig, Restored};
+    /// use zenav_protocol::messages::{GoalPhase, GoalRequest};
+    /// use zenav_protocol::time::Stamp;
+    /// use zenav_protocol::topics::MissionRequest;
+    /// # use zenav_protocol::id::Id;
+    ///
+    /// # let config = MissionConfig::new(Id::robot("tiago")?, "mission-1", "unused.redb".into());
+    /// let mut mission = Mission::new(config, Restored::fresh());
+    /// let tree = r#"<root BTCPP_format="4"><BehaviorTree ID="Main"><Sleep msec="500"/></BehaviorTree></root>"#;
+    /// let goal = GoalRequest { id: Some("rest".into()), tree: Some(tree.into()), ..GoalRequest::default() };
+    /// let inputs = Inputs { requests: vec![(Client(7), MissionRequest::Goal(goal))], ..Inputs::default() };
+    /// let effects = mission.step(Stamp::from_secs(1.0), inputs);
+    /// assert!(matches!(effects[0], Effect::Persist(_)), "the goal is stored before it is acknowledged");
+    /// assert!(effects.iter().any(|effect| matches!(effect, Effect::Reply(Client(7), Ok(_)))));
+    /// assert_eq!(mission.goal("rest").unwrap().state, GoalPhase::Active);
+    /// mission.step(Stamp::from_secs(1.6), Inputs::default());
+    /// assert_eq!(mission.goal("rest").unwrap().state, GoalPhase::Succeeded);
+    /// # Ok::<(), zenav_protocol::id::InvalidId>(())
+    /// ```
     pub fn step(&mut self, now: Stamp, inputs: Inputs) -> Vec<Effect> {
         let now = self.own_time(now);
         let ctx = &mut self.ctx;
@@ -194,6 +240,29 @@ impl Mission {
     }
 
     /// The lease's epoch, while this mission commands.
+    ///
+    /// ```
+    /// use zenav_mission::{Answer, Ask, Effect, Inputs, Mission, MissionConfig, Restored};
+    /// use zenav_protocol::messages::LeaseReply;
+    /// use zenav_protocol::time::Stamp;
+    /// # use zenav_protocol::id::Id;
+    ///
+    /// # let config = MissionConfig::new(Id::robot("tiago")?, "mission-1", "unused.redb".into());
+    /// let mut mission = Mission::new(config, Restored::fresh());
+    /// mission.step(Stamp::from_secs(1.0), Inputs::default());
+    /// assert_eq!((mission.epoch(), mission.why_not()), (None, "the robot has not answered yet"));
+    /// // A robot that has not been heard for three seconds is asked all the same.
+    /// let effects = mission.step(Stamp::from_secs(4.5), Inputs::default());
+    /// let asked = effects.iter().find_map(|effect| match effect {
+    ///     Effect::Ask(ticket, Ask::Lease(_)) => Some(*ticket),
+    ///     _ => None,
+    /// });
+    /// let lease = LeaseReply { epoch: 3, ttl_secs: 1.0, boot_id: "boot".into(), round_trip_secs: None };
+    /// let answers = vec![(asked.unwrap(), Ok(Answer::Lease(lease)))];
+    /// mission.step(Stamp::from_secs(4.6), Inputs { answers, ..Inputs::default() });
+    /// assert_eq!(mission.epoch(), Some(3));
+    /// # Ok::<(), zenav_protocol::id::InvalidId>(())
+    /// ```
     #[must_use]
     pub fn epoch(&self) -> Option<u64> {
         self.ctx.lease.epoch()
@@ -434,5 +503,7 @@ fn fill_blackboard(tree: &mut Tree<Context>, target: &Target, request: &GoalRequ
 
 /// Time of a tree: stands still while its goal is paused.
 fn time_of_tree(now: Stamp, goal: &StoredGoal) -> Duration {
-    Duration::from_nanos(now.0).saturating_sub(Duration::from_secs_f64(goal.paused_secs.max(0.0)))
+    // A store holds whatever another mission wrote.
+    let paused = Duration::try_from_secs_f64(goal.paused_secs.max(0.0)).unwrap_or(Duration::MAX);
+    Duration::from_nanos(now.0).saturating_sub(paused)
 }

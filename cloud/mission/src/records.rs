@@ -22,6 +22,15 @@ pub struct Turn {
 
 impl Turn {
     /// Sort key of the queue.
+    ///
+    /// ```
+    /// use zenav_mission::records::Turn;
+    ///
+    /// let turn = |urgent, priority, number| Turn { urgent, priority, number };
+    /// let mut queue = [turn(false, 0, 1), turn(false, 5, 2), turn(true, 0, 3)];
+    /// queue.sort_by_key(Turn::key);
+    /// assert_eq!(queue.map(|turn| turn.number), [3, 2, 1], "a preempting goal, then the higher priority");
+    /// ```
     #[must_use]
     pub const fn key(&self) -> (bool, Reverse<i32>, u64) {
         (!self.urgent, Reverse(self.priority), self.number)
@@ -132,6 +141,13 @@ pub struct Restored {
 
 impl Restored {
     /// The first run, without earlier state.
+    ///
+    /// ```
+    /// use zenav_mission::Restored;
+    ///
+    /// let first = Restored::fresh();
+    /// assert_eq!((first.incarnation, first.goals.len(), first.store), (1, 0, None));
+    /// ```
     #[must_use]
     pub fn fresh() -> Self {
         Self {

@@ -1,9 +1,13 @@
 //! Robot view. What is known about the robot? Its newest state with its time of arrival, and its model.
 
+use std::collections::VecDeque;
+
+use nalgebra::Point2;
 use zenav_protocol::SCHEMA_VERSION;
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::messages::{
-    BasedOn, EdgeState, Event, EventKind, InfoReply, InfoRequest, KnownCourse, Localisation, PoseEstimate, Yield,
+    BasedOn, EdgeState, Event, EventKind, Health, InfoReply, InfoRequest, KnownCourse, Localisation, PoseEstimate,
+    Yield,
 };
 use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
@@ -18,6 +22,17 @@ const SILENCE: f64 = 1.0;
 const TOLD_LATELY: f64 = 1.5;
 /// Time between two requests for the model, s.
 const RETRY: f64 = 1.0;
+/// Share of the beams through walls of the map above which the scans of a robot that localises itself deny that it has arrived. People about
+/// the robot hide walls, but no beam passes through one. Walls or furniture that were removed let a smaller share pass.
+const THROUGH_WALLS: f64 = 0.25;
+/// A report this old, s, says nothing any more: one comes every second.
+const SAID_LATELY: f64 = 10.0;
+/// What comes onto the map within this distance of a robot that touched something while driving, m, and within this time of that, s, is what
+/// it touched and what is assumed to go on beside it.
+const FELT_WITHIN: f64 = 2.0;
+const FELT: std::ops::RangeInclusive<f64> = -0.5..=3.0;
+/// Most contacts that are remembered.
+const MOST_CONTACTS: usize = 32;
 /// Speeds below which the robot is at rest: m/s and rad/s.
 const AT_REST: (f64, f64) = (0.02, 0.04);
 
@@ -33,6 +48,8 @@ pub struct RobotView {
     asking: Option<Ticket>,
     next_ask: Stamp,
     bumped: Option<Stamp>,
+    /// Where it was when it touched something while driving, and when: its beams had shown nothing there.
+    contacts: VecDeque<(Point2<f64>, Stamp)>,
     /// Whether its pose can be trusted, and when that was reported.
     localisation: Option<(Stamp, Localisation)>,
     /// The robots that it gives way to, and when that was reported.
@@ -44,9 +61,25 @@ pub struct RobotView {
 impl RobotView {
     /// Observes the robot's events.
     pub fn hear(&mut self, now: Stamp, events: &[Event]) {
-        if events.iter().any(|event| matches!(event.kind, EventKind::Bumped)) {
-            self.bumped = Some(now);
+        if !events.iter().any(|event| matches!(event.kind, EventKind::Bumped)) {
+            return;
         }
+        self.bumped = Some(now);
+        if let (false, Some(pose)) = (self.is_at_rest(), self.pose()) {
+            self.contacts.push_back((pose.position(), now));
+            if self.contacts.len() > MOST_CONTACTS {
+                self.contacts.pop_front();
+            }
+        }
+    }
+
+    /// Whether what has been at a place since then was felt by the driving robot and not seen, as glass is: no beam would see it leave.
+    #[must_use]
+    pub fn has_felt(&self, place: Point2<f64>, since: Stamp) -> bool {
+        let is_there = |(here, at): &(Point2<f64>, Stamp)| {
+            FELT.contains(&since.secs_since(*at)) && (place - here).norm() <= FELT_WITHIN
+        };
+        self.contacts.iter().any(is_there)
     }
 
     /// Observes a report on its localisation.
@@ -82,11 +115,34 @@ impl RobotView {
     /// Why its pose cannot be trusted, if so.
     #[must_use]
     pub fn lost(&self) -> Option<String> {
+        let said = self.localisation().filter(|said| !said.health.is_trusted())?;
+        Some(format!("Lost: nobody knows where the robot is ({})", said.health))
+    }
+
+    /// Why it cannot be said to have arrived anywhere, if so: it drives by its own estimate, and its scans contradict that.
+    #[must_use]
+    pub fn has_not_arrived(&self, now: Stamp) -> Option<String> {
+        let (came, _) = self.localisation.as_ref()?;
+        let is_contradicted = |said: &&Localisation| said.health == Health::Contradicted;
+        let said = self.localisation().filter(is_contradicted)?;
+        if now.secs_since(*came) > SAID_LATELY {
+            return None;
+        }
+        (said.through_walls > THROUGH_WALLS).then(|| {
+            let share = 100.0 * said.through_walls;
+            format!(
+                "arrived by the robot's own estimate alone: {share:.0} % of its beams pass through walls of the map; \
+                 `zenav doctor` says what to do"
+            )
+        })
+    }
+
+    /// The newest report on its localisation, unless it is of another boot.
+    fn localisation(&self) -> Option<&Localisation> {
         let (_, said) = self.localisation.as_ref()?;
-        // A report on another boot does not apply to this one.
-        let is_of_this_boot = self.state().is_none_or(|state| state.boot_id == said.boot_id);
-        (is_of_this_boot && !said.health.is_trusted())
-            .then(|| format!("Lost: nobody knows where the robot is ({})", said.health))
+        self.state()
+            .is_none_or(|state| state.boot_id == said.boot_id)
+            .then_some(said)
     }
 
     /// Whether its pose can be trusted, according to a report after a time.
@@ -266,6 +322,90 @@ mod tests {
             model: Some(zenav_fixtures::robot("tiago")),
             ..InfoReply::default()
         }))
+    }
+
+    #[test]
+    fn what_came_onto_the_map_where_a_driving_robot_touched_something_was_felt() {
+        let at = Stamp::from_secs;
+        let bump = Event {
+            stamp: Stamp(1),
+            boot_id: String::new(),
+            sequence: 1,
+            kind: EventKind::Bumped,
+        };
+        let told = |v: f64| EdgeState {
+            velocity: Twist2::new(v, 0.0),
+            ..EdgeState::default()
+        };
+        let pose = PoseEstimate {
+            stamp: Stamp(1),
+            map_from_base: Pose2::new(4.0, 1.0, 0.0),
+            covariance: [0.0; 9],
+            velocity: Twist2::ZERO,
+            frame: 0,
+        };
+        let pane = Point2::new(4.3, 1.4);
+        for (speed, is_felt) in [(0.4, true), (0.0, false)] {
+            let mut robot = RobotView::default();
+            robot.observe(at(9.9), Some(told(speed)), Some(pose.clone()));
+            robot.settle(&Frames::default());
+            robot.hear(at(10.0), std::slice::from_ref(&bump));
+            assert!(robot.was_bumped_within(at(11.0), 2.0));
+            // Who bumps into a robot at rest was seen to come.
+            assert_eq!(robot.has_felt(pane, at(10.4)), is_felt, "{speed} m/s");
+            for (place, since) in [(pane, 8.0), (pane, 20.0), (Point2::new(7.0, 1.0), 10.4)] {
+                assert!(!robot.has_felt(place, at(since)), "{place} {since}");
+            }
+        }
+    }
+
+    #[test]
+    fn beams_through_walls_deny_that_the_robot_has_arrived_and_people_about_it_do_not() {
+        let said = |health, through_walls| Localisation {
+            stamp: Stamp::ZERO,
+            boot_id: "boot".to_owned(),
+            health,
+            map_from_base: Pose2::IDENTITY,
+            agreeing: 0.2,
+            through_walls,
+        };
+        let mut robot = RobotView::default();
+        assert_eq!(
+            robot.has_not_arrived(Stamp::ZERO),
+            None,
+            "nobody has compared its scans"
+        );
+        for (health, through_walls, has_arrived) in [
+            (Health::Contradicted, 0.05, true),
+            (Health::Contradicted, f64::NAN, true),
+            (Health::Unchecked, 0.4, true),
+            (Health::Tracking, 0.4, true),
+            (Health::Contradicted, 0.4, false),
+        ] {
+            let said = said(health, through_walls);
+            robot.observe_localisation(Stamp::ZERO, said.clone());
+            assert_eq!(
+                robot.has_not_arrived(Stamp::from_secs(2.0)).is_none(),
+                has_arrived,
+                "{said:?}"
+            );
+            assert_eq!(robot.lost(), None, "it drives");
+        }
+        assert_eq!(
+            robot.has_not_arrived(Stamp::from_secs(11.0)),
+            None,
+            "nobody has said so lately"
+        );
+        let restarted = EdgeState {
+            boot_id: "another boot".to_owned(),
+            ..EdgeState::default()
+        };
+        robot.observe(Stamp::ZERO, Some(restarted), None);
+        assert_eq!(
+            robot.has_not_arrived(Stamp::ZERO),
+            None,
+            "the report is of another boot"
+        );
     }
 
     #[test]

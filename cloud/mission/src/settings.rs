@@ -7,6 +7,17 @@ use zenav_protocol::messages::DrivingProfile;
 
 zenav_protocol::settings! {
     /// Settings of missions.
+    ///
+    /// ```
+    /// use zenav_mission::MissionSettings;
+    /// use zenav_protocol::settings::Settings;
+    ///
+    /// let patient = MissionSettings::default().with_number("patience", 600.0).unwrap()?;
+    /// assert_eq!(patient.patience, 600.0);
+    /// let refused = patient.with_number("renew_period", 5.0).unwrap().unwrap_err();
+    /// assert_eq!(refused.to_string(), "`renew_period` is 5: expected less than `plan_valid`, 5");
+    /// # Ok::<(), zenav_protocol::config_text::OutOfBounds>(())
+    /// ```
     pub struct MissionSettings {
         /// Driving profile of goals without their own: `fastest` or `economy`.
         pub profile: DrivingProfile = DrivingProfile::Fastest;

@@ -38,6 +38,27 @@ pub enum Verdict {
 ///
 /// # Errors
 /// [`Refusal::Rejected`] with the reason.
+///
+/// ```
+/// use zenav_mission::standby::{JournalPosition, Verdict, judge};
+/// use zenav_protocol::messages::{JournalEntry, Leader};
+/// use zenav_protocol::time::Stamp;
+///
+/// let word = Leader { store: "a".into(), epoch: 7, caught_up: vec!["a".into()], revision: 1 };
+/// let place = JournalPosition { session: "s".into(), position: 4 };
+/// let entry = JournalEntry {
+///     leader: "a".into(),
+///     epoch: 7,
+///     session: "s".into(),
+///     position: 5,
+///     now: Stamp::from_secs(9.0),
+///     writes: Vec::new(),
+/// };
+/// assert_eq!(judge(&entry, Some(&word), &place)?, Verdict::Take { instead: false });
+/// assert!(judge(&entry, None, &place).is_err(), "the robot names no leader");
+/// assert!(judge(&JournalEntry { position: 6, ..entry }, Some(&word), &place).is_err(), "entry 5 is missing");
+/// # Ok::<(), zenav_protocol::messages::Refusal>(())
+/// ```
 pub fn judge(entry: &JournalEntry, word: Option<&Leader>, place: &JournalPosition) -> Result<Verdict, Refusal> {
     if entry.session != place.session {
         return Err(Refusal::rejected("the entry belongs to another session"));
@@ -63,6 +84,17 @@ pub fn judge(entry: &JournalEntry, word: Option<&Leader>, place: &JournalPositio
 }
 
 /// Whether the robot would grant the lease to the mission with this store.
+///
+/// ```
+/// use zenav_mission::standby::may_lead;
+/// use zenav_protocol::messages::{Leader, LeaseState};
+///
+/// let leader = Leader { store: "a".into(), epoch: 7, caught_up: vec!["a".into(), "b".into()], revision: 1 };
+/// let mut lease = LeaseState { live: true, leader: Some(leader), ..LeaseState::default() };
+/// assert!(!may_lead(&lease, "b"), "the leader is alive");
+/// lease.live = false;
+/// assert!(may_lead(&lease, "b") && !may_lead(&lease, "c"), "c lacks goals");
+/// ```
 #[must_use]
 pub fn may_lead(lease: &LeaseState, store: &str) -> bool {
     let operator = lease.role == Some(LeaseRole::Operator);

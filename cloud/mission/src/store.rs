@@ -116,6 +116,18 @@ impl Store {
     /// # Errors
     /// [`StoreError::Locked`] while another process uses it; [`StoreError::Foreign`] for a file that is damaged or another robot's;
     /// [`StoreError::NoRoom`]; [`StoreError::Io`]; [`StoreError::Record`].
+    ///
+    /// ```
+    /// use zenav_mission::store::{Store, StoreError};
+    ///
+    /// let folder = tempfile::tempdir().unwrap();
+    /// let path = folder.path().join("mission.redb");
+    /// let store = Store::open(&path, "tiago")?;
+    /// assert!(matches!(Store::open(&path, "tiago"), Err(StoreError::Locked { .. })));
+    /// drop(store);
+    /// assert!(matches!(Store::open(&path, "jackal"), Err(StoreError::Foreign { .. })), "another robot's goals");
+    /// # Ok::<(), StoreError>(())
+    /// ```
     pub fn open(path: &Path, robot: &str) -> Result<Self, StoreError> {
         let mut store = Self {
             database: RwLock::new(None),
@@ -270,6 +282,24 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError`]; then nothing that depends on these records may be acknowledged.
+    ///
+    /// ```
+    /// use zenav_mission::Record;
+    /// use zenav_mission::goals::GoalTable;
+    /// use zenav_mission::store::Store;
+    /// use zenav_protocol::messages::GoalRequest;
+    /// use zenav_protocol::time::Stamp;
+    ///
+    /// let folder = tempfile::tempdir().unwrap();
+    /// let path = folder.path().join("mission.redb");
+    /// let mut goals = GoalTable::default();
+    /// goals.accept("tiago", "a".into(), GoalRequest::default(), false, Stamp::from_secs(1.0));
+    /// Store::open(&path, "tiago")?.write(&goals.take_records())?;
+    ///
+    /// let restored = Store::open(&path, "tiago")?.begin_life()?;
+    /// assert_eq!(restored.goals[0].state.id, "a");
+    /// # Ok::<(), zenav_mission::store::StoreError>(())
+    /// ```
     pub fn write(&self, records: &[Record]) -> Result<Vec<JournalWrite>, StoreError> {
         let writes: Vec<JournalWrite> = records
             .iter()
@@ -300,6 +330,24 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError`], also for an unknown table; then nothing is written.
+    ///
+    /// ```
+    /// use zenav_mission::goals::GoalTable;
+    /// use zenav_mission::records::Leadership;
+    /// use zenav_mission::store::Store;
+    /// use zenav_protocol::messages::GoalRequest;
+    /// use zenav_protocol::time::Stamp;
+    ///
+    /// let folder = tempfile::tempdir().unwrap();
+    /// let [leader, standby] = ["leader", "standby"].map(|name| Store::open(&folder.path().join(name), "tiago").unwrap());
+    /// let mut goals = GoalTable::default();
+    /// goals.accept("tiago", "a".into(), GoalRequest::default(), false, Stamp::from_secs(1.0));
+    /// let writes = leader.write(&goals.take_records())?;
+    /// standby.apply(&writes, false, Some(Leadership { epoch: 7, shared: true }))?;
+    /// assert_eq!(standby.everything()?, leader.everything()?);
+    /// assert_eq!((standby.leadership()?.epoch, leader.leadership()?.epoch), (7, 0));
+    /// # Ok::<(), zenav_mission::store::StoreError>(())
+    /// ```
     pub fn apply(
         &self,
         writes: &[JournalWrite],

@@ -26,6 +26,13 @@ pub const SHIPPED: &[(&str, &str)] = &[
 ];
 
 /// The text of a shipped tree.
+///
+/// ```
+/// use zenav_mission::trees::{NAVIGATE, SHIPPED, shipped};
+///
+/// assert!(shipped(NAVIGATE).unwrap().contains("<BehaviorTree"));
+/// assert!(SHIPPED.iter().any(|(name, _)| *name == "kitchen") && shipped("bathroom").is_none());
+/// ```
 #[must_use]
 pub fn shipped(name: &str) -> Option<&'static str> {
     SHIPPED.iter().find(|(known, _)| *known == name).map(|(_, text)| *text)
@@ -86,6 +93,16 @@ pub fn add_leaves(add: impl FnOnce(&mut Registry<Context>) -> Result<(), Duplica
 ///
 /// # Errors
 /// [`NoTree`].
+///
+/// ```
+/// use zenav_mission::trees::{build, shipped};
+///
+/// assert!(build("navigate").is_ok());
+/// let refused = build("navigat").unwrap_err().to_string();
+/// assert!(refused.starts_with("no tree `navigat`: expected XML or one of navigate, "));
+/// let tree = r#"<root BTCPP_format="4"><BehaviorTree ID="Main"><Sleep msec="soon"/></BehaviorTree></root>"#;
+/// assert!(build(tree).unwrap_err().to_string().contains("port `msec` is `soon`"));
+/// ```
 pub fn build(tree: &str) -> Result<Tree<Context>, NoTree> {
     let (name, text) = match shipped(tree) {
         Some(text) => (format!("{tree}.xml"), text),

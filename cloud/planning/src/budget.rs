@@ -40,6 +40,17 @@ impl Budget<'_> {
     }
 
     /// Whether the search must end after this many expansions.
+    ///
+    /// ```
+    /// use std::sync::atomic::{AtomicBool, Ordering};
+    /// use zenav_planning::Budget;
+    ///
+    /// let cancel = AtomicBool::new(false);
+    /// let budget = Budget { max_expansions: 10_000, cancel: Some(&cancel), ..Budget::UNLIMITED };
+    /// assert!(!budget.is_spent(512) && budget.is_spent(10_000));
+    /// cancel.store(true, Ordering::Relaxed);
+    /// assert!(budget.is_spent(512) && !budget.is_spent(513), "the flag is read every 512 expansions");
+    /// ```
     #[must_use]
     pub fn is_spent(&self, expansions: u64) -> bool {
         expansions >= self.max_expansions || (expansions.is_multiple_of(PERIOD) && self.is_cancelled())

@@ -41,10 +41,20 @@ pub(super) fn cell_beside(space: &ConfigurationSpace, point: Point2<f64>, radius
     reachable(space, point, radius, NEARBY).find(|cell| space.is_permitted_between(space.spec().center(*cell), point))
 }
 
-/// The free cell through which a robot leaves its start; the start may be closer to obstacles than a planned path.
+/// The free cell through which a robot leaves its start; the start may be closer to obstacles than a planned path. From a start that the
+/// policy for unknown cells permits, the nearest cell is taken to which it permits the straight way, if there is one.
 pub(super) fn leaving(space: &ConfigurationSpace, start: Point2<f64>, settings: &LeavingSettings) -> Option<Cell> {
+    let nearest = |radius: f64, cells: i64| {
+        let is_permitted = |cell: &Cell| space.is_permitted_between(start, space.spec().center(*cell));
+        let permitted = space
+            .is_permitted(start)
+            .then(|| reachable(space, start, radius, cells).find(is_permitted));
+        permitted
+            .flatten()
+            .or_else(|| reachable(space, start, radius, cells).next())
+    };
     let radius = space.radius();
-    if let Some(cell) = reachable(space, start, radius, NEARBY).next() {
+    if let Some(cell) = nearest(radius, NEARBY) {
         return Some(cell);
     }
     let clearance = space.clearance(start);
@@ -53,7 +63,7 @@ pub(super) fn leaving(space: &ConfigurationSpace, start: Point2<f64>, settings: 
         return None;
     }
     let cells = (settings.distance / space.spec().resolution).ceil().clamp(1.0, 64.0) as i64;
-    reachable(space, start, radius.min(clearance * (1.0 - 1e-9) - 1e-9), cells).next()
+    nearest(radius.min(clearance * (1.0 - 1e-9) - 1e-9), cells)
 }
 
 /// The free cells around a point, nearest first, from whose centres a disc of `radius` (m) can move straight to it.
@@ -76,4 +86,29 @@ fn reachable(space: &ConfigurationSpace, point: Point2<f64>, radius: f64, cells:
     free.into_iter()
         .map(|(_, cell)| cell)
         .filter(move |cell| space.segment_is_free(point, spec.center(*cell), radius))
+}
+
+#[cfg(test)]
+mod tests {
+    use zenav_protocol::grid::Occupancy;
+    use zenav_protocol::robot::Footprint;
+    use zenav_space::UnknownPolicy;
+
+    use super::*;
+
+    #[test]
+    fn a_robot_leaves_a_tight_place_past_an_unknown_cell_and_not_through_it() {
+        // Cells of 0.1 m and a wall of one row: a disc of 0.16 m fits in the upper part of row 2, but not at the centres of its cells.
+        let wall = (0..20).map(|x| (x, 0, Occupancy::OCCUPIED));
+        let marks: Vec<_> = wall.chain([(10, 3, Occupancy::UNKNOWN)]).collect();
+        let grid = zenav_fixtures::map_with(zenav_fixtures::spec(20, 20, 0.1), &marks);
+        let space = ConfigurationSpace::new(&grid, &Footprint::Radius(0.16), UnknownPolicy::Blocked, 0.0);
+        let start = space.spec().from_cells(Point2::new(10.5, 2.7));
+        assert!(space.clearance(start) > 0.16 && !space.is_free(Cell::new(10, 2)));
+        let by = leaving(&space, start, &LeavingSettings::default());
+        let leads = |cell: Cell| space.is_permitted_between(start, space.spec().center(cell));
+        assert!(by.is_some_and(leads), "{by:?}");
+        // The nearest free cells lie behind the unknown one.
+        assert!(space.is_free(Cell::new(9, 3)) && !leads(Cell::new(9, 3)) && !leads(Cell::new(11, 3)));
+    }
 }

@@ -315,12 +315,7 @@ impl GridPath {
                 path.diagonal += u64::from(dx.min(dy));
                 path.straight += u64::from(dx.abs_diff(dy));
             }
-            let direction = |a: Cell, b: Cell| {
-                (
-                    (i64::from(b.x) - i64::from(a.x)).signum(),
-                    (i64::from(b.y) - i64::from(a.y)).signum(),
-                )
-            };
+            let direction = |a: Cell, b: Cell| (b.x.cmp(&a.x), b.y.cmp(&a.y));
             if let [.., a, b] = path.corners[..]
                 && direction(a, b) == direction(b, *cell)
             {

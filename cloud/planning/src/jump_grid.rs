@@ -96,10 +96,10 @@ impl JumpGrid {
         let [east, west] = stops(&rows);
         let [north, south] = stops(&columns);
         let leads = [
-            leads_up(&rows, &east),
-            leads_down(&rows, &west),
-            leads_up(&columns, &north).transposed(),
-            leads_down(&columns, &south).transposed(),
+            leads(&rows, &east, true),
+            leads(&rows, &west, false),
+            leads(&columns, &north, true).transposed(),
+            leads(&columns, &south, false).transposed(),
         ];
         let squares = squares(&rows);
         let mut straight = [east, west.reversed(), north, south.reversed()].map(Some);
@@ -148,34 +148,17 @@ fn stops(free: &Lines) -> [Lines; 2] {
     [up, down]
 }
 
-/// Cells from which a run towards higher positions leads to a jump point.
-fn leads_up(free: &Lines, stops: &Lines) -> Lines {
+/// Cells from which a run towards higher positions (`up`), or lower ones, leads to a jump point.
+fn leads(free: &Lines, stops: &Lines, up: bool) -> Lines {
     let mut leads = free.clone();
-    for line in leads
-        .words
-        .chunks_mut(stops.stride)
-        .zip(stops.words.chunks(stops.stride))
-    {
+    // Jump points are carried towards higher bits.
+    let turned = |word: u64| if up { word.reverse_bits() } else { word };
+    let lines = leads.words.chunks_mut(stops.stride);
+    for (line, stops) in lines.zip(stops.words.chunks(stops.stride)) {
         let mut carry = false;
-        for (word, stops) in line.0.iter_mut().zip(line.1).rev() {
-            let carried = carries((*word & stops).reverse_bits(), stops.reverse_bits(), &mut carry);
-            *word = carried.reverse_bits();
-        }
-    }
-    leads
-}
-
-/// Cells from which a run towards lower positions leads to a jump point.
-fn leads_down(free: &Lines, stops: &Lines) -> Lines {
-    let mut leads = free.clone();
-    for line in leads
-        .words
-        .chunks_mut(stops.stride)
-        .zip(stops.words.chunks(stops.stride))
-    {
-        let mut carry = false;
-        for (word, stops) in line.0.iter_mut().zip(line.1) {
-            *word = carries(*word & stops, *stops, &mut carry);
+        for i in 0..line.len() {
+            let at = if up { line.len() - 1 - i } else { i };
+            line[at] = turned(carries(turned(line[at] & stops[at]), turned(stops[at]), &mut carry));
         }
     }
     leads

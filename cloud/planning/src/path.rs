@@ -16,9 +16,20 @@ pub struct Path {
 
 impl Path {
     /// A path through points; its length is the sum of its legs.
+    ///
+    /// ```
+    /// use nalgebra::Point2;
+    /// use zenav_planning::Path;
+    ///
+    /// let path = Path::through([(0.5, 0.5), (3.5, 4.5), (3.5, 6.5)].map(|(x, y)| Point2::new(x, y)).to_vec());
+    /// assert_eq!(path.length, 7.0, "cells");
+    /// assert!(Path::through(vec![Point2::origin()]).length.is_sign_positive());
+    /// ```
     #[must_use]
     pub fn through(corners: Vec<Point2<f64>>) -> Self {
-        let length = corners.windows(2).map(|leg| (leg[1] - leg[0]).norm()).sum();
+        let legs = corners.windows(2).map(|leg| (leg[1] - leg[0]).norm());
+        // The sum of nothing is -0.
+        let length = legs.sum::<f64>() + 0.0;
         Self { corners, length }
     }
 }

@@ -13,6 +13,20 @@ use super::planners::{Map, Planner, Searches, astar};
 use super::settings::SamplingSettings;
 
 /// Why a search ended without a path.
+///
+/// ```
+/// use nalgebra::Point2;
+/// use zenav_planning::{Budget, NotFound, Planner, Query, Searcher};
+/// use zenav_space::{BitGrid, PointLineOfSight};
+///
+/// // A wall with a gap at its upper end.
+/// let free = BitGrid::from_fn(100, 100, |cell| cell.x != 50 || cell.y == 99);
+/// let (sight, mut searcher) = (PointLineOfSight::new(&free), Searcher::new(&free)?);
+/// let query = Query { start: Point2::new(10.5, 10.5), goal: Point2::new(90.5, 10.5), seed: 1 };
+/// let budget = Budget { max_expansions: 100, ..Budget::UNLIMITED };
+/// assert_eq!(searcher.search(Planner::AStar, &sight, &query, budget).result, Err(NotFound::TimedOut));
+/// # Ok::<(), zenav_planning::TooManyCells>(())
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NotFound {
     /// The start or the goal is outside the map.
@@ -31,6 +45,20 @@ pub enum NotFound {
 }
 
 /// Result and effort of a search.
+///
+/// ```
+/// use nalgebra::Point2;
+/// use zenav_planning::{Budget, Planner, Query, Searcher};
+/// use zenav_space::{BitGrid, PointLineOfSight};
+///
+/// let free = BitGrid::from_fn(100, 100, |cell| cell.x != 50 || cell.y == 99);
+/// let (sight, mut searcher) = (PointLineOfSight::new(&free), Searcher::new(&free)?);
+/// let query = Query { start: Point2::new(10.5, 10.5), goal: Point2::new(90.5, 10.5), seed: 1 };
+/// let [astar, jps] = [Planner::AStar, Planner::Jps].map(|planner| searcher.search(planner, &sight, &query, Budget::UNLIMITED));
+/// assert!(jps.expansions < astar.expansions / 10);
+/// assert!((jps.result.unwrap().length - astar.result.unwrap().length).abs() < 1e-9, "both are the shortest");
+/// # Ok::<(), zenav_planning::TooManyCells>(())
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct Searched<W = Path> {
     /// The path, or why there is none.
@@ -120,6 +148,16 @@ impl Searcher {
     ///
     /// # Errors
     /// [`TooManyCells`].
+    ///
+    /// ```
+    /// use zenav_planning::Searcher;
+    /// use zenav_protocol::grid::MAX_SIDE;
+    /// use zenav_space::BitGrid;
+    ///
+    /// assert!(Searcher::new(&BitGrid::new(MAX_SIDE, 1)).is_ok());
+    /// let refused = Searcher::new(&BitGrid::new(MAX_SIDE + 1, 1)).unwrap_err();
+    /// assert!(refused.to_string().contains("a search takes at most"));
+    /// ```
     pub fn new(free: &BitGrid) -> Result<Self, TooManyCells> {
         Ok(Self {
             graph: GridGraph::new(free)?,
@@ -149,6 +187,26 @@ impl Searcher {
 
     /// A path between two points, in cells. Grid planners go from cell centre to cell centre without cutting corners; the others check
     /// `sight`, the space of the searcher's free cells, and start and end exactly at the given points.
+    ///
+    /// ```
+    /// use nalgebra::Point2;
+    /// use zenav_planning::{Budget, NotFound, Planner, Query, Searcher};
+    /// use zenav_space::{BitGrid, PointLineOfSight};
+    ///
+    /// // A wall from border to border.
+    /// let free = BitGrid::from_fn(20, 10, |cell| cell.x != 10);
+    /// let (sight, mut searcher) = (PointLineOfSight::new(&free), Searcher::new(&free)?);
+    /// let mut ask = |x, y| {
+    ///     let query = Query { start: Point2::new(2.5, 2.5), goal: Point2::new(x, y), seed: 1 };
+    ///     searcher.search(Planner::AStar, &sight, &query, Budget::UNLIMITED).result
+    /// };
+    /// // One step straight on, three diagonally.
+    /// assert!((ask(5.5, 6.5).unwrap().length - (1.0 + 3.0 * 2_f64.sqrt())).abs() < 1e-9);
+    /// assert_eq!(ask(17.5, 2.5), Err(NotFound::NoPath));
+    /// assert_eq!(ask(10.5, 2.5), Err(NotFound::GoalBlocked));
+    /// assert_eq!(ask(20.5, 2.5), Err(NotFound::OutOfMap));
+    /// # Ok::<(), zenav_planning::TooManyCells>(())
+    /// ```
     pub fn search(
         &mut self,
         planner: Planner,
@@ -171,6 +229,23 @@ impl Searcher {
     }
 
     /// Edges of the trees of the last search, in cells, at most `limit` of them; empty after a search without trees.
+    ///
+    /// ```
+    /// use nalgebra::Point2;
+    /// use zenav_planning::{Budget, Planner, Query, Searcher};
+    /// use zenav_space::{BitGrid, PointLineOfSight};
+    ///
+    /// let free = BitGrid::from_fn(20, 10, |cell| cell.x != 10 || cell.y >= 7);
+    /// let (sight, mut searcher) = (PointLineOfSight::new(&free), Searcher::new(&free)?);
+    /// let query = Query { start: Point2::new(2.5, 2.5), goal: Point2::new(17.5, 2.5), seed: 1 };
+    /// let mut edges = |planner| {
+    ///     assert!(searcher.search(planner, &sight, &query, Budget::UNLIMITED).result.is_ok());
+    ///     searcher.tree(1000).len()
+    /// };
+    /// assert!(edges(Planner::Rrt) > 0);
+    /// assert_eq!(edges(Planner::Jps), 0, "it grows no tree");
+    /// # Ok::<(), zenav_planning::TooManyCells>(())
+    /// ```
     #[must_use]
     pub fn tree(&self, limit: usize) -> Vec<[Point2<f64>; 2]> {
         self.searches.edges(self.last, limit)

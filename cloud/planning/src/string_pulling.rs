@@ -15,13 +15,19 @@ const AHEAD: usize = 16;
 const ROUNDS: usize = 40;
 
 /// Shortens a path whose legs are all in sight; they stay in sight, and the ends stay fixed. Corners move by at least `finest` cells; a
-/// `finest` of 1 keeps them at cell centres. The path never gets longer; deterministic.
-pub fn pull_string(sight: &impl LineOfSight, corners: &mut Vec<Point2<f64>>, finest: f64) {
+/// `finest` of 1 keeps them at cell centres. The path never gets longer; deterministic. Ends soon after `stops` returns true.
+pub fn pull_string(sight: &impl LineOfSight, corners: &mut Vec<Point2<f64>>, finest: f64, stops: impl Fn() -> bool) {
+    if stops() {
+        return;
+    }
     cut(sight, corners);
     let mut step = LONGEST.max(finest);
     for _ in 0..ROUNDS {
         let mut moved = false;
         for i in 1..corners.len().saturating_sub(1) {
+            if stops() {
+                return;
+            }
             if let Some(better) = better(sight, [corners[i - 1], corners[i], corners[i + 1]], step) {
                 corners[i] = better;
                 moved = true;
@@ -102,7 +108,7 @@ mod tests {
             prop_assume!(found.is_ok());
             let before = Path::from(found.unwrap());
             let (sight, mut corners) = (PointLineOfSight::new(&free), before.corners.clone());
-            pull_string(&sight, &mut corners, finest);
+            pull_string(&sight, &mut corners, finest, || false);
             prop_assert!(corners.windows(2).all(|leg| sight.sees(leg[0], leg[1])));
             prop_assert!(length(&corners) <= before.length + 1e-9);
             prop_assert_eq!((corners.first(), corners.last()), (before.corners.first(), before.corners.last()));
@@ -117,7 +123,10 @@ mod tests {
         (0..30).for_each(|y| free.set(Cell::new(20, y), false));
         let at = |x: f64, y: f64| Point2::new(x, y);
         let mut corners = vec![at(2.5, 2.5), at(5.0, 38.0), at(30.0, 40.0), at(38.5, 2.5)];
-        pull_string(&PointLineOfSight::new(&free), &mut corners, 1.0 / 64.0);
+        let bent = corners.clone();
+        pull_string(&PointLineOfSight::new(&free), &mut corners, 1.0 / 64.0, || true);
+        assert_eq!(corners, bent, "it stops when it is told to");
+        pull_string(&PointLineOfSight::new(&free), &mut corners, 1.0 / 64.0, || false);
         // Close around the wall's end at (20, 30) and (21, 30), with one corner instead of two.
         let shortest = length(&[at(2.5, 2.5), at(20.0, 30.0), at(21.0, 30.0), at(38.5, 2.5)]);
         assert!(
@@ -132,7 +141,7 @@ mod tests {
         let sight = PointLineOfSight::new(&BitGrid::from_fn(9, 9, |_| true));
         for mut corners in [vec![], vec![Point2::new(1.5, 1.5)]] {
             let before = corners.clone();
-            pull_string(&sight, &mut corners, 1.0);
+            pull_string(&sight, &mut corners, 1.0, || false);
             assert_eq!(corners, before);
         }
     }

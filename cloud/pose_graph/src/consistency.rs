@@ -11,9 +11,21 @@ use crate::settings::RobustSettings;
 use crate::uncertain::Uncertain;
 
 /// Whether each edge has support: odometry always; a closure if it agrees with odometry alone within the window, or with another closure
-/// around a cycle of at most twice the window's odometry steps.
+/// around a cycle of at most twice the window's odometry steps. Closures that are equal in all numbers are one measurement written twice, and
+/// do not support each other.
 ///
 /// Cost: closures x (window + closures in the window).
+///
+/// ```
+/// # use zenav_pose_graph::{RobustSettings, g2o, supported};
+/// # let step = |i: u32| format!("EDGE_SE2 {i} {} 1 0 0 100 0 0 100 0 400\n", i + 1);
+/// # let closures = "EDGE_SE2 0 3 3.2 0 0 100 0 0 100 0 400\nEDGE_SE2 0 3 0 0 0 100 0 0 100 0 400\n";
+/// # let graph = g2o::read(&((0..3).map(step).collect::<String>() + closures))?.graph;
+/// // Three steps of 1 m each with a standard deviation of 0.1 m, then two closures from the first node to the last: 3.2 m and 0 m.
+/// let support = supported(&graph, &RobustSettings::default());
+/// assert_eq!(support, [true, true, true, true, false]);
+/// # Ok::<(), zenav_pose_graph::g2o::G2oError>(())
+/// ```
 #[must_use]
 pub fn supported(graph: &PoseGraph, settings: &RobustSettings) -> Vec<bool> {
     let edges = graph.edges();
@@ -40,7 +52,7 @@ pub fn supported(graph: &PoseGraph, settings: &RobustSettings) -> Vec<bool> {
         }
         let near_to = around(edge.to, edges, &odometry, settings.window);
         let candidates = near_from.keys().flat_map(|node| &closures[*node]);
-        for other in candidates.filter(|other| **other != index) {
+        for other in candidates.filter(|other| edges[**other] != *edge) {
             let (mut back, mut ends) = (
                 Uncertain::of(&edges[*other]).inverse(),
                 (edges[*other].from, edges[*other].to),

@@ -12,6 +12,20 @@ use crate::start::pattern;
 ///
 /// `poses`: one for each node; `weights`: one for each edge. `None` if a node does not exist or is not constrained by the graph. The
 /// anchor's rows are zero. Cost: one factorisation, then three solves for each node.
+///
+/// ```
+/// use zenav_pose_graph::{g2o, marginal_covariance};
+///
+/// // Two steps of 1 m, standard deviations of 0.1 m and 0.05 rad.
+/// let text = "EDGE_SE2 0 1 1 0 0 100 0 0 100 0 400\nEDGE_SE2 1 2 1 0 0 100 0 0 100 0 400\n";
+/// let graph = g2o::read(text)?.graph;
+/// let covariance = marginal_covariance(&graph, graph.poses(), &[1.0; 2], &[2]).unwrap();
+/// assert!((covariance[(0, 0)] - 2.0 * 0.1_f64.powi(2)).abs() < 1e-9);
+/// // Across, the turn of the first step swings the second.
+/// assert!((covariance[(1, 1)] - (2.0 * 0.1_f64.powi(2) + 0.05_f64.powi(2))).abs() < 1e-9);
+/// assert!(marginal_covariance(&graph, graph.poses(), &[1.0; 2], &[3]).is_none());
+/// # Ok::<(), g2o::G2oError>(())
+/// ```
 #[must_use]
 pub fn marginal_covariance(
     graph: &PoseGraph,
@@ -48,6 +62,19 @@ pub(crate) fn joint(system: &mut BlockSystem<'_, 3>, count: usize, nodes: &[usiz
 
 /// Covariance of `to` relative to `from`, x, y (m², in the frame of `from`) and yaw (rad²), from their joint covariance of 6 x 6 (`from`
 /// first) as returned by [`marginal_covariance`].
+///
+/// ```
+/// # use zenav_pose_graph::{g2o, marginal_covariance, relative_covariance};
+/// # let step = |i: u32| format!("EDGE_SE2 {i} {} 1 0 0 100 0 0 100 0 400\n", i + 1);
+/// # let graph = g2o::read(&(0..9).map(step).collect::<String>())?.graph;
+/// // Far from the anchor, two neighbours are known to each other as well as their step was measured: 0.1 m and 0.05 rad.
+/// let (poses, weights) = (graph.poses(), [1.0; 9]);
+/// let joint = marginal_covariance(&graph, poses, &weights, &[8, 9]).unwrap();
+/// let step = relative_covariance(&joint, poses[8], poses[9]);
+/// assert!(joint[(0, 0)] > 0.079 && (step[(0, 0)] - 0.01).abs() < 1e-9);
+/// assert!((step[(2, 2)] - 0.0025).abs() < 1e-9);
+/// # Ok::<(), g2o::G2oError>(())
+/// ```
 ///
 /// # Panics
 /// When `joint` is smaller than 6 x 6.

@@ -2,8 +2,11 @@
 //!
 //! The text format of g2o (Kuemmerle et al. 2011): `VERTEX_SE2 id x y yaw`, `EDGE_SE2 from to x y yaw I11 I12 I13 I22 I23 I33` with the
 //! upper triangle of the information matrix, row by row; `FIX id` names the vertex that never moves, of which there can be one; comments
-//! (`#`) are skipped. Lengths are metres, angles radians. The format does not mark loop closures: an edge between ids that differ by 1 is
-//! odometry, any other a closure.
+//! (`#`) and parameters of sensors (`PARAMS_…`) are skipped. Lengths are metres, angles radians. The same in TORO's format (Grisetti et al.
+//! 2007) is read, too: `VERTEX2`, and `EDGE2`, whose information is `I11 I12 I22 I33 I13 I23`.
+//!
+//! The format does not mark loop closures. An edge between ids that differ by 1 is odometry, any other a closure. If hardly any differ by 1,
+//! as where other vertices were taken out, an edge between ids that follow each other is odometry.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -12,7 +15,7 @@ use nalgebra::Matrix3;
 use thiserror::Error;
 use zenav_protocol::geometry::Pose2;
 
-use crate::graph::{Edge, EdgeKind, GraphError, PoseGraph};
+use crate::graph::{Edge, EdgeKind, GraphError, PoseGraph, is_semidefinite_scaled};
 use crate::start::odometry_start;
 
 /// A graph, and the ids of its nodes in the file.
@@ -26,6 +29,15 @@ pub struct Document {
 }
 
 /// Why a file is not a graph.
+///
+/// ```
+/// use zenav_pose_graph::g2o;
+///
+/// let mistake = g2o::read("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 0 zero 0\n").unwrap_err();
+/// assert_eq!(mistake.to_string(), "line 2, field 4: expected y in metres, found `zero`");
+/// let spatial = g2o::read("VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n").unwrap_err();
+/// assert!(spatial.to_string().starts_with("line 1, field 1: expected VERTEX_SE2"));
+/// ```
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum G2oError {
     /// A field is malformed: correct the line.
@@ -49,6 +61,7 @@ pub enum G2oError {
 }
 
 /// An edge's line in a file, its ends by id, and its data.
+#[derive(Clone, Copy)]
 struct EdgeLine {
     line: usize,
     from: u64,
@@ -62,6 +75,39 @@ struct EdgeLine {
 struct Fixed {
     line: usize,
     id: u64,
+}
+
+/// Edges that count as odometry.
+enum Odometry {
+    /// Between ids that differ by 1.
+    ByOne,
+    /// Between ids that follow each other: the number of each vertex.
+    ByRank(BTreeMap<u64, usize>),
+}
+
+impl Odometry {
+    /// By the vertices' ids, ascending, and the edges.
+    fn of(ids: impl Iterator<Item = u64>, edges: &[EdgeLine]) -> Self {
+        let ranks: BTreeMap<u64, usize> = ids.zip(0..).collect();
+        let by_one = edges.iter().filter(|edge| edge.from.abs_diff(edge.to) == 1).count();
+        if SELDOM * by_one < ranks.len() {
+            Self::ByRank(ranks)
+        } else {
+            Self::ByOne
+        }
+    }
+
+    fn kind(&self, edge: &EdgeLine) -> EdgeKind {
+        let apart = match self {
+            Self::ByOne => edge.from.abs_diff(edge.to),
+            Self::ByRank(ranks) => ranks[&edge.from].abs_diff(ranks[&edge.to]) as u64,
+        };
+        if apart == 1 {
+            EdgeKind::Odometry
+        } else {
+            EdgeKind::Closure
+        }
+    }
 }
 
 /// Reads the text of a file. Nodes that only edges name start at their pose by odometry.
@@ -85,23 +131,32 @@ pub fn read(text: &str) -> Result<Document, G2oError> {
         let mut words = Words::new(number, line);
         match words.next() {
             None => continue,
-            Some(tag) if tag.starts_with('#') => continue,
+            Some(tag) if tag.starts_with('#') || tag.starts_with("PARAMS_") => continue,
             Some("FIX") => {
-                let id = words.id("the id of a vertex")?;
-                if let Some(before) = fixed.filter(|before| before.id != id) {
-                    return Err(words.wrong(format!("expected one fixed vertex, found {id} beside {}", before.id)));
+                let mut id = words.id("the id of a vertex")?;
+                loop {
+                    if let Some(before) = fixed.filter(|before| before.id != id) {
+                        let what = format!("expected one fixed vertex, found {id} beside {}", before.id);
+                        return Err(words.wrong(what));
+                    }
+                    fixed = Some(Fixed { line: number, id });
+                    if words.is_at_end() {
+                        break;
+                    }
+                    id = words.id("the id of a vertex")?;
                 }
-                fixed = Some(Fixed { line: number, id });
             }
-            Some("VERTEX_SE2") => {
+            Some("VERTEX_SE2" | "VERTEX2") => {
                 let id = words.id("an id")?;
                 let pose = words.pose()?;
-                if let Some(Some(_)) = vertices.insert(id, Some(pose)) {
+                if let Some(Some(before)) = vertices.insert(id, Some(pose))
+                    && before != pose
+                {
                     return Err(words.wrong_at(2, format!("expected a new id, found {id} again")));
                 }
             }
-            Some("EDGE_SE2") => {
-                let edge = words.edge()?;
+            Some(tag @ ("EDGE_SE2" | "EDGE2")) => {
+                let edge = words.edge(if tag == "EDGE2" { &TORO } else { &UPPER })?;
                 for id in [edge.from, edge.to] {
                     vertices.entry(id).or_insert(None);
                 }
@@ -123,22 +178,23 @@ pub fn read(text: &str) -> Result<Document, G2oError> {
             .map_err(|source| G2oError::Graph { line: 0, source })?;
     }
     let indices: BTreeMap<u64, usize> = ids.iter().copied().zip(0..).collect();
+    let odometry = Odometry::of(vertices.keys().copied(), &lines);
     for edge in lines {
-        let kind = match edge.from.abs_diff(edge.to) {
-            1 => EdgeKind::Odometry,
-            _ => EdgeKind::Closure,
-        };
         let built = Edge {
             from: indices[&edge.from],
             to: indices[&edge.to],
             measurement: edge.measurement,
             information: edge.information,
-            kind,
+            kind: odometry.kind(&edge),
         };
         let line = edge.line;
         graph
             .add_edge(built)
             .map_err(|source| G2oError::Graph { line, source })?;
+        if !is_semidefinite_scaled(&built.information) {
+            let source = GraphError::Information;
+            return Err(G2oError::Graph { line, source });
+        }
     }
     if vertices.values().any(Option::is_none) {
         let known: Vec<bool> = ids.iter().map(|id| vertices[id].is_some()).collect();
@@ -166,12 +222,40 @@ fn in_order(vertices: &BTreeMap<u64, Option<Pose2>>, fixed: Option<Fixed>) -> Re
     Ok(std::iter::once(fixed).chain(others).collect())
 }
 
-/// Writes the text of a file: vertices, the anchor as `FIX`, edges. [`read`] returns the same graph, bit for bit; but odometry between ids
-/// that differ by more than 1 becomes a closure, since the format cannot mark it.
+/// Writes the text of a file: vertices, the anchor as `FIX`, edges. [`read`] returns the same graph, bit for bit; but edges are odometry or
+/// closures by their ids, since the format cannot mark them.
 ///
 /// A node without an id in `ids` gets its index.
+///
+/// ```
+/// use zenav_pose_graph::g2o;
+///
+/// let document = g2o::read("EDGE_SE2 7 8 1 0 0.1 100 0 0 100 0 400\n")?;
+/// let text = g2o::write(&document.graph, &document.ids);
+/// assert!(text.starts_with("VERTEX_SE2 7 0 0 0\nFIX 7\n"), "{text}");
+/// assert_eq!(g2o::read(&text)?, document);
+/// # Ok::<(), g2o::G2oError>(())
+/// ```
 #[must_use]
 pub fn write(graph: &PoseGraph, ids: &[u64]) -> String {
+    write_weighted(graph, ids, &[])
+}
+
+/// [`write()`], with an edge of weight 0 as a comment: it was held to be false, and whoever reads the file should not heed it. `weights`: one
+/// for each edge; 1 where there is none.
+///
+/// ```
+/// use zenav_pose_graph::g2o;
+///
+/// let text = "EDGE_SE2 0 1 1 0 0 100 0 0 100 0 400\nEDGE_SE2 0 1 9 0 0 100 0 0 100 0 400\n";
+/// let document = g2o::read(text)?;
+/// let written = g2o::write_weighted(&document.graph, &document.ids, &[1.0, 0.0]);
+/// assert!(written.ends_with("\n# EDGE_SE2 0 1 9 0 0 100 0 0 100 0 400\n"), "{written}");
+/// assert_eq!(g2o::read(&written)?.graph.edges().len(), 1);
+/// # Ok::<(), g2o::G2oError>(())
+/// ```
+#[must_use]
+pub fn write_weighted(graph: &PoseGraph, ids: &[u64], weights: &[f64]) -> String {
     let id = |node: usize| ids.get(node).copied().unwrap_or(node as u64);
     let mut text = String::new();
     for (node, pose) in graph.poses().iter().enumerate() {
@@ -181,7 +265,10 @@ pub fn write(graph: &PoseGraph, ids: &[u64]) -> String {
             let _ = writeln!(text, "FIX {}", id(0));
         }
     }
-    for edge in graph.edges() {
+    for (index, edge) in graph.edges().iter().enumerate() {
+        if weights.get(index).is_some_and(|weight| *weight == 0.0) {
+            text.push_str("# ");
+        }
         let Pose2 { x, y, yaw } = edge.measurement;
         let _ = write!(text, "EDGE_SE2 {} {} {x} {y} {yaw}", id(edge.from), id(edge.to));
         for (row, column) in UPPER {
@@ -194,6 +281,10 @@ pub fn write(graph: &PoseGraph, ids: &[u64]) -> String {
 
 /// The upper triangle, row by row.
 const UPPER: [(usize, usize); 6] = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)];
+/// The upper triangle in TORO's order.
+const TORO: [(usize, usize); 6] = [(0, 0), (0, 1), (1, 1), (2, 2), (0, 2), (1, 2)];
+/// Ids seldom differ by 1 if there are more than this many vertices for each such edge.
+const SELDOM: usize = 4;
 
 struct Words<'t> {
     line: usize,
@@ -213,6 +304,10 @@ impl<'t> Words<'t> {
     fn next(&mut self) -> Option<&'t str> {
         self.field += 1;
         self.words.next()
+    }
+
+    fn is_at_end(&self) -> bool {
+        self.words.clone().next().is_none()
     }
 
     fn wrong(&self, what: String) -> G2oError {
@@ -250,11 +345,12 @@ impl<'t> Words<'t> {
         Ok(Pose2::new(x, y, self.number("a yaw in radians")?))
     }
 
-    fn edge(&mut self) -> Result<EdgeLine, G2oError> {
+    /// An edge whose entries of the information matrix are in this order.
+    fn edge(&mut self, order: &[(usize, usize); 6]) -> Result<EdgeLine, G2oError> {
         let (from, to) = (self.id("an id")?, self.id("an id")?);
         let measurement = self.pose()?;
         let mut information = Matrix3::zeros();
-        for (row, column) in UPPER {
+        for (row, column) in *order {
             let value = self.number("an entry of the information matrix")?;
             information[(row, column)] = value;
             information[(column, row)] = value;

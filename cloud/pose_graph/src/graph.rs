@@ -6,6 +6,8 @@ use zenav_protocol::geometry::Pose2;
 
 /// Negative eigenvalues of an information matrix down to this share of the largest are rounding.
 const SEMIDEFINITE: f64 = 1e-6;
+/// The same where every digit counts.
+const ROUNDING: f64 = 1e-12;
 
 /// Origin of a measurement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -73,6 +75,16 @@ impl PoseGraph {
 
     /// Adds a node at an initial guess `map_from_node`; returns its index. The first node is the anchor, which never moves.
     ///
+    /// ```
+    /// use zenav_pose_graph::{GraphError, PoseGraph};
+    /// use zenav_protocol::geometry::Pose2;
+    ///
+    /// let mut graph = PoseGraph::new();
+    /// assert_eq!(graph.add_node(Pose2::IDENTITY), Ok(0), "the anchor");
+    /// assert_eq!(graph.add_node(Pose2::new(1.0, 0.0, 0.1)), Ok(1));
+    /// assert_eq!(graph.add_node(Pose2::new(f64::NAN, 0.0, 0.0)), Err(GraphError::NotFinite("a pose")));
+    /// ```
+    ///
     /// # Errors
     /// [`GraphError::NotFinite`].
     pub fn add_node(&mut self, map_from_node: Pose2) -> Result<usize, GraphError> {
@@ -84,6 +96,22 @@ impl PoseGraph {
     }
 
     /// Adds a measurement; returns its index.
+    ///
+    /// ```
+    /// use nalgebra::Matrix3;
+    /// use zenav_pose_graph::{Edge, EdgeKind, GraphError, PoseGraph};
+    /// use zenav_protocol::geometry::Pose2;
+    ///
+    /// let mut graph = PoseGraph::new();
+    /// let (from, to) = (graph.add_node(Pose2::IDENTITY)?, graph.add_node(Pose2::new(1.0, 0.0, 0.0))?);
+    /// // Standard deviations of 0.1 m and 0.05 rad.
+    /// let information = Matrix3::from_diagonal(&[100.0, 100.0, 400.0].into());
+    /// let step = Edge { from, to, measurement: Pose2::new(1.1, 0.0, 0.0), information, kind: EdgeKind::Odometry };
+    /// assert_eq!(graph.add_edge(step), Ok(0));
+    /// assert_eq!(graph.add_edge(Edge { to: 2, ..step }), Err(GraphError::NoSuchNode { node: 2, nodes: 2 }));
+    /// assert_eq!(graph.add_edge(Edge { information: -information, ..step }), Err(GraphError::Information));
+    /// # Ok::<(), GraphError>(())
+    /// ```
     ///
     /// # Errors
     /// An end that does not exist, identical ends, a number that is not finite, an information matrix that is invalid or zero.
@@ -106,6 +134,18 @@ impl PoseGraph {
     }
 
     /// Moves all nodes.
+    ///
+    /// ```
+    /// use zenav_pose_graph::PoseGraph;
+    /// use zenav_protocol::geometry::Pose2;
+    ///
+    /// let mut graph = PoseGraph::new();
+    /// graph.add_node(Pose2::IDENTITY)?;
+    /// graph.set_poses(&[Pose2::new(3.0, 4.0, 0.0)])?;
+    /// assert_eq!(graph.poses(), [Pose2::new(3.0, 4.0, 0.0)]);
+    /// assert!(graph.set_poses(&[]).is_err(), "one for each node");
+    /// # Ok::<(), zenav_pose_graph::GraphError>(())
+    /// ```
     ///
     /// # Errors
     /// [`GraphError::NoSuchNode`] if the number of poses differs, [`GraphError::NotFinite`].
@@ -170,4 +210,19 @@ fn check(information: &Matrix3<f64>) -> Result<(), GraphError> {
     } else {
         Err(GraphError::Information)
     }
+}
+
+/// Whether a symmetric matrix of finite numbers has no negative eigenvalue, be it scaled to ones on its diagonal: information on metres and on
+/// radians may differ by a factor of a million, and a share of the largest entry says nothing about the smaller ones.
+pub(crate) fn is_semidefinite_scaled(information: &Matrix3<f64>) -> bool {
+    if information.symmetric_eigenvalues().min() >= -ROUNDING * information.amax() {
+        return true;
+    }
+    let diagonal = information.diagonal();
+    if diagonal.min() <= 0.0 {
+        return false;
+    }
+    let scale = Matrix3::from_diagonal(&diagonal.map(|entry| entry.sqrt().recip()));
+    let scaled = scale * information * scale;
+    scaled.iter().all(|entry| entry.is_finite()) && scaled.symmetric_eigenvalues().min() >= -SEMIDEFINITE
 }

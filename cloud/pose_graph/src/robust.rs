@@ -14,7 +14,7 @@ use crate::descent::{Problem, descend, edge_chi_squared};
 use crate::graph::{Edge, EdgeKind, PoseGraph};
 use crate::settings::{DescentSettings, RobustSettings};
 use crate::solver::{Solution, SolveError, solve_weighted};
-use crate::start::{chordal_start, pattern};
+use crate::start::{chordal_start, odometry_start, pattern};
 
 /// A descent between two rounds need not converge fully.
 const BETWEEN_ROUNDS: DescentSettings = DescentSettings {
@@ -39,6 +39,19 @@ pub struct RobustSolution {
 ///
 /// Odometry edges are trusted and must connect the graph. Undecidable cases: a lone closure within odometry's own uncertainty, and false
 /// closures that agree with each other better than the true ones do.
+///
+/// ```
+/// use zenav_pose_graph::{DescentSettings, RobustSettings, g2o, solve_robust};
+///
+/// // Five metres straight on, and two closures: one that says so, and one that takes node 4 for node 1.
+/// let step = |i: u32| format!("EDGE_SE2 {i} {} 1 0 0 100 0 0 100 0 400\n", i + 1);
+/// let closures = "EDGE_SE2 0 5 5 0 0 100 0 0 100 0 400\nEDGE_SE2 1 4 0 0 0 100 0 0 100 0 400\n";
+/// let graph = g2o::read(&((0..5).map(step).collect::<String>() + closures))?.graph;
+/// let robust = solve_robust(&graph, &DescentSettings::default(), &RobustSettings::default())?;
+/// assert_eq!(robust.weights, [1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0]);
+/// assert!((robust.solution.poses[5].x - 5.0).abs() < 1e-6);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 ///
 /// # Errors
 /// See [`SolveError`]: each variant says what to do.
@@ -65,7 +78,8 @@ pub fn solve_robust(
     for index in &candidates {
         weights[*index] = 1.0;
     }
-    let mut poses = chordal_start(graph, &weights).ok_or(SolveError::Singular)?;
+    // Without a chordal start odometry leads everywhere.
+    let mut poses = chordal_start(graph, &weights).unwrap_or_else(|| odometry_start(graph, &[]));
     let rounds = graduate(graph, &mut poses, &mut weights, &candidates, settings);
 
     let is_true = |index: &usize, poses: &[Pose2]| edge_chi_squared(&edges[*index], poses) <= settings.max_chi_squared;
@@ -91,7 +105,26 @@ pub fn solve_robust(
         }
         poses = descend(graph, &poses, &weights, descent).poses;
     }
-    let solution = solve_weighted(graph, &weights, &poses, descent)?;
+    let mut solution = solve_weighted(graph, &weights, &poses, descent)?;
+    // Closures that change sides in every round, or that fit in another valley only, do not hold: what is returned fits its weights. The
+    // worst go first, since they bend the others.
+    while solution.is_minimum {
+        let misfit = |index: usize| weights[index] * edge_chi_squared(&edges[index], &solution.poses);
+        let worst = closures.iter().map(|index| misfit(*index)).fold(0.0, f64::max);
+        if worst <= settings.max_chi_squared {
+            break;
+        }
+        let limit = settings.max_chi_squared.max(0.5 * worst);
+        let dropped: Vec<usize> = closures
+            .iter()
+            .copied()
+            .filter(|index| misfit(*index) > limit)
+            .collect();
+        for index in dropped {
+            weights[index] = 0.0;
+        }
+        solution = solve_weighted(graph, &weights, &solution.poses, descent)?;
+    }
     Ok(RobustSolution {
         solution,
         weights,

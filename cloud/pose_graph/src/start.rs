@@ -13,6 +13,18 @@ use crate::linear::{BlockSystem, Pattern};
 /// too.
 ///
 /// `known`: one for each node.
+///
+/// ```
+/// # use zenav_pose_graph::{g2o, odometry_start};
+/// # use zenav_protocol::geometry::Pose2;
+/// # let text = "EDGE_SE2 0 1 1 0 0 100 0 0 100 0 400\nEDGE_SE2 1 2 1 0 0 100 0 0 100 0 400\n";
+/// # let mut graph = g2o::read(text)?.graph;
+/// // Two steps of 1 m; of the three nodes only the first is where it belongs.
+/// graph.set_poses(&[Pose2::new(5.0, 0.0, 0.0); 3])?;
+/// let start = odometry_start(&graph, &[true, false, false]);
+/// assert_eq!((start[0].x, start[1].x, start[2].x), (5.0, 6.0, 7.0));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[must_use]
 pub fn odometry_start(graph: &PoseGraph, known: &[bool]) -> Vec<Pose2> {
     let mut poses = graph.poses().to_vec();
@@ -62,6 +74,19 @@ pub fn odometry_start(graph: &PoseGraph, known: &[bool]) -> Vec<Pose2> {
 ///
 /// Needs no guess. Source: Carlone et al., "Initialization techniques for 3D SLAM", ICRA 2015. `None` if the graph is not connected.
 /// `weights`: one for each edge, from 0 to 1.
+///
+/// ```
+/// # use zenav_pose_graph::{chordal_start, g2o};
+/// # use zenav_protocol::geometry::Pose2;
+/// # let quarter = std::f64::consts::FRAC_PI_2;
+/// # let corner = |i: u32| format!("VERTEX_SE2 {i} 0 0 0\nEDGE_SE2 {i} {} 1 0 {quarter} 100 0 0 100 0 400\n", (i + 1) % 4);
+/// # let graph = g2o::read(&(0..4).map(corner).collect::<String>())?.graph;
+/// // Around a square of 1 m, four measurements; the nodes themselves all lie at the origin.
+/// let start = chordal_start(&graph, &[1.0; 4]).unwrap();
+/// assert!(start[2].distance(&Pose2::new(1.0, 1.0, 0.0)) < 1e-6);
+/// assert!(chordal_start(&graph, &[1.0, 0.0, 0.0, 1.0]).is_none(), "nothing holds node 2");
+/// # Ok::<(), g2o::G2oError>(())
+/// ```
 #[must_use]
 pub fn chordal_start(graph: &PoseGraph, weights: &[f64]) -> Option<Vec<Pose2>> {
     if graph.disconnected(weights).is_some() || graph.poses().is_empty() {

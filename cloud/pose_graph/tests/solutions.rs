@@ -324,12 +324,21 @@ fn a_mistake_in_a_file_is_named_by_line_and_field() {
         "line 1: the information matrix is zero: the edge measures nothing, leave it out"
     );
     assert_eq!(
-        error("VERTEX_SE2 4 0 0 0\nVERTEX_SE2 4 0 0 0\n"),
+        error("VERTEX_SE2 4 0 0 0\nVERTEX_SE2 4 0 0 0.1\n"),
         "line 2, field 2: expected a new id, found 4 again"
     );
     assert_eq!(
         error("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 0 0 0\nFIX 1\nFIX 0\n"),
         "line 4, field 2: expected one fixed vertex, found 0 beside 1"
+    );
+    assert_eq!(
+        error("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 0 0 0\nFIX 1 0\n"),
+        "line 3, field 3: expected one fixed vertex, found 0 beside 1"
+    );
+    // A millionth of the largest entry, and yet no rounding: it would drive the headings apart.
+    assert_eq!(
+        error("EDGE_SE2 0 1 0 0 0 1000000 0 0 1000000 0 -0.5\n"),
+        "line 1: the information matrix is not symmetric and positive semidefinite"
     );
     assert_eq!(
         error("FIX 2\nVERTEX_SE2 0 0 0 0\n"),
@@ -365,6 +374,86 @@ fn the_fixed_vertex_of_a_file_stays_where_it_is() {
     let (free, other) = solved(&lines(""));
     assert_eq!(free.ids, [1, 2, 3, 4]);
     assert!((other.chi_squared - solution.chi_squared).abs() < 1e-6 * (1.0 + other.chi_squared));
+}
+
+#[test]
+fn measurements_whose_cost_is_beyond_all_numbers_have_no_solution() {
+    let step = |x: f64| format!("EDGE_SE2 0 1 {x:e} 0 0 1 0 0 1 0 1\n");
+    let graph = g2o::read(&[step(1e200), step(-1e200)].concat()).unwrap().graph;
+    let refused = solve(&graph, &DescentSettings::default()).unwrap_err();
+    assert_eq!(refused, SolveError::Singular);
+}
+
+#[test]
+fn a_graph_in_the_format_of_toro_is_the_same_graph() {
+    let toro = "VERTEX2 0 0 0 0\nVERTEX2 1 1 0 0.5\nEDGE2 0 1 1 0 0.5 10 1 20 40 2 3\n";
+    let g2o = "PARAMS_SE2OFFSET 0 0 0 0\nVERTEX_SE2 1 1 0 0.5\nVERTEX_SE2 0 0 0 0\nVERTEX_SE2 0 0 0 0\nFIX 0 0\nEDGE_SE2 0 1 1 0 0.5 10 1 2 20 3 40\n";
+    let document = g2o::read(toro).unwrap();
+    assert_eq!(document, g2o::read(g2o).unwrap());
+    let information = document.graph.edges()[0].information;
+    assert_eq!(
+        (information[(0, 2)], information[(1, 2)], information[(2, 2)]),
+        (2.0, 3.0, 40.0)
+    );
+}
+
+#[test]
+fn edges_against_the_drive_and_in_any_order_are_solved_like_those_along_it() {
+    let edge = |from: u64, to: u64, Pose2 { x, y, yaw }: Pose2| {
+        format!("EDGE_SE2 {from} {to} {x} {y} {yaw} 100 0 0 100 0 100\n")
+    };
+    let steps = [(0, 1, 1.55), (1, 2, 1.6), (2, 3, 1.58), (3, 0, 1.5)].map(|(from, to, turn)| {
+        let step = Pose2::new(1.0, 0.02, turn);
+        [edge(from, to, step), edge(to, from, step.inverse())]
+    });
+    let solved = |text: &str| {
+        let document = g2o::read(text).unwrap();
+        let solution = solve(&document.graph, &DescentSettings::default()).unwrap();
+        assert_eq!(solution.certificate.optimality, Optimality::Certified);
+        assert!(
+            document
+                .graph
+                .edges()
+                .iter()
+                .filter(|edge| edge.kind == EdgeKind::Odometry)
+                .count()
+                >= 3
+        );
+        solution.poses
+    };
+    let along: String = steps.iter().map(|step| step[0].as_str()).collect();
+    let against: String = steps.iter().rev().map(|step| step[1].as_str()).collect();
+    // With one weight for all directions an edge says the same from both ends, up to the swing of its turn.
+    assert!(apart(&solved(&along), &solved(&against)) < 0.1);
+}
+
+#[test]
+fn ids_that_skip_numbers_are_a_drive_and_a_repeated_edge_counts_twice() {
+    let drive = "EDGE_SE2 10 20 1 0 0 100 0 0 100 0 400\nEDGE_SE2 20 35 1 0 0 100 0 0 100 0 400\n";
+    let closure = "EDGE_SE2 35 10 -2 0 0 100 0 0 100 0 400\n";
+    let document = g2o::read(&[drive, closure, closure].concat()).unwrap();
+    let kinds: Vec<EdgeKind> = document.graph.edges().iter().map(|edge| edge.kind).collect();
+    let (step, closing) = (EdgeKind::Odometry, EdgeKind::Closure);
+    assert_eq!(kinds, [step, step, closing, closing]);
+    assert_eq!(document.graph.poses()[2].x, 2.0);
+    let robust = solve_robust(&document.graph, &DescentSettings::default(), &RobustSettings::default()).unwrap();
+    assert_eq!(robust.weights, [1.0; 4]);
+}
+
+#[test]
+fn closures_that_repeat_each_other_do_not_support_each_other() {
+    let drive: String = (0..40)
+        .map(|from| format!("EDGE_SE2 {from} {} 1 0 0 100 0 0 100 0 400\n", from + 1))
+        .collect();
+    let closure = "EDGE_SE2 0 40 3 0 0 100 0 0 100 0 400\n";
+    let similar = "EDGE_SE2 0 40 3.1 0 0 100 0 0 100 0 400\n";
+    let support = |closures: &[&str]| {
+        let graph = g2o::read(&(drive.clone() + &closures.concat())).unwrap().graph;
+        supported(&graph, &RobustSettings::default())[40..].to_vec()
+    };
+    assert_eq!(support(&[closure, closure]), [false, false]);
+    assert_eq!(support(&[closure, similar]), [true, true]);
+    assert_eq!(support(&[closure, closure, similar]), [true, true, true]);
 }
 
 #[test]

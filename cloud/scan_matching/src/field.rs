@@ -44,6 +44,20 @@ impl LikelihoodField {
     }
 
     /// The field of an occupancy grid, at the grid's own resolution: the centres of occupied cells are the points.
+    ///
+    /// ```
+    /// use nalgebra::Point2;
+    /// use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
+    /// use zenav_scan_matching::LikelihoodField;
+    ///
+    /// let spec = GridSpec { origin: Point2::origin(), resolution: 0.05, width: 40, height: 40 };
+    /// let mut map = OccupancyGrid::filled(spec, Occupancy::FREE);
+    /// map[Cell::new(20, 10)] = Occupancy::OCCUPIED;
+    /// let field = LikelihoodField::from_grid(&map, 0.1);
+    /// assert_eq!(field.at(spec.center(Cell::new(20, 10))), 1.0);
+    /// // Two cells are 0.1 m, one standard deviation.
+    /// assert!((field.at(spec.center(Cell::new(22, 10))) - (-0.5_f64).exp()).abs() < 0.01);
+    /// ```
     #[must_use]
     pub fn from_grid(grid: &OccupancyGrid, sigma: f64) -> Self {
         let spec = *grid.spec();
@@ -62,6 +76,17 @@ impl LikelihoodField {
     }
 
     /// A field with given values, row by row from the lower left; `None` if their number differs from that of the cells.
+    ///
+    /// ```
+    /// use nalgebra::Point2;
+    /// use zenav_protocol::grid::GridSpec;
+    /// use zenav_scan_matching::LikelihoodField;
+    ///
+    /// let spec = GridSpec { origin: Point2::origin(), resolution: 1.0, width: 2, height: 2 };
+    /// let field = LikelihoodField::from_values(spec, vec![0, 51, 0, 0]).unwrap();
+    /// assert_eq!((field.at(Point2::new(1.5, 0.5)), field.at(Point2::new(0.5, 1.5))), (0.2, 0.0));
+    /// assert!(LikelihoodField::from_values(spec, vec![0; 3]).is_none());
+    /// ```
     #[must_use]
     pub fn from_values(spec: GridSpec, values: Vec<u8>) -> Option<Self> {
         (values.len() == spec.len()).then_some(Self {
@@ -72,6 +97,19 @@ impl LikelihoodField {
     }
 
     /// Adds the points of a scan seen from a pose: `field_from_scan`, points in the scan's frame, m.
+    ///
+    /// ```
+    /// use nalgebra::Point2;
+    /// use zenav_protocol::geometry::Pose2;
+    /// use zenav_scan_matching::{FieldSettings, LikelihoodField};
+    ///
+    /// // A wall 2 m ahead, seen from x = 1.
+    /// let wall: Vec<_> = (-50..=50).map(|i| Point2::new(2.0, 0.02 * f64::from(i))).collect();
+    /// let mut field = LikelihoodField::new(&FieldSettings::default());
+    /// field.insert(Pose2::new(1.0, 0.0, 0.0), &wall);
+    /// assert!(field.at(Point2::new(3.0, 0.5)) > 0.9);
+    /// assert_eq!(field.at(Point2::new(2.5, 0.5)), 0.0, "0.5 m is more than three standard deviations");
+    /// ```
     pub fn insert(&mut self, field_from_scan: Pose2, points: &[Point2<f64>]) {
         let placed = placed(field_from_scan, points);
         let mut bounds: Option<(Point2<f64>, Point2<f64>)> = None;
@@ -110,6 +148,20 @@ impl LikelihoodField {
 
     /// Likelihood, 0 to 1, at a point, and its slope, 1/m: a quadratic spline over nine cells, so that the slope has neither steps nor
     /// flats between cells. On a surface it is a little below 1. Zero outside.
+    ///
+    /// ```
+    /// # use nalgebra::Point2;
+    /// # use zenav_protocol::geometry::Pose2;
+    /// # use zenav_scan_matching::{FieldSettings, LikelihoodField};
+    /// # let wall: Vec<_> = (-50..=50).map(|i| Point2::new(3.0, 0.02 * f64::from(i))).collect();
+    /// # let mut field = LikelihoodField::new(&FieldSettings::default());
+    /// # field.insert(Pose2::IDENTITY, &wall);
+    /// // `field` shows a wall at x = 3.
+    /// let (likelihood, slope) = field.likelihood(Point2::new(2.95, 0.0));
+    /// assert!((0.5..0.95).contains(&likelihood));
+    /// assert!(slope.x > 1.0 && slope.y.abs() < 0.1, "it rises towards the wall, and not along it");
+    /// assert_eq!(field.likelihood(Point2::new(99.0, 0.0)).0, 0.0);
+    /// ```
     #[must_use]
     pub fn likelihood(&self, point: Point2<f64>) -> (f64, Vector2<f64>) {
         let per_metre = self.spec.resolution.recip();
@@ -145,13 +197,17 @@ impl LikelihoodField {
     #[inline]
     #[must_use]
     pub fn at(&self, point: Point2<f64>) -> f64 {
+        self.index(point)
+            .map_or(0.0, |index| f64::from(self.values[index]) / 255.0)
+    }
+
+    /// Index of the cell that a point lies in, if that is inside.
+    #[inline]
+    pub(crate) fn index(&self, point: Point2<f64>) -> Option<usize> {
         let at = (point - self.spec.origin) / self.spec.resolution;
         let is_inside =
             at.x >= 0.0 && at.y >= 0.0 && at.x < f64::from(self.spec.width) && at.y < f64::from(self.spec.height);
-        if !is_inside {
-            return 0.0;
-        }
-        f64::from(self.values[at.y as usize * self.spec.width as usize + at.x as usize]) / 255.0
+        is_inside.then_some(at.y as usize * self.spec.width as usize + at.x as usize)
     }
 
     fn add(&mut self, point: Point2<f64>) {

@@ -27,6 +27,15 @@ const FEWEST_GROUPS: u32 = 24;
 const MOST_GROUPED: u32 = 6;
 
 /// The step of headings that moves the farthest point by one cell, rad.
+///
+/// ```
+/// use nalgebra::Point2;
+/// use zenav_scan_matching::heading_step;
+///
+/// // The farthest point is 5 m away: 0.01 rad move it by 5 cm.
+/// let scan = [Point2::new(1.0, 0.0), Point2::new(3.0, 4.0)];
+/// assert!((heading_step(&scan, 0.05) - 0.01).abs() < 1e-12);
+/// ```
 #[must_use]
 pub fn heading_step(points: &[Point2<f64>], resolution: f64) -> f64 {
     let farthest = points.iter().map(|point| point.coords.norm()).fold(0.0, f64::max);

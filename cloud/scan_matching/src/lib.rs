@@ -62,4 +62,4 @@ pub use refine::{Prior, Refinable, Refined, refine};
 pub use search::{Candidate, Search, Window, search, search_among};
 pub use settings::{FieldSettings, OdometrySettings, RefineSettings, ScanSettings, VerdictSettings};
 pub use surfels::Surfels;
-pub use verdict::{Verdict, judge};
+pub use verdict::{Verdict, judge, standing};

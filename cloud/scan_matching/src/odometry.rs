@@ -86,6 +86,17 @@ impl OdometryFilter {
     }
 
     /// The certainty of the end of a step from the last match.
+    ///
+    /// ```
+    /// use zenav_protocol::geometry::Pose2;
+    /// use zenav_scan_matching::{OdometryFilter, OdometrySettings};
+    ///
+    /// let settings = OdometrySettings::default();
+    /// let after = |metres| OdometryFilter::UNSEEN.expected(Pose2::new(metres, 0.0, 0.0), &settings).deviation();
+    /// // 0.105 m by the settings, and 0.05 m because the wheels may be 5 % larger or smaller.
+    /// assert!((after(1.0) - 0.105_f64.hypot(0.05)).abs() < 1e-6);
+    /// assert!(after(2.0) > 1.8 * after(1.0));
+    /// ```
     #[must_use]
     pub fn expected(&self, step: Pose2, settings: &OdometrySettings) -> ExpectedStep {
         let (sin, cos) = step.yaw.sin_cos();
@@ -114,6 +125,21 @@ impl OdometryFilter {
 
     /// Learns from a match, `off` from the expected pose, in the frame of the scan; `scan`: the information of the scan alone; `tells_all`:
     /// whether it constrains all directions.
+    ///
+    /// ```
+    /// use nalgebra::Matrix3;
+    /// use zenav_protocol::geometry::Pose2;
+    /// use zenav_scan_matching::{OdometryFilter, OdometrySettings};
+    ///
+    /// // The wheels are 5 % larger than stated; matches show it to a millimetre.
+    /// let (step, settings, scan) = (Pose2::new(0.1, 0.0, 0.0), OdometrySettings::default(), Matrix3::identity() * 1e6);
+    /// let mut filter = OdometryFilter::UNSEEN;
+    /// for _ in 0..100 {
+    ///     let off = Pose2::new(0.105 - filter.corrected(step).x, 0.0, 0.0);
+    ///     filter.learn(&filter.expected(step, &settings), off, &scan, true);
+    /// }
+    /// assert!((filter.corrected(step).x - 0.105).abs() < 0.001);
+    /// ```
     pub fn learn(&mut self, expected: &ExpectedStep, off: Pose2, scan: &Matrix3<f64>, tells_all: bool) {
         let last = *self;
         let before = expected.pose();

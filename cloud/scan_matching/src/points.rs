@@ -39,6 +39,24 @@ impl Group {
 ///
 /// `step`: how the base moved in the `elapsed` seconds before the stamp, by odometry, as `before_from_now`. With a sweep's duration set,
 /// the points are moved to where they would have been seen at the stamp.
+///
+/// ```
+/// # use zenav_protocol::{geometry::Pose2, messages::Scan};
+/// use zenav_scan_matching::{ScanSettings, points};
+///
+/// // Five beams, 2 cm apart on a wall that is 1 m ahead of a lidar, which is mounted 0.2 m ahead of the base.
+/// let scan = Scan {
+///     angle_min: -0.04,
+///     angle_increment: 0.02,
+///     ranges: vec![1.0; 5],
+///     base_from_laser: Pose2::new(0.2, 0.0, 0.0),
+///     range_max: 5.0,
+///     ..Scan::default()
+/// };
+/// let seen = points(&scan, Pose2::IDENTITY, 0.0, &ScanSettings::default());
+/// assert_eq!(seen.len(), 3, "neighbours within 3 cm are one point");
+/// assert!(seen.iter().all(|point| (point.x - 1.2).abs() < 0.001));
+/// ```
 #[must_use]
 pub fn points(scan: &Scan, step: Pose2, elapsed: f64, settings: &ScanSettings) -> Vec<Point2<f64>> {
     let range_max = scan.range_max.min(settings.max_range);
@@ -99,11 +117,7 @@ mod tests {
             range_min: 0.02,
             range_max: 30.0,
             ranges: ranges.collect(),
-            boot_id: String::new(),
-            moving: Vec::new(),
-            base_from_laser: Pose2::IDENTITY,
-            map_from_odom: Pose2::IDENTITY,
-            odom_from_base: Pose2::IDENTITY,
+            ..Scan::default()
         }
     }
 

@@ -96,6 +96,18 @@ impl Pyramid {
 
     /// Upper bound on the value in the `side` cells each way from the cell `(x, y)` on, up and right, counted from the field's lower left.
     /// With a side of one it is the value of the cell itself; a side larger than all squares has no bound.
+    ///
+    /// ```
+    /// use nalgebra::Point2;
+    /// use zenav_protocol::grid::GridSpec;
+    /// use zenav_scan_matching::{LikelihoodField, Pyramid};
+    ///
+    /// let spec = GridSpec { origin: Point2::origin(), resolution: 1.0, width: 4, height: 1 };
+    /// let field = LikelihoodField::from_values(spec, vec![0, 0, 0, 200]).unwrap();
+    /// let pyramid = Pyramid::new(field, 2);
+    /// assert_eq!([1, 2].map(|side| pyramid.bound(side, 2, 0)), [0, 200]);
+    /// assert_eq!(pyramid.bound(64, 0, 0), u8::MAX, "no square is that large: anything is possible");
+    /// ```
     #[must_use]
     pub fn bound(&self, side: u32, x: i32, y: i32) -> u8 {
         self.squares(side).map_or(u8::MAX, |squares| squares.at(x, y))

@@ -24,8 +24,10 @@ const FARTHEST_TURN: f64 = 0.03;
 const FARTHEST_STEP: f64 = 0.04;
 /// If surfels would move a scan farther than this, m and rad, they are the wrong ones.
 const ELSEWHERE: (f64, f64) = (0.1, 0.05);
-/// Least number of points on surfels for these to count.
-const FEWEST: usize = 20;
+/// Surfels count if at least this share of the points lies on some; never fewer points than the first number, and no more need be than the
+/// second.
+const ON_SURFELS: f64 = 0.33;
+const FEWEST: (f64, f64) = (10.0, 20.0);
 /// Points without a normal count in polishing from this likelihood on: a surface farther away is a different one, such as the other side of
 /// a wall.
 const SURE: f64 = 0.8;
@@ -68,6 +70,21 @@ impl Refined {
     /// Moves this match along `degenerate` to the expected pose. The scan's information there is not only weak but wrong: along a corridor
     /// the visible ends of the walls move with the robot. After Zhang, Kaess and Singh, "On degeneracy of optimization-based state
     /// estimation problems", ICRA 2016.
+    ///
+    /// ```
+    /// # use nalgebra::Point2;
+    /// # use zenav_protocol::geometry::Pose2;
+    /// # use zenav_scan_matching::{FieldSettings, LikelihoodField, RefineSettings, refine};
+    /// # let wall: Vec<_> = (-60..=60).map(|i| Point2::new(2.0, 0.05 * f64::from(i))).collect();
+    /// # let mut field = LikelihoodField::new(&FieldSettings::default());
+    /// # field.insert(Pose2::IDENTITY, &wall);
+    /// // A long wall along the y axis says nothing about y: there odometry counts.
+    /// let by_odometry = Pose2::new(0.02, 0.3, 0.0);
+    /// let matched = refine(&field, &wall, by_odometry, None, &RefineSettings::default());
+    /// assert!(matched.degenerate.unwrap().y.abs() > 0.99);
+    /// let pose = matched.expected_where_degenerate(by_odometry).pose;
+    /// assert!(pose.x.abs() < 0.01 && (pose.y - 0.3).abs() < 0.01, "{pose:?}");
+    /// ```
     #[must_use]
     pub fn expected_where_degenerate(self, expected: Pose2) -> Self {
         let Some(along) = self.degenerate else {
@@ -119,6 +136,21 @@ impl Untold {
 }
 
 /// Refines a pose. `points`: of the scan, in its frame, m.
+///
+/// ```
+/// # use nalgebra::Point2;
+/// # use zenav_protocol::geometry::Pose2;
+/// # use zenav_scan_matching::{FieldSettings, LikelihoodField, RefineSettings, refine};
+/// # let side = || (0..40).map(|i| 0.05 * f64::from(i));
+/// # let corner: Vec<_> = side().map(|y| Point2::new(2.0, y)).chain(side().map(|x| Point2::new(2.0 - x, 2.0))).collect();
+/// # let mut field = LikelihoodField::new(&FieldSettings::default());
+/// // The corner of a room, seen from (1, 1); odometry is off by 4 cm and 0.02 rad.
+/// let truth = Pose2::new(1.0, 1.0, 0.0);
+/// field.insert(truth, &corner);
+/// let refined = refine(&field, &corner, Pose2::new(1.03, 0.97, 0.02), None, &RefineSettings::default());
+/// assert!(refined.pose.distance(&truth) < 0.01 && refined.pose.yaw.abs() < 0.01, "{refined:?}");
+/// assert!(refined.score > 0.7 && refined.degenerate.is_none());
+/// ```
 #[must_use]
 pub fn refine(
     field: &LikelihoodField,
@@ -146,6 +178,16 @@ impl<'a> Refinable<'a> {
     }
 
     /// The same for a scan whose beams begin at `laser`, in its frame, m: normals point towards it.
+    ///
+    /// ```
+    /// use nalgebra::{Point2, Vector2};
+    /// use zenav_scan_matching::Refinable;
+    ///
+    /// let wall: Vec<_> = (-10..=10).map(|i| Point2::new(2.0, 0.05 * f64::from(i))).collect();
+    /// let seen = Refinable::seen_from(Point2::new(0.2, 0.0), &wall);
+    /// let normal = seen.normals()[10].unwrap();
+    /// assert!((normal - Vector2::new(-1.0, 0.0)).norm() < 1e-9, "towards the laser");
+    /// ```
     #[must_use]
     pub fn seen_from(laser: Point2<f64>, points: &'a [Point2<f64>]) -> Self {
         Self {
@@ -186,6 +228,23 @@ impl<'a> Refinable<'a> {
 
     /// Makes a match that was [refined](Self::refine) in a field exact on the surfels that belong to it; `None` if few points lie on
     /// surfels, or if these would move the scan elsewhere.
+    ///
+    /// ```
+    /// # use nalgebra::Point2;
+    /// # use zenav_protocol::geometry::Pose2;
+    /// # use zenav_scan_matching::{FieldSettings, LikelihoodField, Refinable, RefineSettings, Surfels};
+    /// # let side = || (0..40).map(|i| 0.05 * f64::from(i));
+    /// # let corner: Vec<_> = side().map(|y| Point2::new(2.0, y)).chain(side().map(|x| Point2::new(2.0 - x, 2.0))).collect();
+    /// # let (settings, mut field) = (RefineSettings::default(), LikelihoodField::new(&FieldSettings::default()));
+    /// let scan = Refinable::new(&corner);
+    /// let mut surfels = Surfels::default();
+    /// field.insert(Pose2::IDENTITY, scan.points());
+    /// surfels.insert(Pose2::IDENTITY, scan.points(), scan.normals());
+    /// let rough = scan.refine(&field, Pose2::new(0.03, 0.0, 0.01), None, &settings);
+    /// let exact = scan.polish(&field, &surfels, &rough, None, &settings).unwrap();
+    /// assert!(exact.pose.distance(&Pose2::IDENTITY) < 0.005, "{exact:?}");
+    /// assert!(scan.polish(&field, &Surfels::default(), &rough, None, &settings).is_none(), "without surfels");
+    /// ```
     #[must_use]
     pub fn polish(
         &self,
@@ -218,7 +277,7 @@ impl<'a> Refinable<'a> {
         settings: &RefineSettings,
     ) -> Option<Sums> {
         let turn = Rotation2::new(pose.yaw);
-        let (mut sums, mut touched) = (Sums::default(), 0);
+        let (mut sums, mut touched) = (Sums::default(), 0_u32);
         for ((point, normal), surface) in placed(pose, self.points).into_iter().zip(&self.normals).zip(surfaces) {
             let Some(normal) = normal else {
                 sums.add_likely(field, point, surface, pose, SURE);
@@ -237,7 +296,8 @@ impl<'a> Refinable<'a> {
                 pose,
             );
         }
-        (touched >= FEWEST).then(|| sums.of(self.points.len(), settings.surfel_sigma, settings))
+        let least = (ON_SURFELS * self.points.len() as f64).clamp(FEWEST.0, FEWEST.1);
+        (f64::from(touched) >= least).then(|| sums.of(self.points.len(), settings.surfel_sigma, settings))
     }
 }
 

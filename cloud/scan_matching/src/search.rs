@@ -73,6 +73,20 @@ pub struct Search {
 
 impl Search {
     /// Score margin of the best pose over the second-best place; its own score if there is no second.
+    ///
+    /// ```
+    /// # use nalgebra::Point2;
+    /// # use zenav_protocol::geometry::Pose2;
+    /// # use zenav_scan_matching::{FieldSettings, LikelihoodField, Pyramid, Window, search};
+    /// # let corner: Vec<_> = (0..40).flat_map(|i| [Point2::new(0.05 * i as f64, 2.0), Point2::new(2.0, 0.05 * i as f64)]).collect();
+    /// # let mut field = LikelihoodField::new(&FieldSettings::default());
+    /// # field.insert(Pose2::IDENTITY, &corner);
+    /// # let pyramid = Pyramid::new(field, 5);
+    /// // The corner of a room, and the two best places for it.
+    /// let found = search(&pyramid, &corner, &Window { count: 2, ..Window::around(Pose2::IDENTITY, 0.5, 0.3) });
+    /// assert!(found.is_exact && found.found.len() == 2);
+    /// assert!(found.margin().unwrap() > 0.1, "{found:?}");
+    /// ```
     #[must_use]
     pub fn margin(&self) -> Option<f64> {
         let best = self.found.first()?.score;
@@ -132,6 +146,24 @@ pub fn search(pyramid: &Pyramid, points: &[Point2<f64>], window: &Window) -> Sea
 }
 
 /// As [`search`], for a scan that was taken where `places` is above zero; `places` is a pyramid over the same cells as `pyramid`.
+///
+/// ```
+/// # use nalgebra::Point2;
+/// # use zenav_protocol::geometry::Pose2;
+/// # use zenav_scan_matching::{FieldSettings, LikelihoodField, Pyramid, Window, search_among};
+/// # let corner: Vec<_> = (0..40).flat_map(|i| [Point2::new(0.05 * i as f64, 2.0), Point2::new(2.0, 0.05 * i as f64)]).collect();
+/// # let mut field = LikelihoodField::new(&FieldSettings::default());
+/// // Two corners that look alike, 4 m apart; a robot may only be where x is more than 3 m.
+/// for x in [0.0, 4.0] {
+///     field.insert(Pose2::new(x, 0.0, 0.0), &corner);
+/// }
+/// let spec = *field.spec();
+/// let allowed = (0..spec.len()).map(|index| u8::from(spec.center(spec.cell(index)).x > 3.0)).collect();
+/// let places = Pyramid::new(LikelihoodField::from_values(spec, allowed).unwrap(), 5);
+/// let window = Window::around(Pose2::new(2.0, 0.0, 0.0), 2.5, 0.1);
+/// let best = search_among(&Pyramid::new(field, 5), Some(&places), &corner, &window).found[0];
+/// assert!(best.pose.distance(&Pose2::new(4.0, 0.0, 0.0)) < 0.1);
+/// ```
 #[must_use]
 pub fn search_among(pyramid: &Pyramid, places: Option<&Pyramid>, points: &[Point2<f64>], window: &Window) -> Search {
     let nothing = Search {
@@ -332,6 +364,21 @@ fn is_around(known: &Candidate, first: Pose2, last: Pose2, window: &Window) -> b
 
 impl Window {
     /// A window that asks for the single best pose, of any score, with a budget of a million blocks.
+    ///
+    /// ```
+    /// # use nalgebra::Point2;
+    /// # use zenav_protocol::geometry::Pose2;
+    /// # use zenav_scan_matching::{FieldSettings, LikelihoodField, Pyramid, Window, search};
+    /// # let wall: Vec<_> = (-50..=50).map(|i| Point2::new(2.0, 0.02 * f64::from(i))).collect();
+    /// # let mut field = LikelihoodField::new(&FieldSettings::default());
+    /// # field.insert(Pose2::IDENTITY, &wall);
+    /// # let pyramid = Pyramid::new(field, 5);
+    /// // The wall is elsewhere: no pose of this window scores 0.5, and that is certain.
+    /// let far = Window { min_score: 0.5, ..Window::around(Pose2::new(50.0, 0.0, 0.0), 0.5, 0.2) };
+    /// let nothing = search(&pyramid, &wall, &far);
+    /// assert!(nothing.found.is_empty() && nothing.is_exact);
+    /// assert_eq!(nothing.margin(), None);
+    /// ```
     #[must_use]
     pub fn around(center: Pose2, reach: f64, turn: f64) -> Self {
         Self {

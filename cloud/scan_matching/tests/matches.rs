@@ -266,6 +266,39 @@ fn the_wrong_room_is_told_by_beams_through_walls() {
 }
 
 #[test]
+fn in_a_narrow_door_many_beams_pass_a_jamb_and_none_goes_through_a_wall() {
+    // A wall 10 cm thick with a door 36 cm wide, seen from x < 0.
+    let face = (-50..=50).map(|step| Point2::new(-0.05, 0.05 * f64::from(step)));
+    let jambs = [-0.18, 0.18]
+        .into_iter()
+        .flat_map(|y| (-1..=1).map(move |step| Point2::new(0.05 * f64::from(step), y)));
+    let known: Vec<_> = face.filter(|point| point.y.abs() > 0.18).chain(jambs).collect();
+    let seen = |degrees: i32| {
+        let beam = Pose2::new(0.0, 0.0, f64::from(degrees).to_radians());
+        let jamb = 0.18 / beam.yaw.sin().abs().max(1e-9);
+        let is_jamb = (jamb * beam.yaw.cos()).abs() <= 0.05;
+        beam.transform_point(Point2::new(if is_jamb { jamb } else { 2.5 }, 0.0))
+    };
+    let scan: Vec<_> = (0..360).map(seen).collect();
+    let judged = |at| {
+        judge(
+            &field_of(&known),
+            Point2::origin(),
+            &scan,
+            at,
+            &VerdictSettings::default(),
+        )
+    };
+    let here = judged(Pose2::IDENTITY);
+    assert!(
+        here.through_walls > 0.08 && here.surely_through_walls < 0.02,
+        "{here:?}"
+    );
+    let beside = judged(Pose2::new(0.1, 0.8, 0.0));
+    assert!(beside.surely_through_walls > 0.3, "{beside:?}");
+}
+
+#[test]
 fn a_symmetric_room_has_a_second_place_that_fits_as_well() {
     let mut walls = room(Pose2::IDENTITY);
     walls.retain(|point| !(point.x > 4.0 && point.x < 5.0 && point.y > 1.0 && point.y < 3.5));
@@ -364,4 +397,22 @@ fn surfels_make_a_match_exact_that_a_field_does_not() {
     assert!(fine.pose.distance(&truth) < 0.002, "{:?}", fine.pose);
     assert!(wrap_angle(fine.pose.yaw - truth.yaw).abs() < 0.001, "{:?}", fine.pose);
     assert_eq!(scan.polish(&field, &Surfels::default(), &rough, None, &settings), None);
+}
+
+#[test]
+fn surfels_make_a_match_of_seventeen_points_exact() {
+    // A corner, first with a point every 5 cm, then with one every 15 cm, as of a lidar that loses most of its beams.
+    let corner = |count: i32, apart: f64| -> Vec<Point2<f64>> {
+        let sides = (-count..=count).map(|step| apart * f64::from(step));
+        sides
+            .map(|way| Point2::new(2.0 - way.max(0.0), 2.0 + way.min(0.0)))
+            .collect()
+    };
+    let (settings, dense, sparse) = (RefineSettings::default(), corner(40, 0.05), corner(8, 0.15));
+    let (field, mut surfels) = (field_of(&dense), Surfels::default());
+    surfels.insert(Pose2::IDENTITY, &dense, Refinable::new(&dense).normals());
+    let scan = Refinable::new(&sparse);
+    let rough = scan.refine(&field, Pose2::new(0.03, -0.02, 0.01), None, &settings);
+    let fine = scan.polish(&field, &surfels, &rough, None, &settings).unwrap();
+    assert!(fine.pose.distance(&Pose2::IDENTITY) < 0.005, "{:?}", fine.pose);
 }

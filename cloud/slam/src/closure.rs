@@ -12,7 +12,7 @@ use zenav_scan_matching::{Refinable, Refined, Window, floored, judge, search};
 use crate::drift::spread;
 use crate::settings::{ClosureSettings, SlamSettings};
 use crate::slam::Slam;
-use crate::submap::{SEARCH_POINTS, Submap, thinned};
+use crate::submap::{SEARCH_POINTS, Scans, Submap, thinned};
 
 /// A second place within this much of the best score is as good: the closure is ambiguous.
 const AMBIGUOUS: f64 = 0.03;
@@ -161,7 +161,19 @@ fn searched(slam: &mut Slam, node: usize, submap: usize, around: Around, laser: 
     let poses = slam.back_end.poses();
     let submap = &mut slam.submaps[submap];
     let expected = poses[submap.anchor].inverse() * poses[node];
-    match seen_again(submap, expected, around, laser, &slam.scans[node], &slam.settings) {
+    let scans = Scans {
+        sessions: &slam.sessions,
+        points: &slam.scans,
+    };
+    match seen_again(
+        submap,
+        scans,
+        expected,
+        around,
+        laser,
+        &slam.scans[node],
+        &slam.settings,
+    ) {
         Seen::At(refined, margin) => Some((refined, margin)),
         Seen::No => None,
         Seen::Cut => {
@@ -206,9 +218,11 @@ fn neighbour(slam: &Slam, node: usize, submap: usize, pose: Pose2) -> Option<usi
     left.min_by(|a, b| distance(a).total_cmp(&distance(b)))
 }
 
-/// Finds a scan's pose in a submap, around its expected pose, `anchor_from_base`. `laser`: origin of the beams in the base frame.
+/// Finds a scan's pose in a submap, around its expected pose, `anchor_from_base`. `scans`: those of the submap's map; `laser`: origin of
+/// the beams in the base frame.
 pub(crate) fn seen_again(
     submap: &mut Submap,
+    scans: Scans<'_>,
     expected: Pose2,
     around: Around,
     laser: Point2<f64>,
@@ -238,7 +252,13 @@ pub(crate) fn seen_again(
     }
     let refined = submap.refine(&Refinable::seen_from(laser, scan), best.pose, None, &settings.refine);
     let verdict = judge(&submap.field, laser, scan, refined.pose, &settings.verdict);
-    let fits = verdict.explained >= closure.explained && verdict.through_walls <= closure.through_walls;
+    // Somebody who walked ahead of the robot has drawn a trail that looks like walls.
+    let passes_what_stands = |submap: &mut Submap| {
+        let standing = submap.standing(scans, &settings.verdict);
+        judge(standing, laser, scan, refined.pose, &settings.verdict).through_walls > closure.through_walls
+    };
+    let fits = verdict.explained >= closure.explained
+        && (verdict.through_walls <= closure.through_walls || !passes_what_stands(submap));
     if fits { Seen::At(refined, margin) } else { Seen::No }
 }
 

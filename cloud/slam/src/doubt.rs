@@ -1,7 +1,7 @@
 //! Doubt. Decides from the scans whether the robot is where the map says, elsewhere, or in a changed world.
 //!
 //! A badly fitting scan shows something new, something changed, or another place. New sights continue, so a node waits for several such
-//! scans in a row. A scan whose beams go through known walls contradicts the map and becomes no node, since it would confirm the next one.
+//! scans in a row, unless the robot goes far meanwhile. A scan whose beams go through known walls contradicts the map and becomes no node, since it would confirm the next one.
 //! After several of these the robot is lost, until a scan fits or the world is declared changed.
 
 use serde::{Deserialize, Serialize};
@@ -42,6 +42,11 @@ impl Doubt {
     /// Whether a badly fitting scan must wait before it becomes a node.
     pub(crate) fn waits(&self, points: usize) -> bool {
         self.heeds(points) && self.poor < POOR
+    }
+
+    /// The robot has gone so far since the last node that the next scans may share nothing with the map: none waits.
+    pub(crate) fn wait_no_more(&mut self) {
+        self.poor = self.poor.max(POOR);
     }
 
     /// Takes in how well a scan of this many points was matched.

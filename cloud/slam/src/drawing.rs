@@ -12,6 +12,14 @@ use crate::slam::Slam;
 impl Slam {
     /// The pose graph for a picture: nodes, `map_from_node`, and edges between them, closures first, at most [`MOST_GRAPH_NODES`] and
     /// [`MOST_GRAPH_EDGES`]. Numbers are rounded to thousandths.
+    ///
+    /// ```
+    #[doc = include_str!("doc_setup/mapped_room.txt")]
+    /// let (nodes, edges) = slam.drawn_graph();
+    /// assert_eq!(nodes.len(), slam.nodes().len(), "a small graph is drawn whole");
+    /// assert!((0..8).all(|node| edges.iter().any(|edge| (edge.from, edge.to) == (node, node + 1))));
+    /// # Ok::<(), zenav_slam::SlamError>(())
+    /// ```
     #[must_use]
     pub fn drawn_graph(&self) -> (Vec<Pose2>, Vec<GraphEdge>) {
         let edges = self.graph().edges().iter().zip(self.weights().iter().copied());

@@ -41,6 +41,7 @@ pub(crate) fn finish(slam: &mut Slam, clock: &mut dyn FnMut() -> f64) -> Result<
         .enumerate()
         .map(seen_from)
         .collect();
+    slam.drop_solve();
     slam.back_end.drop_final()?;
     let mut solved = solving.measure(|| slam.back_end.solve(&settings.descent, &settings.robust))?;
     for _ in 0..settings.finish.rounds {

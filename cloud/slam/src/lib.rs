@@ -1,4 +1,4 @@
-//! SLAM in the plane. Estimates the robot's poses and the map from laser scans and odometry alone.
+//! SLAM in the plane. Estimates the robot's poses and the map from laser scans and odometry, and from GPS and compass where there are any.
 //!
 //! # The problem
 //!
@@ -8,6 +8,7 @@
 //!
 //! ```text
 //! minimise   Σ odometry  +  Σ matches with growing submaps  +  Σ closures with older submaps (those that hold)
+//!            +  Σ fixes by GPS and compass (those that hold)
 //! ```
 //!
 //! A step goes through these phases:
@@ -20,7 +21,8 @@
 //! 3. **closure**: one inserted scan in six is searched for in the nearest older submap, by exact branch and bound, within three standard
 //!    deviations of the covariance between the two. A match is accepted if it scores well, no second place is as good, the points are
 //!    explained and the beams pass no walls. A match far from the expected pose needs a second scan that confirms it.
-//! 4. **back end**: a new closure settles the graph; closures that do not fit are switched off and may come back.
+//! 4. **back end**: new closures lead to a [solve](Solve) of the graph; closures that do not fit are switched off and may come back. Beside a
+//!    robot its poses are adopted with a later scan.
 //!
 //! [`Slam::finish`] ends a log: closures are decided again ([`zenav_pose_graph::solve_robust`]), every scan is matched to surrounding
 //! submaps that it is not part of, and the result is certified.
@@ -39,7 +41,7 @@
 //!
 //! | file | answers |
 //! |---|---|
-//! | `order` | which scans of a log follow each other in time? |
+//! | `order` | in which order were the scans of a log driven? |
 //! | `slam` | where is the robot? |
 //! | `step` | what did a scan do to the map? |
 //! | `doubt` | is the robot where the map says, elsewhere, or has the world changed? |
@@ -47,6 +49,8 @@
 //! | `closure` | was the robot here before? |
 //! | `drift` | how certain is a node's pose relative to an old submap? |
 //! | `back_end` | which poses agree best? |
+//! | `solve` | which poses are adopted while scans arrive, and are they certified? |
+//! | `fixes` | what do GPS and compass say about the nodes? |
 //! | `drawing` | what of the pose graph is drawn? |
 //! | `finish` | where does each scan lie once all are known? |
 //! | `session` | how is a map saved and continued later? |
@@ -60,19 +64,22 @@ mod doubt;
 mod drawing;
 mod drift;
 mod finish;
+mod fixes;
 mod joining;
 mod metric;
 mod order;
 mod session;
 mod settings;
 mod slam;
+mod solve;
 mod step;
 mod submap;
 
 pub use joining::{MergeError, merge, merge_timed};
 pub use metric::{Relation, RelationError, RelationErrors, Spread, read_relations, relation_errors};
-pub use order::{Disorder, Ordered, in_order};
+pub use order::{Disorder, Mended, Ordered, in_order};
 pub use session::{MOST_BYTES, SessionError, Snapshot};
 pub use settings::{ClosureSettings, FinishSettings, FrontSettings, SlamSettings};
 pub use slam::Slam;
+pub use solve::Solve;
 pub use step::{Counts, Effects, SlamError};

@@ -1,10 +1,14 @@
 //! Relations. Error of a trajectory against reference relations.
 //!
 //! The metric of Kuemmerle et al., "On measuring the accuracy of SLAM algorithms" (Autonomous Robots 27, 2009): for pairs of times with a
-//! known relative pose, the difference to the estimated one, translation and rotation apart. Independent of the map's frame.
+//! known relative pose, the difference to the estimated one, translation and rotation apart: the mean of their absolute values. Independent of
+//! the map's frame.
 
 use thiserror::Error;
 use zenav_protocol::geometry::Pose2;
+
+/// A relation counts if the trajectory begins and ends at most this long after and before it, s: odometry is logged before the first scan.
+const BEYOND: f64 = 1.0;
 
 /// A known relative pose between two times.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -29,8 +33,10 @@ pub struct Spread {
 /// Errors over all relations.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RelationErrors {
-    /// Number of relations.
+    /// Number of relations that count.
     pub count: usize,
+    /// Number of the others: their times lie beyond the trajectory.
+    pub outside: usize,
     /// Of the translation, m.
     pub translation: Spread,
     /// Of the rotation, rad.
@@ -49,6 +55,17 @@ pub struct RelationError {
 
 /// Reads lines `t1 t2 x y z roll pitch yaw`; empty lines and comments (`#`) are passed over.
 ///
+/// ```
+/// use zenav_protocol::geometry::Pose2;
+/// use zenav_slam::read_relations;
+///
+/// let relations = read_relations("# t1 t2 x y z roll pitch yaw\n0.0 2.5 1.2 0.1 0 0 0 0.3\n")?;
+/// assert_eq!((relations[0].from, relations[0].to, relations[0].relative), (0.0, 2.5, Pose2::new(1.2, 0.1, 0.3)));
+/// let error = read_relations("0.0 2.5 1.2\n").unwrap_err();
+/// assert_eq!(error.to_string(), "line 1: expected `t1 t2 x y z roll pitch yaw`, found `0.0 2.5 1.2`");
+/// # Ok::<(), zenav_slam::RelationError>(())
+/// ```
+///
 /// # Errors
 /// The first malformed line.
 pub fn read_relations(text: &str) -> Result<Vec<Relation>, RelationError> {
@@ -57,13 +74,10 @@ pub fn read_relations(text: &str) -> Result<Vec<Relation>, RelationError> {
         if text.is_empty() || text.starts_with('#') {
             continue;
         }
-        let numbers: Vec<f64> = text
-            .split_ascii_whitespace()
-            .filter_map(|word| word.parse().ok())
-            .collect();
-        let (true, [from, to, x, y, _, _, _, yaw]) =
-            (numbers.iter().all(|number| number.is_finite()), numbers.as_slice())
-        else {
+        let words = text.split_ascii_whitespace();
+        let number = |word: &str| word.parse().ok().filter(|number: &f64| number.is_finite());
+        let numbers: Option<Vec<f64>> = words.map(number).collect();
+        let Some([from, to, x, y, _, _, _, yaw]) = numbers.as_deref() else {
             let found = text.chars().take(80).collect();
             return Err(RelationError { line, found });
         };
@@ -76,13 +90,31 @@ pub fn read_relations(text: &str) -> Result<Vec<Relation>, RelationError> {
     Ok(relations)
 }
 
-/// The errors of a trajectory, poses `map_from_base` by ascending time, s. It is interpolated between poses and held constant beyond its
-/// ends. `None` for an empty trajectory or no relations.
+/// The errors of a trajectory, poses `map_from_base` by ascending time, s. It is interpolated between poses and held constant for a second
+/// beyond its ends; relations farther beyond do not count. `None` if no relation counts, or if times go back: two drives by one clock.
+///
+/// ```
+/// use zenav_protocol::geometry::Pose2;
+/// use zenav_slam::{Relation, relation_errors};
+///
+/// // 2 m were driven; the trajectory says 2.2 m, by 4 s, with nothing in between.
+/// let trajectory = [(0.0, Pose2::IDENTITY), (4.0, Pose2::new(2.2, 0.0, 0.0))];
+/// let whole = Relation { from: 0.0, to: 4.0, relative: Pose2::new(2.0, 0.0, 0.0) };
+/// let half = Relation { to: 2.0, relative: Pose2::new(1.1, 0.0, 0.0), ..whole };
+/// let errors = relation_errors(&trajectory, &[whole, half]).unwrap();
+/// assert!((errors.translation.mean - 0.5 * (0.2 + 0.0)).abs() < 1e-9 && errors.rotation.mean == 0.0);
+/// // By another clock no relation says anything.
+/// let elsewhen = Relation { from: 1e9, to: 1e9 + 4.0, ..whole };
+/// assert_eq!(relation_errors(&trajectory, &[elsewhen]), None);
+/// assert_eq!(relation_errors(&trajectory, &[whole, elsewhen]).unwrap().outside, 1);
+/// ```
 #[must_use]
 pub fn relation_errors(trajectory: &[(f64, Pose2)], relations: &[Relation]) -> Option<RelationErrors> {
-    if trajectory.is_empty() || relations.is_empty() {
+    let ((first, _), (last, _)) = (trajectory.first()?, trajectory.last()?);
+    if !trajectory.is_sorted_by(|a, b| a.0 <= b.0) {
         return None;
     }
+    let times = first - BEYOND..=last + BEYOND;
     let at = |time: f64| -> Pose2 {
         let after = trajectory.partition_point(|(stamp, _)| *stamp < time);
         let (Some((t1, b)), Some((t0, a))) = (
@@ -95,12 +127,16 @@ pub fn relation_errors(trajectory: &[(f64, Pose2)], relations: &[Relation]) -> O
     };
     let errors: Vec<(f64, f64)> = relations
         .iter()
+        .filter(|relation| times.contains(&relation.from) && times.contains(&relation.to))
         .map(|relation| {
             let estimated = at(relation.from).inverse() * at(relation.to);
             let error = relation.relative.inverse() * estimated;
             (error.x.hypot(error.y), error.yaw.abs())
         })
         .collect();
+    if errors.is_empty() {
+        return None;
+    }
     let spread = |of: fn(&(f64, f64)) -> f64| {
         let count = errors.len() as f64;
         let mean = errors.iter().map(of).sum::<f64>() / count;
@@ -112,6 +148,7 @@ pub fn relation_errors(trajectory: &[(f64, Pose2)], relations: &[Relation]) -> O
     };
     Some(RelationErrors {
         count: errors.len(),
+        outside: relations.len() - errors.len(),
         translation: spread(|error| error.0),
         rotation: spread(|error| error.1),
     })

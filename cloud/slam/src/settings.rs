@@ -5,6 +5,17 @@ use zenav_scan_matching::{FieldSettings, OdometrySettings, RefineSettings, ScanS
 
 zenav_protocol::settings! {
     /// How scans and odometry become a map.
+    ///
+    /// ```
+    /// use zenav_protocol::settings::Settings;
+    /// use zenav_slam::SlamSettings;
+    ///
+    /// let settings = SlamSettings::default().with_number("front.submap_scans", 60.0).unwrap()?;
+    /// assert_eq!((settings.front.submap_scans, settings.front.distance), (60, 0.1));
+    /// let refused = settings.with_number("front.distance", 0.0).unwrap().unwrap_err();
+    /// assert_eq!(refused.to_string(), "`front.distance` is 0: expected 0.01 to 5 m");
+    /// # Ok::<(), zenav_protocol::config_text::OutOfBounds>(())
+    /// ```
     #[derive(Copy)]
     pub struct SlamSettings {
         /// Which points of a scan count.
@@ -34,11 +45,11 @@ zenav_protocol::settings! {
     /// How a scan is matched to the map around it.
     #[derive(Copy)]
     pub struct FrontSettings {
-        /// Distance driven after which a scan is inserted.
+        /// Distance driven after which a scan is inserted, as a node of the graph.
         pub distance: f64 = 0.1, "m", 0.01..=5.0;
         /// Turn after which a scan is inserted.
         pub turn: f64 = 0.05, "rad", 0.005..=3.0;
-        /// Scans in a submap; the next submap begins at half of them.
+        /// Nodes (inserted scans) in a submap; the next submap begins at half of them.
         pub submap_scans: u32 = 40, "", 4..=1000;
         /// A match that scores less than this, or than this share of the usual score, is doubtful: a wide window is searched.
         pub doubtful: f64 = 0.8, "", 0.0..=1.0;
@@ -59,11 +70,11 @@ zenav_protocol::settings! {
     /// How places are recognised.
     #[derive(Copy)]
     pub struct ClosureSettings {
-        /// One inserted scan in this many is searched for in older submaps.
+        /// One node (inserted scan) in this many is searched for in older submaps.
         pub every: u32 = 6, "", 1..=1000;
-        /// Most submaps searched for a scan, nearest first.
+        /// Most submaps searched for a node, nearest first.
         pub submaps: u32 = 1, "", 1..=100;
-        /// Least number of inserted scans between a submap and a scan.
+        /// Least number of nodes (inserted scans) between a submap and the node that is searched for in it.
         pub gap: u32 = 80, "", 1..=100_000;
         /// Submaps whose middle is farther away than this plus the window are not searched. A window this wide is a usual one; a larger one
         /// is searched more rarely by its size factor, and none is wider than ten of these.
@@ -90,11 +101,11 @@ zenav_protocol::settings! {
     pub struct FinishSettings {
         /// Rounds of matching and solving.
         pub rounds: u32 = 1, "", 0..=100;
-        /// Most submaps that a scan is matched to in a round, nearest first.
+        /// Most submaps that a node is matched to in a round, nearest first.
         pub submaps: u32 = 4, "", 1..=100;
-        /// A scan is matched to submaps whose middle is nearer than this.
+        /// A node is matched to submaps whose middle is nearer than this.
         pub near: f64 = 4.0, "m", 0.1..=100.0;
-        /// A match that moves a scan by more than this is a different place.
+        /// A match that moves a node by more than this is a different place.
         pub max_move: f64 = 0.3, "m", 0.001..=5.0;
     }
 }

@@ -1,12 +1,15 @@
-//! SLAM. Localises the robot and builds the map from scans and odometry alone.
+//! SLAM. Localises the robot and builds the map from its scans and odometry.
 
 use std::sync::Arc;
 
 use nalgebra::{Matrix3, Point2};
-use zenav_pose_graph::{DescentSettings, Edge, EdgeKind, PoseGraph, RobustSolution};
+use zenav_pose_graph::{Edge, EdgeKind, PoseGraph, RobustSolution};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::Scan;
-use zenav_scan_matching::{OdometryFilter, Prior, Refinable, Refined, Window, floored, judge, points, search, turned};
+use zenav_protocol::sensors::Fix;
+use zenav_scan_matching::{
+    LikelihoodField, OdometryFilter, Prior, Refinable, Refined, Window, floored, judge, points, search, turned,
+};
 
 use crate::back_end::BackEnd;
 use crate::closure::close;
@@ -15,8 +18,9 @@ use crate::finish;
 use crate::joining::{Older, locate};
 use crate::session::{Session, on_grid};
 use crate::settings::SlamSettings;
+use crate::solve::Solve;
 use crate::step::{Counts, Effects, SlamError};
-use crate::submap::{SEARCH_POINTS, Submap, thinned};
+use crate::submap::{SEARCH_POINTS, Scans, Submap, thinned};
 
 /// Weight of a new score in the usual one.
 const USUAL: f64 = 0.05;
@@ -24,14 +28,11 @@ const USUAL: f64 = 0.05;
 const DOUBTFUL_CORRECTION: f64 = 8.0;
 /// Evidence of one fully better-fitting scan point for a match (half of chi squared): neighbouring points share their errors.
 const EVIDENCE: f64 = 1.5;
+/// Beyond this way and turn from the last node, m and rad, a badly fitting scan does not wait for another: the scans of some logs are a
+/// metre apart, and past a corner the next ones see nothing of the map.
+const LONG: (f64, f64) = (0.75, 0.75);
 /// Upper bound on how unlikely a correction of odometry is (half of chi squared): wheels slip.
 const SLIPPED: f64 = 25.0;
-
-/// While scans arrive, the graph need not be fully converged.
-const BETWEEN: DescentSettings = DescentSettings {
-    max_iterations: 4,
-    tolerance: 1e-4,
-};
 
 /// Pose of a scan: its time, s, a node, and the pose in that node's frame; its points, if it is not a node itself.
 #[derive(Clone, Debug)]
@@ -74,13 +75,32 @@ pub struct Slam {
     pub(crate) usual: f64,
     /// Evidence on whether the robot is where the map says.
     pub(crate) doubt: Doubt,
-    /// Whether closures were added since the graph was settled.
+    /// Whether closures were added since the last solve began, or a fix that disagrees with the map.
     pub(crate) is_dirty: bool,
+    /// The newest fix of each kind since the last factors.
+    pub(crate) fixes: [Option<Fix>; 2],
+    /// The last solve while scans arrive.
+    pub(crate) solve: Option<Arc<Solve>>,
+    /// When its poses are adopted, s; `None` once they are.
+    pub(crate) adopts_at: Option<f64>,
     pub(crate) counts: Counts,
 }
 
 impl Slam {
     /// An empty map.
+    ///
+    /// ```
+    #[doc = include_str!("doc_setup/room.txt")]
+    /// use zenav_slam::{Slam, SlamSettings};
+    ///
+    /// let mut slam = Slam::new(SlamSettings::default());
+    /// for i in 0..9 {
+    ///     slam.step(&look(0.2 * f64::from(i), Pose2::new(0.12 * f64::from(i), 0.0, 0.0)))?;
+    /// }
+    /// let (secs, map_from_base) = slam.trajectory()[8];
+    /// assert!((secs - 1.6).abs() < 1e-6 && map_from_base.distance(&Pose2::new(0.96, 0.0, 0.0)) < 0.02);
+    /// # Ok::<(), zenav_slam::SlamError>(())
+    /// ```
     #[must_use]
     pub fn new(settings: SlamSettings) -> Self {
         Self {
@@ -103,11 +123,25 @@ impl Slam {
             usual: 0.0,
             doubt: Doubt::default(),
             is_dirty: false,
+            fixes: [None; 2],
+            solve: None,
+            adopts_at: None,
             counts: Counts::default(),
         }
     }
 
     /// An empty map beside a robot that stands at `start` in it: the map grows without an end, and only the scans of nodes are kept.
+    ///
+    /// ```
+    #[doc = include_str!("doc_setup/room.txt")]
+    /// use zenav_slam::{Slam, SlamSettings};
+    ///
+    /// let start = Pose2::new(5.0, 2.0, 0.3);
+    /// let mut slam = Slam::beside_a_robot(SlamSettings::default(), start);
+    /// assert_eq!(slam.step(&look(0.0, Pose2::IDENTITY))?.pose, start);
+    /// assert!(slam.trajectory().is_empty() && slam.nodes().len() == 1, "a pose is kept for each node only");
+    /// # Ok::<(), zenav_slam::SlamError>(())
+    /// ```
     #[must_use]
     pub fn beside_a_robot(settings: SlamSettings, start: Pose2) -> Self {
         Self {
@@ -129,6 +163,14 @@ impl Slam {
         self.submaps.len().saturating_sub(2).max(first)
     }
 
+    /// A node's pose in a growing submap, `anchor_from_node`: where its scan was inserted. Solves move nodes, but a submap stays rigid, and
+    /// what bends it would be measured as trusted matches.
+    fn in_submap(&self, submap: &Submap, node: usize) -> Pose2 {
+        let poses = self.back_end.poses();
+        let elsewhere = || poses[submap.anchor].inverse() * poses[node];
+        submap.pose_of(node).unwrap_or_else(elsewhere)
+    }
+
     /// Stores a scan as that of a new node.
     fn keep(&mut self, seen: Arc<Vec<Point2<f64>>>, laser: Point2<f64>) {
         self.scans.push(seen);
@@ -141,12 +183,35 @@ impl Slam {
     /// Odometry restarts with the next scan, because the robot was restarted. The robot is searched for around its last place, as far as it
     /// may have driven within `unseen` nodes unknown to this map. Until a scan fits, no scan has a score; the first one that fits becomes a
     /// node, even at rest.
+    ///
+    /// ```
+    #[doc = include_str!("doc_setup/mapped_room.txt")]
+    /// // The robot is restarted where it stands: its odometry begins at zero again.
+    /// slam.interrupt(0);
+    /// let here = Pose2::new(0.96, 0.0, 0.0);
+    /// let found = slam.step(&Scan { odom_from_base: Pose2::IDENTITY, ..look(9.0, here) })?;
+    /// assert!(found.is_searched && found.pose.distance(&here) < 0.05, "{found:?}");
+    /// # Ok::<(), zenav_slam::SlamError>(())
+    /// ```
     pub fn interrupt(&mut self, unseen: u32) {
         self.is_interrupted = !self.scans.is_empty();
         self.unseen = self.unseen.saturating_add(unseen);
     }
 
     /// Takes in one scan; its `odom_from_base` is the odometry at its stamp, its `map_from_odom` is ignored.
+    ///
+    /// ```
+    #[doc = include_str!("doc_setup/room.txt")]
+    /// use zenav_slam::{Slam, SlamError, SlamSettings};
+    ///
+    /// let mut slam = Slam::new(SlamSettings::default());
+    /// let first = slam.step(&look(0.0, Pose2::IDENTITY))?;
+    /// assert!(first.is_inserted && first.pose == Pose2::IDENTITY, "the map begins at the first scan's base");
+    /// let near = slam.step(&look(0.2, Pose2::new(0.05, 0.0, 0.0)))?;
+    /// assert!(!near.is_inserted && near.fits, "matched, but too near for a node");
+    /// assert!(matches!(slam.step(&look(0.1, Pose2::IDENTITY)), Err(SlamError::Order(_))));
+    /// # Ok::<(), SlamError>(())
+    /// ```
     ///
     /// # Errors
     /// See [`SlamError`]; after a malformed or late scan the map is unchanged.
@@ -160,14 +225,19 @@ impl Slam {
             && let Some((_, before)) = self.last.replace((stamp, odometry))
         {
             self.last_node_odometry = odometry * before.inverse() * self.last_node_odometry;
-            self.is_doubted = true;
-            self.is_apart = true;
+            self.doubt_place();
+            // The stamp at which its poses were to be adopted may never come: the robot's clock may have begun anew.
+            if self.adopts_at.is_some() {
+                self.drop_solve();
+            }
         }
         let (before, odometry_before) = self.last.unwrap_or((stamp, odometry));
         if stamp < before {
             return Err(SlamError::Order(stamp));
         }
         self.counts.scans += 1;
+        let adopted = self.adopt_solve(stamp)?;
+        self.hold_fixes(&scan.fixes);
         let step = odometry_before.inverse() * odometry;
         let seen = on_grid(points(scan, step, stamp - before, &self.settings.scan));
         self.last = Some((stamp, odometry));
@@ -179,10 +249,14 @@ impl Slam {
         let way = node_from_base.x.hypot(node_from_base.y);
         let is_near = way < front.distance && node_from_base.yaw.abs() < front.turn;
         let laser = scan.base_from_laser.position();
-        let effects = if is_near && !self.is_doubted && !self.doubt.accepts() {
+        let mut effects = if is_near && !self.is_doubted && !self.doubt.accepts() {
             self.track(stamp, node_from_base, seen, laser)
         } else {
             self.insert(stamp, node_from_base, seen, laser, is_near)?
+        };
+        effects.moved = match (adopted, effects.moved) {
+            (Some(before), Some(moved)) => Some(moved * before),
+            (before, moved) => before.or(moved),
         };
         self.doubt.take(effects.fits, effects.contradicts);
         if self.is_lost() {
@@ -198,6 +272,7 @@ impl Slam {
     /// Widens the search for the robot beyond the error of odometry, which does not explain how it got there.
     fn doubt_place(&mut self) {
         (self.is_doubted, self.is_apart) = (true, true);
+        self.fixes = [None; 2];
     }
 
     /// Whether the robot is elsewhere than the map says: five scans contradict it, with no fitting scan between them. Beside a robot
@@ -209,6 +284,15 @@ impl Slam {
     }
 
     /// Declares the robot lost: the next scan is searched for widely.
+    ///
+    /// ```
+    #[doc = include_str!("doc_setup/mapped_room.txt")]
+    /// slam.lose();
+    /// assert!(slam.is_lost());
+    /// let found = slam.step(&look(9.0, Pose2::new(0.96, 0.0, 0.0)))?;
+    /// assert!(found.is_searched && found.fits && !slam.is_lost());
+    /// # Ok::<(), zenav_slam::SlamError>(())
+    /// ```
     pub fn lose(&mut self) {
         if !self.scans.is_empty() {
             self.doubt.lose();
@@ -217,6 +301,15 @@ impl Slam {
     }
 
     /// Declares the robot's place right and its surroundings changed: until a scan fits well again, each is inserted.
+    ///
+    /// ```
+    #[doc = include_str!("doc_setup/mapped_room.txt")]
+    /// slam.lose();
+    /// slam.accept_change();
+    /// let here = slam.step(&look(9.0, Pose2::new(0.96, 0.0, 0.0)))?;
+    /// assert!(here.is_inserted && !here.contradicts && !slam.is_lost());
+    /// # Ok::<(), zenav_slam::SlamError>(())
+    /// ```
     pub fn accept_change(&mut self) {
         self.doubt.accept();
         (self.is_doubted, self.is_apart) = (false, false);
@@ -224,11 +317,13 @@ impl Slam {
 
     /// Matches a scan near the last node, without making it a node.
     fn track(&mut self, stamp: f64, step: Pose2, seen: Vec<Point2<f64>>, laser: Point2<f64>) -> Effects {
-        let settings = &self.settings;
+        let settings = self.settings;
         let poses = self.back_end.poses();
         let last = self.scans.len() - 1;
-        let submap = &self.submaps[self.active()];
-        let expected = poses[submap.anchor].inverse() * poses[last] * self.odometry.corrected(step);
+        let active = self.active();
+        let submap = &self.submaps[active];
+        let (anchor, map_from_anchor) = (submap.anchor, poses[submap.anchor]);
+        let expected = self.in_submap(submap, last) * self.odometry.corrected(step);
         let by_odometry = self.odometry.expected(step, &settings.odometry);
         let prior = Prior::of_odometry(expected, &by_odometry.information());
         let refined = submap.refine(
@@ -241,8 +336,8 @@ impl Slam {
         let least = settings.front.min_score.max(settings.front.doubtful * self.usual);
         let is_match = refined.score >= least;
         let anchor_from_base = if is_match { refined.pose } else { expected };
-        let pose = poses[submap.anchor] * anchor_from_base;
-        let contradicts = !is_match && self.goes_through_walls(submap, expected, laser, &seen);
+        let pose = map_from_anchor * anchor_from_base;
+        let contradicts = !is_match && self.goes_through_walls(active, expected, laser, &seen);
         let effects = Effects {
             pose,
             score: is_match.then_some(refined.score),
@@ -252,12 +347,11 @@ impl Slam {
             degenerate: refined
                 .degenerate
                 .filter(|_| is_match)
-                .map(|along| along.y.atan2(along.x) + poses[submap.anchor].yaw),
+                .map(|along| along.y.atan2(along.x) + map_from_anchor.yaw),
             covariance: is_match.then(|| self.covariance(&refined, pose)).flatten(),
             by_scan: refined.by_scan,
             ..Effects::default()
         };
-        let anchor = submap.anchor;
         if is_match {
             self.doubt.match_well(true, seen.len());
         }
@@ -265,17 +359,23 @@ impl Slam {
         effects
     }
 
-    /// Whether a scan's beams rule out a pose in a submap.
+    /// Whether a scan's beams rule out a pose in a submap. People who walked ahead of the robot and away again rule out nothing.
     fn goes_through_walls(
-        &self,
-        submap: &Submap,
+        &mut self,
+        submap: usize,
         anchor_from_base: Pose2,
         laser: Point2<f64>,
         seen: &[Point2<f64>],
     ) -> bool {
-        let settings = &self.settings;
-        let verdict = judge(&submap.field, laser, seen, anchor_from_base, &settings.verdict);
-        self.doubt.heeds(seen.len()) && verdict.through_walls > settings.closure.through_walls
+        let (verdict, most) = (&self.settings.verdict, self.settings.closure.through_walls);
+        let submap = &mut self.submaps[submap];
+        let scans = Scans {
+            sessions: &self.sessions,
+            points: &self.scans,
+        };
+        let goes =
+            |field: &LikelihoodField| judge(field, laser, seen, anchor_from_base, verdict).surely_through_walls > most;
+        self.doubt.heeds(seen.len()) && goes(&submap.field) && goes(submap.standing(scans, verdict))
     }
 
     /// Covariance of a match along the map's axes.
@@ -367,13 +467,15 @@ impl Slam {
         };
         let anchor = self.submaps[active].anchor;
         let map_from_anchor = self.back_end.poses()[anchor];
-        let expected = map_from_anchor.inverse() * self.back_end.poses()[last] * corrected;
+        let expected = self.in_submap(&self.submaps[active], last) * corrected;
+        if step.x.hypot(step.y) > LONG.0 || step.yaw.abs() > LONG.1 {
+            self.doubt.wait_no_more();
+        }
         let seen = Arc::new(seen);
         let scan = Refinable::seen_from(laser, &seen);
         let matched = self.matched(active, expected, &prior, &scan, laser, &mut effects);
         effects.contradicts |= matched.is_none()
-            && (was_doubted && self.doubt.heeds(seen.len())
-                || self.goes_through_walls(&self.submaps[active], expected, laser, &seen));
+            && (was_doubted && self.doubt.heeds(seen.len()) || self.goes_through_walls(active, expected, laser, &seen));
         let waits = self.doubt.waits(seen.len());
         let is_near = is_near && !self.doubt.accepts();
         if matched.is_none() && (is_near || effects.contradicts || waits || self.is_lost()) {
@@ -428,24 +530,24 @@ impl Slam {
         self.stand(stamp, node, Pose2::IDENTITY, Vec::new());
         let map_from_node = self.back_end.poses()[node];
         effects.covariance = matched.and_then(|refined| self.covariance(&refined, map_from_node));
-        for submap in &mut self.submaps[active..] {
-            let anchor_from_node = self.back_end.poses()[submap.anchor].inverse() * map_from_node;
-            submap.insert(anchor_from_node, &scan);
+        for index in active..self.submaps.len() {
+            let active_from_anchor = self.in_submap(&self.submaps[active], self.submaps[index].anchor);
+            self.submaps[index].insert(active_from_anchor.inverse() * anchor_from_scan, &scan);
         }
         let is_half = self.submaps.last().is_some_and(|newest| newest.inserted.len() >= half);
         if is_half {
             let mut next = Submap::new(node, &settings.field);
             next.insert(Pose2::IDENTITY, &scan);
             self.submaps.push(next);
+            self.add_factors(node);
         }
         if node % settings.closure.every as usize == 0 {
             effects.closures = close(self, node, laser)?;
         }
-        if is_half && self.is_dirty {
-            let before = self.back_end.poses()[node];
-            self.back_end.settle(&BETWEEN, &settings.robust)?;
-            self.is_dirty = false;
-            effects.moved = Some(self.back_end.poses()[node] * before.inverse());
+        if is_half && self.is_dirty && self.adopts_at.is_none() {
+            self.begin_solve(stamp);
+            effects.begins_solve = true;
+            effects.moved = self.adopt_solve(stamp)?;
         }
         effects.pose = self.back_end.poses()[node];
         self.located(is_half, effects)
@@ -510,7 +612,7 @@ impl Slam {
         }
         if !is_well {
             // Much of a map explains much of any scan; if the robot is elsewhere, the rest goes through walls.
-            effects.contradicts = self.goes_through_walls(&self.submaps[active], best.pose, laser, scan.points());
+            effects.contradicts = self.goes_through_walls(active, best.pose, laser, scan.points());
             if effects.contradicts || self.doubt.waits(points) {
                 return None;
             }
@@ -525,6 +627,19 @@ impl Slam {
     }
 
     /// Ends a log: decides on all closures again, matches every scan to the submaps around it, and solves, in rounds.
+    ///
+    /// ```
+    #[doc = include_str!("doc_setup/mapped_room.txt")]
+    /// use zenav_pose_graph::{Optimality, SolveError};
+    /// use zenav_slam::{Slam, SlamError, SlamSettings};
+    ///
+    /// let solved = slam.finish()?;
+    /// assert_eq!(solved.solution.certificate.optimality, Optimality::Certified);
+    /// assert!(slam.nodes()[8].distance(&Pose2::new(0.96, 0.0, 0.0)) < 0.02);
+    /// let nothing = Slam::new(SlamSettings::default()).finish();
+    /// assert_eq!(nothing, Err(SlamError::Solve(SolveError::Empty)));
+    /// # Ok::<(), SlamError>(())
+    /// ```
     ///
     /// # Errors
     /// [`SlamError::Solve`], for instance without any scan.
@@ -542,6 +657,19 @@ impl Slam {
     }
 
     /// `map_from_base` at each scan given so far, with its time, s.
+    ///
+    /// ```
+    #[doc = include_str!("doc_setup/room.txt")]
+    /// # use zenav_slam::{Slam, SlamSettings};
+    /// let mut slam = Slam::new(SlamSettings::default());
+    /// for (secs, x) in [(0.0, 0.0), (0.2, 0.04), (0.4, 0.08)] {
+    ///     slam.step(&look(secs, Pose2::new(x, 0.0, 0.0)))?;
+    /// }
+    /// let trajectory = slam.trajectory();
+    /// assert_eq!((trajectory.len(), slam.nodes().len()), (3, 1), "scans between nodes have a pose, too");
+    /// assert!(trajectory[2].1.distance(&Pose2::new(0.08, 0.0, 0.0)) < 0.02);
+    /// # Ok::<(), zenav_slam::SlamError>(())
+    /// ```
     #[must_use]
     pub fn trajectory(&self) -> Vec<(f64, Pose2)> {
         let poses = self.back_end.poses();
@@ -571,6 +699,16 @@ impl Slam {
     }
 
     /// `map_from_node` of all inserted scans, in order.
+    ///
+    /// ```
+    #[doc = include_str!("doc_setup/mapped_room.txt")]
+    /// // Nine scans, 0.12 m apart.
+    /// assert_eq!((slam.nodes().len(), slam.nodes()[0]), (9, Pose2::IDENTITY));
+    /// assert!(slam.nodes()[8].distance(&Pose2::new(0.96, 0.0, 0.0)) < 0.02);
+    /// // Each but the first was reached by odometry, and matched to the map.
+    /// assert_eq!(slam.graph().edges().len(), 2 * 8);
+    /// # Ok::<(), zenav_slam::SlamError>(())
+    /// ```
     #[must_use]
     pub fn nodes(&self) -> &[Pose2] {
         self.back_end.poses()
@@ -586,21 +724,49 @@ impl Slam {
     /// Bends the map like a closure that moves all of it: each node goes where `bend` says, and all measurements are adjusted to agree. For
     /// tests of the components that follow closures. Returns how the surroundings of the last node moved, `new_from_old`.
     ///
+    /// ```
+    #[doc = include_str!("doc_setup/mapped_room.txt")]
+    /// let by = Pose2::new(0.5, -0.2, 0.0);
+    /// let moved = slam.bend(|pose| by * pose)?;
+    /// assert!(moved.distance(&by) < 1e-9 && slam.nodes()[0] == by);
+    /// # Ok::<(), zenav_slam::SlamError>(())
+    /// ```
+    ///
     /// # Errors
     /// [`SlamError::Graph`] if `bend` returns a pose that is not finite.
     pub fn bend(&mut self, bend: impl Fn(Pose2) -> Pose2) -> Result<Pose2, SlamError> {
         let last = self.back_end.poses().last().copied().unwrap_or_default();
+        self.drop_solve();
         self.back_end.bend(&bend)?;
         Ok(bend(last) * last.inverse())
     }
 
     /// Points of an inserted scan in the frame of its base, m.
+    ///
+    /// ```
+    #[doc = include_str!("doc_setup/room.txt")]
+    /// # use zenav_slam::{Slam, SlamSettings};
+    /// let mut slam = Slam::new(SlamSettings::default());
+    /// slam.step(&look(0.0, Pose2::new(1.0, 0.0, 0.0)))?;
+    /// // The wall ahead is 2 m from the base, although the lidar is mounted 0.1 m behind it.
+    /// let ahead = slam.scan(0).unwrap().iter().map(|point| point.x).fold(0.0, f64::max);
+    /// assert!((ahead - 2.0).abs() < 0.01);
+    /// assert_eq!(slam.scan(1), None);
+    /// # Ok::<(), zenav_slam::SlamError>(())
+    /// ```
     #[must_use]
     pub fn scan(&self, node: usize) -> Option<&[Point2<f64>]> {
         self.scans.get(node).map(|scan| scan.as_slice())
     }
 
     /// Counters of the run.
+    ///
+    /// ```
+    #[doc = include_str!("doc_setup/mapped_room.txt")]
+    /// let counts = slam.counts();
+    /// assert_eq!((counts.scans, counts.unmatched, counts.found), (9, 0, 0));
+    /// # Ok::<(), zenav_slam::SlamError>(())
+    /// ```
     #[must_use]
     pub fn counts(&self) -> Counts {
         self.counts
@@ -616,4 +782,43 @@ impl Slam {
 /// Half of chi squared of a pose against odometry, bounded.
 fn unlikely(odometry: &Prior, pose: Pose2) -> f64 {
     (0.5 * odometry.chi_squared(pose)).min(SLIPPED)
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use zenav_fixtures::{robot, scan, sweep_in_room};
+    use zenav_protocol::settings::Settings;
+
+    use super::*;
+
+    /// Distance between two scans, m.
+    const STEP: f64 = 0.12;
+
+    #[test]
+    fn growing_submaps_stay_rigid_when_a_solve_moves_their_nodes() {
+        let lidar = robot("neato").lidar.unwrap();
+        let look = |index: u32| {
+            let at = Pose2::new(STEP * f64::from(index), 0.0, 0.0);
+            let sweep = sweep_in_room(&lidar, 0.2 * f64::from(index), at, (3.0, 2.0), &[]);
+            Scan {
+                base_from_laser: lidar.mount,
+                ..scan(sweep.stamp.0, at, sweep.ranges)
+            }
+        };
+        let settings = SlamSettings::default().with_number("front.submap_scans", 20.0);
+        let mut slam = Slam::new(settings.unwrap().unwrap());
+        for index in 0..16 {
+            slam.step(&look(index)).unwrap();
+        }
+        slam.bend(|pose| Pose2::new(1.2 * pose.x, pose.y, pose.yaw)).unwrap();
+        assert!(slam.step(&look(16)).unwrap().is_inserted);
+        let growing = &slam.submaps[slam.active()..];
+        assert_eq!(growing.len(), 2);
+        for submap in growing {
+            let way = STEP * f64::from(16 - u32::try_from(submap.anchor).unwrap());
+            let last = submap.inserted.last().unwrap();
+            assert!((last.x - way).abs() < 0.02, "{last:?} instead of {way} m");
+        }
+    }
 }

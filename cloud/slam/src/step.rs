@@ -51,7 +51,9 @@ pub struct Effects {
     pub covariance: Option<Matrix3<f64>>,
     /// Transform from the pose, which includes odometry, to the pose by the scan alone; `covariance` refers to the latter.
     pub by_scan: Pose2,
-    /// How the surroundings moved in the map when the graph was settled: `new_from_old`, valid near the robot.
+    /// Whether a solve of the graph began: [`Slam::last_solve`](crate::Slam::last_solve).
+    pub begins_solve: bool,
+    /// How the surroundings moved in the map when the poses of a solve were adopted: `new_from_old`, valid near the robot.
     pub moved: Option<Pose2>,
 }
 

@@ -6,7 +6,8 @@ use std::sync::Arc;
 use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;
 use zenav_scan_matching::{
-    FieldSettings, LikelihoodField, Prior, Pyramid, Refinable, RefineSettings, Refined, Surfels,
+    FieldSettings, LikelihoodField, Prior, Pyramid, Refinable, RefineSettings, Refined, Surfels, VerdictSettings,
+    standing,
 };
 
 use crate::session::{Session, laser_of};
@@ -28,6 +29,15 @@ pub(crate) struct Submap {
     pub(crate) surfels: Surfels,
     /// Built when a place is searched for in it.
     pyramid: Option<Pyramid>,
+    /// Built when a scan that is explained seems to go through walls.
+    standing: Option<LikelihoodField>,
+}
+
+/// The scans of a map's nodes, which its submaps were drawn from.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Scans<'s> {
+    pub(crate) sessions: &'s [Session],
+    pub(crate) points: &'s [Arc<Vec<Point2<f64>>>],
 }
 
 impl Submap {
@@ -38,6 +48,7 @@ impl Submap {
             field: LikelihoodField::new(settings),
             surfels: Surfels::default(),
             pyramid: None,
+            standing: None,
         }
     }
 
@@ -45,7 +56,7 @@ impl Submap {
         self.field.insert(anchor_from_scan, scan.points());
         self.surfels.insert(anchor_from_scan, scan.points(), scan.normals());
         self.inserted.push(anchor_from_scan);
-        self.pyramid = None;
+        (self.pyramid, self.standing) = (None, None);
     }
 
     /// The same stretch in a field with other settings; `scans`: the points of all nodes.
@@ -78,6 +89,11 @@ impl Submap {
         self.anchor..self.end()
     }
 
+    /// Pose at which a node's scan was inserted, `anchor_from_node`.
+    pub(crate) fn pose_of(&self, node: usize) -> Option<Pose2> {
+        self.inserted.get(node.checked_sub(self.anchor)?).copied()
+    }
+
     /// Matches a scan to this submap around a pose, `anchor_from_scan`.
     pub(crate) fn refine(
         &self,
@@ -98,6 +114,18 @@ impl Submap {
     pub(crate) fn pyramid(&mut self) -> &Pyramid {
         let field = &self.field;
         self.pyramid.get_or_insert_with(|| Pyramid::new(field.clone(), LEVELS))
+    }
+
+    /// Its surfaces without those that moved.
+    pub(crate) fn standing(&mut self, scans: Scans<'_>, settings: &VerdictSettings) -> &LikelihoodField {
+        let (field, inserted, nodes) = (&self.field, &self.inserted, self.nodes());
+        self.standing.get_or_insert_with(|| {
+            let own = inserted.iter().zip(nodes).filter_map(|(anchor_from_scan, node)| {
+                let points = scans.points.get(node)?;
+                Some((*anchor_from_scan, laser_of(scans.sessions, node), points.as_slice()))
+            });
+            standing(field, own, settings)
+        })
     }
 }
 

@@ -2,6 +2,9 @@
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
+use std::f64::consts::FRAC_PI_2;
+
+use nalgebra::Point2;
 use proptest::prelude::*;
 use zenav_pose_graph::{EdgeKind, Optimality};
 use zenav_protocol::geometry::{Pose2, wrap_angle};
@@ -146,6 +149,94 @@ fn of_a_log_the_fewest_scans_are_skipped_that_go_back() {
 }
 
 #[test]
+fn a_log_whose_clock_was_set_back_loses_no_scan() {
+    let (scans, _) = house::drive(3);
+    let with_stamps = |scans: &[Scan], stamp: &dyn Fn(usize) -> f64| -> Vec<Scan> {
+        let all = scans.iter().enumerate();
+        all.map(|(index, scan)| Scan {
+            stamp: Stamp::from_secs(stamp(index)),
+            ..scan.clone()
+        })
+        .collect()
+    };
+    let half = scans.len() / 2;
+    let ranges = |scans: &[Scan]| -> Vec<Vec<f32>> { scans.iter().map(|scan| scan.ranges.clone()).collect() };
+    // The clock began anew in the middle.
+    let log = with_stamps(&scans, &|index| 0.2 * (index % half) as f64);
+    let ordered = in_order(log).unwrap();
+    let mended = ordered.mended.unwrap();
+    assert_eq!((mended.number, mended.is_sorted, ordered.skipped), (half + 1, false, 0));
+    assert!(mended.times <= 2 && mended.stamps.1 == 0.0, "{mended:?}");
+    assert_eq!(ranges(&ordered.scans), ranges(&scans));
+    for pair in ordered.scans.windows(2) {
+        assert!((pair[1].stamp.secs_since(pair[0].stamp) - 0.2).abs() < 1e-6);
+    }
+    // Two halves were joined the wrong way round, and neighbours swapped: their stamps are right, and odometry says so.
+    let timed = with_stamps(&scans, &|index| 0.2 * index as f64);
+    let mut swapped = timed.clone();
+    swapped.chunks_exact_mut(2).for_each(|pair| pair.swap(0, 1));
+    let turned = [&timed[half..], &timed[..half]].concat();
+    for log in [swapped, turned] {
+        let ordered = in_order(log).unwrap();
+        assert!(ordered.mended.unwrap().is_sorted);
+        assert_eq!(ordered.scans, timed);
+    }
+}
+
+#[test]
+fn relations_beyond_a_trajectory_and_broken_lines_do_not_count() {
+    let trajectory = [(5.0, Pose2::IDENTITY), (9.0, Pose2::new(4.0, 0.0, 0.0))];
+    let relation = |from: f64, to: f64| Relation {
+        from,
+        to,
+        relative: Pose2::new(to - from, 0.0, 0.0),
+    };
+    let errors = relation_errors(
+        &trajectory,
+        &[relation(5.0, 9.0), relation(2.0, 9.0), relation(6.0, 12.0)],
+    )
+    .unwrap();
+    assert_eq!((errors.count, errors.outside, errors.translation.mean), (1, 2, 0.0));
+    assert_eq!(relation_errors(&trajectory, &[relation(0.0, 1.0)]), None);
+    // Two drives by one clock.
+    let twice = [trajectory, trajectory].concat();
+    assert_eq!(relation_errors(&twice, &[relation(5.0, 9.0)]), None);
+    assert!(read_relations("5 9 1 0 0 0 0 0\n").is_ok());
+    assert_eq!(read_relations("5 9 1 x 0 0 0 0 0\n").unwrap_err().line, 1);
+}
+
+#[test]
+fn scans_a_metre_apart_are_matched_around_a_corner() {
+    // Two corridors cross. Past the corner a scan of half a circle sees only the second one.
+    let (far, wide) = (20.0, 1.0);
+    let quarter = [(-far, -wide), (-wide, -wide), (-wide, -far)];
+    let turned = |turns: i32| {
+        let frame = Pose2::new(0.0, 0.0, FRAC_PI_2 * f64::from(turns));
+        quarter.map(|(x, y)| frame.transform_point(Point2::new(x, y)))
+    };
+    let walls: Vec<(f64, f64)> = (0..4).flat_map(turned).map(|corner| (corner.x, corner.y)).collect();
+    let mut truth = vec![Pose2::new(-12.0, 0.0, 0.0)];
+    let mut go = |count: usize, step: Pose2| (0..count).for_each(|_| truth.push(truth[truth.len() - 1] * step));
+    go(11, Pose2::new(1.0, 0.0, 0.0));
+    go(3, Pose2::new(0.77, -0.21, -FRAC_PI_2 / 3.0));
+    go(13, Pose2::new(1.0, 0.0, 0.0));
+    for seed in 0..3 {
+        let mut scans = house::House::of(vec![walls.clone()]).log(&truth, seed);
+        house::look_ahead_only(&mut scans);
+        let mut slam = Slam::new(SlamSettings::default());
+        let inserted = scans.iter().map(|scan| slam.step(scan).unwrap().is_inserted);
+        let inserted = inserted.filter(|is_inserted| *is_inserted).count();
+        let (_, end) = *slam.trajectory().last().unwrap();
+        let off = (truth[0].inverse() * truth[truth.len() - 1]).inverse() * end;
+        assert!(
+            inserted == scans.len() && off.yaw.abs() < 0.05,
+            "{inserted} of {} scans are nodes, {off:?} off with seed {seed}",
+            scans.len()
+        );
+    }
+}
+
+#[test]
 fn without_anything_in_sight_odometry_leads() {
     let (mut scans, _) = house::drive(4);
     scans.truncate(40);
@@ -211,11 +302,8 @@ fn a_sweep_is_straightened_by_odometry() {
         range_min: 0.02,
         range_max: 30.0,
         ranges: ranges.collect(),
-        boot_id: String::new(),
-        moving: Vec::new(),
-        base_from_laser: Pose2::IDENTITY,
-        map_from_odom: Pose2::IDENTITY,
         odom_from_base: step,
+        ..Scan::default()
     };
     let straight = points(&scan, step, 0.1, &settings);
     assert_eq!(straight.len(), count);

@@ -1,4 +1,4 @@
-//! Tests of long loops: closed after metres of drift, and not closed where places look alike.
+//! Tests of loops: closed after metres of drift and behind somebody who walks ahead, and not closed where places look alike.
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
@@ -164,4 +164,20 @@ fn no_loop_is_closed_wrongly_where_places_look_alike() {
         assert_eq!(wrong, 0, "of {kept} closures with seed {seed}");
         assert!(slam.counts().searched > 0, "the place was not even searched for");
     }
+}
+
+#[test]
+fn a_loop_is_closed_although_somebody_walks_ahead_of_the_robot() {
+    let truth = house::lap(0, 6);
+    let mut scans = House::usual().log(&truth, 1);
+    house::look_ahead_only(&mut scans);
+    scans.iter_mut().for_each(|scan| house::put_ahead(scan, 1.5, 0.5));
+    let (mut slam, mut of_nodes) = (Slam::new(SlamSettings::default()), Vec::new());
+    for (scan, pose) in scans.iter().zip(&truth) {
+        if slam.step(scan).unwrap().is_inserted {
+            of_nodes.push(*pose);
+        }
+    }
+    let (wrong, kept) = wrong(&slam, &of_nodes);
+    assert!(wrong == 0 && kept > 0, "{wrong} of {kept} closures are wrong");
 }

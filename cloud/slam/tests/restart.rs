@@ -115,6 +115,31 @@ fn who_stands_around_the_robot_contradicts_nothing_and_a_look_through_walls_does
 }
 
 #[test]
+fn who_walked_ahead_of_the_robot_and_away_contradicts_nothing() {
+    let mut truth = lap(0, 2);
+    let driven = truth.len();
+    truth.extend([truth[driven - 1]; 3]);
+    let mut slam = Slam::beside_a_robot(SlamSettings::default(), truth[0]);
+    for (index, mut scan) in House::usual().log(&truth, 1).into_iter().enumerate() {
+        let has_left = index >= driven;
+        if has_left {
+            // Others stand behind the robot.
+            for beam in 0..scan.ranges.len() {
+                let is_behind = scan.angle(beam).cos() < 0.0;
+                scan.ranges[beam] = scan.ranges[beam].min(if is_behind { 0.5 } else { f32::INFINITY });
+            }
+        } else {
+            house::put_ahead(&mut scan, 1.5, 0.8);
+        }
+        let effects = slam.step(&scan).unwrap();
+        assert!(
+            !has_left || effects.score.is_none() && !effects.contradicts,
+            "{effects:?}"
+        );
+    }
+}
+
+#[test]
 fn a_robot_that_was_carried_goes_on_where_it_is_told_to_be_if_its_scan_says_so_too() {
     let (slam, truth, pose) = driven();
     let map_from_truth = pose * truth.inverse();

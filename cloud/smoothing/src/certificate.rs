@@ -1,7 +1,7 @@
 //! Certificate. Checks a trajectory before it is sent: the true footprint's sweep against the map, and the largest use of every limit of
 //! the drive, both computed from the trajectory itself and not from what a solver reported.
 
-use zenav_protocol::geometry::Pose2;
+use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
 use zenav_protocol::messages::{Certificate, CorridorFigures, LimitUse, SolverFigures};
 use zenav_protocol::robot::{Drive, Footprint};
 
@@ -13,6 +13,8 @@ use zenav_space::ConfigurationSpace;
 /// Largest distance between two checked poses, m, and turn between them, rad.
 const STEP: f64 = 0.03;
 const TURN: f64 = 0.08;
+/// Between two checked poses a long footprint is no farther from the straight line and the even turn than about this, m.
+const BULGE: f64 = 5e-4;
 
 /// The trajectory touches an obstacle, or enters unknown cells that the policy forbids.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -32,18 +34,20 @@ pub fn clearance(
     limits: &Limits,
     exempt: f64,
 ) -> Result<Option<f64>, Collision> {
+    let stray = stray(space.footprint(), limits, trajectory.at(0.0).point.twist());
     let turning = match space.footprint() {
-        Footprint::Polygon(_) => TURN / limits.yaw_rate,
+        Footprint::Polygon(_) => (TURN / limits.yaw_rate).min((8.0 * BULGE / stray).sqrt()),
         Footprint::Radius(_) => f64::INFINITY,
     };
     let period = (STEP / limits.speed).min(turning);
-    // Poses are joined by straight lines; the arc between two of them bulges by no more than this.
-    let bulge = limits.lateral_acceleration * period * period / 8.0;
     let all: Vec<Pose2> = trajectory
         .states(period)
         .into_iter()
         .map(|state| state.point.pose())
         .collect();
+    // Poses are joined by straight lines and even turns. The number of states is bounded: in a very long trajectory they are farther apart.
+    let period = trajectory.duration() / (all.len().max(2) - 1) as f64;
+    let bulge = stray * period * period / 8.0;
     let leaving = all.first().filter(|_| exempt > 0.0).map_or(0, |start| {
         let left = all.iter().position(|pose| pose.distance(start) > exempt);
         left.unwrap_or(all.len())
@@ -67,6 +71,20 @@ pub fn clearance(
     Ok((least < space.reach()).then_some(least))
 }
 
+/// Acceleration (m/s²) at which a point of the footprint leaves a straight line and an even turn at most: between two poses a time `t` apart
+/// it is at most `t²/8` times this away from them. `start` is the velocity at the start, which may be above the limits.
+fn stray(footprint: &Footprint, limits: &Limits, start: Twist2) -> f64 {
+    // The base leaves its chord by its lateral acceleration: by that of the limits, or of the start, from which on both speeds fall.
+    let lateral = limits.lateral_acceleration.max((start.v * start.w).abs());
+    // A heading leaves the even turn by its yaw acceleration, and takes the outermost point of a long footprint along; a disc has none.
+    match footprint {
+        Footprint::Polygon(_) => {
+            lateral + footprint.circumscribed_radius() * limits.wheel_acceleration / limits.half_separation
+        }
+        Footprint::Radius(_) => lateral,
+    }
+}
+
 /// Number of poses that are measured together.
 const CHUNK: usize = 16;
 
@@ -79,11 +97,18 @@ fn sweep(space: &ConfigurationSpace, poses: &[Pose2]) -> f64 {
         };
         space.field().distance(cell) - (space.spec().center(cell) - pose.position()).norm() - radius
     };
-    // Between two such poses no point is farther from the nearer one than half a step.
+    // A disc does not move where it turns.
+    let turning = match space.footprint() {
+        Footprint::Polygon(_) => radius,
+        Footprint::Radius(_) => 0.0,
+    };
+    let moved = |pair: &[Pose2]| pair[0].distance(&pair[1]) + wrap_angle(pair[1].yaw - pair[0].yaw).abs() * turning;
+    // Between two such poses no point is farther from where it is in the nearer one than half of what it moves.
     let bounds = (0..poses.len()).step_by(CHUNK).map(|begin| {
         let chunk = &poses[begin..(begin + CHUNK + 1).min(poses.len())];
+        let most = chunk.windows(2).map(moved).fold(0.0, f64::max);
         (
-            chunk.iter().map(bound).fold(f64::INFINITY, f64::min) - 0.5 * STEP - radius * 0.5 * TURN,
+            chunk.iter().map(bound).fold(f64::INFINITY, f64::min) - 0.5 * most,
             chunk,
         )
     });
@@ -298,6 +323,33 @@ mod tests {
                 _ => prop_assert_eq!(found.jerk, None),
             }
         }
+    }
+
+    #[test]
+    fn between_two_checked_poses_no_point_strays_by_more_than_the_bulge() {
+        let corners = [(-0.6, -0.2), (0.2, -0.2), (0.2, 0.2), (-0.6, 0.2)].map(|(x, y)| Point2::new(x, y));
+        let (long, disc) = (Footprint::Polygon(corners.to_vec()), Footprint::Radius(0.3));
+        let (limits, period) = (Limits::of(&tiago(None)), 0.05);
+        let bulge = |footprint: &Footprint, start| stray(footprint, &limits, start) * period * period / 8.0;
+        // The largest yaw acceleration against an even turn.
+        let alpha = limits.wheel_acceleration / limits.half_separation;
+        let yaw = |t: f64| 0.5 * alpha * t * t;
+        let turned = |corner: &Point2<f64>, yaw: f64| Pose2::new(0.0, 0.0, yaw).transform_point(*corner);
+        let off = |t: f64| {
+            let even = yaw(period) * t / period;
+            let moved = corners
+                .iter()
+                .map(|corner| (turned(corner, yaw(t)) - turned(corner, even)).norm());
+            moved.fold(0.0, f64::max)
+        };
+        let most = (0..=100).map(|i| off(0.01 * f64::from(i) * period)).fold(0.0, f64::max);
+        let swing = bulge(&long, Twist2::ZERO) - bulge(&disc, Twist2::ZERO);
+        assert!(most <= swing + 1e-12 && most > 0.9 * swing, "{most} of {swing}");
+        // An arc, faster than the limits allow: how far is it from its chord?
+        let (v, w) = (1.0_f64, 2.0_f64);
+        let sagitta = v / w * (1.0 - (0.5 * w * period).cos());
+        assert!(v * w > limits.lateral_acceleration);
+        assert!(sagitta > bulge(&disc, Twist2::ZERO) && sagitta <= bulge(&disc, Twist2::new(v, w)));
     }
 
     #[test]

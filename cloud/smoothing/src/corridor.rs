@@ -12,6 +12,7 @@
 use std::f64::consts::{FRAC_PI_2, SQRT_2};
 
 use nalgebra::{Point2, Rotation2, Vector2};
+use zenav_protocol::polygon::Edge;
 use zenav_protocol::robot::Footprint;
 
 use super::settings::CorridorSettings;
@@ -29,6 +30,15 @@ pub struct HalfPlane {
 
 impl HalfPlane {
     /// How far inside a point is, m; negative outside.
+    ///
+    /// ```
+    /// use nalgebra::{Point2, Vector2};
+    /// use zenav_smoothing::HalfPlane;
+    ///
+    /// let left_of_two = HalfPlane { normal: Vector2::x(), offset: 2.0 };
+    /// assert_eq!(left_of_two.depth(Point2::new(1.5, 7.0)), 0.5);
+    /// assert_eq!(left_of_two.depth(Point2::new(2.5, 7.0)), -0.5);
+    /// ```
     #[must_use]
     pub fn depth(&self, point: Point2<f64>) -> f64 {
         self.offset - self.normal.dot(&point.coords)
@@ -55,6 +65,22 @@ pub struct FreePolygon {
 
 impl FreePolygon {
     /// Whether a point lies inside, to within `tolerance` metres.
+    ///
+    /// ```
+    /// use nalgebra::{Point2, Vector2};
+    /// use zenav_smoothing::{FreePolygon, HalfPlane};
+    ///
+    /// // A square of 2 m around the origin.
+    /// let side = |x, y| HalfPlane { normal: Vector2::new(x, y), offset: 1.0 };
+    /// let square = FreePolygon {
+    ///     sides: vec![side(1.0, 0.0), side(-1.0, 0.0), side(0.0, 1.0), side(0.0, -1.0)],
+    ///     from: Point2::new(-1.0, 0.0),
+    ///     to: Point2::new(1.0, 0.0),
+    ///     length: 2.0,
+    /// };
+    /// assert!(square.holds(Point2::new(0.9, -0.9), 0.0) && !square.holds(Point2::new(1.1, 0.0), 0.0));
+    /// assert!(square.holds(Point2::new(1.1, 0.0), 0.2));
+    /// ```
     #[must_use]
     pub fn holds(&self, point: Point2<f64>, tolerance: f64) -> bool {
         self.sides.iter().all(|side| side.depth(point) >= -tolerance)
@@ -75,6 +101,24 @@ const SHARE: f64 = 0.5;
 pub const SPREAD: f64 = 0.1;
 
 /// The polygons along a path (corner points, map frame), in order; neighbours share the point where the path passes from one to the next.
+///
+/// ```
+/// use nalgebra::Point2;
+/// use zenav_smoothing::{CorridorSettings, corridor};
+/// # use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy};
+/// # use zenav_protocol::robot::Footprint;
+/// # use zenav_space::{ConfigurationSpace, UnknownPolicy};
+///
+/// # let spec = GridSpec { origin: Point2::origin(), resolution: 0.05, width: 100, height: 100 };
+/// # let mut map = Grid::filled(spec, Occupancy::FREE);
+/// map[Cell::new(50, 62)] = Occupancy::OCCUPIED; // 0.6 m beside the path
+/// let space = ConfigurationSpace::new(&map, &Footprint::Radius(0.25), UnknownPolicy::Blocked, 0.0);
+/// let path = [Point2::new(1.0, 2.5), Point2::new(4.0, 2.5)];
+/// let polygons = corridor(&space, &path, &CorridorSettings::default());
+/// assert!(polygons.iter().all(|polygon| polygon.holds(polygon.from, 0.0) && polygon.holds(polygon.to, 0.0)));
+/// assert!(polygons.windows(2).all(|pair| pair[0].to == pair[1].from));
+/// assert!(!polygons.iter().any(|polygon| polygon.holds(Point2::new(2.525, 3.0), 0.0)), "the robot would collide there");
+/// ```
 #[must_use]
 pub fn corridor(space: &ConfigurationSpace, path: &[Point2<f64>], size: &CorridorSettings) -> Vec<FreePolygon> {
     let points = split(path, size.length);
@@ -206,7 +250,7 @@ pub fn free_polygon(
     size: &CorridorSettings,
     spread: f64,
 ) -> FreePolygon {
-    let piece = (from, to);
+    let piece = Edge { a: from, b: to };
     let shape = Shape::new(space, to - from, spread);
     let clearance = size.clearance.max(0.0);
     let mut sides = frame(space, from, to, size.reach);
@@ -227,7 +271,7 @@ pub fn free_polygon(
             squares.push(Square {
                 center,
                 is_unknown,
-                slack: (center - on_segment(piece, center)).norm() - half * SQRT_2 - kept,
+                slack: (center - piece.nearest(center)).norm() - half * SQRT_2 - kept,
                 connection: None,
             });
         });
@@ -308,13 +352,7 @@ fn frame(space: &ConfigurationSpace, from: Point2<f64>, to: Point2<f64>, reach: 
 }
 
 /// The shortest connection to a square; `None` if the piece touches it.
-fn connect(
-    piece: (Point2<f64>, Point2<f64>),
-    square: &Square,
-    shape: &Shape,
-    clearance: f64,
-    half: f64,
-) -> Option<Connection> {
+fn connect(piece: Edge, square: &Square, shape: &Shape, clearance: f64, half: f64) -> Option<Connection> {
     let (on_piece, nearest) = closest(piece, square.center, half);
     let apart = nearest - on_piece;
     let distance = apart.norm();
@@ -336,18 +374,8 @@ fn connect(
     })
 }
 
-fn on_segment((a, b): (Point2<f64>, Point2<f64>), q: Point2<f64>) -> Point2<f64> {
-    let along = b - a;
-    let squared = along.norm_squared();
-    if squared > 0.0 {
-        a + along * ((q - a).dot(&along) / squared).clamp(0.0, 1.0)
-    } else {
-        a
-    }
-}
-
 /// The nearest pair of points of a segment and a square.
-fn closest((a, b): (Point2<f64>, Point2<f64>), center: Point2<f64>, half: f64) -> (Point2<f64>, Point2<f64>) {
+fn closest(piece: Edge, center: Point2<f64>, half: f64) -> (Point2<f64>, Point2<f64>) {
     let clamp = |p: Point2<f64>| {
         Point2::new(
             p.x.clamp(center.x - half, center.x + half),
@@ -355,8 +383,8 @@ fn closest((a, b): (Point2<f64>, Point2<f64>), center: Point2<f64>, half: f64) -
         )
     };
     let corners = [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)].map(|(x, y)| center + Vector2::new(x, y) * half);
-    let ends = [a, b].map(|p| (p, clamp(p)));
-    let pairs = corners.map(|q| (on_segment((a, b), q), q));
+    let ends = [piece.a, piece.b].map(|p| (p, clamp(p)));
+    let pairs = corners.map(|q| (piece.nearest(q), q));
     let distance = |pair: &(Point2<f64>, Point2<f64>)| (pair.1 - pair.0).norm_squared();
     let mut best = ends[0];
     for pair in ends[1..].iter().chain(&pairs) {

@@ -18,6 +18,13 @@ pub struct Curve {
 }
 
 /// Why there is no curve.
+///
+/// ```
+/// use zenav_smoothing::{Ends, fit};
+///
+/// let refused = fit(&[], &Ends::default(), 0.25, 60).unwrap_err();
+/// assert_eq!(refused.to_string(), "no polygons");
+/// ```
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum CurveError {
     /// The solver found none.
@@ -66,12 +73,32 @@ impl Curve {
     ///
     /// # Errors
     /// [`CurveError::Cusp`] if the curve has no heading somewhere.
+    ///
+    /// ```
+    /// # use nalgebra::Point2;
+    /// # use zenav_protocol::grid::{Grid, GridSpec, Occupancy};
+    /// # use zenav_protocol::robot::Footprint;
+    /// # use zenav_smoothing::{CorridorSettings, Ends, corridor, fit};
+    /// # use zenav_space::{ConfigurationSpace, UnknownPolicy};
+    /// # let spec = GridSpec { origin: Point2::origin(), resolution: 0.05, width: 100, height: 100 };
+    /// # let map = Grid::filled(spec, Occupancy::FREE);
+    /// # let space = ConfigurationSpace::new(&map, &Footprint::Radius(0.25), UnknownPolicy::Blocked, 0.0);
+    /// # let path = [(1.0, 1.0), (3.0, 1.0), (3.0, 3.0)].map(|(x, y)| Point2::new(x, y));
+    /// # let polygons = corridor(&space, &path, &CorridorSettings::default());
+    /// # let curve = fit(&polygons, &Ends::default(), 0.25, 60)?;
+    /// let sampled = curve.sampled(0.05)?;
+    /// let points = sampled.geometry.points();
+    /// assert!(points.windows(2).all(|pair| pair[1].s > pair[0].s && (pair[1].yaw - pair[0].yaw).abs() < 0.1));
+    /// assert_eq!((sampled.ends.len(), sampled.ends.last()), (curve.pieces().len(), Some(&(points.len() - 1))));
+    /// # Ok::<(), zenav_smoothing::CurveError>(())
+    /// ```
     pub fn sampled(&self, step: f64) -> Result<Sampled, CurveError> {
         let mut points: Vec<PathPoint> = Vec::new();
         let mut ends = Vec::with_capacity(self.pieces.len());
         for (i, piece) in self.pieces.iter().enumerate() {
             let polygon: f64 = piece.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
-            let mut samples = (polygon / step).ceil().clamp(2.0, MOST_SAMPLES as f64) as usize;
+            // A step that is not a number counts as a large one.
+            let mut samples = ((polygon / step).ceil().clamp(2.0, MOST_SAMPLES as f64) as usize).max(2);
             let polynomial = Polynomial::new(piece);
             let before = points.len();
             loop {
@@ -194,6 +221,15 @@ mod tests {
         assert!((Polynomial::new(&first).place(0.5) - row[0]).norm() < 1e-12);
         let distances = points.iter().map(|p| (Point2::new(p.x, p.y) - row[0]).norm());
         assert!(distances.fold(f64::INFINITY, f64::min) < 0.011);
+    }
+
+    #[test]
+    fn numbers_that_are_none_end_the_sampling() {
+        let line = [0.0, 0.4, 0.8, 1.2, 1.6, 2.0].map(|x| Point2::new(x, 0.0));
+        let curve = |piece| Curve::new(vec![piece], String::new(), 0, 0.0);
+        assert_eq!(curve(line).sampled(f64::NAN).unwrap().geometry.points().len(), 3);
+        let nowhere = line.map(|p| p * f64::NAN);
+        assert!(matches!(curve(nowhere).sampled(0.02), Err(CurveError::Cusp)));
     }
 
     #[test]

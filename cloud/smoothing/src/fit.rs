@@ -21,9 +21,30 @@ use nalgebra::{Point2, Vector2};
 
 use super::corridor::FreePolygon;
 use super::cost::{JOINT, controls, cost};
+use super::csc::by_columns;
 use super::curve::{Curve, CurveError};
 
 /// Heading and curvature that an end of the curve must have.
+///
+/// ```
+/// use std::f64::consts::FRAC_PI_2;
+/// use nalgebra::{Point2, Vector2};
+/// use zenav_smoothing::{CorridorSettings, EndTangent, Ends, corridor, fit};
+/// # use zenav_protocol::grid::{Grid, GridSpec, Occupancy};
+/// # use zenav_protocol::robot::Footprint;
+/// # use zenav_space::{ConfigurationSpace, UnknownPolicy};
+///
+/// # let spec = GridSpec { origin: Point2::origin(), resolution: 0.05, width: 100, height: 100 };
+/// # let map = Grid::filled(spec, Occupancy::FREE);
+/// # let space = ConfigurationSpace::new(&map, &Footprint::Radius(0.25), UnknownPolicy::Blocked, 0.0);
+/// // The path leads along x, and the robot looks along y.
+/// let polygons = corridor(&space, &[Point2::new(1.5, 2.5), Point2::new(3.5, 2.5)], &CorridorSettings::default());
+/// let start = Some(EndTangent { direction: Vector2::y(), curvature: None });
+/// let curve = fit(&polygons, &Ends { start, end: None }, 0.25, 60)?;
+/// let first = curve.sampled(0.02)?.geometry.points()[0];
+/// assert!((first.yaw - FRAC_PI_2).abs() < 1e-3);
+/// # Ok::<(), zenav_smoothing::CurveError>(())
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EndTangent {
     /// Unit vector.
@@ -53,6 +74,25 @@ const ROUNDS: usize = 4;
 ///
 /// # Errors
 /// [`CurveError::Solver`]: the polygons do not admit the ends' tangents, or the solver failed.
+///
+/// ```
+/// use nalgebra::Point2;
+/// use zenav_smoothing::{CorridorSettings, Ends, corridor, fit};
+/// # use zenav_protocol::grid::{Grid, GridSpec, Occupancy};
+/// # use zenav_protocol::robot::Footprint;
+/// # use zenav_space::{ConfigurationSpace, UnknownPolicy};
+///
+/// # let spec = GridSpec { origin: Point2::origin(), resolution: 0.05, width: 100, height: 100 };
+/// # let map = Grid::filled(spec, Occupancy::FREE);
+/// # let space = ConfigurationSpace::new(&map, &Footprint::Radius(0.25), UnknownPolicy::Blocked, 0.0);
+/// let path = [(1.0, 1.0), (3.0, 1.0), (3.0, 3.0)].map(|(x, y)| Point2::new(x, y));
+/// let polygons = corridor(&space, &path, &CorridorSettings::default());
+/// let curve = fit(&polygons, &Ends::default(), 0.25, 60)?;
+/// assert!(curve.sampled(0.02)?.geometry.length() < 4.0, "the corner is cut");
+/// // All control points of a piece lie in its polygon, so the curve does.
+/// assert!(curve.pieces().iter().zip(&polygons).all(|(piece, polygon)| piece.iter().all(|point| polygon.holds(*point, 1e-3))));
+/// # Ok::<(), zenav_smoothing::CurveError>(())
+/// ```
 pub fn fit(
     polygons: &[FreePolygon],
     ends: &Ends,
@@ -287,22 +327,8 @@ fn matrix(rows: &[&Row], variables: usize) -> (CscMatrix<f64>, Vec<f64>) {
             terms.map(move |(variable, factor)| (i, *variable, *factor))
         })
     };
-    let mut starts = vec![0; variables + 1];
-    for (_, variable, _) in terms() {
-        starts[variable + 1] += 1;
-    }
-    for i in 0..variables {
-        starts[i + 1] += starts[i];
-    }
-    let mut next = starts.clone();
-    let (mut indices, mut values) = (vec![0; starts[variables]], vec![0.0; starts[variables]]);
-    for (row, variable, factor) in terms() {
-        let at = &mut next[variable];
-        (indices[*at], values[*at]) = (row, factor);
-        *at += 1;
-    }
     let bounds = rows.iter().map(|row| row.bound).collect();
-    (CscMatrix::new(rows.len(), variables, starts, indices, values), bounds)
+    (by_columns(rows.len(), variables, terms), bounds)
 }
 
 #[cfg(test)]

@@ -32,15 +32,17 @@
 //!
 //! # Use
 //!
-//! [`smooth()`] runs all phases; [`unsmoothed()`] is only the fallback. `cargo run -p zenav-smoothing --example around_a_corner` prints a
-//! trajectory and its certificate.
+//! [`smooth()`] runs all phases; [`smooth_pieces()`] does so for a path with stops and with legs driven backwards; [`unsmoothed()`] is only
+//! the fallback. `cargo run -p zenav-smoothing --example around_a_corner` prints a trajectory and its certificate.
 //!
 //! | file | answers |
 //! |---|---|
 //! | `smoother` | which trajectory does a path become? |
+//! | `pieces` | how is a path with stops, or with legs driven backwards, smoothed? |
 //! | `shortcut` | which corners of a path are needed? |
 //! | `corridor` | how much room is there around a path? |
 //! | `fit`, `cost` | which curve through that room bends least, and what does a curve cost? |
+//! | `csc` | how does the solver take a sparse matrix? |
 //! | `curve` | how is a curve represented and sampled? |
 //! | `segment` | which curve leads from one stop to the next, for the true footprint? |
 //! | `trajectory_builder` | where does the robot brake, stop and turn, and which curves connect these places? |
@@ -52,10 +54,12 @@
 mod certificate;
 mod corridor;
 mod cost;
+mod csc;
 mod curve;
 mod fit;
 mod outcome;
 mod phases;
+mod pieces;
 mod segment;
 mod settings;
 mod shortcut;
@@ -71,6 +75,7 @@ pub use corridor::{FreePolygon, HalfPlane, corridor};
 pub use curve::{Curve, CurveError, Sampled};
 pub use fit::{EndTangent, Ends, fit};
 pub use outcome::{Fallback, Outcome};
+pub use pieces::{Cuts, Piece, SmoothedPiece, SmoothedPieces, pieces, smooth_pieces};
 pub use settings::{CorridorSettings, SmoothingSettings, StopSettings};
 pub use shortcut::shortcut;
 pub use smoother::{SAMPLE_PERIOD, SmoothQuery, Smoothed, smooth};

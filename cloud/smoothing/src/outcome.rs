@@ -5,6 +5,13 @@ use std::fmt;
 use super::curve::CurveError;
 
 /// Result of smoothing.
+///
+/// ```
+/// use zenav_smoothing::{Fallback, Outcome};
+///
+/// assert_eq!(Outcome::Smoothed.to_string(), "smoothed");
+/// assert_eq!(Outcome::Unsmoothed(Fallback::Slower).to_string(), "fallback:slower");
+/// ```
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Outcome {
     /// A trajectory along a smooth curve.

@@ -4,6 +4,17 @@
 
 zenav_protocol::settings! {
     /// How a path becomes a trajectory.
+    ///
+    /// ```
+    /// use zenav_protocol::settings::Settings;
+    /// use zenav_smoothing::SmoothingSettings;
+    ///
+    /// let wide = SmoothingSettings::default().with_number("turning_length", 0.5).unwrap()?;
+    /// assert_eq!(wide.turning_length, 0.5);
+    /// let refused = wide.with_number("corridor.clearance", -0.1).unwrap().unwrap_err();
+    /// assert!(refused.to_string().contains("`corridor.clearance` is -0.1"));
+    /// # Ok::<(), zenav_protocol::config_text::OutOfBounds>(())
+    /// ```
     #[derive(Copy)]
     pub struct SmoothingSettings {
         /// Length over which the robot prefers to turn: weighs curvature against length.

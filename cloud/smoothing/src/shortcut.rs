@@ -40,6 +40,21 @@ pub fn has_leg(space: &ConfigurationSpace, a: Point2<f64>, b: Point2<f64>, kept:
 
 /// The path with fewer corners; its ends stay. Once `cancel` is set, it is returned as it is. `clearance` (m) is what cuts keep beyond
 /// the robot's shape, as far as the path does; `heading` (rad) is the robot's heading at the start, if it matters.
+///
+/// ```
+/// use nalgebra::Point2;
+/// use zenav_smoothing::shortcut;
+/// # use zenav_protocol::grid::{Grid, GridSpec, Occupancy};
+/// # use zenav_protocol::robot::Footprint;
+/// # use zenav_space::{ConfigurationSpace, UnknownPolicy};
+///
+/// # let spec = GridSpec { origin: Point2::origin(), resolution: 0.05, width: 100, height: 100 };
+/// # let map = Grid::filled(spec, Occupancy::FREE);
+/// # let space = ConfigurationSpace::new(&map, &Footprint::Radius(0.25), UnknownPolicy::Blocked, 0.0);
+/// // Stairs across an empty room.
+/// let path = [(1.0, 1.0), (2.0, 1.0), (2.0, 2.0), (3.0, 2.0), (3.0, 3.0)].map(|(x, y)| Point2::new(x, y));
+/// assert_eq!(shortcut(&space, &path, 0.3, None, None), [path[0], path[4]]);
+/// ```
 #[must_use]
 pub fn shortcut(
     space: &ConfigurationSpace,

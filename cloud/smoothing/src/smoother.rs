@@ -31,6 +31,33 @@ const ROUNDING: f64 = 1e-6;
 pub const SAMPLE_PERIOD: f64 = 0.05;
 
 /// Input of smoothing.
+///
+/// ```
+/// use nalgebra::Point2;
+/// use zenav_protocol::geometry::{Pose2, Twist2};
+/// use zenav_protocol::messages::DrivingProfile;
+/// use zenav_smoothing::{Fallback, Outcome, SmoothQuery, SmoothingSettings, smooth};
+/// # use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy};
+/// # use zenav_protocol::robot::{RobotModel, shipped};
+/// # use zenav_space::{ConfigurationSpace, UnknownPolicy};
+///
+/// # let spec = GridSpec { origin: Point2::origin(), resolution: 0.05, width: 100, height: 100 };
+/// # let mut grid = Grid::filled(spec, Occupancy::FREE);
+/// # (0..100).for_each(|y| grid[Cell::new(50, y)] = Occupancy::OCCUPIED);
+/// # let model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
+/// # let space = ConfigurationSpace::new(&grid, &model.footprint, UnknownPolicy::Blocked, 0.0);
+/// let query = SmoothQuery {
+///     path: &[Point2::new(4.0, 1.0)],
+///     start: Pose2::new(1.0, 1.0, 0.0),
+///     start_velocity: Twist2::ZERO,
+///     goal_yaw: Some(1.0),
+///     profile: DrivingProfile::Fastest,
+/// };
+/// // A wall stands across the path: nothing is driven.
+/// let smoothed = smooth(&space, &query, &model, &SmoothingSettings::default(), None, &mut || 0.0);
+/// assert_eq!(smoothed.outcome, Outcome::Unsmoothed(Fallback::PathBlocked));
+/// assert!(smoothed.trajectory.is_empty());
+/// ```
 #[derive(Clone, Copy, Debug)]
 pub struct SmoothQuery<'a> {
     /// Corner points, map frame, m; the start included or not.
@@ -59,6 +86,18 @@ pub struct Smoothed {
 
 impl Smoothed {
     /// Points at most `period` seconds apart, as they are sent to the robot.
+    ///
+    /// ```
+    /// # use nalgebra::Point2;
+    /// # use zenav_protocol::geometry::{Pose2, Twist2};
+    /// # use zenav_protocol::robot::{RobotModel, shipped};
+    /// # use zenav_smoothing::unsmoothed;
+    /// # let model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
+    /// # let smoothed = unsmoothed(&[Point2::new(2.0, 0.0)], Pose2::IDENTITY, Twist2::ZERO, None, &model);
+    /// let points = smoothed.sampled(0.1);
+    /// assert!(points.windows(2).all(|pair| pair[1].t - pair[0].t < 0.1 + 1e-9));
+    /// assert_eq!((points[0].t, points.last().unwrap().v), (0.0, 0.0));
+    /// ```
     #[must_use]
     pub fn sampled(&self, period: f64) -> Trajectory {
         self.trajectory.sampled(period)

@@ -13,7 +13,7 @@ use zenav_protocol::messages::{DrivingProfile, PlanOutcome};
 use zenav_protocol::polygon::{contains, edges};
 use zenav_protocol::robot::{Footprint, RobotModel};
 
-use super::{SmoothQuery, Smoothed, SmoothingSettings, smooth};
+use super::{Cuts, Fallback, Outcome, SmoothQuery, Smoothed, SmoothedPieces, SmoothingSettings, smooth, smooth_pieces};
 use zenav_planning::{Budget, PlanOptions, Planner, Searcher, plan};
 use zenav_space::{ConfigurationSpace, UnknownPolicy, Zones};
 
@@ -243,11 +243,7 @@ fn a_motion_stays_out_of_closed_zones_and_is_slow_in_speed_zones() {
     for state in result.trajectory.states(0.001) {
         let position = state.point.pose().position();
         let apart = edges(&corners)
-            .map(|edge| {
-                let along = edge.b - edge.a;
-                let share = ((position - edge.a).dot(&along) / along.norm_squared()).clamp(0.0, 1.0);
-                (edge.a + along * share - position).norm()
-            })
+            .map(|edge| (edge.nearest(position) - position).norm())
             .fold(f64::INFINITY, f64::min);
         assert!(apart > model.footprint.inscribed_radius() && !contains(&corners, position));
         fastest = fastest.max(state.point.v);
@@ -428,6 +424,71 @@ fn a_blocked_way_is_not_driven() {
         assert!(through.trajectory.is_empty() && through.statistics.status == "fallback:path_blocked");
         assert!(!to(3.0).trajectory.is_empty(), "{before:?}");
     }
+}
+
+/// A path of tiago's along y = 2 m, from its first place, where the robot looks along x and is at rest.
+fn driven(space: &ConfigurationSpace, places: &[f64], cuts: &Cuts<'_>) -> SmoothedPieces {
+    let path: Vec<_> = places.iter().map(|x| Point2::new(*x, 2.0)).collect();
+    let query = SmoothQuery {
+        path: &path,
+        start: Pose2::new(places[0], 2.0, 0.0),
+        start_velocity: Twist2::ZERO,
+        goal_yaw: None,
+        profile: DrivingProfile::Fastest,
+    };
+    let (model, settings) = (robot("tiago"), SmoothingSettings::default());
+    smooth_pieces(space, &query, cuts, &model, &settings, None, &mut || 0.0)
+}
+
+#[test]
+fn a_leg_driven_backwards_is_no_turn_and_the_robot_rests_at_the_cusp() {
+    let model = robot("tiago");
+    let space = space(&hall(), &model);
+    let cuts = Cuts {
+        backwards: &[1],
+        via: &[],
+    };
+    let there_and_back = driven(&space, &[2.0, 4.0, 3.0], &cuts);
+    let states = there_and_back.states(0.01);
+    let points: Vec<_> = states.iter().map(|state| state.point).collect();
+    let cusp = points.iter().position(|point| point.x > 4.0 - 1e-6).unwrap();
+    assert!(points[..=cusp].iter().all(|point| point.v >= 0.0) && points[cusp..].iter().all(|point| point.v <= 0.0));
+    assert!(
+        points
+            .iter()
+            .all(|point| point.yaw.abs() < 1e-6 && (point.y - 2.0).abs() < 1e-6)
+    );
+    for pair in states.windows(2) {
+        let (before, after) = (pair[0].point, pair[1].point);
+        let dt = after.t - before.t;
+        assert!(dt > 0.0 && dt < 0.01 + 1e-9);
+        let moved = 0.5 * dt * (before.v + after.v);
+        assert!((after.x - before.x - moved).abs() < 1e-4, "{before:?} {after:?}");
+    }
+    let end = points[points.len() - 1];
+    assert!((end.x - 3.0).abs() < 1e-6 && end.v == 0.0);
+    assert!((end.t - there_and_back.statistics.duration).abs() < 1e-9);
+    assert!((there_and_back.statistics.length - 3.0).abs() < 1e-6);
+}
+
+#[test]
+fn a_piece_without_length_stops_nothing_and_a_blocked_one_everything() {
+    let model = robot("tiago");
+    let cuts = Cuts {
+        backwards: &[1],
+        via: &[],
+    };
+    // Half a millimetre ahead there is nothing to drive.
+    let back = driven(&space(&hall(), &model), &[4.0, 4.0005, 2.5], &cuts);
+    assert_eq!(back.pieces.len(), 1, "{}", back.outcome);
+    let states = back.states(0.01);
+    assert!((states[states.len() - 1].point.x - 2.5).abs() < 1e-6);
+    assert!(states.iter().all(|state| state.point.v <= 0.0));
+    // A wall stands behind the robot.
+    let walled = space(&cluttered(&[(80, 0, 3, 120)]), &model);
+    let blocked = driven(&walled, &[5.0, 6.0, 2.5], &cuts);
+    assert!(blocked.is_empty() && blocked.states(0.01).is_empty());
+    assert_eq!(blocked.outcome, Outcome::Unsmoothed(Fallback::PathBlocked));
 }
 
 #[test]

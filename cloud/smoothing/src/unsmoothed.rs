@@ -14,6 +14,19 @@ use super::timing::{Limits, UNRESTRICTED};
 /// The unsmoothed path (corner points, map frame, the start included or not) from a pose and velocity, to rest at a heading.
 ///
 /// It needs neither map nor solver; the caller may replace `status`.
+///
+/// ```
+/// use nalgebra::Point2;
+/// use zenav_protocol::geometry::{Pose2, Twist2};
+/// use zenav_protocol::robot::{RobotModel, shipped};
+/// use zenav_smoothing::unsmoothed;
+///
+/// let model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
+/// let path = [Point2::new(2.0, 0.0), Point2::new(2.0, 1.0)];
+/// let found = unsmoothed(&path, Pose2::IDENTITY, Twist2::ZERO, None, &model).statistics;
+/// assert!((found.length - 3.0).abs() < 1e-6 && found.status == "fallback:not_tried");
+/// assert!(found.certificate.largest_use.wheel_speed < 0.951, "a plan leaves 5 % for control");
+/// ```
 #[must_use]
 pub fn unsmoothed(
     path: &[Point2<f64>],

@@ -64,6 +64,22 @@ impl ConfigurationSpace {
     }
 
     /// Whether the true footprint may turn on the spot, the shorter way round.
+    ///
+    /// ```
+    /// # use std::f64::consts::FRAC_PI_2;
+    /// # use nalgebra::Point2;
+    /// # use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy};
+    /// # use zenav_protocol::robot::Footprint;
+    /// # use zenav_space::{ConfigurationSpace, UnknownPolicy};
+    /// # let spec = GridSpec { origin: Point2::origin(), resolution: 0.1, width: 40, height: 40 };
+    /// # let mut map = Grid::filled(spec, Occupancy::FREE);
+    /// map[Cell::new(20, 20)] = Occupancy::OCCUPIED; // from (2.0, 2.0) to (2.1, 2.1)
+    /// let corners = [(-0.4, -0.15), (0.4, -0.15), (0.4, 0.15), (-0.4, 0.15)];
+    /// let footprint = Footprint::Polygon(corners.map(|(x, y)| Point2::new(x, y)).to_vec());
+    /// let space = ConfigurationSpace::new(&map, &footprint, UnknownPolicy::Free, 0.0);
+    /// assert!(space.turn_is_free(Point2::new(1.5, 2.05), FRAC_PI_2, 0.0));
+    /// assert!(!space.turn_is_free(Point2::new(1.7, 2.05), FRAC_PI_2, 0.0), "the front hits the square");
+    /// ```
     #[must_use]
     pub fn turn_is_free(&self, at: Point2<f64>, from: f64, to: f64) -> bool {
         let pose = |yaw: f64| Pose2 { x: at.x, y: at.y, yaw };
@@ -72,6 +88,26 @@ impl ConfigurationSpace {
 
     /// Whether the true footprint touches nothing while position and heading change linearly from one pose to another (the heading as
     /// given, not the shorter way round). Never true for a collision; `false` with less than half a millimetre to spare.
+    ///
+    /// ```
+    /// # use std::f64::consts::{FRAC_PI_2, TAU};
+    /// # use nalgebra::Point2;
+    /// # use zenav_protocol::geometry::Pose2;
+    /// # use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy};
+    /// # use zenav_protocol::robot::Footprint;
+    /// # use zenav_space::{ConfigurationSpace, UnknownPolicy};
+    /// # let spec = GridSpec { origin: Point2::origin(), resolution: 0.1, width: 40, height: 40 };
+    /// # let mut map = Grid::filled(spec, Occupancy::FREE);
+    /// # map[Cell::new(20, 20)] = Occupancy::OCCUPIED;
+    /// # let corners = [(-0.4, -0.15), (0.4, -0.15), (0.4, 0.15), (-0.4, 0.15)];
+    /// # let footprint = Footprint::Polygon(corners.map(|(x, y)| Point2::new(x, y)).to_vec());
+    /// # let space = ConfigurationSpace::new(&map, &footprint, UnknownPolicy::Free, 0.0);
+    /// // The robot of 0.8 m by 0.3 m stands beside an obstacle, 0.15 m from its side: a full turn is no turn at all for `turn_is_free`.
+    /// let at = |yaw| Pose2 { x: 1.7, y: 2.05, yaw };
+    /// assert!(space.turn_is_free(at(FRAC_PI_2).position(), FRAC_PI_2, FRAC_PI_2 + TAU));
+    /// assert!(!space.motion_is_free(at(FRAC_PI_2), at(FRAC_PI_2 + TAU)));
+    /// assert!(space.motion_is_free(at(FRAC_PI_2), at(FRAC_PI_2 - 0.1)));
+    /// ```
     #[must_use]
     pub fn motion_is_free(&self, from: Pose2, to: Pose2) -> bool {
         if !(from.is_finite() && to.is_finite()) {
@@ -150,12 +186,25 @@ impl ConfigurationSpace {
     }
 
     /// Whether a convex outline, in cells of the grid, touches no obstacle.
+    #[must_use]
     pub fn is_clear_of(&self, outline: &[Point2<f64>]) -> bool {
         !polygon_touches(self.obstacles(), outline)
     }
 }
 
-/// Corners of the footprint at a pose, and at another position with the same heading.
+/// Corners (base frame, m) of the footprint at a pose, and at another position with the same heading; map frame, m. Their hull is what a
+/// convex footprint sweeps in between.
+///
+/// ```
+/// use nalgebra::Point2;
+/// use zenav_protocol::geometry::Pose2;
+/// use zenav_space::{convex_hull, swept_corners};
+///
+/// // A square of 0.4 m drives 1 m ahead.
+/// let corners = [(-0.2, -0.2), (0.2, -0.2), (0.2, 0.2), (-0.2, 0.2)].map(|(x, y)| Point2::new(x, y));
+/// let swept = convex_hull(&swept_corners(&corners, Pose2::IDENTITY, Point2::new(1.0, 0.0)));
+/// assert!(swept.iter().all(|corner| corner.x == -0.2 || corner.x == 1.2));
+/// ```
 pub fn swept_corners(corners: &[Point2<f64>], from: Pose2, to: Point2<f64>) -> Vec<Point2<f64>> {
     let there = Pose2::new(to.x, to.y, from.yaw);
     [from, there]

@@ -55,6 +55,32 @@ impl SpaceCache {
     /// The space of a map's present state; the same `Arc` (`Arc::ptr_eq`) while no cell changes its meaning.
     ///
     /// An older space that is still held elsewhere stays unchanged; otherwise it is updated in place.
+    ///
+    /// ```
+    /// # use nalgebra::Point2;
+    /// # use zenav_protocol::grid::{GridSpec, Occupancy};
+    /// # use zenav_protocol::map_replica::{MapReplica, PatchResult};
+    /// # use zenav_protocol::messages::{MapPatch, MapRef, TILE, Tile};
+    /// # use zenav_protocol::time::Stamp;
+    /// use std::sync::Arc;
+    /// use zenav_protocol::robot::Footprint;
+    /// use zenav_space::{Fit, SpaceCache, UnknownPolicy};
+    ///
+    /// # let mut map = MapReplica::new();
+    /// # let patch = MapPatch {
+    /// #     stamp: Stamp(1),
+    /// #     map: MapRef { id: "kitchen".into(), revision: 1, frame: 0 },
+    /// #     base_revision: 0,
+    /// #     spec: GridSpec { origin: Point2::origin(), resolution: 0.05, width: TILE, height: TILE },
+    /// #     tiles: vec![Tile { x: 0, y: 0, values: vec![Occupancy::FREE; (TILE * TILE) as usize] }],
+    /// # };
+    /// # assert_eq!(map.apply(&patch), PatchResult::Applied);
+    /// // `map` is the `MapReplica` of a map with cells of 0.05 m.
+    /// let (mut cache, robot) = (SpaceCache::default(), Footprint::Radius(0.2));
+    /// let mut get = |fit| cache.get(&map, &robot, UnknownPolicy::Blocked, fit);
+    /// assert!(Arc::ptr_eq(&get(Fit::Roomy), &get(Fit::Roomy)), "it is built once");
+    /// assert!((get(Fit::Tight).radius() - 0.1875).abs() < 1e-9, "12.5 mm less on each side");
+    /// ```
     pub fn get(
         &mut self,
         map: &MapReplica,

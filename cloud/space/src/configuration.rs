@@ -15,7 +15,27 @@ use super::sweep::Banded;
 use super::update::Marks;
 use super::zones::Zones;
 
-/// Meaning of unknown cells for a robot. Everything outside the grid counts as unknown too.
+/// Meaning of unknown cells for a robot. Everything outside the grid counts as unknown too, but is no obstacle: under the last two
+/// policies the robot's centre stays on the grid, and its body may reach over the border.
+///
+/// ```
+/// use nalgebra::Point2;
+/// use zenav_protocol::geometry::Pose2;
+/// use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy};
+/// use zenav_protocol::robot::Footprint;
+/// use zenav_space::{ConfigurationSpace, UnknownPolicy};
+///
+/// let spec = GridSpec { origin: Point2::origin(), resolution: 0.1, width: 40, height: 40 };
+/// let mut map = Grid::filled(spec, Occupancy::FREE);
+/// map[Cell::new(20, 20)] = Occupancy::UNKNOWN; // from (2.0, 2.0) to (2.1, 2.1)
+/// let fits = |unknown, x| {
+///     let space = ConfigurationSpace::new(&map, &Footprint::Radius(0.2), unknown, 0.0);
+///     space.is_valid(Pose2::new(x, 2.05, 0.0))
+/// };
+/// assert!(fits(UnknownPolicy::Free, 2.05));
+/// assert!(fits(UnknownPolicy::Blocked, 1.9) && !fits(UnknownPolicy::Blocked, 2.05));
+/// assert!(fits(UnknownPolicy::Obstacle, 1.7) && !fits(UnknownPolicy::Obstacle, 1.9));
+/// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum UnknownPolicy {
     /// Driven through like free cells.
@@ -88,6 +108,22 @@ impl ConfigurationSpace {
     }
 
     /// Like [`new`](Self::new), on a map with zones: keep-out zones are obstacles.
+    ///
+    /// ```
+    /// # use std::sync::Arc;
+    /// # use nalgebra::Point2;
+    /// # use zenav_protocol::grid::{Grid, GridSpec, Occupancy};
+    /// # use zenav_protocol::robot::Footprint;
+    /// # use zenav_space::{ConfigurationSpace, UnknownPolicy, Zones};
+    /// # let spec = GridSpec { origin: Point2::origin(), resolution: 0.1, width: 40, height: 40 };
+    /// # let map = Grid::filled(spec, Occupancy::FREE);
+    /// let stairs = "[[keep_out]]\npoints = [[3.05, 0], [4, 0], [4, 4], [3.05, 4]]";
+    /// let zones = Arc::new(Zones::from_toml(stairs, "zones.toml")?);
+    /// let space = ConfigurationSpace::with_zones(&map, &Footprint::Radius(0.2), UnknownPolicy::Free, 0.0, &zones);
+    /// // A cell that the zone touches is an obstacle as a whole: the zone begins at x = 3.0 m.
+    /// assert!((space.clearance(Point2::new(2.5, 2.0)) - 0.5).abs() < 1e-9);
+    /// # Ok::<(), zenav_space::ZonesError>(())
+    /// ```
     #[must_use]
     pub fn with_zones(
         grid: &OccupancyGrid,

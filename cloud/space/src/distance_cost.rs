@@ -14,6 +14,17 @@ pub struct DistanceCost<'a> {
 
 impl<'a> DistanceCost<'a> {
     /// `cost` gives the cost of each distance, m. Distances of at least the field's reach cost nothing.
+    ///
+    /// ```
+    /// use nalgebra::Point2;
+    /// use zenav_protocol::grid::{Cell, GridSpec};
+    /// use zenav_space::{BitGrid, DistanceCost, DistanceField};
+    ///
+    /// let spec = GridSpec { origin: Point2::origin(), resolution: 0.1, width: 30, height: 30 };
+    /// let field = DistanceField::new(spec, &BitGrid::from_fn(30, 30, |cell| cell.x == 0), 10);
+    /// let costs = DistanceCost::new(&field, |distance| if distance < 0.3 { 200 } else { 10 });
+    /// assert_eq!([3, 5, 29].map(|x| costs.at(Cell::new(x, 15))), [200, 10, 0]);
+    /// ```
     #[must_use]
     pub fn new(field: &'a DistanceField, cost: impl Fn(f64) -> u8) -> Self {
         let far = 4 * field.reach_cells().pow(2);

@@ -74,4 +74,5 @@ pub use distance_cost::DistanceCost;
 pub use line_of_sight::{LineOfSight, PointLineOfSight};
 pub use raster::CellMask;
 pub use update::GridChanged;
-pub use zones::{ZoneError, Zones, ZonesError};
+pub use zenav_protocol::config_text::TextError as ZonesError;
+pub use zones::{ZoneError, Zones};

@@ -13,6 +13,21 @@ const NEARBY: i64 = 6;
 /// The free cells connected to a point; `None` if no free cell is near it.
 ///
 /// Cost: linear in the cells reached.
+///
+/// ```
+/// # use nalgebra::Point2;
+/// # use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy};
+/// # use zenav_protocol::robot::Footprint;
+/// # use zenav_space::{ConfigurationSpace, UnknownPolicy, reach};
+/// # let spec = GridSpec { origin: Point2::origin(), resolution: 0.1, width: 40, height: 40 };
+/// # let mut map = Grid::filled(spec, Occupancy::FREE);
+/// // A wall from x = 2.0 m to x = 2.1 m.
+/// (0..40).for_each(|y| map[Cell::new(20, y)] = Occupancy::OCCUPIED);
+/// let space = ConfigurationSpace::new(&map, &Footprint::Radius(0.2), UnknownPolicy::Free, 0.0);
+/// let reached = reach::flood(&space, Point2::new(1.0, 1.0)).unwrap();
+/// assert!(reach::is_reached(&space, &reached, Point2::new(1.5, 3.0)));
+/// assert!(!reach::is_reached(&space, &reached, Point2::new(3.0, 3.0)));
+/// ```
 #[must_use]
 pub fn flood(space: &ConfigurationSpace, from: Point2<f64>) -> Option<BitGrid> {
     let spec = space.spec();
@@ -61,6 +76,21 @@ pub fn is_reached(space: &ConfigurationSpace, reached: &BitGrid, point: Point2<f
 }
 
 /// Centre of the reached cell nearest to a point among those that `admit` allows, m.
+///
+/// ```
+/// # use nalgebra::Point2;
+/// # use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy};
+/// # use zenav_protocol::robot::Footprint;
+/// # use zenav_space::{ConfigurationSpace, UnknownPolicy, reach};
+/// # let spec = GridSpec { origin: Point2::origin(), resolution: 0.1, width: 40, height: 40 };
+/// # let mut map = Grid::filled(spec, Occupancy::FREE);
+/// // A wall from x = 2.0 m to x = 2.1 m; the goal is behind it.
+/// (0..40).for_each(|y| map[Cell::new(20, y)] = Occupancy::OCCUPIED);
+/// let space = ConfigurationSpace::new(&map, &Footprint::Radius(0.2), UnknownPolicy::Free, 0.0);
+/// let reached = reach::flood(&space, Point2::new(1.0, 1.0)).unwrap();
+/// let near = reach::nearest(&space, &reached, Point2::new(3.0, 3.05), |_| true).unwrap();
+/// assert!((near - Point2::new(1.75, 3.05)).norm() < 1e-9);
+/// ```
 #[must_use]
 pub fn nearest(
     space: &ConfigurationSpace,

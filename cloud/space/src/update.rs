@@ -88,6 +88,22 @@ impl ConfigurationSpace {
     ///
     /// # Errors
     /// [`GridChanged`] if the map has another grid: rebuild the space.
+    ///
+    /// ```
+    /// # use nalgebra::Point2;
+    /// # use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy};
+    /// # use zenav_protocol::robot::Footprint;
+    /// # use zenav_space::{ConfigurationSpace, GridChanged, UnknownPolicy};
+    /// # let spec = GridSpec { origin: Point2::origin(), resolution: 0.1, width: 40, height: 40 };
+    /// # let mut map = Grid::filled(spec, Occupancy::FREE);
+    /// let mut space = ConfigurationSpace::new(&map, &Footprint::Radius(0.2), UnknownPolicy::Free, 0.0);
+    /// map[Cell::new(30, 20)] = Occupancy::OCCUPIED;
+    /// assert_eq!(space.update(&map, &[(0, 0)]), Ok(true), "the cell is in the lower left tile");
+    /// assert!(!space.is_free(Cell::new(30, 20)));
+    ///
+    /// let grown = Grid::filled(GridSpec { width: 41, ..spec }, Occupancy::FREE);
+    /// assert_eq!(space.update(&grown, &[(0, 0)]), Err(GridChanged));
+    /// ```
     pub fn update(&mut self, grid: &OccupancyGrid, tiles: &[(u32, u32)]) -> Result<bool, GridChanged> {
         let differences = self.differences(grid, tiles)?;
         self.apply(grid, &differences);

@@ -59,6 +59,19 @@ impl ConfigurationSpace {
     }
 
     /// Whether the policy for unknown cells lets the robot's centre go straight from `a` to `b`: it touches no forbidden square.
+    ///
+    /// ```
+    /// # use nalgebra::Point2;
+    /// # use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy};
+    /// # use zenav_protocol::robot::Footprint;
+    /// # use zenav_space::{ConfigurationSpace, UnknownPolicy};
+    /// # let spec = GridSpec { origin: Point2::origin(), resolution: 0.1, width: 40, height: 40 };
+    /// # let mut map = Grid::filled(spec, Occupancy::FREE);
+    /// map[Cell::new(20, 20)] = Occupancy::UNKNOWN; // from (2.0, 2.0) to (2.1, 2.1)
+    /// let space = ConfigurationSpace::new(&map, &Footprint::Radius(0.2), UnknownPolicy::Blocked, 0.0);
+    /// let goes = |y| space.is_permitted_between(Point2::new(1.0, y), Point2::new(3.0, y));
+    /// assert!(!goes(2.05) && goes(2.15), "the robot's body may reach over the cell");
+    /// ```
     #[must_use]
     pub fn is_permitted_between(&self, a: Point2<f64>, b: Point2<f64>) -> bool {
         let on_squares = || {
@@ -70,6 +83,22 @@ impl ConfigurationSpace {
 
     /// Exact distance from the true footprint at a pose to the nearest obstacle, m; at most [`reach`](Self::reach), zero in
     /// collision and for a non-finite pose.
+    ///
+    /// ```
+    /// # use nalgebra::Point2;
+    /// # use zenav_protocol::geometry::Pose2;
+    /// # use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy};
+    /// # use zenav_protocol::robot::Footprint;
+    /// # use zenav_space::{ConfigurationSpace, UnknownPolicy};
+    /// # let spec = GridSpec { origin: Point2::origin(), resolution: 0.1, width: 40, height: 40 };
+    /// # let mut map = Grid::filled(spec, Occupancy::FREE);
+    /// map[Cell::new(20, 20)] = Occupancy::OCCUPIED; // from (2.0, 2.0) to (2.1, 2.1)
+    /// let corners = [(-0.4, -0.15), (0.4, -0.15), (0.4, 0.15), (-0.4, 0.15)]; // m, base frame
+    /// let footprint = Footprint::Polygon(corners.map(|(x, y)| Point2::new(x, y)).to_vec());
+    /// let space = ConfigurationSpace::new(&map, &footprint, UnknownPolicy::Free, 0.0);
+    /// assert!((space.footprint_clearance(Pose2::new(1.5, 2.05, 0.0)) - 0.1).abs() < 1e-9);
+    /// assert_eq!(space.footprint_clearance(Pose2::new(1.7, 2.05, 0.0)), 0.0, "in collision");
+    /// ```
     #[must_use]
     pub fn footprint_clearance(&self, pose: Pose2) -> f64 {
         self.footprint_clearance_within(pose, self.reach())
@@ -127,6 +156,19 @@ impl ConfigurationSpace {
     }
 
     /// Exact least distance from a segment to an obstacle, m; at most [`reach`](Self::reach).
+    ///
+    /// ```
+    /// # use nalgebra::Point2;
+    /// # use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy};
+    /// # use zenav_protocol::robot::Footprint;
+    /// # use zenav_space::{ConfigurationSpace, UnknownPolicy};
+    /// # let spec = GridSpec { origin: Point2::origin(), resolution: 0.1, width: 40, height: 40 };
+    /// # let mut map = Grid::filled(spec, Occupancy::FREE);
+    /// map[Cell::new(20, 20)] = Occupancy::OCCUPIED; // from (2.0, 2.0) to (2.1, 2.1)
+    /// let space = ConfigurationSpace::new(&map, &Footprint::Radius(0.2), UnknownPolicy::Blocked, 0.0);
+    /// let clearance = space.segment_clearance(Point2::new(1.0, 1.5), Point2::new(3.0, 1.5));
+    /// assert!((clearance - 0.5).abs() < 1e-9);
+    /// ```
     #[must_use]
     pub fn segment_clearance(&self, a: Point2<f64>, b: Point2<f64>) -> f64 {
         let limit = self.reach() / self.spec.resolution;

@@ -9,11 +9,14 @@
 //! max_speed = 0.3              # m/s
 //! ```
 
+use std::ops::RangeInclusive;
+
 use nalgebra::Point2;
 use serde::Deserialize;
 use thiserror::Error;
 use toml::Spanned;
-use zenav_protocol::config_text::{Number, Pair};
+use zenav_protocol::config_text::{Number, Pair, Source, TextError};
+use zenav_protocol::geometry::MAX_COORDINATE;
 use zenav_protocol::grid::GridSpec;
 use zenav_protocol::messages::{Zone, ZoneRule};
 use zenav_protocol::polygon::{contains, simple};
@@ -24,35 +27,8 @@ use super::raster::CellMask;
 const MAX_ZONES: usize = 1000;
 /// Largest number of corners of a zone.
 const MAX_CORNERS: usize = 1000;
-/// Coordinates lie within this, m.
-const MAX_COORDINATE: f64 = 100_000.0;
-
-/// Why a file of zones was refused.
-#[derive(Debug, Error)]
-pub enum ZonesError {
-    /// The TOML does not fit: an unknown, missing or mistyped key.
-    #[error("{file}:{line}: {source}")]
-    Toml {
-        /// The file.
-        file: String,
-        /// Counted from 1.
-        line: usize,
-        /// What and where.
-        source: Box<toml::de::Error>,
-    },
-    /// A value that no zone may have.
-    #[error("{file}:{line}: `{key}`: {problem}")]
-    Value {
-        /// The file.
-        file: String,
-        /// Counted from 1.
-        line: usize,
-        /// The key.
-        key: &'static str,
-        /// What is wrong with it.
-        problem: String,
-    },
-}
+/// Speed limits of zones, m/s. At less than the first, a robot that is inside hardly gets out.
+const SPEEDS: RangeInclusive<f64> = 0.01..=100.0;
 
 /// Why zones received over the network were refused.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
@@ -120,7 +96,7 @@ impl Zones {
     /// Reads a file of zones; `file` is for errors.
     ///
     /// # Errors
-    /// [`ZonesError`] names the file, the line and the key.
+    /// [`TextError`] names the file, the line and the key.
     ///
     /// ```
     /// use nalgebra::Point2;
@@ -129,27 +105,23 @@ impl Zones {
     /// let text = "[[keep_out]]\nname = \"stairs\"\npoints = [[0, 0], [2, 0], [2, 1], [0, 1]]\n";
     /// let zones = Zones::from_toml(text, "zones.toml")?;
     /// assert_eq!(zones.keep_out(Point2::new(1.0, 0.5)), Some("stairs"));
-    /// # Ok::<(), zenav_space::ZonesError>(())
+    /// # Ok::<(), zenav_protocol::config_text::TextError>(())
     /// ```
-    pub fn from_toml(text: &str, file: &str) -> Result<Self, ZonesError> {
+    pub fn from_toml(text: &str, file: &str) -> Result<Self, TextError> {
         let source = Source { text, file };
-        let zones: ZonesFile = toml::from_str(text).map_err(|error| ZonesError::Toml {
-            file: file.to_owned(),
-            line: source.line(error.span().map_or(0, |span| span.start)),
-            source: Box::new(error),
-        })?;
+        let zones: ZonesFile = source.toml()?;
         for (count, key) in [
             (zones.keep_out.len(), "keep_out"),
             (zones.speed_limit.len(), "speed_limit"),
         ] {
             if count > MAX_ZONES {
-                return Err(source.fail(0, key, format!("{count} zones: expected at most {MAX_ZONES}")));
+                return Err(source.refused(0, key, format!("{count} zones: expected at most {MAX_ZONES}")));
             }
         }
         let keep_out = zones
             .keep_out
             .into_iter()
-            .map(|zone| source.area(zone.name, &zone.points, "keep_out.points"))
+            .map(|zone| area(source, zone.name, &zone.points, "keep_out.points"))
             .collect::<Result<_, _>>()?;
         let speed_limits = zones
             .speed_limit
@@ -157,8 +129,8 @@ impl Zones {
             .map(|zone| {
                 let speed = *zone.max_speed.get_ref();
                 check_speed(speed)
-                    .map_err(|problem| source.fail(zone.max_speed.span().start, "speed_limit.max_speed", problem))?;
-                Ok((source.area(zone.name, &zone.points, "speed_limit.points")?, speed))
+                    .map_err(|problem| source.refused(zone.max_speed.span().start, "speed_limit.max_speed", problem))?;
+                Ok((area(source, zone.name, &zone.points, "speed_limit.points")?, speed))
             })
             .collect::<Result<_, _>>()?;
         Ok(Self { keep_out, speed_limits })
@@ -230,6 +202,18 @@ impl Zones {
     }
 
     /// Speed limit of a robot whose centre is at a point, m/s; `None` outside all speed zones. Where zones overlap, the lowest.
+    ///
+    /// ```
+    /// use nalgebra::Point2;
+    /// use zenav_space::Zones;
+    ///
+    /// let text = "[[speed_limit]]\npoints = [[0, 0], [4, 0], [4, 4], [0, 4]]\nmax_speed = 0.5
+    /// [[speed_limit]]\npoints = [[0, 0], [1, 0], [1, 1], [0, 1]]\nmax_speed = 0.2";
+    /// let zones = Zones::from_toml(text, "zones.toml")?;
+    /// let limits = [0.5, 2.0, 5.0].map(|x| zones.speed_limit(Point2::new(x, 0.5)));
+    /// assert_eq!(limits, [Some(0.2), Some(0.5), None]);
+    /// # Ok::<(), zenav_protocol::config_text::TextError>(())
+    /// ```
     #[must_use]
     pub fn speed_limit(&self, point: Point2<f64>) -> Option<f64> {
         let here = self.speed_limits.iter().filter(|(area, _)| area.contains(point));
@@ -244,6 +228,18 @@ impl Zones {
     }
 
     /// The cells of a grid that a keep-out zone touches; `None` if there are none.
+    ///
+    /// ```
+    /// use nalgebra::Point2;
+    /// use zenav_protocol::grid::{Cell, GridSpec};
+    /// use zenav_space::Zones;
+    ///
+    /// let text = "[[keep_out]]\npoints = [[1.05, 1.05], [1.15, 1.05], [1.15, 1.15], [1.05, 1.15]]";
+    /// let spec = GridSpec { origin: Point2::origin(), resolution: 0.1, width: 40, height: 40 };
+    /// let cells = Zones::from_toml(text, "zones.toml")?.keep_out_cells(&spec).unwrap();
+    /// assert!(cells.is_set(Cell::new(10, 11)) && !cells.is_set(Cell::new(12, 11)));
+    /// # Ok::<(), zenav_protocol::config_text::TextError>(())
+    /// ```
     #[must_use]
     pub fn keep_out_cells(&self, spec: &GridSpec) -> Option<CellMask> {
         CellMask::of(self.keep_out.iter().map(|area| area.corners.as_slice()), spec)
@@ -274,41 +270,26 @@ struct SpeedLimitTable {
     max_speed: Spanned<f64>,
 }
 
-/// The text of a file, to convert byte positions into lines.
-#[derive(Clone, Copy)]
-struct Source<'a> {
-    text: &'a str,
-    file: &'a str,
-}
-
-impl Source<'_> {
-    fn line(self, at: usize) -> usize {
-        1 + self.text.bytes().take(at).filter(|byte| *byte == b'\n').count()
-    }
-
-    fn fail(self, at: usize, key: &'static str, problem: String) -> ZonesError {
-        ZonesError::Value {
-            file: self.file.to_owned(),
-            line: self.line(at),
-            key,
-            problem,
-        }
-    }
-
-    fn area(self, name: Option<String>, points: &Spanned<Vec<Pair>>, key: &'static str) -> Result<Area, ZonesError> {
-        let fail = |problem| self.fail(points.span().start, key, problem);
-        let corners: Vec<[f64; 2]> = points.get_ref().iter().map(|Pair(point)| *point).collect();
-        Area::new(name, &corners).map_err(fail)
-    }
+fn area(
+    source: Source<'_>,
+    name: Option<String>,
+    points: &Spanned<Vec<Pair>>,
+    key: &'static str,
+) -> Result<Area, TextError> {
+    let corners: Vec<[f64; 2]> = points.get_ref().iter().map(|Pair(point)| *point).collect();
+    Area::new(name, &corners).map_err(|problem| source.refused(points.span().start, key, problem))
 }
 
 /// Checks a zone's speed; the error says what is wrong.
 fn check_speed(speed: f64) -> Result<(), String> {
-    if speed.is_finite() && speed > 0.0 {
+    if SPEEDS.contains(&speed) {
         Ok(())
     } else {
         Err(format!(
-            "{speed}: expected a positive number, m/s; what may not be entered is a keep-out zone"
+            "{}: expected {} to {} m/s; what may not be entered is a keep-out zone",
+            Number(speed),
+            SPEEDS.start(),
+            SPEEDS.end()
         ))
     }
 }
@@ -360,9 +341,11 @@ max_speed = 0.2
         let again = Zones::new(&messages).unwrap();
         assert_eq!(again.to_messages(), messages);
         assert_eq!(again.speed_limit(Point2::new(4.5, 4.5)), Some(0.2));
+        messages[3].rule = ZoneRule::SpeedLimit { max_speed: 1e-9 };
+        assert!(Zones::new(&messages).is_err(), "a robot would stay inside for years");
         messages[3].rule = ZoneRule::SpeedLimit { max_speed: 0.0 };
         let error = Zones::new(&messages).unwrap_err().to_string();
-        assert!(error.contains("zone `door`: 0: expected a positive"), "{error}");
+        assert!(error.contains("zone `door`: 0: expected 0.01 to 100 m/s"), "{error}");
         messages[0].points.truncate(2);
         let error = Zones::new(&messages).unwrap_err().to_string();
         assert!(error.contains("zone `stairs`: 2 points: expected 3"), "{error}");
@@ -398,12 +381,12 @@ max_speed = 0.2
             (
                 format!("[[speed_limit]]\n{square}\nmax_speed = 0\n"),
                 "z.toml:3:",
-                "expected a positive number",
+                "expected 0.01 to 100 m/s",
             ),
             (
                 format!("[[speed_limit]]\n{square}\nmax_speed = inf\n"),
                 "z.toml:3:",
-                "expected a positive number",
+                "expected 0.01 to 100 m/s",
             ),
             ("keep_out = 3\n".to_owned(), "z.toml:1:", "keep_out"),
         ];

@@ -12,7 +12,7 @@ use tokio::time::Instant;
 use zenav_protocol::bus::{AskError, Bus, BusError, Latest, Shutdown};
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{
-    Annotations, GoalPhase, GoalPoint, GoalReply, GoalRequest, GoalsReply, GoalsRequest, PoseEstimate, Refusal,
+    Annotations, GoalPhase, GoalPoint, GoalReply, GoalRequest, GoalsReply, GoalsRequest, OnBusy, PoseEstimate, Refusal,
 };
 use zenav_protocol::topics;
 
@@ -37,6 +37,56 @@ struct Group {
     /// Pairs of goal and robot, oldest first.
     assigned: VecDeque<(String, String)>,
     since: Instant,
+}
+
+impl Group {
+    /// The robot that has a goal already: the one whose mission knows it, or the one to which this process assigned it. `known`: how often
+    /// each mission that answers lists the goal.
+    fn holder(&self, id: &str, known: &BTreeMap<String, usize>) -> Option<String> {
+        let told = known
+            .iter()
+            .find(|(robot, count)| **count > 0 && self.poses.contains_key(*robot))
+            .map(|(robot, _)| robot);
+        let remembered = self
+            .assigned
+            .iter()
+            .find(|(goal, _)| goal == id)
+            .map(|(_, robot)| robot);
+        told.or(remembered).cloned()
+    }
+
+    /// The robot that suits a new goal best. `open`: the number of open goals of each mission that answers.
+    fn chosen(
+        &mut self,
+        open: &BTreeMap<String, usize>,
+        at: Option<Point2<f64>>,
+        on_busy: OnBusy,
+    ) -> Result<String, Refusal> {
+        let silent = self.poses.keys().find(|robot| !open.contains_key(*robot));
+        if let Some(silent) = silent.filter(|_| self.since.elapsed() < SETTLING) {
+            return Err(Refusal::Busy {
+                reason: format!("{silent} does not answer and may have the goal already"),
+            });
+        }
+        let candidate = |(robot, pose): (&String, &mut Latest<PoseEstimate>)| {
+            Some(Candidate {
+                robot: robot.clone(),
+                position: pose.borrow().map(|pose| pose.map_from_base.position()),
+                outstanding: *open.get(robot)?,
+            })
+        };
+        let candidates: Vec<Candidate> = self.poses.iter_mut().filter_map(candidate).collect();
+        Ok(choose(&candidates, at, on_busy)?.robot.clone())
+    }
+
+    /// Keeps an assignment, and the others as far as there is room.
+    fn remember(&mut self, id: String, robot: String) {
+        self.assigned.retain(|(goal, _)| *goal != id);
+        if self.assigned.len() == MAX_ASSIGNED {
+            self.assigned.pop_front();
+        }
+        self.assigned.push_back((id, robot));
+    }
 }
 
 /// Accepts goals for a group of robots until shutdown.
@@ -134,46 +184,14 @@ async fn assign(
             }
         )
     );
-    let told = known
-        .iter()
-        .find(|(robot, count)| **count > 0 && group.poses.contains_key(*robot))
-        .map(|(robot, _)| robot);
-    let remembered = group
-        .assigned
-        .iter()
-        .find(|(goal, _)| *goal == id)
-        .map(|(_, robot)| robot);
-    let robot = match told.or(remembered) {
-        Some(robot) => robot.clone(),
-        None => {
-            let silent = group.poses.keys().find(|robot| !open.contains_key(*robot));
-            if let Some(silent) = silent.filter(|_| group.since.elapsed() < SETTLING) {
-                return Err(Refusal::Busy {
-                    reason: format!("{silent} does not answer and may have the goal already"),
-                });
-            }
-            let candidates: Vec<Candidate> = group
-                .poses
-                .iter_mut()
-                .filter_map(|(robot, pose)| {
-                    Some(Candidate {
-                        robot: robot.clone(),
-                        position: pose.borrow().map(|pose| pose.map_from_base.position()),
-                        outstanding: *open.get(robot)?,
-                    })
-                })
-                .collect();
-            choose(&candidates, at, request.on_busy)?.robot.clone()
-        }
+    let robot = match group.holder(&id, &known) {
+        Some(robot) => robot,
+        None => group.chosen(&open, at, request.on_busy)?,
     };
     if begun.elapsed() > HELD_UP {
         return Err(Refusal::NotLeader);
     }
-    group.assigned.retain(|(goal, _)| *goal != id);
-    if group.assigned.len() == MAX_ASSIGNED {
-        group.assigned.pop_front();
-    }
-    group.assigned.push_back((id, robot.clone()));
+    group.remember(id, robot.clone());
     match bus.ask(&topics::GOAL, &[&robot], request, STORED).await {
         Ok(reply) => Ok(GoalReply {
             robot: Some(robot),

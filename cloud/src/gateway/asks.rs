@@ -174,8 +174,8 @@ impl Operator for BusOperator {
         self.ask_at_once(&STOP, robot, StopRequest::new(by), STOP_WITHIN)
     }
 
-    fn resume(&self, robot: &str, stop: u64, by: &str) -> Answer<StopReply> {
-        self.ask(&RESUME, robot, ResumeRequest::new(by, stop))
+    fn resume(&self, robot: &str, request: ResumeRequest) -> Answer<StopReply> {
+        self.ask(&RESUME, robot, request)
     }
 
     fn map(&self, robot: &str) -> Answer<MapReply> {

@@ -13,7 +13,9 @@ use zenav_protocol::time::Stamp;
 use zenav_slam::{SessionError, SlamSettings};
 
 use super::localised_poses::LocalisedPoses;
+use super::own_poses::OwnPoses;
 use super::slam_poses::SlamPoses;
+use super::slam_redraw::Ahead;
 use super::slam_session::{Kept, OnDisk, Stored};
 
 /// A correction is sent after this much travel, m, this much turning, rad, or this long at rest, s. Matches at one place share one error:
@@ -33,7 +35,7 @@ pub enum PoseSource {
     /// The robot's own estimate, from wheels, gyro, and whatever else it has: GPS, compass.
     #[default]
     Edge,
-    /// SLAM from scans and odometry alone; it corrects the robot's estimate.
+    /// SLAM from scans and odometry, and GPS and compass if the robot has them; it corrects the robot's estimate.
     Slam,
     /// Localisation in the map that mapping started with; it corrects the robot's estimate.
     Localise,
@@ -151,18 +153,25 @@ impl Statements {
 
 #[derive(Clone, Debug)]
 enum Poses {
-    Edge,
+    Edge(Box<OwnPoses>),
     Slam(Box<SlamPoses>),
     Localised(Box<LocalisedPoses>),
 }
 
 impl Poses {
-    /// `map`: the map to localise in; `frame`: the robot's frame.
-    fn new(settings: &PoseSettings, map: &OccupancyGrid, frame: u64) -> Self {
+    /// `map`: what the mapper has drawn.
+    fn new(settings: &PoseSettings, mapper: &Mapper, map: &OccupancyGrid) -> Self {
+        let localisation = settings.localisation;
         match settings.source {
-            PoseSource::Edge => Self::Edge,
-            PoseSource::Slam => Self::Slam(Box::new(SlamPoses::new(settings.slam, settings.localisation, frame))),
-            PoseSource::Localise => Self::Localised(Box::new(LocalisedPoses::new(settings.localisation, map))),
+            PoseSource::Edge => {
+                let known = mapper.is_stored().then_some(map);
+                Self::Edge(Box::new(OwnPoses::new(localisation, known)))
+            }
+            PoseSource::Slam => {
+                let frame = mapper.map().frame;
+                Self::Slam(Box::new(SlamPoses::new(settings.slam, localisation, frame)))
+            }
+            PoseSource::Localise => Self::Localised(Box::new(LocalisedPoses::new(localisation, map))),
         }
     }
 }
@@ -217,7 +226,7 @@ impl MappingCore {
     /// A map, and the source of the poses from which scans are drawn into it.
     #[must_use]
     pub fn new(mapper: Mapper, settings: &PoseSettings) -> Self {
-        let poses = Poses::new(settings, &mapper.grid(), 0);
+        let poses = Poses::new(settings, &mapper, &mapper.grid());
         Self {
             mapper,
             poses,
@@ -236,8 +245,14 @@ impl MappingCore {
         self
     }
 
-    /// Whether SLAM's session must be on disk before anything more is published; with `anyway`, also whether there is anything new to
-    /// store.
+    /// Continues in a map that another mapping service made: SLAM starts where the robot is localised in it.
+    pub(super) fn locate_first(&mut self) {
+        if let Poses::Slam(slam) = &mut self.poses {
+            slam.locate_first(&self.mapper);
+        }
+    }
+
+    /// Whether SLAM's session is to be stored; with `anyway`, also if anything is new.
     pub(super) fn is_keep_due(&self, anyway: bool) -> bool {
         matches!(&self.poses, Poses::Slam(slam) if slam.is_keep_due(anyway))
     }
@@ -246,8 +261,30 @@ impl MappingCore {
     pub(super) fn kept(&mut self) -> Result<Option<Kept>, SessionError> {
         match &mut self.poses {
             Poses::Slam(slam) => slam.kept(),
-            Poses::Edge | Poses::Localised(_) => Ok(None),
+            Poses::Edge(_) | Poses::Localised(_) => Ok(None),
         }
+    }
+
+    /// Number of the change that led to the frame in force: the frame is published only once a session of this change or a later one is on
+    /// disk.
+    pub(super) fn in_force(&self) -> u64 {
+        match &self.poses {
+            Poses::Slam(slam) => slam.in_force(),
+            Poses::Edge(_) | Poses::Localised(_) => 0,
+        }
+    }
+
+    /// Work for coming scans that began with the last one. Another thread may do it before they arrive; otherwise it is done then.
+    pub(super) fn take_ahead(&mut self) -> Vec<Ahead> {
+        match &mut self.poses {
+            Poses::Slam(slam) => slam.take_ahead(),
+            Poses::Edge(_) | Poses::Localised(_) => Vec::new(),
+        }
+    }
+
+    /// Whether a scan at a stamp needs work that was begun ahead of it and is not done yet.
+    pub(super) fn waits_for_ahead(&self, stamp: Stamp) -> bool {
+        matches!(&self.poses, Poses::Slam(slam) if slam.waits_for_ahead(stamp))
     }
 
     /// The session from [`Self::kept`] is on disk.
@@ -268,7 +305,7 @@ impl MappingCore {
     pub(super) fn untold_frame(&mut self, stamp: Stamp) -> Option<MapFrame> {
         match &mut self.poses {
             Poses::Slam(slam) => slam.untold(&self.mapper, stamp),
-            Poses::Edge | Poses::Localised(_) => None,
+            Poses::Edge(_) | Poses::Localised(_) => None,
         }
     }
 
@@ -286,27 +323,23 @@ impl MappingCore {
         let frame = match &mut self.poses {
             Poses::Slam(_) if robot_frame <= self.mapper.map().frame => return,
             Poses::Slam(slam) => slam.number_from(robot_frame),
-            Poses::Edge | Poses::Localised(_) => robot_frame,
+            Poses::Edge(_) | Poses::Localised(_) => robot_frame,
         };
         self.mapper.set_frame(frame);
     }
 
-    /// Whether a report on localisation contradicts a robot that localises itself, and to which this service has nothing to say.
+    /// Whether a report on localisation contradicts a robot that localises itself, which drives whatever this service says of its pose.
     pub(super) fn contradicts(&self, told: &Localisation) -> bool {
-        matches!(self.poses, Poses::Edge) && !told.health.is_trusted()
+        matches!(self.poses, Poses::Edge(_)) && !told.health.is_trusted()
     }
 
     /// The report on a robot that localises itself: it is trusted. `None` for a robot that is localised here.
     pub(super) fn by_the_robot(&self, boot_id: &str) -> Option<Localisation> {
         let stamp = self.last.as_ref().map_or(Stamp::ZERO, |(stamp, _)| *stamp);
-        matches!(self.poses, Poses::Edge).then(|| Localisation {
-            stamp,
-            boot_id: boot_id.to_owned(),
-            health: Health::Tracking,
-            map_from_base: self.last_pose,
-            agreeing: 1.0,
-            through_walls: 0.0,
-        })
+        match &self.poses {
+            Poses::Edge(own) => Some(own.report(stamp, boot_id, self.last_pose)),
+            Poses::Slam(_) | Poses::Localised(_) => None,
+        }
     }
 
     /// Bends SLAM's map as a loop closure does: a node at each pose goes where `bend` says. For tests of the components that follow frames.
@@ -324,7 +357,7 @@ impl MappingCore {
         self.last = Some((scan.stamp, boot_id.to_owned()));
         self.last_pose = scan.map_from_odom * scan.odom_from_base;
         let posed = match &mut self.poses {
-            Poses::Edge => Posed::only(self.mapper.insert(scan)),
+            Poses::Edge(own) => own.insert(&mut self.mapper, scan, boot_id),
             Poses::Slam(slam) => slam.insert(&mut self.mapper, scan, boot_id, self.robot_frame),
             Poses::Localised(localised) => localised.insert(&mut self.mapper, scan, boot_id),
         };
@@ -336,7 +369,7 @@ impl MappingCore {
             localisation: posed.localisation,
             frame: match &mut self.poses {
                 Poses::Slam(slam) => slam.untold(&self.mapper, scan.stamp),
-                Poses::Edge | Poses::Localised(_) => None,
+                Poses::Edge(_) | Poses::Localised(_) => None,
             },
         }
     }
@@ -347,7 +380,7 @@ impl MappingCore {
             return Insertion::OutOfOrder;
         }
         match &self.poses {
-            Poses::Edge => self.mapper.insert(scan),
+            Poses::Edge(_) => self.mapper.insert(scan),
             Poses::Slam(slam) if slam.draws_further(boot_id) => self.mapper.insert(&slam.placed(scan)),
             Poses::Localised(localised) if localised.draws_further(boot_id) => {
                 self.mapper.insert(&localised.placed(scan))
@@ -359,14 +392,24 @@ impl MappingCore {
     /// Replaces the map: localisation starts over in it; SLAM starts with the next scan.
     pub fn load(&mut self, map: MapRef, grid: &OccupancyGrid, trajectory: Vec<Point2<f64>>, scans: u64) {
         self.mapper.load(map, grid, trajectory, scans);
-        self.poses = Poses::new(&self.settings, grid, self.mapper.map().frame);
+        self.poses = Poses::new(&self.settings, &self.mapper, grid);
+    }
+
+    /// Notes that the map was stored as the robot's own: scans of a robot that localises itself are compared with it from now on.
+    pub fn mark_stored(&mut self) {
+        self.mapper.mark_stored();
+        if let Poses::Edge(_) = self.poses {
+            self.poses = Poses::new(&self.settings, &self.mapper, &self.mapper.grid());
+        }
     }
 
     /// Begins a new map.
     pub fn reset(&mut self, map_id: impl Into<String>) {
         self.mapper.reset(map_id);
-        if let Poses::Slam(slam) = &mut self.poses {
-            slam.reset();
+        match &mut self.poses {
+            Poses::Edge(own) => **own = OwnPoses::new(self.settings.localisation, None),
+            Poses::Slam(slam) => slam.reset(),
+            Poses::Localised(_) => {}
         }
     }
 
@@ -388,7 +431,10 @@ impl MappingCore {
             )));
         }
         let map_from_base = match &mut self.poses {
-            Poses::Edge => map_from_base,
+            Poses::Edge(own) => {
+                own.place();
+                map_from_base
+            }
             Poses::Slam(slam) => slam.place(&self.mapper, map_from_base)?,
             Poses::Localised(localised) => {
                 localised.place(map_from_base);
@@ -411,7 +457,7 @@ impl MappingCore {
         match &mut self.poses {
             Poses::Localised(localised) => Ok(localised.look_everywhere()),
             Poses::Slam(slam) => Ok(slam.look_everywhere_next()),
-            Poses::Edge => Err(Refusal::rejected(
+            Poses::Edge(_) => Err(Refusal::rejected(
                 "nothing looks for the robot: expected `mapping.poses = \"localise\"` or `\"slam\"`",
             )),
         }
@@ -421,7 +467,7 @@ impl MappingCore {
     pub(super) fn untold_graph(&mut self, anyway: bool) -> Option<PoseGraph> {
         match &mut self.poses {
             Poses::Slam(slam) => slam.untold_graph(&self.mapper, anyway),
-            Poses::Edge | Poses::Localised(_) => None,
+            Poses::Edge(_) | Poses::Localised(_) => None,
         }
     }
 
@@ -429,7 +475,7 @@ impl MappingCore {
     #[must_use]
     pub fn health(&self) -> Health {
         match &self.poses {
-            Poses::Edge => Health::Tracking,
+            Poses::Edge(own) => own.health().clone(),
             Poses::Slam(slam) => slam.health().clone(),
             Poses::Localised(localised) => localised.health().clone(),
         }
@@ -442,7 +488,7 @@ impl MappingCore {
         let (frame, moves, is_too_old) = match &self.poses {
             Poses::Slam(slam) => slam.frame(self.robot_frame),
             // These maps do not move: the robot stays in its frame.
-            Poses::Edge | Poses::Localised(_) => (self.robot_frame, Vec::new(), false),
+            Poses::Edge(_) | Poses::Localised(_) => (self.robot_frame, Vec::new(), false),
         };
         Correction {
             stamp,

@@ -1,12 +1,19 @@
-//! Mapping metrics. Age of scans on arrival, time to draw them, and size of the map.
+//! Mapping metrics. Age of scans on arrival, time to draw them, and size of the map; which of several services leads, and how well the others
+//! follow.
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use zenav_mapping::Insertion;
-use zenav_observability::metrics::{MAP_CELLS, MAP_PUBLISH, MAP_REVISION, SCAN_AGE, SCAN_INSERTION, SCANS};
+use zenav_observability::metrics::{
+    MAP_CELLS, MAP_COPY_AGE, MAP_PUBLISH, MAP_REVISION, MAPPING_LEADS, MAPPING_TAKEOVERS, SCAN_AGE, SCAN_INSERTION,
+    SCANS,
+};
 use zenav_observability::{Gauge, Histogram, IntCounter};
 use zenav_protocol::messages::MapInfo;
 use zenav_protocol::time::Stamp;
+
+/// States of cells.
+const CELLS: [&str; 3] = ["free", "occupied", "unknown"];
 
 /// Counts of one robot's mapping.
 #[derive(Debug)]
@@ -26,7 +33,7 @@ pub(super) struct MappingMetrics {
 impl MappingMetrics {
     pub(super) fn new(robot: &str) -> Self {
         let scans = |outcome| SCANS.with_label_values(&[robot, outcome]);
-        let cells = |state| MAP_CELLS.with_label_values(&[robot, state]);
+        let [free, occupied, unknown] = CELLS.map(|state| MAP_CELLS.with_label_values(&[robot, state]));
         Self {
             age: SCAN_AGE.with_label_values(&[robot]),
             insertion: SCAN_INSERTION.with_label_values(&[robot]),
@@ -34,9 +41,9 @@ impl MappingMetrics {
             inserted: scans("inserted"),
             held: scans("held"),
             left_out: scans("left_out"),
-            free: cells("free"),
-            occupied: cells("occupied"),
-            unknown: cells("unknown"),
+            free,
+            occupied,
+            unknown,
             revision: MAP_REVISION.with_label_values(&[robot]),
         }
     }
@@ -70,5 +77,49 @@ impl MappingMetrics {
         self.occupied.set(info.occupied as f64);
         self.unknown.set(info.unknown as f64);
         self.revision.set(info.map.revision as f64);
+    }
+}
+
+/// What one of several mapping services of a robot is to it.
+#[derive(Debug)]
+pub(super) struct CopyMetrics {
+    robot: String,
+    leads: Gauge,
+    age: Gauge,
+    takeovers: IntCounter,
+}
+
+impl CopyMetrics {
+    pub(super) fn new(robot: &str) -> Self {
+        Self {
+            robot: robot.to_owned(),
+            leads: MAPPING_LEADS.with_label_values(&[robot]),
+            age: MAP_COPY_AGE.with_label_values(&[robot]),
+            takeovers: MAPPING_TAKEOVERS.with_label_values(&[robot]),
+        }
+    }
+
+    /// Whether this service leads. What a leader has is the map itself; a copy tells no size of one.
+    pub(super) fn leads(&self, leads: bool) {
+        self.leads.set(f64::from(u8::from(leads)));
+        if leads {
+            self.age.set(0.0);
+            return;
+        }
+        // Removing a label that was never set fails, which does not matter.
+        let _ = MAP_REVISION.remove_label_values(&[self.robot.as_str()]);
+        for state in CELLS {
+            let _ = MAP_CELLS.remove_label_values(&[self.robot.as_str(), state]);
+        }
+    }
+
+    /// Time since this copy last held everything that it had heard of the leader's map.
+    pub(super) fn follows(&self, age: Duration) {
+        self.age.set(age.as_secs_f64());
+    }
+
+    /// This service has taken over.
+    pub(super) fn took_over(&self) {
+        self.takeovers.inc();
     }
 }

@@ -1,27 +1,29 @@
-//! Poses by SLAM. Poses for drawing a robot's scans from scans and odometry alone, and corrections for the robot.
+//! Poses by SLAM. Poses for drawing a robot's scans, independent of its own estimate, and corrections for the robot.
 //!
-//! [`Slam`] gives each scan a pose. A loop closure moves older scans too. The map is then redrawn beside the old one, a batch of scans with
-//! each new scan, and replaces it when complete. Until then everything stays in the old map, so no half-drawn map is published. The new map
-//! starts the next **frame**: the robot is sent the move of its surroundings, everybody else the new pose of each part of the map. A
-//! successor of this process resumes the [stored session](SlamPoses::kept) in the same frame.
+//! [`Slam`] gives each scan a pose. A loop closure moves older scans too. The map is then redrawn beside the old one
+//! ([`slam_redraw`](super::slam_redraw)), and replaces it when complete. Until then everything stays in the old map, so no half-drawn map is
+//! published. The new map starts the next **frame**: the robot is sent the move of its surroundings, everybody else the new pose of each
+//! part of the map. A successor of this process resumes the [stored session](SlamPoses::kept) in the same frame.
 
 use std::collections::VecDeque;
+use std::sync::Arc;
 
 use zenav_localisation::LocalisationSettings;
 use zenav_mapping::{Insertion, Mapper};
 use zenav_protocol::geometry::{Pose2, wrap_angle};
-use zenav_protocol::messages::{Health, Localisation, MOST_MOVES, MapFrame, PoseGraph, Refusal, Scan};
+use zenav_protocol::messages::{
+    GraphCertificate, Health, Localisation, MOST_MOVES, MapFrame, PoseGraph, Refusal, Scan,
+};
 use zenav_protocol::time::Stamp;
 use zenav_slam::{Effects, SessionError, Slam, SlamError, SlamSettings};
 
 use super::annotations::Carried;
 use super::core::{Measured, Pace, Posed, Statements};
 use super::localised_poses::LocalisedPoses;
+use super::slam_redraw::{Ahead, Redraw};
 use super::slam_search::{Search, Whereabouts};
 use super::slam_session::{Head, Kept, OnDisk, Stored};
 
-/// Old scans redrawn with each new scan.
-const REDRAWN_A_STEP: usize = 200;
 /// A shorter move of the surroundings, m, with less turn, rad, leaves the map as it is.
 const SMALLEST_MOVE: (f64, f64) = (0.01, 0.002);
 
@@ -31,24 +33,16 @@ const TOLD_AGAIN: f64 = 0.3;
 /// nodes.
 const KEPT_AFTER: u32 = 20;
 
-/// A redraw of the map in progress.
-#[derive(Clone, Debug)]
-struct Redraw {
-    mapper: Mapper,
-    /// Number of scans drawn so far.
-    drawn: usize,
-    /// Poses of the map's parts when the redraw began.
-    parts: Vec<Pose2>,
-}
-
 /// SLAM for one robot.
 #[derive(Clone, Debug)]
 pub(super) struct SlamPoses {
     settings: SlamSettings,
     slam: Option<Slam>,
     /// The scans of all nodes, in node order.
-    scans: Vec<Scan>,
+    scans: Vec<Arc<Scan>>,
     redraw: Option<Redraw>,
+    /// Work that began with the last scan and may be done before the next ones.
+    ahead: Vec<Ahead>,
     /// Transform from the drawn map to the map being drawn.
     new_from_drawn: Pose2,
     /// Correction of odometry by the last scan, in the drawn map.
@@ -63,6 +57,8 @@ pub(super) struct SlamPoses {
     search: Search,
     /// Localises the robot in the map while the map is held.
     held: Option<Box<LocalisedPoses>>,
+    /// The map that SLAM began in and did not make: the copy of another mapping service's. Closures do not move it.
+    base: Option<Box<Mapper>>,
     /// The last scan of the main lidar, if it was sane.
     last: Option<Scan>,
     /// Whether that scan contradicts the map.
@@ -80,11 +76,17 @@ pub(super) struct SlamPoses {
     is_untold: bool,
     /// Whether the pose graph differs from the last published one.
     is_graph_untold: bool,
+    /// The certificate last published.
+    told_certificate: GraphCertificate,
+    /// Number of redraws begun and of renumberings.
+    changes: u64,
+    /// The change that led to the frame in force.
+    in_force: u64,
     /// What is on disk.
     on_disk: OnDisk,
     /// Number of scans handed out for storing.
     handed: usize,
-    /// Whether the session must be stored again: the last attempt failed, or was of an older frame or another map.
+    /// Whether the session must be stored again: the last attempt failed, a redraw has begun, or it was of an older frame or another map.
     is_overdue: bool,
     health: Health,
     statements: Statements,
@@ -99,10 +101,14 @@ impl SlamPoses {
             parts: Vec::new(),
             is_untold: true,
             is_graph_untold: true,
+            told_certificate: GraphCertificate::NotSolved,
+            changes: 0,
+            in_force: 0,
             settings,
             slam: None,
             scans: Vec::new(),
             redraw: None,
+            ahead: Vec::new(),
             new_from_drawn: Pose2::IDENTITY,
             map_from_odom: Pose2::IDENTITY,
             boot_id: String::new(),
@@ -110,6 +116,7 @@ impl SlamPoses {
             is_uprooted: false,
             search: Search::new(localisation),
             held: None,
+            base: None,
             last: None,
             contradicts: false,
             unseen: 0,
@@ -162,18 +169,13 @@ impl SlamPoses {
             on_disk,
             handed: scans.len(),
             is_overdue: false,
-            slam: Some(slam),
-            scans,
+            scans: scans.into_iter().map(Arc::new).collect(),
             ..Self::new(settings, localisation, head.frame)
         };
         mapper.set_frame(head.frame);
-        poses.redraw = Some(Redraw {
-            mapper: mapper.redrawing(),
-            drawn: 0,
-            parts: poses.parts.clone(),
-        });
+        poses.redraw = Some(Redraw::begin(mapper, None, &slam, &poses.scans, Stamp::ZERO));
+        poses.slam = Some(slam);
         let is_moved = poses.new_from_drawn != Pose2::IDENTITY;
-        while poses.draw_some() {}
         poses.swap(mapper);
         if is_moved {
             poses.begin_frame(mapper);
@@ -181,7 +183,7 @@ impl SlamPoses {
         poses
     }
 
-    /// Whether the session must be on disk before anything more is published; with `anyway`, also whether there is anything new to store.
+    /// Whether the session is to be stored; with `anyway`, also if anything is new.
     pub(super) fn is_keep_due(&self, anyway: bool) -> bool {
         let new = self.scans.len() - self.handed;
         self.slam.is_some() && (self.is_overdue || new >= KEPT_AFTER as usize || anyway && new > 0)
@@ -206,9 +208,16 @@ impl SlamPoses {
                 annotations: Carried::default(),
             },
             session,
+            change: self.changes,
             on_disk: self.on_disk,
             scans: self.scans[self.on_disk.scans..].to_vec(),
         }))
+    }
+
+    /// Starts where the robot is localised in the present map, which another service made and which stays below what is drawn.
+    pub(super) fn locate_first(&mut self, mapper: &Mapper) {
+        self.held = Some(Box::new(LocalisedPoses::new(*self.search.settings(), &mapper.grid())));
+        self.base = Some(Box::new(mapper.clone()));
     }
 
     /// Starts over: the next scan is the first.
@@ -220,6 +229,7 @@ impl SlamPoses {
     /// held map the robot is localised; SLAM continues from there.
     pub(super) fn insert(&mut self, mapper: &mut Mapper, scan: &Scan, boot_id: &str, robot_frame: u64) -> Posed {
         self.last = scan.is_sane().then(|| scan.clone());
+        self.ahead.clear();
         if self.last.is_none() {
             return Posed::only(Insertion::NotSane);
         }
@@ -240,7 +250,7 @@ impl SlamPoses {
         } else {
             Insertion::Held
         };
-        let was_redrawn = self.draw_on(mapper);
+        let was_redrawn = self.replace_map(mapper, scan.stamp);
         Posed {
             insertion,
             measured: self.measured(scan, &effects, was_redrawn, robot_frame),
@@ -332,7 +342,10 @@ impl SlamPoses {
     fn take_in(&mut self, mapper: &Mapper, scan: &Scan, effects: &Effects) {
         let Some(slam) = &self.slam else { return };
         if effects.is_inserted {
-            self.scans.push(scan.clone());
+            self.scans.push(Arc::new(scan.clone()));
+        }
+        if let Some(solve) = slam.last_solve().filter(|_| effects.begins_solve) {
+            self.ahead.push(Ahead::Solve(Arc::clone(solve)));
         }
         self.is_graph_untold |= effects.is_inserted;
         // Pose, in the redraw, of parts added since it began.
@@ -495,9 +508,29 @@ impl SlamPoses {
     pub(super) fn number_from(&mut self, robot_frame: u64) -> u64 {
         self.frame = robot_frame + u64::from(self.slam.is_some());
         self.moves.clear();
+        self.changes += 1;
+        self.in_force = self.changes;
         (self.is_untold, self.is_graph_untold) = (true, true);
         self.is_overdue = true;
         self.frame
+    }
+
+    /// The change that led to the frame in force: a successor of this process continues in it if the stored session is of this change or a
+    /// later one.
+    pub(super) fn in_force(&self) -> u64 {
+        self.in_force
+    }
+
+    /// Whether a scan at a stamp needs work that was begun ahead of it and is not done yet.
+    pub(super) fn waits_for_ahead(&self, stamp: Stamp) -> bool {
+        let (slam, redraw) = (self.slam.as_ref(), self.redraw.as_ref());
+        redraw.is_some_and(|redraw| redraw.is_late(stamp))
+            || slam.is_some_and(|slam| slam.waits_for_solve(stamp.as_secs()))
+    }
+
+    /// Work that began with the last scan and may be done before the next ones.
+    pub(super) fn take_ahead(&mut self) -> Vec<Ahead> {
+        std::mem::take(&mut self.ahead)
     }
 
     /// The session handed out last is on disk.
@@ -527,15 +560,18 @@ impl SlamPoses {
     /// The pose graph, if it differs from the published one or `anyway`, in the frame of the drawn map. A graph whose closure has moved the
     /// map waits until the map is redrawn.
     pub(super) fn untold_graph(&mut self, mapper: &Mapper, anyway: bool) -> Option<PoseGraph> {
-        if self.redraw.is_some() || !(self.is_graph_untold || anyway) {
+        let certificate = self.slam.as_ref().map(Slam::certificate).unwrap_or_default();
+        let is_untold = self.is_graph_untold || certificate != self.told_certificate;
+        if self.redraw.is_some() || !(is_untold || anyway) {
             return None;
         }
-        self.is_graph_untold = false;
+        (self.is_graph_untold, self.told_certificate) = (false, certificate);
         let (nodes, edges) = self.slam.as_ref().map(Slam::drawn_graph).unwrap_or_default();
         Some(PoseGraph {
             stamp: self.scans.last().map(|scan| scan.stamp).unwrap_or_default(),
             boot_id: self.boot_id.clone(),
             map: mapper.map().clone(),
+            certificate,
             nodes,
             edges,
         })
@@ -564,24 +600,26 @@ impl SlamPoses {
     fn surroundings_moved(&mut self, moved: Pose2, mapper: &Mapper) {
         self.is_graph_untold = true;
         self.new_from_drawn = moved * self.new_from_drawn;
-        let parts = self.slam.as_ref().map(Slam::parts).unwrap_or_default();
+        let Some(slam) = &self.slam else { return };
         // A redraw in progress restarts only if its result would be wrong; otherwise a robot that keeps driving would never get its map.
         let drawn = self.redraw.as_ref().map_or(&self.parts, |redraw| &redraw.parts);
-        let has_moved = drawn.iter().zip(&parts).any(|(drawn, new)| {
-            drawn.distance(new) > SMALLEST_MOVE.0 || wrap_angle(new.yaw - drawn.yaw).abs() > SMALLEST_MOVE.1
+        let has_moved = drawn.iter().zip(slam.parts()).any(|(drawn, new)| {
+            drawn.distance(&new) > SMALLEST_MOVE.0 || wrap_angle(new.yaw - drawn.yaw).abs() > SMALLEST_MOVE.1
         });
         if has_moved {
-            self.redraw = Some(Redraw {
-                mapper: mapper.redrawing(),
-                drawn: 0,
-                parts,
-            });
+            let now = self.last.as_ref().map(|scan| scan.stamp).unwrap_or_default();
+            let redraw = Redraw::begin(mapper, self.base.as_deref(), slam, &self.scans, now);
+            self.ahead.push(redraw.ahead());
+            self.redraw = Some(redraw);
+            // The session as of now leads a successor to the frame that the new map begins: it is stored meanwhile.
+            self.changes += 1;
+            self.is_overdue = true;
         }
     }
 
-    /// Continues the redraw; returns true when the new map has just replaced the old one.
-    fn draw_on(&mut self, mapper: &mut Mapper) -> bool {
-        if self.redraw.is_none() || self.draw_some() {
+    /// Replaces the map if its redraw is due; returns whether it was.
+    fn replace_map(&mut self, mapper: &mut Mapper, now: Stamp) -> bool {
+        if !self.redraw.as_ref().is_some_and(|redraw| redraw.is_due(now)) {
             return false;
         }
         self.swap(mapper);
@@ -590,28 +628,11 @@ impl SlamPoses {
         true
     }
 
-    /// Draws a batch of scans into the new map; returns whether there are more.
-    fn draw_some(&mut self) -> bool {
-        let (Some(redraw), Some(slam)) = (&mut self.redraw, &self.slam) else {
-            return false;
-        };
-        let end = (redraw.drawn + REDRAWN_A_STEP).min(self.scans.len());
-        for node in redraw.drawn..end {
-            let (scan, pose) = (&self.scans[node], &slam.nodes()[node]);
-            redraw.mapper.insert(&Scan {
-                map_from_odom: *pose * scan.odom_from_base.inverse(),
-                ..scan.clone()
-            });
-        }
-        redraw.drawn = end;
-        end < self.scans.len()
-    }
-
-    /// Replaces the old map by the new one.
+    /// Replaces the old map by the redrawn one.
     fn swap(&mut self, mapper: &mut Mapper) {
-        if let Some(Redraw { mapper: new, parts, .. }) = self.redraw.take() {
-            *mapper = new.succeed(mapper);
-            self.parts = parts;
+        if let (Some(redraw), Some(slam)) = (self.redraw.take(), &self.slam) {
+            *mapper = redraw.finish(slam, &self.scans).succeed(mapper);
+            self.parts = redraw.parts;
         }
         self.is_untold = true;
     }
@@ -626,6 +647,7 @@ impl SlamPoses {
             .push_back(std::mem::replace(&mut self.new_from_drawn, Pose2::IDENTITY));
         self.is_untold = true;
         self.is_overdue = true;
+        self.in_force = self.changes;
         mapper.set_frame(self.frame);
     }
 

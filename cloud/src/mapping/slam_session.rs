@@ -8,6 +8,7 @@
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufRead, BufReader, Read, Seek, Write};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -61,8 +62,20 @@ pub(super) struct OnDisk {
 pub(super) struct Kept {
     pub(super) head: Head,
     pub(super) session: Snapshot,
+    /// Number of the change that it leads a successor to.
+    pub(super) change: u64,
     pub(super) on_disk: OnDisk,
-    pub(super) scans: Vec<Scan>,
+    pub(super) scans: Vec<Arc<Scan>>,
+}
+
+/// A session that is on disk.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Written {
+    /// The frame of its map.
+    pub(super) frame: u64,
+    /// Number of the change that it leads a successor to.
+    pub(super) change: u64,
+    pub(super) on_disk: OnDisk,
 }
 
 /// A session as read from disk.
@@ -115,7 +128,7 @@ pub(super) fn write(folder: &Path, kept: Kept) -> Result<OnDisk, KeepError> {
     fs::create_dir_all(folder)?;
     let mut lines = Vec::new();
     for scan in &kept.scans {
-        serde_json::to_writer(&mut lines, scan)?;
+        serde_json::to_writer(&mut lines, scan.as_ref())?;
         lines.push(b'\n');
     }
     let path = folder.join(SCANS);

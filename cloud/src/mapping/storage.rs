@@ -1,49 +1,117 @@
-//! Storage. The map that mapping starts with, and storing and loading of maps.
+//! Storage. What does a mapping service find in its robot's folder, and who else uses that folder?
 //!
-//! The robot's own map lies in its folder, and the next start uses it; named maps lie in `maps/NAME` below it. With SLAM, the session is
-//! stored beside the map as it grows, and the next start resumes it.
+//! The folder has a lock, the last term of leadership, the robot's own map, and with SLAM its session. What a leader stores there is in
+//! `lead/session.rs` and `lead/stored_maps.rs`.
 
-use std::fs::{File, TryLockError};
-use std::io;
-use std::path::{Path, PathBuf};
+use std::fs::{File, OpenOptions, TryLockError};
+use std::io::{Read as _, Seek as _, Write as _};
+use std::path::Path;
 
-use tokio::task::JoinHandle;
 use zenav_mapping::Mapper;
-use zenav_mapping::store::{self, MapRecord, StoredMap};
-use zenav_protocol::grid::OccupancyGrid;
+use zenav_mapping::atomic::write_atomically;
+use zenav_mapping::store::{self, StoredMap};
 use zenav_protocol::id::Id;
-use zenav_protocol::messages::{MapRef, MapRequest, Refusal, StoredMapInfo};
-use zenav_protocol::time::Stamp;
+use zenav_protocol::messages::{MapRef, MappingLeader};
 
+use super::follow::Followed;
 use super::slam_session::{self, KeepError, Stored};
-use super::{KnownMap, MappingConfig, MappingError, PoseSource, Service};
-
-/// Folder of named maps, in a robot's folder.
-const MAPS: &str = "maps";
+use super::{KnownMap, MappingConfig, MappingError, PoseSource};
 
 /// Lock file of the mapping service, in a robot's folder.
 const LOCK: &str = "mapping.lock";
 
-/// Pause after a failed attempt to store the session, s.
-const KEEP_AGAIN: f64 = 10.0;
+/// File with the last term of leadership that is known, in a robot's folder.
+const TERM: &str = "mapping.term";
 
-/// Suffix of a session set aside for another one.
-const BEFORE: &str = "before";
 /// Suffix of a session that cannot be decoded.
 const UNREADABLE: &str = "unreadable";
 
-/// Locks a robot's folder against other mapping services as long as the file lives; `None` if the folder is not writable or has no locks.
+/// Longest name that is read from the lock file, bytes.
+const MAX_NAME: u64 = 256;
+
+/// The lock of a robot's folder against other mapping services, as long as it lives; none if the folder is not writable or has no locks.
+#[derive(Debug, Default)]
+pub(super) struct Tenancy {
+    _file: Option<File>,
+    /// Name of the service that locked the folder before.
+    before: String,
+}
+
+impl Tenancy {
+    /// Whether the folder was that of a leader: what is stored in it is of its map.
+    pub(super) fn was_of(&self, leader: &MappingLeader) -> bool {
+        !leader.name.is_empty() && self.before == leader.name
+    }
+}
+
+/// Locks a robot's folder; `None` if it is not writable, or has no locks.
 ///
 /// # Errors
 /// [`MappingError::InUse`] if another service holds the lock.
-pub(super) fn lock(folder: &Path) -> Result<Option<File>, MappingError> {
-    let made = std::fs::create_dir_all(folder).and_then(|()| File::create(folder.join(LOCK)));
-    let Ok(file) = made else { return Ok(None) };
+pub(super) fn guard(folder: &Path) -> Result<Option<File>, MappingError> {
+    let open = || {
+        let file = folder.join(LOCK);
+        OpenOptions::new()
+            .read(true)
+            .write(true)
+            .create(true)
+            .truncate(false)
+            .open(file)
+    };
+    let Ok(file) = std::fs::create_dir_all(folder).and_then(|()| open()) else {
+        return Ok(None);
+    };
     match file.try_lock() {
         Ok(()) => Ok(Some(file)),
         Err(TryLockError::WouldBlock) => Err(MappingError::InUse(folder.to_owned())),
         Err(TryLockError::Error(_)) => Ok(None),
     }
+}
+
+/// Locks a robot's folder, and leaves this service's name in the lock file.
+///
+/// # Errors
+/// [`MappingError::InUse`] if another service holds the lock.
+pub(super) fn lock(folder: &Path, name: &str) -> Result<Tenancy, MappingError> {
+    let Some(mut file) = guard(folder)? else {
+        return Ok(Tenancy::default());
+    };
+    let mut before = String::new();
+    // A name that cannot be read or written is that of no leader.
+    let _ = (&file).take(MAX_NAME).read_to_string(&mut before);
+    let _ = file
+        .set_len(0)
+        .and_then(|()| file.rewind())
+        .and_then(|()| file.write_all(name.as_bytes()));
+    Ok(Tenancy {
+        _file: Some(file),
+        before,
+    })
+}
+
+/// Notes a term in a robot's folder, unless a later one is noted there. Returns the later of both.
+///
+/// A service begins behind all terms that it knows of, also after a restart: its own leadership must not look like an old one.
+pub(super) fn note_term(robot: &str, folder: Option<&Path>, term: u64) -> u64 {
+    let Some(folder) = folder else { return term };
+    let file = folder.join(TERM);
+    let noted = match std::fs::read_to_string(&file) {
+        Ok(text) => text.trim().parse().unwrap_or_else(|error| {
+            tracing::error!(robot, file = %file.display(), %error, "the last term of leadership cannot be read");
+            0
+        }),
+        Err(_) => 0,
+    };
+    if term <= noted {
+        return noted;
+    }
+    let written = std::fs::create_dir_all(folder).map_err(|error| error.to_string());
+    let written =
+        written.and_then(|()| write_atomically(&file, term.to_string().as_bytes()).map_err(|error| error.to_string()));
+    if let Err(error) = written {
+        tracing::error!(robot, file = %file.display(), %error, "the term of leadership is not stored");
+    }
+    term
 }
 
 /// The SLAM session to resume, if there is one. A session that cannot be decoded is set aside for inspection.
@@ -95,6 +163,23 @@ pub(super) fn empty(config: &MappingConfig) -> Mapper {
     Mapper::new(config.settings.clone(), new_map_id(&config.robot))
 }
 
+/// The map of the leader that a copy has followed, under a new id.
+pub(super) fn inherit(config: &MappingConfig, leader: &MappingLeader, followed: &Followed) -> Mapper {
+    let map = MapRef {
+        frame: followed.replica.map().frame,
+        ..new_map(&config.robot)
+    };
+    let info = followed
+        .info
+        .as_ref()
+        .filter(|info| info.map.id == followed.replica.map().id);
+    let mut mapper = Mapper::inheriting(config.settings.clone(), map, followed.replica.grid(), info);
+    if leader.held {
+        mapper.hold();
+    }
+    mapper
+}
+
 /// The given map, or the stored map, or a new one.
 ///
 /// # Errors
@@ -119,13 +204,15 @@ pub(super) async fn begin(config: &MappingConfig) -> Result<Mapper, MappingError
                     "stored map loaded"
                 );
                 // A new id: revisions of the last run that were never stored must not be mistaken for these.
-                return Ok(Mapper::with_stored(
+                let mut mapper = Mapper::with_stored(
                     config.settings.clone(),
                     new_map(robot),
                     &grid,
                     record.trajectory,
                     record.scans,
-                ));
+                );
+                mapper.restore_touched(&record.touched);
+                return Ok(mapper);
             }
             Ok(Ok(None)) => {}
             Ok(Err(error)) if config.poses.source == PoseSource::Localise => {
@@ -140,7 +227,7 @@ pub(super) async fn begin(config: &MappingConfig) -> Result<Mapper, MappingError
 }
 
 /// A new map.
-fn new_map(robot: &str) -> MapRef {
+pub(super) fn new_map(robot: &str) -> MapRef {
     MapRef {
         id: new_map_id(robot),
         revision: 0,
@@ -151,214 +238,4 @@ fn new_map(robot: &str) -> MapRef {
 /// A new, unique map id.
 pub(super) fn new_map_id(robot: &str) -> String {
     format!("{robot}-{}", Id::unique())
-}
-
-/// Sets aside a session of an earlier run that this run did not resume.
-fn make_room(robot: &str, folder: &Path) -> io::Result<()> {
-    if let Some(aside) = slam_session::set_aside(folder, BEFORE)? {
-        tracing::warn!(
-            robot,
-            aside = %aside.display(),
-            "SLAM did not begin with its session, as a map was given: the session is set aside"
-        );
-    }
-    Ok(())
-}
-
-impl Service {
-    /// Stores the session of SLAM if due. A session of a new frame, or one requested by `anyway`, is on disk when this returns; otherwise
-    /// it is written in the background.
-    ///
-    /// # Errors
-    /// If a session requested by `anyway` is not on disk; other failures are retried after a while.
-    pub(super) async fn keep(&mut self, now: Stamp, anyway: bool) -> Result<(), Refusal> {
-        let Some(folder) = self.config.folder.clone() else {
-            return Ok(());
-        };
-        if anyway || self.keeping.as_ref().is_some_and(JoinHandle::is_finished) {
-            // A failed write is due again.
-            let _ = self.was_kept(now).await;
-        }
-        if self.rests(now) && !anyway || !self.core.is_keep_due(anyway) {
-            return Ok(());
-        }
-        if self.was_kept(now).await.is_err() && !anyway {
-            return Ok(());
-        }
-        let kept = match self.core.kept() {
-            Ok(Some(mut kept)) => {
-                kept.head.annotations = self.annotations.carried();
-                kept
-            }
-            Ok(None) => return Ok(()),
-            Err(error) => return self.is_not_kept(now, &error.into()),
-        };
-        let is_new = kept.head.frame != self.kept_frame;
-        let (robot, is_own) = (self.config.robot.clone(), self.owns_session);
-        self.keeping = Some(tokio::task::spawn_blocking(move || {
-            if !is_own {
-                make_room(&robot, &folder)?;
-            }
-            Ok((kept.head.frame, slam_session::write(&folder, kept)?))
-        }));
-        if !is_new && !anyway {
-            return Ok(());
-        }
-        let kept = self.was_kept(now).await;
-        if anyway { kept } else { Ok(()) }
-    }
-
-    /// Whether storing pauses because the last attempt failed.
-    fn rests(&self, now: Stamp) -> bool {
-        let since = |then: Stamp| now.secs_since(then) < KEEP_AGAIN && now >= then;
-        self.not_kept.is_some_and(since)
-    }
-
-    /// Waits until the session being written is on disk.
-    async fn was_kept(&mut self, now: Stamp) -> Result<(), Refusal> {
-        let Some(keeping) = self.keeping.take() else {
-            return Ok(());
-        };
-        match keeping.await.unwrap_or_else(|error| Err(KeepError::Task(error))) {
-            Ok((frame, on_disk)) => {
-                self.kept_frame = frame;
-                self.owns_session = true;
-                self.not_kept = None;
-                self.core.was_kept(on_disk);
-                Ok(())
-            }
-            Err(error) => self.is_not_kept(now, &error),
-        }
-    }
-
-    fn is_not_kept(&mut self, now: Stamp, error: &KeepError) -> Result<(), Refusal> {
-        tracing::error!(
-            robot = self.config.robot,
-            %error,
-            "the session of SLAM is not kept: after a restart its map is as it was before"
-        );
-        self.not_kept = Some(now);
-        self.core.was_not_kept(matches!(error, KeepError::Changed { .. }));
-        Err(Refusal::internal(format!("the session of SLAM is not kept: {error}")))
-    }
-
-    /// Deletes the session of SLAM because another map is to start. A session that this run did not resume is set aside; with other pose
-    /// sources there is nothing to delete.
-    pub(super) async fn forget_session(&mut self, now: Stamp) -> Result<(), Refusal> {
-        let _ = self.was_kept(now).await;
-        let is_slam = self.config.poses.source == PoseSource::Slam;
-        let Some(folder) = self.config.folder.clone().filter(|_| is_slam) else {
-            return Ok(());
-        };
-        let (robot, is_own) = (self.config.robot.clone(), self.owns_session);
-        let removed = tokio::task::spawn_blocking(move || {
-            if is_own {
-                slam_session::remove(&folder)
-            } else {
-                make_room(&robot, &folder)
-            }
-        });
-        let removed = removed.await.map_err(Refusal::internal)?;
-        removed.map_err(|error| Refusal::internal(KeepError::from(error)))
-    }
-
-    /// Folder of a stored map: the robot's own, or the named one.
-    fn folder(&self, name: Option<&str>) -> Result<PathBuf, Refusal> {
-        let Some(folder) = &self.config.folder else {
-            return Err(Refusal::rejected(
-                "no maps are stored here: mapping was given no folder",
-            ));
-        };
-        match name.map(|name| Id::new(name).map_err(|error| Refusal::bad_request(format!("`name`: {error}")))) {
-            None => Ok(folder.clone()),
-            Some(name) => Ok(folder.join(MAPS).join(name?.as_str())),
-        }
-    }
-
-    /// Stores the map as the robot's own, or under a name; scans wait meanwhile.
-    pub(super) async fn save(&mut self, name: Option<&str>) -> Result<(), Refusal> {
-        let folder = self.folder(name)?;
-        let map = self.core.mapper.snapshot();
-        if map.info.spec.is_empty() {
-            return Err(Refusal::rejected("the map cannot be saved: it has no cells yet"));
-        }
-        let saved = tokio::task::spawn_blocking(move || {
-            let stored = StoredMap {
-                grid: map.grid(),
-                record: MapRecord {
-                    map: map.info.map,
-                    stamp: map.info.stamp,
-                    scans: map.info.scans,
-                    trajectory: map.trajectory,
-                },
-            };
-            store::save(&folder, &stored).map_err(|error| error.to_string())
-        });
-        match saved.await.map_err(|error| error.to_string()) {
-            Ok(Ok(path)) => {
-                tracing::info!(robot = self.config.robot, file = %path.display(), "map saved");
-                if name.is_none() {
-                    self.core.mapper.mark_stored();
-                }
-                Ok(())
-            }
-            Ok(Err(reason)) | Err(reason) => Err(Refusal::Internal { reason }),
-        }
-    }
-
-    /// Replaces the map by the one in the request, or by a stored one; scans wait meanwhile.
-    pub(super) async fn load(&mut self, request: &MapRequest, now: Stamp) -> Result<(), Refusal> {
-        let (grid, record) = match (&request.name, &request.map) {
-            (Some(_), Some(_)) => return Err(Refusal::bad_request("expected `name` or `map`, not both")),
-            (_, Some(map)) => {
-                let bad = |error| Refusal::bad_request(format!("`map`: {error}"));
-                let spec = map.spec.checked().map_err(bad)?;
-                let grid = OccupancyGrid::from_values(spec, map.values.clone()).map_err(bad)?;
-                (grid, MapRecord::default())
-            }
-            (name, None) => {
-                let folder = self.folder(name.as_deref())?;
-                let loaded = tokio::task::spawn_blocking(move || store::load(&folder));
-                let stored = loaded.await.map_err(Refusal::internal)?.map_err(Refusal::internal)?;
-                let StoredMap { grid, record } = stored.ok_or_else(|| Refusal::NotFound {
-                    what: match name {
-                        Some(name) => format!("stored map `{name}`"),
-                        None => "a stored map of the robot".to_owned(),
-                    },
-                })?;
-                (grid, record)
-            }
-        };
-        if grid.spec().is_empty() {
-            return Err(Refusal::rejected("the map cannot be loaded: it has no cells"));
-        }
-        self.forget_session(now).await?;
-        let map = new_map(&self.config.robot);
-        tracing::info!(
-            robot = self.config.robot,
-            map = map.id,
-            live = request.live,
-            "map loaded"
-        );
-        self.core.load(map, &grid, record.trajectory, record.scans);
-        if request.live {
-            self.core.mapper.resume();
-        }
-        Ok(())
-    }
-
-    /// The named maps.
-    pub(super) async fn stored_maps(&self) -> Result<Vec<StoredMapInfo>, Refusal> {
-        let Ok(folder) = self.folder(None) else {
-            return Ok(Vec::new());
-        };
-        let listed = tokio::task::spawn_blocking(move || store::list(&folder.join(MAPS)));
-        let listed = listed.await.map_err(Refusal::internal)?.map_err(Refusal::internal)?;
-        let info = |(name, record): (String, MapRecord)| StoredMapInfo {
-            name,
-            map: record.map,
-            scans: record.scans,
-        };
-        Ok(listed.into_iter().map(info).collect())
-    }
 }

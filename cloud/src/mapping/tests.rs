@@ -2,16 +2,20 @@
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
+use std::time::Duration;
+
 use nalgebra::Point2;
-use zenav_mapping::Mapper;
-use zenav_protocol::bus::BusConfig;
+use zenav_mapping::{Mapper, MappingSettings};
+use zenav_protocol::bus::{AskError, Bus, BusConfig, Clock, Shutdown};
 use zenav_protocol::geometry::Pose2;
-use zenav_protocol::grid::GridSpec;
+use zenav_protocol::grid::{GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::map_replica::{MapReplica, PatchResult};
 use zenav_protocol::messages::{
-    AnnotateAction, AnnotateRequest, EdgeState, GivenMap, LeaseRole, LeaseState, MapAction, MapReply, MapRequest,
-    Refusal,
+    AnnotateAction, AnnotateRequest, EdgeState, GivenMap, GoalPoint, LeaseRole, LeaseState, MapAction, MapReply,
+    MapRequest, Refusal, Scan,
 };
+use zenav_protocol::time::Stamp;
+use zenav_protocol::topics::{ANNOTATE, ANNOTATIONS, MAP, MAP_PATCH, SCAN, STATE};
 
 use super::*;
 use crate::testing::router;
@@ -26,11 +30,8 @@ fn scan(stamp: u64) -> Scan {
         range_min: 0.02,
         range_max: 5.0,
         ranges: vec![2.0; 100],
-        boot_id: String::new(),
-        moving: Vec::new(),
-        base_from_laser: Pose2::IDENTITY,
-        map_from_odom: Pose2::IDENTITY,
         odom_from_base: Pose2::new(0.1, 0.0, 0.0),
+        ..Scan::default()
     }
 }
 
@@ -57,6 +58,14 @@ fn state(epoch: u64, live: bool) -> EdgeState {
         "guard": "clear", "battery": 1.0
     }))
     .unwrap()
+}
+
+#[test]
+fn a_term_is_known_after_a_restart_and_never_goes_down() {
+    let folder = tempfile::tempdir().unwrap();
+    let noted = |term| storage::note_term("tiago", Some(folder.path()), term);
+    assert_eq!([noted(0), noted(4), noted(2), noted(0)], [0, 4, 4, 4]);
+    assert_eq!(storage::note_term("tiago", None, 3), 3);
 }
 
 #[test]
@@ -117,7 +126,11 @@ async fn a_scan_becomes_a_patch_and_a_saved_map_is_there_after_a_restart() {
     let mut stamp = 0;
     while !replica.has_map() {
         stamp += 1;
-        scans.put(&scan(stamp));
+        // The robot touches a pane of glass.
+        scans.put(&Scan {
+            touched: vec![[[1.02, -0.2, 1.02, 0.2]; 2]],
+            ..scan(stamp)
+        });
         if let Ok(Some(patch)) = tokio::time::timeout(Duration::from_millis(100), patches.next()).await {
             assert_eq!(replica.apply(&patch.message), PatchResult::Applied);
         }
@@ -151,6 +164,19 @@ async fn a_scan_becomes_a_patch_and_a_saved_map_is_there_after_a_restart() {
         (loaded.info.free, loaded.info.occupied),
         (saved.info.free, saved.info.occupied)
     );
+    let resumed = request(MapAction::Resume, "resume", None);
+    client.ask(&MAP, &chunks, &resumed, DEADLINE).await.unwrap();
+    let map = loop {
+        stamp += 1;
+        scans.put(&scan(stamp));
+        let map = client.ask(&MAP, &chunks, &MapRequest::default(), DEADLINE).await;
+        let map = map.unwrap();
+        if map.info.scans >= loaded.info.scans + 30 {
+            break OccupancyGrid::from_values(map.info.spec, map.values).unwrap();
+        }
+    };
+    let glass = map.at(Point2::new(1.12, 0.02)).map(|value| Occupancy::of(*value));
+    assert_eq!(glass, Some(Occupancy::Occupied), "though beams pass it");
     let reset = client
         .ask(&MAP, &chunks, &request(MapAction::Reset, "reset", None), DEADLINE)
         .await

@@ -15,25 +15,8 @@ use zenav_protocol::messages::{Event, EventKind, GoalPhase, Plan};
 /// New plans awaiting acceptance; the oldest are dropped.
 const MAX_PLANS: usize = 32;
 
-/// Phases of goals that have not ended, and their names.
-const OPEN: [(GoalPhase, &str); 3] = [
-    (GoalPhase::Accepted, "accepted"),
-    (GoalPhase::Active, "active"),
-    (GoalPhase::Paused, "paused"),
-];
-
-/// The name of a phase.
-fn name(phase: GoalPhase) -> &'static str {
-    match phase {
-        GoalPhase::Accepted => "accepted",
-        GoalPhase::Active => "active",
-        GoalPhase::Paused => "paused",
-        GoalPhase::Succeeded => "succeeded",
-        GoalPhase::Aborted => "aborted",
-        GoalPhase::Canceled => "canceled",
-        GoalPhase::Rejected => "rejected",
-    }
-}
+/// Phases of goals that have not ended.
+const OPEN: [GoalPhase; 3] = [GoalPhase::Accepted, GoalPhase::Active, GoalPhase::Paused];
 
 /// Records whether a mission leads or stands by. A standby counts neither goals nor workers.
 pub(super) fn leads(robot: &str, leads: bool) {
@@ -43,8 +26,8 @@ pub(super) fn leads(robot: &str, leads: bool) {
     if !leads {
         // Removing a label that was never set fails, which does not matter.
         let _ = WORKERS.remove_label_values(&[robot]);
-        for (_, state) in OPEN {
-            let _ = GOALS.remove_label_values(&[robot, state]);
+        for phase in OPEN {
+            let _ = GOALS.remove_label_values(&[robot, phase.name()]);
         }
     }
 }
@@ -78,7 +61,7 @@ impl MissionMetrics {
             write: STORE_WRITE.with_label_values(&[robot]),
             plan_acceptance: PLAN_ACCEPTANCE.with_label_values(&[robot]),
             workers: WORKERS.with_label_values(&[robot]),
-            open: OPEN.map(|(_, state)| GOALS.with_label_values(&[robot, state])),
+            open: OPEN.map(|phase| GOALS.with_label_values(&[robot, phase.name()])),
             asked: BTreeMap::new(),
             plans: VecDeque::new(),
             said: None,
@@ -104,7 +87,7 @@ impl MissionMetrics {
     pub(super) fn stored(&mut self, records: &[Record]) {
         for record in records {
             let Record::Goal(goal) = record else { continue };
-            let (goal, state) = (&goal.state, name(goal.state.state));
+            let (goal, state) = (&goal.state, goal.state.state.name());
             // Progress is stored, too, but not logged.
             let said = (goal.id.clone(), goal.state);
             if self.said.as_ref() == Some(&said) {
@@ -120,7 +103,7 @@ impl MissionMetrics {
 
     /// Sets the numbers of goals and workers.
     pub(super) fn observe(&self, mission: &Mission, workers: usize) {
-        for ((phase, _), gauge) in OPEN.iter().zip(&self.open) {
+        for (phase, gauge) in OPEN.iter().zip(&self.open) {
             gauge.set(mission.open_goals().filter(|open| open == phase).count() as f64);
         }
         self.workers.set(workers as f64);

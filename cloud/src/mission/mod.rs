@@ -32,7 +32,7 @@ use std::sync::Arc;
 use thiserror::Error;
 use zenav_observability::Condition;
 use zenav_protocol::SCHEMA_VERSION;
-use zenav_protocol::bus::{Bus, BusError, Clock, Server, Shutdown};
+use zenav_protocol::bus::{AliveToken, Bus, BusError, Clock, Server, Shutdown};
 use zenav_protocol::messages::{InfoReply, JournalEntry, JournalReply, Refusal};
 use zenav_protocol::topics::{self, MissionReply, MissionRequest};
 
@@ -100,18 +100,31 @@ impl Service {
     /// Answers requests while this mission is a standby: identity only, everything else is refused with `NotLeader`.
     fn answer_as_standby(&self, call: Pending) {
         let reply = match call.request {
-            MissionRequest::Info(_) => Ok(MissionReply::Info(InfoReply {
-                component: "mission".to_owned(),
-                version: env!("CARGO_PKG_VERSION").to_owned(),
-                schema: SCHEMA_VERSION,
-                robot: self.config.robot.to_string(),
-                store: Some(self.store.name().to_owned()),
-                process: Some(self.bus.process_info()),
-                ..InfoReply::default()
-            })),
+            MissionRequest::Info(_) => Ok(MissionReply::Info(self.info(None))),
             _ => Err(Refusal::NotLeader),
         };
         call.responder.send(reply);
+    }
+
+    /// Identity of this mission while it does not lead, and why it can store nothing.
+    fn info(&self, not_stored: Option<String>) -> InfoReply {
+        InfoReply {
+            store: Some(self.store.name().to_owned()),
+            not_stored,
+            ..identity(&self.bus, &self.config)
+        }
+    }
+}
+
+/// Identity of a mission without a store.
+fn identity(bus: &Bus, config: &MissionConfig) -> InfoReply {
+    InfoReply {
+        component: "mission".to_owned(),
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        schema: SCHEMA_VERSION,
+        robot: config.robot.to_string(),
+        process: Some(bus.process_info()),
+        ..InfoReply::default()
     }
 }
 
@@ -123,15 +136,17 @@ impl Service {
 pub async fn run(bus: Bus, clock: Clock, config: MissionConfig, shutdown: Shutdown) -> Result<(), MissionError> {
     let opened = bus.expects(&format!("the store of {} is open", config.robot));
     let role = bus.expects(&format!("the mission of {} leads, or stands by", config.robot));
-    let Some(store) = no_room::open(&config, &shutdown).await? else {
+    let Some((store, announced)) = no_room::open(&bus, &config, &shutdown).await? else {
         return Ok(());
     };
     opened.met();
-    let robot = config.robot.as_str();
-    let _alive = bus.declare_alive(topics::alive_key(topics::ALIVE_COMPONENT, &[robot, "mission"]))?;
+    let (requests, _alive) = match announced {
+        Some(announced) => announced,
+        None => announce(&bus, &config)?,
+    };
     let mut service = Service {
-        requests: Requests::open(&bus, robot)?,
-        journal: bus.serve(&topics::JOURNAL, &[robot, store.name()])?,
+        requests,
+        journal: bus.serve(&topics::JOURNAL, &[config.robot.as_str(), store.name()])?,
         bus,
         clock,
         config,
@@ -153,6 +168,14 @@ pub async fn run(bus: Bus, clock: Clock, config: MissionConfig, shutdown: Shutdo
             next => next?,
         };
     }
+}
+
+/// Takes the requests of a robot's clients, and shows that its mission runs.
+fn announce(bus: &Bus, config: &MissionConfig) -> Result<(Requests, AliveToken), BusError> {
+    let robot = config.robot.as_str();
+    let token = topics::alive_key(topics::ALIVE_COMPONENT, &[robot, "mission"]);
+    let alive = bus.declare_alive(token)?;
+    Ok((Requests::open(bus, robot)?, alive))
 }
 
 /// Runs blocking disk work off the runtime's threads.

@@ -1,42 +1,80 @@
 //! Full disk. A mission that cannot store anything refuses requests and waits for room.
 //!
-//! Nothing is acknowledged, and requests are refused with the reason. State that was only in memory is given up, as in a crash, so nothing
-//! is ever reported that is not stored. The heartbeats stop, so a standby whose disk has room may lead; otherwise the robot is at rest by
-//! its plan's expiry. Once there is room, the mission continues from what is stored.
+//! Nothing is acknowledged, and requests are refused with the reason, also by a mission that starts on a full disk. State that was only in
+//! memory is given up, as in a crash, so nothing is ever reported that is not stored. The heartbeats stop, so a standby whose disk has room
+//! may lead; otherwise the robot is at rest by its plan's expiry. Once there is room, the mission continues from what is stored.
 
 use std::sync::Arc;
 use std::time::Duration;
 
-use tokio::time::{MissedTickBehavior, interval};
+use tokio::time::{MissedTickBehavior, interval, sleep};
 use zenav_mission::config::MissionConfig;
 use zenav_mission::store::{Store, StoreError};
-use zenav_protocol::bus::{BusError, Shutdown};
-use zenav_protocol::messages::Refusal;
-use zenav_protocol::topics::MissionRequest;
+use zenav_protocol::bus::{AliveToken, Bus, BusError, Shutdown};
+use zenav_protocol::messages::{InfoReply, Refusal};
+use zenav_protocol::topics::{MissionReply, MissionRequest};
 
-use super::requests::Pending;
-use super::{MissionError, Service, Turn, blocking, metrics};
+use super::requests::{Pending, Requests};
+use super::{MissionError, Service, Turn, announce, blocking, identity, metrics};
 
 /// Interval between attempts to store something.
 const AGAIN: Duration = Duration::from_secs(1);
 
-/// Opens the store once there is room for it; `None` after a shutdown.
-pub(super) async fn open(config: &MissionConfig, shutdown: &Shutdown) -> Result<Option<Arc<Store>>, MissionError> {
-    let mut said = false;
+/// An open store, and the mission's requests and token if it already shows itself.
+type Opened = (Arc<Store>, Option<(Requests, AliveToken)>);
+
+/// Opens the store once there is room for it; `None` after a shutdown. While it waits, it shows itself and refuses everything. A mission
+/// that waits for nothing does not: its store may be another process's.
+pub(super) async fn open(
+    bus: &Bus,
+    config: &MissionConfig,
+    shutdown: &Shutdown,
+) -> Result<Option<Opened>, MissionError> {
+    let mut announced: Option<(Requests, AliveToken)> = None;
     loop {
         let (path, robot) = (config.store.clone(), config.robot.to_string());
         let error = match blocking(move || Store::open(&path, &robot)).await? {
-            Ok(store) => return Ok(Some(Arc::new(store))),
+            Ok(store) => return Ok(Some((Arc::new(store), announced))),
             Err(error @ StoreError::NoRoom { .. }) => error,
             Err(error) => return Err(error.into()),
         };
-        if !std::mem::replace(&mut said, true) {
-            tracing::error!(robot = %config.robot, %error, "no store: the mission waits for room");
+        let (requests, _) = match &mut announced {
+            Some(shown) => shown,
+            None => {
+                let shown = announced.insert(announce(bus, config)?);
+                tracing::error!(robot = %config.robot, %error, "no store: the mission waits for room");
+                shown
+            }
+        };
+        let again = sleep(AGAIN);
+        tokio::pin!(again);
+        loop {
+            tokio::select! {
+                () = shutdown.wait() => return Ok(None),
+                () = &mut again => break,
+                request = requests.next() => match request {
+                    Some(request) => answer(request, &error, || InfoReply {
+                        not_stored: Some(error.to_string()),
+                        ..identity(bus, config)
+                    }),
+                    None => return Err(BusError::Closed.into()),
+                },
+            }
         }
-        tokio::select! {
-            () = shutdown.wait() => return Ok(None),
-            () = tokio::time::sleep(AGAIN) => {}
-        }
+    }
+}
+
+/// Answers who this mission is, and refuses everything else.
+fn answer(call: Pending, error: &StoreError, info: impl FnOnce() -> InfoReply) {
+    call.responder.send(match call.request {
+        MissionRequest::Info(_) => Ok(MissionReply::Info(info())),
+        _ => Err(busy(error)),
+    });
+}
+
+fn busy(error: &StoreError) -> Refusal {
+    Refusal::Busy {
+        reason: format!("nothing can be stored, so nothing is acknowledged: {error}"),
     }
 }
 
@@ -46,9 +84,6 @@ pub(super) async fn wait(service: &mut Service, error: &StoreError) -> Result<Tu
     service.role.unmet();
     metrics::leads(robot.as_str(), false);
     tracing::error!(%robot, %error, "nothing can be stored: the mission waits for room");
-    let busy = || Refusal::Busy {
-        reason: format!("nothing can be stored, so nothing is acknowledged: {error}"),
-    };
     let mut again = interval(AGAIN);
     again.set_missed_tick_behavior(MissedTickBehavior::Skip);
     again.tick().await;
@@ -56,12 +91,11 @@ pub(super) async fn wait(service: &mut Service, error: &StoreError) -> Result<Tu
         tokio::select! {
             () = service.shutdown.wait() => return Ok(Turn::Over),
             request = service.requests.next() => match request {
-                Some(request @ Pending { request: MissionRequest::Info(_), .. }) => service.answer_as_standby(request),
-                Some(request) => request.responder.send(Err(busy())),
+                Some(request) => answer(request, error, || service.info(Some(error.to_string()))),
                 None => return Err(BusError::Closed.into()),
             },
             entry = service.journal.next() => match entry {
-                Some(entry) => entry.refuse(&busy()),
+                Some(entry) => entry.refuse(&busy(error)),
                 None => return Err(BusError::Closed.into()),
             },
             _ = again.tick() => {

@@ -5,12 +5,10 @@
 use std::time::Duration;
 
 use zenav_protocol::bus::{AskError, BusConfig, Latest, Router};
-use zenav_protocol::geometry::Twist2;
 use zenav_protocol::id::Id;
 use zenav_protocol::lease::LeaseArbiter;
 use zenav_protocol::messages::{
-    CancelRequest, EdgeState, GoalPhase, GoalRequest, GoalsRequest, GuardZone, LeaseReply, LeaseState, Link,
-    MissionStatus, Mode,
+    CancelRequest, EdgeState, GoalPhase, GoalRequest, GoalsRequest, LeaseReply, Link, MissionStatus,
 };
 use zenav_protocol::time::Stamp;
 
@@ -160,24 +158,11 @@ async fn arbiter(bus: Bus, shutdown: Shutdown) {
 
 fn state() -> EdgeState {
     EdgeState {
-        stamp: Stamp::ZERO,
-        frame: 0,
         boot_id: "boot".into(),
-        mode: Mode::Idle,
         link: Link::Connected,
-        lease: LeaseState::default(),
-        plan: None,
-        velocity: Twist2::ZERO,
-        guard: GuardZone::Clear,
         battery: 1.0,
-        behaviour: None,
-        wall_follower: None,
-        missed_ticks: 0,
         uplink: 1.0,
-        round_trip_secs: None,
-        stops: 0,
-        makes_way: false,
-        faults: Default::default(),
+        ..EdgeState::default()
     }
 }
 

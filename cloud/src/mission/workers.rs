@@ -99,6 +99,17 @@ struct Answered {
     reply: Result<MotionReply, AskError>,
 }
 
+/// Asks one worker.
+async fn ask_one(bus: Bus, worker: String, request: Arc<MotionRequest>, deadline: Duration) -> Answered {
+    let began = Instant::now();
+    let reply = bus.ask(&topics::MOTION_SERVICE, &[&worker], &*request, deadline).await;
+    Answered {
+        worker,
+        took: began.elapsed(),
+        reply,
+    }
+}
+
 impl fmt::Debug for Workers {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Workers").finish_non_exhaustive()
@@ -171,16 +182,7 @@ impl Workers {
                 Some(worker) => {
                     tried.insert(worker.clone());
                     running.insert(worker.clone());
-                    let (bus, request, deadline) = (bus.clone(), Arc::clone(&request), each.min(left));
-                    asked.spawn(async move {
-                        let began = Instant::now();
-                        let reply = bus.ask(&topics::MOTION_SERVICE, &[&worker], &*request, deadline).await;
-                        Answered {
-                            worker,
-                            took: began.elapsed(),
-                            reply,
-                        }
-                    });
+                    asked.spawn(ask_one(bus.clone(), worker, Arc::clone(&request), each.min(left)));
                     running.len() < AT_ONCE
                 }
                 // Every live worker has failed, the last one with an internal error.

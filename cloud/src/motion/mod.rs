@@ -3,13 +3,11 @@
 //! | file | answers |
 //! |---|---|
 //! | [`worker`] | which path can the robot drive, and what is its trajectory? Pure |
-//! | `via` | how is a path with stops smoothed? |
 //! | `shown` | which results are published for others? |
 //! | `host` | how is one request run, away from the async threads and within its budget? |
 
 mod host;
 mod shown;
-mod via;
 pub mod worker;
 
 use std::collections::BTreeMap;
@@ -316,6 +314,26 @@ mod tests {
         }
     }
 
+    /// From one side of the wall to the other.
+    fn question() -> PlanRequest {
+        PlanRequest {
+            robot: "tiago".to_owned(),
+            model: zenav_fixtures::robot("tiago"),
+            map: map().info.map,
+            start: Pose2::new(1.0, 1.0, 0.0),
+            via: Vec::new(),
+            goal: Pose2::new(5.0, 1.0, 0.0),
+            planner: "astar".to_owned(),
+            unknown_is_free: false,
+            cleared: Vec::new(),
+            yield_to: Vec::new(),
+            escape: 0.0,
+            goal_tolerance: 0.0,
+            budget_ms: 5000,
+            seed: 1,
+        }
+    }
+
     #[tokio::test(flavor = "multi_thread")]
     async fn a_worker_answers_every_kind_of_request_and_shows_its_searches() {
         let (_router, endpoint) = router().await;
@@ -337,23 +355,7 @@ mod tests {
             shutdown.clone(),
         ));
         let client = open("client").await.unwrap();
-        let model = zenav_fixtures::robot("tiago");
-        let question = PlanRequest {
-            robot: "tiago".to_owned(),
-            model: model.clone(),
-            map: map().info.map,
-            start: Pose2::new(1.0, 1.0, 0.0),
-            via: Vec::new(),
-            goal: Pose2::new(5.0, 1.0, 0.0),
-            planner: "astar".to_owned(),
-            unknown_is_free: false,
-            cleared: Vec::new(),
-            yield_to: Vec::new(),
-            escape: 0.0,
-            goal_tolerance: 0.0,
-            budget_ms: 5000,
-            seed: 1,
-        };
+        let question = question();
         let mut trees = client.subscribe(&TREE, &["tiago"], 8).unwrap();
         let mut records = client.subscribe(&MOTION, &["tiago"], 64).unwrap();
         let ask = |request: MotionRequest| {
@@ -386,7 +388,7 @@ mod tests {
 
         let wanted = SmoothRequest {
             robot: "tiago".to_owned(),
-            model,
+            model: question.model.clone(),
             map: found.map,
             path: path.clone(),
             via: Vec::new(),

@@ -3,25 +3,22 @@
 //! Pure: a request, a copy of the map, a clock for the statistics, and flags that end a phase early go in; a reply comes out.
 
 use std::collections::VecDeque;
-use std::f64::consts::PI;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 use zenav_planning::{Budget, PlanOptions, Planned, Planner, PlanningSettings, Replanner, Searcher};
-use zenav_protocol::geometry::{Pose2, Twist2};
+use zenav_protocol::geometry::Pose2;
 use zenav_protocol::map_replica::MapReplica;
 use zenav_protocol::messages::{
-    MotionReply, MotionRequest, PlanOrigin, PlanOutcome, PlanReply, PlanRequest, PlanStatistics, Refusal, SmoothReply,
-    SmoothRequest, TrajectoryReply, TrajectoryRequest,
+    MotionReply, MotionRequest, PlanOrigin, PlanOutcome, PlanReply, PlanRequest, Refusal, SmoothReply, SmoothRequest,
+    TrajectoryReply, TrajectoryRequest,
 };
 use zenav_protocol::robot::{Footprint, RobotModel};
 use zenav_protocol::trajectory::Trajectory;
-use zenav_smoothing::{SAMPLE_PERIOD, SmoothQuery, SmoothingSettings, smooth};
+use zenav_smoothing::{Cuts, SAMPLE_PERIOD, SmoothQuery, SmoothingSettings, smooth_pieces};
 use zenav_space::{ConfigurationSpace, Fit, SpaceCache, UnknownPolicy, Zones};
-
-use super::via::{Piece, pieces, sum};
 
 mod past_others;
 
@@ -393,60 +390,37 @@ impl MotionWorker {
             Some(space) => Arc::clone(space),
             None => self.spaces.get(map, &model.footprint, policy, fit),
         };
-        let mut reply = SmoothReply {
+        let query = SmoothQuery {
+            path: &request.path,
+            start: request.start,
+            start_velocity: request.start_velocity,
+            goal_yaw: request.goal_yaw,
+            profile: request.profile,
+        };
+        let cuts = Cuts {
+            backwards: &request.backwards,
+            via: &request.via,
+        };
+        let smoothed = smooth_pieces(
+            &space,
+            &query,
+            &cuts,
+            model,
+            &self.settings.smoothing,
+            Some(&given.cancel.smoothing),
+            &mut *given.clock,
+        );
+        // Each piece is thinned on its own: the points where the robot stops are kept.
+        let pieces = smoothed
+            .pieces
+            .iter()
+            .map(|piece| piece.sampled(SAMPLE_PERIOD).thinned());
+        let trajectory = pieces.fold(Trajectory::default(), |whole, piece| whole.then(&piece));
+        SmoothReply {
             map: map.map().clone(),
-            trajectory: Trajectory::default(),
-            statistics: PlanStatistics::default(),
-        };
-        let (mut start, mut start_velocity) = (request.start, request.start_velocity);
-        let turned = if request.backwards.is_empty() {
-            Arc::clone(&space)
-        } else {
-            Arc::new(space.turned())
-        };
-        let pieces = pieces(&request.path, &request.backwards, &request.via);
-        for (index, piece) in pieces.iter().enumerate() {
-            let Piece { path, backwards, .. } = piece;
-            let goal_yaw = if index + 1 == pieces.len() {
-                request.goal_yaw
-            } else {
-                piece.end_yaw()
-            };
-            // Driving backwards is driving forwards for a robot turned by 180°.
-            let query = SmoothQuery {
-                path,
-                start: if *backwards { start.turned() } else { start },
-                start_velocity: if *backwards {
-                    Twist2::new(-start_velocity.v, start_velocity.w)
-                } else {
-                    start_velocity
-                },
-                goal_yaw: goal_yaw.map(|yaw| if *backwards { yaw + PI } else { yaw }),
-                profile: request.profile,
-            };
-            let settings = &self.settings.smoothing;
-            let smoothed = smooth(
-                if *backwards { &turned } else { &space },
-                &query,
-                model,
-                settings,
-                Some(&given.cancel.smoothing),
-                &mut *given.clock,
-            );
-            let mut trajectory = smoothed.sampled(SAMPLE_PERIOD).thinned();
-            if *backwards {
-                trajectory = trajectory.turned();
-            }
-            reply.statistics = sum(reply.statistics, smoothed.statistics);
-            let Some(last) = trajectory.last() else {
-                reply.trajectory = trajectory;
-                return reply;
-            };
-            (start, start_velocity) = (last.pose(), Twist2::ZERO);
-            reply.trajectory = reply.trajectory.then(&trajectory);
+            trajectory: trajectory.rounded(),
+            statistics: smoothed.statistics,
         }
-        reply.trajectory = reply.trajectory.rounded();
-        reply
     }
 }
 

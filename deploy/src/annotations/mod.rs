@@ -11,6 +11,7 @@ mod zone;
 
 use std::time::Duration;
 
+use zenav_cloud::operator;
 use zenav_protocol::bus::Bus;
 use zenav_protocol::messages::{AnnotateAction, AnnotateRequest, Annotations};
 use zenav_protocol::topics;
@@ -20,7 +21,6 @@ pub use zone::{ZoneArgs, zone};
 
 use crate::connect::fresh_id;
 use crate::failure::Failure;
-use crate::operator::change;
 
 /// The annotations of a robot's map.
 pub(crate) async fn read(bus: &Bus, robot: &str, within: Duration) -> Result<Annotations, Failure> {
@@ -39,5 +39,5 @@ async fn change(bus: &Bus, robot: &str, within: Duration, action: AnnotateAction
         };
         bus.ask(&topics::ANNOTATE, &[robot], &request, within).await
     };
-    change::in_force(bus, robot, within, ask).await
+    Ok(operator::in_force(bus, robot, within, ask).await?)
 }

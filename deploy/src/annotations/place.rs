@@ -13,7 +13,6 @@ use zenav_space::{ConfigurationSpace, UnknownPolicy};
 use super::{change, read};
 use crate::completion;
 use crate::connect::{self, RobotArgs, finite, heading};
-use crate::exit_code;
 use crate::failure::Outcome;
 use crate::output::{self, Format};
 
@@ -65,15 +64,14 @@ enum PlaceCommand {
 /// Lists, adds and removes places.
 ///
 /// # Errors
-/// [`exit_code::NOT_FOUND`] for an unknown place, [`exit_code::USAGE`] for an invalid name or number.
+/// [`crate::exit_code::NOT_FOUND`] for an unknown place, [`crate::exit_code::USAGE`] for an invalid name or number.
 pub fn place(args: &PlaceArgs) -> Outcome {
     let patience = args.robot.link.patience();
     connect::on_robot(&args.robot, async |bus, robot| {
         let action = match &args.command {
             PlaceCommand::List => {
                 let places = read(&bus, &robot, patience).await?.places;
-                output::value(args.output, &places, table)?;
-                return Ok(exit_code::OK);
+                return output::value(args.output, &places, table);
             }
             PlaceCommand::Add { name, x, y, yaw } => AnnotateAction::AddPlace {
                 name: name.clone(),
@@ -87,10 +85,9 @@ pub fn place(args: &PlaceArgs) -> Outcome {
         };
         let places = change(&bus, &robot, patience, action).await?.places;
         let PlaceCommand::Add { name, x, y, .. } = &args.command else {
-            output::value(args.output, &places, |places| {
+            return output::value(args.output, &places, |places| {
                 format!("{robot} knows {}", output::counted(places.len(), "place"))
-            })?;
-            return Ok(exit_code::OK);
+            });
         };
         let looked_at = doubt(&bus, &robot, Point2::new(*x, *y)).await;
         if let Some(Some(doubt)) = looked_at {
@@ -105,8 +102,7 @@ pub fn place(args: &PlaceArgs) -> Outcome {
         };
         output::value(args.output, &places, |_| {
             format!("{robot} knows {name} at ({x}, {y}){goes_there}")
-        })?;
-        Ok(exit_code::OK)
+        })
     })
 }
 

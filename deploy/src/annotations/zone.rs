@@ -6,7 +6,6 @@ use zenav_protocol::messages::{AnnotateAction, Zone, ZoneRule};
 use super::{change, read};
 use crate::completion;
 use crate::connect::{self, RobotArgs, finite, positive};
-use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
 
@@ -61,15 +60,14 @@ struct AddArgs {
 /// Lists, adds and removes zones.
 ///
 /// # Errors
-/// [`exit_code::NOT_FOUND`] for an unknown zone, [`exit_code::USAGE`] for an invalid polygon.
+/// [`crate::exit_code::NOT_FOUND`] for an unknown zone, [`crate::exit_code::USAGE`] for an invalid polygon.
 pub fn zone(args: &ZoneArgs) -> Outcome {
     let patience = args.robot.link.patience();
     connect::on_robot(&args.robot, async |bus, robot| {
         let action = match &args.command {
             ZoneCommand::List => {
                 let zones = read(&bus, &robot, patience).await?.zones;
-                output::values(args.output, &zones, table)?;
-                return Ok(exit_code::OK);
+                return output::values(args.output, &zones, table);
             }
             ZoneCommand::Add(add) => AnnotateAction::AddZone { zone: add.zone()? },
             ZoneCommand::Remove { name } => AnnotateAction::RemoveZone { name: name.clone() },
@@ -79,8 +77,7 @@ pub fn zone(args: &ZoneArgs) -> Outcome {
         output::values(args.output, &zones, |zones| match zones {
             [] => format!("the map of {robot} has no zones"),
             zones => table(zones),
-        })?;
-        Ok(exit_code::OK)
+        })
     })
 }
 
@@ -132,16 +129,10 @@ fn table(zones: &[Zone]) -> String {
 mod tests {
     use super::*;
 
-    #[derive(Debug, clap::Parser)]
-    struct Wrapper {
-        #[command(flatten)]
-        args: ZoneArgs,
-    }
-
     fn added(words: &[&str]) -> Result<Zone, String> {
-        let all = [&["zone", "add"], words].concat();
-        let parsed: Wrapper = crate::cli::parsed(&all).map_err(|error| error.to_string())?;
-        match parsed.args.command {
+        let parsed = crate::cli::parsed(&[&["add"], words].concat());
+        let args: ZoneArgs = parsed.map_err(|error| error.to_string())?;
+        match args.command {
             ZoneCommand::Add(add) => add.zone().map_err(|failure| failure.to_string()),
             _ => Err("another command".to_owned()),
         }

@@ -7,7 +7,6 @@ use zenav_sim::made_worlds;
 use super::show::{self, ShowArgs};
 use super::{sim_bench, thread_time};
 use crate::connect::{self, positive};
-use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::output::{self, Format};
@@ -64,7 +63,7 @@ struct SimBenchArgs {
 /// Runs a command of the simulator.
 ///
 /// # Errors
-/// [`exit_code::USAGE`] for an invalid world, robot or number; a taken port.
+/// [`crate::exit_code::USAGE`] for an invalid world, robot or number; a taken port.
 pub fn sim(args: &SimArgs) -> Outcome {
     match &args.command {
         SimCommand::Bench(args) => bench_simulator(args),
@@ -112,6 +111,5 @@ fn bench_simulator(args: &SimBenchArgs) -> Outcome {
             report.steps,
             report.single_real_time_factor
         )
-    })?;
-    Ok(exit_code::OK)
+    })
 }

@@ -58,12 +58,15 @@ fn parse(text: &str) -> Result<Vec<Query>, String> {
         if words.is_empty() {
             continue;
         }
+        let is_decimal = |word: &&str| word.parse::<i64>().is_err() && word.parse::<f64>().is_ok_and(f64::is_finite);
         let wrong = || {
-            format!(
-                "line {}: expected `sx sy gx gy [optimum]`, found `{}`",
-                index + 1,
-                line.chars().take(60).collect::<String>()
-            )
+            let expected = if words.iter().take(4).any(is_decimal) {
+                "whole numbers, the columns and rows of cells of the map file"
+            } else {
+                "`sx sy gx gy [optimum]`"
+            };
+            let found: String = line.chars().take(60).collect();
+            format!("line {}: expected {expected}, found `{found}`", index + 1)
         };
         let whole = |word: &str| word.parse::<i64>().map_err(|_| wrong());
         let (cells, optimum) = match words.as_slice() {
@@ -130,6 +133,8 @@ mod tests {
         for bad in ["1 2 3", "1 2 3 x", "1 2 3 4 5 6", "1 2 3 4 inf", "1.5 2 3 4"] {
             let error = parse(&format!("0 0 1 1\n{bad}")).unwrap_err();
             assert!(error.starts_with("line 2"), "{error}");
+            let is_told = error.contains("expected whole numbers, the columns and rows of cells");
+            assert_eq!(is_told, bad.starts_with("1.5"), "{error}");
         }
     }
 }

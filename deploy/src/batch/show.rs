@@ -6,16 +6,14 @@ use nalgebra::{Point2, Vector2};
 use serde::Serialize;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
-use zenav_protocol::robot::LidarModel;
+use zenav_protocol::robot::{Footprint, LidarModel};
 use zenav_sim::movers::{MoverModel, Route};
 use zenav_sim::scatter::scatter;
-use zenav_sim::shape::Shape;
 use zenav_sim::{RobotSpec, Simulation, World};
 
 use crate::connect;
 use crate::drawing::canvas::{Canvas, Color};
-use crate::drawing::plane::{FREE, Mark, OCCUPIED, PLACE, Plane, ROBOT, circle};
-use crate::exit_code;
+use crate::drawing::plane::{FREE, Mark, OCCUPIED, PLACE, Plane, ROBOT, outline};
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::output::{self, Format, counted};
@@ -81,7 +79,7 @@ struct Shown {
 /// Draws a world.
 ///
 /// # Errors
-/// [`exit_code::USAGE`] for an invalid world, robot or time; a file that cannot be written.
+/// [`crate::exit_code::USAGE`] for an invalid world, robot or time; a file that cannot be written.
 pub(super) fn show(args: &ShowArgs) -> Outcome {
     if !(0.0..=86_400.0).contains(&args.time) {
         return Err(Failure::usage(format!("--time {}: expected 0 to 86400 s", args.time)));
@@ -95,14 +93,8 @@ pub(super) fn show(args: &ShowArgs) -> Outcome {
         .map(|c| if c.is_alphanumeric() { c } else { '_' })
         .collect();
     let picture = args.out.clone().unwrap_or_else(|| PathBuf::from(format!("{name}.png")));
-    if picture
-        .extension()
-        .is_none_or(|ending| !ending.eq_ignore_ascii_case("png"))
-    {
-        return Err(Failure::usage(format!(
-            "--out {}: expected a name that ends with .png",
-            picture.display()
-        )));
+    if files::ending(&picture) != "png" {
+        return Err(files::unknown_ending(&picture, ".png"));
     }
     files::write(&picture, bytes)?;
     let (low, high) = world.bounds();
@@ -139,8 +131,7 @@ pub(super) fn show(args: &ShowArgs) -> Outcome {
             shown.time_s,
             shown.picture.display()
         )
-    })?;
-    Ok(exit_code::OK)
+    })
 }
 
 /// The world with its robots, at the requested time.
@@ -253,11 +244,8 @@ fn grid(plane: &mut Plane, low: Point2<f64>, high: Point2<f64>) {
 }
 
 /// The outline of a shape at a place.
-fn placed(shape: &Shape, at: Point2<f64>) -> Vec<Point2<f64>> {
-    match shape {
-        Shape::Disc(radius) => circle(at, *radius),
-        Shape::Polygon(corners) => corners.iter().map(|corner| at + corner.coords).collect(),
-    }
+fn placed(shape: &Footprint, at: Point2<f64>) -> Vec<Point2<f64>> {
+    outline(shape).into_iter().map(|corner| at + corner.coords).collect()
 }
 
 /// The path of a mover: its corners with its outline there, or the box that it walks in; for a door, its closed and open positions.

@@ -1,15 +1,19 @@
 //! `zenav smooth`: a batch of queries for one robot, from search to time law. Reports for each the trajectory, the time of each phase, and
 //! whether it is free of collisions.
 
+use std::f64::consts::PI;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use nalgebra::Point2;
 use zenav_planning::{PlanOptions, Planner, Searcher, plan};
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::messages::{DrivingProfile, PlanOutcome};
 use zenav_protocol::robot::RobotModel;
 use zenav_protocol::trajectory::TrajectoryPoint;
-use zenav_smoothing::{SmoothQuery, Smoothed, SmoothingSettings, shortcut, smooth as smooth_path};
+use zenav_smoothing::{
+    Cuts, Outcome as Smoothing, Piece, SmoothQuery, SmoothedPieces, SmoothingSettings, pieces, shortcut, smooth_pieces,
+};
 use zenav_space::{ConfigurationSpace, UnknownPolicy};
 
 use super::queries::{self, Query};
@@ -28,7 +32,7 @@ const PERIOD: f64 = 0.01;
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Examples:\n  zenav smooth --map kitchen.yaml --queries queries.txt --robot tiago\n  zenav smooth --map kitchen.yaml --queries queries.txt --robot tiago --trajectory driven --profile economy\n\nQueries are lines `sx sy gx gy [optimum]` in cells of the map file as it is written (rows from the top), or a Moving AI .scen; the robot starts at rest, heading along its path. \
-Results are lines `search_us corridor_us geometry_us timing_us length_m duration_s min_clearance_m status`, status `smoothed`, `fallback:REASON` or `no_path` (then lengths are -1); a clearance of `inf` means nothing near."
+Results are lines `search_us corridor_us geometry_us timing_us length_m duration_s min_clearance_m status`, status `smoothed`, `fallback:REASON` (the path as stop, turn and go), `no_trajectory:REASON` (not even that is free of collisions) or `no_path`; for the last two, length, duration and clearance are -1. A clearance of `inf` means nothing near."
 )]
 pub struct SmoothArgs {
     /// Map: .yaml, .pgm, .png, .map
@@ -137,7 +141,7 @@ struct Workshop {
 
 impl Workshop {
     /// Search time, µs, and trajectory; `None` without a path.
-    fn answer(&mut self, query: &Query) -> (f64, Option<Smoothed>) {
+    fn answer(&mut self, query: &Query) -> (f64, Option<SmoothedPieces>) {
         let spec = *self.space.spec();
         let Some((from, to)) = query.cells(&spec) else {
             return (0.0, None);
@@ -146,7 +150,7 @@ impl Workshop {
             let center = spec.center(cell);
             Pose2::new(center.x, center.y, 0.0)
         };
-        let (mut start, goal) = (pose(from), pose(to));
+        let (start, goal) = (pose(from), pose(to));
         let (planned, search_us) = timed(self.watchdog.as_ref(), |budget| {
             plan(&self.space, &mut self.searcher, start, goal, &self.options, budget)
         });
@@ -157,54 +161,82 @@ impl Workshop {
         if self.space.clearance(start.position()) <= self.model.footprint.inscribed_radius() {
             return (search_us, None);
         }
-        let settings = self.settings;
-        // A query has no heading: the robot starts along its path, after removing the corners due to the grid.
-        let corners = shortcut(&self.space, &path, settings.corridor.clearance, None, None);
-        if let Some(along) = corners
-            .iter()
-            .map(|point| point - start.position())
-            .find(|along| along.norm() > 0.0)
-        {
-            start.yaw = along.y.atan2(along.x);
-        }
+        let driven = self.driven(start.position(), &path, &planned.backwards);
+        (search_us, Some(driven))
+    }
+
+    /// The trajectory along a path from its start (m), with these legs driven backwards.
+    fn driven(&self, start: Point2<f64>, path: &[Point2<f64>], backwards: &[usize]) -> SmoothedPieces {
+        let cuts = Cuts { backwards, via: &[] };
+        // A query has no heading: the robot starts along its path.
+        let first = pieces(path, &cuts).into_iter().next();
+        let yaw = first.and_then(|piece| self.first_heading(start, &piece)).unwrap_or(0.0);
         let asked = SmoothQuery {
-            path: &path,
-            start,
+            path,
+            start: Pose2::new(start.x, start.y, yaw),
             start_velocity: Twist2::ZERO,
             goal_yaw: None,
             profile: self.profile,
         };
         let mut clock = || self.start.elapsed().as_secs_f64();
-        let smoothed = smooth_path(&self.space, &asked, &self.model, &settings, None, &mut clock);
-        (search_us, Some(smoothed))
+        smooth_pieces(
+            &self.space,
+            &asked,
+            &cuts,
+            &self.model,
+            &self.settings,
+            None,
+            &mut clock,
+        )
+    }
+
+    /// Heading in which the robot drives the first leg of a piece, rad, after the corners due to the grid are removed; `None` if it has no
+    /// length.
+    fn first_heading(&self, start: Point2<f64>, piece: &Piece) -> Option<f64> {
+        let turned = piece.backwards.then(|| self.space.turned());
+        let space = turned.as_ref().unwrap_or(&self.space);
+        let corners = shortcut(space, &piece.path, self.settings.corridor.clearance, None, None);
+        let mut ways = corners.iter().map(|point| point - start);
+        let along = ways.find(|along| along.norm() > 0.0)?;
+        let yaw = along.y.atan2(along.x);
+        Some(if piece.backwards { yaw + PI } else { yaw })
     }
 }
 
-fn line(search_us: f64, smoothed: Option<&Smoothed>) -> String {
-    let Some(Smoothed { statistics, .. }) = smoothed else {
+fn line(search_us: f64, smoothed: Option<&SmoothedPieces>) -> String {
+    let Some(smoothed) = smoothed else {
         return format!("{search_us:.3} 0 0 0 -1 -1 -1 no_path");
     };
+    let statistics = &smoothed.statistics;
     let us = |ms: f64| format!("{:.3}", 1e3 * ms);
+    let (result, status) = match &smoothed.outcome {
+        Smoothing::Unsmoothed(reason) if smoothed.is_empty() => {
+            ("-1 -1 -1".to_owned(), format!("no_trajectory:{reason}"))
+        }
+        outcome => (
+            format!(
+                "{} {} {}",
+                statistics.length,
+                statistics.duration,
+                statistics.min_clearance.unwrap_or(f64::INFINITY)
+            ),
+            outcome.to_string(),
+        ),
+    };
     // A reason of several words would break the columns.
-    let status: String = statistics.status.split_whitespace().collect::<Vec<_>>().join("_");
+    let status = status.split_whitespace().collect::<Vec<_>>().join("_");
     format!(
-        "{search_us:.3} {} {} {} {} {} {} {status}",
+        "{search_us:.3} {} {} {} {result} {status}",
         us(statistics.corridor_ms),
         us(statistics.geometry_ms),
         us(statistics.timing_ms),
-        statistics.length,
-        statistics.duration,
-        statistics.min_clearance.unwrap_or(f64::INFINITY),
     )
 }
 
-fn write_trajectory(path: &Path, smoothed: Option<&Smoothed>) -> Result<(), Failure> {
+fn write_trajectory(path: &Path, smoothed: Option<&SmoothedPieces>) -> Result<(), Failure> {
     let mut file = Results::create(path)?;
     file.line(format_args!("{},a,alpha", TrajectoryPoint::CSV_HEADER))?;
-    for state in smoothed
-        .map(|smoothed| smoothed.trajectory.states(PERIOD))
-        .unwrap_or_default()
-    {
+    for state in smoothed.map(|smoothed| smoothed.states(PERIOD)).unwrap_or_default() {
         file.line(format_args!("{},{},{}", state.point, state.a, state.alpha))?;
     }
     file.finish()
@@ -220,7 +252,7 @@ struct Tally {
 }
 
 impl Tally {
-    fn add(&mut self, smoothed: Option<&Smoothed>) {
+    fn add(&mut self, smoothed: Option<&SmoothedPieces>) {
         self.queries += 1;
         if let Some(smoothed) = smoothed {
             self.found += 1;
@@ -245,14 +277,65 @@ impl Tally {
 #[cfg(test)]
 #[allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 mod tests {
-    use clap::Parser as _;
+    use zenav_protocol::grid::{GridSpec, Occupancy, OccupancyGrid};
+    use zenav_smoothing::Fallback;
 
     use super::*;
 
-    #[derive(Debug, clap::Parser)]
-    struct Wrapper {
-        #[command(flatten)]
-        args: SmoothArgs,
+    #[test]
+    fn a_path_that_cannot_be_driven_at_all_has_no_trajectory_and_no_length() {
+        let blocked = SmoothedPieces {
+            outcome: Smoothing::Unsmoothed(Fallback::Collision),
+            ..SmoothedPieces::default()
+        };
+        assert_eq!(
+            line(1.5, Some(&blocked)),
+            "1.500 0.000 0.000 0.000 -1 -1 -1 no_trajectory:collision"
+        );
+        let here = SmoothedPieces::default();
+        assert_eq!(line(1.5, Some(&here)), "1.500 0.000 0.000 0.000 0 0 inf smoothed");
+    }
+
+    #[test]
+    fn a_leg_that_is_planned_backwards_is_driven_backwards() {
+        let model = files::robot("tiago").unwrap();
+        let spec = GridSpec {
+            origin: Point2::origin(),
+            resolution: 0.05,
+            width: 100,
+            height: 60,
+        };
+        let grid = OccupancyGrid::filled(spec, Occupancy::FREE);
+        let space = ConfigurationSpace::new(&grid, &model.footprint, UnknownPolicy::Blocked, 0.0);
+        let workshop = Workshop {
+            searcher: Searcher::new(space.free()).unwrap(),
+            space,
+            model,
+            options: PlanOptions::default(),
+            profile: DrivingProfile::Fastest,
+            settings: SmoothingSettings::default(),
+            watchdog: None,
+            start: Instant::now(),
+        };
+        // Two metres along x, and one metre back.
+        let path = [1.0, 3.0, 2.0].map(|x| Point2::new(x, 1.5));
+        let driven = workshop.driven(path[0], &path, &[1]);
+        let states = driven.states(PERIOD);
+        assert!(states.windows(2).all(|pair| pair[0].point.t < pair[1].point.t));
+        assert!(
+            states.iter().all(|state| state.point.yaw.abs() < 1e-6),
+            "it never turns round"
+        );
+        let least = states.iter().map(|state| state.point.v).fold(0.0, f64::min);
+        assert!(least < -0.1 && (states[states.len() - 1].point.x - 2.0).abs() < 1e-6);
+        assert!(line(1.0, Some(&driven)).starts_with("1.000 "));
+        // Backwards from the start on: the robot looks away from its goal.
+        let states = workshop.driven(path[1], &path[1..], &[0]).states(PERIOD);
+        assert!(
+            states
+                .iter()
+                .all(|state| state.point.v <= 0.0 && state.point.yaw.abs() < 1e-6)
+        );
     }
 
     #[test]
@@ -266,25 +349,12 @@ mod tests {
         )
         .unwrap();
         std::fs::write(path("q.txt"), "20 20 60 40\n20 20 20 20\n0 0 200 0\n").unwrap();
-        let words = [
-            "smooth",
-            "--map",
-            &path("m.map"),
-            "--queries",
-            &path("q.txt"),
-            "--robot",
-            "tiago",
-            "--resolution",
-            "0.05",
-            "--out",
-            &path("f.txt"),
-            "--trajectory",
-            &path("t"),
-        ];
-        assert_eq!(
-            smooth(&Wrapper::try_parse_from(words).unwrap().args).unwrap(),
-            exit_code::OK
+        let (map, queries, out, trajectory) = (path("m.map"), path("q.txt"), path("f.txt"), path("t"));
+        let line = format!(
+            "--map {map} --queries {queries} --robot tiago --resolution 0.05 --out {out} --trajectory {trajectory}"
         );
+        let args = crate::cli::parsed(&line.split(' ').collect::<Vec<_>>()).unwrap();
+        assert_eq!(smooth(&args).unwrap(), exit_code::OK);
         let lines: Vec<String> = std::fs::read_to_string(path("f.txt"))
             .unwrap()
             .lines()

@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use zenav_planning::Budget;
+use zenav_planning::{Budget, PlanningSettings};
 
 /// Sets a flag at a time limit after being armed.
 pub(super) struct Watchdog {
@@ -61,9 +61,11 @@ impl Watchdog {
     }
 }
 
-/// Runs a search within the time limit, if there is one; returns its answer and its own time, µs.
+/// Runs a search within the time limit; returns its answer and its own time, µs. Without a time limit, a search draws as many samples as a
+/// motion worker's.
 pub(super) fn timed<T>(watchdog: Option<&Watchdog>, search: impl FnOnce(Budget<'_>) -> T) -> (T, f64) {
     let budget = Budget {
+        max_samples: watchdog.map_or_else(|| PlanningSettings::default().max_samples, |_| u64::MAX),
         cancel: watchdog.map(Watchdog::cancel),
         ..Budget::UNLIMITED
     };
@@ -110,6 +112,13 @@ impl Shared {
 #[allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_search_is_limited_by_samples_or_by_time() {
+        let samples = |watchdog: Option<&Watchdog>| timed(watchdog, |budget| budget.max_samples).0;
+        assert_eq!(samples(None), PlanningSettings::default().max_samples);
+        assert_eq!(samples(Some(&Watchdog::new(Duration::from_secs(3600)))), u64::MAX);
+    }
 
     #[test]
     fn an_armed_watchdog_cancels_and_a_new_search_begins_uncancelled() {

@@ -3,7 +3,6 @@
 use zenav_protocol::bus::{Security, overhead};
 
 use crate::connect;
-use crate::exit_code;
 use crate::failure::Outcome;
 use crate::keys;
 use crate::output::{self, Format};
@@ -40,7 +39,7 @@ pub(super) fn bus(args: &BusArgs) -> Outcome {
     output::values(args.output, &rows, |rows| {
         let row = |row: &overhead::Comparison| {
             let us = |value: f64| format!("{value:.1}");
-            vec![
+            [
                 row.what.clone(),
                 row.over.to_owned(),
                 row.bytes.to_string(),
@@ -64,8 +63,7 @@ pub(super) fn bus(args: &BusArgs) -> Outcome {
                 "RAW p99 us",
                 "RATIO",
             ],
-            &rows.iter().map(row).collect::<Vec<_>>(),
+            rows.iter().map(row),
         )
-    })?;
-    Ok(exit_code::OK)
+    })
 }

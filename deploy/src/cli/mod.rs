@@ -223,8 +223,9 @@ fn signed(command: clap::Command) -> clap::Command {
 /// # Errors
 /// Wrong usage.
 #[cfg(test)]
-pub(crate) fn parsed<P: Parser>(words: &[&str]) -> Result<P, clap::Error> {
-    P::from_arg_matches(&signed(P::command()).try_get_matches_from(words)?)
+pub(crate) fn parsed<A: clap::Args>(words: &[&str]) -> Result<A, clap::Error> {
+    let command = A::augment_args(clap::Command::new("zenav").no_binary_name(true));
+    A::from_arg_matches(&signed(command).try_get_matches_from(words)?)
 }
 
 /// Runs the command line of this process.

@@ -22,7 +22,7 @@ settings! {
     pub struct HostSection {
         /// Purpose: `robot`, `edge_site`, `cloud` or `operator`.
         pub role: Option<Role> = None;
-        /// Name or IP address at which the other hosts reach it, without a port.
+        /// Name or IPv4 address at which the other hosts reach it, without a port.
         pub address: String = String::new();
         /// Parts that run on it: `router`, `world`, `mapping`, `motion`, `mission`, `gateway`, `edge:ROBOT`; `mapping:ROBOT` and
         /// `mission:ROBOT` serve one robot only.

@@ -5,12 +5,15 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use toml::{Table, Value};
-use zenav_protocol::config_text::{OutOfBounds, line_of};
+use zenav_edge::config::TICK;
+use zenav_protocol::config_text::{OutOfBounds, line_if_written};
 use zenav_protocol::id::Id;
+use zenav_protocol::robot;
 use zenav_protocol::settings::{Row, Settings as _};
-use zenav_sim::World;
+use zenav_sim::{World, world};
 
 use super::{Deployment, HostSection, RobotSection};
+use crate::exit_code;
 use crate::failure::Failure;
 use crate::files;
 use crate::hosts;
@@ -22,7 +25,7 @@ const PREFIX: &str = "ZENAV_";
 /// Largest edit distance between an unknown key and the known one that is suggested for it.
 const SLIPS: usize = 2;
 
-/// Reads a deployment: defaults, then the file, then the environment.
+/// Reads a deployment: defaults, then the file, then the environment. A relative path in the file means a file beside it.
 ///
 /// # Errors
 /// Exit code 3 for a missing file, 2 for a bad one, with the key and where it is written.
@@ -41,10 +44,15 @@ pub(crate) struct Layers {
 impl Layers {
     /// Like [`load`], with the origins.
     pub(crate) fn load(file: Option<&Path>) -> Result<Self, Failure> {
+        Self::load_as_written(file).map(Self::with_paths)
+    }
+
+    /// As [`Self::load`], with the paths as the file writes them.
+    pub(crate) fn load_as_written(file: Option<&Path>) -> Result<Self, Failure> {
         Self::read(file, std::env::vars())
     }
 
-    /// Like [`load`], from a file alone: the environment is ignored.
+    /// As [`Self::load_as_written`], from a file alone: the environment is ignored.
     pub(crate) fn load_file(file: &Path) -> Result<Self, Failure> {
         Self::read(Some(file), std::iter::empty())
     }
@@ -52,6 +60,49 @@ impl Layers {
     /// Whether the file or the environment sets a key.
     pub(crate) fn sets(&self, key: &str) -> bool {
         self.origin(key) != DEFAULT
+    }
+
+    fn with_paths(mut self) -> Self {
+        self.deployment = self.resolved();
+        self
+    }
+
+    /// The deployment with the paths of its file as the working directory sees them. Shipped names stay; paths from the environment are
+    /// relative to the working directory already.
+    pub(super) fn resolved(&self) -> Deployment {
+        let mut deployment = self.deployment.clone();
+        let Some(folder) = self.folder() else { return deployment };
+        let is_ours = |key: &str| !self.environment.contains_key(key);
+        let beside = |name: &str| folder.join(name).to_string_lossy().into_owned();
+        let place = &mut deployment.simulation.world;
+        if is_ours("simulation.world") && !place.is_empty() && world::shipped(place).is_none() {
+            *place = beside(place);
+        }
+        for (name, section) in &mut deployment.robots {
+            if is_ours(&format!("robots.{name}.model")) {
+                let parts = section.model.split('+').enumerate().map(|(index, part)| {
+                    let shipped = if index == 0 { robot::SHIPPED } else { robot::OPTIONS };
+                    let is_shipped = shipped.iter().any(|(known, _)| *known == part);
+                    if is_shipped { part.to_owned() } else { beside(part) }
+                });
+                section.model = parts.collect::<Vec<_>>().join("+");
+            }
+        }
+        for (key, file) in [
+            ("mapping.map", &mut deployment.mapping.run.map),
+            ("zones.file", &mut deployment.zones.file),
+        ] {
+            if let Some(file) = file.as_mut().filter(|_| is_ours(key)) {
+                *file = folder.join(&*file);
+            }
+        }
+        deployment
+    }
+
+    /// Folder of the deployment file, unless it is the working directory.
+    fn folder(&self) -> Option<&Path> {
+        let (path, _) = self.file.as_ref()?;
+        path.parent().filter(|folder| !folder.as_os_str().is_empty())
     }
 
     pub(super) fn read(
@@ -139,12 +190,13 @@ impl Layers {
         let Some(missing) = paths.find(|path| !path.exists()) else {
             return Ok(());
         };
-        let path = std::path::absolute(missing)?;
+        let path = std::path::absolute(&missing)?;
         Err(Failure::not_found(format!(
-            "{}: `{key}` is `{}`: there is no file {}",
+            "{}: `{key}` is `{}`: there is no file {}{}",
             self.origin(key),
             file.display(),
-            path.display()
+            path.display(),
+            self.elsewhere(&missing)
         )))
     }
 
@@ -155,18 +207,27 @@ impl Layers {
     pub(crate) fn world(&self, flag: Option<&str>) -> Result<World, Failure> {
         match flag {
             Some(name) => files::world(name),
-            None => files::world(&self.deployment.simulation.world).map_err(self.at("simulation.world")),
+            None => {
+                let name = &self.deployment.simulation.world;
+                files::world(name).map_err(self.at_file("simulation.world", name))
+            }
         }
     }
 
-    /// Checks that the models of these robots exist.
+    /// Checks that the models of these robots exist, and that the settings suit them.
     ///
     /// # Errors
-    /// As [`files::robot`], with the origin of the model.
+    /// As [`files::robot`], with the origin of the model; exit code 2 for a setting, with its key and origin.
     pub(crate) fn check_models<'r>(&self, robots: impl Iterator<Item = &'r String>) -> Result<(), Failure> {
         for name in robots {
             if let Some(robot) = self.deployment.robots.get(name) {
-                files::robot(&robot.model).map_err(self.at(&format!("robots.{name}.model")))?;
+                let key = format!("robots.{name}.model");
+                let model = files::robot(&robot.model).map_err(self.at_file(&key, &robot.model))?;
+                let suits = robot.edge.check_for(&model, TICK);
+                suits.map_err(|error| {
+                    let error = error.within("edge").within(name).within("robots");
+                    Failure::usage(format!("{}: {error}", self.origin(&error.key)))
+                })?;
             }
         }
         Ok(())
@@ -179,6 +240,28 @@ impl Layers {
             DEFAULT => failure,
             origin => Failure::new(failure.code, format!("{origin}: {failure}")),
         }
+    }
+
+    /// As [`Self::at`], for a key that names a file.
+    fn at_file(&self, key: &str, name: &str) -> impl FnOnce(Failure) -> Failure + use<> {
+        let (at, elsewhere) = (self.at(key), self.elsewhere(Path::new(name)));
+        move |failure| {
+            let told = if failure.code == exit_code::NOT_FOUND {
+                format!("{failure}{elsewhere}")
+            } else {
+                failure.message
+            };
+            at(Failure::new(failure.code, told))
+        }
+    }
+
+    /// A hint at the file of this name in the working directory, for a file that is not beside the deployment file; otherwise empty.
+    fn elsewhere(&self, missing: &Path) -> String {
+        let name = self.folder().and_then(|folder| missing.strip_prefix(folder).ok());
+        name.filter(|name| name.is_file()).map_or_else(String::new, |name| {
+            let name = name.display();
+            format!(" (a path in a deployment file is relative to that file; {name} is in the working directory)")
+        })
     }
 
     /// Origin of a key, or of the section or the file that lacks it.
@@ -195,12 +278,8 @@ impl Layers {
             return format!("environment {variable}");
         }
         let written = |(path, text): &(PathBuf, String)| {
-            let table: Table = toml::from_str(text).ok()?;
-            let mut parts = key.split('.');
-            let first = table.get(parts.next()?)?;
-            parts.try_fold(first, |value, part| value.get(part))?;
-            let line = line_of(text, key).map_or_else(String::new, |line| format!(":{line}"));
-            Some(format!("{}{line}", path.display()))
+            let line = line_if_written(text, key)?;
+            Some(format!("{}:{line}", path.display()))
         };
         self.file
             .as_ref()
@@ -245,7 +324,11 @@ fn row_of(key: &str) -> Option<Row> {
 }
 
 fn unreadable(path: &Path, error: &toml::de::Error) -> Failure {
-    Failure::usage(format!("{}: {}", path.display(), told(error)))
+    let expected = match files::ending(path).as_str() {
+        "yaml" | "yml" => "expected a deployment file in TOML: ",
+        _ => "",
+    };
+    Failure::usage(format!("{}: {expected}{}", path.display(), told(error)))
 }
 
 /// The error text; for an unknown key with the most similar known one.
@@ -273,8 +356,6 @@ fn told(error: &toml::de::Error) -> String {
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
-    use crate::exit_code;
-
     use super::*;
 
     fn read(text: &str, variables: &[(&str, &str)]) -> Result<Layers, Failure> {
@@ -284,7 +365,7 @@ mod tests {
         let variables = variables
             .iter()
             .map(|(name, value)| ((*name).to_owned(), (*value).to_owned()));
-        Layers::read(Some(&file), variables)
+        Layers::read(Some(&file), variables).map(Layers::with_paths)
     }
 
     #[test]
@@ -387,7 +468,7 @@ mod tests {
             &[],
         )
         .unwrap();
-        let wet = std::path::absolute("no/wet.toml").unwrap();
+        let wet = layers.folder().unwrap().join("no/wet.toml");
         for (key, line, path) in [
             ("zones.file", 2, wet.as_path()),
             ("mapping.map", 4, Path::new("/no/map.yaml")),
@@ -472,8 +553,12 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_endpoint_or_address_is_told_with_its_line() {
+    fn what_no_router_endpoint_or_planner_can_be_is_told_with_its_line() {
         for (text, told) in [
+            (
+                "[planning]\nplanner = \"SmacPlanner2D\"\n",
+                "`planning.planner` is `SmacPlanner2D`: expected one of astar, jps, ",
+            ),
             (
                 "[robots.tiago]\nlisten = \"7450\"\n",
                 "`robots.tiago.listen` is `7450`: expected an endpoint",
@@ -494,10 +579,86 @@ mod tests {
                 "[router]\nrest = \"8000\"\n",
                 "`router.rest` is `8000`: expected ADDRESS:PORT",
             ),
+            (
+                "[router]\nscouting = true\nenabled = false\n",
+                "`router.scouting` is set, and `router.enabled` is false: expected a router",
+            ),
         ] {
             let failure = read(text, &[]).map(|_| ()).unwrap_err();
             assert!(failure.message.contains(&format!("mine.toml:2: {told}")), "{failure}");
         }
+    }
+
+    #[test]
+    fn a_setting_that_does_not_suit_the_robot_is_told_with_its_line() {
+        let text = "[robots.a]\nmodel = \"tiago\"\n[robots.a.edge.collision_monitor]\nrest_after_silence = 0.3\n";
+        let layers = read(text, &[]).unwrap();
+        let failure = layers.check_models(layers.deployment.robots.keys()).unwrap_err();
+        let told = "mine.toml:4: `robots.a.edge.collision_monitor.rest_after_silence` is 0.3: expected at least 0.43 s";
+        assert_eq!(failure.code, exit_code::USAGE);
+        assert!(failure.message.contains(told), "{failure}");
+    }
+
+    #[test]
+    fn a_path_in_the_file_means_a_file_beside_it_and_one_in_the_environment_the_working_directory() {
+        let text = "[simulation]\nworld = \"room.toml\"\n[robots.a]\nmodel = \"mine.toml+rear_lidar+worn.toml\"\n[robots.b]\n\
+                    model = \"tiago\"\n[mapping]\nmap = \"maps/floor.yaml\"\n[zones]\nfile = \"/site/wet.toml\"\n";
+        let layers = read(text, &[]).unwrap();
+        let (deployment, folder) = (&layers.deployment, layers.folder().unwrap());
+        let beside = |name: &str| folder.join(name).display().to_string();
+        assert_eq!(deployment.simulation.world, beside("room.toml"));
+        let model = format!("{}+rear_lidar+{}", beside("mine.toml"), beside("worn.toml"));
+        assert_eq!(deployment.robots["a"].model, model);
+        assert_eq!(deployment.robots["b"].model, "tiago");
+        assert_eq!(
+            deployment.files(),
+            [
+                ("mapping.map", Some(folder.join("maps/floor.yaml").as_path())),
+                ("zones.file", Some(Path::new("/site/wet.toml"))),
+            ]
+        );
+        assert_eq!(read("", &[]).unwrap().deployment.simulation.world, "kitchen");
+        let variables = [
+            ("ZENAV_SIMULATION__WORLD", "room.toml"),
+            ("ZENAV_ROBOTS__A__MODEL", "mine.toml"),
+            ("ZENAV_MAPPING__MAP", "maps/floor.yaml"),
+        ];
+        let deployment = read(text, &variables).unwrap().deployment;
+        assert_eq!(deployment.simulation.world, "room.toml");
+        assert_eq!(deployment.robots["a"].model, "mine.toml");
+        assert_eq!(
+            deployment.mapping.run.map.as_deref(),
+            Some(Path::new("maps/floor.yaml"))
+        );
+    }
+
+    #[test]
+    fn a_file_in_the_working_directory_is_pointed_out_when_it_is_not_beside_the_deployment_file() {
+        let hint = "is relative to that file; Cargo.toml is in the working directory)";
+        let told = |name: &str| {
+            let text = format!("[simulation]\nworld = \"{name}\"\n[zones]\nfile = \"{name}\"\n");
+            let layers = read(&text, &[]).unwrap();
+            let world = layers.world(None).map(|_| ()).unwrap_err();
+            [world, layers.check_file("zones.file").unwrap_err()]
+        };
+        for failure in told("Cargo.toml") {
+            assert_eq!(failure.code, exit_code::NOT_FOUND);
+            assert!(failure.message.ends_with(hint), "{failure}");
+        }
+        for failure in told("no_such.toml") {
+            assert!(!failure.message.contains("working directory"), "{failure}");
+        }
+    }
+
+    #[test]
+    fn parameters_of_another_stack_are_told_that_a_deployment_is_toml() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("nav2_params.yaml");
+        std::fs::write(&file, "amcl:\n  ros__parameters:\n    alpha1: 0.2\n").unwrap();
+        let failure = Layers::read(Some(&file), std::iter::empty()).map(|_| ()).unwrap_err();
+        assert_eq!(failure.code, exit_code::USAGE);
+        let told = "nav2_params.yaml: expected a deployment file in TOML: ";
+        assert!(failure.message.contains(told), "{failure}");
     }
 
     #[test]
@@ -515,5 +676,8 @@ mod tests {
         }
         assert!(layers.nearest_origin("robots.a.listen").ends_with("mine.toml:1"));
         assert!(layers.nearest_origin("hosts").ends_with("mine.toml"));
+        let layers = read("[hosts.a]\n[hosts.\"fleet.b\"]\nrole = \"cloud\"\n", &[]).unwrap();
+        assert!(layers.nearest_origin("hosts.fleet.b.role").ends_with("mine.toml:3"));
+        assert!(layers.nearest_origin("hosts.fleet.b.address").ends_with("mine.toml:2"));
     }
 }

@@ -25,7 +25,7 @@ use zenav_gateway::GatewaySettings;
 use zenav_localisation::LocalisationSettings;
 use zenav_mapping::MappingSettings;
 use zenav_mission::MissionSettings;
-use zenav_planning::PlanningSettings;
+use zenav_planning::{Planner, PlanningSettings};
 use zenav_protocol::config_text::{Expected, OutOfBounds, check_all};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
@@ -96,6 +96,8 @@ settings! {
         pub connect: Vec<String> = Vec::new();
         /// Loopback address that answers `GET /KEY` with a key's value; empty: none.
         pub rest: String = String::new();
+        /// Whether it answers Zenoh's multicast scouting, so that Zenoh's tools on this network find it without its endpoint.
+        pub scouting: bool = false;
     }
 }
 
@@ -148,7 +150,8 @@ settings! {
         /// Whether it runs.
         pub enabled: bool = true;
         /// Poses at which scans are inserted: `edge` (the robot's own estimate, for robots with GPS and compass), `slam` (scans and
-        /// odometry alone) or `localise` (in the map that mapping starts with); `slam` and `localise` also correct the robot's pose.
+        /// odometry, with GPS and compass if present) or `localise` (in the map that mapping starts with); `slam` and `localise` also
+        /// correct the robot's pose.
         pub poses: PoseSource = PoseSource::Edge;
         /// Known map to start with, a `map_server` description or an image; without it, the stored one.
         pub map: Option<PathBuf> = None;
@@ -162,7 +165,7 @@ settings! {
     pub struct PlanningSection {
         /// Number of workers.
         pub workers: usize = 1, "", 1..=64;
-        /// Planner that missions request.
+        /// Planner that missions request: `astar`, `jps`, `theta`, `rrt`, `rrt_connect` or `rrt_star`.
         pub planner: String = "astar".to_owned();
     }
 }
@@ -196,7 +199,7 @@ settings! {
 settings! {
     /// Data on disk.
     pub struct DataSection {
-        /// Folder for maps, goals, and the edges' epochs.
+        /// Folder for maps, goals, and the edges' epochs; a relative one is in the working directory.
         pub dir: PathBuf = "zenav-data".into();
     }
 }
@@ -252,6 +255,29 @@ impl Deployment {
                 key,
                 problem: format!("is `{text}`: {expected}"),
             })?;
+        }
+        // On hosts of a deployment routers run where `runs` says.
+        if !self.router.enabled && self.hosts.is_empty() {
+            let asked = [
+                ("router.connect", !self.router.connect.is_empty()),
+                ("router.rest", !self.router.rest.is_empty()),
+                ("router.scouting", self.router.scouting),
+            ];
+            if let Some((key, _)) = asked.into_iter().find(|(_, is_asked)| *is_asked) {
+                return Err(OutOfBounds {
+                    key: key.to_owned(),
+                    problem: "is set, and `router.enabled` is false: expected a router, or none of its settings"
+                        .to_owned(),
+                });
+            }
+        }
+        let planner = &self.planning.run.planner;
+        if planner.parse::<Planner>().is_err() {
+            let known: Vec<&str> = Planner::ALL.iter().map(|(name, _)| *name).collect();
+            return Err(OutOfBounds {
+                key: "planning.planner".to_owned(),
+                problem: format!("is `{planner}`: expected one of {}", known.join(", ")),
+            });
         }
         if self.robots.is_empty() {
             return Err(OutOfBounds {

@@ -5,12 +5,14 @@ use std::path::PathBuf;
 use clap::{Args, Subcommand};
 use serde::Serialize;
 use serde_json::Value;
+use zenav_edge::config::TICK;
 use zenav_protocol::settings::{Bounds, Row, Settings as _};
 
 use super::layers::Layers;
 use super::{Deployment, HostSection, RobotSection};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
+use crate::files;
 use crate::output::{Format, table, value, values};
 
 /// Prints the configuration.
@@ -56,7 +58,7 @@ struct Origin {
 /// As [`load`](super::load).
 pub fn run(args: &ConfigArgs) -> Outcome {
     let ConfigCommand::Show { file, origin, output } = &args.command;
-    let layers = Layers::load(file.as_deref())?;
+    let layers = Layers::load_as_written(file.as_deref())?;
     if *origin {
         values(*output, &origins(&layers)?, |rows| {
             let cells: Vec<Vec<String>> = rows.iter().map(Origin::cells).collect();
@@ -73,11 +75,12 @@ pub fn run(args: &ConfigArgs) -> Outcome {
 
 fn origins(layers: &Layers) -> Result<Vec<Origin>, Failure> {
     let values = serde_json::to_value(&layers.deployment).map_err(Failure::failed)?;
+    let resolved = layers.resolved();
     let mut origins = Vec::new();
-    let mut push = |row: Row, value: Option<&Value>| {
+    let mut push = |row: Row, value: Option<Value>| {
         origins.push(Origin {
             origin: layers.origin(&row.key),
-            value: value.cloned().unwrap_or_default(),
+            value: value.unwrap_or_default(),
             key: row.key,
             unit: row.unit,
             default: row.default,
@@ -87,18 +90,31 @@ fn origins(layers: &Layers) -> Result<Vec<Origin>, Failure> {
     };
     for row in Deployment::rows() {
         let Some(rows) = rows_of_each(&row.key) else {
-            let value = values.pointer(&pointer(&row.key));
+            let value = values.pointer(&pointer(&row.key)).cloned();
             push(row, value);
             continue;
         };
         for (name, section) in values.get(&row.key).and_then(Value::as_object).into_iter().flatten() {
+            let robot = resolved.robots.get(name).filter(|_| row.key == "robots");
             for inner in rows.clone() {
-                let value = section.pointer(&pointer(&inner.key));
+                let value = section.pointer(&pointer(&inner.key)).filter(|value| !value.is_null());
+                let value = value.cloned().or_else(|| derived(robot?, &inner.key));
                 push(inner.within(name).within(&row.key), value);
             }
         }
     }
     Ok(origins)
+}
+
+/// What an unset value of a robot amounts to, where it follows from the robot's model alone and this can be read here.
+fn derived(robot: &RobotSection, key: &str) -> Option<Value> {
+    let model = files::robot(&robot.model).ok()?;
+    let secs = match key {
+        "edge.collision_monitor.scan_timeout" => robot.edge.scan_timeout(&model),
+        "edge.collision_monitor.rest_after_silence" => robot.edge.rest_after_silence(&model, TICK),
+        _ => return None,
+    };
+    Some(((1e3 * secs).round() / 1e3).into())
 }
 
 /// The rows of one section, for a key that holds named sections.
@@ -215,6 +231,13 @@ mod tests {
         ] {
             assert!(origins.iter().any(|row| row.key == key), "{key}");
         }
+        let rest = "robots.tiago.edge.collision_monitor.rest_after_silence";
+        let rest = origins.iter().find(|row| row.key == rest).unwrap();
+        assert_eq!(
+            (&rest.value, &rest.default),
+            (&Value::from(0.7), &Value::Null),
+            "it follows from the model"
+        );
         let unset = |row: &&Origin| row.value.is_null() && !row.default.is_null();
         assert_eq!(origins.iter().find(unset).map(|row| &row.key), None);
         let text = toml::to_string(&layers.deployment).unwrap();

@@ -9,6 +9,7 @@ use zenav_protocol::bus::{Bus, Latest};
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{GoalPoint, MapRequest, SearchTree};
 use zenav_protocol::topics;
+use zenav_sim::World;
 
 use crate::drawing::scene::Scene;
 use crate::failure::Failure;
@@ -16,6 +17,12 @@ use crate::files;
 
 /// Longest wait for the map, wall time.
 const MAP_DEADLINE: Duration = Duration::from_secs(5);
+
+/// A world's places.
+pub(super) fn places(world: &World) -> Vec<(String, Point2<f64>)> {
+    let place = |place: &zenav_sim::Place| (place.name.to_string(), Point2::new(place.x, place.y));
+    world.places().iter().map(place).collect()
+}
 
 /// Pictures of a run.
 pub(super) struct Album {

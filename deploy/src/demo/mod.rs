@@ -9,11 +9,10 @@
 //! | `wall_follow` | how does a robot follow walls on its own, without a cloud? |
 //! | `watch` | how did the run go, from a client's and from the referee's view? |
 //! | `refusals` | are unreachable goals refused, and with which reasons? |
-//! | `recorded` | the bus traffic, as a page and as a file |
-//! | `album`, `film` | what did the robot know, plan and drive? pictures, and an animation |
+//! | `recorded` | the bus traffic, as a page, a film and a file |
+//! | `album` | what did the robot know, plan and drive? pictures |
 
 mod album;
-mod film;
 mod kidnapped;
 mod kitchen;
 mod online;
@@ -52,8 +51,7 @@ use crate::lockstep::true_map;
 use crate::output::{Format, spinner, value};
 use crate::report::{DemoReport, ScenarioOutcome};
 use album::Album;
-use film::Film;
-use recorded::Recorder;
+use recorded::{Played, Recorder};
 use refusals::Impossible;
 use watch::Watch;
 
@@ -214,12 +212,15 @@ pub fn run(args: &DemoArgs) -> Outcome {
     }
     let folder = args.folder();
     std::fs::create_dir_all(&folder).map_err(Failure::failed_at(&folder))?;
-    let mut report = runtime()?.block_on(scenario(args))?;
+    args.film.as_deref().map_or(Ok(()), files::writable)?;
+    let Played { mut report, kept } = runtime()?.block_on(scenario(args))?;
     let file = folder.join("report.json");
     report.files.insert(0, file.clone());
     let text = serde_json::to_string_pretty(&report).map_err(Failure::failed)?;
-    files::write(&file, text + "\n")?;
+    let written = files::write(&file, text + "\n");
     value(args.output, &report, DemoReport::text)?;
+    // The report is printed even if a file could not be written.
+    written.and(kept)?;
     Ok(if report.outcome == ScenarioOutcome::Succeeded {
         exit_code::OK
     } else {
@@ -282,7 +283,7 @@ fn copy_map(from: &Path, to: &Path) -> Result<Vec<PathBuf>, Failure> {
     Ok(copied)
 }
 
-async fn scenario(args: &DemoArgs) -> Result<DemoReport, Failure> {
+async fn scenario(args: &DemoArgs) -> Result<Played, Failure> {
     let began = Instant::now();
     let mut script = args.scenario.script();
     // Goals and epochs belong to this run; only the map outlives it.
@@ -331,13 +332,17 @@ async fn scenario(args: &DemoArgs) -> Result<DemoReport, Failure> {
         played
     }
     .await;
-    let kept = copy_map(&robot_dir, &folder);
+    let copied = copy_map(&robot_dir, &folder);
     let _ = std::fs::remove_dir_all(&state);
-    let mut report = result?;
-    report.files.extend(kept?);
+    let mut played = result?;
+    let report = &mut played.report;
+    match copied {
+        Ok(files) => report.files.extend(files),
+        Err(failure) => played.kept = played.kept.and(Err(failure)),
+    }
     report.map_found = map_found;
     report.wall_time_s = began.elapsed().as_secs_f64();
-    Ok(report)
+    Ok(played)
 }
 
 async fn play(
@@ -353,19 +358,14 @@ async fn play(
         .first()
         .ok_or_else(|| Failure::failed("the deployment has no robot"))?;
     let referee = parts.edge(deployment, world)?;
-    let film = args
-        .film
-        .as_deref()
-        .map(|file| Film::new(file, script, world, referee.clone()));
     parts.cloud(deployment, world, CloudPart::All, "demo")?;
     let page = parts.gateway(deployment, world).await?;
     let bus = Bus::open(BusConfig::command("demo", endpoint)).await?;
     let mut watch = Watch::new(&bus, id, referee, world)?;
-    watch.carried = script.carried;
+    watch.carried = script.carried.map(|carried| (carried, world.clone()));
     if script.drawn {
-        watch.album = Some(Album::new(&bus, id, &args.folder(), film::places(world))?);
+        watch.album = Some(Album::new(&bus, id, &args.folder(), album::places(world))?);
     }
-    let film = film.map(|film| film.start(&bus, id, args.speed)).transpose()?;
     let request = GoalRequest {
         id: Some(format!("{}-{}", script.name, args.seed)),
         tree: Some(script.tree.to_owned()),
@@ -408,17 +408,13 @@ async fn play(
     if let Some(bar) = &watch.bar {
         bar.finish_and_clear();
     }
-    let mut files = match watch.album.take() {
+    let files = match watch.album.take() {
         Some(album) => album.finish().await?,
         None => Vec::new(),
     };
     let refusals = if end.is_some() { Some(asking.await) } else { None };
     bus.close().await;
     let mut report = watch.report(script, args, end);
-    if let Some(film) = film {
-        watch.narrate("developing the film");
-        files.push(film.finish().await?);
-    }
     report.files = files;
     match refusals {
         Some(Ok(Ok(refused))) => report.refused = refused,
@@ -432,4 +428,21 @@ async fn play(
 /// A live display, if wanted and possible.
 fn live_display(args: &DemoArgs) -> Option<ProgressBar> {
     if args.no_ui { None } else { spinner() }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_film_that_cannot_be_written_is_refused_before_the_demonstration() {
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().join("out");
+        let film = folder.path().join("none/run.gif").display().to_string();
+        let words = ["kitchen", "--film", &film, "--out", out.to_str().unwrap()];
+        let refused = run(&crate::cli::parsed(&words).unwrap()).unwrap_err();
+        assert!(refused.message.contains("run.gif"), "{refused}");
+        assert_eq!(std::fs::read_dir(&out).unwrap().count(), 0, "nothing was begun");
+    }
 }

@@ -1,4 +1,4 @@
-//! Record of a demonstration. The bus traffic, kept for the report page, and as a separate file on request.
+//! Record of a demonstration. The bus traffic, kept for the report page, and as a film and a separate file on request.
 
 use std::path::{Path, PathBuf};
 
@@ -6,7 +6,7 @@ use zenav_protocol::bus::{Bus, BusConfig};
 
 use super::{DemoArgs, Script};
 use crate::failure::Failure;
-use crate::record::{self, RecordOptions, Recording, Written};
+use crate::record::{self, RecordOptions, Recording};
 use crate::report::DemoReport;
 
 /// Name of the page, beside `report.json`.
@@ -17,6 +17,7 @@ pub(super) struct Recorder {
     bus: Bus,
     recording: Recording,
     page: PathBuf,
+    film: Option<PathBuf>,
     /// Whether the user asked for the record.
     is_kept: bool,
 }
@@ -40,37 +41,102 @@ impl Recorder {
             bus,
             recording,
             page: args.folder().join(PAGE),
+            film: args.film.clone(),
             is_kept,
         })
     }
 
-    /// Ends the recording, and adds page and record to the report. A missing page is only noted; a missing record that was asked for is a
-    /// failure.
-    pub(super) async fn end(self, played: Result<DemoReport, Failure>) -> Result<DemoReport, Failure> {
+    /// Ends the recording, and adds page, film and record to the report. A missing page is only noted; a missing film or record that was
+    /// asked for is a failure, beside the report.
+    pub(super) async fn end(self, played: Result<DemoReport, Failure>) -> Result<Played, Failure> {
         let recorded = self.recording.finish().await;
         self.bus.close().await;
         let mut report = played?;
-        let told = recorded.and_then(|written| tell(&mut report, written, &self.page, self.is_kept));
-        match told {
-            Err(failure) if self.is_kept => return Err(failure),
-            Err(failure) => report.notes.push(format!("no {PAGE}: {failure}")),
-            Ok(()) => {}
-        }
-        Ok(report)
+        let kept = match recorded {
+            Ok(written) => {
+                if written.dropped > 0 {
+                    report.notes.push(format!(
+                        "the record lacks {} samples: this machine was too slow",
+                        written.dropped
+                    ));
+                }
+                let mut made = Made::default();
+                let mut files = written.files.iter();
+                let kept = files.try_for_each(|file| made.add(file, &self.page, self.film.as_deref(), self.is_kept));
+                report.files.append(&mut made.files);
+                report.notes.append(&mut made.notes);
+                kept
+            }
+            Err(failure) if self.is_kept || self.film.is_some() => Err(failure),
+            Err(failure) => {
+                report.notes.push(no_page(&failure));
+                Ok(())
+            }
+        };
+        Ok(Played { report, kept })
     }
 }
 
-fn tell(report: &mut DemoReport, written: Written, page: &Path, is_kept: bool) -> Result<(), Failure> {
-    if written.dropped > 0 {
-        report.notes.push(format!(
-            "the record lacks {} samples: this machine was too slow",
-            written.dropped
-        ));
+/// A demonstration that was played.
+pub(super) struct Played {
+    pub report: DemoReport,
+    /// Whether everything that was asked for could be written.
+    pub kept: Result<(), Failure>,
+}
+
+fn no_page(failure: &Failure) -> String {
+    format!("no {PAGE}: {failure}")
+}
+
+/// What was made of a record, and notes on what was not.
+#[derive(Debug, Default)]
+struct Made {
+    files: Vec<PathBuf>,
+    notes: Vec<String>,
+}
+
+impl Made {
+    /// Makes the page and the film of a record. A missing page is only noted.
+    fn add(&mut self, record: &Path, page: &Path, film: Option<&Path>, is_kept: bool) -> Result<(), Failure> {
+        match record::write_report(record, page) {
+            Ok(()) => self.files.push(page.to_owned()),
+            Err(failure) => self.notes.push(no_page(&failure)),
+        }
+        self.files.extend(is_kept.then(|| record.to_owned()));
+        if let Some(film) = film {
+            record::write_film(record, None, film)?;
+            self.files.push(film.to_owned());
+        }
+        Ok(())
     }
-    for file in written.files {
-        record::write_report(&file, page)?;
-        report.files.extend(is_kept.then_some(file));
-        report.files.push(page.to_owned());
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use crate::{cli, lockstep};
+
+    #[test]
+    fn film_and_record_do_not_need_the_page() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        let record = path("run.mcap");
+        let name = record.display().to_string();
+        let words = "--world empty --goal 3 0 --timeout 2 --record".split(' ');
+        let words: Vec<&str> = words.chain([name.as_str()]).collect();
+        lockstep::run(&cli::parsed(&words).unwrap()).unwrap();
+        let (page, film, nowhere) = (path("report.html"), path("last.png"), path("none/last.png"));
+
+        let mut without_page = Made::default();
+        without_page
+            .add(&record, &path("none/report.html"), Some(&film), true)
+            .unwrap();
+        assert_eq!(without_page.files, [record.clone(), film]);
+        let notes = &without_page.notes;
+        assert!(notes[0].starts_with("no report.html: "), "{notes:?}");
+        let mut without_film = Made::default();
+        assert!(without_film.add(&record, &page, Some(&nowhere), true).is_err());
+        assert_eq!(without_film.files, [page, record]);
     }
-    Ok(())
 }

@@ -1,20 +1,9 @@
-//! `zenav demo slam`: the kitchen's drives by a robot without GPS and compass, in a map that SLAM makes during the run.
+//! `zenav demo slam`: the kitchen's drives by a robot without GPS and compass, in a map that SLAM makes anew in every run.
 
-use zenav_cloud::mapping::PoseSource;
-
-use super::Script;
+use super::{Script, kitchen};
 
 pub(super) const SCRIPT: Script = Script {
     name: "slam",
-    tree: "kitchen",
-    poses: PoseSource::Slam,
-    carried: None,
-    world: "kitchen",
-    robot: ("tiago", "tiago"),
-    planner: None,
-    time_limit: 300.0,
     uses_stored_map: false,
-    impossible: &[],
-    drawn: false,
-    alone: false,
+    ..kitchen::SCRIPT
 };

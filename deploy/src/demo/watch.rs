@@ -65,8 +65,8 @@ pub(super) struct Watch {
     ended: usize,
     /// The plan in force.
     planned: Vec<Point2<f64>>,
-    /// Kidnapping still to come.
-    pub carried: Option<super::Carried>,
+    /// Kidnapping still to come, and its world.
+    pub carried: Option<(super::Carried, World)>,
     /// Live display, if there is one.
     pub bar: Option<ProgressBar>,
     /// Album of pictures, if wanted.
@@ -80,7 +80,7 @@ impl Watch {
         let robot = &[id.as_str()];
         Ok(Self {
             referee,
-            places: super::film::places(world),
+            places: super::album::places(world),
             scans: bus.latest(&topics::SCAN, robot)?,
             poses: bus.latest(&topics::POSE, robot)?,
             states: bus.latest(&topics::STATE, robot)?,
@@ -154,8 +154,9 @@ impl Watch {
             now: self.referee.now(),
             truth: self.referee.truth(),
         };
-        if let Some(carried) = self.carried.take_if(|carried| sample.truth.length >= carried.after) {
-            match self.referee.carry(carried.to) {
+        let is_due = |(carried, _): &mut (super::Carried, World)| sample.truth.length >= carried.after;
+        if let Some((carried, world)) = self.carried.take_if(is_due) {
+            match self.referee.carry(&world, carried.to) {
                 Ok(()) => self.narrate("somebody carries the robot away"),
                 Err(error) => tracing::warn!(%error, "the robot is not carried away"),
             }

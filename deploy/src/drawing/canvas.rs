@@ -247,7 +247,7 @@ impl Canvas {
 
     /// A PNG.
     ///
-    /// A picture that cannot be encoded.
+    /// # Errors
     /// A picture that cannot be encoded.
     pub fn png(&self) -> Result<Vec<u8>, Failure> {
         let failed = |error: png::EncodingError| Failure::failed(format!("a picture: {error}"));

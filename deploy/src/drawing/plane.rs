@@ -1,8 +1,10 @@
 //! A part of the plane. The plane on the left, scaled to pixels; beside it a panel with title, notes, a legend and a scale bar.
 
+use std::ops::Range;
+
 use nalgebra::{Point2, Vector2};
 use zenav_protocol::geometry::Pose2;
-use zenav_protocol::grid::{Occupancy, OccupancyGrid};
+use zenav_protocol::grid::{Cell, Occupancy, OccupancyGrid};
 use zenav_protocol::robot::Footprint;
 
 use super::canvas::{Anchor, Canvas, Color, Face, GREY, INK, Pixel, WHITE, text_width};
@@ -105,14 +107,22 @@ impl Plane {
         points.iter().map(|point| self.pixel(*point)).collect()
     }
 
-    /// A map, at its own position.
+    /// A map, at its own position. Where a pixel has several cells, it shows an occupied one if there is one, else a free one, as
+    /// [`OccupancyGrid::coarse`] does: thin walls stay.
     pub fn map(&mut self, map: &OccupancyGrid) {
         let (width, height) = (self.canvas.width(), self.canvas.height());
-        for y in 0..height {
-            for x in 0..width {
-                let off = Vector2::new(f64::from(x) + 0.5, f64::from(height - y) - 0.5);
-                if let Some(value) = map.at(self.low + off / self.scale) {
-                    let color = match Occupancy::of(*value) {
+        let spec = map.spec();
+        let (low, per_pixel) = (spec.to_cells(self.low), 1.0 / (self.scale * spec.resolution));
+        let columns = cells_under(width, low.x, per_pixel, spec.width);
+        let rows = cells_under(height, low.y, per_pixel, spec.height);
+        for (rows, y) in rows.into_iter().zip((0..height).rev()) {
+            for (columns, x) in columns.iter().zip(0..) {
+                let cells = rows.clone().flat_map(|row| {
+                    let start = spec.index(Cell::new(0, row));
+                    &map.values()[start + columns.start as usize..start + columns.end as usize]
+                });
+                if let Some(most) = cells.map(|value| Occupancy::of(*value)).max() {
+                    let color = match most {
                         Occupancy::Free => FREE,
                         Occupancy::Occupied => OCCUPIED,
                         Occupancy::Unknown => UNKNOWN,
@@ -154,10 +164,10 @@ impl Plane {
 
     /// A robot: its footprint, and a line from its centre to its front.
     pub fn robot(&mut self, pose: Pose2, footprint: &Footprint) {
-        let outline: Vec<Point2<f64>> = match footprint {
-            Footprint::Radius(radius) => circle(pose.position(), *radius),
-            Footprint::Polygon(corners) => corners.iter().map(|corner| pose.transform_point(*corner)).collect(),
-        };
+        let outline: Vec<Point2<f64>> = outline(footprint)
+            .into_iter()
+            .map(|corner| pose.transform_point(corner))
+            .collect();
         self.polygon(&outline, ROBOT);
         self.outline(&outline, [15, 50, 120], 1.0);
         let front = pose.position() + pose.heading() * footprint.inscribed_radius();
@@ -253,6 +263,23 @@ impl Plane {
     }
 }
 
+/// Cells under each pixel along an axis that has `count` cells, where the first pixel begins at cell `first` and each has `per_pixel` cells:
+/// those whose centres are in the pixel, or, if there is none, the one at the pixel's centre.
+fn cells_under(pixels: u32, first: f64, per_pixel: f64, count: u32) -> Vec<Range<u32>> {
+    let whole = |cells: f64| cells.clamp(0.0, f64::from(count)) as u32;
+    let under = |pixel: u32| {
+        let low = first + f64::from(pixel) * per_pixel;
+        let centers = whole((low - 0.5).ceil())..whole((low + per_pixel - 0.5).ceil());
+        if centers.is_empty() {
+            let middle = (low + 0.5 * per_pixel).floor();
+            whole(middle)..whole(middle + 1.0)
+        } else {
+            centers
+        }
+    };
+    (0..pixels).map(under).collect()
+}
+
 /// A title over two lines, if it is wider than `room` px: broken after a space or a mark, if there is one.
 fn two_lines(title: &str, room: f32) -> (&str, &str) {
     let fits = |end: &usize| text_width(title.get(..*end).unwrap_or_default(), TITLE, Face::Bold) <= room;
@@ -272,7 +299,7 @@ fn two_lines(title: &str, room: f32) -> (&str, &str) {
 }
 
 /// The largest of …, 0.5, 1, 2, 5, 10, … that does not exceed a number.
-fn round_below(number: f64) -> f64 {
+pub fn round_below(number: f64) -> f64 {
     let exponent = number.log10().floor();
     let (exponent, number) = if exponent.is_finite() {
         (exponent as i32, number)
@@ -283,6 +310,26 @@ fn round_below(number: f64) -> f64 {
     let ten: f64 = format!("1e{exponent}").parse().unwrap_or(1.0);
     let share = ROUND.into_iter().find(|share| share * ten <= number * (1.0 + 1e-9));
     format!("{}e{exponent}", share.unwrap_or(1.0)).parse().unwrap_or(ten)
+}
+
+/// The box around points, `margin` m wider on all sides: its lower-left and upper-right corner. `None` without a finite point.
+pub fn around(points: impl Iterator<Item = Point2<f64>>, margin: f64) -> Option<(Point2<f64>, Point2<f64>)> {
+    let finite = points.filter(|point| point.x.is_finite() && point.y.is_finite());
+    let (low, high) = finite.fold(None, |bounds: Option<(Point2<f64>, Point2<f64>)>, point| {
+        let (low, high) = bounds.unwrap_or((point, point));
+        Some((low.inf(&point), high.sup(&point)))
+    })?;
+    let margin = Vector2::repeat(margin);
+    Some((low - margin, high + margin))
+}
+
+/// A footprint as a polygon, base frame, m.
+#[must_use]
+pub fn outline(footprint: &Footprint) -> Vec<Point2<f64>> {
+    match footprint {
+        Footprint::Radius(radius) => circle(Point2::origin(), *radius),
+        Footprint::Polygon(corners) => corners.clone(),
+    }
 }
 
 /// A circle as a polygon.
@@ -298,6 +345,8 @@ pub fn circle(center: Point2<f64>, radius: f64) -> Vec<Point2<f64>> {
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
+    use zenav_protocol::grid::GridSpec;
+
     use super::*;
 
     #[test]
@@ -312,6 +361,44 @@ mod tests {
         ] {
             assert_eq!(round_below(number), bar, "{number}");
         }
+    }
+
+    #[test]
+    fn a_wall_of_one_cell_is_drawn_at_every_scale() {
+        let spec = GridSpec {
+            origin: Point2::new(-3.0, 2.0),
+            resolution: 0.05,
+            width: 1000,
+            height: 40,
+        };
+        let mut map = OccupancyGrid::filled(spec, Occupancy::UNKNOWN);
+        let walls: Vec<u32> = (0..30).map(|nth| 5 + 33 * nth).collect();
+        for y in 0..spec.height {
+            for x in 0..spec.width {
+                map[Cell::new(x, y)] = if walls.contains(&x) {
+                    Occupancy::OCCUPIED
+                } else {
+                    Occupancy::FREE
+                };
+            }
+        }
+        for pixels in [150, 480, 999, 1000, 1001, 3000] {
+            let mut plane = Plane::new(spec.origin, spec.upper(), pixels, "", UNKNOWN).unwrap();
+            plane.map(&map);
+            let rgb = plane.canvas.rgb();
+            let row: Vec<&[u8]> = rgb.chunks(3).take(plane.canvas.width() as usize).collect();
+            let drawn = row.chunk_by(|a, b| a == b).filter(|run| run[0] == OCCUPIED).count();
+            assert_eq!(drawn, walls.len(), "{pixels} pixels");
+            assert!(!row.contains(&UNKNOWN.as_slice()));
+        }
+    }
+
+    #[test]
+    fn a_pixel_shows_the_cells_whose_centres_are_in_it() {
+        assert_eq!(cells_under(3, 0.0, 2.0, 5), [0..2, 2..4, 4..5]);
+        assert_eq!(cells_under(4, 0.0, 0.5, 2), [0..1, 0..1, 1..2, 1..2]);
+        assert_eq!(cells_under(3, -1.0, 1.0, 1), [0..0, 0..1, 1..1]);
+        assert_eq!(cells_under(2, 0.3, 0.1, 0), [0..0, 0..0]);
     }
 
     #[test]

@@ -10,12 +10,14 @@ use super::canvas::{Canvas, Color};
 use super::plane::{Mark, PLACE, Plane, ROBOT, UNKNOWN};
 use crate::failure::Failure;
 
-const TREE: Color = [150, 190, 235];
-const PATH: Color = [40, 110, 220];
-const PLAN: Color = [30, 160, 80];
+/// The search tree.
+pub const TREE: Color = [150, 190, 235];
+/// The plan in force.
+pub const PLAN: Color = [30, 160, 80];
 const TRAIL: Color = [215, 60, 40];
-const SCAN: Color = [235, 120, 20];
-const GOAL: Color = [240, 150, 0];
+const SCAN: Color = [200, 40, 150];
+/// The goal.
+pub const GOAL: Color = [240, 150, 0];
 const START: Color = [120, 60, 170];
 
 /// What to draw; a field that is `None` is left out, also from the legend.
@@ -88,9 +90,9 @@ impl<'a> Scene<'a> {
             for edge in &tree.edges {
                 plane.polyline(edge, TREE, 1.0);
             }
-            plane.polyline(&tree.path, PATH, 2.5);
+            plane.polyline(&tree.path, ROBOT, 2.5);
             plane.legend(Mark::Line, TREE, "search tree");
-            plane.legend(Mark::Line, PATH, "path found");
+            plane.legend(Mark::Line, ROBOT, "path found");
         }
         for at in self.scan.into_iter().flatten() {
             plane.dot(*at, SCAN, 1.5);
@@ -105,16 +107,19 @@ impl<'a> Scene<'a> {
         if self.scan.is_some() {
             plane.legend(Mark::Dot, SCAN, "laser scan");
         }
+        if let Some((pose, footprint)) = self.robot {
+            plane.robot(pose, footprint);
+            plane.legend(Mark::Area, ROBOT, "robot");
+        }
+        // A robot at a place does not cover its name.
         for (name, at) in self.places {
             plane.place(name, *at);
         }
         if !self.places.is_empty() {
             plane.legend(Mark::Dot, PLACE, "named place");
         }
-        if let Some((pose, footprint)) = self.robot {
-            plane.robot(pose, footprint);
-            plane.legend(Mark::Area, ROBOT, "robot");
-        } else if let Some(start) = self.trail.and_then(<[_]>::first) {
+        let start = self.trail.and_then(<[_]>::first);
+        if let Some(start) = start.filter(|_| self.robot.is_none()) {
             plane.dot(*start, START, 5.0);
             plane.legend(Mark::Dot, START, "start");
         }
@@ -177,6 +182,25 @@ mod tests {
         let canvas = scene.draw(320).unwrap();
         let at = ((316 * canvas.width() + 100) * 3) as usize;
         assert_eq!(&canvas.rgb()[at..at + 3], TRAIL);
+    }
+
+    #[test]
+    fn a_robot_at_a_place_does_not_cover_its_name() {
+        let map = map();
+        let (places, footprint) = ([("sink".to_owned(), Point2::new(0.5, 0.5))], Footprint::Radius(0.5));
+        let scene = Scene {
+            places: &places,
+            robot: Some((Pose2::new(0.7, 0.5, 0.0), &footprint)),
+            ..Scene::new("", &map)
+        };
+        let canvas = scene.draw(320).unwrap();
+        // To the right of the place's dot: the robot is blue, letters are green.
+        let row = |y: u32| canvas.rgb()[((y * canvas.width() + 128) * 3) as usize..][..60].to_vec();
+        let beside: Vec<u8> = (192..208).flat_map(row).collect();
+        assert!(
+            beside.chunks(3).any(|pixel| pixel[1] > pixel[2].saturating_add(20)),
+            "{beside:?}"
+        );
     }
 
     #[test]

@@ -6,7 +6,7 @@ use std::io::IsTerminal as _;
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;
-use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
+use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
 
 /// Drawing options.
 #[derive(Clone, Copy, Debug)]
@@ -66,10 +66,10 @@ pub fn map(grid: &OccupancyGrid, marks: &[Mark<'_>], screen: Screen) -> String {
         Mark::Robot(pose) | Mark::OtherRobot(_, pose) => Some(pose.position()),
         _ => None,
     });
-    let Some(window) = Window::around(grid, robots) else {
+    let Some(window) = window(grid, robots) else {
         return "(the map is empty)".to_owned();
     };
-    let pixels = window.pixels(grid, window.scale(screen));
+    let pixels = grid.coarse(window, scale(window, screen));
     let (columns, rows) = (pixels.spec().width, pixels.spec().height);
     let signs = signs(pixels.spec(), marks);
     let mut text = String::new();
@@ -188,83 +188,21 @@ fn push_colored(text: &mut String, upper: Occupancy, lower: Occupancy) {
     text.push_str(&format!("\x1b[38;5;{};48;5;{}m▀", shade(upper), shade(lower)));
 }
 
-/// The part of a grid to draw, cells, ends excluded.
-#[derive(Clone, Copy, Debug)]
-struct Window {
-    x: (u32, u32),
-    y: (u32, u32),
+/// The box around the known cells and the robots; around the whole grid if nothing is known.
+fn window(grid: &OccupancyGrid, robots: impl Iterator<Item = Point2<f64>>) -> Option<[Cell; 2]> {
+    let spec = grid.spec();
+    let known = grid.known().into_iter().flatten();
+    let window = Cell::around(known.chain(robots.filter_map(|robot| spec.cell_at(robot))));
+    let whole = || [Cell::new(0, 0), Cell::new(spec.width - 1, spec.height - 1)];
+    window.or_else(|| (!spec.is_empty()).then(whole))
 }
 
-impl Window {
-    fn around(grid: &OccupancyGrid, robots: impl Iterator<Item = Point2<f64>>) -> Option<Self> {
-        let spec = grid.spec();
-        let known = grid
-            .values()
-            .iter()
-            .enumerate()
-            .filter(|(_, value)| Occupancy::of(**value) != Occupancy::Unknown)
-            .map(|(index, _)| spec.cell(index));
-        let cells = known.chain(robots.filter_map(|robot| spec.cell_at(robot)));
-        let bounds = cells.fold(None, |bounds: Option<Self>, cell| {
-            let Self { x, y } = bounds.unwrap_or(Self {
-                x: (cell.x, cell.x + 1),
-                y: (cell.y, cell.y + 1),
-            });
-            Some(Self {
-                x: (x.0.min(cell.x), x.1.max(cell.x + 1)),
-                y: (y.0.min(cell.y), y.1.max(cell.y + 1)),
-            })
-        });
-        // Nothing is known: the whole grid.
-        bounds.or_else(|| {
-            (!spec.is_empty()).then_some(Self {
-                x: (0, spec.width),
-                y: (0, spec.height),
-            })
-        })
-    }
-
-    /// Cells per column; a row shows twice as many.
-    fn scale(&self, screen: Screen) -> u32 {
-        let across = (self.x.1 - self.x.0).div_ceil(u32::try_from(screen.width.max(1)).unwrap_or(u32::MAX));
-        let along = (self.y.1 - self.y.0).div_ceil(
-            u32::try_from(screen.height.max(1))
-                .unwrap_or(u32::MAX)
-                .saturating_mul(2),
-        );
-        across.max(along).max(1)
-    }
-
-    /// Blocks of cells merged: occupied if any cell is, otherwise free if any cell is.
-    fn pixels(&self, grid: &OccupancyGrid, scale: u32) -> Grid<Occupancy> {
-        let from = grid.spec();
-        let origin = Point2::new(
-            from.origin.x + f64::from(self.x.0) * from.resolution,
-            from.origin.y + f64::from(self.y.0) * from.resolution,
-        );
-        let side = |(low, high): (u32, u32)| (high - low).div_ceil(scale);
-        let spec = GridSpec {
-            origin,
-            resolution: from.resolution * f64::from(scale),
-            width: side(self.x),
-            height: side(self.y),
-        };
-        let mut pixels = Grid::filled(spec, Occupancy::Unknown);
-        for y in self.y.0..self.y.1 {
-            for x in self.x.0..self.x.1 {
-                let seen = grid
-                    .get(Cell::new(x, y))
-                    .map_or(Occupancy::Unknown, |value| Occupancy::of(*value));
-                let pixel = &mut pixels[Cell::new((x - self.x.0) / scale, (y - self.y.0) / scale)];
-                *pixel = match (*pixel, seen) {
-                    (Occupancy::Occupied, _) | (_, Occupancy::Occupied) => Occupancy::Occupied,
-                    (Occupancy::Free, _) | (_, Occupancy::Free) => Occupancy::Free,
-                    _ => Occupancy::Unknown,
-                };
-            }
-        }
-        pixels
-    }
+/// Cells per column; a row shows twice as many.
+fn scale([low, high]: [Cell; 2], screen: Screen) -> u32 {
+    let most = |side: usize| u32::try_from(side.max(1)).unwrap_or(u32::MAX);
+    let across = (high.x - low.x + 1).div_ceil(most(screen.width));
+    let along = (high.y - low.y + 1).div_ceil(most(screen.height).saturating_mul(2));
+    across.max(along)
 }
 
 #[cfg(test)]

@@ -8,6 +8,7 @@ use zenav_behaviour_tree::NodeReport;
 
 use super::canvas::{Anchor, Canvas, Color, Face, INK, WHITE, text_width};
 use crate::failure::Failure;
+use crate::output::escape;
 
 /// Height of a card, and of a row, px.
 const CARD: f32 = 24.0;
@@ -170,7 +171,7 @@ pub fn svg(nodes: &[NodeReport], hints: &[String]) -> String {
             "<rect x=\"{left}\" y=\"{top}\" width=\"{width}\" height=\"{CARD}\" rx=\"4\" fill=\"{}\" stroke=\"{}\"><title>{}</title></rect>",
             hex(card.color),
             hex(LINE),
-            escaped(hint)
+            escape(hint)
         );
         // Stretched to the assumed width, whatever font is available.
         let _ = writeln!(
@@ -180,15 +181,11 @@ pub fn svg(nodes: &[NodeReport], hints: &[String]) -> String {
             top + 16.0,
             width - 2.0 * PADDING,
             hex(INK),
-            escaped(&card.label)
+            escape(&card.label)
         );
     }
     text.push_str("</svg>\n");
     text
-}
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }
 
 /// A tree as PNG.
@@ -251,7 +248,7 @@ mod tests {
             text.contains("a &lt;b&gt; &amp; c [AlwaysSuccess]") && text.ends_with("</svg>\n"),
             "{text}"
         );
-        assert!(text.contains("<title>a=\"&lt;b&gt;\"</title>"), "{text}");
+        assert!(text.contains("<title>a=&quot;&lt;b&gt;&quot;</title>"), "{text}");
     }
 
     #[test]

@@ -55,7 +55,7 @@ impl Watch {
                     crate::output::note(format_args!("zenav: detached; goal {id} continues (`zenav goal watch {id} --robot {robot}`, `zenav goal cancel {id} --robot {robot}`)"));
                     return Ok(exit_code::INTERRUPTED);
                 }
-                received = self.states.next() => received.ok_or_else(|| Failure::new(exit_code::CANNOT_CONNECT, "the bus was closed"))?.message,
+                received = self.states.next() => received.ok_or_else(Failure::closed)?.message,
                 _ = ask.tick() => match query(&self.bus, &self.robot, &self.id, ANSWER_WITHIN).await {
                     Ok(Some(state)) => {
                         (silent, unknown) = (false, 0);

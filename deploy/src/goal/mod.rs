@@ -43,7 +43,7 @@ pub struct GoalArgs {
 enum GoalCommand {
     /// Submit a goal: X Y [YAW] in the map, a named place, or a behaviour tree
     Submit(submit::SubmitArgs),
-    /// List goals, newest first
+    /// List goals, newest first; in a simulation AGE and TOOK count simulated time
     List(list::ListArgs),
     /// Watch a goal until it ends; Ctrl-C only stops watching
     Watch {
@@ -167,14 +167,8 @@ impl Report {
 mod tests {
     use super::*;
 
-    #[derive(Debug, clap::Parser)]
-    struct Wrapper {
-        #[command(flatten)]
-        goal: GoalArgs,
-    }
-
     pub(super) fn parse(words: &[&str]) -> Result<GoalArgs, clap::Error> {
-        crate::cli::parsed(&[&["goal"], words].concat()).map(|wrapper: Wrapper| wrapper.goal)
+        crate::cli::parsed(words)
     }
 
     #[test]

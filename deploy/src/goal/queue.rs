@@ -8,7 +8,6 @@ use zenav_protocol::topics;
 use super::list::target;
 use crate::completion;
 use crate::connect::{self, RobotArgs, fresh_id};
-use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::leadership;
 use crate::output::{self, Format};
@@ -56,8 +55,7 @@ pub(super) fn run(robot: &RobotArgs, format: Format, args: &MoveArgs) -> Outcome
             request_id: Some(fresh_id("move")),
         };
         leadership::ask(&bus, &topics::MOVE_GOAL, &robot, &request, patience).await?;
-        output::values(format, &queue(&bus, &robot, patience).await?, table)?;
-        Ok(exit_code::OK)
+        output::values(format, &queue(&bus, &robot, patience).await?, table)
     })
 }
 

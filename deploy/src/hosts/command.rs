@@ -1,6 +1,6 @@
 //! `zenav deploy render`, `check` and `health`: arguments, files and the bus around the pure parts.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::fmt::{self, Display};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -10,17 +10,18 @@ use clap::{Args, Subcommand};
 use serde::Serialize;
 use zenav_protocol::bus::Bus;
 use zenav_protocol::config_text::OutOfBounds;
-use zenav_protocol::messages::InfoRequest;
-use zenav_protocol::topics;
+use zenav_protocol::messages::{InfoReply, InfoRequest};
+use zenav_protocol::topics::{self, Ask};
 
 use super::files::{self, Target};
 use super::layout::{Layout, ROUTER_PORT};
 use super::running::{self, Finding, Seen, State};
 use super::{health, named_files, readme};
 use crate::config::{Layers, Profile};
-use crate::connect::{self, DEFAULT_ENDPOINT, LinkArgs};
+use crate::connect::{self, LinkArgs};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
+use crate::inspect::check_admitted;
 use crate::keys;
 use crate::output::{self, Format};
 
@@ -101,8 +102,8 @@ pub fn deploy(args: &DeployArgs) -> Outcome {
             link,
             output,
         } => {
-            let layers =
-                Layers::load(Some(file)).map_err(|error| refused(&[Problem::said(&error)], *output, error.code))?;
+            let layers = Layers::load_as_written(Some(file))
+                .map_err(|error| refused(&[Problem::said(&error)], *output, error.code))?;
             let (layout, _) = laid_out(&layers, file, *output)?;
             if *against_bus {
                 return compare(&layout, link, *output);
@@ -162,7 +163,7 @@ impl Display for Problem {
 fn refused(problems: &[Problem], format: Format, code: u8) -> Failure {
     let lines: Vec<String> = problems.iter().map(Problem::to_string).collect();
     let printed = match format {
-        Format::Table => Ok(()),
+        Format::Table => Ok(exit_code::OK),
         format => output::values(format, problems, |_| String::new()),
     };
     printed.err().unwrap_or_else(|| Failure::new(code, lines.join("\n")))
@@ -290,6 +291,12 @@ fn key_problems(layout: &Layout<'_>, folder: &Path) -> Vec<Problem> {
     if layout.profile == Profile::Open {
         return Vec::new();
     }
+    if !folder.join("ca.pem").is_file() {
+        let folder = folder.display();
+        return vec![Problem::said(format_args!(
+            "no fleet in {folder}: `zenav keys init --dir {folder}` begins one (--keys names another folder)"
+        ))];
+    }
     let has_all = |identity: &String| {
         let issued = folder.join("issued").join(identity);
         ["ca.pem", "cert.pem", "key.pem"]
@@ -304,8 +311,9 @@ fn key_problems(layout: &Layout<'_>, folder: &Path) -> Vec<Problem> {
             let why = keys::unusable(folder, &identity, &addresses)?;
             return Some(Problem::said(format_args!("identity {identity}: {why}")));
         }
+        let hosts: String = names.iter().map(|name| format!(" --host {name}")).collect();
         Some(Problem::said(format_args!(
-            "no identity {identity}: `zenav keys issue {identity} --dir {}` makes it",
+            "no identity {identity}: `zenav keys issue {identity} --dir {}{hosts}` makes it",
             folder.display()
         )))
     };
@@ -322,8 +330,7 @@ fn report_keys(problems: &[Problem], layout: &Layout<'_>, format: Format) -> Out
             output::counted(layout.hosts.len(), "host"),
             output::counted(layout.parts().count(), "part")
         )
-    })?;
-    Ok(exit_code::OK)
+    })
 }
 
 fn compare(layout: &Layout<'_>, link: &LinkArgs, format: Format) -> Outcome {
@@ -336,35 +343,36 @@ fn compare(layout: &Layout<'_>, link: &LinkArgs, format: Format) -> Outcome {
             let state = match row.state {
                 State::Runs => "runs",
                 State::Missing => "MISSING",
+                State::CutOff => "CUT OFF",
                 State::Unnamed => "not in the file",
             };
             vec![row.host.clone(), row.part.clone(), state.to_owned(), row.detail.clone()]
         };
-        output::table(
-            &["HOST", "PART", "STATE", ""],
-            &rows.iter().map(row).collect::<Vec<_>>(),
-        )
+        output::table(&["HOST", "PART", "STATE", ""], rows.iter().map(row))
     })?;
     let is_well = findings.iter().all(|finding| finding.state == State::Runs);
     Ok(if is_well { exit_code::OK } else { exit_code::FAILED })
+}
+
+/// The given endpoints, or those of the deployment's own routers, each with its host.
+fn viewpoints(layout: &Layout<'_>, given: &[String]) -> Vec<(Option<String>, Vec<String>)> {
+    if !given.is_empty() {
+        return vec![(None, given.to_owned())];
+    }
+    let routers = layout.hosts.iter().filter(|host| host.runs("router"));
+    let endpoint = |address: &str| vec![format!("{}/{address}:{ROUTER_PORT}", layout.protocol())];
+    routers
+        .map(|host| (Some(host.name.clone()), endpoint(&host.address)))
+        .collect()
 }
 
 /// Observes the bus from the deployment's own routers, or from the given endpoints.
 async fn look(layout: &Layout<'_>, link: &LinkArgs) -> Result<Seen, Failure> {
     let mut seen = Seen::default();
     let mut bus: Option<Bus> = None;
-    let is_named = link.connect != [DEFAULT_ENDPOINT];
-    let endpoints: Vec<(Option<String>, Vec<String>)> = if is_named {
-        vec![(None, link.connect.clone())]
-    } else {
-        let routers = layout.hosts.iter().filter(|host| host.runs("router"));
-        let endpoint = |address: &str| vec![format!("{}/{address}:{ROUTER_PORT}", layout.protocol())];
-        routers
-            .map(|host| (Some(host.name.clone()), endpoint(&host.address)))
-            .collect()
-    };
     let mut refusal = None;
-    for (host, endpoint) in endpoints {
+    let mut is_admitted = false;
+    for (host, endpoint) in viewpoints(layout, &link.connect) {
         let link = LinkArgs {
             connect: endpoint,
             namespace: match link.namespace.is_empty() {
@@ -375,14 +383,17 @@ async fn look(layout: &Layout<'_>, link: &LinkArgs) -> Result<Seen, Failure> {
         };
         match connect::open(&link).await {
             Ok(opened) => {
+                let parts = answering(&opened, &topics::PART_INFO).await?;
+                is_admitted |= !parts.is_empty();
+                let sees = parts.iter().filter(|part| part.component == "router").count();
                 // Given endpoints stand for all routers.
-                let named: Vec<String> = match host {
-                    Some(host) => vec![host],
+                let named: Vec<(String, usize)> = match host {
+                    Some(host) => vec![(host, sees)],
                     None => layout
                         .hosts
                         .iter()
                         .filter(|host| host.runs("router"))
-                        .map(|host| host.name.clone())
+                        .map(|host| (host.name.clone(), 0))
                         .collect(),
                 };
                 seen.routers.extend(named);
@@ -398,13 +409,15 @@ async fn look(layout: &Layout<'_>, link: &LinkArgs) -> Result<Seen, Failure> {
     let Some(bus) = bus else {
         return Err(refusal.unwrap_or_else(|| Failure::failed("no router to look at")));
     };
-    let looked = fill(&mut seen, &bus).await;
+    let looked = match check_admitted(link, is_admitted) {
+        Ok(()) => fill(&mut seen, &bus).await,
+        denied => denied,
+    };
     bus.close().await;
     looked.map(|()| seen)
 }
 
 async fn fill(seen: &mut Seen, bus: &Bus) -> Result<(), Failure> {
-    let mut statuses = bus.latest(&topics::MISSION, &["*"])?;
     seen.robots = connect::robots(bus).await?;
     let workers = bus
         .list_alive(topics::alive_key(topics::ALIVE_WORKER, &["*", "*"]), GLANCE)
@@ -417,31 +430,86 @@ async fn fill(seen: &mut Seen, bus: &Bus) -> Result<(), Failure> {
                 .insert((*worker).to_owned());
         }
     }
-    seen.gateways = gateways(bus).await?;
-    let mut leading = BTreeMap::new();
-    let until = tokio::time::Instant::now() + GLANCE;
-    while let Ok(Some(received)) = tokio::time::timeout_at(until, statuses.next()).await {
-        if let (Some(robot), true) = (received.chunks.first(), received.message.leads) {
-            leading.insert(robot.clone(), 1 + received.message.standbys.len());
-        }
+    let parts = answering(bus, &topics::PART_INFO).await?;
+    seen.gateways = parts.iter().filter(|part| part.component == "gateway").count();
+    for mapper in parts.into_iter().filter(|part| part.component == "mapping") {
+        *seen.mappers.entry(mapper.robot).or_default() += 1;
     }
-    seen.orchestrators = leading;
+    // One whose disk is full answers, too, and can neither lead nor stand by.
+    let missions = answering(bus, &topics::CLOUD_INFO).await?;
+    for mission in missions.into_iter().filter(|mission| mission.not_stored.is_none()) {
+        *seen.orchestrators.entry(mission.robot).or_default() += 1;
+    }
     Ok(())
 }
 
-/// Number of gateways that answer.
-async fn gateways(bus: &Bus) -> Result<usize, Failure> {
-    let answers = bus.ask_all(&topics::PART_INFO, &["*"], &InfoRequest {}, GLANCE).await?;
-    let parts = answers.into_iter().filter_map(|answer| answer.result.ok());
-    Ok(parts.filter(|info| info.component == "gateway").count())
+/// The parts that answer, each once.
+async fn answering(bus: &Bus, ask: &Ask<InfoRequest, InfoReply>) -> Result<Vec<InfoReply>, Failure> {
+    let answers = bus.ask_all(ask, &["*"], &InfoRequest {}, GLANCE).await?;
+    let mut parts: Vec<InfoReply> = Vec::new();
+    for part in answers.into_iter().filter_map(|answer| answer.result.ok()) {
+        let of = |part: &InfoReply| {
+            let process = part.process.clone().unwrap_or_default();
+            let robot = part.robot.clone();
+            (robot, process.part, process.host, process.pid, process.instance)
+        };
+        // A robot's own endpoint may report an answer twice.
+        if !parts.iter().any(|known| of(known) == of(&part)) {
+            parts.push(part);
+        }
+    }
+    Ok(parts)
 }
 
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
+    use std::collections::BTreeMap;
+
     use zenav_protocol::bus::{BusConfig, Router, RouterConfig};
 
     use super::*;
+    use crate::config::Deployment;
+    use crate::connect::DEFAULT_ENDPOINT;
+
+    #[test]
+    fn a_given_endpoint_is_looked_from_even_if_it_is_the_default_one() {
+        let fleet: Deployment = toml::from_str(include_str!("tests/fleet.toml")).unwrap();
+        let layout = Layout::of(&fleet).unwrap();
+        let hosts: Vec<_> = viewpoints(&layout, &[]).into_iter().map(|(host, _)| host).collect();
+        assert_eq!(hosts, ["fleet-a", "fleet-b", "site"].map(|name| Some(name.to_owned())));
+        let given = vec![DEFAULT_ENDPOINT.to_owned()];
+        assert_eq!(viewpoints(&layout, &given), [(None, given.clone())]);
+    }
+
+    #[test]
+    fn a_key_that_is_missing_is_told_with_the_command_that_makes_it_as_it_is_dialled() {
+        let fleet: Deployment = toml::from_str(include_str!("tests/fleet.toml")).unwrap();
+        let layout = Layout::of(&fleet).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let told = |folder: &Path| -> Vec<String> {
+            let problems = key_problems(&layout, folder);
+            problems.iter().map(Problem::to_string).collect()
+        };
+        let none = told(folder.path());
+        assert!(
+            none.len() == 1 && none[0].contains("`zenav keys init --dir "),
+            "{none:#?}"
+        );
+        keys::make(&folder.path().join("fleet"), "service.fleet-a").unwrap();
+        let others = told(&folder.path().join("fleet"));
+        let router = others
+            .iter()
+            .find(|told| told.starts_with("no identity router.fleet-a:"));
+        assert!(
+            router.is_some_and(|told| told.contains(" --host fleet-a.example.org")),
+            "{others:#?}"
+        );
+        assert!(
+            !others.iter().any(|told| told.contains("service.fleet-a:")),
+            "{others:#?}"
+        );
+    }
 
     #[tokio::test(flavor = "multi_thread")]
     async fn a_gateway_is_seen_on_the_bus_as_long_as_it_answers() {
@@ -456,7 +524,8 @@ mod tests {
         };
         let (gateway, operator) = (open("gateway").await, open("operator").await);
         let seen = async |count| {
-            let look = async { while gateways(&operator).await.unwrap() != count {} };
+            let gateways = |parts: Vec<InfoReply>| parts.iter().filter(|part| part.component == "gateway").count();
+            let look = async { while gateways(answering(&operator, &topics::PART_INFO).await.unwrap()) != count {} };
             tokio::time::timeout(Duration::from_secs(60), look).await.unwrap();
         };
         seen(0).await;

@@ -116,6 +116,9 @@ pub(super) fn arguments(layout: &Layout<'_>, host: &Host, part: &Part, place: &P
             if !router.rest.is_empty() {
                 line.flag("--rest", router.rest.clone());
             }
+            if router.scouting {
+                line.words(&["--scouting"]);
+            }
         }
         Part::World => {
             let simulation = &layout.deployment.simulation;

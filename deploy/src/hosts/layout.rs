@@ -16,6 +16,8 @@ use crate::config::{Deployment, Profile, Role};
 pub const ROUTER_PORT: u16 = 7447;
 /// Port of a served world, for the robots in it.
 pub const WORLD_PORT: u16 = 7446;
+/// Zenoh's port for scouting.
+pub const SCOUTING_PORT: u16 = 7446;
 /// Port of the own endpoint of a host's first robot; further robots take the next ports.
 pub const EDGE_PORT: u16 = 7450;
 /// Port of the health endpoint of a host's first part; further parts take the next ports.
@@ -218,7 +220,7 @@ impl<'d> Layout<'d> {
 }
 
 /// Hosts whose routers a host's parts dial.
-fn routers(deployment: &Deployment, name: &str) -> Vec<String> {
+pub(super) fn routers(deployment: &Deployment, name: &str) -> Vec<String> {
     let Some(section) = deployment.hosts.get(name) else {
         return Vec::new();
     };

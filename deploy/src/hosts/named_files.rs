@@ -23,7 +23,7 @@ pub(super) fn of(deployment: &Deployment, folder: &Path) -> Result<Vec<String>, 
     let mut problems = Vec::new();
     // The key that names each file.
     let mut keys = BTreeMap::new();
-    let mut name = |key: String, name: &str, is_shipped: bool| {
+    let mut name = |key: String, name: &str, is_shipped: bool, shipped: &[&str]| {
         let is_plain = is_plain(name);
         let problem = if folder.join(name).is_file() && is_plain {
             found.insert(name.to_owned());
@@ -31,10 +31,15 @@ pub(super) fn of(deployment: &Deployment, folder: &Path) -> Result<Vec<String>, 
             return;
         } else if is_shipped {
             return;
-        } else if is_plain {
-            "neither shipped nor a file beside the deployment file"
+        } else if !is_plain {
+            "a path: expected a file beside the deployment file, from where it goes to all hosts".to_owned()
+        } else if shipped.is_empty() {
+            "expected a file beside the deployment file".to_owned()
         } else {
-            "a path: expected a file beside the deployment file, from where it goes to all hosts"
+            format!(
+                "expected a file beside the deployment file, or one of {}",
+                shipped.join(", ")
+            )
         };
         problems.push(OutOfBounds {
             key,
@@ -47,19 +52,20 @@ pub(super) fn of(deployment: &Deployment, folder: &Path) -> Result<Vec<String>, 
         "simulation.world".to_owned(),
         places,
         world::shipped(places).is_some() || (!simulated && places.is_empty()),
+        &names_of(world::SHIPPED),
     );
+    let models = names_of(robot::SHIPPED);
+    let options = names_of(robot::OPTIONS);
     for (id, section) in &deployment.robots {
-        for part in section.model.split('+') {
-            let shipped = robot::SHIPPED
-                .iter()
-                .chain(robot::OPTIONS)
-                .any(|(known, _)| *known == part);
-            name(format!("robots.{id}.model"), part, shipped);
+        for (place, part) in section.model.split('+').enumerate() {
+            let known = if place == 0 { &models } else { &options };
+            let is_shipped = models.iter().chain(&options).any(|known| *known == part);
+            name(format!("robots.{id}.model"), part, is_shipped, known);
         }
     }
     for (key, file) in deployment.files() {
         if let Some(file) = file {
-            name(key.to_owned(), &file.to_string_lossy(), false);
+            name(key.to_owned(), &file.to_string_lossy(), false, &[]);
         }
     }
     if !problems.is_empty() {
@@ -86,6 +92,10 @@ pub(super) fn of(deployment: &Deployment, folder: &Path) -> Result<Vec<String>, 
     } else {
         Err(problems)
     }
+}
+
+fn names_of(shipped: &[(&'static str, &'static str)]) -> Vec<&'static str> {
+    shipped.iter().map(|(name, _)| *name).collect()
 }
 
 /// Whether a name is that of a file directly in the folder.

@@ -1,13 +1,15 @@
 //! Problems. Errors in the hosts of a deployment: each with its key, and what was expected.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::net::IpAddr;
 
 use zenav_protocol::config_text::OutOfBounds;
 use zenav_protocol::id::Id;
 
-use super::layout::{EDGE_PORT, Host, ROUTER_PORT, host_of, is_loopback, port_of};
+use super::layout::{EDGE_PORT, Host, ROUTER_PORT, SCOUTING_PORT, host_of, is_loopback, port_of, routers};
 use super::part::{Part, is_label};
 use crate::config::{Deployment, HostSection, Role, RouterSection};
+use crate::keys::is_host_name;
 
 /// Most letters of a host's and a part's name together: Kubernetes appends eleven, and a label holds 63.
 const MOST_LETTERS: usize = 52;
@@ -24,6 +26,7 @@ pub(super) fn of(deployment: &Deployment) -> Vec<OutOfBounds> {
         found.of_host(deployment, name, section);
         parsed.insert(name.as_str(), found.parts(deployment, name, section));
     }
+    found.of_names(&parsed);
     found.of_places(deployment, &parsed);
     found.of_ports(deployment, &parsed);
     found.of_routers(deployment, &parsed);
@@ -55,24 +58,29 @@ impl Found {
             self.add(key("role"), "is missing: expected robot, edge_site, cloud or operator");
         }
         let address = &section.address;
-        let is_address = address.parse::<std::net::IpAddr>().is_ok_and(|ip| ip.is_ipv4())
-            || address
-                .bytes()
-                .all(|b| b.is_ascii_alphanumeric() || matches!(b, b'-' | b'.' | b'_'));
+        let ip = address.parse::<IpAddr>().ok();
         if address.is_empty() {
             self.add(
                 key("address"),
                 "is missing: expected a name or an IPv4 address at which the other hosts reach it",
             );
-        } else if !is_address {
+        } else if !(ip.is_some_and(|ip| ip.is_ipv4()) || is_host_name(address)) {
             self.add(
                 key("address"),
                 format!("is `{address}`: expected a name or an IPv4 address, without a port"),
             );
+        } else if ip.is_some_and(is_nobody_s) || (is_loopback(address) && has_others(deployment, name)) {
+            self.add(
+                key("address"),
+                format!(
+                    "is `{address}`, where no other host reaches it: expected its name or IPv4 address in their network"
+                ),
+            );
         }
-        for router in &section.connect {
+        for (place, router) in section.connect.iter().enumerate() {
             let problem = match deployment.hosts.get(router) {
                 None => "no such host",
+                Some(_) if section.connect.iter().take(place).any(|earlier| earlier == router) => "a second time",
                 Some(_) if router == name => "this host itself, whose router comes first anyway",
                 Some(host) if !host.runs.iter().any(|part| part == "router") => "a host that runs no router",
                 Some(_) => continue,
@@ -135,6 +143,26 @@ impl Found {
         parts
     }
 
+    /// Parts of two hosts that would have one name as containers: `mission-a` of `hall`, and `a` of `hall-mission`.
+    fn of_names(&mut self, parsed: &Parsed<'_>) {
+        let mut taken = BTreeMap::new();
+        for (host, parts) in parsed {
+            for part in parts {
+                let name = format!("{host}-{}", part.name());
+                if let Some((other, (of, first))) = taken.get_key_value(&name) {
+                    let problem =
+                        format!("has `{part}`, which is called {other} in a cluster, as is `{first}` of {of}");
+                    self.add(
+                        format!("hosts.{host}.runs"),
+                        format!("{problem}: expected another name of the host"),
+                    );
+                } else {
+                    taken.insert(name, (*host, part));
+                }
+            }
+        }
+    }
+
     /// Parts that run nowhere, or on two hosts where only one is allowed.
     fn of_places(&mut self, deployment: &Deployment, parsed: &Parsed<'_>) {
         let places = |wanted: &dyn Fn(&Part) -> bool| -> Vec<&str> {
@@ -193,16 +221,10 @@ impl Found {
                     format!("has `edge:{robot}`, which {first} runs already"),
                 ),
             }
-            let mappers = places(&|part| part.kind() == "mapping" && part.serves(robot));
-            match mappers[..] {
-                [] if deployment.mapping.run.enabled => {
-                    self.add(&key, "is mapped nowhere: expected `mapping` in the `runs` of a host");
-                }
-                [first, second, ..] => self.add(
-                    format!("hosts.{second}.runs"),
-                    format!("has a mapper of {robot}, which {first} maps already"),
-                ),
-                _ => {}
+            if deployment.mapping.run.enabled
+                && places(&|part| part.kind() == "mapping" && part.serves(robot)).is_empty()
+            {
+                self.add(&key, "is mapped nowhere: expected `mapping` in the `runs` of a host");
             }
             if deployment.mission.run.enabled
                 && places(&|part| part.kind() == "mission" && part.serves(robot)).is_empty()
@@ -233,12 +255,13 @@ impl Found {
                 let listens = host.port(deployment, part);
                 let page = port_of(&deployment.gateway.settings.listen).filter(|_| *part == Part::Gateway);
                 let rest = port_of(&deployment.router.rest).filter(|_| *part == Part::Router);
-                for port in [listens, page, rest, Some(host.metrics_port(part))]
+                let scouting = (*part == Part::Router && deployment.router.scouting).then_some(SCOUTING_PORT);
+                for port in [listens, page, rest, scouting, Some(host.metrics_port(part))]
                     .into_iter()
                     .flatten()
                 {
                     let who = format!("`{part}` of {name}");
-                    if let Some(other) = taken.insert((section.address.as_str(), port), who.clone()) {
+                    if let Some(other) = taken.insert((section.address.to_ascii_lowercase(), port), who.clone()) {
                         self.add(
                             format!("hosts.{name}.address"),
                             format!(
@@ -253,8 +276,26 @@ impl Found {
         }
     }
 
-    /// Settings of the router that cannot hold for the routers of all hosts.
+    /// Hosts whose parts dial no router, and settings of the router that cannot hold for the routers of all hosts.
     fn of_routers(&mut self, deployment: &Deployment, parsed: &Parsed<'_>) {
+        let with_router: Vec<&str> = parsed
+            .iter()
+            .filter(|(_, parts)| parts.contains(&Part::Router))
+            .map(|(name, _)| *name)
+            .collect();
+        for (name, parts) in parsed {
+            let dials = parts.iter().find(|part| **part != Part::Router);
+            if let (Some(part), Some(router)) = (dials, with_router.first())
+                && routers(deployment, name).is_empty()
+            {
+                self.add(
+                    format!("hosts.{name}.runs"),
+                    format!(
+                        "has `{part}`, and dials no router: that of a robot is dialled only by name; expected `connect = [\"{router}\"]`"
+                    ),
+                );
+            }
+        }
         let RouterSection {
             listen, connect, rest, ..
         } = &deployment.router;
@@ -312,4 +353,15 @@ impl Found {
             }
         }
     }
+}
+
+/// Whether no host has this address.
+fn is_nobody_s(address: IpAddr) -> bool {
+    address.is_unspecified() || address.is_multicast() || address == IpAddr::from([255; 4])
+}
+
+/// Whether there are hosts that are not on loopback, as this one is.
+fn has_others(deployment: &Deployment, name: &str) -> bool {
+    let mut others = deployment.hosts.iter().filter(|(other, _)| *other != name);
+    others.any(|(_, host)| !is_loopback(&host.address))
 }

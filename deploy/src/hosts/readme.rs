@@ -47,6 +47,13 @@ pub(super) fn text(layout: &Layout<'_>, wanted: &dyn Fn(Target) -> bool) -> Stri
             let _ = writeln!(text, "systemctl enable --now {}   # {}", units.join(" "), host.name);
         }
         text += "```\n";
+        if let Some(token) = layout.token_file() {
+            let _ = write!(
+                text,
+                "\nThe page's token is in `{}` on the host of its gateway, readable for root alone.\n",
+                token.display()
+            );
+        }
     }
     if wanted(Target::Compose) {
         let _ = write!(
@@ -69,7 +76,10 @@ pub(super) fn text(layout: &Layout<'_>, wanted: &dyn Fn(Target) -> bool) -> Stri
             layout
                 .token_file()
                 .is_some()
-                .then_some("`ZENAV_PAGE_TOKEN` names the file of the page's token, instead of `./page-token`."),
+                .then_some(
+                    "`ZENAV_PAGE_TOKEN` names the file of the page's token, instead of `./page-token`, which the containers' user reads, too: \
+                     `head -c 24 /dev/urandom | base64 > page-token` makes one.",
+                ),
         ];
         for told in secrets.into_iter().flatten() {
             let _ = write!(text, " {told}");

@@ -1,6 +1,7 @@
 //! Running deployment. Compares a deployment with the parts announced on the bus, including those that it does not name. Pure.
 //!
-//! Parts are seen by liveliness: a frozen part is seen until its link ends. Gateways have no token: they are seen by their answer to `info`.
+//! Parts are seen by liveliness: a frozen part is seen until its link ends. Gateways have no token, and the copies of a mission or of a mapping
+//! service share one: they are seen by their answer to `info`.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -12,14 +13,16 @@ use super::part::Part;
 /// Observations on the bus.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Seen {
-    /// Hosts whose routers answer.
-    pub routers: BTreeSet<String>,
+    /// Hosts whose routers answer, with the number of routers that show there, itself included; 0: not known.
+    pub routers: BTreeMap<String, usize>,
     /// The components of each robot: `edge`, `mapping`, `mission`.
     pub robots: BTreeMap<String, BTreeSet<String>>,
     /// Names of the workers of each service: `motion`, `world`.
     pub workers: BTreeMap<String, BTreeSet<String>>,
-    /// Number of orchestrators of each robot: the leader and its standbys.
+    /// Number of orchestrators of each robot that answer and have room for goals.
     pub orchestrators: BTreeMap<String, usize>,
+    /// Number of mapping services of each robot that answer: the leader and its copies.
+    pub mappers: BTreeMap<String, usize>,
     /// Number of gateways that answer.
     pub gateways: usize,
 }
@@ -32,6 +35,8 @@ pub enum State {
     Runs,
     /// It was not found.
     Missing,
+    /// It runs, but not all routers that answer show there: the link between them is broken.
+    CutOff,
     /// It runs, but the deployment does not name it.
     Unnamed,
 }
@@ -99,37 +104,41 @@ fn judge(layout: &Layout<'_>, host: &Host, part: &Part, seen: &Seen) -> Finding 
         true => (State::Runs, String::new()),
         false => (State::Missing, format!("not of {}", missing.join(", "))),
     };
+    // The host of a copy is unknown: if one of two is missing, it may be either.
+    let of_copies = |kind: &str, counts: &BTreeMap<String, usize>, name: &str| {
+        let copies = |robot: &str| {
+            let meant = layout
+                .parts()
+                .filter(|(_, part)| part.kind() == kind && part.serves(robot));
+            (counts.get(robot).copied().unwrap_or_default(), meant.count())
+        };
+        let short: Vec<String> = robots
+            .iter()
+            .map(|robot| (robot, copies(robot)))
+            .filter(|(_, (there, meant))| there < meant)
+            .map(|(robot, (there, meant))| format!("{robot} has {there} of {meant} {name}"))
+            .collect();
+        match short.is_empty() {
+            true => (State::Runs, String::new()),
+            false => (State::Missing, short.join(", ")),
+        }
+    };
     let (state, detail) = match part {
-        Part::Router if seen.routers.contains(&host.name) => (State::Runs, String::new()),
-        Part::Router => (State::Missing, format!("no answer at {}", host.address)),
+        Part::Router => match (seen.routers.get(&host.name), seen.routers.len()) {
+            (None, _) => (State::Missing, format!("no answer at {}", host.address)),
+            (Some(&sees), all) if (1..all).contains(&sees) => (
+                State::CutOff,
+                format!("sees {sees} of {all} routers: if the network between them is well, restart it"),
+            ),
+            _ => (State::Runs, String::new()),
+        },
         Part::World => match seen.workers.get("world").is_some_and(|worlds| !worlds.is_empty()) {
             true => (State::Runs, String::new()),
             false => (State::Missing, String::new()),
         },
         Part::Edge(_) => of_robots(without("edge")),
-        Part::Mapping(_) => of_robots(without("mapping")),
-        Part::Mission(_) => {
-            let orchestrators = |robot: &str| {
-                let missions = layout
-                    .parts()
-                    .filter(|(_, part)| part.kind() == "mission" && part.serves(robot));
-                (
-                    seen.orchestrators.get(robot).copied().unwrap_or_default(),
-                    missions.count(),
-                )
-            };
-            // A standby's host is unknown: if one of two is missing, it may be either.
-            let short: Vec<String> = robots
-                .iter()
-                .map(|robot| (robot, orchestrators(robot)))
-                .filter(|(_, (there, meant))| there < meant)
-                .map(|(robot, (there, meant))| format!("{robot} has {there} of {meant} orchestrators"))
-                .collect();
-            match short.is_empty() {
-                true => (State::Runs, String::new()),
-                false => (State::Missing, short.join(", ")),
-            }
-        }
+        Part::Mapping(_) => of_copies("mapping", &seen.mappers, "mapping services"),
+        Part::Mission(_) => of_copies("mission", &seen.orchestrators, "orchestrators"),
         Part::Motion => {
             let workers = seen.workers.get("motion").into_iter().flatten();
             let own = workers

@@ -105,8 +105,7 @@ pub fn ask(args: &AskArgs) -> Outcome {
         output::value(args.output, &value, |value| match value {
             Value::String(text) => text.clone(),
             value => serde_json::to_string_pretty(value).unwrap_or_default(),
-        })?;
-        Ok(exit_code::OK)
+        })
     })
 }
 
@@ -170,6 +169,13 @@ pub(super) fn publish(args: &PubArgs, robot: &RobotArgs, format: Format) -> Outc
                     ));
                 }
                 check(row, &text)?;
+                if let (Some(hz), Some(rate)) = (args.hz, row.rate)
+                    && hz > f64::from(rate)
+                {
+                    crate::output::note(format_args!(
+                        "zenav: {key} is for at most {rate} messages a second: receivers drop those far beyond it"
+                    ));
+                }
             }
             None if is_reserved(&key) && !args.force => {
                 return Err(Failure::new(
@@ -204,10 +210,12 @@ pub(super) fn publish(args: &PubArgs, robot: &RobotArgs, format: Format) -> Outc
             }
         }
         match format {
-            Format::Table => crate::output::note(format_args!("published {sent} on {key}")),
-            format => output::value(format, &json!({ "key": key, "published": sent }), |_| String::new())?,
+            Format::Table => {
+                crate::output::note(format_args!("published {sent} on {key}"));
+                Ok(exit_code::OK)
+            }
+            format => output::value(format, &json!({ "key": key, "published": sent }), |_| String::new()),
         }
-        Ok(exit_code::OK)
     })
 }
 
@@ -264,6 +272,7 @@ fn meant(text: &str, asks: bool) -> Result<String, Failure> {
     if text.contains(['*', '$', '{']) {
         return Err(Failure::usage(format!("{text}: expected one key, without wildcards")));
     }
+    no_leading_slash(text)?;
     if text.starts_with("zenav/") {
         return Ok(text.to_owned());
     }
@@ -297,6 +306,19 @@ fn meant(text: &str, asks: bool) -> Result<String, Failure> {
             "zenav/tiago/operator/teleop"
         }
     )))
+}
+
+/// Refuses a key with a leading slash, as names of ROS have it.
+///
+/// # Errors
+/// Exit code 2, with the key as it is meant.
+pub(super) fn no_leading_slash(text: &str) -> Result<(), Failure> {
+    match text.strip_prefix('/') {
+        None => Ok(()),
+        Some(rest) => Err(Failure::usage(format!(
+            "{text}: keys have no leading slash: expected `{rest}`"
+        ))),
+    }
 }
 
 /// A key that is in the table but for its first chunk (`tiago/edge/pose`) is meant whole; any other is taken as typed.
@@ -360,7 +382,7 @@ fn fits<T: DeserializeOwned>(text: &str, name: &str) -> Result<(), Failure> {
     let mut reader = serde_json::Deserializer::from_str(text);
     let read: Result<T, _> = serde_ignored::deserialize(&mut reader, |path| unknown.push(path.to_string()));
     read.and_then(|_| reader.end())
-        .map_err(|error| Failure::usage(format!("no {name}: {error}; {hint}")))?;
+        .map_err(|error| Failure::usage(format!("not a {name}: {error}; {hint}")))?;
     match unknown.first() {
         None => Ok(()),
         Some(field) => {
@@ -394,6 +416,11 @@ mod tests {
             assert_eq!(meant(text, asks).unwrap(), key, "{text}");
         }
         assert_eq!(meant("zenav/*/edge/pose", false).unwrap_err().code, exit_code::USAGE);
+        let failure = meant("/edge/scan", false).unwrap_err();
+        assert!(
+            failure.message.contains("no leading slash: expected `edge/scan`"),
+            "{failure}"
+        );
         let failure = meant("telop", false).unwrap_err();
         assert!(
             failure.code == exit_code::NOT_FOUND && failure.message.contains("teleop"),
@@ -410,8 +437,8 @@ mod tests {
                 r#"{"x": 1, "y": 2, "tolerence": 0.5}"#,
                 "no field `tolerence`, perhaps `tolerance`",
             ),
-            (r#"{"x": "one"}"#, "no GoalRequest: invalid type"),
-            ("{", "no GoalRequest: EOF"),
+            (r#"{"x": "one"}"#, "not a GoalRequest: invalid type"),
+            ("{", "not a GoalRequest: EOF"),
             ("{} {}", "trailing"),
         ] {
             let failure = check(row, text).unwrap_err();

@@ -9,7 +9,6 @@ use zenav_protocol::grid::{Occupancy, OccupancyGrid};
 
 use super::map::Summary;
 use crate::connect::positive;
-use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::output::{self, Format};
@@ -55,22 +54,13 @@ pub(super) fn convert(args: &ConvertArgs, format: Format) -> Outcome {
         ModeArg::Raw => MapMode::Raw,
     };
     let target = args.target.as_path();
-    let ending = target
-        .extension()
-        .and_then(|ending| ending.to_str())
-        .unwrap_or_default()
-        .to_ascii_lowercase();
+    let ending = files::ending(target);
     let picture = match ending.as_str() {
         "map" => {
             files::write_atomically(target, moving_ai(&grid).as_bytes())?;
             None
         }
-        "yaml" | "yml" if matches!(mode, MapMode::Scale) => {
-            return Err(Failure::usage(
-                "--mode scale needs a .png: a .pgm has no transparent cells",
-            ));
-        }
-        "pgm" if matches!(mode, MapMode::Scale) => {
+        "yaml" | "yml" | "pgm" if mode == MapMode::Scale => {
             return Err(Failure::usage(
                 "--mode scale needs a .png: a .pgm has no transparent cells",
             ));
@@ -87,23 +77,20 @@ pub(super) fn convert(args: &ConvertArgs, format: Format) -> Outcome {
     let mut written = target.to_owned();
     if let Some(picture) = picture {
         let pixels = map_image::to_image(&grid, mode);
-        let bytes = if picture.extension().is_some_and(|ending| ending == "png") {
+        let bytes = if files::ending(&picture) == "png" {
             image::encode_png(&pixels).map_err(Failure::failed)?
         } else {
             image::encode_pgm(&pixels)
         };
         let name = picture.file_name().and_then(|name| name.to_str()).unwrap_or_default();
-        let yaml = if matches!(ending.as_str(), "yaml" | "yml") {
-            target.to_owned()
-        } else {
-            target.with_extension("yaml")
-        };
+        if picture == target {
+            written = target.with_extension("yaml");
+        }
         files::write_atomically(&picture, &bytes)?;
-        files::write_atomically(&yaml, map_image::to_yaml(&grid, mode, name).to_text(&[]).as_bytes())?;
-        written = yaml;
+        let yaml = map_image::to_yaml(&grid, mode, name).to_text(&[]);
+        files::write_atomically(&written, yaml.as_bytes())?;
     }
-    output::value(format, &Summary::of_file(&written, &grid), Summary::line)?;
-    Ok(exit_code::OK)
+    output::value(format, &Summary::of_file(&written, &grid), Summary::line)
 }
 
 /// A Moving AI map: free cells are passable, all others are not.
@@ -111,13 +98,8 @@ fn moving_ai(grid: &OccupancyGrid) -> String {
     let spec = grid.spec();
     let mut text = format!("type octile\nheight {}\nwidth {}\nmap\n", spec.height, spec.width);
     for row in grid.values().chunks_exact((spec.width as usize).max(1)).rev() {
-        text.extend(row.iter().map(|value| {
-            if Occupancy::of(*value) == Occupancy::Free {
-                '.'
-            } else {
-                '@'
-            }
-        }));
+        let free = row.iter().map(|value| Occupancy::of(*value) == Occupancy::Free);
+        text.extend(free.map(|free| if free { '.' } else { '@' }));
         text.push('\n');
     }
     text
@@ -130,6 +112,7 @@ mod tests {
     use zenav_protocol::grid::{Cell, GridSpec};
 
     use super::*;
+    use crate::exit_code;
 
     fn grid() -> OccupancyGrid {
         let spec = GridSpec {

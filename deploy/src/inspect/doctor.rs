@@ -7,22 +7,24 @@ use std::time::Duration;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use tokio::time::{Instant, timeout_at};
-use zenav_protocol::bus::{Bus, Latest, RawSubscription};
-use zenav_protocol::messages::InfoRequest;
+use zenav_protocol::bus::{Bus, Latest, RawSubscription, Subscription};
+use zenav_protocol::messages::{Event, EventKind, InfoRequest};
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
 
 use super::check::{Check, Verdict};
 use super::diagnosis::{self, ClockSeen, Heard, Robot};
 use super::hosts;
-use super::parts::parts;
-use crate::connect::{self, RobotArgs};
+use super::parts::{NOT_ADMITTED, check_admitted, only_robots_answer, parts};
+use crate::connect::{self, LinkArgs, RobotArgs};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
 
 /// Listening time.
 const LISTEN: Duration = Duration::from_secs(2);
+/// Most events of a robot that wait to be read.
+const EVENTS: usize = 1024;
 /// Longest wait for a component's info.
 const ANSWER_WITHIN: Duration = Duration::from_millis(1500);
 
@@ -52,7 +54,7 @@ struct Report {
 /// [`exit_code::NOT_FOUND`] for a named robot that is not found.
 pub fn doctor(args: &DoctorArgs) -> Outcome {
     let examined = connect::on_bus(&args.robot.link, async |bus| {
-        examine(&bus, args.robot.robot.as_deref()).await
+        examine(&bus, &args.robot.link, args.robot.robot.as_deref()).await
     });
     let (checks, code) = match examined {
         Ok(checks) => {
@@ -78,19 +80,12 @@ pub fn doctor(args: &DoctorArgs) -> Outcome {
     Ok(code)
 }
 
-async fn examine(bus: &Bus, wanted: Option<&str>) -> Result<Vec<Check>, Failure> {
-    let mut checks = vec![if bus.is_connected().await {
-        Check::ok("router", "link", "connected")
-    } else {
-        Check::warn(
-            "router",
-            "link",
-            "none: this is a robot's own endpoint",
-            "the cloud is reached through a router only",
-        )
-    }];
-    if wanted.is_some() {
-        connect::find(bus, wanted).await?;
+async fn examine(bus: &Bus, link: &LinkArgs, wanted: Option<&str>) -> Result<Vec<Check>, Failure> {
+    if wanted.is_some()
+        && let Err(failure) = connect::find(bus, wanted).await
+    {
+        check_admitted(link, parts(bus).await?.iter().any(|part| part.answers))?;
+        return Err(failure);
     }
     let mut names: Vec<String> = connect::robots(bus).await?.into_keys().collect();
     names.retain(|name| wanted.is_none_or(|wanted| wanted == name));
@@ -100,14 +95,7 @@ async fn examine(bus: &Bus, wanted: Option<&str>) -> Result<Vec<Check>, Failure>
         None if names.is_empty() => names.extend(connect::find(bus, None).await.ok()),
         _ => {}
     }
-    if names.is_empty() {
-        checks.push(Check::fail(
-            "robots",
-            "robots",
-            "none shows",
-            "start one: `zenav edge`, or a whole deployment: `zenav up`",
-        ));
-    }
+    let is_robot_missing = names.is_empty();
     let end = Instant::now() + LISTEN;
     let clock = async { clock(bus, end).await };
     let robots = async {
@@ -124,13 +112,31 @@ async fn examine(bus: &Bus, wanted: Option<&str>) -> Result<Vec<Check>, Failure>
         Ok::<_, Failure>(found)
     };
     let (clock, robots) = tokio::join!(clock, robots);
+    let parts = parts(bus).await?;
+    if check_admitted(link, parts.iter().any(|part| part.answers)).is_err() {
+        let seen = "nobody answers this identity, not even the router";
+        return Ok(vec![Check::fail("router", "identity", seen, NOT_ADMITTED)]);
+    }
+    let is_at_robot = only_robots_answer(&parts);
+    let mut checks = vec![diagnosis::link(is_at_robot)];
+    if is_robot_missing {
+        checks.push(Check::fail(
+            "robots",
+            "robots",
+            "none shows",
+            "start one: `zenav edge`, or a whole deployment: `zenav up`",
+        ));
+    }
     for robot in robots? {
         checks.extend(diagnosis::judge(&robot, LISTEN));
     }
-    let workers = topics::alive_key(topics::ALIVE_WORKER, &["motion", "*"]);
-    let workers = bus.list_alive(workers, Duration::from_millis(500)).await?;
-    checks.push(diagnosis::workers("motion", workers.len()));
-    checks.extend(hosts::judge(&parts(bus).await?));
+    // Workers do not show on a robot's own endpoint.
+    if !is_at_robot {
+        let workers = topics::alive_key(topics::ALIVE_WORKER, &["motion", "*"]);
+        let workers = bus.list_alive(workers, Duration::from_millis(500)).await?;
+        checks.push(diagnosis::workers("motion", workers.len()));
+    }
+    checks.extend(hosts::judge(&parts));
     checks.push(diagnosis::clock(&clock?));
     Ok(checks)
 }
@@ -144,11 +150,13 @@ async fn look(bus: &Bus, name: String, end: Instant) -> Result<Robot, Failure> {
     let mut maps = bus.latest(&topics::MAP_INFO, &chunks)?;
     let mut missions = bus.latest(&topics::MISSION, &chunks)?;
     let mut localisations = bus.latest(&topics::LOCALISATION, &chunks)?;
-    let (state, pose, scan, heartbeat, edge, cloud) = tokio::join!(
+    let mut events = bus.subscribe(&topics::EVENT, &chunks, EVENTS)?;
+    let (state, pose, scan, heartbeat, guard_reason, edge, cloud) = tokio::join!(
         heard(&mut states, end),
         heard(&mut poses, end),
         heard(&mut scans, end),
         heard(&mut heartbeats, end),
+        guard_reason(&mut events, end),
         bus.ask_all(&topics::EDGE_INFO, &chunks, &InfoRequest {}, ANSWER_WITHIN),
         bus.ask_all(&topics::CLOUD_INFO, &chunks, &InfoRequest {}, ANSWER_WITHIN),
     );
@@ -161,6 +169,7 @@ async fn look(bus: &Bus, name: String, end: Instant) -> Result<Robot, Failure> {
         pose,
         scan,
         heartbeat,
+        guard_reason,
         mission: missions.take(),
         map: maps.take(),
         localisation: localisations.take(),
@@ -195,12 +204,27 @@ async fn heard<A: Arrivals>(topic: &mut A, end: Instant) -> Heard<A::Item> {
     let mut heard = Heard::default();
     let mut newest = None;
     while let Ok(Some(value)) = timeout_at(end, topic.next()).await {
-        heard.last = Some(value);
+        if let Some(earlier) = heard.last.replace(value)
+            && heard.first.is_none()
+        {
+            heard.first = Some(earlier);
+        }
         heard.count += 1;
         newest = Some(Instant::now());
     }
     heard.age = newest.map(|at| at.elapsed());
     heard
+}
+
+/// What the collision monitor's last verdict was based on, by the events that the robot keeps and those until `end`.
+async fn guard_reason(events: &mut Subscription<Event>, end: Instant) -> Option<String> {
+    let mut last = None;
+    while let Ok(Some(event)) = timeout_at(end, events.next()).await {
+        if let EventKind::Guard { reason, .. } = event.message.kind {
+            last = Some(reason);
+        }
+    }
+    last
 }
 
 async fn clock(bus: &Bus, end: Instant) -> Result<ClockSeen, Failure> {

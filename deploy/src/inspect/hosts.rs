@@ -16,7 +16,7 @@ pub(super) fn judge(parts: &[Part]) -> Vec<Check> {
     for part in parts.iter().filter(|part| !part.host.is_empty()) {
         hosts.entry(&part.host).or_default().push(part);
     }
-    let mut checks = rival_mappers(parts);
+    let mut checks = mapper_copies(parts);
     for (host, parts) in hosts {
         for part in parts.iter().filter(|part| part.schema != SCHEMA_VERSION) {
             checks.push(Check::fail(
@@ -52,27 +52,44 @@ pub(super) fn judge(parts: &[Part]) -> Vec<Check> {
     checks
 }
 
-/// Several mapping services of one robot: both would publish its map.
-fn rival_mappers(parts: &[Part]) -> Vec<Check> {
-    let mut mappers: BTreeMap<&str, BTreeSet<(&str, u32, u32)>> = BTreeMap::new();
+/// Several mapping services of one robot: one leads, and the others stand by.
+fn mapper_copies(parts: &[Part]) -> Vec<Check> {
+    let mut mappers: BTreeMap<&str, BTreeMap<(&str, u32, u32), bool>> = BTreeMap::new();
     for part in parts.iter().filter(|part| part.component == "mapping") {
+        let process = (part.host.as_str(), part.pid, part.instance);
         mappers
             .entry(&part.robot)
             .or_default()
-            .insert((&part.host, part.pid, part.instance));
+            .insert(process, part.leads == Some(true));
     }
     mappers.retain(|_, processes| processes.len() > 1);
     mappers
         .into_iter()
         .map(|(robot, processes)| {
-            let named = processes.iter().map(|(host, pid, _)| format!("{host} (pid {pid})"));
-            let named = named.collect::<Vec<_>>().join(", ");
-            Check::fail(
-                robot,
-                "mapping",
-                format!("{} mapping services write its map: {named}", processes.len()),
-                "stop all but one: the map changes between theirs",
-            )
+            let named = |leads: bool| {
+                let those = processes.iter().filter(|(_, other)| **other == leads);
+                let named: Vec<String> = those.map(|((host, pid, _), _)| format!("{host} (pid {pid})")).collect();
+                named.join(", ")
+            };
+            match processes.values().filter(|leads| **leads).count() {
+                0 => Check::warn(
+                    robot,
+                    "mapping",
+                    format!("no mapping service leads; these stand by: {}", named(false)),
+                    "one takes over once it hears the robot",
+                ),
+                1 => Check::ok(
+                    robot,
+                    "mapping",
+                    format!("{} leads; {} stands by", named(true), named(false)),
+                ),
+                count => Check::fail(
+                    robot,
+                    "mapping",
+                    format!("{count} mapping services write its map: {}", named(true)),
+                    "they do not hear one another: connect both to the routers of the fleet",
+                ),
+            }
         })
         .collect()
 }
@@ -87,7 +104,9 @@ mod tests {
             part: "mapping-a".to_owned(),
             component: "mapping".to_owned(),
             robot: "a".to_owned(),
-            leads: None,
+            leads: Some(true),
+            answers: true,
+            not_stored: None,
             host: host.to_owned(),
             pid,
             instance: 0,
@@ -130,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn two_mapping_services_of_one_robot_fail_and_are_named() {
+    fn of_several_mapping_services_of_one_robot_one_leads_and_two_that_do_fail_and_are_named() {
         let one = part("cloud", 1, SCHEMA_VERSION, 0.0);
         let verdicts = |parts: &[Part]| judge(parts).iter().map(|check| check.verdict).collect::<Vec<_>>();
         assert_eq!(verdicts(&[one.clone(), one.clone()]), [Verdict::Ok], "one, heard twice");
@@ -140,5 +159,16 @@ mod tests {
             "2 mapping services write its map: cloud (pid 1), cloud (pid 2)"
         );
         assert_eq!((checks[0].about.as_str(), checks[0].verdict), ("a", Verdict::Fail));
+        let copy = |leads| Part {
+            leads: Some(leads),
+            ..part("site", 2, SCHEMA_VERSION, 0.0)
+        };
+        let checks = judge(&[part("cloud", 1, SCHEMA_VERSION, 0.0), copy(false)]);
+        assert_eq!(
+            (checks[0].seen.as_str(), checks[0].verdict),
+            ("cloud (pid 1) leads; site (pid 2) stands by", Verdict::Ok)
+        );
+        let none = Part { pid: 3, ..copy(false) };
+        assert_eq!(judge(&[copy(false), none])[0].verdict, Verdict::Warn);
     }
 }

@@ -10,7 +10,7 @@ use zenav_protocol::bus::{Act, Bus, RawSample, RawSubscription};
 use super::meter::{Meter, Reading, bytes};
 use super::payload;
 use crate::completion;
-use crate::connect::{self, positive};
+use crate::connect::{self, positive, seconds};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
@@ -38,9 +38,11 @@ pub(super) struct ListenArgs {
     secs: Option<f64>,
 }
 
-/// A time from the command line.
-pub(super) fn seconds(secs: f64) -> Duration {
-    Duration::try_from_secs_f64(secs).unwrap_or(Duration::MAX)
+impl ListenArgs {
+    /// When to end.
+    fn until(&self, start: Instant) -> Option<Instant> {
+        self.secs.map(|secs| start + seconds(secs))
+    }
 }
 
 /// The meter of each key, with the newest encoding.
@@ -137,7 +139,7 @@ impl Ending {
                 exit_code::TIMEOUT,
                 format!("nothing came on {pattern} in that time"),
             )),
-            Self::Closed => Err(Failure::new(exit_code::CANNOT_CONNECT, "the bus was closed")),
+            Self::Closed => Err(Failure::closed()),
         }
     }
 }
@@ -154,9 +156,7 @@ struct Echoed {
 pub(super) async fn echo(bus: &Bus, pattern: &str, args: &ListenArgs, format: Format) -> Outcome {
     bus.check(Act::Hear, pattern)?;
     let mut samples = bus.raw_subscribe_kept(pattern, BACKLOG)?;
-    let until = args
-        .secs
-        .map(|secs| Instant::now() + seconds(secs).min(Duration::from_secs(1 << 30)));
+    let until = args.until(Instant::now());
     let wild = pattern.contains('*') || pattern.contains('$');
     let mut messages = 0;
     let mut hinted = false;
@@ -205,9 +205,7 @@ pub(super) async fn measure(
     bus.check(Act::Hear, pattern)?;
     let mut samples = bus.raw_subscribe(pattern, BACKLOG)?;
     let start = Instant::now();
-    let until = args
-        .secs
-        .map(|secs| start + seconds(secs).min(Duration::from_secs(1 << 30)));
+    let until = args.until(start);
     let mut meters = BTreeMap::<String, Meter>::new();
     let (mut messages, mut hinted) = (0, false);
     let lines = |rows: &[Measured]| rows.iter().map(line).collect::<Vec<_>>().join("\n");

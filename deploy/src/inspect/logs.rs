@@ -12,6 +12,7 @@ use zenav_protocol::bus::Bus;
 use zenav_protocol::messages::{LogLine, LogReply, LogRequest};
 use zenav_protocol::topics;
 
+use super::parts::check_admitted;
 use crate::connect::{self, LinkArgs};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
@@ -78,7 +79,7 @@ struct Said {
 /// Shows the newest lines of all processes, in order of time.
 ///
 /// # Errors
-/// [`exit_code::CANNOT_CONNECT`] without a router.
+/// [`exit_code::CANNOT_CONNECT`] without a router, [`exit_code::TIMEOUT`] for an identity that it does not admit.
 pub fn logs(args: &LogsArgs) -> Outcome {
     connect::on_bus(&args.link, async |bus| {
         if args.robot.is_some() && !args.follow {
@@ -91,7 +92,11 @@ pub fn logs(args: &LogsArgs) -> Outcome {
             args.output
         };
         loop {
-            let lines = newest(ask(&bus).await?, &mut seen);
+            let replies = ask(&bus).await?;
+            if !args.follow {
+                check_admitted(&args.link, !replies.is_empty())?;
+            }
+            let lines = newest(replies, &mut seen);
             let shown: Vec<Said> = lines.into_iter().filter(|said| fits(args, &said.line)).collect();
             if !(shown.is_empty() && (args.follow || args.output == Format::Table)) {
                 output::values(format, &shown, text)?;

@@ -7,7 +7,7 @@ use serde::Serialize;
 use zenav_mapping::{CellCounts, map_file};
 use zenav_protocol::bus::Bus;
 use zenav_protocol::geometry::Pose2;
-use zenav_protocol::grid::{GridSpec, OccupancyGrid};
+use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::messages::MapRequest;
 use zenav_protocol::robot::Footprint;
 use zenav_protocol::topics;
@@ -150,23 +150,15 @@ impl Summary {
     }
 
     fn of(grid: &OccupancyGrid) -> Self {
-        let (
-            GridSpec {
-                origin,
-                resolution,
-                width,
-                height,
-            },
-            counts,
-        ) = (*grid.spec(), CellCounts::of(grid.values()));
+        let (spec, counts) = (grid.spec(), CellCounts::of(grid.values()));
         Self {
             file: None,
             id: None,
             revision: None,
-            width,
-            height,
-            resolution,
-            origin: [origin.x, origin.y],
+            width: spec.width,
+            height: spec.height,
+            resolution: spec.resolution,
+            origin: [spec.origin.x, spec.origin.y],
             occupied: counts.occupied,
             free: counts.free,
             unknown: counts.unknown,
@@ -233,18 +225,13 @@ fn save(robot: &RobotArgs, format: Format, name: &Path) -> Outcome {
             .unwrap_or_else(|| Path::new("."));
         let wanted = folder.join(format!("{stem}.yaml"));
         summary.file = Some(map_file::write_map(folder, stem, &grid, &label).map_err(files::unwritten(&wanted))?);
-        output::value(format, &summary, Summary::line)?;
-        Ok(exit_code::OK)
+        output::value(format, &summary, Summary::line)
     })
 }
 
 fn show(robot: &RobotArgs, format: Format, file: Option<&Path>, width: Option<usize>, out: Option<&Path>) -> Outcome {
-    let is_png = |out: &Path| out.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("png"));
-    if let Some(out) = out.filter(|out| !is_png(out)) {
-        return Err(Failure::usage(format!(
-            "--out {}: expected a name that ends with .png",
-            out.display()
-        )));
+    if let Some(out) = out.filter(|out| files::ending(out) != "png") {
+        return Err(files::unknown_ending(out, ".png"));
     }
     let mut screen = Screen::of_terminal(3).unwrap_or(PLAIN_SCREEN);
     if let Some(width) = width {
@@ -279,8 +266,7 @@ fn show(robot: &RobotArgs, format: Format, file: Option<&Path>, width: Option<us
             let robot: Vec<Mark<'_>> = pose.map(Mark::Robot).into_iter().collect();
             format!("{}\n{}", terminal::map(&grid, &robot, screen), summary.line())
         }
-    })?;
-    Ok(exit_code::OK)
+    })
 }
 
 /// If stdout is no terminal, it prints a picture every second, one below the other.

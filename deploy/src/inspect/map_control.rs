@@ -1,19 +1,17 @@
 //! `zenav map load|store|reset|hold|resume|list`. Selects the map that a robot drives by, and switches mapping on and off.
 
 use std::path::Path;
-use std::time::Duration;
 
 use serde::Serialize;
-use zenav_protocol::bus::Bus;
+use zenav_cloud::operator;
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{GivenMap, MapAction, MapReply, MapRequest, StoredMapInfo};
 use zenav_protocol::topics;
 
 use crate::connect::{self, RobotArgs, fresh_id};
-use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
-use crate::operator::change;
+use crate::operator::holder;
 use crate::output::{self, Format};
 
 /// A request that does not change the cells the robot drives by.
@@ -73,26 +71,30 @@ fn request(action: MapAction) -> MapRequest {
     }
 }
 
-/// Sends a map change: under the lease in force, or for a robot that must be `at_rest` under the operator's own lease.
-async fn send(
-    bus: &Bus,
-    robot: &str,
-    within: Duration,
-    request: MapRequest,
+/// Sends a map change and prints its reply: under the lease in force, or for a robot that must be `at_rest` under the operator's own.
+fn apply(
+    robot: &RobotArgs,
+    format: Format,
+    request: &MapRequest,
     at_rest: bool,
-) -> Result<MapReply, Failure> {
-    let ask = async |epoch| {
-        let request = MapRequest {
-            epoch,
-            ..request.clone()
+    said: impl Fn(&str, &Changed) -> String,
+) -> Outcome {
+    let within = robot.link.patience();
+    connect::on_robot(robot, async |bus, robot| {
+        let ask = async |epoch| {
+            let request = MapRequest {
+                epoch,
+                ..request.clone()
+            };
+            bus.ask(&topics::MAP, &[&robot], &request, within).await
         };
-        bus.ask(&topics::MAP, &[robot], &request, within).await
-    };
-    if at_rest {
-        change::at_rest(bus, robot, within, ask).await
-    } else {
-        change::in_force(bus, robot, within, ask).await
-    }
+        let reply = if at_rest {
+            operator::at_rest(&bus, &robot, &holder(), within, ask).await
+        } else {
+            operator::in_force(&bus, &robot, within, ask).await
+        }?;
+        output::value(format, &Changed::new(&robot, reply), |changed| said(&robot, changed))
+    })
 }
 
 /// Replaces the robot's map by a file on this machine, or by a stored one of this name.
@@ -120,17 +122,12 @@ pub(super) fn load(robot: &RobotArgs, format: Format, source: &str, live: bool) 
     } else {
         return Err(Failure::not_found(format!("{source}: no such map file")));
     }
-    let patience = robot.link.patience();
-    connect::on_robot(robot, async |bus, robot| {
-        let reply = send(&bus, &robot, patience, request.clone(), true).await?;
-        output::value(format, &Changed::new(&robot, reply), |changed| {
-            let state = match live {
-                true => "scans go on into it".to_owned(),
-                false => format!("held: `zenav map resume --robot {robot}` maps on"),
-            };
-            format!("{robot} drives by {source}: {} ({state})", changed.size())
-        })?;
-        Ok(exit_code::OK)
+    apply(robot, format, &request, true, |robot, changed| {
+        let state = match live {
+            true => "scans are inserted into it".to_owned(),
+            false => format!("held: `zenav map resume --robot {robot}` continues mapping"),
+        };
+        format!("{robot} uses {source}: {} ({state})", changed.size())
     })
 }
 
@@ -140,29 +137,19 @@ pub(super) fn store(robot: &RobotArgs, format: Format, name: Option<&str>) -> Ou
         name: name.map(str::to_owned),
         ..request(MapAction::Save)
     };
-    let patience = robot.link.patience();
-    connect::on_robot(robot, async |bus, robot| {
-        let reply = send(&bus, &robot, patience, request.clone(), false).await?;
-        output::value(format, &Changed::new(&robot, reply), |changed| {
-            let what = match name {
-                Some(name) => format!("as {name} (`zenav map load {name} --robot {robot}` brings it back)"),
-                None => "the next start begins with it".to_owned(),
-            };
-            format!("stored the map of {robot}: {}; {what}", changed.size())
-        })?;
-        Ok(exit_code::OK)
+    apply(robot, format, &request, false, |robot, changed| {
+        let what = match name {
+            Some(name) => format!("as {name} (`zenav map load {name} --robot {robot}` brings it back)"),
+            None => "the next start begins with it".to_owned(),
+        };
+        format!("stored the map of {robot}: {}; {what}", changed.size())
     })
 }
 
 /// Starts a new map.
 pub(super) fn reset(robot: &RobotArgs, format: Format) -> Outcome {
-    let patience = robot.link.patience();
-    connect::on_robot(robot, async |bus, robot| {
-        let reply = send(&bus, &robot, patience, request(MapAction::Reset), true).await?;
-        output::value(format, &Changed::new(&robot, reply), |_| {
-            format!("{robot} begins a new map (the stored one is kept)")
-        })?;
-        Ok(exit_code::OK)
+    apply(robot, format, &request(MapAction::Reset), true, |robot, _| {
+        format!("{robot} begins a new map (the stored one is kept)")
     })
 }
 
@@ -172,13 +159,8 @@ pub(super) fn hold_or_resume(robot: &RobotArgs, format: Format, mapping: Mapping
         Mapping::Hold => (MapAction::Hold, "held: no more scans are inserted"),
         Mapping::Resume => (MapAction::Resume, "live: scans are inserted"),
     };
-    let patience = robot.link.patience();
-    connect::on_robot(robot, async |bus, robot| {
-        let reply = send(&bus, &robot, patience, request(action), false).await?;
-        output::value(format, &Changed::new(&robot, reply), |changed| {
-            format!("the map of {robot} is {said} ({})", changed.size())
-        })?;
-        Ok(exit_code::OK)
+    apply(robot, format, &request(action), false, |robot, changed| {
+        format!("the map of {robot} is {said} ({})", changed.size())
     })
 }
 
@@ -191,22 +173,19 @@ pub(super) fn list(robot: &RobotArgs, format: Format) -> Outcome {
             ..MapRequest::default()
         };
         let reply = bus.ask(&topics::MAP, &[&robot], &request, patience).await?;
-        output::values(format, &reply.stored, table)?;
-        Ok(exit_code::OK)
+        output::values(format, &reply.stored, table)
     })
 }
 
 fn table(stored: &[StoredMapInfo]) -> String {
-    let rows: Vec<Vec<String>> = stored
-        .iter()
-        .map(|map| {
-            vec![
-                map.name.clone(),
-                map.map.id.clone(),
-                map.map.revision.to_string(),
-                map.scans.to_string(),
-            ]
-        })
-        .collect();
-    output::table(&["NAME", "MAP", "REVISION", "SCANS"], &rows)
+    let row = |stored: &StoredMapInfo| {
+        let map = &stored.map;
+        [
+            stored.name.clone(),
+            map.id.clone(),
+            map.revision.to_string(),
+            stored.scans.to_string(),
+        ]
+    };
+    output::table(&["NAME", "MAP", "REVISION", "SCANS"], stored.iter().map(row))
 }

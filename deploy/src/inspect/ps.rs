@@ -1,8 +1,7 @@
 //! `zenav ps`. Which parts run, on which hosts, in which version, with which load.
 
-use super::parts::{Part, parts};
+use super::parts::{Part, check_admitted, parts};
 use crate::connect::{self, LinkArgs};
-use crate::exit_code;
 use crate::failure::Outcome;
 use crate::output::{self, Format};
 
@@ -22,32 +21,34 @@ pub struct PsArgs {
 /// Lists the parts of a deployment.
 ///
 /// # Errors
-/// [`exit_code::CANNOT_CONNECT`] without a router.
+/// [`crate::exit_code::CANNOT_CONNECT`] without a router, [`crate::exit_code::TIMEOUT`] for an identity that it does not admit.
 pub fn ps(args: &PsArgs) -> Outcome {
     let parts = connect::on_bus(&args.link, async |bus| parts(&bus).await)?;
-    output::values(args.output, &parts, table)?;
-    Ok(exit_code::OK)
+    check_admitted(&args.link, parts.iter().any(|part| part.answers))?;
+    output::values(args.output, &parts, table)
 }
 
 fn table(parts: &[Part]) -> String {
-    let rows: Vec<Vec<String>> = parts.iter().map(row).collect();
-    output::table(
-        &[
-            "host", "pid", "part", "role", "robot", "version", "schema", "up", "load", "memory", "clock",
-        ],
-        &rows,
-    )
+    let header = [
+        "host", "pid", "part", "role", "robot", "version", "schema", "up", "load", "memory", "clock",
+    ];
+    let rows = parts.iter().map(|part| row(part, is_contested(part, parts)));
+    output::table(&header, rows)
 }
 
-fn row(part: &Part) -> Vec<String> {
-    let or_dash = |text: &str| {
-        if text.is_empty() {
-            "-".to_owned()
-        } else {
-            text.to_owned()
-        }
-    };
+/// Whether another copy of this part also means to lead: the robot, which decides, has not been heard yet.
+fn is_contested(part: &Part, parts: &[Part]) -> bool {
+    let is_rival =
+        |other: &&Part| other.leads == Some(true) && (&other.component, &other.robot) == (&part.component, &part.robot);
+    part.leads == Some(true) && parts.iter().filter(is_rival).count() > 1
+}
+
+fn row(part: &Part, is_contested: bool) -> [String; 11] {
+    let or_dash = |text: &str| if text.is_empty() { "-" } else { text }.to_owned();
     let role = match part.leads {
+        _ if !part.answers => format!("{}, no answer", part.component),
+        _ if part.not_stored.is_some() => format!("{}, without room", part.component),
+        Some(true) if is_contested => format!("{}, may lead", part.component),
         Some(true) => format!("{}, leads", part.component),
         Some(false) => format!("{}, stands by", part.component),
         None => part.component.clone(),
@@ -59,22 +60,20 @@ fn row(part: &Part) -> Vec<String> {
     } else {
         format!("same ± {:.2} s", part.clock_uncertainty_secs)
     };
-    vec![
+    let pid = Some(part.pid).filter(|_| !part.host.is_empty());
+    let if_told = |text: String| if part.answers { text } else { "-".to_owned() };
+    [
         or_dash(&part.host),
-        if part.host.is_empty() {
-            "-".to_owned()
-        } else {
-            part.pid.to_string()
-        },
+        pid.map_or_else(|| "-".to_owned(), |pid| pid.to_string()),
         or_dash(&part.part),
         role,
         or_dash(&part.robot),
-        part.version.clone(),
-        part.schema.to_string(),
-        age(part.uptime_secs),
+        or_dash(&part.version),
+        if_told(part.schema.to_string()),
+        if_told(age(part.uptime_secs)),
         part.load
             .map_or_else(|| "-".to_owned(), |load| format!("{:.0} %", 100.0 * load)),
-        format!("{:.0} MiB", part.memory_bytes as f64 / f64::from(1 << 20)),
+        if_told(format!("{:.0} MiB", part.memory_bytes as f64 / f64::from(1 << 20))),
         clock,
     ]
 }
@@ -92,7 +91,44 @@ fn age(secs: f64) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::age;
+    use super::{Part, age, is_contested, row};
+
+    #[test]
+    fn a_part_that_did_not_answer_and_one_without_room_say_so() {
+        let mut part = Part {
+            component: "mission".to_owned(),
+            robot: "a".to_owned(),
+            ..Part::default()
+        };
+        assert_eq!(row(&part, false).join(" "), "- - - mission, no answer a - - - - - -");
+        part.answers = true;
+        part.leads = Some(false);
+        part.not_stored = Some("no space left on device".to_owned());
+        assert_eq!(row(&part, false)[3], "mission, without room");
+    }
+
+    #[test]
+    fn of_two_missions_that_mean_to_lead_one_robot_neither_is_said_to_lead() {
+        let mission = |robot: &str, leads| Part {
+            component: "mission".to_owned(),
+            robot: robot.to_owned(),
+            answers: true,
+            leads: Some(leads),
+            ..Part::default()
+        };
+        let roles = |parts: &[Part]| -> Vec<String> {
+            let role = |part: &Part| row(part, is_contested(part, parts))[3].clone();
+            parts.iter().map(role).collect()
+        };
+        assert_eq!(
+            roles(&[mission("a", true), mission("a", true), mission("b", true)]),
+            ["mission, may lead", "mission, may lead", "mission, leads"]
+        );
+        assert_eq!(
+            roles(&[mission("a", true), mission("a", false)]),
+            ["mission, leads", "mission, stands by"]
+        );
+    }
 
     #[test]
     fn an_age_is_told_in_two_units() {

@@ -1,15 +1,16 @@
-//! `zenav schema`. The JSON Schema (draft 2020-12) of a message, with the documentation of every field.
+//! `zenav schema`. The JSON Schema (draft 2020-12) of a message, with the documentation of every field; also on the bus, at
+//! `zenav/svc/schema/{message}`.
 
 use std::collections::BTreeMap;
 
 use schemars::{JsonSchema, Schema, schema_for};
 use serde::Serialize;
 use serde_json::Value;
-use zenav_protocol::messages::Refusal;
-use zenav_protocol::topics::{self, Ask, Message, TableVisitor, Topic};
+use zenav_protocol::bus::{Bus, BusError};
+use zenav_protocol::messages::{Refusal, SchemaReply};
+use zenav_protocol::topics::{self, Ask, MESSAGE_SCHEMA, Message, TableVisitor, Topic};
 
 use crate::completion;
-use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
 
@@ -73,6 +74,26 @@ pub(crate) fn json_schema(message: &str) -> Option<Value> {
     Some((described.schema)().to_value())
 }
 
+/// Serves the schemas of all messages until the bus is closed.
+///
+/// # Errors
+/// [`BusError::Closed`].
+pub(crate) fn serve_schemas(bus: &Bus) -> Result<(), BusError> {
+    let mut server = bus.serve(&MESSAGE_SCHEMA, &["*"])?;
+    tokio::spawn(async move {
+        while let Some(request) = server.next().await {
+            let message = request.chunks.concat();
+            match json_schema(&message) {
+                Some(Value::Object(schema)) => request.reply(&SchemaReply(schema)),
+                _ => request.refuse(&Refusal::NotFound {
+                    what: format!("message `{message}`"),
+                }),
+            }
+        }
+    });
+    Ok(())
+}
+
 /// Names of all messages.
 pub(crate) fn message_names() -> Vec<String> {
     let all = Catalogue::new();
@@ -110,7 +131,7 @@ struct Listed {
 /// Prints the schema of a message, or lists all.
 ///
 /// # Errors
-/// [`exit_code::NOT_FOUND`] for an unknown message.
+/// [`crate::exit_code::NOT_FOUND`] for an unknown message.
 pub fn schema(args: &SchemaArgs) -> Outcome {
     let all = Catalogue::new();
     let Some(wanted) = &args.message else {
@@ -122,14 +143,10 @@ pub fn schema(args: &SchemaArgs) -> Outcome {
                 keys: described.keys,
             })
             .collect();
-        output::values(args.output, &listed, |listed| {
-            let rows: Vec<Vec<String>> = listed
-                .iter()
-                .map(|row| vec![row.message.to_owned(), row.keys.join(", ")])
-                .collect();
-            output::table(&["MESSAGE", "KEYS"], &rows)
-        })?;
-        return Ok(exit_code::OK);
+        return output::values(args.output, &listed, |listed| {
+            let rows = listed.iter().map(|row| [row.message.to_owned(), row.keys.join(", ")]);
+            output::table(&["MESSAGE", "KEYS"], rows)
+        });
     };
     let is_meant = |(name, described): &(&&str, &Described)| {
         let by_key = |key: &String| {
@@ -147,8 +164,7 @@ pub fn schema(args: &SchemaArgs) -> Outcome {
     let schema = (described.schema)();
     output::value(args.output, &schema, |schema| {
         serde_json::to_string_pretty(schema).unwrap_or_default()
-    })?;
-    Ok(exit_code::OK)
+    })
 }
 
 #[cfg(test)]

@@ -7,11 +7,11 @@ use serde::Serialize;
 use zenav_protocol::bus::Bus;
 use zenav_protocol::topics::{self, Qos, Row, TABLE};
 
-use super::ask::{PubArgs, publish, whole};
-use super::listen::{ListenArgs, bw_line, echo, hz_line, listen, measure, seconds};
+use super::ask::{PubArgs, no_leading_slash, publish, whole};
+use super::listen::{ListenArgs, bw_line, echo, hz_line, listen, measure};
 use super::meter::{Reading, bytes};
 use crate::completion;
-use crate::connect::{self, RobotArgs, positive};
+use crate::connect::{self, RobotArgs, positive, seconds};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
@@ -65,12 +65,8 @@ enum TopicCommand {
 /// [`exit_code::NOT_FOUND`] for an unknown topic, [`exit_code::TIMEOUT`] if nothing arrived in time.
 pub fn topic(args: &TopicArgs) -> Outcome {
     if let TopicCommand::List { table: true, .. } = args.command {
-        output::values(
-            args.output,
-            &TABLE.iter().map(Known::of).collect::<Vec<_>>(),
-            known_table,
-        )?;
-        return Ok(exit_code::OK);
+        let known: Vec<Known> = TABLE.iter().map(Known::of).collect();
+        return output::values(args.output, &known, known_table);
     }
     if let TopicCommand::Pub(message) = &args.command {
         return publish(message, &args.robot, args.output);
@@ -87,8 +83,7 @@ pub fn topic(args: &TopicArgs) -> Outcome {
                     .iter()
                     .map(|(key, (meter, encoding))| Live::new(key, meter.read(), encoding))
                     .collect();
-                output::values(args.output, &rows, live_table)?;
-                Ok(exit_code::OK)
+                output::values(args.output, &rows, live_table)
             }
             TopicCommand::Echo(listen) => echo(&bus, &pattern(&listen.key, robot)?, listen, args.output).await,
             TopicCommand::Hz(listen) => {
@@ -107,6 +102,7 @@ pub fn topic(args: &TopicArgs) -> Outcome {
 /// The key expression that the text names.
 pub(crate) fn pattern(text: &str, robot: Option<&str>) -> Result<String, Failure> {
     let robot = robot.unwrap_or("*");
+    no_leading_slash(text)?;
     if text.starts_with("zenav/") || text.starts_with('*') || text.starts_with('@') {
         return Ok(text.to_owned());
     }
@@ -160,20 +156,16 @@ impl Live {
 }
 
 fn live_table(rows: &[Live]) -> String {
-    let rows: Vec<Vec<String>> = rows
-        .iter()
-        .map(|row| {
-            let rate = row.reading.hz.map_or_else(|| "-".to_owned(), |hz| format!("{hz:.1}"));
-            vec![
-                row.key.clone(),
-                row.message.unwrap_or("?").to_owned(),
-                rate,
-                bytes(row.reading.bytes[1]),
-                row.encoding.clone(),
-            ]
-        })
-        .collect();
-    output::table(&["KEY", "MESSAGE", "HZ", "SIZE", "ENCODING"], &rows)
+    let row = |row: &Live| {
+        [
+            row.key.clone(),
+            row.message.unwrap_or("?").to_owned(),
+            row.reading.hz.map_or_else(|| "-".to_owned(), |hz| format!("{hz:.1}")),
+            bytes(row.reading.bytes[1]),
+            row.encoding.clone(),
+        ]
+    };
+    output::table(&["KEY", "MESSAGE", "HZ", "SIZE", "ENCODING"], rows.iter().map(row))
 }
 
 /// A row of the key table.
@@ -206,19 +198,17 @@ impl Known {
 }
 
 fn known_table(rows: &[Known]) -> String {
-    let rows: Vec<Vec<String>> = rows
-        .iter()
-        .map(|row| {
-            vec![
-                row.key.to_owned(),
-                row.message.to_owned(),
-                row.producer.clone(),
-                row.kind.clone(),
-                bytes(row.max_bytes as f64),
-            ]
-        })
-        .collect();
-    output::table(&["KEY", "MESSAGE", "BY", "KIND", "AT MOST"], &rows)
+    let row = |row: &Known| {
+        let (key, message) = (row.key.to_owned(), row.message.to_owned());
+        [
+            key,
+            message,
+            row.producer.clone(),
+            row.kind.clone(),
+            bytes(row.max_bytes as f64),
+        ]
+    };
+    output::table(&["KEY", "MESSAGE", "BY", "KIND", "AT MOST"], rows.iter().map(row))
 }
 
 async fn info(bus: &Bus, key: &str, robot: Option<&str>, format: Format) -> Outcome {
@@ -257,8 +247,7 @@ async fn info(bus: &Bus, key: &str, robot: Option<&str>, format: Format) -> Outc
             live_table(&live)
         };
         format!("{}\n\n{carries}", known_table(&rows))
-    })?;
-    Ok(exit_code::OK)
+    })
 }
 
 #[cfg(test)]

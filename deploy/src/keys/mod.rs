@@ -154,12 +154,21 @@ impl Row {
 /// Checks a name that a certificate may serve.
 fn host_name(text: &str) -> Result<String, String> {
     let name = text.strip_prefix("*.").unwrap_or(text);
-    let is_name = |letter: u8| letter.is_ascii_alphanumeric() || matches!(letter, b'-' | b'.' | b'_');
-    if text.parse::<IpAddr>().is_ok() || (!name.is_empty() && name.bytes().all(is_name)) {
+    if text.parse::<IpAddr>().is_ok() || is_host_name(name) {
         Ok(text.to_owned())
     } else {
         Err("expected a name or an IP address, without a port".to_owned())
     }
+}
+
+/// Whether a text is the name of a host (RFC 1123; `_` is allowed, too). Its last part is no number, which an address would have there.
+pub(crate) fn is_host_name(text: &str) -> bool {
+    let is_letter = |letter: u8| letter.is_ascii_alphanumeric() || matches!(letter, b'-' | b'_');
+    let is_part = |part: &str| {
+        (1..=63).contains(&part.len()) && part.bytes().all(is_letter) && part.trim_matches('-').len() == part.len()
+    };
+    let is_number = |part: &str| part.bytes().all(|letter| letter.is_ascii_digit());
+    text.len() <= 253 && text.split('.').all(is_part) && !text.rsplit('.').next().is_some_and(is_number)
 }
 
 /// `zenav keys`.
@@ -208,7 +217,7 @@ pub fn run(args: &KeysArgs) -> Outcome {
                 .map(|issued| issued.member.to_string())
                 .collect();
             crate::output::note(format_args!(
-                "{member} is revoked. Copy members.txt to the machines of {}: a router lets it in no more a second later, a robot from its next start on",
+                "{member} is revoked. Copy members.txt to the machines of {}: two seconds later a router lets it in no more, and a robot comes to rest and starts anew",
                 listens.join(", ")
             ));
         }
@@ -220,7 +229,7 @@ pub fn run(args: &KeysArgs) -> Outcome {
                 .collect::<Result<_, _>>()?;
             output::values(*output, &rows, |rows| {
                 let header = ["ROLE", "NAME", "SERIAL", "EXPIRES", "STATE", "HOSTS"];
-                output::table(&header, &rows.iter().map(Row::cells).collect::<Vec<_>>())
+                output::table(&header, rows.iter().map(Row::cells))
             })?;
         }
     }
@@ -336,10 +345,22 @@ mod tests {
 
     #[test]
     fn a_host_is_a_name_or_an_address() {
-        for good in ["site1.local", "10.0.0.2", "fe80::1", "*.site1.local"] {
+        for good in ["site1.local", "10.0.0.2", "fe80::1", "*.site1.local", "R2-D2_a"] {
             assert!(host_name(good).is_ok(), "{good}");
         }
-        for bad in ["", "a b", "site1:7447", "tcp/site1"] {
+        for bad in [
+            "",
+            "a b",
+            "site1:7447",
+            "tcp/site1",
+            "a..b",
+            "a.",
+            "-",
+            "a.-b",
+            "300.1.1.1",
+            "10.1",
+            "*.",
+        ] {
             assert!(host_name(bad).unwrap_err().contains("without a port"), "{bad}");
         }
     }

@@ -9,7 +9,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use zenav_cloud::mapping::{MappingCore, PoseSettings};
+use zenav_cloud::mapping::{MappingCore, PoseSettings, PoseSource};
 use zenav_cloud::motion::worker::{Cancel, MotionWorker};
 use zenav_cloud::motion::{self, MotionSettings};
 use zenav_edge::{EdgeConfig, Inbox, Outbox, Persisted, Pilot, Publication};
@@ -71,6 +71,17 @@ enum Down {
     Request(zenav_mission::Ticket, EdgeRequest),
 }
 
+/// What a part of a robot says.
+#[derive(Clone, Copy, Debug)]
+pub enum Heard<'a> {
+    /// The robot's output of this tick.
+    Robot(&'a Outbox),
+    /// Messages of mapping, among the inputs of the mission's next step.
+    Mapping(&'a zenav_mission::Inputs),
+    /// An effect of the mission.
+    Mission(&'a Effect),
+}
+
 /// The whole system, in one thread.
 pub struct ClosedLoop {
     /// The world; its first robots are the driven ones.
@@ -95,10 +106,21 @@ impl ClosedLoop {
 
     /// One control tick.
     pub fn tick(&mut self) {
-        self.advance();
-        for robot in &mut self.robots {
+        self.tick_heard(|_, _| {});
+    }
+
+    /// One control tick; `hear` gets what the parts of each robot say, with the robot's number.
+    pub fn tick_heard(&mut self, mut hear: impl FnMut(usize, Heard<'_>)) {
+        let outboxes = self.advance();
+        for (index, (robot, outbox)) in self.robots.iter_mut().zip(&outboxes).enumerate() {
+            hear(index, Heard::Robot(outbox));
+            hear(index, Heard::Mapping(&robot.inputs));
             let begun = thread_time();
-            for effect in robot.step_mission() {
+            let effects = robot.step_mission();
+            robot.cpu += thread_time().saturating_sub(begun);
+            effects.iter().for_each(|effect| hear(index, Heard::Mission(effect)));
+            let begun = thread_time();
+            for effect in effects {
                 robot.carry_out(effect);
             }
             robot.cpu += thread_time().saturating_sub(begun);
@@ -161,6 +183,8 @@ pub struct RobotLoop {
     pub inbox: Inbox,
     /// The map and its poses.
     pub mapping: MappingCore,
+    /// Whether mapping corrects the robot's pose.
+    is_corrected: bool,
     /// The mission, while one runs.
     pub mission: Option<Mission>,
     /// Input of the mission's next step.
@@ -199,6 +223,7 @@ impl RobotLoop {
             pilot: Pilot::new(config.edge, BOOT.to_owned(), Persisted::default()),
             inbox: Inbox::default(),
             mapping: MappingCore::new(mapper, &config.poses),
+            is_corrected: config.poses.source != PoseSource::Edge,
             replica: MapReplica::new(),
             worker: MotionWorker::new(Arc::clone(&config.mission.zones), config.motion),
             mission: Some(Mission::new(config.mission, Restored::fresh())),
@@ -310,10 +335,13 @@ impl RobotLoop {
         }
     }
 
-    /// Tells mission and robot how well the robot is localised.
+    /// Tells mission and robot how well the robot is localised. Unlike on the bus, a robot that estimates its pose by itself is not judged
+    /// by the known map: it reaches its goals by that estimate.
     fn localised(&mut self, now: Stamp, localisation: Localisation) {
-        self.inputs.localisation = Some(localisation.clone());
-        self.down.send(now, Down::Localisation(localisation));
+        if self.is_corrected {
+            self.inputs.localisation = Some(localisation.clone());
+            self.down.send(now, Down::Localisation(localisation));
+        }
     }
 
     /// The mission's step, if it is due. Returns its effects.
@@ -391,7 +419,7 @@ impl RobotLoop {
         match request.action {
             // There is no disk here.
             MapAction::Get | MapAction::List | MapAction::Load => {}
-            MapAction::Save => self.mapping.mapper.mark_stored(),
+            MapAction::Save => self.mapping.mark_stored(),
             MapAction::Reset => self.mapping.reset(format!("lockstep-{}", self.ticks)),
             MapAction::Resume => self.mapping.mapper.resume(),
             MapAction::Hold => self.mapping.mapper.hold(),

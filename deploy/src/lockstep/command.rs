@@ -8,17 +8,18 @@ use nalgebra::Point2;
 use serde::Serialize;
 use zenav_cloud::mapping::PoseSource;
 use zenav_mission::goal_validation::TOLERANCE;
-use zenav_protocol::config_text::{Expected, Number};
+use zenav_protocol::config_text::Number;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::DrivingProfile;
 use zenav_protocol::trajectory::TrajectoryPoint;
 use zenav_sim::World;
 
+use super::recorder::Recorder;
 use super::referee::{ContactKind, ContactReport};
 use super::scenario::{Entrant, Scenario};
 use crate::completion;
 use crate::config::Layers;
-use crate::connect::{finite, not_negative, whole};
+use crate::connect::{finite, not_negative, pose, whole};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
@@ -77,6 +78,9 @@ pub struct RunArgs {
     /// Write the driven path as CSV `t,x,y,yaw,v,w`; with several robots, the robot's number comes first
     #[arg(long, value_name = "FILE")]
     trajectory: Option<PathBuf>,
+    /// Record the run in this file; it must not exist yet
+    #[arg(long, value_name = "FILE.mcap")]
+    record: Option<PathBuf>,
     /// Output format
     #[arg(short, long, value_enum, default_value_t)]
     output: Format,
@@ -183,23 +187,36 @@ pub fn run(args: &RunArgs) -> Outcome {
         if several { "robot," } else { "" },
         TrajectoryPoint::CSV_HEADER
     );
-    let mut reports = scenario.run(&layers, |robot, now, truth| {
+    let title = || {
+        let seed = args.seed.unwrap_or(layers.deployment.simulation.seed);
+        format!("{}, seed {seed}", world.name())
+    };
+    let prepared = scenario.prepare(&layers)?;
+    // Only a run that begins creates files.
+    args.trajectory.as_deref().map_or(Ok(()), files::writable)?;
+    let recorder = args.record.as_deref().map(|file| Recorder::create(file, title()));
+    let mut recorder = recorder.transpose()?;
+    let mut reports = prepared.run(recorder.as_mut(), |robot, now, truth| {
         let point = TrajectoryPoint::new(now.as_secs(), truth.map_from_base, truth.twist);
         // Writing to a String cannot fail.
         let _ = match several {
             true => writeln!(rows, "{},{point}", robot + 1),
             false => writeln!(rows, "{point}"),
         };
-    })?;
+    });
     for report in &mut reports {
         report.cpu_s = report.cpu_s.filter(|_| args.cpu);
     }
-    if let Some(file) = &args.trajectory {
-        files::write(file, rows)?;
-    }
+    let written = args
+        .trajectory
+        .as_deref()
+        .map_or(Ok(()), |file| files::write(file, rows));
+    let recorded = recorder.map_or(Ok(()), |recorder| recorder.finish().map(drop));
     let outcome = worst(&reports);
     match reports.as_slice() {
-        [report] => value(args.output, report, text)?,
+        [report] => {
+            value(args.output, report, text)?;
+        }
         _ => {
             let report = FleetReport {
                 outcome,
@@ -209,6 +226,8 @@ pub fn run(args: &RunArgs) -> Outcome {
             value(args.output, &report, fleet_text)?;
         }
     }
+    // The report is printed even if a file could not be written.
+    written.and(recorded)?;
     Ok(match outcome {
         RunOutcome::Reached => exit_code::OK,
         RunOutcome::Timeout => exit_code::TIMEOUT,
@@ -230,10 +249,8 @@ fn check(args: &RunArgs) -> Result<(), Failure> {
             TOLERANCE.end()
         )));
     }
-    let mut headings = args.start.chunks_exact(3).map(|start| start[2]);
-    headings
-        .try_for_each(|yaw| Expected::Angle.check(yaw).map(drop))
-        .map_err(|why| Failure::usage(format!("--start: YAW {why}")))
+    let mut starts = args.start.chunks_exact(3);
+    starts.try_for_each(|start| pose("--start", start).map(drop))
 }
 
 /// One robot per goal.
@@ -272,11 +289,17 @@ fn check_goals(world: &World, entrants: &[Entrant<'_>]) -> Result<(), Failure> {
         "--goal {} {} lies outside of the world: expected {} to {} by {} to {}",
         Number(goal.x),
         Number(goal.y),
-        low.x,
-        high.x,
-        low.y,
-        high.y
+        millimetres(low.x),
+        millimetres(high.x),
+        millimetres(low.y),
+        millimetres(high.y)
     )))
+}
+
+/// A length in whole millimetres, m, without the digits that only rounding left, as in 9.200000000000003.
+fn millimetres(metres: f64) -> Number {
+    // Adding zero takes the sign from -0.
+    Number((1e3 * metres).round() / 1e3 + 0.0)
 }
 
 /// The worst outcome of several robots.
@@ -342,6 +365,52 @@ fn text(report: &RunReport) -> String {
 mod tests {
     #![allow(clippy::unwrap_used, reason = "tests")]
     use super::*;
+
+    #[test]
+    fn a_trajectory_that_cannot_be_written_is_refused_before_the_run() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name).display().to_string();
+        let (rows, record) = (path("none/driven.csv"), path("run.mcap"));
+        let words = [
+            "--world",
+            "empty",
+            "--goal",
+            "3",
+            "0",
+            "--trajectory",
+            &rows,
+            "--record",
+            &record,
+        ];
+        let refused = run(&crate::cli::parsed(&words).unwrap()).unwrap_err();
+        assert!(refused.message.contains("driven.csv"), "{refused}");
+        assert!(!std::path::Path::new(&record).exists());
+    }
+
+    #[test]
+    fn bounds_are_told_to_the_millimetre() {
+        let told = [9.200000000000003, -1e-7, -10.0].map(|metres| millimetres(metres).to_string());
+        assert_eq!(told, ["9.2", "0", "-10"]);
+    }
+
+    #[test]
+    fn a_run_that_is_refused_creates_no_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name).display().to_string();
+        let (rows, record, zones) = (path("driven.csv"), path("run.mcap"), path("zones.toml"));
+        std::fs::write(&zones, "[[keep_out]]\nname = 3\n").unwrap();
+        for wrong in [
+            &["--robot", "no_such_robot"][..],
+            &["--zones", &zones],
+            &["--start", "99", "0", "0"],
+        ] {
+            let files = ["--trajectory", &rows, "--record", &record];
+            let words = [&["--world", "empty", "--goal", "3", "0"][..], &files[..], wrong].concat();
+            assert!(run(&crate::cli::parsed(&words).unwrap()).is_err(), "{wrong:?}");
+            let left: Vec<_> = std::fs::read_dir(folder.path()).unwrap().collect();
+            assert_eq!(left.len(), 1, "{wrong:?}: {left:?}");
+        }
+    }
 
     #[test]
     fn a_goal_outside_of_the_world_is_refused() {

@@ -3,18 +3,19 @@
 use std::path::{Path, PathBuf};
 
 use nalgebra::Point2;
-use zenav_cloud::mapping::{PoseSettings, PoseSource};
+use zenav_cloud::mapping::{PoseSettings, PoseSource, annotations_of};
 use zenav_mission::MissionConfig;
 use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::id::{Id, InvalidId};
-use zenav_protocol::messages::{DrivingProfile, GoalPhase, GoalRequest, GoalState};
+use zenav_protocol::messages::{Annotations, DrivingProfile, GoalPhase, GoalRequest, GoalState};
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics::MissionRequest;
 use zenav_sim::{RobotSpec, Simulation, Truth, World};
 
 use super::closed_loop::{ClosedLoop, ClosedLoopConfig, RobotLoop};
 use super::command::{RunOutcome, RunReport};
+use super::recorder::Recorder;
 use super::referee::Referee;
 use crate::components::{edge_config, places};
 use crate::config::Layers;
@@ -30,6 +31,8 @@ const MAX_CELLS: f64 = 16_384.0;
 const COMPUTING: f64 = 0.1;
 /// Time for a robot to come to rest after its mission has ended, s.
 const SETTLING: f64 = 5.0;
+/// Longest that a record goes on until the missions have ended the goals that their robots have reached, s.
+const ENDING: f64 = 10.0;
 
 /// A robot and its goal; `None` means the deployment's value.
 #[derive(Clone, Copy, Debug)]
@@ -73,25 +76,90 @@ struct Going {
     report: Option<RunReport>,
 }
 
-impl Scenario<'_> {
-    /// Runs until every robot is done; `see` is called after every tick with each robot's number and ground truth. Returns one report per
-    /// robot, in order: its state when it was done, with all contacts to the end of the run.
+/// A scenario whose inputs are all read and checked.
+pub(crate) struct Prepared<'a> {
+    scenario: &'a Scenario<'a>,
+    seed: u64,
+    names: Vec<Id>,
+    /// Places and zones, the same for all robots.
+    annotations: Annotations,
+    all: Vec<Going>,
+    stage: ClosedLoop,
+}
+
+impl Prepared<'_> {
+    /// Runs until every robot is done, with a record if one is wanted; `see` is called after every tick with each robot's number and ground
+    /// truth. Returns one report per robot, in order: its state when it was done, with all contacts to the end of the run.
+    pub(crate) fn run(
+        self,
+        mut recorder: Option<&mut Recorder>,
+        mut see: impl FnMut(usize, Stamp, &Truth),
+    ) -> Vec<RunReport> {
+        let Self {
+            scenario,
+            seed,
+            names,
+            annotations,
+            mut all,
+            mut stage,
+        } = self;
+        if let Some(recorder) = recorder.as_deref_mut() {
+            for name in &names {
+                recorder.annotate(name.as_str(), &annotations);
+            }
+        }
+        while all.iter().any(|going| going.report.is_none()) {
+            match recorder.as_deref_mut() {
+                None => stage.tick(),
+                Some(recorder) => recorder.tick(&mut stage, &names),
+            }
+            let now = stage.now();
+            for (index, (going, robot)) in all.iter_mut().zip(&stage.robots).enumerate() {
+                let truth = stage.truth(index);
+                see(index, now, &truth);
+                going.referee.watch(now, &truth);
+                if going.report.is_none()
+                    && let Some((outcome, reason)) = scenario.end(going, robot, &truth, now.as_secs())
+                {
+                    going.report = Some(scenario.report(going, robot, &truth, seed, outcome, reason));
+                }
+            }
+        }
+        let is_reached = |report: &RunReport| report.outcome == RunOutcome::Reached;
+        let reached: Vec<bool> = all
+            .iter()
+            .map(|going| going.report.as_ref().is_some_and(is_reached))
+            .collect();
+        let reports = all.into_iter().enumerate().filter_map(|(index, going)| {
+            let report = going.report?;
+            Some(judged(report, &going.referee, &stage.truth(index)))
+        });
+        let reports = reports.collect();
+        if let Some(recorder) = recorder {
+            // A mission learns later than the referee that its robot has reached the goal.
+            let until = stage.now().as_secs() + ENDING;
+            let is_open = |(robot, reached): (&RobotLoop, &bool)| {
+                *reached && !robot.goal().is_some_and(|goal| goal.state.is_end())
+            };
+            while stage.now().as_secs() < until && stage.robots.iter().zip(&reached).any(is_open) {
+                recorder.tick(&mut stage, &names);
+            }
+        }
+        reports
+    }
+}
+
+impl<'a> Scenario<'a> {
+    /// Reads and checks all inputs.
     ///
     /// # Errors
     /// Invalid robots, zones or starts.
-    pub(crate) fn run(
-        &self,
-        layers: &Layers,
-        mut see: impl FnMut(usize, Stamp, &Truth),
-    ) -> Result<Vec<RunReport>, Failure> {
+    pub(crate) fn prepare(&'a self, layers: &Layers) -> Result<Prepared<'a>, Failure> {
         let indices = 0..self.entrants.len();
         let entrants = indices.zip(&self.entrants);
         let configs: Vec<ClosedLoopConfig> = entrants
             .map(|(index, entrant)| self.closed_loop(layers, index, entrant))
             .collect::<Result<_, _>>()?;
-        let Some(seed) = configs.first().map(|config| config.seed) else {
-            return Ok(Vec::new());
-        };
         let mut specs = Vec::new();
         let mut all = Vec::new();
         let mut requests = Vec::new();
@@ -120,30 +188,23 @@ impl Scenario<'_> {
                 ..GoalRequest::default()
             }));
         }
+        let seed = configs.first().map_or(0, |config| config.seed);
         let simulation = Simulation::new(self.world, specs, seed).map_err(|error| Failure::usage(error.to_string()))?;
+        let names = configs.iter().map(|config| config.edge.robot.clone()).collect();
+        let mission = configs.first().map(|config| &config.mission);
+        let annotations = mission.map(|mission| annotations_of(mission.places.clone(), &mission.zones));
         let mut stage = ClosedLoop::new(simulation, configs);
         for (robot, request) in stage.robots.iter_mut().zip(requests) {
             robot.ask(request);
         }
-        while all.iter().any(|going| going.report.is_none()) {
-            stage.tick();
-            let now = stage.now();
-            for (index, (going, robot)) in all.iter_mut().zip(&stage.robots).enumerate() {
-                let truth = stage.truth(index);
-                see(index, now, &truth);
-                going.referee.watch(now, &truth);
-                if going.report.is_none()
-                    && let Some((outcome, reason)) = self.end(going, robot, &truth, now.as_secs())
-                {
-                    going.report = Some(self.report(going, robot, &truth, seed, outcome, reason));
-                }
-            }
-        }
-        let reports = all.into_iter().enumerate().filter_map(|(index, going)| {
-            let report = going.report?;
-            Some(judged(report, &going.referee, &stage.truth(index)))
-        });
-        Ok(reports.collect())
+        Ok(Prepared {
+            scenario: self,
+            seed,
+            names,
+            annotations: annotations.unwrap_or_default(),
+            all,
+            stage,
+        })
     }
 
     /// Whether a robot is done, with outcome and reason.
@@ -249,8 +310,11 @@ impl Scenario<'_> {
         if self.zones.is_none() {
             layers.check_file("zones.file")?;
         }
+        let edge = edge_config(&id, &section, files::robot(&section.model)?, start);
+        let suits = edge.settings.check_for(&edge.model, edge.tick);
+        suits.map_err(|error| Failure::usage(format!("{}: {}", section.model, error.within("edge"))))?;
         Ok(ClosedLoopConfig {
-            edge: edge_config(&id, &section, files::robot(&section.model)?, start),
+            edge,
             mission: MissionConfig {
                 robot: id,
                 holder: "lockstep".to_owned(),
@@ -381,7 +445,7 @@ mod tests {
         };
         let layers = Layers::load(None).unwrap();
         let run = || -> Vec<(RunOutcome, f64, u32)> {
-            let reports = scenario.run(&layers, |_, _, _| {}).unwrap();
+            let reports = scenario.prepare(&layers).unwrap().run(None, |_, _, _| {});
             let ends = reports
                 .iter()
                 .map(|report| (report.outcome, report.time_s, report.collisions));
@@ -390,5 +454,43 @@ mod tests {
         let ends = run();
         assert!(ends.iter().all(|(_, _, contacts)| *contacts == 0), "{ends:?}");
         assert_eq!(ends, run());
+    }
+
+    #[test]
+    fn a_robot_that_is_not_round_touches_a_pane_of_glass_a_few_times_at_most_and_drives_round_it() {
+        let wall = |from: [f64; 2], to: [f64; 2]| format!("[[wall]]\nfrom = {from:?}\nto = {to:?}\nthickness = 0.2\n");
+        let walls = [
+            wall([-0.1, -0.1], [7.1, -0.1]),
+            wall([-0.1, 5.1], [7.1, 5.1]),
+            wall([-0.1, -0.1], [-0.1, 5.1]),
+            wall([7.1, -0.1], [7.1, 5.1]),
+            wall([3.5, 1.9], [3.5, 3.1]) + "glass = true\n",
+        ];
+        let text = format!("size = [7.4, 5.4]\norigin = [-0.2, -0.2]\n{}", walls.concat());
+        let world = World::from_toml(&text, "glass", &|_| Err(String::new())).unwrap();
+        let layers = Layers::load(None).unwrap();
+        let entrant = Entrant {
+            robot: Some("jackal"),
+            start: Some(Pose2::new(1.0, 2.5, 0.0)),
+            goal: Point2::new(6.0, 2.5),
+        };
+        let scenario = Scenario {
+            world: &world,
+            entrants: vec![entrant],
+            seed: Some(1),
+            known_map: false,
+            poses: None,
+            zones: None,
+            cloud_delay_ms: 100.0,
+            tolerance: Some(0.25),
+            profile: None,
+            timeout: 150.0,
+        };
+        let reports = scenario.prepare(&layers).unwrap().run(None, |_, _, _| {});
+        let (touched, reason) = (reports[0].collisions, reports[0].reason.as_deref().unwrap_or_default());
+        assert!(
+            (1..=3).contains(&touched) && reason.ends_with("then: reached"),
+            "{touched}, {reason}"
+        );
     }
 }

@@ -276,13 +276,28 @@ async fn pass(mut from: OwnedReadHalf, mut to: OwnedWriteHalf, link: Shared, sta
 
 /// `HOST:PORT`, with or without `tcp/` before it.
 fn address(text: &str) -> Result<String, String> {
-    crate::connect::address(text.strip_prefix("tcp/").unwrap_or(text))
+    let address = text.strip_prefix("tcp/").unwrap_or(text);
+    match address.split_once('/') {
+        Some((protocol, _)) => Err(format!(
+            "`{protocol}`: expected HOST:PORT or tcp/HOST:PORT, for only TCP passes here; links with an identity use UDP"
+        )),
+        None => crate::connect::address(address),
+    }
 }
 
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
+
+    #[test]
+    fn only_tcp_passes() {
+        assert_eq!(address("tcp/router:7447"), Ok("router:7447".to_owned()));
+        assert_eq!(address("[::1]:0"), Ok("[::1]:0".to_owned()));
+        let refused = address("quic/router:7447").unwrap_err();
+        assert!(refused.contains("`quic`") && refused.contains("UDP"), "{refused}");
+        assert!(address("router").is_err());
+    }
 
     /// Bytes that each connection sends.
     const SENT: usize = 16_000;

@@ -83,8 +83,7 @@ pub fn lease(args: &LeaseArgs) -> Outcome {
                     link: state.link,
                 },
                 show,
-            )?;
-            Ok(exit_code::OK)
+            )
         }
         Some(LeaseCommand::Acquire { secs }) => {
             let held = LeaseSession::acquire(&bus, &robot, &name, patience).await?;
@@ -132,8 +131,7 @@ pub fn lease(args: &LeaseArgs) -> Outcome {
                 args.output,
                 &serde_json::json!({ "robot": robot, "released": name }),
                 |_| format!("{name} gave back {robot}"),
-            )?;
-            Ok(exit_code::OK)
+            )
         }
         Some(LeaseCommand::Forget) => {
             let before = state(&bus, &robot, patience).await?;
@@ -150,8 +148,7 @@ pub fn lease(args: &LeaseArgs) -> Outcome {
                         leader.caught_up.join(", ")
                     )
                 },
-            )?;
-            Ok(exit_code::OK)
+            )
         }
     })
 }

@@ -7,11 +7,11 @@ use std::time::Duration;
 use indicatif::ProgressBar;
 use serde::Serialize;
 use tokio::time::{Instant, sleep};
+use zenav_cloud::operator::Authority;
 use zenav_protocol::bus::{AskError, Bus};
 use zenav_protocol::messages::{BehaviourAction, BehaviourReport, BehaviourRequest, BehaviourState};
 use zenav_protocol::topics;
 
-use super::change::Authority;
 use super::ended;
 use super::holder;
 use crate::connect::{self, RobotArgs, finite, fresh_id, positive};
@@ -256,15 +256,9 @@ fn show(display: Option<&ProgressBar>, id: &str) {
 mod tests {
     use super::*;
 
-    #[derive(Debug, clap::Parser)]
-    struct Wrapper {
-        #[command(flatten)]
-        args: DoArgs,
-    }
-
     fn parsed(words: &[&str]) -> Option<BehaviourAction> {
-        let wrapper: Wrapper = crate::cli::parsed(&[&["do"], words].concat()).ok()?;
-        Some(wrapper.args.maneuver.action())
+        let args: DoArgs = crate::cli::parsed(words).ok()?;
+        Some(args.maneuver.action())
     }
 
     #[test]

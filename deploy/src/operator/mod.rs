@@ -5,7 +5,6 @@
 //! |---|---|
 //! | `stop` | stop, resume |
 //! | `lease` | who may command? show, acquire, release |
-//! | `change` | under which lease is a robot changed? |
 //! | `param` | parameters of a running robot |
 //! | `maneuver` | spin, drive straight, back up, wait |
 //! | `keyboard` | which key commands which motion, and for how long? (pure) |
@@ -13,7 +12,6 @@
 //! | `pose` | the robot's pose: show, set, search |
 //! | `teleop` | driving in the terminal |
 
-pub(crate) mod change;
 mod keyboard;
 mod lease;
 mod maneuver;
@@ -31,7 +29,7 @@ pub use stop::{StopArgs, resume, stop};
 pub use teleop::{TeleopArgs, teleop};
 
 /// This user's name as a lease holder: the same for all of the user's commands, so that one can release what another took.
-fn holder() -> String {
+pub(crate) fn holder() -> String {
     let user = std::env::var("USER").or_else(|_| std::env::var("USERNAME"));
     holder_of(&user.unwrap_or_else(|_| user_number()))
 }

@@ -4,11 +4,12 @@
 use std::collections::BTreeMap;
 
 use serde::Serialize;
+use zenav_cloud::operator;
 use zenav_protocol::bus::AskError;
 use zenav_protocol::messages::{ParamRequest, Refusal};
 use zenav_protocol::topics;
 
-use super::change;
+use super::holder;
 use crate::completion;
 use crate::connect::{self, RobotArgs, finite};
 use crate::exit_code;
@@ -108,7 +109,7 @@ pub fn param(args: &ParamArgs) -> Outcome {
                     };
                     bus.ask(&topics::PARAM, &[&robot], &request, patience).await
                 };
-                let reply = change::in_force_or_own(&bus, &robot, patience, ask).await?;
+                let reply = operator::in_force_or_own(&bus, &robot, &holder(), patience, ask).await?;
                 let set = Set {
                     value: value_of(&reply.params, name)?,
                     robot,

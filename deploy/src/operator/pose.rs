@@ -4,15 +4,15 @@ use std::time::Duration;
 
 use clap::{Args, Subcommand};
 use serde::Serialize;
+use zenav_cloud::operator;
 use zenav_protocol::bus::Bus;
 use zenav_protocol::config_text::Expected;
 use zenav_protocol::geometry::{Pose2, wrap_angle};
 use zenav_protocol::messages::{Health, LocaliseAction, LocaliseRequest, PoseEstimate};
 use zenav_protocol::topics;
 
-use super::change;
+use super::holder;
 use crate::connect::{self, RobotArgs};
-use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::output::{self, Format};
 
@@ -25,6 +25,12 @@ const TAKEN: (f64, f64) = (1.0, 0.6);
     after_help = "Examples:\n  zenav pose show\n  zenav pose set -1.0 -0.5 0     m, m, rad\n  zenav pose search              without a guess"
 )]
 pub struct PoseArgs {
+    /// Connection and robot.
+    #[command(flatten)]
+    robot: RobotArgs,
+    /// Output format
+    #[arg(short, long, global = true, value_enum, default_value_t)]
+    output: Format,
     #[command(subcommand)]
     command: PoseCommand,
 }
@@ -32,30 +38,15 @@ pub struct PoseArgs {
 #[derive(Debug, Subcommand)]
 enum PoseCommand {
     /// Show the robot's pose estimate, and whether it can be trusted
-    Show(ShowArgs),
+    Show,
     /// Set the robot's pose, to within some decimetres; the robot drops its plan and continues from there
-    Set(SetArgs),
+    Set {
+        /// Pose in the map: m, m, rad
+        #[arg(num_args = 3, value_names = ["X", "Y", "YAW"], required = true, value_parser = connect::finite)]
+        pose: Vec<f64>,
+    },
     /// Search for the robot in the whole map (with `mapping.poses = "localise"` or `"slam"`)
-    Search(ShowArgs),
-}
-
-#[derive(Debug, Args)]
-struct ShowArgs {
-    /// Connection and robot.
-    #[command(flatten)]
-    robot: RobotArgs,
-    /// Output format
-    #[arg(short, long, value_enum, default_value_t)]
-    output: Format,
-}
-
-#[derive(Debug, Args)]
-struct SetArgs {
-    /// Pose in the map: m, m, rad
-    #[arg(num_args = 3, value_names = ["X", "Y", "YAW"], required = true, value_parser = connect::finite)]
-    pose: Vec<f64>,
-    #[command(flatten)]
-    show: ShowArgs,
+    Search,
 }
 
 #[derive(Debug, Serialize)]
@@ -72,10 +63,10 @@ struct Shown {
 /// A pose that is not finite, a robot that is not found, a refusal by mapping.
 pub fn pose(args: &PoseArgs) -> Outcome {
     match &args.command {
-        PoseCommand::Show(args) => act(args, LocaliseAction::Report, None),
-        PoseCommand::Search(args) => act(args, LocaliseAction::Global, None),
-        PoseCommand::Set(args) => {
-            let [x, y, yaw] = args.pose[..] else {
+        PoseCommand::Show => act(args, LocaliseAction::Report, None),
+        PoseCommand::Search => act(args, LocaliseAction::Global, None),
+        PoseCommand::Set { pose } => {
+            let [x, y, yaw] = pose[..] else {
                 return Err(Failure::usage("expected X Y YAW"));
             };
             let pose = Pose2::new(x, y, yaw);
@@ -85,12 +76,12 @@ pub fn pose(args: &PoseArgs) -> Outcome {
             Expected::Angle
                 .check(yaw)
                 .map_err(|why| Failure::usage(format!("YAW {why}")))?;
-            act(&args.show, LocaliseAction::At, Some(pose))
+            act(args, LocaliseAction::At, Some(pose))
         }
     }
 }
 
-fn act(args: &ShowArgs, action: LocaliseAction, pose: Option<Pose2>) -> Outcome {
+fn act(args: &PoseArgs, action: LocaliseAction, pose: Option<Pose2>) -> Outcome {
     let patience = args.robot.link.patience();
     let shown = connect::on_bus(&args.robot.link.with_robot(), async |bus| {
         let robot = connect::find(&bus, args.robot.robot.as_deref()).await?;
@@ -102,7 +93,9 @@ fn act(args: &ShowArgs, action: LocaliseAction, pose: Option<Pose2>) -> Outcome 
         let reply = match action {
             LocaliseAction::Report => ask(None).await?,
             // A robot whose pose is being reset must not drive meanwhile.
-            LocaliseAction::At | LocaliseAction::Global => change::at_rest(bus, robot, patience, ask).await?,
+            LocaliseAction::At | LocaliseAction::Global => {
+                operator::at_rest(bus, robot, &holder(), patience, ask).await?
+            }
         };
         let newest = told(bus, robot, pose, patience).await?;
         if let (Some(pose), Some(newest)) = (pose, newest)
@@ -123,8 +116,7 @@ fn act(args: &ShowArgs, action: LocaliseAction, pose: Option<Pose2>) -> Outcome 
     output::value(args.output, &shown, |shown| {
         let place = shown.pose.map_or_else(|| "no pose yet".to_owned(), place);
         format!("{}: {place}; {}", shown.robot, shown.health)
-    })?;
-    Ok(exit_code::OK)
+    })
 }
 
 /// The robot's pose estimate: as soon as it is near the pose that was set, at the latest after `within`.
@@ -151,4 +143,21 @@ fn is_about(told: Pose2, pose: Pose2) -> bool {
 
 fn place(pose: Pose2) -> String {
     format!("x {:.3} m, y {:.3} m, yaw {:.3} rad", pose.x, pose.y, pose.yaw)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_connection_may_be_named_before_the_subcommand_and_after_it() {
+        let link = ["--connect", "tcp/127.0.0.1:7450"];
+        for words in [[&link[..], &["show"]], [&["show"], &link[..]]] {
+            let parsed = crate::cli::parsed::<PoseArgs>(&words.concat());
+            assert!(
+                parsed.is_ok_and(|args| args.robot.link.endpoints() == [link[1]]),
+                "{words:?}"
+            );
+        }
+    }
 }

@@ -5,6 +5,8 @@ use std::time::Duration;
 use zenav_protocol::geometry::Twist2;
 use zenav_protocol::messages::{EdgeState, GuardZone, LeaseReply, LostPolicy, Mode};
 
+use crate::output::hundredths;
+
 /// Age from which a state is reported as old: the robot drops commands that echo it.
 pub(super) const OLD: Duration = Duration::from_millis(300);
 
@@ -112,15 +114,13 @@ pub(super) fn cut(line: &str, columns: usize) -> String {
 
 /// With a sign; zero is always `+0.00`.
 fn signed(value: f64) -> String {
-    let text = format!("{value:+.2}");
-    if text == "-0.00" { "+0.00".to_owned() } else { text }
+    format!("{:+.2}", hundredths(value))
 }
 
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use zenav_protocol::messages::{LeaseState, Link};
-    use zenav_protocol::time::Stamp;
 
     use super::*;
 
@@ -135,8 +135,6 @@ mod tests {
 
     fn state(epoch: u64, holder: Option<&str>, live: bool) -> EdgeState {
         EdgeState {
-            stamp: Stamp::ZERO,
-            frame: 0,
             boot_id: "b1".to_owned(),
             mode: Mode::Teleop,
             link: Link::Connected,
@@ -146,18 +144,10 @@ mod tests {
                 live,
                 ..LeaseState::default()
             },
-            plan: None,
             velocity: Twist2::new(0.3, -0.001),
-            guard: GuardZone::Clear,
             battery: 1.0,
-            behaviour: None,
-            wall_follower: None,
-            missed_ticks: 0,
             uplink: 1.0,
-            round_trip_secs: None,
-            stops: 0,
-            makes_way: false,
-            faults: Default::default(),
+            ..EdgeState::default()
         }
     }
 

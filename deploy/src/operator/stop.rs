@@ -77,7 +77,7 @@ fn act(args: &StopArgs, stop: bool) -> Outcome {
                 answers.insert(robot, answer);
             }
             if answers.is_empty() {
-                return Err(Failure::not_found("no robot shows here"));
+                return Err(connect::none_shows(&bus));
             }
             return Ok(answers);
         }
@@ -99,14 +99,15 @@ fn act(args: &StopArgs, stop: bool) -> Outcome {
                 }
                 return Ok(BTreeMap::from([(robot.clone(), answer)]));
             }
-            None => connect::find(&bus, None).await?,
+            None => connect::find_or(&bus, None, |robots| both_ways(robots, stop)).await?,
         };
         let answer = ask(&bus, &robot).await;
         if answer.is_ok() {
             warn_if_not_stored(&bus, &robot).await;
         }
         Ok(BTreeMap::from([(robot, answer)]))
-    })?;
+    });
+    let answers = answers.map_err(|failure| at_its_endpoint(failure, stop, &args.robot.link))?;
     let mut rows = Vec::new();
     let mut failure = None;
     for (robot, answer) in answers {
@@ -116,25 +117,45 @@ fn act(args: &StopArgs, stop: bool) -> Outcome {
                 stopped: reply.stopped,
             }),
             Err(error) => {
-                let error = Failure::from(error);
-                failure = Some(Failure::new(error.code, format!("{robot}: {error}")));
+                let error = Failure::from(error).about(&robot);
+                failure = Some(at_its_endpoint(error, stop, &args.robot.link));
             }
         }
     }
     let line = |row: &Stopped| format!("{} {}", row.robot, if row.stopped { "stopped" } else { "may go" });
+    let lines = |rows: &[Stopped]| rows.iter().map(line).collect::<Vec<_>>().join("\n");
     match rows.as_slice() {
-        [] => {}
-        [one] if !args.all => output::value(args.output, one, line)?,
-        several => output::values(args.output, several, |rows| {
-            rows.iter().map(line).collect::<Vec<_>>().join("\n")
-        })?,
-    }
+        [] => Ok(exit_code::OK),
+        [one] if !args.all => output::value(args.output, one, line),
+        several => output::values(args.output, several, lines),
+    }?;
     match failure {
         Some(failure) => Err(failure),
         // A robot in the wrong state after the request is a failure.
         None if rows.iter().any(|row| row.stopped != stop) => Ok(exit_code::FAILED),
         None => Ok(exit_code::OK),
     }
+}
+
+/// Adds the way that needs no router, if the robot was not reached.
+fn at_its_endpoint(failure: Failure, stop: bool, link: &LinkArgs) -> Failure {
+    if ![exit_code::TIMEOUT, exit_code::NOT_FOUND].contains(&failure.code) {
+        return failure;
+    }
+    let verb = if stop { "stop" } else { "resume" };
+    let protocol = link.identity.identity.as_ref().map_or("tcp", |_| "quic");
+    let cure = format!("`zenav {verb} --connect {protocol}/HOST:7450`");
+    Failure {
+        message: format!("{}; the robot's own endpoint needs no router: {cure}", failure.message),
+        ..failure
+    }
+}
+
+/// The commands for all robots and for one.
+fn both_ways(robots: &[&str], stop: bool) -> String {
+    let verb = if stop { "stop" } else { "resume" };
+    let first = robots.first().copied().unwrap_or_default();
+    format!("`zenav {verb} --all` for all, `zenav {verb} --robot {first}` for one")
 }
 
 /// Asks a robot to stop, or to resume.
@@ -160,7 +181,8 @@ pub(super) async fn release(bus: &Bus, robot: &str, by: String, patience: Durati
     let Ok(state) = tokio::time::timeout(patience, states.next()).await else {
         return Err(AskError::Timeout { key });
     };
-    let request = ResumeRequest::new(by, state.ok_or(AskError::Closed)?.message.stops);
+    let state = state.ok_or(AskError::Closed)?.message;
+    let request = ResumeRequest::new(by, state.boot_id, state.stops);
     let left = patience.saturating_sub(began.elapsed()).max(STATE_WITHIN);
     bus.ask(&topics::RESUME, &[robot], &request, left).await
 }
@@ -188,9 +210,9 @@ pub(super) async fn everywhere(bus: &Bus, link: &LinkArgs, robot: &str) -> Resul
     let mut links = JoinSet::new();
     let request = StopRequest::new(holder());
     links.spawn(confirmed(bus.clone(), robot.to_owned(), request.clone(), patience));
-    for endpoint in &link.connect {
+    for endpoint in link.endpoints() {
         let (robot, request, mut link) = (robot.to_owned(), request.clone(), link.clone());
-        link.connect = vec![endpoint.clone()];
+        link.connect = vec![endpoint];
         links.spawn(async move { confirmed(connect::open(&link).await?, robot, request, patience).await });
     }
     let mut failure = None;
@@ -221,6 +243,30 @@ mod tests {
 
     use super::*;
     use crate::config::IdentityArgs;
+
+    #[test]
+    fn several_robots_are_refused_with_the_commands_for_all_and_for_one() {
+        assert_eq!(
+            both_ways(&["anna", "bert"], true),
+            "`zenav stop --all` for all, `zenav stop --robot anna` for one"
+        );
+        assert!(both_ways(&["anna", "bert"], false).starts_with("`zenav resume --all` "));
+    }
+
+    #[test]
+    fn a_robot_that_is_not_reached_is_told_with_its_own_endpoint() {
+        let mut link = crate::cli::parsed::<LinkArgs>(&[]).unwrap();
+        let told = |code, stop, link: &LinkArgs| at_its_endpoint(Failure::new(code, "no answer"), stop, link).message;
+        let cure = "no answer; the robot's own endpoint needs no router: `zenav stop --connect tcp/HOST:7450`";
+        assert_eq!(told(exit_code::TIMEOUT, true, &link), cure);
+        assert_eq!(told(exit_code::REJECTED, true, &link), "no answer");
+        link.identity.identity = Some("operator.anna".into());
+        let secured = told(exit_code::NOT_FOUND, false, &link);
+        assert!(
+            secured.ends_with("`zenav resume --connect quic/HOST:7450`"),
+            "{secured}"
+        );
+    }
 
     async fn endpoint() -> (Bus, String) {
         let config = BusConfig {

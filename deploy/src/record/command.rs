@@ -1,7 +1,6 @@
 //! `zenav record`. Records chosen keys into one or several files, for a time or until Ctrl-C.
 
 use std::path::PathBuf;
-use std::time::Duration;
 
 use zenav_protocol::bus::interrupted;
 use zenav_protocol::topics;
@@ -9,7 +8,7 @@ use zenav_protocol::topics;
 use super::recorder::Recording;
 use super::writer::{RecordOptions, Written};
 use crate::completion;
-use crate::connect::{self, RobotArgs, positive, whole_in};
+use crate::connect::{self, RobotArgs, positive, seconds, whole_in};
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::inspect::pattern;
@@ -162,20 +161,12 @@ fn has_robot(written: &Written, robot: &str) -> bool {
     written.keys.keys().any(|key| key.starts_with(&prefix))
 }
 
-fn seconds(secs: f64) -> Duration {
-    Duration::try_from_secs_f64(secs).unwrap_or(Duration::from_secs(1 << 30))
-}
-
 fn table(written: &Written) -> String {
-    let rows: Vec<Vec<String>> = written
-        .keys
-        .iter()
-        .map(|(key, count)| {
-            let hz = *count as f64 / written.secs.max(1e-3);
-            vec![key.clone(), count.to_string(), format!("{hz:.1}")]
-        })
-        .collect();
-    let mut lines = vec![output::table(&["KEY", "MESSAGES", "HZ"], &rows), String::new()];
+    let rows = written.keys.iter().map(|(key, count)| {
+        let hz = *count as f64 / written.secs.max(1e-3);
+        [key.clone(), count.to_string(), format!("{hz:.1}")]
+    });
+    let mut lines = vec![output::table(&["KEY", "MESSAGES", "HZ"], rows), String::new()];
     lines.push(format!(
         "{} on {} in {:.1} s: {:.1} MB of payload, {:.1} MB in {}; {} dropped",
         output::counted(written.messages, "message"),

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use nalgebra::Point2;
 use serde::Serialize;
 
-use super::run::{GoalRun, KeyCount, RobotRun, Run, phase};
+use super::run::{GoalRun, KeyCount, RobotRun, Run};
 use crate::exit_code;
 use crate::failure::Outcome;
 use crate::output::{self, Format};
@@ -170,8 +170,8 @@ fn goals(a: &RobotRun, b: &RobotRun) -> Vec<GoalComparison> {
     }
     let row = |goal: String, a: Option<&GoalRun>, b: Option<&GoalRun>| GoalComparison {
         goal,
-        a: a.map(|goal| phase(goal.state.state)),
-        b: b.map(|goal| phase(goal.state.state)),
+        a: a.map(|goal| goal.state.state.name()),
+        b: b.map(|goal| goal.state.state.name()),
         a_secs: a.map(|goal| goal.to - goal.from),
         b_secs: b.map(|goal| goal.to - goal.from),
     };
@@ -269,14 +269,14 @@ fn number(value: Option<f64>) -> String {
 fn table(comparison: &Comparison) -> String {
     let mut lines = Vec::new();
     for robot in &comparison.robots {
-        let mut rows: Vec<Vec<String>> = Vec::new();
+        let mut rows: Vec<[String; 4]> = Vec::new();
         for goal in &robot.goals {
             let told = |phase: Option<&str>, secs: Option<f64>| match (phase, secs) {
                 (Some(phase), Some(secs)) => format!("{phase}, {secs:.1} s"),
                 _ => "-".to_owned(),
             };
             let mark = if goal.a == goal.b { "" } else { "other outcome" };
-            rows.push(vec![
+            rows.push([
                 format!("goal {}", goal.goal),
                 told(goal.a, goal.a_secs),
                 told(goal.b, goal.b_secs),
@@ -293,38 +293,24 @@ fn table(comparison: &Comparison) -> String {
                 let sign = if b > a { "+" } else { "" };
                 format!("{sign}{}", number(Some(b - a)))
             });
-            rows.push(vec![
-                name,
-                number(figure.a),
-                number(figure.b),
-                change.unwrap_or_default(),
-            ]);
+            rows.push([name, number(figure.a), number(figure.b), change.unwrap_or_default()]);
         }
         if let Some(apart) = robot.path_apart_m {
-            rows.push(vec![
+            rows.push([
                 "paths apart at most, m".to_owned(),
                 String::new(),
                 String::new(),
                 number(Some(apart)),
             ]);
         }
-        lines.push(output::table(&[&robot.robot.to_uppercase(), "A", "B", "B - A"], &rows));
+        lines.push(output::table(&[&robot.robot.to_uppercase(), "A", "B", "B - A"], rows));
         lines.push(String::new());
     }
-    let rows: Vec<Vec<String>> = comparison
-        .keys
-        .iter()
-        .map(|key| {
-            vec![
-                key.key.clone(),
-                key.a.to_string(),
-                key.b.to_string(),
-                format!("{:.1}", key.a_hz),
-                format!("{:.1}", key.b_hz),
-            ]
-        })
-        .collect();
-    lines.push(output::table(&["KEY", "A", "B", "A HZ", "B HZ"], &rows));
+    let rows = comparison.keys.iter().map(|key| {
+        let [a_hz, b_hz] = [key.a_hz, key.b_hz].map(|hz| format!("{hz:.1}"));
+        [key.key.clone(), key.a.to_string(), key.b.to_string(), a_hz, b_hz]
+    });
+    lines.push(output::table(&["KEY", "A", "B", "A HZ", "B HZ"], rows));
     lines.push(String::new());
     for largest in &comparison.largest {
         lines.push(format!(

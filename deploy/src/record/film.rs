@@ -4,10 +4,10 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::Arc;
 
-use nalgebra::{Point2, Vector2};
+use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;
-use zenav_protocol::grid::{Occupancy, OccupancyGrid};
-use zenav_protocol::messages::{EventKind, GoalPhase};
+use zenav_protocol::grid::{Cell, Occupancy, OccupancyGrid};
+use zenav_protocol::messages::{EventKind, GoalPhase, GoalPoint};
 use zenav_protocol::robot::Footprint;
 use zenav_protocol::topics;
 
@@ -18,7 +18,7 @@ use super::run::Run;
 use super::run_clock::RunClock;
 use crate::drawing::canvas::Canvas;
 use crate::drawing::film::encode;
-use crate::drawing::plane::PANEL;
+use crate::drawing::plane::{PANEL, around};
 use crate::drawing::scene::Scene;
 use crate::exit_code;
 use crate::failure::{Failure, Outcome};
@@ -30,6 +30,8 @@ const HEIGHT: f64 = 560.0;
 /// Most pictures of a film, and how long each is shown, hundredths of a second.
 const PICTURES: usize = 160;
 const SHOWN: u16 = 12;
+/// Cells on the longer side of a kept map from which two or more are joined: a pixel then shows several of them in any case.
+const FINEST: u32 = 2 * WIDTH;
 /// Margin around the drawn area, m.
 const MARGIN: f64 = 0.3;
 
@@ -57,27 +59,29 @@ pub struct FilmArgs {
 /// A bad record, one without the robot, or a film that cannot be written.
 pub fn film(args: &FilmArgs) -> Outcome {
     let out = args.out.clone().unwrap_or_else(|| args.record.with_extension("gif"));
-    let ending = out.extension().and_then(|ending| ending.to_str()).unwrap_or_default();
-    let moving = || {
-        let film = Film::of(&args.record, args.robot.as_deref(), PICTURES)?;
-        encode(film.moments.len(), SHOWN, |nth| film.picture(nth))
-    };
-    match ending.to_ascii_lowercase().as_str() {
-        "gif" => files::write(&out, moving()?)?,
-        "mp4" => write_mp4(moving()?, &out)?,
-        "png" => {
-            let film = Film::of(&args.record, args.robot.as_deref(), 1)?;
-            files::write(&out, film.picture(film.moments.len().saturating_sub(1))?.png()?)?;
-        }
-        _ => {
-            return Err(Failure::usage(format!(
-                "--out {}: expected a name that ends with .gif, .mp4 or .png",
-                out.display()
-            )));
-        }
-    }
+    write_film(&args.record, args.robot.as_deref(), &out)?;
     output::line(&format!("wrote {}", out.display()));
     Ok(exit_code::OK)
+}
+
+/// Writes the film of one of a record's robots; the only one without a name.
+///
+/// # Errors
+/// A bad record, or a file that cannot be written.
+pub fn write_film(record: &Path, robot: Option<&str>, out: &Path) -> Result<(), Failure> {
+    let moving = || {
+        let film = Film::of(record, robot, PICTURES)?;
+        encode(film.moments.len(), SHOWN, |nth| film.picture(nth))
+    };
+    match files::ending(out).as_str() {
+        "gif" => files::write(out, moving()?),
+        "mp4" => write_mp4(moving()?, out),
+        "png" => {
+            let film = Film::of(record, robot, 1)?;
+            files::write(out, film.picture(film.moments.len().saturating_sub(1))?.png()?)
+        }
+        _ => Err(files::unknown_ending(out, ".gif, .mp4 or .png")),
+    }
 }
 
 /// Converts a GIF to MP4 with ffmpeg, in the pixel format that all players support; it requires even sides.
@@ -122,11 +126,14 @@ struct Film {
     title: String,
     area: (Point2<f64>, Point2<f64>),
     footprint: Footprint,
+    places: Vec<(String, Point2<f64>)>,
     trail: Vec<Point2<f64>>,
     moments: Vec<Moment>,
     /// Trajectory of the plan that is drawn, and the one that the robot finished last.
     trajectory: Option<u64>,
     finished: Option<u64>,
+    /// The goal that runs.
+    running: Option<String>,
 }
 
 impl Film {
@@ -161,10 +168,12 @@ impl Film {
                 .model
                 .as_ref()
                 .map_or(Footprint::Radius(0.1), |model| model.footprint.clone()),
+            places: Vec::new(),
             trail: Vec::new(),
             moments: Vec::new(),
             trajectory: None,
             finished: None,
+            running: None,
         };
         film.shoot(path, name, robot.secs / pictures.max(1) as f64, pictures)?;
         Ok(film)
@@ -195,7 +204,7 @@ impl Film {
 
     fn keep(&mut self, now: &mut Moment, maps: &Maps, name: &str) {
         if now.map.is_none() {
-            now.map = maps.grid(name).cloned().map(Arc::new);
+            now.map = maps.grid(name).map(|map| Arc::new(reduced(map)));
         }
         now.driven = self.trail.len();
         // Nothing can be drawn before the first map.
@@ -205,17 +214,17 @@ impl Film {
     }
 
     fn see(&mut self, sample: &Sample, now: &mut Moment, clock: &mut RunClock) {
-        if let Ok(Some((_, pose))) = sample.message(&topics::POSE) {
+        if let Some((_, pose)) = sample.message(&topics::POSE) {
             now.secs = clock.advance(pose.stamp);
             now.pose = pose.map_from_base;
             let at = now.pose.position();
             if self.trail.last().is_none_or(|last| (at - last).norm() > 0.02) {
                 self.trail.push(at);
             }
-        } else if let Ok(Some((_, scan))) = sample.message(&topics::SCAN) {
+        } else if let Some((_, scan)) = sample.message(&topics::SCAN) {
             let laser = scan.map_from_laser();
             now.scan = scan.returns().map(|point| laser.transform_point(point)).collect();
-        } else if let Ok(Some((_, plan))) = sample.message(&topics::PLAN) {
+        } else if let Some((_, plan)) = sample.message(&topics::PLAN) {
             // A plan is renewed once more after its end was reached.
             if self.finished == Some(plan.trajectory_id) {
                 return;
@@ -224,14 +233,19 @@ impl Film {
             let points: Vec<Point2<f64>> = plan.trajectory.iter().map(|point| point.position()).collect();
             // A plan without a time law has only waypoints.
             now.plan = Arc::new(if points.is_empty() { plan.waypoints } else { points });
-        } else if let Ok(Some((_, goal))) = sample.message(&topics::GOAL_STATE) {
-            if goal.state != GoalPhase::Rejected {
+        } else if let Some((_, goal)) = sample.message(&topics::GOAL_STATE) {
+            let runs = matches!(goal.state, GoalPhase::Active | GoalPhase::Paused);
+            // Others wait, or end, meanwhile.
+            if runs || self.running.as_ref() == Some(&goal.id) {
                 let there = goal.legs.last().and_then(|leg| leg.goal);
                 now.goal = there.map(|goal| Point2::new(goal.x, goal.y));
-                let is_end = goal.state.is_end();
-                now.note = if is_end { String::new() } else { goal.feedback.step };
+                now.note = if runs { goal.feedback.step } else { String::new() };
+                self.running = runs.then_some(goal.id);
             }
-        } else if let Ok(Some((_, event))) = sample.message(&topics::EVENT) {
+        } else if let Some((_, drawn)) = sample.message(&topics::ANNOTATIONS) {
+            let place = |(name, at): (String, GoalPoint)| (name, Point2::new(at.x, at.y));
+            self.places = drawn.places.into_iter().map(place).collect();
+        } else if let Some((_, event)) = sample.message(&topics::EVENT) {
             match event.kind {
                 EventKind::PlanFinished { trajectory_id, .. } => {
                     self.finished = Some(trajectory_id);
@@ -254,6 +268,7 @@ impl Film {
         let scene = Scene {
             notes: vec![format!("t = {:.1} s", now.secs), now.note.clone()],
             area: Some(self.area),
+            places: &self.places,
             scan: Some(&now.scan),
             plan: Some(&now.plan),
             trail: self.trail.get(..now.driven),
@@ -265,52 +280,61 @@ impl Film {
     }
 }
 
+/// A map with no more than [`FINEST`] cells on a side, as far as coarser cells allow: each picture keeps its map, however large that is.
+fn reduced(map: &OccupancyGrid) -> OccupancyGrid {
+    let spec = map.spec();
+    let scale = spec.width.max(spec.height) / FINEST;
+    if scale < 2 || spec.is_empty() {
+        return map.clone();
+    }
+    let coarse = map.coarse([Cell::new(0, 0), Cell::new(spec.width - 1, spec.height - 1)], scale);
+    coarse.map(|class| match class {
+        Occupancy::Unknown => Occupancy::UNKNOWN,
+        Occupancy::Free => Occupancy::FREE,
+        Occupancy::Occupied => Occupancy::OCCUPIED,
+    })
+}
+
 /// The area to draw: the cells known at the end, and the path.
 fn area(map: Option<&OccupancyGrid>, path: impl Iterator<Item = Point2<f64>>) -> (Point2<f64>, Point2<f64>) {
-    let known = map.into_iter().flat_map(|map| {
-        let cells = map.values().iter().enumerate();
-        let known = cells.filter(|(_, value)| Occupancy::of(**value) != Occupancy::Unknown);
-        known.map(|(index, _)| map.spec().center(map.spec().cell(index)))
-    });
-    let points = path
-        .chain(known)
-        .filter(|point| point.x.is_finite() && point.y.is_finite());
-    let bounds = points.fold(None, |bounds: Option<(Point2<f64>, Point2<f64>)>, point| {
-        let (low, high) = bounds.unwrap_or((point, point));
-        Some((low.inf(&point), high.sup(&point)))
-    });
-    let (low, high) = bounds.unwrap_or((Point2::origin(), Point2::origin()));
-    let margin = Vector2::repeat(MARGIN);
-    (low - margin, high + margin)
+    let known = map.and_then(|map| Some(map.known()?.map(|cell| map.spec().center(cell))));
+    let area = around(path.chain(known.into_iter().flatten()), MARGIN);
+    area.unwrap_or((Point2::new(-MARGIN, -MARGIN), Point2::new(MARGIN, MARGIN)))
 }
 
 #[cfg(test)]
 mod tests {
+    use serde::Serialize;
     use serde_json::{Value, json};
-    use zenav_protocol::codec::Encoding;
+    use zenav_protocol::messages::Plan;
 
-    use super::super::format::Kind;
+    use super::super::made_up;
     use super::*;
 
-    fn see(film: &mut Film, now: &mut Moment, key: &str, message: &Value) {
-        let sample = Sample {
-            key: format!("zenav/r/{key}"),
-            encoding: Encoding::Json.mime().to_owned(),
-            kind: Kind::Put,
-            bytes: message.to_string().into_bytes(),
-            attachment: None,
-            logged: 1,
-            published: None,
-        };
+    fn see(film: &mut Film, now: &mut Moment, key: &str, message: &impl Serialize) {
+        let sample = made_up::sample(&format!("zenav/r/{key}"), message, 1);
         film.see(&sample, now, &mut RunClock::default());
     }
 
-    fn goal(state: &str) -> Value {
+    fn goal(id: &str, state: &str) -> Value {
         json!({
-            "id": "g", "robot": "r", "state": state, "accepted": 0,
+            "id": id, "robot": "r", "state": state, "accepted": 0,
             "feedback": { "step": "drives", "distance_left": 1.0, "time_left": null, "plans": 1 },
             "request": { "place": "sink" }
         })
+    }
+
+    #[test]
+    fn a_picture_keeps_of_a_large_map_no_more_than_it_shows() {
+        let spec = zenav_fixtures::spec(4 * FINEST + 5, 3, 0.05);
+        let wall = 4 * FINEST;
+        let map = zenav_fixtures::map_with_occupied(spec, &[(wall, 1)]);
+        let kept = reduced(&map);
+        assert!(kept.spec().width <= FINEST + 2, "{:?}", kept.spec());
+        let at = map.spec().center(Cell::new(wall, 1));
+        assert_eq!(kept.at(at), Some(&Occupancy::OCCUPIED), "no wall is lost");
+        let small = zenav_fixtures::map_with_occupied(zenav_fixtures::spec(2 * FINEST - 1, 1, 0.05), &[]);
+        assert_eq!(reduced(&small), small);
     }
 
     #[test]
@@ -319,19 +343,17 @@ mod tests {
             title: String::new(),
             area: (Point2::origin(), Point2::new(1.0, 1.0)),
             footprint: Footprint::Radius(0.1),
+            places: Vec::new(),
             trail: Vec::new(),
             moments: Vec::new(),
             trajectory: None,
             finished: None,
+            running: None,
         };
-        let plan = |trajectory: u64| {
-            json!({
-                "goal_id": "g", "epoch": 1, "revision": { "incarnation": 1, "counter": 1 }, "trajectory_id": trajectory,
-                "map": { "id": "m", "revision": 1 }, "frame": "map", "based_on": { "stamp": 1, "boot_id": "b" },
-                "valid_for": 5.0, "waypoints": [[1.0, 2.0], [2.0, 2.0]], "trajectory": [], "splice": null,
-                "statistics": { "planner": "astar", "search_ms": 0.0, "corridor_ms": 0.0, "geometry_ms": 0.0,
-                    "timing_ms": 0.0, "length": 0.0, "duration": 0.0, "min_clearance": null, "status": "waypoints", "solver": "" },
-            })
+        let plan = |trajectory_id: u64| Plan {
+            trajectory_id,
+            waypoints: vec![Point2::new(1.0, 2.0), Point2::new(2.0, 2.0)],
+            ..made_up::plan()
         };
         let finished = |trajectory: u64| {
             json!({
@@ -339,14 +361,20 @@ mod tests {
             })
         };
         let mut now = Moment::default();
-        see(&mut film, &mut now, "cloud/goal/g", &goal("Active"));
+        let drawn = json!({ "places": { "sink": { "x": 1.0, "y": 2.0 } } });
+        see(&mut film, &mut now, "cloud/annotations", &drawn);
+        assert_eq!(film.places, [("sink".to_owned(), Point2::new(1.0, 2.0))]);
+        see(&mut film, &mut now, "cloud/goal/g", &goal("g", "Active"));
         see(&mut film, &mut now, "cloud/plan", &plan(1));
+        for state in ["Accepted", "Canceled"] {
+            see(&mut film, &mut now, "cloud/goal/h", &goal("h", state));
+        }
         assert_eq!((now.plan.len(), now.note.as_str()), (2, "drives"));
         see(&mut film, &mut now, "edge/event", &finished(0));
         assert_eq!(now.plan.len(), 2, "the end of an earlier plan");
         see(&mut film, &mut now, "edge/event", &finished(1));
         see(&mut film, &mut now, "cloud/plan", &plan(1));
-        see(&mut film, &mut now, "cloud/goal/g", &goal("Succeeded"));
+        see(&mut film, &mut now, "cloud/goal/g", &goal("g", "Succeeded"));
         assert_eq!((now.plan.len(), now.note.as_str()), (0, ""));
         see(&mut film, &mut now, "cloud/plan", &plan(2));
         assert_eq!(now.plan.len(), 2);

@@ -12,7 +12,7 @@
 use std::path::{Path, PathBuf};
 
 use thiserror::Error;
-use zenav_protocol::codec::{self, CodecError, Encoding};
+use zenav_protocol::codec::{self, Encoding};
 use zenav_protocol::topics::{Ask, Topic};
 
 use crate::exit_code;
@@ -93,23 +93,15 @@ pub struct Sample {
 }
 
 impl Sample {
-    /// The message and the chunks of its key, if this is a value of that topic.
-    ///
-    /// # Errors
-    /// A payload of that topic that cannot be decoded.
-    pub fn message<T: serde::de::DeserializeOwned>(
-        &self,
-        topic: &Topic<T>,
-    ) -> Result<Option<(Vec<String>, T)>, CodecError> {
+    /// The robot's name and the message, if this is a value of that topic that can be decoded.
+    #[must_use]
+    pub fn message<T: serde::de::DeserializeOwned>(&self, topic: &Topic<T>) -> Option<(String, T)> {
         if self.kind != Kind::Put {
-            return Ok(None);
+            return None;
         }
-        let chunks = topic.chunks(&self.key);
-        if chunks.is_empty() && topic.pattern != self.key {
-            return Ok(None);
-        }
-        let message = codec::decode(&self.bytes, Encoding::of(&self.encoding), topic.max_bytes)?;
-        Ok(Some((chunks, message)))
+        let robot = topic.chunks(&self.key).into_iter().next()?;
+        let message = codec::decode(&self.bytes, Encoding::of(&self.encoding), topic.max_bytes).ok()?;
+        Some((robot, message))
     }
 
     /// The robot's name and the reply, if this is an answer to that ask.

@@ -7,14 +7,13 @@ use std::collections::{BTreeSet, VecDeque};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use tokio::task::{JoinError, JoinSet};
-use zenav_protocol::bus::{Act, Answer, Bus, Tap, Tapped};
+use zenav_protocol::bus::{Act, Answer, Bus, Tap, Tapped, matches};
 use zenav_protocol::codec::{self, Encoding};
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{InfoReply, InfoRequest, MapRequest};
 use zenav_protocol::topics;
 
 use super::format::{Kind, Sample};
-use super::replay::fits;
 use crate::failure::Failure;
 
 /// Most bytes queued: some seconds of a robot at full rate, or one large map.
@@ -191,7 +190,7 @@ impl Listener {
     pub fn ask_for_maps(&mut self, mut lacking: Vec<String>) {
         lacking.retain(|robot| {
             let patches = topics::MAP_PATCH.key(&[robot]);
-            self.patterns.iter().any(|pattern| fits(pattern, &patches))
+            self.patterns.iter().any(|pattern| matches(pattern, &patches))
         });
         let before = std::mem::replace(&mut self.lacking, lacking);
         if self.asked_for_maps.is_some_and(|asked| asked.elapsed() < PATIENCE) {

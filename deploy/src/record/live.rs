@@ -24,7 +24,7 @@ use zenav_protocol::messages::{GoalRequest, OnBusy};
 use zenav_protocol::topics;
 
 use super::format::{Kind, Sample};
-use super::foxglove::{Artist, Drawn};
+use super::foxglove::{Artist, Drawn, ENCODING, MAP};
 use super::listener::Listener;
 use super::maps::Maps;
 use super::schema;
@@ -36,7 +36,7 @@ use crate::failure::{Failure, Outcome};
 pub const DEFAULT_LISTEN: &str = "127.0.0.1:8765";
 /// Most messages queued for a slow viewer.
 const BACKLOG: usize = 256;
-/// Most channels: keys that contain names come and go.
+/// Most channels: keys that contain names come and go. Of goals, the one that was heard least recently goes.
 const MOST_CHANNELS: usize = 1024;
 /// Most viewer requests queued.
 const REQUESTS: usize = 64;
@@ -135,14 +135,12 @@ impl LiveView {
         })?;
         let port = server.port();
         let show = Show {
-            context,
             bus: bus.clone(),
             only: robot.map(str::to_owned),
-            channels: BTreeMap::new(),
+            channels: Channels::new(context),
             artist: Artist::default(),
             maps: Maps::default(),
             robots: BTreeSet::new(),
-            is_full: false,
         };
         Ok(Self {
             server: Some(server),
@@ -197,15 +195,78 @@ struct Shown {
     last: BTreeMap<String, (u64, Vec<u8>)>,
 }
 
-struct Show {
+/// The channels that viewers see.
+struct Channels {
     context: Arc<Context>,
+    shown: BTreeMap<String, Shown>,
+    is_full: bool,
+}
+
+impl Channels {
+    fn new(context: Arc<Context>) -> Self {
+        Self {
+            context,
+            shown: BTreeMap::new(),
+            is_full: false,
+        }
+    }
+
+    /// Sends a message to the viewers of its channel; the first message of a channel describes it.
+    fn publish(
+        &mut self,
+        topic: &str,
+        key: &str,
+        message: &[u8],
+        now: u64,
+        describe: impl FnOnce() -> Option<(foxglove::Schema, &'static str)>,
+    ) {
+        if !self.shown.contains_key(topic) {
+            if self.shown.len() >= MOST_CHANNELS && !self.forget_goal() {
+                if !std::mem::replace(&mut self.is_full, true) {
+                    tracing::warn!("over {MOST_CHANNELS} keys: Foxglove sees the first");
+                }
+                return;
+            }
+            let Some((schema, encoding)) = describe() else { return };
+            let channel = ChannelBuilder::new(topic)
+                .message_encoding(encoding)
+                .schema(schema)
+                .context(&self.context)
+                .build_raw();
+            let Ok(channel) = channel else { return };
+            let last = BTreeMap::new();
+            self.shown.insert(topic.to_owned(), Shown { channel, last });
+        }
+        if let Some(shown) = self.shown.get_mut(topic) {
+            shown
+                .channel
+                .log_with_meta(message, PartialMetadata::with_log_time(now));
+            // Most channels show a few keys; only a log has one per goal.
+            if shown.last.len() < REQUESTS || shown.last.contains_key(key) {
+                shown.last.insert(key.to_owned(), (now, message.to_vec()));
+            }
+        }
+    }
+
+    /// Makes room for a channel: the goal that was heard least recently is no longer shown. Whether there was one.
+    fn forget_goal(&mut self) -> bool {
+        let heard = |shown: &Shown| shown.last.values().map(|(now, _)| *now).max();
+        let goals = self.shown.iter();
+        let goals = goals.filter(|(topic, _)| !topics::GOAL_STATE.chunks(topic).is_empty());
+        let oldest = goals.min_by_key(|(_, shown)| heard(shown));
+        let oldest = oldest.map(|(topic, _)| topic.clone());
+        let forgotten = oldest.and_then(|topic| self.shown.remove(&topic));
+        forgotten.inspect(|shown| shown.channel.close()).is_some()
+    }
+}
+
+struct Show {
     bus: Bus,
     only: Option<String>,
-    channels: BTreeMap<String, Shown>,
+    channels: Channels,
     artist: Artist,
     maps: Maps,
     robots: BTreeSet<String>,
-    is_full: bool,
 }
 
 impl Show {
@@ -240,8 +301,13 @@ impl Show {
             self.draw_map(&robot, sample.logged);
         }
         if sample.kind == Kind::Put && Encoding::of(&sample.encoding) == Encoding::Json {
-            let describe = || Some((schema::title(&sample.key), schema::of(&sample.key, &sample.bytes)?));
-            self.publish(&sample.key, &sample.key, &sample.bytes, sample.logged, describe);
+            let describe = || {
+                let schema = schema::of(&sample.key, &sample.bytes)?.to_string().into_bytes();
+                let schema = foxglove::Schema::new(schema::title(&sample.key), schema::ENCODING, schema);
+                Some((schema, "json"))
+            };
+            self.channels
+                .publish(&sample.key, &sample.key, &sample.bytes, sample.logged, describe);
         }
     }
 
@@ -256,52 +322,16 @@ impl Show {
     }
 
     fn publish_drawn(&mut self, key: &str, drawn: &Drawn, now: u64) {
-        let describe = || Some((drawn.schema.name().to_owned(), drawn.schema.json()));
-        self.publish(&drawn.topic, key, &drawn.json, now, describe);
-    }
-
-    /// Sends a message to the viewers of its channel; the first message of a channel describes it.
-    fn publish(
-        &mut self,
-        topic: &str,
-        key: &str,
-        message: &[u8],
-        now: u64,
-        describe: impl FnOnce() -> Option<(String, serde_json::Value)>,
-    ) {
-        if !self.channels.contains_key(topic) {
-            if self.channels.len() >= MOST_CHANNELS {
-                if !std::mem::replace(&mut self.is_full, true) {
-                    tracing::warn!("over {MOST_CHANNELS} keys: Foxglove sees the first");
-                }
-                return;
-            }
-            let Some((name, schema)) = describe() else { return };
-            let schema = foxglove::Schema::new(name, schema::ENCODING, schema.to_string().into_bytes());
-            let channel = ChannelBuilder::new(topic)
-                .message_encoding("json")
-                .schema(schema)
-                .context(&self.context)
-                .build_raw();
-            let Ok(channel) = channel else { return };
-            let last = BTreeMap::new();
-            self.channels.insert(topic.to_owned(), Shown { channel, last });
-        }
-        if let Some(shown) = self.channels.get_mut(topic) {
-            shown
-                .channel
-                .log_with_meta(message, PartialMetadata::with_log_time(now));
-            // Most channels show a few keys; only a log has one per goal.
-            if shown.last.len() < REQUESTS || shown.last.contains_key(key) {
-                shown.last.insert(key.to_owned(), (now, message.to_vec()));
-            }
-        }
+        let describe = || Some((drawn.schema.clone(), ENCODING));
+        self.channels.publish(&drawn.topic, key, &drawn.bytes, now, describe);
     }
 
     fn answer(&mut self, wanted: Wanted) {
         match wanted {
             Wanted::Last { topic, viewer } => {
-                let Some(shown) = self.channels.get(&topic) else { return };
+                let Some(shown) = self.channels.shown.get(&topic) else {
+                    return;
+                };
                 for (now, message) in shown.last.values() {
                     let meta = PartialMetadata::with_log_time(*now);
                     shown.channel.log_with_meta_to_sink(message, meta, Some(viewer));
@@ -337,8 +367,8 @@ impl Show {
         if !self.robots.contains(&robot) {
             return Err(format!("no robot `{robot}` here"));
         }
-        let Posed { pose } = serde_json::from_slice(payload).map_err(|error| format!("expected a pose: {error}"))?;
-        Ok((robot, pose.request()))
+        let posed: Posed = serde_json::from_slice(payload).map_err(|error| format!("expected a pose: {error}"))?;
+        Ok((robot, posed.request()?))
     }
 }
 
@@ -346,6 +376,16 @@ impl Show {
 #[derive(Deserialize)]
 struct Posed {
     pose: Pose,
+    #[serde(default)]
+    frame_id: String,
+    #[serde(default)]
+    header: Header,
+}
+
+#[derive(Default, Deserialize)]
+struct Header {
+    #[serde(default)]
+    frame_id: String,
 }
 
 #[derive(Deserialize)]
@@ -368,8 +408,24 @@ struct Quaternion {
     w: f64,
 }
 
+impl Posed {
+    /// A goal at this pose, which a 3D panel publishes in the frame that it displays.
+    ///
+    /// # Errors
+    /// In words: the pose is in another frame than the map.
+    fn request(&self) -> Result<GoalRequest, String> {
+        let frames = [&self.frame_id, &self.header.frame_id];
+        match frames.into_iter().find(|frame| !["", MAP].contains(&frame.as_str())) {
+            Some(frame) => Err(format!(
+                "the pose is in the frame `{frame}`: expected `{MAP}`, the display frame of the 3D panel"
+            )),
+            None => Ok(self.pose.request()),
+        }
+    }
+}
+
 impl Pose {
-    /// A goal at this pose.
+    /// A goal at this pose, map frame.
     fn request(&self) -> GoalRequest {
         let Quaternion { x, y, z, w } = self.orientation;
         // Heading of a unit quaternion; (0, 0, 0, 0) has none.
@@ -399,8 +455,47 @@ mod tests {
             turned.cos()
         );
         let posed: Posed = serde_json::from_str(&message).unwrap();
-        let request = posed.pose.request();
+        let request = posed.request().unwrap();
         assert_eq!((request.x, request.y), (Some(1.5), Some(-2.0)));
         assert!((request.yaw.unwrap() - 2.0 * turned).abs() < 1e-12);
+    }
+
+    #[test]
+    fn old_goals_make_room_for_what_is_new() {
+        let mut channels = Channels::new(Context::new());
+        let mut publish = |key: &str, now: u64| {
+            let describe = || Some((foxglove::Schema::new("x", schema::ENCODING, b"{}".to_vec()), "json"));
+            channels.publish(key, key, b"{}", now, describe);
+        };
+        publish("zenav/a/edge/state", 0);
+        for nth in 1..=MOST_CHANNELS as u64 {
+            publish(&format!("zenav/a/cloud/goal/g{nth}"), nth);
+        }
+        publish("zenav/b/edge/state", 1);
+        let shown = channels.shown;
+        assert_eq!(shown.len(), MOST_CHANNELS);
+        for (key, shows) in [
+            ("zenav/a/edge/state", true),
+            ("zenav/b/edge/state", true),
+            ("zenav/a/cloud/goal/g2", false),
+            ("zenav/a/cloud/goal/g3", true),
+        ] {
+            assert_eq!(shown.contains_key(key), shows, "{key}");
+        }
+    }
+
+    #[test]
+    fn a_pose_in_another_frame_than_the_map_is_no_goal() {
+        let pose = r#""pose":{"position":{"x":1,"y":0,"z":0},"orientation":{"x":0,"y":0,"z":0,"w":1}}"#;
+        for (frame, is_goal) in [
+            (r#""frame_id":"map","#, true),
+            (r#""header":{"frame_id":"map"},"#, true),
+            ("", true),
+            (r#""frame_id":"tiago/base_link","#, false),
+            (r#""header":{"frame_id":"odom"},"#, false),
+        ] {
+            let posed: Posed = serde_json::from_str(&format!("{{{frame}{pose}}}")).unwrap();
+            assert_eq!(posed.request().is_ok(), is_goal, "{frame}");
+        }
     }
 }

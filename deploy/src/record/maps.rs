@@ -30,14 +30,9 @@ impl Maps {
             let map = self.robots.entry(robot.clone()).or_default();
             return map.replica.replace(&reply).then_some(robot);
         }
-        // Only map topics are decoded.
-        let pattern = topics::row_of(&sample.key)?.pattern;
-        if pattern == topics::MAP_INFO.pattern {
-            let (chunks, info) = sample.message(&topics::MAP_INFO).ok().flatten()?;
-            self.robots.entry(chunks.into_iter().next()?).or_default().told = info.map;
-        } else if pattern == topics::MAP_PATCH.pattern {
-            let (chunks, patch) = sample.message(&topics::MAP_PATCH).ok().flatten()?;
-            let robot = chunks.into_iter().next()?;
+        if let Some((robot, info)) = sample.message(&topics::MAP_INFO) {
+            self.robots.entry(robot).or_default().told = info.map;
+        } else if let Some((robot, patch)) = sample.message(&topics::MAP_PATCH) {
             let map = self.robots.entry(robot.clone()).or_default();
             return (map.replica.apply(&patch) == PatchResult::Applied).then_some(robot);
         }

@@ -29,6 +29,8 @@ mod format;
 mod foxglove;
 mod listener;
 mod live;
+#[cfg(test)]
+mod made_up;
 mod maps;
 mod reader;
 mod recompute;
@@ -43,7 +45,7 @@ mod writer;
 
 pub use command::{RecordArgs, record};
 pub use diff::{DiffArgs, diff};
-pub use film::{FilmArgs, film};
+pub use film::{FilmArgs, film, write_film};
 pub use format::{Kind, Problem, RecordError, Sample, TITLE_ENTRY};
 pub use live::{DEFAULT_LISTEN as FOXGLOVE_LISTEN, LiveView, ViewArgs, view};
 pub use reader::RecordReader;

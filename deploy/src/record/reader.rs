@@ -1,18 +1,20 @@
-//! Reader. Reads the samples of a record one after another, in order of arrival, also from a file that was cut off.
+//! Reader. Reads the samples of a record one after another, in order of arrival, also from a file that was cut off or is damaged.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::fs::File;
-use std::io::{BufReader, Read as _};
+use std::io::{BufReader, Read as _, Seek as _};
 use std::path::{Path, PathBuf};
 
-use mcap::records::{Channel, MessageHeader, Record, op};
+use mcap::records::{MessageHeader, Record, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
-use mcap::{McapError, parse_record};
+use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader, SummaryReaderOptions};
+use mcap::{McapError, McapResult, parse_record};
 use zenav_protocol::SCHEMA_VERSION;
 
 use super::format::{
     ABOUT, ATTACHMENT, ENCODING, FORMAT_ENTRY, KIND, Kind, PROFILE, Problem, RecordError, SCHEMA_ENTRY, Sample, VERSION,
 };
+use crate::output::counted;
 
 /// Largest record of a file that is read, bytes: larger than the largest message.
 const MOST: usize = 256 << 20;
@@ -26,12 +28,16 @@ pub struct RecordReader {
     /// Bytes of the file not yet read.
     left: u64,
     reader: LinearReader,
+    /// Records of the last chunk not yet read.
+    unpacked: VecDeque<Record<'static>>,
     about: BTreeMap<String, String>,
     channels: HashMap<u16, Carried>,
     attached: Vec<Attached>,
     /// The first sample, read while the file was opened.
     first: Option<Sample>,
     cut_off: bool,
+    /// Damaged chunks so far, and their bytes in the file.
+    damaged: (usize, u64),
     ended: bool,
 }
 
@@ -54,9 +60,9 @@ enum Carried {
 }
 
 impl Carried {
-    fn of(channel: &Channel) -> Self {
-        let entry = |name| channel.metadata.get(name).map_or("", String::as_str);
-        let key = channel.topic.clone();
+    fn of(topic: &str, metadata: &BTreeMap<String, String>) -> Self {
+        let entry = |name| metadata.get(name).map_or("", String::as_str);
+        let key = topic.to_owned();
         if entry(KIND) == ATTACHMENT {
             let kind = entry(ENCODING).split(' ').next().and_then(Kind::named);
             return kind.map_or(Self::Other, |kind| Self::Attachments { key, kind });
@@ -83,24 +89,30 @@ impl RecordReader {
         }
         let options = LinearReaderOptions::default()
             .with_record_length_limit(MOST)
-            .with_validate_chunk_crcs(true);
+            .with_emit_chunks(true);
         let mut reader = Self {
             path: path.to_owned(),
             file: BufReader::new(file),
             left: facts.len(),
             reader: LinearReader::new_with_options(options),
+            unpacked: VecDeque::new(),
             about: BTreeMap::new(),
             channels: HashMap::new(),
             attached: Vec::new(),
             first: None,
             cut_off: false,
+            damaged: (0, 0),
             ended: false,
         };
         reader.first = reader.read()?;
-        if reader.first.is_none() {
-            return Err(reader.error(Problem::Empty));
+        match (reader.first.is_some(), reader.damaged.0) {
+            (true, _) => Ok(reader),
+            (false, 0) => Err(reader.error(Problem::Empty)),
+            (false, chunks) => {
+                let chunks = counted(chunks, "chunk");
+                Err(reader.error(Problem::Damaged(format!("of its {chunks}, none is intact"))))
+            }
         }
-        Ok(reader)
     }
 
     /// Entries of the metadata `zenav` about the run.
@@ -114,16 +126,7 @@ impl RecordReader {
     /// # Errors
     /// They have another version.
     pub fn check_messages(&self) -> Result<(), RecordError> {
-        let found = self.about.get(SCHEMA_ENTRY).map_or("", String::as_str);
-        let expected = SCHEMA_VERSION.to_string();
-        if found == expected {
-            return Ok(());
-        }
-        Err(self.error(Problem::Version {
-            what: "its messages are of version",
-            found: found.to_owned(),
-            expected,
-        }))
+        self.check(SCHEMA_ENTRY, "its messages are of version", &SCHEMA_VERSION.to_string())
     }
 
     /// Whether the file was cut off, as after its recorder was killed. Known only after reading all of it.
@@ -132,10 +135,28 @@ impl RecordReader {
         self.cut_off
     }
 
+    /// Number of damaged chunks, which are left out. Known only after reading all of the file.
+    #[must_use]
+    pub const fn damaged_chunks(&self) -> usize {
+        self.damaged.0
+    }
+
+    /// Logs what of the file could not be read; for the end of a command's first reading to the end.
+    pub fn warn_of_losses(&self) {
+        let path = self.path.display();
+        if self.cut_off {
+            tracing::warn!("{path}: cut off, as by a killed recorder");
+        }
+        if let (chunks @ 1.., bytes) = self.damaged {
+            let chunks = counted(chunks, "damaged chunk");
+            tracing::warn!("{path}: left out {chunks} ({bytes} bytes); the rest was read");
+        }
+    }
+
     /// The next sample; `None` at the end.
     ///
     /// # Errors
-    /// The file is damaged, not merely cut off.
+    /// The file is damaged outside its chunks, not merely cut off.
     pub fn next_sample(&mut self) -> Result<Option<Sample>, RecordError> {
         match self.first.take() {
             Some(sample) => Ok(Some(sample)),
@@ -160,10 +181,11 @@ impl RecordReader {
                 }
                 Record::Metadata(metadata) if metadata.name == ABOUT => {
                     self.about = metadata.metadata;
-                    self.check_format()?;
+                    self.check(FORMAT_ENTRY, "a record of format", VERSION)?;
                 }
                 Record::Channel(channel) => {
-                    self.channels.insert(channel.id, Carried::of(&channel));
+                    let carried = Carried::of(&channel.topic, &channel.metadata);
+                    self.channels.insert(channel.id, carried);
                 }
                 Record::Message { header, data } => {
                     if let Some(sample) = self.message(&header, data.into_owned()) {
@@ -179,10 +201,21 @@ impl RecordReader {
     /// The next record with content; `None` at the end of the data.
     fn record(&mut self) -> Result<Option<Record<'static>>, RecordError> {
         loop {
+            if let Some(record) = self.unpacked.pop_front() {
+                return Ok(Some(record));
+            }
             let need = match self.reader.next_event() {
                 None => return Ok(None),
                 Some(Ok(LinearReadEvent::ReadRequest(need))) => need,
                 Some(Ok(LinearReadEvent::Record { opcode, data })) => match opcode {
+                    op::CHUNK => {
+                        let bytes = data.len() as u64;
+                        match unpacked(data) {
+                            Ok(records) => self.unpacked = records,
+                            Err(_) => self.lose_chunk(bytes),
+                        }
+                        continue;
+                    }
                     op::HEADER | op::METADATA | op::CHANNEL | op::MESSAGE => {
                         let record = parse_record(opcode, data).map(Record::into_owned);
                         return record.map(Some).map_err(|error| damaged(&self.path, &error));
@@ -200,6 +233,16 @@ impl RecordReader {
             };
             self.supply(need)?;
         }
+    }
+
+    /// Counts a damaged chunk. The channels that it began are repeated in the file's summary.
+    fn lose_chunk(&mut self, bytes: u64) {
+        if self.damaged.0 == 0 {
+            for (id, carried) in repeated_channels(&self.path).unwrap_or_default() {
+                self.channels.entry(id).or_insert(carried);
+            }
+        }
+        self.damaged = (self.damaged.0 + 1, self.damaged.1 + bytes);
     }
 
     /// The sample of a message; an attachment is held for its sample.
@@ -226,15 +269,16 @@ impl RecordReader {
         }
     }
 
-    fn check_format(&self) -> Result<(), RecordError> {
-        let found = self.about.get(FORMAT_ENTRY).map_or("", String::as_str);
-        if found == VERSION {
+    /// Refuses a record one of whose versions is another one.
+    fn check(&self, entry: &str, what: &'static str, expected: &str) -> Result<(), RecordError> {
+        let found = self.about.get(entry).map_or("", String::as_str);
+        if found == expected {
             return Ok(());
         }
         Err(self.error(Problem::Version {
-            what: "a record of format",
+            what,
             found: found.to_owned(),
-            expected: VERSION.to_owned(),
+            expected: expected.to_owned(),
         }))
     }
 
@@ -248,6 +292,57 @@ impl RecordReader {
         self.reader.notify_read(read);
         Ok(())
     }
+}
+
+/// The records of a chunk with content: all, or an error if it is damaged, so that no changed payload is read.
+fn unpacked(chunk: &[u8]) -> McapResult<VecDeque<Record<'static>>> {
+    let options = LinearReaderOptions::default()
+        .with_skip_start_magic(true)
+        .with_skip_end_magic(true)
+        .with_record_length_limit(MOST)
+        .with_prevalidate_chunk_crcs(true);
+    let mut reader = LinearReader::new_with_options(options);
+    let length = (chunk.len() as u64).to_le_bytes();
+    let framed = [&[op::CHUNK], length.as_slice(), chunk].concat();
+    let mut bytes = framed.as_slice();
+    let mut records = VecDeque::new();
+    while let Some(event) = reader.next_event() {
+        match event? {
+            LinearReadEvent::ReadRequest(need) => {
+                let (now, rest) = bytes.split_at(need.min(bytes.len()));
+                reader.insert(now.len()).copy_from_slice(now);
+                reader.notify_read(now.len());
+                bytes = rest;
+            }
+            LinearReadEvent::Record { opcode, data } => {
+                if matches!(opcode, op::CHANNEL | op::MESSAGE) {
+                    records.push_back(parse_record(opcode, data)?.into_owned());
+                }
+            }
+        }
+    }
+    Ok(records)
+}
+
+/// The channels in a file's summary.
+fn repeated_channels(path: &Path) -> McapResult<Vec<(u16, Carried)>> {
+    let mut file = File::open(path)?;
+    let options = SummaryReaderOptions::default()
+        .with_file_size(file.metadata()?.len())
+        .with_record_length_limit(MOST);
+    let mut reader = SummaryReader::new_with_options(options);
+    while let Some(event) = reader.next_event() {
+        match event? {
+            SummaryReadEvent::SeekRequest(to) => reader.notify_seeked(file.seek(to)?),
+            SummaryReadEvent::ReadRequest(need) => {
+                let read = file.read(reader.insert(need))?;
+                reader.notify_read(read);
+            }
+        }
+    }
+    let channels = reader.finish().map(|summary| summary.channels).unwrap_or_default();
+    let carried = |channel: &mcap::Channel<'_>| (channel.id, Carried::of(&channel.topic, &channel.metadata));
+    Ok(channels.values().map(|channel| carried(channel)).collect())
 }
 
 fn damaged(path: &Path, error: &McapError) -> RecordError {
@@ -331,6 +426,13 @@ mod tests {
         // The summary, which tools read first.
         let bytes = std::fs::read(&path).unwrap();
         let summary = mcap::Summary::read(&bytes).unwrap().expect("a summary");
+        for channel in summary.channels.values() {
+            let is_deletion = channel.metadata[KIND] == Kind::Delete.name();
+            assert!(
+                !is_deletion || channel.schema.is_none() && channel.message_encoding != "json",
+                "an empty payload is no JSON: {channel:?}"
+            );
+        }
         assert_eq!(summary.stats.expect("statistics").message_count, 55);
         assert!(
             RecordWriter::create(&path, RecordOptions::default(), 5).is_err(),
@@ -415,6 +517,60 @@ mod tests {
                 assert!(!error.to_string().is_empty());
             }
         }
+    }
+
+    /// Where the chunks of a file are.
+    fn chunks(file: &[u8]) -> Vec<std::ops::Range<usize>> {
+        let (mut at, mut found) = (mcap::MAGIC.len(), Vec::new());
+        while let Some((head, _)) = file.get(at..).and_then(|rest| rest.split_first_chunk::<9>()) {
+            let length = u64::from_le_bytes(head[1..].try_into().unwrap()) as usize;
+            if head[0] == op::CHUNK {
+                found.push(at + 9..at + 9 + length);
+            }
+            at += 9 + length;
+        }
+        found
+    }
+
+    #[test]
+    fn a_damaged_chunk_is_left_out_and_the_rest_is_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let (path, bad) = (folder.path().join("run.mcap"), folder.path().join("bad.mcap"));
+        let mut writer = RecordWriter::create(&path, RecordOptions::default(), 5).unwrap();
+        let samples = run();
+        for samples in samples.chunks(10) {
+            samples.iter().for_each(|sample| writer.write(sample).unwrap());
+            writer.flush().unwrap();
+        }
+        writer.finish(0).unwrap();
+        let whole = std::fs::read(&path).unwrap();
+        let chunks = chunks(&whole);
+        assert_eq!(chunks.len(), 6);
+        // A chunk's checksum is at 24, its compressed records begin at 43.
+        let spoilt = |chunks: &[std::ops::Range<usize>], at: usize| {
+            let mut bytes = whole.clone();
+            for chunk in chunks {
+                bytes[chunk.start + at] ^= 0x55;
+            }
+            std::fs::write(&bad, bytes).unwrap();
+        };
+        for (nth, at) in (0..chunks.len()).flat_map(|nth| [(nth, 24), (nth, 43)]) {
+            spoilt(&chunks[nth..=nth], at);
+            let mut reader = RecordReader::open(&bad).unwrap();
+            let mut read = Vec::new();
+            while let Some(sample) = reader.next_sample().unwrap() {
+                read.push(sample);
+            }
+            let lost = 10 * nth..samples.len().min(10 * nth + 10);
+            assert_eq!(
+                read,
+                [&samples[..lost.start], &samples[lost.end..]].concat(),
+                "chunk {nth}"
+            );
+            assert_eq!((reader.damaged_chunks(), reader.is_cut_off()), (1, false));
+        }
+        spoilt(&chunks, 24);
+        assert!(problem(&bad).contains("damaged: of its 6 chunks, none is intact"));
     }
 
     #[test]

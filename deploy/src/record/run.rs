@@ -10,8 +10,7 @@ use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::messages::{
-    EdgeState, Event, EventKind, GoalPhase, GoalState, GuardZone, Link, MapPatch, MissionStatus, NodeStatus, Plan,
-    PoseEstimate, Scan,
+    EdgeState, Event, EventKind, GoalPhase, GoalState, MapPatch, MissionStatus, NodeStatus, Plan, PoseEstimate, Scan,
 };
 use zenav_protocol::robot::{Footprint, RobotModel};
 use zenav_protocol::time::Stamp;
@@ -52,6 +51,8 @@ pub struct Run {
     pub robots: BTreeMap<String, RobotRun>,
     /// Whether the record was cut off.
     pub cut_off: bool,
+    /// Damaged chunks of the record, which are left out.
+    pub damaged_chunks: usize,
 }
 
 /// Traffic on a key.
@@ -194,6 +195,8 @@ impl Run {
         }
         run.wall_secs = last.saturating_sub(run.began) as f64 * 1e-9;
         run.cut_off = reader.is_cut_off();
+        run.damaged_chunks = reader.damaged_chunks();
+        reader.warn_of_losses();
         for (name, robot) in &mut run.robots {
             robot.map = maps.grid(name).cloned();
             robot.end();
@@ -224,50 +227,32 @@ impl Run {
         let count = self.keys.entry(sample.key.clone()).or_default();
         count.messages += 1;
         count.bytes += sample.bytes.len() as u64;
-        let Some(row) = topics::row_of(&sample.key) else { return };
-        let mut chunks = sample.key.split('/');
-        let Some(name) = chunks.nth(1).filter(|name| *name != "sim" && *name != "svc") else {
-            return;
-        };
         let since = sample.logged.saturating_sub(self.began) as f64 * 1e-9;
-        let robot = self.robots.entry(name.to_owned()).or_default();
-        let pattern = row.pattern;
-        if pattern == topics::POSE.pattern {
-            if let Ok(Some((_, pose))) = sample.message(&topics::POSE) {
-                robot.pose(&pose);
+        if let Some((name, pose)) = sample.message(&topics::POSE) {
+            self.robot(name).pose(&pose);
+        } else if let Some((name, scan)) = sample.message(&topics::SCAN) {
+            let robot = self.robot(name.clone());
+            robot.scan(&scan, sample.logged);
+            if robot.model.is_none() && early.len() < REMEMBERED {
+                early.push((name, robot.trace.clock.now, scan));
             }
-        } else if pattern == topics::SCAN.pattern {
-            if let Ok(Some((_, scan))) = sample.message(&topics::SCAN) {
-                robot.scan(&scan, sample.logged);
-                if robot.model.is_none() && early.len() < REMEMBERED {
-                    early.push((name.to_owned(), robot.trace.clock.now, scan));
-                }
-            }
-        } else if pattern == topics::STATE.pattern {
-            if let Ok(Some((_, state))) = sample.message(&topics::STATE) {
-                robot.state(&state, sample.logged);
-            }
-        } else if pattern == topics::EVENT.pattern {
-            if let Ok(Some((_, event))) = sample.message(&topics::EVENT) {
-                robot.hear(event, since);
-            }
-        } else if pattern == topics::MAP_PATCH.pattern {
-            if let Ok(Some((_, patch))) = sample.message(&topics::MAP_PATCH) {
-                robot.patch(&patch, sample.logged);
-            }
-        } else if pattern == topics::PLAN.pattern {
-            if let Ok(Some((_, plan))) = sample.message(&topics::PLAN) {
-                robot.plan(&plan, sample.logged);
-            }
-        } else if pattern == topics::GOAL_STATE.pattern {
-            if let Ok(Some((_, goal))) = sample.message(&topics::GOAL_STATE) {
-                robot.goal(goal, since);
-            }
-        } else if pattern == topics::MISSION.pattern
-            && let Ok(Some((_, status))) = sample.message(&topics::MISSION)
-        {
-            robot.mission(&status);
+        } else if let Some((name, state)) = sample.message(&topics::STATE) {
+            self.robot(name).state(&state, sample.logged);
+        } else if let Some((name, event)) = sample.message(&topics::EVENT) {
+            self.robot(name).hear(event, since);
+        } else if let Some((name, patch)) = sample.message(&topics::MAP_PATCH) {
+            self.robot(name).patch(&patch, sample.logged);
+        } else if let Some((name, plan)) = sample.message(&topics::PLAN) {
+            self.robot(name).plan(&plan, sample.logged);
+        } else if let Some((name, goal)) = sample.message(&topics::GOAL_STATE) {
+            self.robot(name).goal(goal, since);
+        } else if let Some((name, status)) = sample.message(&topics::MISSION) {
+            self.robot(name).mission(&status);
         }
+    }
+
+    fn robot(&mut self, name: String) -> &mut RobotRun {
+        self.robots.entry(name).or_default()
     }
 }
 
@@ -359,22 +344,6 @@ impl RobotRun {
     }
 
     fn event(&mut self, time: f64, event: &Event) {
-        let is_warning = matches!(
-            event.kind,
-            EventKind::Bumped
-                | EventKind::PlanRejected { .. }
-                | EventKind::PlanExpired { .. }
-                | EventKind::BatteryLow { .. }
-                | EventKind::InputsDropped { .. }
-                | EventKind::Stopped { .. }
-                | EventKind::Guard {
-                    zone: GuardZone::Stop,
-                    ..
-                }
-                | EventKind::LinkChanged {
-                    link: Link::Stale | Link::Lost
-                }
-        );
         match event.kind {
             EventKind::Bumped => self.bumps += 1,
             EventKind::PlanRejected { .. } => self.rejected += 1,
@@ -384,7 +353,8 @@ impl RobotRun {
         if self.events.len() >= 2 * MOST {
             self.events.drain(..MOST);
         }
-        self.events.push((time, is_warning, words::event(&event.kind)));
+        self.events
+            .push((time, words::is_warning(&event.kind), words::event(&event.kind)));
     }
 
     fn patch(&mut self, patch: &MapPatch, logged: u64) {
@@ -546,40 +516,7 @@ fn millis(from: u64, to: u64) -> f64 {
 /// Distance from the outline to the nearest return of the scan, m; zero if a return is inside. `None` without a return.
 fn clearance(scan: &Scan, footprint: &Footprint) -> Option<f64> {
     let points = scan.returns().map(|point| scan.base_from_laser.transform_point(point));
-    match footprint {
-        Footprint::Radius(radius) => points
-            .map(|point| (point.coords.norm() - radius).max(0.0))
-            .reduce(f64::min),
-        Footprint::Polygon(corners) => points.map(|point| outside(point, corners)).reduce(f64::min),
-    }
-}
-
-/// Distance of a point from a convex counter-clockwise polygon, m; zero inside.
-fn outside(point: Point2<f64>, corners: &[Point2<f64>]) -> f64 {
-    let edges = corners.iter().zip(corners.iter().cycle().skip(1));
-    let mut inside = true;
-    let mut least = f64::INFINITY;
-    for (from, to) in edges {
-        let (edge, off) = (to - from, point - from);
-        inside &= edge.x * off.y - edge.y * off.x >= 0.0;
-        let share = (off.dot(&edge) / edge.norm_squared().max(1e-12)).clamp(0.0, 1.0);
-        least = least.min((off - share * edge).norm());
-    }
-    if inside { 0.0 } else { least }
-}
-
-/// A goal's state in one word.
-#[must_use]
-pub fn phase(phase: GoalPhase) -> &'static str {
-    match phase {
-        GoalPhase::Accepted => "accepted",
-        GoalPhase::Active => "active",
-        GoalPhase::Paused => "paused",
-        GoalPhase::Succeeded => "succeeded",
-        GoalPhase::Aborted => "aborted",
-        GoalPhase::Canceled => "canceled",
-        GoalPhase::Rejected => "rejected",
-    }
+    points.map(|point| footprint.distance(point)).reduce(f64::min)
 }
 
 #[cfg(test)]
@@ -587,11 +524,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn clearance_is_from_the_outline() {
-        let square = [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)].map(|(x, y)| Point2::new(x, y));
-        assert!((outside(Point2::new(2.0, 0.0), &square) - 1.5).abs() < 1e-12);
-        assert!((outside(Point2::new(1.5, 1.5), &square) - 2.0_f64.sqrt()).abs() < 1e-12);
-        assert!(outside(Point2::new(0.1, 0.2), &square) <= 0.0);
+    fn a_scan_without_a_return_has_no_clearance() {
         let scan = Scan {
             ranges: vec![f32::INFINITY; 5],
             ..zenav_fixtures::scan(1, Pose2::IDENTITY, vec![])

@@ -1,8 +1,6 @@
-//! Words and shapes. An event as one line of text, and a footprint as corners.
+//! Words. An event as one line of text, and its severity.
 
-use nalgebra::Point2;
-use zenav_protocol::messages::EventKind;
-use zenav_protocol::robot::Footprint;
+use zenav_protocol::messages::{EventKind, GuardZone, Link};
 
 /// The event in one line.
 #[must_use]
@@ -23,20 +21,20 @@ pub fn event(kind: &EventKind) -> String {
         }
         EventKind::Localisation { health } => format!("localisation: {health}"),
         EventKind::TeleopDropped { reason } => format!("teleop command dropped: {reason}"),
-        EventKind::Guard { zone, reason } => format!("collision monitor {zone:?}: {reason}"),
+        EventKind::Guard { zone, reason } => format!("collision monitor {}: {reason}", lower(zone)),
         EventKind::Lease { holder, epoch, reason } => {
             let holder = holder.as_deref().unwrap_or("nobody");
             format!("lease: {holder}, epoch {epoch}: {reason}")
         }
-        EventKind::LinkChanged { link } => format!("link {link:?}"),
+        EventKind::LinkChanged { link } => format!("link {}", lower(link)),
         EventKind::Stopped { by } => format!("stopped by {by}"),
         EventKind::Resumed { by } => format!("resumed by {by}"),
         EventKind::BehaviourDone { report } => {
             let reason = report.reason.as_deref().map(|reason| format!(": {reason}"));
             format!(
-                "maneuver {} {:?}{}",
+                "maneuver {} {}{}",
                 report.id,
-                report.state,
+                lower(&report.state),
                 reason.unwrap_or_default()
             )
         }
@@ -49,17 +47,29 @@ pub fn event(kind: &EventKind) -> String {
     }
 }
 
-/// The outline as corners, base frame, m; a disc is given `corners` of them.
+/// The name of a variant, in small letters.
+fn lower(variant: &impl std::fmt::Debug) -> String {
+    format!("{variant:?}").to_lowercase()
+}
+
+/// Whether the event needs attention.
 #[must_use]
-pub fn outline(footprint: &Footprint, corners: u32) -> Vec<Point2<f64>> {
-    match footprint {
-        Footprint::Polygon(points) => points.clone(),
-        Footprint::Radius(radius) => {
-            let corner = |nth: u32| {
-                let angle = std::f64::consts::TAU * f64::from(nth) / f64::from(corners.max(3));
-                Point2::new(radius * angle.cos(), radius * angle.sin())
-            };
-            (0..corners.max(3)).map(corner).collect()
-        }
-    }
+pub const fn is_warning(kind: &EventKind) -> bool {
+    matches!(
+        kind,
+        EventKind::Bumped
+            | EventKind::PlanRejected { .. }
+            | EventKind::PlanExpired { .. }
+            | EventKind::BatteryLow { .. }
+            | EventKind::InputsDropped { .. }
+            | EventKind::TeleopDropped { .. }
+            | EventKind::Stopped { .. }
+            | EventKind::Guard {
+                zone: GuardZone::Stop,
+                ..
+            }
+            | EventKind::LinkChanged {
+                link: Link::Stale | Link::Lost
+            }
+    )
 }

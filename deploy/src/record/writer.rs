@@ -22,12 +22,14 @@ use super::format::{
     ABOUT, ATTACHMENT, DRAWN, ENCODING, FORMAT_ENTRY, KIND, Kind, PROFILE, Problem, RecordError, SCHEMA_ENTRY,
     STARTED_ENTRY, Sample, VERSION,
 };
-use super::foxglove::{Artist, Drawn, Schema};
+use super::foxglove::{self, Artist, Drawn};
 use super::maps::Maps;
 use super::schema;
 
 /// Size at which a chunk is written, bytes; [`RecordWriter::flush`] writes it sooner.
 const CHUNK: u64 = 1 << 20;
+/// Encoding of bytes without structure.
+const UNTYPED: &str = "application/octet-stream";
 
 /// Options of a recording.
 #[derive(Clone, Debug, Default)]
@@ -304,9 +306,6 @@ struct RecordFile {
     bytes: Arc<AtomicU64>,
     /// For each channel its number, and the number of its next message.
     channels: BTreeMap<ChannelName, (u16, u32)>,
-    /// Numbers of the message schemas, by title.
-    schemas: BTreeMap<String, u16>,
-    drawn: BTreeMap<Schema, u16>,
 }
 
 impl RecordFile {
@@ -335,8 +334,6 @@ impl RecordFile {
             mcap,
             bytes,
             channels: BTreeMap::new(),
-            schemas: BTreeMap::new(),
-            drawn: BTreeMap::new(),
         };
         let mut about = options.about.clone();
         for (name, value) in [
@@ -366,7 +363,21 @@ impl RecordFile {
             kind: sample.kind.name(),
             encoding: sample.encoding.clone(),
         };
-        let (channel, sequence) = self.channel(&name, Some(&sample.bytes), None)?;
+        let (channel, sequence) = self.channel(&name, |mcap| {
+            // A deletion holds nothing, which is no JSON.
+            if sample.kind == Kind::Delete {
+                return Ok((0, UNTYPED));
+            }
+            if Encoding::of(&sample.encoding) == Encoding::Cbor {
+                return Ok((0, "cbor"));
+            }
+            let Some(schema) = schema::of(&sample.key, &sample.bytes) else {
+                // Text that is not a JSON object, or bytes of another program: named as Zenoh does.
+                return Ok((0, sample.encoding.as_str()));
+            };
+            let (title, schema) = (schema::title(&sample.key), schema.to_string());
+            Ok((mcap.add_schema(&title, schema::ENCODING, schema.as_bytes())?, "json"))
+        })?;
         // Written before its sample: a reader then has it when the sample comes.
         if let Some(attachment) = &sample.attachment {
             let attached = ChannelName {
@@ -374,7 +385,7 @@ impl RecordFile {
                 encoding: format!("{} {}", sample.kind.name(), sample.encoding),
                 ..name
             };
-            let (attached, _) = self.channel(&attached, None, None)?;
+            let (attached, _) = self.channel(&attached, |_| Ok((0, UNTYPED)))?;
             self.message(attached, sequence, sample.logged, None, attachment)?;
         }
         self.message(channel, sequence, sample.logged, sample.published, &sample.bytes)
@@ -384,77 +395,33 @@ impl RecordFile {
         let name = ChannelName {
             topic: drawn.topic.clone(),
             kind: DRAWN,
-            encoding: Encoding::Json.mime().to_owned(),
+            encoding: foxglove::ENCODING.to_owned(),
         };
-        let (channel, sequence) = self.channel(&name, None, Some(drawn.schema))?;
-        self.message(channel, sequence, logged, None, &drawn.json)
+        let schema = &drawn.schema;
+        let (channel, sequence) = self.channel(&name, |mcap| {
+            let schema = mcap.add_schema(&schema.name, &schema.encoding, &schema.data)?;
+            Ok((schema, foxglove::ENCODING))
+        })?;
+        self.message(channel, sequence, logged, None, &drawn.bytes)
     }
 
-    /// The channel's number and that of its next message; `example` is its first payload.
-    fn channel(
+    /// The channel's number and that of its next message; `described` gives the schema (0 for none) and the encoding of a new channel.
+    fn channel<'e>(
         &mut self,
         name: &ChannelName,
-        example: Option<&[u8]>,
-        drawn: Option<Schema>,
+        described: impl FnOnce(&mut mcap::Writer<NoSeek<Counted>>) -> Result<(u16, &'e str), McapError>,
     ) -> Result<(u16, u32), RecordError> {
         if let Some((channel, sequence)) = self.channels.get_mut(name) {
             *sequence = sequence.wrapping_add(1);
             return Ok((*channel, *sequence));
         }
-        let is_json = Encoding::of(&name.encoding) == Encoding::Json && name.kind != ATTACHMENT;
-        let schema = match (drawn, example) {
-            (Some(drawn), _) => self.drawn_schema(drawn)?,
-            (None, Some(example)) if is_json => self.message_schema(&name.topic, example)?,
-            _ => 0,
-        };
-        let message_encoding = match (name.kind, Encoding::of(&name.encoding)) {
-            (ATTACHMENT, _) => "application/octet-stream",
-            (_, Encoding::Cbor) => "cbor",
-            // Text that is not JSON, or bytes of another program: named as Zenoh does.
-            (_, Encoding::Json) if schema == 0 => name.encoding.as_str(),
-            (_, Encoding::Json) => "json",
-        };
         let metadata = [(KIND, name.kind), (ENCODING, name.encoding.as_str())];
-        let metadata = metadata
-            .into_iter()
-            .map(|(entry, value)| (entry.to_owned(), value.to_owned()))
-            .collect();
-        let channel = self
-            .mcap
-            .add_channel(schema, &name.topic, message_encoding, &metadata)
+        let metadata = metadata.map(|(entry, value)| (entry.to_owned(), value.to_owned()));
+        let channel = described(&mut self.mcap)
+            .and_then(|(schema, encoding)| self.mcap.add_channel(schema, &name.topic, encoding, &metadata.into()))
             .map_err(|error| broken(&self.path, error))?;
         self.channels.insert(name.clone(), (channel, 0));
         Ok((channel, 0))
-    }
-
-    fn drawn_schema(&mut self, schema: Schema) -> Result<u16, RecordError> {
-        if let Some(number) = self.drawn.get(&schema) {
-            return Ok(*number);
-        }
-        let text = schema.json().to_string();
-        let number = self
-            .mcap
-            .add_schema(schema.name(), schema::ENCODING, text.as_bytes())
-            .map_err(|error| broken(&self.path, error))?;
-        self.drawn.insert(schema, number);
-        Ok(number)
-    }
-
-    /// The schema of a key's messages; 0 if they are not JSON objects.
-    fn message_schema(&mut self, key: &str, example: &[u8]) -> Result<u16, RecordError> {
-        let title = schema::title(key);
-        if let Some(number) = self.schemas.get(&title) {
-            return Ok(*number);
-        }
-        let Some(schema) = schema::of(key, example) else {
-            return Ok(0);
-        };
-        let number = self
-            .mcap
-            .add_schema(&title, schema::ENCODING, schema.to_string().as_bytes())
-            .map_err(|error| broken(&self.path, error))?;
-        self.schemas.insert(title, number);
-        Ok(number)
     }
 
     fn message(

@@ -4,12 +4,12 @@ use std::path::Path;
 
 use serde::Serialize;
 use zenav_pose_graph::{
-    Certificate, DescentSettings, Optimality, RobustSettings, RobustSolution, g2o, solve as solve_graph, solve_robust,
+    Certificate, DescentSettings, Optimality, RobustSettings, RobustSolution, SolveError, g2o, solve as solve_graph,
+    solve_robust,
 };
 
 use super::SlamArgs;
 use crate::batch::thread_time;
-use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::output;
@@ -77,8 +77,7 @@ impl Solved {
 
 /// Solves the graph of a file, and writes the files for `--out`.
 pub(super) fn solve(path: &Path, args: &SlamArgs) -> Outcome {
-    output::value(args.output, &solved(path, args)?, Solved::told)?;
-    Ok(exit_code::OK)
+    output::value(args.output, &solved(path, args)?, Solved::told)
 }
 
 fn solved(path: &Path, args: &SlamArgs) -> Result<Solved, Failure> {
@@ -95,14 +94,33 @@ fn solved(path: &Path, args: &SlamArgs) -> Result<Solved, Failure> {
             rounds: 0,
         })
     };
-    let robust = robust.map_err(Failure::failed_at(path))?;
+    let robust = robust.map_err(|error| Failure::failed_at(path)(unsolved(&error, &ids, args.robust)))?;
     let solve_ms = 1e3 * thread_time().saturating_sub(start).as_secs_f64();
     if let Some(out) = &args.out {
         std::fs::create_dir_all(out).map_err(Failure::failed_at(out))?;
         graph.set_poses(&robust.solution.poses).map_err(Failure::failed)?;
-        files::write(&out.join("graph.g2o"), g2o::write(&graph, &ids))?;
+        files::write(
+            &out.join("graph.g2o"),
+            g2o::write_weighted(&graph, &ids, &robust.weights),
+        )?;
     }
     Ok(Solved::new(graph.poses().len(), &robust, solve_ms))
+}
+
+/// Why a graph of a file has no solution, by the vertices' ids.
+fn unsolved(error: &SolveError, ids: &[u64], is_robust: bool) -> String {
+    match error {
+        SolveError::Disconnected { node } => {
+            let id = |node: usize| ids.get(node).copied().unwrap_or_default();
+            let edges = if is_robust { "edges of odometry" } else { "edges" };
+            format!(
+                "vertex {} is not joined to vertex {} by {edges}: solve the parts one by one",
+                id(*node),
+                id(0)
+            )
+        }
+        error => error.to_string(),
+    }
 }
 
 #[cfg(test)]
@@ -110,17 +128,10 @@ fn solved(path: &Path, args: &SlamArgs) -> Result<Solved, Failure> {
 mod tests {
     use std::io::Write as _;
 
-    use clap::Parser as _;
     use flate2::Compression;
     use flate2::write::GzEncoder;
 
     use super::*;
-
-    #[derive(clap::Parser)]
-    struct Command {
-        #[command(flatten)]
-        slam: SlamArgs,
-    }
 
     #[test]
     fn a_square_in_a_compressed_file_is_solved_and_certified() {
@@ -131,17 +142,37 @@ mod tests {
             writeln!(packed, "EDGE_SE2 {from} {to} 1 0 1.5707963 100 0 0 100 0 100").unwrap();
         }
         packed.finish().unwrap();
-        let arguments = [
-            "slam".as_ref(),
-            "--graph".as_ref(),
-            file.as_os_str(),
-            "--out".as_ref(),
-            out.as_os_str(),
-        ];
-        let found = solved(&file, &Command::parse_from(arguments).slam).unwrap();
+        let [graph, to] = [&file, &out].map(|path| path.to_str().unwrap());
+        let args = crate::cli::parsed(&["--graph", graph, "--out", to]).unwrap();
+        let found = solved(&file, &args).unwrap();
         assert_eq!((found.nodes, found.edges, found.certified), (4, 4, true));
         assert!(found.chi_squared < 1e-6, "{}", found.chi_squared);
         let written = files::text(&out.join("graph.g2o")).unwrap();
         assert_eq!(g2o::read(&written).unwrap().graph.edges().len(), 4);
+    }
+    #[test]
+    fn a_part_without_a_link_is_named_by_its_vertex_and_a_false_closure_is_a_comment() {
+        let folder = tempfile::tempdir().unwrap();
+        let (file, out) = (folder.path().join("graph.g2o"), folder.path().join("out"));
+        let [graph, to] = [&file, &out].map(|path| path.to_str().unwrap());
+        let edge = |from: u64, to: u64, x: f64| format!("EDGE_SE2 {from} {to} {x} 0 0 100 0 0 100 0 400\n");
+        let args = crate::cli::parsed(&["--graph", graph, "--robust", "--out", to]).unwrap();
+        std::fs::write(&file, [edge(7, 8, 1.0), edge(20, 21, 1.0)].concat()).unwrap();
+        let refused = solved(&file, &args).unwrap_err();
+        assert!(
+            refused
+                .message
+                .ends_with("vertex 20 is not joined to vertex 7 by edges of odometry: solve the parts one by one"),
+            "{refused}"
+        );
+        let drive: String = (0..5).map(|from| edge(from, from + 1, 1.0)).collect();
+        std::fs::write(&file, [drive, edge(0, 5, 5.0), edge(1, 4, 0.0)].concat()).unwrap();
+        assert_eq!(solved(&file, &args).unwrap().dropped, 1);
+        let written = files::text(&out.join("graph.g2o")).unwrap();
+        assert!(
+            written.ends_with("# EDGE_SE2 1 4 0 0 0 100 0 0 100 0 400\n"),
+            "{written}"
+        );
+        assert_eq!(g2o::read(&written).unwrap().graph.edges().len(), 6);
     }
 }

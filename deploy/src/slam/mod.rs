@@ -24,7 +24,7 @@ use std::path::PathBuf;
 use crate::failure::Outcome;
 use crate::output::Format;
 
-pub(crate) use log::{read_in_order, skipped_warning};
+pub(crate) use log::read_in_order;
 pub(crate) use merge::{MergeArgs, merge};
 pub(crate) use session::drawn;
 
@@ -50,7 +50,7 @@ pub struct SlamArgs {
     /// Reference relations: lines `t1 t2 x y z roll pitch yaw`
     #[arg(long, value_name = "FILE", requires = "log")]
     relations: Option<PathBuf>,
-    /// Pose graph in g2o's format (2D) to solve and certify, instead of a log
+    /// Pose graph in g2o's or TORO's format (2D) to solve and certify, instead of a log
     #[arg(long, value_name = "FILE")]
     graph: Option<PathBuf>,
     /// Reject false loop closures of the graph

@@ -55,15 +55,15 @@ pub(super) fn draw(map: &OccupancyGrid, ways: &Ways<'_>, slam: &Slam) -> Result<
     plane.map_legend();
     plane.gap();
     if !ways.before.is_empty() {
-        plane.legend(Mark::Line, BEFORE, "way by odometry");
+        plane.legend(Mark::Line, BEFORE, "odometry trajectory");
     }
-    plane.legend(Mark::Line, ROBOT, "way in the map");
+    plane.legend(Mark::Line, ROBOT, "SLAM trajectory");
     if !ways.degenerate.is_empty() {
         plane.legend(Mark::Line, DEGENERATE, "degenerate stretch");
     }
     plane.legend(Mark::Line, CLOSURE, "loop closure");
     plane.legend(Mark::Line, REMATCH, "match at the end");
-    plane.legend(Mark::Line, FALSE, "match held false");
+    plane.legend(Mark::Line, FALSE, "rejected match");
     plane.finish()
 }
 

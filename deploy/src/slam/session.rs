@@ -86,14 +86,11 @@ fn scan(slam: &Slam, node: usize) -> Option<Scan> {
         stamp: Stamp::default(),
         angle_min: -std::f64::consts::PI,
         angle_increment: increment,
-        range_min: 0.0,
         range_max: f64::from(f32::MAX),
         ranges,
-        boot_id: String::new(),
-        moving: Vec::new(),
         base_from_laser: Pose2::new(laser.x, laser.y, 0.0),
-        map_from_odom: Pose2::IDENTITY,
         odom_from_base: *pose,
+        ..Scan::default()
     })
 }
 

@@ -34,7 +34,8 @@ pub(super) fn write(out: &Path, resolution: f64, drawn: &Drawn<'_>) -> Result<Pa
         let _ = writeln!(rows, "{stamp},{x},{y},{yaw}");
     }
     files::write(&out.join("trajectory.csv"), rows)?;
-    files::write(&out.join("graph.g2o"), g2o::write(drawn.slam.graph(), &[]))?;
+    let graph = g2o::write_weighted(drawn.slam.graph(), &[], drawn.slam.weights());
+    files::write(&out.join("graph.g2o"), graph)?;
     let built = maps::build_map(drawn.placed, resolution, InsertMode::Reference, &LOG_BEAMS);
     let grid = built.map_err(Failure::failed)?.map.to_occupancy();
     let map = map_file::write_map(out, "map", &grid, "SLAM of a log").map_err(Failure::failed)?;

@@ -6,8 +6,6 @@
 //! All candidates drive in the same rooms with the same noise, in parallel threads; the result does not depend on the number of threads.
 
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Mutex, PoisonError};
 
 use clap::{Args, Subcommand};
 use indicatif::ProgressBar;
@@ -25,6 +23,7 @@ use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::output::{self, Format};
+use crate::parallel;
 
 /// Standard deviation of the first generation, in logarithms of the gains.
 const SIGMA: f64 = 0.5;
@@ -238,38 +237,19 @@ impl<'a> Bench<'a> {
             unseen: rooms(first.wrapping_add(UNSEEN))?,
             secs: args.time,
             seed: args.seed,
-            threads: match args.threads {
-                Some(threads) => threads as usize,
-                None => std::thread::available_parallelism().map_or(1, usize::from),
-            },
+            threads: args.threads.map_or_else(parallel::cores, |threads| threads as usize),
         })
     }
 
     /// Cost of each set of gains in each room.
     fn judge(&self, gains: &[Gains], rooms: &[World], bar: &ProgressBar) -> Result<Vec<Vec<Judged>>, Failure> {
-        let jobs = gains.len() * rooms.len();
-        let next = AtomicUsize::new(0);
-        let done: Mutex<Vec<Option<Result<Judged, Failure>>>> = Mutex::new((0..jobs).map(|_| None).collect());
-        std::thread::scope(|scope| {
-            for _ in 0..self.threads.min(jobs) {
-                scope.spawn(|| {
-                    loop {
-                        let job = next.fetch_add(1, Ordering::Relaxed);
-                        let (Some(gains), Some(room)) = (gains.get(job / rooms.len()), rooms.get(job % rooms.len()))
-                        else {
-                            return;
-                        };
-                        let judged = self.drive(*gains, room, job % rooms.len());
-                        if let Some(place) = done.lock().unwrap_or_else(PoisonError::into_inner).get_mut(job) {
-                            *place = Some(judged);
-                        }
-                        bar.inc(1);
-                    }
-                });
-            }
+        let done = parallel::in_order(gains.len() * rooms.len(), self.threads, |job| {
+            let (gains, index) = (gains[job / rooms.len()], job % rooms.len());
+            let judged = self.drive(gains, &rooms[index], index);
+            bar.inc(1);
+            judged
         });
-        let done = done.into_inner().unwrap_or_else(PoisonError::into_inner);
-        let judged: Vec<Judged> = done.into_iter().flatten().collect::<Result<_, _>>()?;
+        let judged: Vec<Judged> = done.into_iter().collect::<Result<_, _>>()?;
         Ok(judged.chunks(rooms.len()).map(<[_]>::to_vec).collect())
     }
 

@@ -10,7 +10,7 @@ use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{AttachRequest, Refusal, WheelSpeeds};
 use zenav_protocol::time::Stamp;
-use zenav_sim::{RobotSpec, Simulation, World};
+use zenav_sim::{RobotSpec, SimError, Simulation, World};
 
 /// Dead-man's switch: time without a command after which a robot's wheels stop, s of the world's time.
 const DEAD_MAN: f64 = 0.1;
@@ -116,7 +116,13 @@ impl Host {
             model: request.model.clone(),
             start,
         };
-        self.simulation.add(&self.world, spec).map_err(Refusal::bad_request)?;
+        let added = self.simulation.add(&self.world, spec);
+        added.map_err(|error| match error {
+            SimError::Outside { .. } | SimError::Occupied { .. } => {
+                Refusal::bad_request(format!("{error}; choose another `start`"))
+            }
+            _ => Refusal::bad_request(error),
+        })?;
         tracing::info!(robot = %id, x = start.x, y = start.y, "a robot came into the world");
         self.robots.push(Driven {
             id,
@@ -308,5 +314,11 @@ mod tests {
             );
             assert!(matches!(refused, Err(Refusal::BadRequest { .. })), "{refused:?}");
         }
+        let far = AttachRequest {
+            start: Some(Pose2::new(50.0, 5.0, 0.0)),
+            ..request("a", 1)
+        };
+        let told = host.attach(SEC, &far).unwrap_err().to_string();
+        assert!(told.ends_with("choose another `start`"), "{told}");
     }
 }

@@ -14,6 +14,7 @@ use zenav_observability::Gauge;
 use zenav_observability::metrics::{WORLD_ROBOTS, WORLD_TIME};
 use zenav_protocol::bus::{AliveToken, Bus, BusConfig, Publisher, Shutdown, interrupted, service_manager};
 use zenav_protocol::id::Id;
+use zenav_protocol::member::Role;
 use zenav_protocol::messages::{AttachReply, SimClock};
 use zenav_protocol::readings::Readings;
 use zenav_protocol::time::Stamp;
@@ -23,7 +24,6 @@ use zenav_sim::Simulation;
 use crate::completion;
 use crate::config::SecurityArgs;
 use crate::connect::{self, DEFAULT_ENDPOINT};
-use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::health::HealthArgs;
@@ -86,7 +86,7 @@ fn lock(host: &Shared) -> MutexGuard<'_, Host> {
 /// `zenav sim serve`.
 ///
 /// # Errors
-/// A bad world, a taken port, a bus with another world server.
+/// A bad world, a taken port, an identity that is not a router's, a bus with another world server.
 pub fn serve(args: &ServeArgs) -> Outcome {
     let world = files::world(&args.world)?;
     let simulation = Simulation::new(&world, Vec::new(), args.seed).map_err(Failure::usage)?;
@@ -95,6 +95,7 @@ pub fn serve(args: &ServeArgs) -> Outcome {
         (listen, _) => listen.to_owned(),
     };
     let security = args.security.security()?;
+    security.check_role("`zenav sim serve`", &[Role::Router])?;
     runtime()?.block_on(async {
         args.health.serve(&security).await?;
         // With an endpoint it is a router itself: readings reach the edges without a detour.
@@ -132,10 +133,9 @@ pub fn serve(args: &ServeArgs) -> Outcome {
             };
             output::table(
                 &["robot", "driven m", "least clearance m", "collisions"],
-                &rows.iter().map(row).collect::<Vec<_>>(),
+                rows.iter().map(row),
             )
-        })?;
-        Ok(exit_code::OK)
+        })
     })
 }
 

@@ -11,7 +11,7 @@ use zenav_protocol::grid::{GridSpec, Occupancy};
 use zenav_protocol::lease::LeaseArbiter;
 use zenav_protocol::messages::{
     CancelRequest, EdgeState, GoalFeedback, GoalPhase, GoalPoint, GoalReply, GoalRequest, GoalState, GoalsReply,
-    GuardZone, LeaseReply, Link, MapInfo, MapPatch, MapRef, MapReply, Mode, PoseEstimate, Refusal, StopReply, Tile,
+    LeaseReply, Link, MapInfo, MapPatch, MapRef, MapReply, PoseEstimate, Refusal, StopReply, Tile,
 };
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
@@ -140,23 +140,12 @@ impl Memory {
     fn state(&self, now: Stamp) -> EdgeState {
         EdgeState {
             stamp: now,
-            frame: 0,
             boot_id: "b".into(),
-            mode: Mode::Idle,
             link: Link::Connected,
             lease: self.lease.state(now),
-            plan: None,
-            velocity: Twist2::ZERO,
-            guard: GuardZone::Clear,
             battery: 1.0,
-            behaviour: None,
-            wall_follower: None,
-            missed_ticks: 0,
             uplink: 1.0,
-            round_trip_secs: None,
-            stops: 0,
-            makes_way: false,
-            faults: Default::default(),
+            ..EdgeState::default()
         }
     }
 

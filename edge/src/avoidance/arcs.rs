@@ -6,7 +6,7 @@
 use std::f64::consts::TAU;
 
 use nalgebra::{Isometry2, Point2, Vector2};
-use zenav_protocol::geometry::{Twist2, wrap_angle};
+use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
 use zenav_protocol::robot::Drive;
 
 use super::{Avoidance, AvoidanceInput, PlacedDiscs, kept, lead};
@@ -98,6 +98,19 @@ impl<'a> Situation<'a> {
     }
 }
 
+/// One step of an arc.
+struct Step {
+    /// Where it ends, odometry frame, the direction of its heading, and the covering discs there.
+    pose: Pose2,
+    heading: Vector2<f64>,
+    discs: PlacedDiscs,
+    /// How the robot gets there.
+    twist: Twist2,
+    /// When it ends, s from now, and the share of the arc that is left then.
+    secs: f64,
+    left: f64,
+}
+
 /// A direction in the odometry frame that leads out of a contact: the robot turns on the spot until it faces it, then drives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct WayOut(u32);
@@ -147,13 +160,17 @@ impl Avoidance {
             .chain(situation.leaning.iter().copied())
             .filter_map(mover)
             .collect();
+        let people = input
+            .monitor
+            .people_behind_corners(input.obstacles, input.odom_from_base);
         let bump = self.touched.is_so().then_some(input.bump);
         let felt = (self.touched.is_so() || input.bump.pressed).then_some(input.bump);
         let share_of = |wanted: Twist2| {
             let (obstacles, here) = (input.obstacles, input.odom_from_base);
-            input
+            let among = input
                 .monitor
-                .share_among(input.now, wanted, &movers, obstacles, here, felt)
+                .share_among(input.now, wanted, &movers, obstacles, here, felt);
+            among.min(input.monitor.share_past_corners(input.now, wanted, &people, obstacles))
         };
         // In contact the robot creeps away, however slowly.
         let held_cost = if bump.is_some() { 0.0 } else { HELD_COST };
@@ -206,7 +223,6 @@ impl Avoidance {
     fn arc_cost(&self, situation: &Situation<'_>, wanted: Twist2, way_out: Option<(WayOut, f64)>, limit: f64) -> f64 {
         let (input, from_here) = (situation.input, situation.value);
         let touched = self.touched.is_so();
-        let backs_slowly = input.obstacles.blind_spots().leads_into_blind_spot(-1.0);
         let lasts = if touched || way_out.is_some() {
             TOUCHED_ARC_SECS
         } else {
@@ -256,50 +272,16 @@ impl Avoidance {
             if moving && self.leaves_known_floor(input, base_from_odom, pose.position(), heading, twist) {
                 return from_here + 50.0 + 50.0 * left;
             }
-            let (mut nearest, mut slowed) = (f64::INFINITY, 0.0_f64);
-            let speed = self.drive.surface_speed(twist);
-            let reach = self.circumscribed + self.settings.clearance_most;
-            for (track, before) in &situation.tracks {
-                let after = secs + input.now.secs_since(track.stamp);
-                let (at, lead) = (track.at(after), lead(&self.settings, track));
-                let far = reach + track.radius + track.velocity.norm() * lead;
-                if (at - pose.position()).norm_squared() > far * far {
-                    continue;
-                }
-                let distance = discs.distance(at) - track.radius;
-                if let Some(kept) = kept(&self.settings, track, secs) {
-                    let way = track.way(after, lead);
-                    nearest = nearest.min(discs.distance_from_way(&way) - track.radius - kept);
-                }
-                let least = LEAST_DISTANCE.min(before - LEAST_CLEARANCE);
-                let mut touches = distance < least;
-                if track.is_robot() {
-                    // The other robot does not follow its course while this one blocks it: an arc that leads out of its path is better than
-                    // none.
-                    cost += f64::from(u8::from(touches)) * CONTACT_COST * (1.0 + left) / f64::from(ARC_STEPS);
-                    touches = track.velocity.norm() < STANDS && discs.distance(track.position) - track.radius < least;
-                }
-                // Nearer than this the collision monitor slows the robot down.
-                let fast = if track.is_robot() { 0.0 } else { track.velocity.norm() };
-                let kept = fast * (self.reaction + speed / self.drive.hard_braking);
-                if kept > 0.0 && distance < kept && (at - pose.position()).dot(&heading) * twist.v > 0.0 {
-                    slowed = slowed.max((1.0 - distance / kept) * speed / self.drive.top_speed());
-                }
-                if touches {
-                    // A contact costs more the sooner it comes, the faster the robot drives, and, if it backs up slowly, the more straight
-                    // ahead it is.
-                    let ahead = (at - pose.position()).dot(&heading) / (at - pose.position()).norm().max(1e-9);
-                    let held = if backs_slowly {
-                        HEAD_ON_COST * ahead.max(0.0)
-                    } else {
-                        0.0
-                    };
-                    return cost + from_here + CONTACT_COST * (1.0 + left) + 0.5 * speed + held;
-                }
-            }
-            cost += SLOWED_COST * slowed / f64::from(ARC_STEPS);
-            if nearest < 0.0 {
-                cost += NEARNESS_COST * (-nearest / self.settings.clearance_most.max(0.1)) / f64::from(ARC_STEPS);
+            let there = Step {
+                pose,
+                heading,
+                discs,
+                twist,
+                secs,
+                left,
+            };
+            if let Some(contact) = self.meet_tracks(situation, &there, &mut cost) {
+                return contact;
             }
             if cost >= limit {
                 return cost;
@@ -315,6 +297,65 @@ impl Avoidance {
             wrap_angle(toward.y.atan2(toward.x) - pose.yaw).abs()
         });
         cost + from_here + DOOMED_COST + LOOK_COST * looks_away
+    }
+
+    /// Adds what the tracks cost at a step of an arc, s. Returns the cost of the whole arc if it meets one there.
+    fn meet_tracks(&self, situation: &Situation<'_>, step: &Step, cost: &mut f64) -> Option<f64> {
+        let (input, from_here) = (situation.input, situation.value);
+        let Step {
+            pose,
+            heading,
+            discs,
+            twist,
+            secs,
+            left,
+        } = step;
+        let speed = self.drive.surface_speed(*twist);
+        let (mut nearest, mut slowed) = (f64::INFINITY, 0.0_f64);
+        let reach = self.circumscribed + self.settings.clearance_most;
+        for (track, before) in &situation.tracks {
+            let after = secs + input.now.secs_since(track.stamp);
+            let (at, lead) = (track.at(after), lead(&self.settings, track));
+            let far = reach + track.radius + track.velocity.norm() * lead;
+            if (at - pose.position()).norm_squared() > far * far {
+                continue;
+            }
+            let distance = discs.distance(at) - track.radius;
+            if let Some(kept) = kept(&self.settings, track, *secs) {
+                let way = track.way(after, lead);
+                nearest = nearest.min(discs.distance_from_way(&way) - track.radius - kept);
+            }
+            let least = LEAST_DISTANCE.min(before - LEAST_CLEARANCE);
+            let mut touches = distance < least;
+            if track.is_robot() {
+                // The other robot does not follow its course while this one blocks it: an arc that leads out of its path is better than
+                // none.
+                *cost += f64::from(u8::from(touches)) * CONTACT_COST * (1.0 + left) / f64::from(ARC_STEPS);
+                touches = track.velocity.norm() < STANDS && discs.distance(track.position) - track.radius < least;
+            }
+            // Nearer than this the collision monitor slows the robot down.
+            let fast = if track.is_robot() { 0.0 } else { track.velocity.norm() };
+            let kept = fast * (self.reaction + speed / self.drive.hard_braking);
+            if kept > 0.0 && distance < kept && (at - pose.position()).dot(heading) * twist.v > 0.0 {
+                slowed = slowed.max((1.0 - distance / kept) * speed / self.drive.top_speed());
+            }
+            if touches {
+                // A contact costs more the sooner it comes, the faster the robot drives, and, if it backs up slowly, the more straight
+                // ahead it is.
+                let ahead = (at - pose.position()).dot(heading) / (at - pose.position()).norm().max(1e-9);
+                let held = if input.obstacles.blind_spots().leads_into_blind_spot(-1.0) {
+                    HEAD_ON_COST * ahead.max(0.0)
+                } else {
+                    0.0
+                };
+                return Some(*cost + from_here + CONTACT_COST * (1.0 + left) + 0.5 * speed + held);
+            }
+        }
+        *cost += SLOWED_COST * slowed / f64::from(ARC_STEPS);
+        if nearest < 0.0 {
+            *cost += NEARNESS_COST * (-nearest / self.settings.clearance_most.max(0.1)) / f64::from(ARC_STEPS);
+        }
+        None
     }
 
     /// Distance of the covering discs from static obstacles, m, to within a cell.

@@ -5,7 +5,9 @@
 use super::*;
 use nalgebra::{Point2, Vector2};
 use proptest::prelude::*;
+use zenav_fixtures::way_to_disc;
 use zenav_protocol::readings::Sweep;
+use zenav_protocol::robot::Footprint;
 
 const NO_BUMP: Bump = Bump {
     stamp: Stamp::ZERO,
@@ -24,27 +26,34 @@ fn all_seeing() -> RobotModel {
     model
 }
 
+/// A sweep with this range at each angle.
+fn sweep(model: &RobotModel, secs: f64, range: impl Fn(f64) -> f64) -> Sweep {
+    zenav_fixtures::sweep(model.first_lidar().unwrap(), secs, range)
+}
+
 /// A wall across the path, `distance` ahead of the base.
 fn wall(model: &RobotModel, distance: f64) -> LocalObstacles {
-    let lidar = model.first_lidar().unwrap();
+    let ahead = distance - model.first_lidar().unwrap().mount.x;
     let mut obstacles = LocalObstacles::new(model);
-    let range = |beam: usize| {
-        let cos = (lidar.angle_min() + beam as f64 * lidar.angle_increment()).cos();
-        if cos > 0.05 {
-            ((distance - lidar.mount.x) / cos) as f32
+    let range = |angle: f64| {
+        if angle.cos() > 0.05 {
+            ahead / angle.cos()
         } else {
-            f32::INFINITY
+            f64::INFINITY
         }
     };
-    obstacles.insert(
-        &Sweep::new(Stamp::from_secs(1.0), (0..lidar.beams).map(range).collect()),
-        Pose2::IDENTITY,
-    );
+    obstacles.insert(&sweep(model, 1.0, range), Pose2::IDENTITY);
     obstacles
 }
 
 fn judge(model: &RobotModel, obstacles: &LocalObstacles, wanted: Twist2) -> Verdict {
-    CollisionMonitor::new(model, 0.02).judge(Stamp::from_secs(1.05), wanted, obstacles, Pose2::IDENTITY, &NO_BUMP)
+    let mut monitor = CollisionMonitor::new(model, 0.02);
+    at(&mut monitor, 1.05, wanted, obstacles, &NO_BUMP)
+}
+
+/// The verdict of a monitor, of a robot that is where it started.
+fn at(monitor: &mut CollisionMonitor, secs: f64, wanted: Twist2, obstacles: &LocalObstacles, bump: &Bump) -> Verdict {
+    monitor.judge(Stamp::from_secs(secs), wanted, obstacles, Pose2::IDENTITY, bump)
 }
 
 #[test]
@@ -58,6 +67,54 @@ fn full_speed_at_a_wall_is_slowed_and_stopped_before_it() {
     assert_eq!(judge(&model, &wall(&model, 0.27), full).zone, GuardZone::Stop);
 }
 
+/// Outlines unlike those of the shipped robots: with the axle at the rear end, far wider than long, and with an arm on one side.
+const OUTLINES: [[(f64, f64); 4]; 3] = [
+    [(-0.2, -0.3), (1.2, -0.3), (1.2, 0.3), (-0.2, 0.3)],
+    [(-0.2, -0.8), (0.2, -0.8), (0.2, 0.8), (-0.2, 0.8)],
+    [(-0.3, -0.2), (0.5, -0.2), (0.5, 0.7), (-0.3, 0.7)],
+];
+
+#[test]
+fn no_corner_of_an_unusual_outline_meets_a_wall_whatever_is_wanted() {
+    const HALF: f64 = 1.7;
+    for outline in OUTLINES {
+        let corners = outline.map(|(x, y)| Point2::new(x, y));
+        let mut model = all_seeing();
+        model.footprint = Footprint::Polygon(corners.to_vec());
+        let lidar = model.lidar.as_mut().unwrap();
+        (lidar.beams, lidar.mount) = (720, Pose2::IDENTITY);
+        for (v, w) in [
+            (0.6, 0.0),
+            (-0.6, 0.0),
+            (0.0, 2.0),
+            (0.0, -2.0),
+            (0.4, 0.8),
+            (0.4, -0.8),
+            (-0.3, 0.6),
+        ] {
+            let mut monitor = CollisionMonitor::new(&model, 0.02);
+            let mut obstacles = LocalObstacles::new(&model);
+            let (mut pose, mut way) = (Pose2::IDENTITY, 0.0);
+            for tick in 0..400_u32 {
+                let secs = 1.0 + 0.02 * f64::from(tick);
+                if tick.is_multiple_of(5) {
+                    let lidar = model.first_lidar().unwrap();
+                    let sweep = zenav_fixtures::sweep_in_room(lidar, secs, pose, (HALF, HALF), &[]);
+                    assert!(obstacles.insert(&sweep, pose));
+                }
+                let (now, wanted) = (Stamp::from_secs(secs), Twist2::new(v, w));
+                let twist = monitor.judge(now, wanted, &obstacles, pose, &NO_BUMP).twist;
+                pose = pose.advance(twist, 0.02);
+                way += 0.02 * model.drive.surface_speed(twist);
+                let reach = corners.map(|corner| pose.transform_point(corner).coords.amax());
+                let farthest = reach.into_iter().fold(0.0, f64::max);
+                assert!(farthest < HALF + 0.005, "{outline:?}, {v} {w}: {farthest} m");
+            }
+            assert!(way > 0.3, "{outline:?}, {v} {w}: it drove {way} m");
+        }
+    }
+}
+
 #[test]
 fn a_robot_at_a_wall_may_turn_and_back_away() {
     let model = all_seeing();
@@ -69,17 +126,15 @@ fn a_robot_at_a_wall_may_turn_and_back_away() {
 #[test]
 fn a_wall_alongside_at_a_tenth_of_a_metre_slows_nothing() {
     let model = tiago();
-    let lidar = model.first_lidar().unwrap();
     let mut obstacles = LocalObstacles::new(&model);
-    let ranges = (0..lidar.beams).map(|beam| {
-        let sin = (lidar.angle_min() + beam as f64 * lidar.angle_increment()).sin();
-        if sin > 0.05 {
-            (0.365 / sin) as f32
+    let range = |angle: f64| {
+        if angle.sin() > 0.05 {
+            0.365 / angle.sin()
         } else {
-            f32::INFINITY
+            f64::INFINITY
         }
-    });
-    obstacles.insert(&Sweep::new(Stamp::from_secs(1.0), ranges.collect()), Pose2::IDENTITY);
+    };
+    obstacles.insert(&sweep(&model, 1.0, range), Pose2::IDENTITY);
     assert_eq!(judge(&model, &obstacles, Twist2::new(0.6, 0.0)).twist.v, 0.6);
 }
 
@@ -87,23 +142,66 @@ fn a_wall_alongside_at_a_tenth_of_a_metre_slows_nothing() {
 fn without_a_fresh_scan_nothing_moves() {
     let model = tiago();
     let mut monitor = CollisionMonitor::new(&model, 0.02);
-    let stale = monitor.judge(
-        Stamp::from_secs(1.6),
-        Twist2::new(0.1, 0.0),
-        &wall(&model, 3.0),
-        Pose2::IDENTITY,
-        &NO_BUMP,
-    );
+    let creeps = Twist2::new(0.1, 0.0);
+    let stale = at(&mut monitor, 1.6, creeps, &wall(&model, 3.0), &NO_BUMP);
     assert_eq!((stale.twist, stale.zone), (Twist2::ZERO, GuardZone::Stop));
     assert_eq!(stale.change.as_deref(), Some("lidar scan too old"));
-    let none = monitor.judge(
-        Stamp::from_secs(1.6),
-        Twist2::new(0.1, 0.0),
-        &LocalObstacles::new(&model),
-        Pose2::IDENTITY,
-        &NO_BUMP,
-    );
+    let none = at(&mut monitor, 1.6, creeps, &LocalObstacles::new(&model), &NO_BUMP);
     assert_eq!(none.twist, Twist2::ZERO);
+}
+
+#[test]
+fn a_scan_of_the_future_and_an_odometry_that_is_no_number_move_nothing() {
+    let model = tiago();
+    let mut obstacles = LocalObstacles::new(&model);
+    looked(&mut obstacles, &model, 10.0, 0.0);
+    let driven = |secs: f64, here: Pose2| {
+        let (now, ahead) = (Stamp::from_secs(secs), Twist2::new(0.3, 0.0));
+        let mut monitor = CollisionMonitor::new(&model, 0.02);
+        monitor.judge(now, ahead, &obstacles, here, &NO_BUMP).twist
+    };
+    assert_eq!(driven(10.05, Pose2::IDENTITY).v, 0.3);
+    // The clock was set back: what the scan shows may be gone, and anything else may have come.
+    assert_eq!(driven(5.0, Pose2::IDENTITY), Twist2::ZERO);
+    for lost in [Pose2::new(f64::NAN, 0.0, 0.0), Pose2::new(0.0, 0.0, f64::NAN)] {
+        assert_eq!(driven(10.05, lost), Twist2::ZERO);
+    }
+}
+
+#[test]
+fn a_body_slower_than_the_control_period_is_allowed_less_and_a_single_late_tick_changes_nothing() {
+    let model = tiago();
+    let obstacles = wall(&model, 0.42);
+    let allowed = |before: [f64; 2]| {
+        let mut monitor = CollisionMonitor::new(&model, 0.02);
+        let mut last = 0.0;
+        for secs in before.into_iter().chain([1.05]) {
+            last = at(&mut monitor, secs, Twist2::new(0.6, 0.0), &obstacles, &NO_BUMP)
+                .twist
+                .v;
+        }
+        last
+    };
+    let in_time = allowed([1.01, 1.03]);
+    let slow = allowed([0.95, 1.0]);
+    assert!(0.1 < slow && slow < in_time - 0.01, "{slow} {in_time}");
+    assert_eq!(allowed([0.98, 1.0]), in_time, "one late tick");
+}
+
+#[test]
+fn slow_motors_slow_nothing_while_scans_come_and_stop_sooner_after_the_last_one() {
+    for lag in [0.05, 0.3, 1.0] {
+        let mut model = tiago();
+        model.drive.motor_lag = lag;
+        let (obstacles, full) = (wall(&model, 5.0), Twist2::new(0.6, 0.0));
+        let mut monitor = CollisionMonitor::new(&model, 0.02);
+        // The next scan is due 0.1 s after the one at 1 s.
+        let soon = at(&mut monitor, 1.1, full, &obstacles, &NO_BUMP);
+        assert!(soon.twist.v > 0.9 * full.v, "{lag}: {soon:?}");
+        let commanded_until = EdgeSettings::default().rest_after_silence(&model, 0.02) - 4.0 * lag;
+        let late = at(&mut monitor, 1.0 + commanded_until, full, &obstacles, &NO_BUMP);
+        assert_eq!(late.twist, Twist2::ZERO, "{lag}: its motors need the rest of the time");
+    }
 }
 
 #[test]
@@ -116,20 +214,9 @@ fn contact_allows_only_the_way_back() {
         bearing: Some(0.3),
     };
     let mut monitor = CollisionMonitor::new(&model, 0.02);
-    let now = Stamp::from_secs(1.05);
-    assert_eq!(
-        monitor
-            .judge(now, Twist2::new(0.2, 0.0), &obstacles, Pose2::IDENTITY, &bump)
-            .twist,
-        Twist2::ZERO
-    );
-    assert_eq!(
-        monitor
-            .judge(now, Twist2::new(-0.2, 0.0), &obstacles, Pose2::IDENTITY, &bump)
-            .twist
-            .v,
-        -0.2
-    );
+    let mut allowed = |v: f64| at(&mut monitor, 1.05, Twist2::new(v, 0.0), &obstacles, &bump).twist;
+    assert_eq!(allowed(0.2), Twist2::ZERO);
+    assert_eq!(allowed(-0.2).v, -0.2);
 }
 
 #[test]
@@ -138,13 +225,7 @@ fn another_reason_to_stop_is_reported_too() {
     let mut monitor = CollisionMonitor::new(&model, 0.02);
     let obstacles = wall(&model, 0.27);
     let mut reported = |secs: f64| {
-        let verdict = monitor.judge(
-            Stamp::from_secs(secs),
-            Twist2::new(0.5, 0.0),
-            &obstacles,
-            Pose2::IDENTITY,
-            &NO_BUMP,
-        );
+        let verdict = at(&mut monitor, secs, Twist2::new(0.5, 0.0), &obstacles, &NO_BUMP);
         assert_eq!(verdict.twist, Twist2::ZERO);
         verdict.change
     };
@@ -165,27 +246,19 @@ fn beside(model: &RobotModel, from: Point2<f64>, velocity: f64) -> (LocalObstacl
 
 /// The same with a post of another radius, m.
 fn passing(model: &RobotModel, from: Point2<f64>, velocity: f64, radius: f64) -> (LocalObstacles, Stamp) {
-    let lidar = model.first_lidar().unwrap();
+    let laser = model.first_lidar().unwrap().mount.position();
     let mut obstacles = LocalObstacles::new(model);
-    let mut stamp = Stamp::ZERO;
+    let mut secs = 1.0;
     for step in 0..20 {
-        let secs = 1.0 + 0.05 * f64::from(step);
-        stamp = Stamp::from_secs(secs);
-        let center = from.coords + Vector2::new(velocity * (secs - 1.0), 0.0) - lidar.mount.position().coords;
-        let range = |beam: usize| {
-            let angle = lidar.angle_min() + beam as f64 * lidar.angle_increment();
+        secs = 1.0 + 0.05 * f64::from(step);
+        let center = from + Vector2::new(velocity * (secs - 1.0), 0.0);
+        let range = |angle: f64| {
             let along = Vector2::new(angle.cos(), angle.sin());
-            let (ahead, off) = (center.dot(&along), center.perp(&along));
-            if ahead > 0.0 && off.abs() < radius {
-                (ahead - (radius * radius - off * off).sqrt()) as f32
-            } else {
-                f32::INFINITY
-            }
+            way_to_disc(laser, along, (center, radius))
         };
-        let ranges = (0..lidar.beams).map(range).collect();
-        assert!(obstacles.insert(&Sweep::new(stamp, ranges), Pose2::IDENTITY));
+        assert!(obstacles.insert(&sweep(model, secs, range), Pose2::IDENTITY));
     }
-    (obstacles, stamp)
+    (obstacles, Stamp::from_secs(secs))
 }
 
 #[test]
@@ -293,31 +366,36 @@ fn whoever_went_into_the_blind_spot_and_did_not_come_out_is_not_backed_into() {
         let mut monitor = CollisionMonitor::new(&model, 0.02);
         monitor.blind_speed = 0.15;
         let wanted = Twist2::new(-0.3, 0.0);
-        -monitor
-            .judge(Stamp::from_secs(1.05), wanted, obstacles, Pose2::IDENTITY, &NO_BUMP)
-            .twist
-            .v
+        -at(&mut monitor, 1.05, wanted, obstacles, &NO_BUMP).twist.v
     };
     assert!((back(&floor) - 0.15).abs() < 1e-9, "{}", back(&floor));
-    floor.touch(Stamp::from_secs(1.02), Some(Point2::new(-0.25, 0.0)), Pose2::IDENTITY);
-    floor.touch(Stamp::from_secs(1.04), None, Pose2::IDENTITY);
+    floor.touch(
+        Stamp::from_secs(1.02),
+        Some(Point2::new(-0.25, 0.0)),
+        true,
+        Pose2::IDENTITY,
+    );
+    floor.touch(Stamp::from_secs(1.04), None, false, Pose2::IDENTITY);
     assert!(back(&floor) <= 0.01, "{}", back(&floor));
 }
 
 #[test]
 fn after_a_lidar_outage_a_moving_obstacle_may_be_in_the_blind_spot() {
-    let model = jackal();
-    let turn = |second: f64| {
+    let turn = |rate: f64, second: f64| {
+        let mut model = jackal();
+        model.lidar.as_mut().unwrap().rate_hz = rate;
         let mut obstacles = LocalObstacles::new(&model);
         looked(&mut obstacles, &model, 0.0, 0.0);
         looked(&mut obstacles, &model, second, 0.0);
-        let now = Stamp::from_secs(second + 0.05);
+        let mut monitor = CollisionMonitor::new(&model, 0.02);
         let wanted = Twist2::new(0.0, 1.0);
-        let verdict = CollisionMonitor::new(&model, 0.02).judge(now, wanted, &obstacles, Pose2::IDENTITY, &NO_BUMP);
-        verdict.twist.w
+        at(&mut monitor, second + 0.05, wanted, &obstacles, &NO_BUMP).twist.w
     };
-    assert_eq!(turn(0.2), 1.0);
-    assert!(turn(1.0) * 0.21 < 0.01);
+    assert_eq!(turn(10.0, 0.2), 1.0);
+    assert!(turn(10.0, 1.0) * 0.21 < 0.01);
+    // The scans of a slow lidar come in time, too.
+    assert_eq!(turn(1.0, 1.0), 1.0);
+    assert!(turn(1.0, 2.0) * 0.21 < 0.01);
 }
 
 #[test]
@@ -334,6 +412,7 @@ fn a_bumper_contact_in_the_blind_spot_counts_as_a_moving_obstacle() {
     obstacles.touch(
         Stamp::from_secs(1.0),
         Some(contact_point(&model.footprint, bump.bearing.unwrap())),
+        true,
         Pose2::IDENTITY,
     );
     assert!(turn(&obstacles) * 0.21 < 0.01);
@@ -350,12 +429,7 @@ fn a_bumper_without_a_bearing_stops_the_way_that_the_robot_moved() {
     };
     for back in [-1.0, 1.0] {
         let mut monitor = CollisionMonitor::new(&model, 0.02);
-        let now = Stamp::from_secs(1.0);
-        let mut judge = |v: f64, bump: &Bump| {
-            let wanted = Twist2::new(v, 0.0);
-            let verdict = monitor.judge(now, wanted, &obstacles, Pose2::IDENTITY, bump);
-            verdict.twist.v
-        };
+        let mut judge = |v: f64, bump: &Bump| at(&mut monitor, 1.0, Twist2::new(v, 0.0), &obstacles, bump).twist.v;
         for _ in 0..20 {
             assert_ne!(judge(0.1 * back, &NO_BUMP), 0.0);
         }
@@ -365,7 +439,7 @@ fn a_bumper_without_a_bearing_stops_the_way_that_the_robot_moved() {
             judge(-0.1 * back, &NO_BUMP);
         }
         assert_ne!(judge(-0.1 * back, &touched), 0.0);
-        assert!(monitor.feel(now, &touched).unwrap().x * back > 0.0);
+        assert!(monitor.feel(Stamp::from_secs(1.0), &touched).unwrap().x * back > 0.0);
     }
 }
 
@@ -380,11 +454,10 @@ fn a_robot_touched_at_its_side_slides_along_slowly_and_turns_away_only() {
         ..NO_BUMP
     };
     let place = contact_point(&model.footprint, bump.bearing.unwrap());
-    obstacles.touch(Stamp::from_secs(1.0), Some(place), Pose2::IDENTITY);
+    obstacles.touch(Stamp::from_secs(1.0), Some(place), true, Pose2::IDENTITY);
     let allowed = |twist: Twist2| {
         let mut monitor = CollisionMonitor::new(&model, 0.02);
-        let now = Stamp::from_secs(1.0);
-        monitor.judge(now, twist, &obstacles, Pose2::IDENTITY, &bump).twist
+        at(&mut monitor, 1.0, twist, &obstacles, &bump).twist
     };
     let slides = allowed(Twist2::new(0.5, 0.0)).v;
     assert!(slides > 0.05 && slides <= 0.1, "{slides}");
@@ -400,9 +473,7 @@ fn a_round_robot_on_which_somebody_leans_turns_on_the_spot_though_its_controller
     let turn = Twist2::new(-0.001, 1.2);
     let allowed = |obstacles: &LocalObstacles, bump: &Bump| {
         let mut monitor = CollisionMonitor::new(&model, 0.02);
-        monitor
-            .judge(Stamp::from_secs(1.05), turn, obstacles, Pose2::IDENTITY, bump)
-            .twist
+        at(&mut monitor, 1.05, turn, obstacles, bump).twist
     };
     let behind = Bump {
         pressed: true,
@@ -417,10 +488,7 @@ fn a_round_robot_on_which_somebody_leans_turns_on_the_spot_though_its_controller
 
 /// Free floor as seen by a robot that faces `yaw`.
 fn looked(obstacles: &mut LocalObstacles, model: &RobotModel, secs: f64, yaw: f64) {
-    let sweep = Sweep::new(
-        Stamp::from_secs(secs),
-        vec![f32::INFINITY; model.first_lidar().unwrap().beams],
-    );
+    let sweep = sweep(model, secs, |_| f64::INFINITY);
     assert!(obstacles.insert(&sweep, Pose2::new(0.0, 0.0, yaw)));
 }
 
@@ -431,10 +499,7 @@ fn into_the_blind_spot_it_backs_up_only_over_floor_seen_before_and_at_the_allowe
     let mut back = |obstacles: &LocalObstacles, allowed: f64| {
         monitor.blind_speed = allowed;
         let wanted = Twist2::new(-0.3, 0.0);
-        -monitor
-            .judge(Stamp::from_secs(1.05), wanted, obstacles, Pose2::IDENTITY, &NO_BUMP)
-            .twist
-            .v
+        -at(&mut monitor, 1.05, wanted, obstacles, &NO_BUMP).twist.v
     };
     let mut ahead = LocalObstacles::new(&model);
     looked(&mut ahead, &model, 1.0, 0.0);
@@ -454,12 +519,17 @@ fn over_floor_never_seen_it_feels_its_way_as_fast_as_is_allowed() {
     let mut monitor = CollisionMonitor::new(&model, 0.02);
     (monitor.blind_speed, monitor.unseen_speed) = (0.05, 0.05);
     let wanted = Twist2::new(-0.3, 0.0);
-    let verdict = monitor.judge(Stamp::from_secs(1.05), wanted, &ahead, Pose2::IDENTITY, &NO_BUMP);
+    let verdict = at(&mut monitor, 1.05, wanted, &ahead, &NO_BUMP);
     assert!((verdict.twist.v + 0.05).abs() < 1e-9, "{verdict:?}");
     // A contact felt there may be a moving obstacle.
-    ahead.touch(Stamp::from_secs(1.05), Some(Point2::new(-0.29, 0.0)), Pose2::IDENTITY);
-    ahead.touch(Stamp::from_secs(1.06), None, Pose2::IDENTITY);
-    let verdict = monitor.judge(Stamp::from_secs(1.07), wanted, &ahead, Pose2::IDENTITY, &NO_BUMP);
+    ahead.touch(
+        Stamp::from_secs(1.05),
+        Some(Point2::new(-0.29, 0.0)),
+        true,
+        Pose2::IDENTITY,
+    );
+    ahead.touch(Stamp::from_secs(1.06), None, false, Pose2::IDENTITY);
+    let verdict = at(&mut monitor, 1.07, wanted, &ahead, &NO_BUMP);
     assert!(verdict.twist.v >= -0.01, "{verdict:?}");
 }
 
@@ -468,10 +538,7 @@ fn a_gentle_motion_waits_until_a_faster_one_has_faded() {
     let model = jackal();
     let nothing = wall(&model, 3.0);
     let mut monitor = CollisionMonitor::new(&model, 0.02);
-    let mut judge = |secs: f64, wanted| {
-        let now = Stamp::from_secs(1.05 + secs);
-        monitor.judge(now, wanted, &nothing, Pose2::IDENTITY, &NO_BUMP).twist
-    };
+    let mut judge = |secs: f64, wanted| at(&mut monitor, 1.05 + secs, wanted, &nothing, &NO_BUMP).twist;
     let gentle = Twist2::new(0.0, 0.03);
     assert_eq!(judge(0.0, gentle), gentle, "from rest");
     for tick in 1..=3 {
@@ -497,23 +564,11 @@ fn a_corner_is_touched_from_between_its_sides_too() {
 #[test]
 fn a_moving_obstacle_stops_the_robot_earlier_than_a_static_one() {
     let model = tiago();
-    let lidar = model.first_lidar().unwrap();
     let mut moving = LocalObstacles::new(&model);
     let mut standing = LocalObstacles::new(&model);
     let post = |distance: f64, secs: f64| {
-        Sweep::new(
-            Stamp::from_secs(secs),
-            (0..lidar.beams)
-                .map(|beam| {
-                    let angle = lidar.angle_min() + beam as f64 * lidar.angle_increment();
-                    if angle.abs() < 0.2 {
-                        distance as f32
-                    } else {
-                        f32::INFINITY
-                    }
-                })
-                .collect(),
-        )
+        let range = |angle: f64| if angle.abs() < 0.2 { distance } else { f64::INFINITY };
+        sweep(&model, secs, range)
     };
     for (secs, distance) in [(0.6, 0.7), (0.8, 0.6), (1.0, 0.5)] {
         moving.insert(&post(distance, secs), Pose2::IDENTITY);

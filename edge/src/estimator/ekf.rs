@@ -10,7 +10,7 @@
 
 use nalgebra::{Matrix2, Matrix3, RowSVector, SMatrix, SVector, Vector2, Vector3};
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
-use zenav_protocol::robot::RobotModel;
+use zenav_protocol::robot::{GpsModel, RobotModel};
 use zenav_protocol::time::Stamp;
 
 use crate::settings::EstimatorSettings;
@@ -22,6 +22,8 @@ const LEAST_VARIANCE: f64 = 1e-8;
 
 /// Least standard deviation of the gyro's bias at the start, rad/s.
 const LEAST_BIAS_STD: f64 = 1e-5;
+/// Without readings the wheels come to rest within this time, s: a body stops them without commands.
+const ROLLS_OUT: f64 = 1.0;
 /// Turns known better than this are not compared, rad².
 const LEAST_TURN_VARIANCE: f64 = 1e-16;
 
@@ -121,21 +123,42 @@ pub(super) struct Reckoned {
     pub(super) by_gyro: f64,
 }
 
-/// A turn in one step, by gyro and by wheels.
-struct WheelTurn {
+/// What the wheels rolled in a step.
+struct Rolled {
     /// Distance rolled by the left and the right wheel, m, without their errors, and its variance, m².
     sides: [f64; 2],
     variances: [f64; 2],
-    /// Variance of one wheel's distance due to the steps of its encoder, m².
-    step_variance: f64,
-    /// Derivative of the pose by the distance of each wheel, for the noise that the prediction took.
-    by_wheels: Vector3<f64>,
-    /// The turn that the prediction took from the gyro, rad, and the rate of the gyro's previous reading, rad/s.
+    /// Whether the encoders told it.
+    is_known: bool,
+}
+
+/// How a step moves the base.
+struct Step {
+    /// Distance, m, and turn, rad.
+    way: f64,
     turn: f64,
-    rate_before: f64,
-    /// Derivative of the pose by that turn, and the variance of the turn, rad².
-    by_gyro: Vector3<f64>,
+    /// Their derivatives by the state.
+    way_by: RowSVector<f64, STATES>,
+    turn_by: RowSVector<f64, STATES>,
+    /// Derivative of the turn by the distance of the right wheel, rad/m; zero where the gyro gives the turn.
+    wheel_turns: f64,
+    /// Variance of the turn by the gyro's noise, rad².
     gyro_variance: f64,
+    /// Sine and cosine of the heading at half the turn.
+    sin: f64,
+    cos: f64,
+}
+
+impl Step {
+    /// Derivative of the pose by something, from the derivatives of distance and turn: along the heading at half the turn.
+    fn spread(&self, way_by: f64, turn_by: f64) -> Vector3<f64> {
+        let Self { way, sin, cos, .. } = *self;
+        Vector3::new(
+            cos * way_by - 0.5 * way * sin * turn_by,
+            sin * way_by + 0.5 * way * cos * turn_by,
+            turn_by,
+        )
+    }
 }
 
 /// Rotates the axes of a pose's covariance.
@@ -271,7 +294,7 @@ impl Ekf {
                 Some(self.gated(settings, 0, innovation, jacobian, noise))
             }
             Input::Gps(position, variance) => {
-                let steps = model.gps.as_ref().map_or(0.0, |gps| gps.resolution.powi(2) / 12.0);
+                let steps = model.gps.as_ref().map_or(0.0, GpsModel::rounding);
                 let innovation = position - self.state.fixed_rows::<2>(0);
                 let jacobian = SMatrix::<f64, 2, STATES>::identity();
                 let noise = Matrix2::identity() * (variance + steps + LEAST_VARIANCE);
@@ -306,35 +329,55 @@ impl Ekf {
             return;
         }
         self.time = to;
+        let rolled = self.rolled((model, settings), motion.wheels.1, secs, interval);
+        let step = self.step(model, &rolled, motion.gyro, secs);
+        let moved = self.map_from_base().advance(Twist2::new(step.way, step.turn), 1.0);
+        (self.state[0], self.state[1], self.state[2]) = (moved.x, moved.y, moved.yaw);
+        self.widen(settings, &rolled, &step, secs);
+        if motion.gyro.is_some() && rolled.is_known {
+            self.compare_turns(model, &rolled, &step, secs);
+        }
+    }
+
+    /// What the wheels rolled in `secs` of an `interval` (s) that ends at these angles, rad.
+    fn rolled(&self, (model, settings): Known<'_>, angles: [f64; 2], secs: f64, interval: f64) -> Rolled {
         let drive = &model.drive;
-        let mut turns = [0, 1].map(|side: usize| motion.wheels.1[side] - self.wheels.1[side]);
-        // A silent or reset encoder, or lost counts: no wheel turns at three times its limit.
-        let limit = 3.0 * drive.max_wheel_speed * interval + 0.1;
-        let known = turns.iter().all(|turn| turn.abs() <= limit);
-        if !known {
+        let mut turns = [0, 1].map(|side: usize| angles[side] - self.wheels.1[side]);
+        // A silent or reset encoder, or lost counts: no wheel turns at three times its limit, and in a pause of the readings none turns on.
+        let limit = 3.0 * drive.max_wheel_speed * interval.min(ROLLS_OUT) + 0.1;
+        let is_known = turns.iter().all(|turn| turn.abs() <= limit);
+        if !is_known {
             turns = [0.0; 2];
         }
         // The part of the distance rolled, m, in this time; variances add up over the interval.
         let share = secs / interval;
         let variances = turns.map(|turn| {
-            if !known {
+            if !is_known {
                 // It may have moved at its limit for about a second.
                 return (drive.max_wheel_speed * drive.wheel_radius).powi(2) * secs;
             }
             let metres = turn * drive.wheel_radius;
             share * ((model.encoders.noise * metres).powi(2) + settings.slip * metres.abs())
         });
-        let [left, right] = turns.map(|turn| share * turn * drive.wheel_radius);
+        Rolled {
+            sides: turns.map(|turn| share * turn * drive.wheel_radius),
+            variances,
+            is_known,
+        }
+    }
+
+    /// How far the base moves and turns, by its wheels and the gyro's reading that covers the time, and how that depends on the parameters;
+    /// adds it to the dead reckoning.
+    fn step(&mut self, model: &RobotModel, rolled: &Rolled, gyro: Option<(Stamp, f64)>, secs: f64) -> Step {
+        let [left, right] = rolled.sides;
         let way = 0.5 * (left * (1.0 + self.state[LEFT]) + right * (1.0 + self.state[RIGHT]));
-        let apart = drive.wheel_separation * (1.0 + self.state[APART]);
+        let apart = self.apart(model);
         self.reckoned.way += 0.5 * (left + right);
         self.uncorrected += 0.5 * (left + right).abs();
-
-        // How distance and turn depend on the parameters and on the error of each wheel.
         let mut way_by = RowSVector::<f64, STATES>::zeros();
         let mut turn_by = RowSVector::<f64, STATES>::zeros();
         (way_by[LEFT], way_by[RIGHT]) = (0.5 * left, 0.5 * right);
-        let (turn, wheel_turns, own_variance) = match motion.gyro {
+        let (turn, wheel_turns, gyro_variance) = match gyro {
             Some((until, rate)) => {
                 // The error of one reading, as a random walk over the time that it covers.
                 let span = self.gyro.map_or(secs, |(since, _)| until.secs_since(since));
@@ -345,39 +388,55 @@ impl Ekf {
                 ((rate - self.state[BIAS]) * secs, 0.0, noise * span * secs)
             }
             None => {
-                let turn = (right * (1.0 + self.state[RIGHT]) - left * (1.0 + self.state[LEFT])) / apart;
-                self.reckoned.turn += (right - left) / drive.wheel_separation;
+                let turn = self.turn_by_wheels(rolled, apart);
+                self.reckoned.turn += (right - left) / model.drive.wheel_separation;
                 (turn_by[LEFT], turn_by[RIGHT]) = (-left / apart, right / apart);
                 turn_by[APART] = -turn / (1.0 + self.state[APART]);
                 (turn, 1.0 / apart, 0.0)
             }
         };
         let (sin, cos) = (self.state[2] + 0.5 * turn).sin_cos();
-        let moved = self.map_from_base().advance(Twist2::new(way, turn), 1.0);
-        (self.state[0], self.state[1], self.state[2]) = (moved.x, moved.y, moved.yaw);
+        Step {
+            way,
+            turn,
+            way_by,
+            turn_by,
+            wheel_turns,
+            gyro_variance,
+            sin,
+            cos,
+        }
+    }
 
-        // Along the heading at half the turn.
-        let spread = |way_by: f64, turn_by: f64| {
-            Vector3::new(
-                cos * way_by - 0.5 * way * sin * turn_by,
-                sin * way_by + 0.5 * way * cos * turn_by,
-                turn_by,
-            )
-        };
+    /// Distance between the wheels by the estimate, m.
+    fn apart(&self, model: &RobotModel) -> f64 {
+        model.drive.wheel_separation * (1.0 + self.state[APART])
+    }
+
+    /// The turn that wheels this far apart (m) make, by the estimate of their radii, rad.
+    fn turn_by_wheels(&self, rolled: &Rolled, apart: f64) -> f64 {
+        let [left, right] = rolled.sides;
+        (right * (1.0 + self.state[RIGHT]) - left * (1.0 + self.state[LEFT])) / apart
+    }
+
+    /// Carries the covariance along a step, and adds the noise of wheels and gyro and the random walk of the parameters.
+    fn widen(&mut self, settings: &EstimatorSettings, rolled: &Rolled, step: &Step, secs: f64) {
+        let Step { way, sin, cos, .. } = *step;
         let mut jacobian = Covariance::identity();
         (jacobian[(0, 2)], jacobian[(1, 2)]) = (-way * sin, way * cos);
         for parameter in [BIAS, LEFT, RIGHT, APART] {
             jacobian
                 .fixed_view_mut::<3, 1>(0, parameter)
-                .copy_from(&spread(way_by[parameter], turn_by[parameter]));
+                .copy_from(&step.spread(step.way_by[parameter], step.turn_by[parameter]));
         }
         self.covariance = jacobian * self.covariance * jacobian.transpose();
-        let (by_left, by_right) = (spread(0.5, -wheel_turns), spread(0.5, wheel_turns));
-        let by_gyro = spread(0.0, 1.0);
+        let (by_left, by_right) = (step.spread(0.5, -step.wheel_turns), step.spread(0.5, step.wheel_turns));
+        let by_gyro = step.spread(0.0, 1.0);
         let sideways = Vector3::new(-sin, cos, 0.0);
+        let variances = rolled.variances;
         let pose_noise = by_left * by_left.transpose() * variances[0]
             + by_right * by_right.transpose() * variances[1]
-            + by_gyro * by_gyro.transpose() * own_variance
+            + by_gyro * by_gyro.transpose() * step.gyro_variance
             + sideways * sideways.transpose() * (settings.sideways_share * 0.25 * (variances[0] + variances[1]));
         let mut pose = self.covariance.fixed_view_mut::<3, 3>(0, 0);
         pose += pose_noise;
@@ -385,39 +444,27 @@ impl Ekf {
         for parameter in [LEFT, RIGHT, APART] {
             self.covariance[(parameter, parameter)] += settings.wheel_walk * secs;
         }
-        if motion.gyro.is_some() && known {
-            // Encoder steps do not add up, but a single one must not look like slip.
-            let step = if left == 0.0 && right == 0.0 {
-                0.0
-            } else {
-                (model.encoders.resolution * drive.wheel_radius).powi(2) / 6.0
-            };
-            let wheels = WheelTurn {
-                sides: [left, right],
-                variances,
-                step_variance: step,
-                by_wheels: 0.5 * spread(1.0, 0.0),
-                turn,
-                rate_before: self.gyro.map_or(self.state[BIAS], |(_, rate)| rate),
-                by_gyro,
-                gyro_variance: own_variance,
-            };
-            self.compare_turns(&wheels, apart, secs);
-        }
     }
 
     /// The prediction took the turn from the gyro; the wheels' turn over the same time is a measurement of it, and of the gyro's bias
     /// against the wheels' errors. Both noises are in the prediction too: the gain accounts for this correlation.
-    fn compare_turns(&mut self, wheels: &WheelTurn, apart: f64, secs: f64) {
-        let [left, right] = wheels.sides;
-        let turn = (right * (1.0 + self.state[RIGHT]) - left * (1.0 + self.state[LEFT])) / apart;
-        let innovation = wheels.turn - turn;
-        let [by_left, by_right] = wheels.variances;
-        let wheel_variance = (by_left + by_right + 2.0 * wheels.step_variance) / (apart * apart);
-        let noise = wheels.gyro_variance + wheel_variance;
+    fn compare_turns(&mut self, model: &RobotModel, rolled: &Rolled, step: &Step, secs: f64) {
+        let [left, right] = rolled.sides;
+        let apart = self.apart(model);
+        let innovation = step.turn - self.turn_by_wheels(rolled, apart);
+        // Encoder steps do not add up, but a single one must not look like slip.
+        let steps = if left == 0.0 && right == 0.0 {
+            0.0
+        } else {
+            (model.encoders.resolution * model.drive.wheel_radius).powi(2) / 6.0
+        };
+        let [by_left, by_right] = rolled.variances;
+        let wheel_variance = (by_left + by_right + 2.0 * steps) / (apart * apart);
+        let noise = step.gyro_variance + wheel_variance;
         // Linearised at the turn predicted from the gyro's previous reading, which is independent of the innovation's noise. Otherwise
         // noise would look like wheels that are too large and too far apart, or too small and too near (regression dilution).
-        let foretold = (wheels.rate_before - self.state[BIAS]) * secs;
+        let rate_before = self.gyro.map_or(self.state[BIAS], |(_, rate)| rate);
+        let foretold = (rate_before - self.state[BIAS]) * secs;
         let (way, aside) = (0.5 * (left + right), 0.5 * foretold * apart);
         // Derivative of the innovation by the state: gyro less wheels.
         let mut jacobian = SVector::<f64, STATES>::zeros();
@@ -426,7 +473,8 @@ impl Ekf {
         jacobian[APART] = foretold / (1.0 + self.state[APART]);
         let mut shared = self.covariance * jacobian;
         let mut pose = shared.fixed_rows_mut::<3>(0);
-        pose += wheels.by_gyro * wheels.gyro_variance + wheels.by_wheels * ((by_left - by_right) / apart);
+        let (by_gyro, by_wheels) = (step.spread(0.0, 1.0), 0.5 * step.spread(1.0, 0.0));
+        pose += by_gyro * step.gyro_variance + by_wheels * ((by_left - by_right) / apart);
         let variance = jacobian.dot(&(self.covariance * jacobian)) + noise;
         if variance < LEAST_TURN_VARIANCE || innovation * innovation > GATE[0] * variance {
             return;

@@ -26,6 +26,12 @@ const ANOTHER_CLOCK_AFTER: u32 = 25;
 /// The heading no longer comes from a gyro that has been silent for longer than this, s.
 const GYRO_SILENT: f64 = 0.5;
 
+/// A gyro measures no greater rate, rad/s: a common full scale is 2000 degrees a second. One reading far beyond it would leave the sum of all
+/// turns without any precision for the next ones.
+const FASTEST_TURN: f64 = 35.0;
+/// A correction with a greater variance, m² or rad², tells nothing: the inverse of such a matrix overflows.
+const MOST_VARIANCE: f64 = 1e6;
+
 /// Slower than this is rest, m/s and rad/s: a filter alone would never get there.
 const REST: f64 = 1e-6;
 
@@ -40,7 +46,7 @@ pub struct Tally {
     pub too_late: u64,
     /// Inputs that arrived again.
     pub repeated: u64,
-    /// Inputs that are not finite, have no valid covariance, or are stamped in the future.
+    /// Inputs that are not finite or beyond what can be measured, have no valid covariance, or are stamped in the future.
     pub broken: u64,
 }
 
@@ -82,6 +88,21 @@ impl Estimator {
 
     /// Takes one tick's readings and the pose measurements that were made off board for this boot. Cost: a few microseconds; a late input
     /// adds a replay of all inputs after it, a window's worth at most.
+    ///
+    /// ```
+    /// # let tiago = zenav_fixtures::robot("tiago");
+    /// use zenav_edge::{estimator::Estimator, settings::EstimatorSettings};
+    /// use zenav_protocol::{geometry::Pose2, readings::Readings, time::Stamp};
+    ///
+    /// let mut estimator = Estimator::new(&tiago, Pose2::new(1.0, 2.0, 0.0), &EstimatorSettings::default());
+    /// for tick in 0..=50 {
+    ///     // Both wheels turn by 0.1 rad from one reading to the next.
+    ///     let (stamp, wheels) = (Stamp::from_secs(0.02 * f64::from(tick)), [0.1 * f64::from(tick); 2]);
+    ///     estimator.step(&Readings { wheels, ..Readings::new(stamp) }, []);
+    /// }
+    /// let way = 5.0 * tiago.drive.wheel_radius;
+    /// assert!((estimator.odom_from_base().x - way).abs() < 1e-3 && (estimator.map_from_base().x - 1.0 - way).abs() < 1e-3);
+    /// ```
     pub fn step<'a>(&mut self, readings: &Readings, corrections: impl IntoIterator<Item = &'a Correction>) {
         self.nis = [None; 3];
         self.wheels(readings);
@@ -202,7 +223,11 @@ impl Estimator {
 
     /// A gyro and compass reading.
     fn imu(&mut self, imu: &Imu) {
-        self.admit(imu.stamp, Input::Gyro(imu.yaw_rate));
+        if imu.yaw_rate.abs() > FASTEST_TURN {
+            self.tally.broken += 1;
+        } else {
+            self.admit(imu.stamp, Input::Gyro(imu.yaw_rate));
+        }
         if let Some(yaw) = imu.yaw.filter(|_| self.model.imu.compass_noise.is_some()) {
             self.admit(imu.stamp, Input::Compass(yaw));
         }
@@ -221,7 +246,8 @@ impl Estimator {
     /// A pose measurement made off board.
     fn correction(&mut self, correction: &Correction) {
         let noise = Matrix3::from_row_slice(&correction.covariance);
-        if noise.cholesky().is_none() || (noise - noise.transpose()).norm() > 1e-9 * noise.norm() {
+        let is_measurable = noise.iter().all(|value| value.abs() <= MOST_VARIANCE);
+        if !is_measurable || noise.cholesky().is_none() || (noise - noise.transpose()).norm() > 1e-9 * noise.norm() {
             self.tally.broken += 1;
             return;
         }

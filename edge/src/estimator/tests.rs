@@ -273,6 +273,59 @@ fn wheels_that_fall_silent_are_made_up_for_and_without_end_nothing_is_sure() {
 }
 
 #[test]
+fn encoders_that_count_anew_after_a_pause_do_not_move_the_robot() {
+    let mut estimator = self::estimator(Pose2::IDENTITY, 0.01);
+    for tick in 0..1000 {
+        estimator.step(&readings(tick, [0.04 * tick as f64; 2]), &[]);
+    }
+    let before = estimator.odom_from_base();
+    // Five seconds later its driver runs again.
+    for tick in 0..100 {
+        estimator.step(&readings(1250 + tick, [0.04 * tick as f64; 2]), &[]);
+    }
+    let way = (before.inverse() * estimator.odom_from_base()).x;
+    let driven = 0.04 * 99.0 * model().drive.wheel_radius;
+    assert!((way - driven).abs() < 0.01, "{way} of {driven} m");
+    assert!(estimator.covariance()[0] > 0.1, "it may have been pushed meanwhile");
+}
+
+#[test]
+fn a_rate_beyond_what_a_gyro_measures_is_left_out() {
+    let mut estimator = self::estimator(Pose2::IDENTITY, 0.01);
+    for tick in 0..100 {
+        let mut readings = readings(tick, [0.02 * tick as f64; 2]);
+        readings.imu = Some(Imu {
+            stamp: stamp(tick),
+            yaw_rate: if tick == 20 { 1e20 } else { 0.5 },
+            yaw: None,
+        });
+        estimator.step(&readings, &[]);
+    }
+    let (expected, odom) = (0.5 * 0.02 * 99.0, estimator.odom_from_base());
+    assert!((odom.yaw - expected).abs() < 0.03, "{odom:?}");
+    assert!((estimator.map_from_base().yaw - expected).abs() < 0.03);
+    assert_eq!(estimator.tally().broken, 1);
+}
+
+#[test]
+fn a_place_known_to_no_measurable_distance_replaces_nothing() {
+    let mut estimator = self::estimator(Pose2::IDENTITY, 0.01);
+    let found = Correction {
+        stamp: stamp(10),
+        map_from_base: Pose2::new(7.0, -3.0, 2.0),
+        covariance: [1e300, 0.0, 0.0, 0.0, 1e300, 0.0, 0.0, 0.0, 1e300],
+        is_found_anew: true,
+        ..Correction::default()
+    };
+    for tick in 0..20 {
+        estimator.step(&readings(tick, [0.0; 2]), (tick == 15).then_some(&found));
+    }
+    assert!(estimator.map_from_base().distance(&Pose2::IDENTITY) < 1e-9);
+    assert!(estimator.covariance()[0] < 0.01);
+    assert_eq!(estimator.tally().broken, 1);
+}
+
+#[test]
 fn a_body_whose_clock_begins_anew_is_followed_again() {
     let mut estimator = self::estimator(Pose2::IDENTITY, 0.01);
     for tick in 500..600 {

@@ -66,6 +66,8 @@ pub struct MovingObstacles {
     /// Assumed speed of moving obstacles in view and out of sight, m/s.
     fastest: f64,
     fastest_out_of_sight: f64,
+    /// And out of sight when somebody new is taken for a hidden one, who is then forgotten: slower, so that fewer are.
+    fastest_to_come_out: f64,
     /// Circumscribed radius of the robot, m.
     circumscribed_radius: f64,
     /// Places where a moving obstacle entered the blind spot, with the number of its track.
@@ -99,6 +101,7 @@ impl MovingObstacles {
             settings: settings.moving_obstacles.clone(),
             fastest,
             fastest_out_of_sight: settings.passive_safety.speed_out_of_sight(top_speed),
+            fastest_to_come_out: settings.passive_safety.speed_out_of_sight.unwrap_or(top_speed),
             circumscribed_radius: model.footprint.circumscribed_radius(),
             occluded: RecentPlaces::new(OCCLUDED_PLACES, settings.moving_obstacles.place_spacing),
             next_untracked: UNTRACKED,
@@ -230,9 +233,14 @@ impl MovingObstacles {
         self.next_untracked
     }
 
-    /// Whether a hidden obstacle may be at a place (odometry frame) by now.
+    /// Whether a hidden obstacle may be at a place (odometry frame) by now, so that what is there counts as it.
     fn may_be_at(&self, hidden: &RecentPlace, place: Point2<f64>, now: Stamp) -> bool {
-        let reach = hidden.speed * now.secs_since(hidden.stamp).max(0.0) + self.settings.reappearance_tolerance;
+        // The speed of one that never had a track is only assumed.
+        let speed = match hidden.of {
+            UNTRACKED.. => hidden.speed.min(self.fastest_to_come_out),
+            _ => hidden.speed,
+        };
+        let reach = speed * now.secs_since(hidden.stamp).max(0.0) + self.settings.reappearance_tolerance;
         hidden.is_within(reach, place)
     }
 
@@ -383,17 +391,15 @@ mod tests {
     /// A wall at x = 3, and a post of some beams at x = `post`, both in the odometry frame.
     fn sweep(lidar: &LidarModel, secs: f64, base: Pose2, post: Option<f64>) -> Sweep {
         let laser = base * lidar.mount;
-        let range = |beam: usize| {
-            let angle = lidar.angle_min() + beam as f64 * lidar.angle_increment();
+        zenav_fixtures::sweep(lidar, secs, |angle| {
             let wall = if angle.cos() > 0.2 {
                 (3.0 - laser.x) / angle.cos()
             } else {
                 f64::INFINITY
             };
             let before = post.filter(|_| angle.abs() < 0.05).map_or(wall, |at| at - laser.x);
-            wall.min(before) as f32
-        };
-        Sweep::new(Stamp::from_secs(secs), (0..lidar.beams).map(range).collect())
+            wall.min(before)
+        })
     }
 
     #[test]
@@ -402,11 +408,8 @@ mod tests {
         let lidar = robot.first_lidar().unwrap();
         let mut tracked = none_yet(&robot, 0.3);
         for (secs, nearer) in [(0.0, 0.1), (0.4, 0.0)] {
-            let range = |beam: usize| {
-                let angle: f64 = lidar.angle_min() + beam as f64 * lidar.angle_increment();
-                (1.6 - if angle.cos() < -0.99 { nearer } else { 0.0 }) as f32
-            };
-            let sweep = Sweep::new(Stamp::from_secs(secs), (0..lidar.beams).map(range).collect());
+            let range = |angle: f64| 1.6 - if angle.cos() < -0.99 { nearer } else { 0.0 };
+            let sweep = zenav_fixtures::sweep(lidar, secs, range);
             tracked.insert(0, &ScanProjector::new(lidar).project(&sweep, Pose2::IDENTITY).unwrap());
         }
         let points: Vec<_> = tracked.in_base(Pose2::IDENTITY).map(|mover| mover.at).collect();
@@ -472,6 +475,30 @@ mod tests {
         }
         assert!(moving.tracks().iter().next().is_some(), "it has not become a track");
         assert_eq!(moving.occluded(Stamp::from_secs(4.0)).count(), 1);
+    }
+
+    #[test]
+    fn somebody_hidden_is_not_forgotten_for_one_whom_only_a_walking_person_could_be() {
+        let robot = zenav_fixtures::robot("tiago");
+        let lidar = robot.first_lidar().unwrap();
+        // The robot's own top speed counts, unless another speed is set.
+        for (speed, left) in [(None, 1), (Some(1.4), 0)] {
+            let mut settings = EdgeSettings::default();
+            settings.passive_safety.speed_out_of_sight = speed;
+            let view = FieldOfView::new(robot.first_lidar(), &robot.footprint);
+            let mut moving = MovingObstacles::new(&robot, view, &settings);
+            moving.note_occlusion(Point2::new(-2.0, 0.0), Stamp::ZERO);
+            let mut projector = ScanProjector::new(lidar);
+            for step in 1..40 {
+                let secs = 0.1 * f64::from(step);
+                let sweep = sweep(lidar, secs, Pose2::IDENTITY, Some(2.6 - 0.03 * f64::from(step)));
+                moving.insert(0, &projector.project(&sweep, Pose2::IDENTITY).unwrap());
+            }
+            assert!(moving.tracks().iter().next().is_some(), "it has not become a track");
+            assert_eq!(moving.occluded(Stamp::from_secs(3.9)).count(), left, "{speed:?}");
+            let hidden = moving.occluded(Stamp::from_secs(3.9)).next();
+            assert!(hidden.is_none_or(|hidden| hidden.speed > 1.39), "it may be that fast");
+        }
     }
 
     #[test]

@@ -5,20 +5,10 @@
 use super::*;
 use crate::field_of_view::{FieldOfView, ScanProjector};
 use crate::moving_obstacles::MovingObstacles;
+use zenav_fixtures::way_to_disc;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::readings::Sweep;
 use zenav_protocol::robot::{LidarModel, RobotModel};
-
-/// Range of a ray from `from` to a disc, m; infinite past it.
-fn to_disc(from: Point2<f64>, ray: Vector2<f64>, center: Point2<f64>, radius: f64) -> f64 {
-    let off = center - from;
-    let along = off.dot(&ray);
-    let aside = off.perp(&ray).abs();
-    if along <= 0.0 || aside >= radius {
-        return f64::INFINITY;
-    }
-    along - (radius * radius - aside * aside).sqrt()
-}
 
 /// What a lidar sees of discs in front of a wall at x = 7.
 fn sweep(lidar: &LidarModel, secs: f64, base: Pose2, discs: &[Point2<f64>]) -> Sweep {
@@ -31,7 +21,9 @@ fn sweep(lidar: &LidarModel, secs: f64, base: Pose2, discs: &[Point2<f64>]) -> S
         } else {
             f64::INFINITY
         };
-        let discs = discs.iter().map(|disc| to_disc(laser.position(), ray, *disc, 0.25));
+        let discs = discs
+            .iter()
+            .map(|disc| way_to_disc(laser.position(), ray, (*disc, 0.25)));
         discs.fold(wall, f64::min) as f32
     };
     Sweep::new(Stamp::from_secs(secs), (0..lidar.beams).map(range).collect())
@@ -152,13 +144,11 @@ fn a_wall_that_comes_within_range_does_not_move() {
         let now = 0.1 * f64::from(step);
         let base = Pose2::new(0.6 * now, 0.0, 0.0);
         let laser = base * lidar.mount;
-        let range = |beam: usize| {
-            let angle = lidar.angle_min() + beam as f64 * lidar.angle_increment();
+        let sweep = zenav_fixtures::sweep(lidar, now, |angle| {
             let range = (7.0 - laser.x) / angle.cos();
             let is_seen = (0.0..lidar.range_max).contains(&range);
-            if is_seen { range as f32 } else { f32::INFINITY }
-        };
-        let sweep = Sweep::new(Stamp::from_secs(now), (0..lidar.beams).map(range).collect());
+            if is_seen { range } else { f64::INFINITY }
+        });
         moving.insert(0, &projector.project(&sweep, base).unwrap());
         assert_eq!(moving.tracks().iter().count(), 0, "after {now} s");
     }
@@ -169,16 +159,14 @@ fn walls_around_the_robot_are_no_disc_where_they_end_behind_it() {
     let robot = zenav_fixtures::robot("turtlebot3_waffle");
     let lidar = robot.first_lidar().unwrap();
     // The dead end of a lane 0.7 m wide, which is open behind.
-    let range = |beam: usize| {
-        let (sin, cos) = (lidar.angle_min() + beam as f64 * lidar.angle_increment()).sin_cos();
-        let behind = cos < 0.0 && sin.abs() < 0.25;
-        if behind {
-            f32::INFINITY
-        } else {
-            (0.35 / sin.abs()).min(if cos > 0.0 { 0.6 / cos } else { f64::INFINITY }) as f32
+    let sweep = zenav_fixtures::sweep(lidar, 1.0, |angle| {
+        let (sin, cos) = angle.sin_cos();
+        match cos > 0.0 {
+            true => (0.35 / sin.abs()).min(0.6 / cos),
+            false if sin.abs() < 0.25 => f64::INFINITY,
+            false => 0.35 / sin.abs(),
         }
-    };
-    let sweep = Sweep::new(Stamp::from_secs(1.0), (0..lidar.beams).map(range).collect());
+    });
     let mut projector = ScanProjector::new(lidar);
     let scan = projector.project(&sweep, Pose2::IDENTITY).unwrap();
     let mut tracks = ObstacleTracks::new(&TrackingSettings::default());

@@ -29,23 +29,8 @@ impl Pilot {
         if source != MotionSource::ReturnHome {
             self.return_home.record(self.estimator.map_from_base().position());
         }
-        if self.maneuvers.running().is_some() {
-            // A maneuver moves only under a live lease; whose lease it is was checked when it began.
-            let live = self.authority.lease_state(now).live;
-            if live && source != MotionSource::Brake {
-                self.mode = Mode::Behaviour;
-                let stopped = self.collision_monitor.zone() == GuardZone::Stop;
-                let wanted = self.maneuvers.step(
-                    now,
-                    dt,
-                    self.estimator.odom_from_base(),
-                    self.estimator.velocity(),
-                    stopped,
-                    &mut self.events,
-                );
-                return (wanted, Braking::Normal);
-            }
-            self.maneuvers.cancel(now, "the lease has expired", &mut self.events);
+        if let Some(wanted) = self.step_maneuver(now, dt, source) {
+            return (wanted, Braking::Normal);
         }
         match source {
             MotionSource::Brake => {
@@ -73,24 +58,7 @@ impl Pilot {
                 };
                 (self.wall_follower.step(&input, &mut self.events), Braking::Normal)
             }
-            MotionSource::ReturnHome => {
-                let map_from_base = self.estimator.map_from_base();
-                if !self.health.is_trusted() || self.return_home.is_home(&map_from_base) {
-                    self.mode = Mode::Idle;
-                    return (Twist2::ZERO, Braking::Normal);
-                }
-                self.mode = Mode::ReturnHome;
-                let view = TrackerInput {
-                    dt,
-                    map_from_base,
-                    velocity: self.estimator.velocity(),
-                    speed_cap: f64::INFINITY,
-                };
-                (
-                    self.return_home.step(&view, &self.config.model, &self.gains),
-                    Braking::Normal,
-                )
-            }
+            MotionSource::ReturnHome => (self.go_home(dt), Braking::Normal),
             MotionSource::Teleop => {
                 self.mode = Mode::Teleop;
                 if self.dead_man.just_expired(now) {
@@ -106,6 +74,40 @@ impl Pilot {
             }
             MotionSource::Plan => (self.follow_plan(now, dt, bump), Braking::Normal),
         }
+    }
+
+    /// The twist of the running maneuver, if there is one. It moves only under a live lease; whose lease it is was checked when it began.
+    fn step_maneuver(&mut self, now: Stamp, dt: f64, source: MotionSource) -> Option<Twist2> {
+        self.maneuvers.running()?;
+        let is_live = self.authority.lease_state(now).live;
+        if !is_live || source == MotionSource::Brake {
+            self.maneuvers.cancel(now, "the lease has expired", &mut self.events);
+            return None;
+        }
+        self.mode = Mode::Behaviour;
+        let (odom_from_base, velocity) = (self.estimator.odom_from_base(), self.estimator.velocity());
+        let stopped = self.collision_monitor.zone() == GuardZone::Stop;
+        let wanted = self
+            .maneuvers
+            .step(now, dt, odom_from_base, velocity, stopped, &mut self.events);
+        Some(wanted)
+    }
+
+    /// The twist of the way home; none at home, and while the robot is lost.
+    fn go_home(&mut self, dt: f64) -> Twist2 {
+        let map_from_base = self.estimator.map_from_base();
+        if !self.health.is_trusted() || self.return_home.is_home(&map_from_base) {
+            self.mode = Mode::Idle;
+            return Twist2::ZERO;
+        }
+        self.mode = Mode::ReturnHome;
+        let view = TrackerInput {
+            dt,
+            map_from_base,
+            velocity: self.estimator.velocity(),
+            speed_cap: f64::INFINITY,
+        };
+        self.return_home.step(&view, &self.config.model, &self.gains)
     }
 
     /// Whether the robot stands still on its plan because only a gyro with a poorly known bias gives its heading.

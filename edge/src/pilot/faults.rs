@@ -1,4 +1,5 @@
-//! Faults. Which faults does the robot itself have, and how does it continue? Missing readings, and a disk that stores nothing.
+//! Faults. Which faults does the robot itself have, and how does it continue? Missing readings, a disk that stores nothing, and a lidar that
+//! is mounted crooked.
 //!
 //! The state names each fault while it lasts; an event marks its beginning and its end. Without readings the robot's clock stands still: it
 //! brakes, accepts no plan, and still answers requests, above all a stop.
@@ -25,6 +26,7 @@ impl Pilot {
                 before.storage,
                 self.faults.storage.clone(),
             ),
+            ("lidar", "straight", "crooked", before.lidar, self.faults.lidar.clone()),
         ];
         for (behaviour, well, ill, before, after) in parts {
             if before.is_some() == after.is_some() {
@@ -43,6 +45,16 @@ impl Pilot {
         }
     }
 
+    /// A lidar that looks elsewhere than its file says, in words; to whole degrees, so that they seldom change.
+    pub(super) fn crooked_lidar(&self) -> Option<String> {
+        let (name, angle) = self.mount_watch.off()?;
+        let side = if angle > 0.0 { "left" } else { "right" };
+        let degrees = angle.abs().to_degrees();
+        Some(format!(
+            "`{name}` looks {degrees:.0}° farther to the {side} than its file says"
+        ))
+    }
+
     /// A tick without readings, for the reason `why`: the robot brakes and answers. Plans, corrections and teleop that arrived meanwhile
     /// are dropped: they would be stale by the time it may move.
     pub fn step_blind(&mut self, inbox: Inbox, why: &str) -> Outbox {
@@ -53,6 +65,7 @@ impl Pilot {
             Faults {
                 body: Some(why.to_owned()),
                 storage: inbox.not_stored,
+                lidar: self.crooked_lidar(),
             },
         );
         for (ticket, request) in inbox.requests {
@@ -60,7 +73,7 @@ impl Pilot {
             out.replies.push((ticket, reply));
         }
         for heartbeat in &inbox.heartbeats {
-            self.authority.heartbeat(now, heartbeat);
+            self.authority.heartbeat(now, heartbeat, &mut self.events);
         }
         self.authority.update_link(now, &mut self.events);
         self.mode = if self.authority.is_stopped() {

@@ -44,12 +44,14 @@ use crate::control_io::{Inbox, Outbox, Persisted};
 use crate::encoder_watch::EncoderWatch;
 use crate::estimator::Estimator;
 use crate::event_log::EventLog;
+use crate::fixes::Fixes;
 use crate::gyro_settling::GyroSettling;
 use crate::limiter::{Braking, Limiter};
 use crate::local_obstacles::LocalObstacles;
 use crate::loop_timing::LoopTiming;
 use crate::lost_beams::LostBeams;
 use crate::maneuvers::Maneuvers;
+use crate::mount_watch::MountWatch;
 use crate::other_robots::OtherRobots;
 use crate::return_home::ReturnHome;
 use crate::right_of_way::RightOfWay;
@@ -98,6 +100,8 @@ pub struct Pilot {
     wheel_coordination: WheelCoordination,
     encoder_watch: EncoderWatch,
     lost_beams: LostBeams,
+    mount_watch: MountWatch,
+    fixes: Fixes,
     gyro_settling: GyroSettling,
     dead_man: DeadMan,
     telemetry: Telemetry,
@@ -112,7 +116,7 @@ pub struct Pilot {
     battery_is_low: bool,
     /// Charge of the battery by the last readings, 0 to 1.
     charge: f64,
-    faults: Faults,
+    pub(crate) faults: Faults,
     mode: Mode,
     /// The last report on whether the robot's pose in the map can be trusted.
     health: Health,
@@ -124,6 +128,21 @@ pub struct Pilot {
 
 impl Pilot {
     /// A robot at rest. `boot_id` must be new at every start; `stored` is what the last boot persisted.
+    ///
+    /// ```
+    /// # use zenav_protocol::{geometry::Pose2, id::Id, messages::EventKind, readings::Readings, time::Stamp};
+    /// # let config = zenav_edge::EdgeConfig::new(Id::robot("tiago")?, zenav_fixtures::robot("tiago"), Pose2::new(1.0, 2.0, 0.0));
+    /// use zenav_edge::{Inbox, Persisted, Pilot, Publication};
+    ///
+    /// let mut pilot = Pilot::new(config, "boot-1".into(), Persisted::default());
+    /// let now = Stamp::from_secs(0.02);
+    /// let out = pilot.step(now, &Readings::new(now), Inbox::default());
+    /// assert_eq!(out.wheels, [0.0, 0.0], "nobody commands it");
+    /// let is_start = |published: &Publication| matches!(published, Publication::Event(event) if event.kind == EventKind::Started);
+    /// assert!(out.publications.iter().any(is_start));
+    /// assert!(pilot.map_from_base().distance(&Pose2::new(1.0, 2.0, 0.0)) < 1e-9);
+    /// # Ok::<(), zenav_protocol::id::InvalidId>(())
+    /// ```
     #[must_use]
     pub fn new(config: EdgeConfig, boot_id: String, stored: Persisted) -> Self {
         let (model, settings) = (&config.model, &config.settings);
@@ -156,6 +175,8 @@ impl Pilot {
             wheel_coordination: WheelCoordination::new(&model.drive),
             encoder_watch: EncoderWatch::new(model),
             lost_beams: LostBeams::default(),
+            mount_watch: MountWatch::default(),
+            fixes: Fixes::default(),
             gyro_settling: GyroSettling::default(),
             dead_man: DeadMan::new(settings.teleop.dead_man),
             telemetry: Telemetry::new(&settings.telemetry, &settings.uplink),
@@ -178,6 +199,26 @@ impl Pilot {
     }
 
     /// One control tick at `now` (the stamp of the readings, on the edge's own clock).
+    ///
+    /// ```
+    /// # use zenav_edge::{EdgeConfig, Inbox, Persisted, Pilot, Ticket};
+    /// # use zenav_protocol::geometry::Pose2;
+    /// # use zenav_protocol::id::Id;
+    /// # use zenav_protocol::messages::{LeaseAction, LeaseRequest, LeaseRole};
+    /// # use zenav_protocol::readings::Readings;
+    /// # use zenav_protocol::time::Stamp;
+    /// # use zenav_protocol::topics::{EdgeReply, EdgeRequest};
+    /// # let config = EdgeConfig::new(Id::robot("tiago")?, zenav_fixtures::robot("tiago"), Pose2::IDENTITY);
+    /// let mut pilot = Pilot::new(config, "boot-1".into(), Persisted { epoch: 6, ..Persisted::default() });
+    /// let request = LeaseRequest::new("mission-a", LeaseRole::Mission, LeaseAction::Acquire, "r1");
+    /// let inbox = Inbox { requests: vec![(Ticket(1), EdgeRequest::Lease(request))], ..Inbox::default() };
+    /// let now = Stamp::from_secs(0.02);
+    /// let out = pilot.step(now, &Readings::new(now), inbox);
+    /// let [(Ticket(1), Ok(EdgeReply::Lease(granted)))] = &out.replies[..] else { panic!("{out:?}") };
+    /// assert_eq!(granted.epoch, 7, "higher than before the restart");
+    /// assert_eq!(out.persist.map(|persisted| persisted.epoch), Some(7), "to be stored before the reply is sent");
+    /// # Ok::<(), zenav_protocol::id::InvalidId>(())
+    /// ```
     pub fn step(&mut self, now: Stamp, readings: &Readings, inbox: Inbox) -> Outbox {
         self.timed_step(now, readings, inbox, &mut || Duration::ZERO)
     }
@@ -191,25 +232,9 @@ impl Pilot {
         clock: &mut dyn FnMut() -> Duration,
     ) -> Outbox {
         let mut out = Outbox::default();
-        let last = self.last.replace(now);
-        if last.is_none() {
-            self.events.record(now, EventKind::Started);
-        }
-        let gap = last.map_or(0.0, |last| now.secs_since(last));
-        let dt = gap.clamp(0.0, LONGEST_TICK);
-        // A body stops its wheels after some ticks without commands; so does a collision.
         let is_hit = readings.bump.pressed && !self.pressed;
-        if is_hit || gap >= SILENT_TICKS * self.config.tick {
-            self.wheel_coordination.reset();
-        }
-        let drive = &self.config.model.drive;
-        if gap >= SILENT_TICKS * self.config.tick + drive.top_speed() / drive.hard_braking {
-            self.limiter.set([0.0; 2], gap);
-            self.collision_monitor.rest();
-        }
-        let wheels = self
-            .encoder_watch
-            .angles(readings, self.wheel_coordination.speed(), gap.min(LONGEST_TICK));
+        let dt = self.elapse(now, is_hit);
+        let wheels = self.encoder_watch.angles(readings, self.wheel_coordination.speed(), dt);
         let guessed = (wheels != readings.wheels).then(|| Readings {
             wheels,
             ..readings.clone()
@@ -222,6 +247,7 @@ impl Pilot {
             Faults {
                 body: None,
                 storage: inbox.not_stored,
+                lidar: self.crooked_lidar(),
             },
         );
         if let Some(late) = inbox.late {
@@ -240,10 +266,11 @@ impl Pilot {
             out.replies.push((ticket, reply));
         }
         for heartbeat in &inbox.heartbeats {
-            self.authority.heartbeat(now, heartbeat);
+            self.authority.heartbeat(now, heartbeat, &mut self.events);
         }
         if let Some(round_trip) = self.authority.take_measured() {
-            self.telemetry.measured(now, round_trip, self.authority.epoch());
+            let holder = self.authority.lease_state(now).holder.unwrap_or_default();
+            self.telemetry.measured(now, round_trip, &holder);
         }
         self.dead_man
             .receive(now, &inbox.teleops, &mut self.authority, &mut self.events);
@@ -315,6 +342,25 @@ impl Pilot {
         self.wall_follower.state()
     }
 
+    /// Begins a tick; `is_hit`: the bumper has just been pressed. Returns the time since the last one that controllers integrate, s.
+    fn elapse(&mut self, now: Stamp, is_hit: bool) -> f64 {
+        let last = self.last.replace(now);
+        if last.is_none() {
+            self.events.record(now, EventKind::Started);
+        }
+        let gap = last.map_or(0.0, |last| now.secs_since(last));
+        // A body stops its wheels after some ticks without commands; so does a collision.
+        if is_hit || gap >= SILENT_TICKS * self.config.tick {
+            self.wheel_coordination.reset();
+        }
+        let drive = &self.config.model.drive;
+        if gap >= SILENT_TICKS * self.config.tick + drive.top_speed() / drive.hard_braking {
+            self.limiter.set([0.0; 2], gap);
+            self.collision_monitor.rest();
+        }
+        gap.clamp(0.0, LONGEST_TICK)
+    }
+
     /// Limits the wanted twist; the collision monitor then has the last word.
     fn command(&mut self, now: Stamp, dt: f64, wanted: Twist2, braking: Braking, readings: &Readings) -> [f64; 2] {
         let drive = &self.config.model.drive;
@@ -332,6 +378,7 @@ impl Pilot {
         }
         self.collision_monitor.encoders_silent =
             self.encoder_watch.silence() > self.config.settings.estimator.encoder_timeout;
+        self.collision_monitor.lidar_crooked = self.faults.lidar.is_some();
         let verdict = self.collision_monitor.judge(
             now,
             limited,

@@ -3,11 +3,11 @@
 use std::cmp::Reverse;
 use zenav_protocol::geometry::Pose2;
 
-use zenav_protocol::messages::{EventKind, LeaseRole, Plan, Revision};
+use zenav_protocol::messages::{EventKind, Plan};
 use zenav_protocol::time::Stamp;
 
 use super::Pilot;
-use crate::acceptance::{Grant, Rejection, judge_head};
+use crate::acceptance::{Rejection, judge_head};
 use crate::active_plan::{ActivePlan, Scene, Taken};
 
 /// Verdict on a plan with a new trajectory.
@@ -49,7 +49,7 @@ impl Pilot {
             plan.revision,
             plan.trajectory_id,
         );
-        let taken = self.judge_plan(now, plan, newest);
+        let taken = self.judge_plan(now, plan);
         // Only an accepted plan makes others stale: a rejected one, whatever its counter, must not lock the holder out.
         if taken.is_ok() {
             self.newest = Some((epoch, revision));
@@ -88,18 +88,9 @@ impl Pilot {
         verdict
     }
 
-    fn judge_plan(&mut self, now: Stamp, plan: Plan, newest: Option<Revision>) -> Result<Taken, Rejection> {
-        let grant = Grant {
-            now,
-            boot_id: self.events.boot_id(),
-            epoch: self.authority.epoch(),
-            mission_live: self.authority.is_live_as(now, LeaseRole::Mission),
-            stopped: self.authority.is_stopped(),
-            resumed: self.authority.resumed(),
-            newest,
-            max_validity: self.config.settings.acceptance.max_validity,
-            longest_step: self.config.settings.acceptance.longest_step,
-        };
+    fn judge_plan(&mut self, now: Stamp, plan: Plan) -> Result<Taken, Rejection> {
+        let settings = &self.config.settings.acceptance;
+        let grant = self.authority.grant(now, self.events.boot_id(), self.newest, settings);
         let expiry = judge_head(&plan, &grant)?;
         if !self.health.is_trusted() {
             return Err(Rejection::NotLocalised);

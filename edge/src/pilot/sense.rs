@@ -24,6 +24,10 @@ impl Pilot {
         out: &mut Vec<Publication>,
     ) {
         self.estimator.step(readings, corrections);
+        if corrections.iter().any(|correction| correction.is_found_anew) {
+            self.obstacles.forget_touched();
+        }
+        self.fixes.take_in(readings, &self.config.model, &self.estimator);
         if let Some(kind) = self.telemetry.dropped(now, self.estimator.tally()) {
             self.events.record(now, kind);
         }
@@ -35,23 +39,31 @@ impl Pilot {
             let Some((_, lidar)) = lidar.filter(|_| sweep.stamp.secs_since(now) <= AHEAD) else {
                 continue;
             };
+            self.encoder_watch.see(sweep);
             let sweep = &*self.lost_beams.mend(sweep, lidar);
             let sweep = &*deskewed(sweep, lidar, |stamp| self.estimator.odom_from_base_at(stamp));
-            if let Some(odom_from_base) = self.estimator.odom_from_base_at(sweep.stamp)
-                && self.obstacles.insert(sweep, odom_from_base)
-                && self.telemetry.scan_due(&sweep.lidar)
-            {
-                let moving = self.obstacles.moving_beams(&sweep.lidar);
-                let ranges = self.obstacles.ranges(&sweep.lidar).to_vec();
-                let scan = telemetry::scan(
-                    sweep,
-                    ranges,
-                    moving,
-                    self.events.boot_id(),
-                    &self.config.model,
-                    &self.estimator,
-                );
-                out.extend(scan.map(|scan| Publication::Scan(sweep.lidar.clone(), scan)));
+            let Some(odom_from_base) = self.estimator.odom_from_base_at(sweep.stamp) else {
+                continue;
+            };
+            if !self.obstacles.insert(sweep, odom_from_base) {
+                continue;
+            }
+            let (ranges, moving) = (
+                self.obstacles.ranges(&sweep.lidar),
+                self.obstacles.moving_beams(&sweep.lidar),
+            );
+            self.mount_watch
+                .insert(&sweep.lidar, lidar, ranges, &moving, odom_from_base);
+            if self.telemetry.scan_due(&sweep.lidar) {
+                let main = self.config.model.all_lidars().next().map(|(name, _)| name);
+                let (boot_id, model) = (self.events.boot_id(), &self.config.model);
+                let scan = telemetry::scan(sweep, &self.obstacles, boot_id, model, &self.estimator);
+                out.extend(scan.map(|mut scan| {
+                    if main == Some(sweep.lidar.as_str()) {
+                        scan.fixes = self.fixes.take();
+                    }
+                    Publication::Scan(sweep.lidar.clone(), scan)
+                }));
             }
         }
         let tracked = self.obstacles.moving().tracks().iter().any(|track| !track.is_robot());
@@ -64,7 +76,8 @@ impl Pilot {
         }
         let bump = &readings.bump;
         let place = self.collision_monitor.feel(now, bump);
-        self.obstacles.touch(now, place, self.estimator.odom_from_base());
+        self.obstacles
+            .touch(now, place, bump.bearing.is_some(), self.estimator.odom_from_base());
         if readings.bump.pressed && !self.pressed {
             self.events.record(now, EventKind::Bumped);
         }

@@ -107,6 +107,15 @@ pub struct UnknownTracker(String);
 impl Law {
     /// The law of a name.
     ///
+    /// ```
+    /// use zenav_edge::trackers::Law;
+    ///
+    /// assert_eq!(Law::named("pure_pursuit")?.name, "pure_pursuit");
+    /// let unknown = Law::named("mpc").unwrap_err().to_string();
+    /// assert!(unknown.starts_with("`controller.tracker` is `mpc`: expected one of time_law, pure_pursuit"), "{unknown}");
+    /// # Ok::<(), zenav_edge::trackers::UnknownTracker>(())
+    /// ```
+    ///
     /// # Errors
     /// [`UnknownTracker`], which lists the known ones.
     pub fn named(name: &str) -> Result<Self, UnknownTracker> {
@@ -153,6 +162,21 @@ impl Law {
 
     /// A tracker along a trajectory from plan time `time` (s) on; `waypoints` are the plan's own. A trajectory driven backwards takes the
     /// default law: the others drive at points ahead of the robot.
+    ///
+    /// ```
+    /// # let tiago = zenav_fixtures::robot("tiago");
+    /// use zenav_edge::trackers::{Law, Tracker, TrackerInput};
+    /// use zenav_protocol::{geometry::{Pose2, Twist2}, trajectory::TrajectoryPoint};
+    ///
+    /// let at = |t: f64| TrajectoryPoint { t, x: 0.4 * t, v: 0.4, ..TrajectoryPoint::default() };
+    /// let mut tracker = Law::named("time_law")?.along_trajectory(&tiago.drive, vec![at(0.0), at(5.0)].into(), 0.0, &[]);
+    /// // The robot is 5 cm to the left of its straight path.
+    /// let map_from_base = Pose2::new(0.0, 0.05, 0.0);
+    /// let view = TrackerInput { dt: 0.02, map_from_base, velocity: Twist2::new(0.4, 0.0), speed_cap: f64::INFINITY };
+    /// let wanted = tracker.step(&view, &tiago.controller);
+    /// assert!(wanted.v > 0.3 && wanted.w < 0.0, "{wanted:?}");
+    /// # Ok::<(), zenav_edge::trackers::UnknownTracker>(())
+    /// ```
     #[must_use]
     pub fn along_trajectory(
         &self,

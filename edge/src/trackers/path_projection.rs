@@ -71,6 +71,17 @@ impl PathProjection {
     }
 
     /// Moves on to the place on the path nearest to the robot.
+    ///
+    /// ```
+    /// # let drive = zenav_fixtures::robot("tiago").drive;
+    /// use nalgebra::Point2;
+    /// use zenav_edge::trackers::PathProjection;
+    /// use zenav_protocol::geometry::Pose2;
+    ///
+    /// let mut projection = PathProjection::through(&drive, Pose2::IDENTITY, &[Point2::new(2.0, 0.0)]);
+    /// projection.advance(&Pose2::new(0.5, 0.1, 0.0));
+    /// assert!((projection.left() - 1.5).abs() < 1e-6 && (projection.off_track() - 0.1).abs() < 1e-6);
+    /// ```
     pub fn advance(&mut self, map_from_base: &Pose2) {
         let nearest = self
             .trajectory

@@ -1,8 +1,9 @@
 //! Wall follower. What does a robot do when its link is lost and its policy is to follow walls? A state machine on the robot, without a
 //! cloud.
 //!
-//! `wall_search` turns to the nearest wall, `approach` drives up to it, `turn` turns until the path ahead is clear, `wall_follow` drives
-//! along it; `bump`, entered from every state, waits until an operator has driven the robot away.
+//! `wall_search` turns to the nearest wall, `approach` drives up to it, `turn` turns until the path ahead is clear (to the other side if the
+//! collision monitor does not let it), `wall_follow` drives along it; `bump`, entered from every state, waits until an operator has driven
+//! the robot away.
 //!
 //! | file | answers |
 //! |---|---|
@@ -155,9 +156,15 @@ impl WallFollower {
         self.take_scan(input);
         let turn = wrap_angle(odom_from_base.yaw - std::mem::replace(&mut self.last_yaw, odom_from_base.yaw));
         self.blocked = if input.stopped { self.blocked + input.dt } else { 0.0 };
-        if self.blocked > self.settings.blocked_timeout && self.state != State::Turn {
+        if self.blocked > self.settings.blocked_timeout {
             self.blocked = 0.0;
-            self.begin_turn(input, None, "blocked by the collision monitor", events);
+            if self.state == State::Turn {
+                // A robot with corners may be free to turn to the other side only.
+                self.side = -self.side;
+                (self.turned, self.way) = (0.0, None);
+            } else {
+                self.begin_turn(input, None, "blocked by the collision monitor", events);
+            }
         }
         match self.state {
             State::WallSearch => self.search(input, events),
@@ -421,4 +428,41 @@ impl WallFollower {
 fn turning(angle: f64, settings: &WallFollowing) -> f64 {
     let most = settings.turn_rate;
     (settings.steering * angle).clamp(-most, most)
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_robot_that_may_not_turn_to_one_side_turns_to_the_other() {
+        let model = zenav_fixtures::robot("tiago");
+        let now = Stamp::from_secs(1.0);
+        let mut obstacles = LocalObstacles::new(&model);
+        let lidar = model.first_lidar().unwrap();
+        let sweep = zenav_fixtures::sweep_in_room(lidar, 1.0, Pose2::IDENTITY, (0.6, 3.0), &[]);
+        assert!(obstacles.insert(&sweep, Pose2::IDENTITY));
+        // The yaw rates that it wants at the wall ahead, while the collision monitor stops it or not.
+        let turns = |stopped: bool| -> Vec<f64> {
+            let mut follower = WallFollower::new(&model, &WallFollowerSettings::default());
+            let mut events = EventLog::new("boot-1".into());
+            let bump = Bump::none(now);
+            let input = WallFollowerInput {
+                now,
+                dt: 0.02,
+                settings: &model.wall_following,
+                obstacles: &obstacles,
+                odom_from_base: Pose2::IDENTITY,
+                bump: &bump,
+                stopped,
+            };
+            let wanted = (0..80).map(|_| follower.step(&input, &mut events).w);
+            wanted.filter(|w| *w != 0.0).collect()
+        };
+        let (free, blocked) = (turns(false), turns(true));
+        assert!(free.len() > 70 && free.iter().all(|w| w * free[0] > 0.0), "{free:?}");
+        assert!(blocked[0] * free[0] > 0.0, "{blocked:?}");
+        assert!(blocked.last().unwrap() * free[0] < 0.0, "{blocked:?}");
+    }
 }

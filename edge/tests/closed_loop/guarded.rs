@@ -2,9 +2,23 @@
 
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::messages::{EventKind, LeaseRole, TrajectoryPoint};
+use zenav_protocol::robot::RobotModel;
 use zenav_sim::World;
 
 use crate::rig::Rig;
+
+/// A world of its own.
+fn world(text: &str) -> World {
+    World::from_toml(text, "world.toml", &|_| Err("no map".into())).unwrap()
+}
+
+/// A TIAGo with motors of another time constant, s, and a lidar of another rate, Hz.
+fn tiago(lag: f64, rate: f64) -> RobotModel {
+    let mut model = zenav_fixtures::robot("tiago");
+    model.drive.motor_lag = lag;
+    model.lidar.as_mut().unwrap().rate_hz = rate;
+    model
+}
 
 #[test]
 fn wild_commands_hit_nothing_that_stands_still() {
@@ -63,7 +77,7 @@ points = [[4.0, -0.3], [4.2, -0.3], [4.2, 0.3], [4.0, 0.3]]
 
 #[test]
 fn a_corridor_with_a_tenth_of_a_metre_on_each_side_is_driven_to_a_tenth_of_a_metre_from_its_end() {
-    let world = World::from_toml(CORRIDOR, "corridor", &|_| Err("no map".into())).unwrap();
+    let world = world(CORRIDOR);
     for seed in 1..=5 {
         let mut rig = Rig::within(&world, "tiago", seed, LeaseRole::Mission);
         rig.run(1.0);
@@ -107,8 +121,69 @@ fn a_corridor_with_a_tenth_of_a_metre_on_each_side_is_driven_to_a_tenth_of_a_met
     }
 }
 
+/// A wall at x = 5, with room on both sides of the way to it.
+const WALL: &str = r#"
+name = "wall"
+size = [8.0, 6.0]
+origin = [-2.0, -3.0]
+[start]
+x = 0.0
+y = 0.0
+yaw = 0.0
+[[polygon]]
+points = [[5.0, -2.5], [5.2, -2.5], [5.2, 2.5], [5.0, 2.5]]
+"#;
+
 #[test]
-fn a_rear_lidar_lets_a_robot_back_up_at_full_recovery_speed() {
+fn slow_motors_and_slow_lidars_drive_up_to_a_wall_and_stop_before_it() {
+    let world = world(WALL);
+    for (lag, rate, limit) in [
+        (0.05, 10.0, 20.0),
+        (0.17, 10.0, 20.0),
+        (0.3, 10.0, 20.0),
+        (1.0, 10.0, 40.0),
+        (0.05, 2.0, 20.0),
+        (0.05, 1.0, 60.0),
+    ] {
+        let mut rig = Rig::of(&world, tiago(lag, rate), 1, LeaseRole::Operator);
+        rig.teleop = Some(Twist2::new(rig.model.drive.top_speed(), 0.0));
+        rig.run(limit);
+        let truth = rig.truth();
+        eprintln!(
+            "motors {lag} s, lidar {rate} Hz: {:.2} m, clearance {:.3} m, {:.3} m/s",
+            truth.length, truth.min_clearance, truth.twist.v
+        );
+        assert_eq!(truth.collisions, 0, "motors {lag} s, lidar {rate} Hz: {truth:?}");
+        assert!(
+            truth.length > 4.0,
+            "motors {lag} s, lidar {rate} Hz: {truth:?} {:?}",
+            rig.events
+        );
+        assert!(truth.twist.v.abs() < 0.05, "motors {lag} s, lidar {rate} Hz: {truth:?}");
+    }
+}
+
+#[test]
+fn slow_motors_and_slow_lidars_follow_a_plan() {
+    for (lag, rate) in [(0.3, 10.0), (0.05, 2.0)] {
+        let mut rig = Rig::of(
+            &World::shipped("empty").unwrap(),
+            tiago(lag, rate),
+            1,
+            LeaseRole::Mission,
+        );
+        rig.run(1.0);
+        let goal = rig.truth().map_from_base * Pose2::new(4.0, 0.0, 0.0);
+        let plan = rig.plan(&[(goal.x, goal.y)], Vec::new());
+        let secs = rig.drive(plan, 30.0, |_| {});
+        let off = rig.truth().map_from_base.distance(&goal);
+        eprintln!("motors {lag} s, lidar {rate} Hz: {secs:.1} s, {off:.3} m off");
+        assert!(off < 0.2, "motors {lag} s, lidar {rate} Hz: {off}");
+    }
+}
+
+#[test]
+fn a_rear_lidar_lets_a_robot_back_up_as_fast_as_it_drives_ahead() {
     for robot in ["tiago", "jackal"] {
         let fastest = |options: &str| {
             let mut rig = Rig::new("empty", &format!("{robot}{options}"), 1, LeaseRole::Mission);
@@ -142,7 +217,7 @@ radius = 0.25
 path = [[-4.5, 0.0], [-1.5, 0.0]]
 speed = 0.3
 "#;
-    let world = World::from_toml(COMES, "comes", &|_| Err("no map".into())).unwrap();
+    let world = world(COMES);
     for seed in 1..=3 {
         let mut rig = Rig::within(&world, "jackal+rear_lidar", seed, LeaseRole::Operator);
         rig.teleop = Some(Twist2::new(-1.0, 0.0));

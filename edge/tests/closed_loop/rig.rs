@@ -6,7 +6,7 @@ use zenav_protocol::geometry::Twist2;
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{
     BasedOn, BehaviourAction, BehaviourRequest, BehaviourState, EdgeState, EventKind, Heartbeat, LeaseAction,
-    LeaseRequest, LeaseRole, MapRef, Plan, PlanStatistics, PoseEstimate, Revision, Teleop,
+    LeaseRequest, LeaseRole, Plan, PoseEstimate, Revision, Teleop,
 };
 use zenav_protocol::robot::RobotModel;
 use zenav_protocol::topics::EdgeRequest;
@@ -34,6 +34,10 @@ impl Rig {
 
     pub fn within(world: &World, robot: &str, seed: u64, role: LeaseRole) -> Self {
         let model = RobotModel::with_options(robot, |name| Err(name.to_owned())).unwrap();
+        Self::of(world, model, seed, role)
+    }
+
+    pub fn of(world: &World, model: RobotModel, seed: u64, role: LeaseRole) -> Self {
         let id = Id::robot(model.name.clone()).unwrap();
         let sim = Simulation::new(
             world,
@@ -73,7 +77,6 @@ impl Rig {
             Some(Persisted {
                 epoch: 1,
                 stopped: false,
-                stops: 0,
                 leader: None,
             })
         );
@@ -140,7 +143,6 @@ impl Rig {
                 counter: 1,
             },
             trajectory_id: 1,
-            map: MapRef::default(),
             frame: "map".into(),
             based_on: BasedOn {
                 stamp: self.sim.now(),
@@ -149,8 +151,7 @@ impl Rig {
             valid_for: 5.0,
             waypoints: waypoints.iter().map(|(x, y)| Point2::new(*x, *y)).collect(),
             trajectory: trajectory.into(),
-            splice: None,
-            statistics: PlanStatistics::default(),
+            ..Plan::default()
         }
     }
 
@@ -181,7 +182,7 @@ impl Rig {
         }
     }
 
-    /// Drives straight as a recovery of that id, until it has ended; the greatest speed on the way, m/s.
+    /// Drives straight as a maneuver of that id, until it has ended; the greatest speed on the way, m/s.
     pub fn drive_straight(&mut self, id: &str, distance: f64, speed: f64) -> f64 {
         let request = BehaviourRequest {
             id: id.into(),

@@ -29,13 +29,9 @@ fn log(part: &str, since: u64) -> LogReply {
     let line = |line: recent::Line| LogLine {
         sequence: line.sequence,
         unix_secs: line.unix_secs,
-        level: line.level.to_owned(),
+        level: line.level,
         message: line.message,
-        fields: line
-            .fields
-            .into_iter()
-            .map(|(name, value)| (name.to_owned(), value))
-            .collect(),
+        fields: line.fields,
     };
     LogReply {
         host: facts.host.unwrap_or_default(),
@@ -89,6 +85,20 @@ impl Bus {
         robot: &str,
         settings: BTreeMap<String, serde_json::Value>,
     ) -> Result<(), BusError> {
+        self.serve_info_of_copy(component, robot, settings, || false)
+    }
+
+    /// As [`Self::serve_info`], for a component of which several copies may run: `leads` says at each request whether this one leads.
+    ///
+    /// # Errors
+    /// As [`Self::serve_info`].
+    pub fn serve_info_of_copy(
+        &self,
+        component: &str,
+        robot: &str,
+        settings: BTreeMap<String, serde_json::Value>,
+        leads: impl Fn() -> bool + Send + 'static,
+    ) -> Result<(), BusError> {
         self.serve_log()?;
         let mut server = self.serve(&PART_INFO, &[self.name()])?;
         let info = InfoReply {
@@ -105,6 +115,7 @@ impl Bus {
             while let Some(request) = server.next().await {
                 let InfoRequest {} = request.body;
                 request.reply(&InfoReply {
+                    leads: leads(),
                     process: Some(process_info(&name)),
                     ..info.clone()
                 });

@@ -48,7 +48,7 @@ enum Kind {
 
 /// The time shown to a service, derived from the stamps of the simulation.
 #[derive(Clone, Copy, Debug, Default)]
-struct Follower {
+pub(super) struct Follower {
     shown: Stamp,
     /// Lead of the service's time over the time of a restarted simulation.
     ahead: Duration,
@@ -60,7 +60,7 @@ struct Follower {
 
 impl Follower {
     /// The time to show after a stamp; `None` if the stamp is nothing new, or is not accepted yet.
-    fn follow(&mut self, stamp: Stamp) -> Option<Stamp> {
+    pub(super) fn follow(&mut self, stamp: Stamp) -> Option<Stamp> {
         if stamp > LATEST {
             return None;
         }

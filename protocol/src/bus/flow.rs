@@ -14,6 +14,7 @@ pub(super) struct Arrivals {
     received: IntCounter,
     bytes: IntCounter,
     dropped: IntCounter,
+    too_fast: IntCounter,
     too_large: IntCounter,
     undecodable: IntCounter,
     pub(super) waiting: IntGauge,
@@ -28,6 +29,7 @@ impl Arrivals {
             received: BUS_RECEIVED.with_label_values(&[part, pattern]),
             bytes: BUS_RECEIVED_BYTES.with_label_values(&[part, pattern]),
             dropped: discarded("dropped"),
+            too_fast: discarded("rate"),
             too_large: discarded("too_large"),
             undecodable: discarded("undecodable"),
             waiting: BUS_WAITING.with_label_values(&[part, pattern]),
@@ -43,6 +45,11 @@ impl Arrivals {
     /// Counts a sample dropped because the reader is too slow.
     pub(super) fn dropped(&self) {
         self.dropped.inc();
+    }
+
+    /// Counts a sample dropped because it came far faster than the rate of its key.
+    pub(super) fn too_fast(&self) {
+        self.too_fast.inc();
     }
 
     /// Counts a payload that was not decoded.

@@ -21,6 +21,9 @@ pub const MEMBERS: &str = "members.txt";
 /// A certificate that expires within this time causes a warning.
 const SOON: Duration = Duration::from_secs(14 * 24 * 3600);
 
+/// Period at which the folder is read again.
+const LOOK: Duration = Duration::from_secs(1);
+
 /// The identity of a process in its fleet.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Identity {
@@ -56,10 +59,40 @@ impl Identity {
         Ok(identity)
     }
 
-    /// Whether the folder now holds a different valid identity: other members, or a new certificate.
-    #[must_use]
-    pub fn is_outdated(&self) -> bool {
-        Self::read(&self.folder).is_ok_and(|now| now != *self)
+    /// Waits until the folder holds a different valid identity: other members, or a new certificate. Zenoh cannot reload these while it
+    /// runs. Two reads in succession must agree, and a list must have this member: a list that is copied in place is empty or cut for a
+    /// moment.
+    pub async fn outdated(&self) {
+        self.until(|now| now != self).await;
+    }
+
+    /// Waits until the folder lists a member of the fleet no more: it was revoked. As cautious as [`Self::outdated`].
+    pub async fn revoked(&self) {
+        self.until(|now| now.lacks_a_member_of(self)).await;
+    }
+
+    async fn until(&self, is_met: impl Fn(&Self) -> bool) {
+        let mut before = None;
+        loop {
+            tokio::time::sleep(LOOK).await;
+            let now = Self::read(&self.folder).ok().filter(&is_met);
+            if now.as_ref().is_some_and(|now| now.is_settled(before.as_ref())) {
+                return;
+            }
+            before = now;
+        }
+    }
+
+    /// Whether the folder was read completely: as the time before, and with this member in its list, if it has one.
+    fn is_settled(&self, before: Option<&Self>) -> bool {
+        before == Some(self) && self.fleet.as_ref().is_none_or(|fleet| fleet.contains(&self.member))
+    }
+
+    fn lacks_a_member_of(&self, earlier: &Self) -> bool {
+        match (&self.fleet, &earlier.fleet) {
+            (Some(now), Some(earlier)) => earlier.iter().any(|member| !now.contains(member)),
+            _ => false,
+        }
     }
 
     fn read(folder: &Path) -> Result<Self, IdentityError> {
@@ -186,6 +219,49 @@ mod tests {
         );
         let error = members("robot.tiago\nanna\n").unwrap_err();
         assert!(error.starts_with("members.txt:2: `anna`"), "{error}");
+    }
+
+    /// The identity of `robot.tiago`, with this list of members.
+    fn identity(fleet: Option<&str>) -> Identity {
+        Identity {
+            folder: PathBuf::new(),
+            member: "robot.tiago".parse().unwrap(),
+            expires: UNIX_EPOCH,
+            fleet: fleet.map(|text| members(text).unwrap()),
+        }
+    }
+
+    #[test]
+    fn who_is_listed_no_more_was_revoked() {
+        let earlier = identity(Some("robot.tiago\noperator.bert"));
+        for (now, is_revoked) in [
+            (Some("robot.tiago"), true),
+            (Some("robot.tiago\noperator.anna"), true),
+            (Some("operator.bert\nrobot.tiago\noperator.anna"), false),
+            (None, false),
+        ] {
+            assert_eq!(identity(now).lacks_a_member_of(&earlier), is_revoked, "{now:?}");
+        }
+        assert!(!earlier.lacks_a_member_of(&identity(None)), "a service has no list");
+    }
+
+    #[test]
+    fn a_list_that_is_empty_or_changes_from_one_read_to_the_next_revokes_nobody() {
+        let whole = "robot.tiago\noperator.bert";
+        for (before, now, is_settled) in [
+            (Some(whole), Some(whole), true),
+            (Some("robot.tiago"), Some("robot.tiago"), true),
+            (None, None, true),
+            (Some("robot.tiago"), Some(whole), false),
+            (Some(whole), Some("robot.tiago"), false),
+            (Some(whole), Some(""), false),
+            (Some(""), Some(""), false),
+            (Some("operator.bert"), Some("operator.bert"), false),
+        ] {
+            let settled = identity(now).is_settled(Some(&identity(before)));
+            assert_eq!(settled, is_settled, "{before:?}, then {now:?}");
+        }
+        assert!(!identity(Some(whole)).is_settled(None), "the first read");
     }
 
     #[test]

@@ -21,6 +21,7 @@ use zenoh::qos::{CongestionControl, Priority};
 use zenoh::query::{Query, Queryable};
 use zenoh::sample::SourceInfo;
 use zenoh::session::{EntityGlobalId, EntityId, ZenohId};
+use zenoh::time::Timestamp;
 use zenoh::{Session, Wait};
 
 use super::flow::Departures;
@@ -65,6 +66,8 @@ struct Value {
     cache_key: KeyExpr<'static>,
     source: EntityId,
     number: u32,
+    /// When it was put, and by which session.
+    stamp: Timestamp,
     bytes: ZBytes,
     /// Periods since the value was put.
     periods: u32,
@@ -160,17 +163,19 @@ impl<T: Serialize> KeyedPublisher<T> {
     }
 
     fn try_put(&self, key: String, message: &T) -> Result<(), String> {
-        let bytes = codec::encode(message, self.topic.encoding).map_err(|error| error.to_string())?;
+        let bytes = codec::encode_within(message, self.topic.encoding, self.topic.max_bytes)
+            .map_err(|error| error.to_string())?;
         let key = Bus::key(key).map_err(|error| error.to_string())?;
         let (zid, size) = (self.session.zid(), bytes.len());
         // Held while sending, so that numbers leave in order.
         let mut kept = lock(&self.kept);
-        let value = kept.set(key, zid, bytes.into())?;
+        let value = kept.set(key, zid, self.session.new_timestamp(), bytes.into())?;
         self.session
             .put(value.key, value.bytes)
             .encoding(zenoh::bytes::Encoding::from(self.topic.encoding.mime()))
             .congestion_control(CongestionControl::Drop)
             .priority(Priority::DataHigh)
+            .timestamp(value.stamp)
             .source_info(SourceInfo::new(EntityGlobalId::new(zid, value.source), value.number))
             .wait()
             .map_err(|error| error.to_string())?;
@@ -181,7 +186,7 @@ impl<T: Serialize> KeyedPublisher<T> {
 
 impl Kept {
     /// Stores the newest value of a key.
-    fn set(&mut self, key: KeyExpr<'static>, zid: ZenohId, bytes: ZBytes) -> Result<Value, String> {
+    fn set(&mut self, key: KeyExpr<'static>, zid: ZenohId, stamp: Timestamp, bytes: ZBytes) -> Result<Value, String> {
         let (source, number) = match self.values.iter().position(|value| value.key == key) {
             Some(place) => {
                 let before = self.values.remove(place).ok_or("no such value")?;
@@ -201,6 +206,7 @@ impl Kept {
             key,
             source,
             number,
+            stamp,
             bytes,
             periods: 0,
         };
@@ -236,6 +242,7 @@ fn answer(query: &Query, asked: &[Value], zid: ZenohId, encoding: Encoding) {
         let replied = query
             .reply(value.key.clone(), value.bytes.clone())
             .encoding(zenoh::bytes::Encoding::from(encoding.mime()))
+            .timestamp(value.stamp)
             .source_info(info)
             .wait();
         if let Err(error) = replied {

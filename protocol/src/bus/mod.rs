@@ -56,8 +56,9 @@
 //! | `overhead` | cost of the typed bus over raw Zenoh |
 //! | `link`, `flow` | for the metrics and the log: links to routers; traffic and losses per topic |
 //! | `inbox` | bounded queues between Zenoh's threads and the readers |
+//! | `rate`, `limiter` | samples that come far faster than the rate of their key |
 //!
-//! No Zenoh callback blocks or decodes: it puts the sample into a bounded queue and wakes the reader. A payload that cannot be decoded is
+//! No Zenoh callback blocks, or decodes anything but the simulated time: it puts the sample into a bounded queue and wakes the reader. A payload that cannot be decoded is
 //! counted, logged now and then, and otherwise ignored. Declarations are synchronous and work from any thread; inside a Tokio runtime, the
 //! runtime must be multi-threaded. Every `next` and `changed` is cancel-safe: a `select!` that drops it loses nothing.
 
@@ -70,9 +71,11 @@ mod flow;
 mod identity;
 mod inbox;
 mod keyed;
+mod limiter;
 mod link;
 pub mod overhead;
 mod publish;
+mod rate;
 mod raw;
 mod rights;
 mod router;
@@ -101,4 +104,4 @@ pub use serve_part::{Call, PartServer, Responder};
 pub use session::{Bus, BusConfig, BusError, DEFAULT_ENDPOINT, ROBOT_ENDPOINT};
 pub use shutdown::{Shutdown, interrupted};
 pub use subscribe::{Latest, Received, Subscription};
-pub use tap::{RawPublisher, Tap, Tapped};
+pub use tap::{RawPublisher, Tap, Tapped, matches};

@@ -13,7 +13,6 @@ use zenoh::query::{ConsolidationMode, QueryTarget};
 
 use super::{Bus, BusConfig, BusError, Router, RouterConfig, Security};
 use crate::codec::{self, Encoding};
-use crate::geometry::Pose2;
 use crate::messages::{Scan, StopReply, StopRequest};
 use crate::time::Stamp;
 use crate::topics::{SCAN, STOP};
@@ -128,9 +127,37 @@ fn order(round: usize) -> [bool; 2] {
     }
 }
 
+/// Latencies of an operation, typed and raw, `samples` of each at least. `carry_out` is told whether it is typed's turn, and says whether
+/// it succeeded.
+async fn in_turns(
+    near: &Bus,
+    samples: usize,
+    mut carry_out: impl AsyncFnMut(bool) -> Result<bool, BusError>,
+) -> Result<[Vec<Duration>; 2], BusError> {
+    let (mut typed, mut raw) = (Vec::new(), Vec::new());
+    for round in 0..MOST_ROUNDS {
+        if typed.len() >= samples && raw.len() >= samples {
+            break;
+        }
+        for typed_turn in order(round) {
+            tokio::time::sleep(PAUSE).await;
+            let start = Instant::now();
+            let succeeded = carry_out(typed_turn).await?;
+            let elapsed = start.elapsed();
+            if succeeded {
+                if typed_turn { &mut typed } else { &mut raw }.push(elapsed);
+            } else if near.session.is_closed() {
+                return Err(BusError::Closed);
+            }
+        }
+    }
+    Ok([typed, raw])
+}
+
 async fn publications(near: &Bus, far: &Bus, samples: usize, over: &'static str) -> Result<Comparison, BusError> {
-    let publisher = near.publisher(&SCAN, &["typed"])?;
-    let mut latest = far.latest(&SCAN, &["typed"])?;
+    let topic = SCAN.without_rate();
+    let publisher = near.publisher(&topic, &["typed"])?;
+    let mut latest = far.latest(&topic, &["typed"])?;
     let key = Bus::key(SCAN.key(&["raw"]))?;
     let raw_publisher = near.declared(
         near.session
@@ -139,43 +166,25 @@ async fn publications(near: &Bus, far: &Bus, samples: usize, over: &'static str)
             .await,
     )?;
     let raw_subscriber = far.declared(far.session.declare_subscriber(key).await)?;
-    let (mut typed, mut raw) = (Vec::new(), Vec::new());
     let mut scan = scan();
-    for round in 0..MOST_ROUNDS {
-        if typed.len() >= samples && raw.len() >= samples {
-            break;
-        }
-        for typed_turn in order(round) {
-            tokio::time::sleep(PAUSE).await;
-            scan.stamp = Stamp(scan.stamp.0 + 1);
-            let start = Instant::now();
-            let received = if typed_turn {
-                publisher.put(&scan);
-                tokio::time::timeout(LOST, latest.next())
-                    .await
-                    .ok()
-                    .flatten()
-                    .map(|received| received.message)
-            } else {
-                let bytes = codec::encode(&scan, Encoding::Json).unwrap_or_default();
-                near.declared(raw_publisher.put(bytes).await)?;
-                let sample = tokio::time::timeout(LOST, raw_subscriber.recv_async())
-                    .await
-                    .ok()
-                    .and_then(Result::ok);
-                sample.and_then(|sample| {
-                    codec::decode::<Scan>(&sample.payload().to_bytes(), Encoding::Json, SCAN.max_bytes).ok()
-                })
-            };
-            let elapsed = start.elapsed();
-            // The first messages are lost before the router knows the subscriptions.
-            if received.is_some_and(|received| received.stamp == scan.stamp) {
-                if typed_turn { &mut typed } else { &mut raw }.push(elapsed);
-            } else if near.session.is_closed() {
-                return Err(BusError::Closed);
-            }
-        }
-    }
+    let [typed, raw] = in_turns(near, samples, async |typed_turn| {
+        scan.stamp = Stamp(scan.stamp.0 + 1);
+        let received = if typed_turn {
+            publisher.put(&scan);
+            let received = tokio::time::timeout(LOST, latest.next()).await.ok().flatten();
+            received.map(|received| received.message)
+        } else {
+            let bytes = codec::encode(&scan, Encoding::Json).unwrap_or_default();
+            near.declared(raw_publisher.put(bytes).await)?;
+            let sample = tokio::time::timeout(LOST, raw_subscriber.recv_async()).await;
+            sample.ok().and_then(Result::ok).and_then(|sample| {
+                codec::decode::<Scan>(&sample.payload().to_bytes(), Encoding::Json, SCAN.max_bytes).ok()
+            })
+        };
+        // The first messages are lost before the router knows the subscriptions.
+        Ok(received.is_some_and(|received| received.stamp == scan.stamp))
+    })
+    .await?;
     let bytes = codec::encode(&scan, Encoding::Json).unwrap_or_default().len();
     Ok(Comparison::new("scan, publish to receive", over, bytes, typed, raw))
 }
@@ -207,43 +216,29 @@ async fn asks(near: &Bus, far: &Bus, samples: usize, over: &'static str) -> Resu
         }
     });
     let request = StopRequest::new("bench");
-    let (mut typed, mut raw) = (Vec::new(), Vec::new());
-    for round in 0..MOST_ROUNDS {
-        if typed.len() >= samples && raw.len() >= samples {
-            break;
+    let [typed, raw] = in_turns(near, samples, async |typed_turn| {
+        if typed_turn {
+            return Ok(near.ask(&STOP, &["typed"], &request, LOST).await.is_ok());
         }
-        for typed_turn in order(round) {
-            tokio::time::sleep(PAUSE).await;
-            let start = Instant::now();
-            let answered = if typed_turn {
-                near.ask(&STOP, &["typed"], &request, LOST).await.is_ok()
-            } else {
-                let bytes = codec::encode(&request, Encoding::Json).unwrap_or_default();
-                let replies = near
-                    .session
-                    .get(&key)
-                    .payload(bytes)
-                    .encoding(Wire::APPLICATION_JSON)
-                    .target(QueryTarget::All)
-                    .consolidation(ConsolidationMode::None)
-                    .priority(Priority::InteractiveHigh)
-                    .timeout(LOST)
-                    .await;
-                let reply = near.declared(replies)?.recv_async().await;
-                reply.is_ok_and(|reply| {
-                    reply.result().is_ok_and(|sample| {
-                        codec::decode::<StopReply>(&sample.payload().to_bytes(), Encoding::Json, STOP.max_bytes).is_ok()
-                    })
-                })
-            };
-            let elapsed = start.elapsed();
-            if answered {
-                if typed_turn { &mut typed } else { &mut raw }.push(elapsed);
-            } else if near.session.is_closed() {
-                return Err(BusError::Closed);
-            }
-        }
-    }
+        let bytes = codec::encode(&request, Encoding::Json).unwrap_or_default();
+        let replies = near
+            .session
+            .get(&key)
+            .payload(bytes)
+            .encoding(Wire::APPLICATION_JSON)
+            .target(QueryTarget::All)
+            .consolidation(ConsolidationMode::None)
+            .priority(Priority::InteractiveHigh)
+            .timeout(LOST)
+            .await;
+        let reply = near.declared(replies)?.recv_async().await;
+        Ok(reply.is_ok_and(|reply| {
+            reply.result().is_ok_and(|sample| {
+                codec::decode::<StopReply>(&sample.payload().to_bytes(), Encoding::Json, STOP.max_bytes).is_ok()
+            })
+        }))
+    })
+    .await?;
     serving.abort();
     raw_serving.abort();
     let bytes = codec::encode(&request, Encoding::Json).unwrap_or_default().len();
@@ -260,10 +255,6 @@ fn scan() -> Scan {
         range_min: 0.05,
         range_max: 12.0,
         ranges,
-        boot_id: String::new(),
-        moving: Vec::new(),
-        base_from_laser: Pose2::IDENTITY,
-        map_from_odom: Pose2::IDENTITY,
-        odom_from_base: Pose2::IDENTITY,
+        ..Scan::default()
     }
 }

@@ -33,6 +33,7 @@ const HEARTBEAT: Duration = Duration::from_millis(500);
 pub struct Publisher<T> {
     carrier: Carrier,
     encoding: Encoding,
+    max_bytes: usize,
     key: String,
     failures: Complaints,
     flow: Departures,
@@ -70,6 +71,7 @@ impl Bus {
         Ok(Publisher {
             carrier,
             encoding: topic.encoding,
+            max_bytes: topic.max_bytes,
             key,
             failures: Complaints::default(),
             flow: Departures::new(self, topic.pattern),
@@ -123,8 +125,8 @@ pub(super) fn kept(qos: Qos) -> usize {
 }
 
 impl<T: Serialize> Publisher<T> {
-    /// Publishes a value, from any thread; the order is kept. Failures (the bus was closed, or the encoding cannot represent the value) are
-    /// counted, and logged now and then.
+    /// Publishes a value, from any thread; the order is kept. Failures (the bus was closed, or the value cannot be encoded within the topic's
+    /// size) are counted, and logged now and then.
     pub fn put(&self, message: &T) {
         self.put_in(None, message);
     }
@@ -132,7 +134,7 @@ impl<T: Serialize> Publisher<T> {
     /// As [`Self::put`], with the trace of the value attached, if it has one.
     pub fn put_in(&self, trace: Option<Context>, message: &T) {
         let attachment = trace.map(|trace| ZBytes::from(trace.to_string()));
-        let failure = match codec::encode(message, self.encoding) {
+        let failure = match codec::encode_within(message, self.encoding, self.max_bytes) {
             Ok(bytes) => {
                 self.flow.published(bytes.len());
                 self.put_bytes(bytes, attachment).err().map(|error| error.to_string())

@@ -128,6 +128,12 @@ fn who_may(act: Act, key: &KeyExpr<'_>) -> Vec<String> {
 }
 
 impl Bus {
+    /// This process's member of the fleet; `None` if links are not protected.
+    #[must_use]
+    pub fn member(&self) -> Option<&Member> {
+        self.rights.as_deref().map(|rights| &rights.member)
+    }
+
     /// Whether this process's member of the fleet may use a key; it may use every key if links are not protected.
     ///
     /// # Errors

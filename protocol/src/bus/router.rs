@@ -7,6 +7,7 @@ use zenav_observability::Readiness;
 use zenoh::Session;
 use zenoh::config::WhatAmI;
 
+use super::limiter::Pace;
 use super::link;
 use super::rights::Rights;
 use super::security::Security;
@@ -21,6 +22,8 @@ pub struct RouterConfig {
     pub connect: Vec<String>,
     /// Name shown by tools that inspect the network.
     pub name: String,
+    /// Whether it answers Zenoh's multicast scouting. It never links by scouting itself.
+    pub scouting: bool,
     /// How the links are protected.
     pub security: Security,
 }
@@ -31,6 +34,7 @@ impl Default for RouterConfig {
             listen: vec![DEFAULT_ENDPOINT.to_owned()],
             connect: Vec::new(),
             name: "zenav-router".to_owned(),
+            scouting: false,
             security: Security::default(),
         }
     }
@@ -42,6 +46,7 @@ pub struct Router {
     session: Session,
     readiness: Readiness,
     rights: Option<Arc<Rights>>,
+    pace: Arc<Pace>,
 }
 
 impl Router {
@@ -53,7 +58,7 @@ impl Router {
     pub async fn open(config: &RouterConfig) -> Result<Self, BusError> {
         let security = &config.security;
         let (connect, listen) = (security.endpoints(&config.connect), security.endpoints(&config.listen));
-        let zenoh = link_settings(
+        let mut zenoh = link_settings(
             WhatAmI::Router,
             &connect,
             &listen,
@@ -61,6 +66,10 @@ impl Router {
             security,
             ROUTER_HANDSHAKE_MS,
         )?;
+        let scouting = zenoh.insert_json5("scouting/multicast/enabled", &config.scouting.to_string());
+        scouting.map_err(|error| BusError::Config {
+            reason: error.to_string(),
+        })?;
         let session = zenoh::open(zenoh).await.map_err(|error| BusError::CannotListen {
             endpoint: listen.join(", "),
             reason: in_words(&error),
@@ -73,6 +82,7 @@ impl Router {
             session,
             readiness,
             rights: Rights::of(security),
+            pace: Arc::default(),
         };
         // Several routers differ by this key.
         let name = format!("router-{}", router.session.zid());
@@ -93,6 +103,7 @@ impl Router {
             name: name.into(),
             readiness: self.readiness.clone(),
             rights: self.rights.clone(),
+            pace: Arc::clone(&self.pace),
         }
     }
 

@@ -18,7 +18,7 @@ use super::access_control;
 use super::identity::{Identity, IdentityError};
 use super::session::BusError;
 use crate::id::Id;
-use crate::member::Role;
+use crate::member::{Member, Role};
 
 /// How links are protected, as a deployment says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -95,6 +95,15 @@ impl Security {
         }
     }
 
+    /// Waits until a member was revoked that this process still admits, because Zenoh cannot reload the members while it runs. For ever in a
+    /// process that admits nobody: without an identity, or without a list of members.
+    pub async fn revoked(&self) {
+        match self.identity() {
+            Some(identity) => identity.revoked().await,
+            None => std::future::pending().await,
+        }
+    }
+
     /// Whether this process may be a robot's edge. If the body is simulated in the same process, the process also publishes the simulated
     /// time, which only a router may do.
     ///
@@ -111,11 +120,29 @@ impl Security {
             Role::Robot if own.name == *robot => format!(
                 "{own} has a simulated body in its own process, and would give everybody the time: expected a world that `zenav sim serve` serves (--attach), or an identity router.NAME"
             ),
-            _ => format!("is of {own}: expected robot.{}", robot.as_str()),
+            _ => format!("is of {own}: expected robot.{robot} (`zenav keys issue robot.{robot}` makes one)"),
         };
         Err(IdentityError {
             folder: identity.folder().to_owned(),
             problem,
+        })
+    }
+
+    /// Whether this process's member has a role in which `part`, such as `zenav router`, does its work: what an endpoint does not grant, it
+    /// drops without an answer.
+    ///
+    /// # Errors
+    /// [`IdentityError`]: a member of another role than `roles`.
+    pub fn check_role(&self, part: &str, roles: &[Role]) -> Result<(), IdentityError> {
+        let Some(identity) = self.identity() else {
+            return Ok(());
+        };
+        let problem = wrong_role(identity.member(), part, roles);
+        problem.map_or(Ok(()), |problem| {
+            Err(IdentityError {
+                folder: identity.folder().to_owned(),
+                problem,
+            })
         })
     }
 
@@ -193,6 +220,23 @@ impl Security {
     }
 }
 
+/// Why a member cannot run a part that works in these roles only; the first is the usual one.
+fn wrong_role(own: &Member, part: &str, roles: &[Role]) -> Option<String> {
+    if roles.contains(&own.role) {
+        return None;
+    }
+    let named: Vec<String> = roles.iter().map(|role| format!("{role}.NAME")).collect();
+    let mut problem = format!(
+        "is of {own}, whose role is {}: {part} needs {}",
+        own.role,
+        named.join(" or ")
+    );
+    if let Some(usual) = named.first() {
+        problem.push_str(&format!(" (`zenav keys issue {usual}` makes one)"));
+    }
+    Some(problem)
+}
+
 /// The protocol of an endpoint, `PROTOCOL/HOST:PORT`; `None` if links do not support it.
 #[must_use]
 pub fn link_protocol(endpoint: &str) -> Option<&str> {
@@ -260,6 +304,21 @@ mod tests {
             assert!(text.contains(far) && text.contains("--insecure"), "{text}");
             assert_eq!(Security::Insecure.check_metrics(far), Ok(()));
         }
+    }
+
+    #[test]
+    fn a_part_needs_a_member_in_its_role() {
+        let told = |member: &str, roles: &[Role]| wrong_role(&member.parse().unwrap(), "`zenav cloud`", roles);
+        let services = [Role::Service, Role::Router];
+        for right in ["service.site1", "router.site1"] {
+            assert_eq!(told(right, &services), None, "{right}");
+        }
+        assert_eq!(
+            told("operator.anna", &services).unwrap(),
+            "is of operator.anna, whose role is operator: `zenav cloud` needs service.NAME or router.NAME (`zenav keys issue service.NAME` makes one)"
+        );
+        assert!(told("robot.tiago", &[Role::Router]).is_some());
+        assert_eq!(Security::Loopback.check_role("`zenav router`", &[Role::Router]), Ok(()));
     }
 
     #[test]

@@ -21,7 +21,7 @@ use super::{Bus, BusError, threads};
 use crate::SCHEMA_VERSION;
 use crate::codec::{self, CodecError, Encoding};
 use crate::messages::Refusal;
-use crate::topics::{Ask, Asker, CLOUD_INFO, EDGE_INFO, PART_INFO, STOP, row_of};
+use crate::topics::{Ask, Asker, CLOUD_INFO, EDGE_INFO, MESSAGE_SCHEMA, PART_INFO, STOP, row_of};
 
 /// Selector parameter with the schema version of the program that asks. Without it, as from plain Zenoh tools, any request is read.
 pub(super) const SCHEMA: &str = "schema";
@@ -154,9 +154,15 @@ impl<Q: DeserializeOwned, R> Server<Q, R> {
     }
 }
 
-/// Whether programs of any schema may send the request: a stop is always obeyed, and info tells the versions.
+/// Whether programs of any schema may send the request: a stop is always obeyed, info tells the versions, and the schema the differences.
 fn suits_every_schema(pattern: &str) -> bool {
-    let all = [STOP.pattern, EDGE_INFO.pattern, CLOUD_INFO.pattern, PART_INFO.pattern];
+    let all = [
+        STOP.pattern,
+        EDGE_INFO.pattern,
+        CLOUD_INFO.pattern,
+        PART_INFO.pattern,
+        MESSAGE_SCHEMA.pattern,
+    ];
     all.contains(&pattern)
 }
 

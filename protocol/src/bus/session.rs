@@ -3,10 +3,10 @@
 //! Without an endpoint of its own, a component is a Zenoh **client** of the router. With `listen` it is a **router** that links to the
 //! others: it starts without them, keeps trying to reach them in the background, and a client connected directly to it can use its topics
 //! and asks meanwhile. (A Zenoh client refuses other clients, and opens only once connected; and a router does not forward messages of
-//! peers to a peer, which is the default mode of Zenoh's own tools and bindings.) Multicast and gossip are off: a session links only to
-//! configured endpoints. With these lease and retry times a cut link resumes about one second after it heals. On a slow link the handshake
-//! alone may take longer than an attempt on a cut link should: longer limits are tried if the endpoint accepts connections but the link
-//! does not come up.
+//! peers to a peer, which is the default mode of Zenoh's own tools and bindings.) Scouting and gossip are off: a session links only to
+//! configured endpoints. Zenoh's admin space shows every component with its name (`@/*/*`). With these lease and retry times a cut link
+//! resumes about one second after it heals. On a slow link the handshake alone may take longer than an attempt on a cut link should: longer
+//! limits are tried if the endpoint accepts connections but the link does not come up.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -17,6 +17,7 @@ use zenav_observability::{Condition, Readiness};
 use zenoh::config::WhatAmI;
 use zenoh::{Config, Session};
 
+use super::limiter::Pace;
 use super::link;
 use super::rights::{Denied, Rights};
 use super::security::Security;
@@ -169,6 +170,8 @@ pub struct Bus {
     pub(super) readiness: Readiness,
     /// Rights of this process; `None` if its links are not controlled.
     pub(super) rights: Option<Arc<Rights>>,
+    /// The time by which rates are limited.
+    pub(super) pace: Arc<Pace>,
 }
 
 impl Bus {
@@ -192,8 +195,7 @@ impl Bus {
         if mode == WhatAmI::Router && !config.connect.is_empty() {
             sleep(SETTLING).await;
         }
-        // A session that waits for a router, or is one, belongs to a component; any other is a command's client.
-        let is_part = config.retry || !config.listen.is_empty();
+        let is_part = config.is_part();
         let readiness = if is_part {
             Readiness::new(&config.name)
         } else {
@@ -232,6 +234,7 @@ impl Bus {
                     return Ok(Self {
                         session,
                         rights: Rights::of(&config.security),
+                        pace: Arc::default(),
                         name: config.name.into(),
                         readiness,
                     });
@@ -332,6 +335,11 @@ impl Bus {
 }
 
 impl BusConfig {
+    /// Whether the session belongs to a component: it waits for a router, or is one. Any other is a command's client.
+    fn is_part(&self) -> bool {
+        self.retry || !self.listen.is_empty()
+    }
+
     /// Zenoh's settings of this session.
     fn settings(&self, mode: WhatAmI, handshake_ms: u64) -> Result<Config, BusError> {
         let mut zenoh = link_settings(
@@ -342,6 +350,14 @@ impl BusConfig {
             &self.security,
             handshake_ms,
         )?;
+        if !self.is_part() {
+            // Routers keep the keys of an admin space for ever, and every command would add its own.
+            zenoh
+                .insert_json5("adminspace/enabled", "false")
+                .map_err(|error| BusError::Config {
+                    reason: error.to_string(),
+                })?;
+        }
         if !self.namespace.is_empty() {
             let wrong = |reason: String| BusError::Config {
                 reason: format!("namespace `{}`: {reason}", self.namespace),
@@ -448,18 +464,21 @@ pub(super) fn link_settings(
         },
         "listen": { "endpoints": listen, "timeout_ms": 0, "exit_on_failure": true },
         "open": { "return_conditions": { "connect_scouted": false, "declares": false } },
-        "scouting": { "delay": 0, "multicast": { "enabled": false }, "gossip": { "enabled": false } },
+        "scouting": { "delay": 0, "multicast": { "enabled": false, "autoconnect": { "router": [] } }, "gossip": { "enabled": false } },
         // The caches of advanced publishers need time stamps.
         "timestamping": { "enabled": true },
         "transport": {
-            "unicast": { "open_timeout": handshake_ms, "accept_timeout": ACCEPTED_MS, "accept_pending": ACCEPTED },
+            // Most of a link are map patches and scans, which shrink to a fifth. A side that cannot do it is sent plain batches.
+            "unicast": {
+                "open_timeout": handshake_ms,
+                "accept_timeout": ACCEPTED_MS,
+                "accept_pending": ACCEPTED,
+                "compression": { "enabled": true },
+            },
             "link": { "tx": { "lease": lease_ms }, "rx": { "max_message_size": MAX_MESSAGE } },
         },
+        "adminspace": { "enabled": true, "permissions": { "read": true, "write": false } },
     });
-    if mode == WhatAmI::Router {
-        settings["adminspace"] =
-            serde_json::json!({ "enabled": true, "permissions": { "read": true, "write": false } });
-    }
     security.settings(mode, listen, &mut settings)?;
     Config::from_json5(&settings.to_string()).map_err(|error| BusError::Config {
         reason: format!("Zenoh's settings: {error}"),

@@ -1,7 +1,7 @@
 //! Subscriptions. How does a component receive a topic: only its newest value, or all values in order?
 //!
 //! [`Latest`] and [`Subscription`] decode in the reader, not in Zenoh's thread: a skipped value is never decoded. A payload over the
-//! topic's limit is dropped at once.
+//! topic's size, and one that comes far faster than its rate, is dropped at once and counted.
 
 use std::fmt;
 use std::sync::Arc;
@@ -16,6 +16,7 @@ use zenoh_ext::{AdvancedSubscriber, AdvancedSubscriberBuilderExt, HistoryConfig,
 
 use super::flow::Arrivals;
 use super::inbox::{Complaints, Inbox, Newest, Queue, Slot, Store};
+use super::limiter::Limiter;
 use super::publish::kept;
 use super::{Bus, BusError};
 use crate::codec::{self, CodecError, Encoding};
@@ -146,6 +147,7 @@ impl Bus {
         let key = Self::key(topic.key(chunks))?;
         let unreadable = Arc::new(Complaints::default());
         let max_bytes = topic.max_bytes;
+        let limiter = Limiter::of(self, topic);
         let callback = {
             let (unreadable, flow) = (Arc::clone(&unreadable), flow.clone());
             move |sample: Sample| {
@@ -158,8 +160,12 @@ impl Bus {
                         sample.key_expr(),
                         &CodecError::TooLarge { limit: max_bytes, got },
                     );
-                } else if sample.kind() == SampleKind::Put && !slot.fits(item(sample)) {
-                    flow.dropped();
+                } else if sample.kind() == SampleKind::Put {
+                    if limiter.as_ref().is_some_and(|limiter| !limiter.admits(&sample)) {
+                        flow.too_fast();
+                    } else if !slot.fits(item(sample)) {
+                        flow.dropped();
+                    }
                 }
             }
         };

@@ -23,6 +23,21 @@ use super::{Bus, BusError, RawSample};
 use crate::codec::Encoding;
 use crate::topics::{self, Qos, TABLE};
 
+/// Whether a key matches a key expression of Zenoh: `*` is one chunk, `**` any number, `$*` any letters of a chunk.
+///
+/// ```
+/// use zenav_protocol::bus::matches;
+///
+/// assert!(matches("zenav/*/edge/**", "zenav/a/edge/scan/rear") && matches("zenav/*/edge/**", "zenav/a/edge"));
+/// assert!(matches("**/pose", "zenav/a/edge/pose") && !matches("zenav/*/edge/pose", "zenav/a/cloud/pose"));
+/// assert!(matches("zenav/rob$*/edge", "zenav/robot1/edge") && !matches("zenav/rob$*/edge", "zenav/bob/edge"));
+/// ```
+#[must_use]
+pub fn matches(pattern: &str, key: &str) -> bool {
+    let (pattern, key) = (KeyExpr::autocanonize(pattern.to_owned()), KeyExpr::new(key));
+    pattern.is_ok_and(|pattern| key.is_ok_and(|key| pattern.includes(&key)))
+}
+
 /// A sample with its attachment and arrival time.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Tapped {

@@ -64,7 +64,12 @@ fn anew(value: Option<&OsStr>) -> std::io::Error {
         Ok(program) => program,
         Err(error) => return error,
     };
-    let mut command = std::process::Command::new(program);
+    let mut command = std::process::Command::new(&program);
+    // An update has replaced or removed the file: Linux still has what this process runs.
+    if cfg!(target_os = "linux") && !program.exists() {
+        command = std::process::Command::new("/proc/self/exe");
+        command.arg0(std::env::args_os().next().unwrap_or_default());
+    }
     command.args(std::env::args_os().skip(1));
     command.envs(value.map(|value| (VARIABLE, value)));
     command.exec()

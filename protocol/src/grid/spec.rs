@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::CellWalk;
+use crate::geometry::MAX_COORDINATE;
 
 /// A cell by column and row, counted from the lower-left corner.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -45,8 +46,8 @@ pub enum GridError {
     /// The resolution is not a positive finite number.
     #[error("resolution {0} m: expected a positive number")]
     Resolution(f64),
-    /// The origin is not finite.
-    #[error("origin: expected finite coordinates")]
+    /// The origin is too far away, or not finite.
+    #[error("origin: expected coordinates within {MAX_COORDINATE} m")]
     Origin,
     /// More cells than the stack supports.
     #[error("{width} x {height} cells: expected at most {limit} a side")]
@@ -77,7 +78,7 @@ impl GridSpec {
     /// Checks a geometry from an external source.
     ///
     /// # Errors
-    /// [`GridError`] for a resolution that is not positive, an origin that is not finite, or more than [`MAX_SIDE`] cells a side.
+    /// [`GridError`] for a resolution that is not positive, an origin beyond [`MAX_COORDINATE`], or more than [`MAX_SIDE`] cells a side.
     ///
     /// ```
     /// use nalgebra::Point2;
@@ -90,7 +91,7 @@ impl GridSpec {
         if !(self.resolution.is_finite() && self.resolution > 0.0) {
             return Err(GridError::Resolution(self.resolution));
         }
-        if !(self.origin.x.is_finite() && self.origin.y.is_finite()) {
+        if !self.origin.iter().all(|value| value.abs() <= MAX_COORDINATE) {
             return Err(GridError::Origin);
         }
         if self.width > MAX_SIDE || self.height > MAX_SIDE {
@@ -134,6 +135,17 @@ impl GridSpec {
     }
 
     /// The cell that contains a point; `None` outside the grid, and for a point that is not finite.
+    ///
+    /// ```
+    /// use nalgebra::Point2;
+    /// use zenav_protocol::grid::{Cell, GridSpec};
+    ///
+    /// // 10 m by 10 m around the map's origin.
+    /// let spec = GridSpec { origin: Point2::new(-5.0, -5.0), resolution: 0.05, width: 200, height: 200 };
+    /// assert_eq!(spec.cell_at(Point2::new(0.01, -5.0)), Some(Cell::new(100, 0)));
+    /// assert!((spec.center(Cell::new(100, 0)) - Point2::new(0.025, -4.975)).norm() < 1e-9);
+    /// assert_eq!(spec.cell_at(Point2::new(5.01, 0.0)), None);
+    /// ```
     #[must_use]
     pub fn cell_at(&self, point: Point2<f64>) -> Option<Cell> {
         let p = self.to_cells(point);
@@ -206,6 +218,16 @@ impl GridSpec {
     /// between two occupied cells that touch only there. Cost: one step per cell.
     ///
     /// Source: Amanatides and Woo, "A Fast Voxel Traversal Algorithm for Ray Tracing", Eurographics 1987.
+    ///
+    /// ```
+    /// use nalgebra::Point2;
+    /// use zenav_protocol::grid::{Cell, GridSpec};
+    ///
+    /// let spec = GridSpec { origin: Point2::origin(), resolution: 1.0, width: 3, height: 3 };
+    /// let cells: Vec<Cell> = spec.walk(Point2::new(1.5, 0.5), Point2::new(9.0, 0.5)).collect();
+    /// assert_eq!(cells, [Cell::new(1, 0), Cell::new(2, 0)], "the rest is outside the grid");
+    /// assert_eq!(spec.walk(Point2::new(0.5, 0.5), Point2::new(1.5, 1.5)).count(), 4, "two of them beside the corner");
+    /// ```
     #[must_use]
     pub fn walk(&self, from: Point2<f64>, to: Point2<f64>) -> CellWalk {
         CellWalk::new(self, self.to_cells(from), self.to_cells(to))
@@ -222,6 +244,21 @@ mod tests {
             resolution: 0.25,
             width: 40,
             height: 30,
+        }
+    }
+
+    #[test]
+    fn a_grid_that_is_too_far_away_is_refused() {
+        let at = |x, y| {
+            GridSpec {
+                origin: Point2::new(x, y),
+                ..spec()
+            }
+            .checked()
+        };
+        assert!(at(MAX_COORDINATE, -MAX_COORDINATE).is_ok());
+        for (x, y) in [(500_000.0, 0.0), (0.0, -5_400_000.0), (f64::NAN, 0.0)] {
+            assert_eq!(at(x, y), Err(GridError::Origin));
         }
     }
 

@@ -27,6 +27,18 @@ impl<T: Clone> Grid<T> {
 impl<T> Grid<T> {
     /// A grid of the given values.
     ///
+    /// ```
+    /// use nalgebra::Point2;
+    /// use zenav_protocol::grid::{GridSpec, Occupancy, OccupancyGrid};
+    ///
+    /// let spec = GridSpec { origin: Point2::origin(), resolution: 0.1, width: 2, height: 2 };
+    /// let map = OccupancyGrid::from_values(spec, vec![0, 0, 100, -1])?;
+    /// assert_eq!(map.at(Point2::new(0.05, 0.15)), Some(&Occupancy::OCCUPIED), "the third value begins the second row");
+    /// let error = OccupancyGrid::from_values(spec, vec![0; 3]).unwrap_err();
+    /// assert_eq!(error.to_string(), "3 values for 4 cells");
+    /// # Ok::<(), zenav_protocol::grid::GridError>(())
+    /// ```
+    ///
     /// # Errors
     /// [`GridError::Length`] unless there is exactly one value for each cell.
     pub fn from_values(spec: GridSpec, values: Vec<T>) -> Result<Self, GridError> {

@@ -7,7 +7,7 @@ use nalgebra::Point2;
 use super::{Cell, GridSpec};
 
 /// Iterator of [`GridSpec::walk`].
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct CellWalk {
     width: i64,
     height: i64,
@@ -29,25 +29,9 @@ pub struct CellWalk {
 impl CellWalk {
     pub(super) fn new(spec: &GridSpec, from: Point2<f64>, to: Point2<f64>) -> Self {
         let (width, height) = (i64::from(spec.width), i64::from(spec.height));
-        let empty = Self {
-            width,
-            height,
-            x: 0,
-            y: 0,
-            last_x: 0,
-            last_y: 0,
-            step_x: 0,
-            step_y: 0,
-            next_x: f64::INFINITY,
-            next_y: f64::INFINITY,
-            delta_x: f64::INFINITY,
-            delta_y: f64::INFINITY,
-            steps_left: -1,
-            waiting: [None; 3],
-        };
         // Clipped one cell beyond the border: the work is bounded for any input, and the cells inside stay exact.
         let Some((from, to)) = clip(from, to, -1.0, -1.0, width as f64 + 1.0, height as f64 + 1.0) else {
-            return empty;
+            return Self::default();
         };
         let (x, y) = (from.x.floor() as i64, from.y.floor() as i64);
         let (last_x, last_y) = (to.x.floor() as i64, to.y.floor() as i64);
@@ -64,6 +48,8 @@ impl CellWalk {
         let (step_x, next_x, delta_x) = axis(from.x, x, dx);
         let (step_y, next_y, delta_y) = axis(from.y, y, dy);
         Self {
+            width,
+            height,
             x,
             y,
             last_x,
@@ -76,7 +62,6 @@ impl CellWalk {
             delta_y,
             steps_left: (last_x - x).abs() + (last_y - y).abs(),
             waiting: [None, None, Some((x, y))],
-            ..empty
         }
     }
 

@@ -249,6 +249,21 @@ impl LeaseArbiter {
     }
 
     /// Renews the lease by a heartbeat; `false` for a heartbeat of another holder or epoch, a replayed one, or one after the lapse.
+    ///
+    /// ```
+    /// # use std::time::Duration;
+    /// # use zenav_protocol::lease::LeaseArbiter;
+    /// # use zenav_protocol::messages::{Heartbeat, LeaseAction, LeaseRequest, LeaseRole, Refusal};
+    /// # use zenav_protocol::time::Stamp;
+    /// let mut arbiter = LeaseArbiter::new(Duration::from_secs(1), 0, None);
+    /// let request = LeaseRequest::new("mission-a", LeaseRole::Mission, LeaseAction::Acquire, "r1");
+    /// let epoch = arbiter.request(Stamp::ZERO, &request)?.epoch;
+    /// let heartbeat = Heartbeat { holder: "mission-a".into(), epoch, counter: 1, echo: None };
+    /// assert!(arbiter.renew(Stamp::from_secs(0.9), &heartbeat));
+    /// assert!(!arbiter.renew(Stamp::from_secs(1.0), &heartbeat), "a repeated heartbeat renews nothing");
+    /// assert!(arbiter.is_live(Stamp::from_secs(1.9)) && !arbiter.is_live(Stamp::from_secs(2.0)));
+    /// # Ok::<(), Refusal>(())
+    /// ```
     pub fn renew(&mut self, now: Stamp, heartbeat: &Heartbeat) -> bool {
         let live = self.is_live(now);
         match &mut self.grant {

@@ -40,18 +40,22 @@ pub struct ResumeRequest {
     /// Number of the newest stop to lift, as counted in the robot's state: a later stop stays in force. Without it, any stop is lifted.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stop: Option<u64>,
+    /// Boot of the robot whose state had this number: stops are counted anew after a restart. Required with `stop`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub boot_id: Option<String>,
     /// Chosen by the requester: a copy of a request that the network repeats lifts nothing.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub request_id: Option<String>,
 }
 
 impl ResumeRequest {
-    /// A new request to lift the stops up to this one.
+    /// A new request to lift the stops up to this one, as a state of the robot's boot counted them.
     #[must_use]
-    pub fn new(by: impl Into<String>, stop: u64) -> Self {
+    pub fn new(by: impl Into<String>, boot_id: impl Into<String>, stop: u64) -> Self {
         Self {
             by: Some(by.into()),
             stop: Some(stop),
+            boot_id: Some(boot_id.into()),
             request_id: Some(Id::unique().to_string()),
         }
     }

@@ -40,7 +40,7 @@ pub struct PoseEstimate {
 }
 
 /// A pose measurement made off board; the estimator gates and fuses it.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Correction {
     /// Stamp of the scan that it was computed from (the edge's clock).
@@ -84,13 +84,19 @@ pub enum Health {
         /// Those poses, `map_from_base`, the best first.
         hypotheses: Vec<Pose2>,
     },
+    /// The pose is the robot's own estimate, and its scans were not compared with a known map: there is none about it, or the pose was just
+    /// set.
+    Unchecked,
+    /// The pose is the robot's own estimate, and the scans contradict the known map: the pose or the map is wrong, or the building has
+    /// changed. The robot drives all the same; the mission reaches no goal while more than a quarter of the beams pass through walls.
+    Contradicted,
 }
 
 impl Health {
     /// Whether the robot may drive by its pose in the map.
     #[must_use]
     pub const fn is_trusted(&self) -> bool {
-        matches!(self, Self::Tracking | Self::Degraded { .. })
+        !matches!(self, Self::Searching | Self::Lost | Self::Ambiguous { .. })
     }
 }
 
@@ -102,6 +108,8 @@ impl fmt::Display for Health {
             Self::Searching => formatter.write_str("searching"),
             Self::Lost => formatter.write_str("lost"),
             Self::Ambiguous { hypotheses } => write!(formatter, "ambiguous: {} places", hypotheses.len()),
+            Self::Unchecked => formatter.write_str("unchecked: its scans were not compared with a known map"),
+            Self::Contradicted => formatter.write_str("contradicted: its scans do not agree with the map"),
         }
     }
 }

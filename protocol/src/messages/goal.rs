@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::DrivingProfile;
 use crate::config_text::{Expected, Number};
-use crate::geometry::wrap_angle;
+use crate::geometry::{MAX_COORDINATE, wrap_angle};
 use crate::time::Stamp;
 
 /// A place, map frame.
@@ -25,14 +25,23 @@ pub struct GoalPoint {
 impl GoalPoint {
     /// The place, with its heading wrapped.
     ///
+    /// ```
+    /// use zenav_protocol::messages::GoalPoint;
+    ///
+    /// let place = GoalPoint { x: 2.0, y: 1.5, yaw: Some(-4.0) }.checked()?;
+    /// assert!((place.yaw.unwrap() - (std::f64::consts::TAU - 4.0)).abs() < 1e-12);
+    /// let in_degrees = GoalPoint { x: 2.0, y: 1.5, yaw: Some(90.0) }.checked().unwrap_err();
+    /// assert_eq!(in_degrees, "yaw is 90: expected radians within a full turn; 90 degrees are 1.571");
+    /// # Ok::<(), String>(())
+    /// ```
+    ///
     /// # Errors
     /// What was expected: coordinates within 100 km, a heading in radians.
     pub fn checked(self) -> Result<Self, String> {
-        const FARTHEST: f64 = 100_000.0;
-        let is_near = |value: f64| value.abs() <= FARTHEST;
+        let is_near = |value: f64| value.abs() <= MAX_COORDINATE;
         if !(is_near(self.x) && is_near(self.y)) {
             return Err(format!(
-                "({}, {}): expected finite coordinates within {FARTHEST} m",
+                "({}, {}): expected finite coordinates within {MAX_COORDINATE} m",
                 Number(self.x),
                 Number(self.y)
             ));
@@ -136,6 +145,20 @@ impl GoalPhase {
     #[must_use]
     pub const fn is_end(self) -> bool {
         matches!(self, Self::Succeeded | Self::Aborted | Self::Canceled | Self::Rejected)
+    }
+
+    /// The phase in one word, for people.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Accepted => "accepted",
+            Self::Active => "active",
+            Self::Paused => "paused",
+            Self::Succeeded => "succeeded",
+            Self::Aborted => "aborted",
+            Self::Canceled => "canceled",
+            Self::Rejected => "rejected",
+        }
     }
 }
 

@@ -23,10 +23,41 @@ pub struct PoseGraph {
     pub boot_id: String,
     /// The map, and the frame that the poses are in.
     pub map: MapRef,
+    /// Whether no other arrangement of the nodes is better.
+    #[serde(default, skip_serializing_if = "GraphCertificate::is_not_solved")]
+    pub certificate: GraphCertificate,
     /// Poses of the nodes, `map_from_node`, in the order of the drive.
     pub nodes: Vec<Pose2>,
     /// Measurements between nodes.
     pub edges: Vec<GraphEdge>,
+}
+
+/// Verdict on the last solve of a pose graph, which closures lead to: with the closures that it accepted, is no other arrangement of its
+/// nodes better? It does not say whether these closures are true.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub enum GraphCertificate {
+    /// There was no solve since mapping began or resumed a stored session: the nodes are where they were then, or where odometry and
+    /// matches have put them.
+    #[default]
+    NotSolved,
+    /// The proof is still being computed.
+    Pending,
+    /// Proven: no other arrangement is better. Each node is within 1 cm and 2 mrad of the proven one.
+    Certified,
+    /// There is no proof: the solve ended in the wrong valley, or the measurements are too noisy.
+    Refused,
+    /// The optimum of the problem that can be certified leads to another valley.
+    Elsewhere,
+    /// The solve did not converge well enough for a verdict.
+    Unknown,
+}
+
+impl GraphCertificate {
+    fn is_not_solved(&self) -> bool {
+        *self == Self::NotSolved
+    }
 }
 
 /// A measurement between two nodes of a pose graph.

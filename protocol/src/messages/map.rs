@@ -45,6 +45,22 @@ pub struct MapInfo {
     pub stored: bool,
 }
 
+/// The mapping service that leads: it alone writes the robot's map. Repeated several times a second, also when nothing changes.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct MappingLeader {
+    /// Name of the service, unique to its process.
+    pub name: String,
+    /// Number of its leadership; a service that begins to lead begins the next one that it knows of. Of two leaders the one with the lower
+    /// number steps back; of equal ones the one with the lower revision of the map, then the one whose name sorts first.
+    pub term: u64,
+    /// The map that it writes, at its newest revision; without an id while it is being loaded.
+    pub map: MapRef,
+    /// Whether the map is held: no scan is inserted into it.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub held: bool,
+}
+
 /// A square block of a map's cells.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]

@@ -86,9 +86,13 @@ pub struct InfoReply {
     /// From a mission: name of the store that keeps its goals.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub store: Option<String>,
-    /// From a mission: whether it keeps the robot's goals, or will do so unless the robot names another leader.
+    /// From a mission: whether it keeps the robot's goals, or will do so unless the robot names another leader. From a mapping service:
+    /// whether it writes the robot's map.
     #[serde(default)]
     pub leads: bool,
+    /// From a mission: why it can store nothing (its disk is full or read-only). It then acknowledges nothing and does not lead.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub not_stored: Option<String>,
     /// From an edge: the robot's footprint, limits and sensors.
     #[cfg_attr(feature = "schema", schemars(with = "Option<serde_json::Value>"))]
     pub model: Option<RobotModel>,

@@ -7,6 +7,17 @@
 //! * A receiver ignores unknown fields, and a missing optional field takes its default.
 //! * A request that changes something carries the lease's `epoch`, and an id under which a repeated request gets the first answer.
 //!
+//! ```
+//! use zenav_protocol::messages::{GoalRequest, OnBusy};
+//!
+//! // As typed into any Zenoh client: everything but the place is optional.
+//! let tea: GoalRequest = serde_json::from_str(r#"{"id": "tea-1", "place": "stove", "deadline_secs": 300}"#)?;
+//! assert_eq!((tea.place.as_deref(), tea.on_busy), (Some("stove"), OnBusy::Queue));
+//! let at_once = GoalRequest { x: Some(2.0), y: Some(1.5), on_busy: OnBusy::Preempt, ..GoalRequest::default() };
+//! assert_eq!(serde_json::to_string(&at_once)?, r#"{"x":2.0,"y":1.5,"on_busy":"preempt","priority":0}"#);
+//! # Ok::<(), serde_json::Error>(())
+//! ```
+//!
 //! | file | subject |
 //! |---|---|
 //! | [`sensors`](crate::sensors) | sensor readings as the robot publishes them |
@@ -28,6 +39,7 @@
 //! | `remote` | actions of a behaviour tree that other programs execute |
 //! | `body` | a robot body in another process |
 //! | `log` | the newest lines of a process's log |
+//! | `schema` | the JSON Schema of a message |
 //! | `refusal` | why a request was refused |
 
 mod annotations;
@@ -51,6 +63,7 @@ mod obstacles;
 mod plan;
 mod refusal;
 mod remote;
+mod schema;
 mod state;
 
 pub use annotations::*;
@@ -74,6 +87,7 @@ pub use obstacles::*;
 pub use plan::*;
 pub use refusal::*;
 pub use remote::*;
+pub use schema::*;
 pub use state::*;
 
 pub use crate::sensors::{Battery, Bump, Gps, Imu, Scan};

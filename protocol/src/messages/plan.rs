@@ -28,7 +28,7 @@ pub struct BasedOn {
 }
 
 /// The motion that a robot is to follow, and its validity. Written only by the mission that holds the robot's lease.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Plan {
     /// The goal that the plan serves.

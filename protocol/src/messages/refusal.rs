@@ -92,6 +92,16 @@ fn nearest(nearest_free: &Option<GoalPoint>) -> String {
 
 impl Refusal {
     /// [`Refusal::Rejected`] with a reason and no nearest free place.
+    ///
+    /// ```
+    /// use zenav_protocol::messages::Refusal;
+    ///
+    /// let refusal = Refusal::rejected("the goal is 0.12 m from a wall, at least 0.27 m are needed");
+    /// assert_eq!(refusal.to_string(), "rejected: the goal is 0.12 m from a wall, at least 0.27 m are needed");
+    /// let heard: Refusal = serde_json::from_str(r#"{"error": "WrongEpoch", "got": 3, "current": 4}"#)?;
+    /// assert_eq!(heard, Refusal::WrongEpoch { got: 3, current: 4 });
+    /// # Ok::<(), serde_json::Error>(())
+    /// ```
     #[must_use]
     pub fn rejected(reason: impl Display) -> Self {
         Self::Rejected {

@@ -149,7 +149,7 @@ pub struct EdgeState {
     /// Share of scans, poses and readings that the robot sends, 0 to 1: below 1 while its link cannot carry them all.
     #[serde(default = "all", skip_serializing_if = "is_all")]
     pub uplink: f64,
-    /// Number of stops, counted across restarts.
+    /// Number of stops since this start of the edge.
     #[serde(default)]
     pub stops: u64,
     /// Whether the robot waits or leaves its plan to make way for another robot.
@@ -161,6 +161,31 @@ pub struct EdgeState {
     /// Present faults of the robot itself.
     #[serde(default, skip_serializing_if = "Faults::are_none")]
     pub faults: Faults,
+}
+
+impl Default for EdgeState {
+    fn default() -> Self {
+        Self {
+            stamp: Stamp::default(),
+            boot_id: String::new(),
+            mode: Mode::default(),
+            link: Link::default(),
+            lease: LeaseState::default(),
+            round_trip_secs: None,
+            plan: None,
+            velocity: Twist2::default(),
+            guard: GuardZone::default(),
+            battery: 0.0,
+            behaviour: None,
+            wall_follower: None,
+            missed_ticks: 0,
+            uplink: all(),
+            stops: 0,
+            makes_way: false,
+            frame: 0,
+            faults: Faults::default(),
+        }
+    }
 }
 
 const fn all() -> f64 {
@@ -182,13 +207,16 @@ pub struct Faults {
     /// Why the newest epoch and stop are not stored: a restart would forget them, so the robot grants no lease.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub storage: Option<String>,
+    /// Which lidar looks elsewhere than its file says, and by how much: the robot drives slowly.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lidar: Option<String>,
 }
 
 impl Faults {
     /// Whether there is no fault.
     #[must_use]
     pub const fn are_none(&self) -> bool {
-        self.body.is_none() && self.storage.is_none()
+        self.body.is_none() && self.storage.is_none() && self.lidar.is_none()
     }
 }
 
@@ -203,4 +231,17 @@ pub struct Marker {
     /// Corner points, map frame, m; one corner is a point.
     #[cfg_attr(feature = "schema", schemars(with = "Vec<[f64; 2]>"))]
     pub points: Vec<Point2<f64>>,
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_default_state_is_read_back_as_it_was() {
+        let state = EdgeState::default();
+        let written = serde_json::to_string(&state).unwrap();
+        assert_eq!(serde_json::from_str::<EdgeState>(&written).unwrap(), state, "{written}");
+    }
 }

@@ -30,6 +30,12 @@ pub struct GpsModel {
 }
 
 impl GpsModel {
+    /// Variance of each coordinate by its rounding to [`Self::resolution`], m².
+    #[must_use]
+    pub fn rounding(&self) -> f64 {
+        self.resolution.powi(2) / 12.0
+    }
+
     /// Checks all values; the first one out of bounds.
     pub(crate) fn check(&self) -> Result<(), OutOfBounds> {
         let [bias_x, bias_y] = self.bias;

@@ -8,7 +8,7 @@ use std::f64::consts::{PI, TAU};
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 
-use super::LATENCY;
+use super::{Fix, LATENCY};
 use crate::config_text::{Expected, OutOfBounds, check_all};
 use crate::geometry::Pose2;
 use crate::time::Stamp;
@@ -20,6 +20,10 @@ pub const DEFAULT_LIDAR: &str = "lidar";
 const LEAST_GAP: f64 = 0.1;
 /// Most beams of one sweep.
 const MAX_BEAMS: usize = 100_000;
+/// Most touched obstacles in a scan, and how far they reach from the robot along each axis, m.
+const MAX_TOUCHED: (usize, f64) = (64, 40.0);
+/// Most fixes of a scan.
+const MAX_FIXES: usize = 16;
 
 /// A planar lidar.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -86,6 +90,17 @@ impl LidarModel {
     }
 
     /// Blind angle from the last beam to the first, rad; zero for a full circle, and for a gap of at most 0.1 rad.
+    ///
+    /// ```
+    /// use zenav_protocol::robot::{RobotModel, shipped};
+    ///
+    /// let lidar_of = |name| RobotModel::from_toml(shipped(name).unwrap_or_default(), name).ok()?.lidar;
+    /// let tiago = lidar_of("tiago").unwrap();
+    /// // A field of view of 4.19 rad, symmetric about the x axis: the robot is blind to the rear.
+    /// assert!((tiago.angle_min() + 2.095).abs() < 1e-9);
+    /// assert!((tiago.gap() - (std::f64::consts::TAU - 4.19)).abs() < 1e-9);
+    /// assert_eq!(lidar_of("neato").unwrap().gap(), 0.0, "a full circle");
+    /// ```
     #[must_use]
     pub fn gap(&self) -> f64 {
         if self.is_full_circle() {
@@ -196,8 +211,9 @@ fn is_default_name(name: &str) -> bool {
 }
 
 /// Message: one sweep of a planar lidar, with the robot's pose at the sweep's own stamp, so that receivers need not pair poses with scans.
-/// The robot's motion during the sweep is compensated: the ranges are those of a lidar that measures all beams at the stamp.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+/// The robot's motion during the sweep is compensated: the ranges are those of a lidar that measures all beams at the stamp. The default has
+/// no beams, and identities as poses.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Scan {
     /// Time of the sweep.
@@ -220,6 +236,15 @@ pub struct Scan {
     /// Runs of beams that hit a moving obstacle: the first beam, and the one after the last. Mapping leaves them out.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub moving: Vec<[u32; 2]>,
+    /// Obstacles that the robot touched lately and that no beam shows (glass, an overhanging edge), as two straight lines each: what is known
+    /// of it, and how far it is assumed to go; x and y of either end, base frame, m. Mapping marks their cells as occupied; beams do not clear
+    /// what is known, and clear what is assumed after a while.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub touched: Vec<[[f64; 4]; 2]>,
+    /// The newest measurements by GPS and compass since the last scan of the main lidar, which carries them: at most one of each. SLAM uses
+    /// them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub fixes: Vec<Fix>,
     /// Mounting pose of the lidar on the robot.
     pub base_from_laser: Pose2,
     /// Correction of the odometry at the stamp.
@@ -249,6 +274,22 @@ impl Scan {
     }
 
     /// End points of all valid returns, in the laser frame, m.
+    ///
+    /// ```
+    /// # use std::f64::consts::FRAC_PI_2;
+    /// # use zenav_protocol::messages::Scan;
+    /// // To the right, ahead, and to the left.
+    /// let scan = Scan {
+    ///     angle_min: -FRAC_PI_2,
+    ///     angle_increment: FRAC_PI_2,
+    ///     range_min: 0.05,
+    ///     range_max: 5.0,
+    ///     ranges: vec![1.0, f32::INFINITY, 2.0],
+    ///     ..Scan::default()
+    /// };
+    /// let lateral: Vec<f64> = scan.returns().map(|point| point.y).collect();
+    /// assert_eq!(lateral, [-1.0, 2.0], "the beam ahead met nothing");
+    /// ```
     pub fn returns(&self) -> impl Iterator<Item = Point2<f64>> + '_ {
         self.ranges
             .iter()
@@ -260,7 +301,8 @@ impl Scan {
             })
     }
 
-    /// Whether the scan is plausible: finite numbers, at most a full circle and 100,000 beams.
+    /// Whether the scan is plausible: finite numbers, at most a full circle and 100,000 beams; at most 64 touched obstacles within 40 m;
+    /// at most 16 fixes.
     #[must_use]
     pub fn is_sane(&self) -> bool {
         let spread = self.angle_increment * self.ranges.len().saturating_sub(1) as f64;
@@ -271,6 +313,14 @@ impl Scan {
             && self.range_max > self.range_min
             && self.range_max.is_finite()
             && self.ranges.len() <= MAX_BEAMS
+            && self.touched.len() <= MAX_TOUCHED.0
+            && self
+                .touched
+                .iter()
+                .flatten()
+                .flatten()
+                .all(|at| at.abs() <= MAX_TOUCHED.1)
+            && self.fixes.len() <= MAX_FIXES
             && self.map_from_laser().is_finite()
     }
 }
@@ -357,11 +407,9 @@ mod tests {
             range_min: 0.02,
             range_max: 5.6,
             ranges: vec![1.5, f32::INFINITY, 0.25],
-            boot_id: String::new(),
-            moving: Vec::new(),
             base_from_laser: Pose2::new(0.2, 0.0, 0.0),
-            map_from_odom: Pose2::IDENTITY,
             odom_from_base: Pose2::new(1.0, 2.0, 0.5),
+            ..Scan::default()
         };
         let text = serde_json::to_string(&scan).unwrap();
         assert!(text.contains("\"ranges\":[1.5,null,0.25]"), "{text}");

@@ -15,6 +15,7 @@
 pub mod battery;
 pub mod bump;
 pub mod encoders;
+pub mod fix;
 pub mod gps;
 pub mod imu;
 pub mod lidar;
@@ -22,6 +23,7 @@ pub mod lidar;
 pub use battery::{Battery, BatteryModel};
 pub use bump::Bump;
 pub use encoders::EncoderModel;
+pub use fix::{Absolute, Fix};
 pub use gps::{Gps, GpsModel};
 pub use imu::{Imu, ImuModel};
 pub use lidar::{DEFAULT_LIDAR, LidarModel, Scan, Sweep};
@@ -32,8 +34,8 @@ use crate::config_text::Expected;
 ///
 /// A row is the field in [`RobotModel`](crate::robot::RobotModel) and [`Readings`](crate::readings::Readings), the model with its bounds,
 /// the reading, which is also the message, and its topic. Code for every kind is a macro that takes the rows:
-/// `sensor_kinds!(each [arguments])` becomes `each! { [arguments] rows }`. There are six: the robot's file, the readings, the key table,
-/// the simulator, the edge's publishers, and the test of the wire.
+/// `sensor_kinds!(each [arguments])` becomes `each! { [arguments] rows }`. There are seven: the robot's file, the readings, the key table,
+/// the simulator, the edge's publishers, the recorder of lockstep runs, and the test of the wire.
 #[macro_export]
 macro_rules! sensor_kinds {
     ($each:ident [$($arguments:tt)*]) => {

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use zenav_protocol::bus::{AskError, Bus, BusConfig, BusError};
+use zenav_protocol::bus::{AskError, Bus, BusConfig, BusError, RawReply};
 use zenav_protocol::messages::StopReply;
 use zenav_protocol::topics;
 
@@ -46,6 +46,35 @@ async fn a_robot_that_comes_right_after_another_left_is_told_of_everybody() {
         bus.close().await;
     }
     serving.abort();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn zenoh_s_admin_space_shows_every_part_with_its_name_and_no_command() {
+    let (_router, endpoint) = router().await;
+    let _command = within("joining", Bus::open(BusConfig::command("cli", &endpoint)))
+        .await
+        .unwrap();
+    let (watcher, _robot) = (client(&endpoint, "watcher").await, robot(&endpoint).await);
+    let names = async || {
+        let replies = watcher.raw_query("@/*/*", None, PATIENCE).await.ok()?;
+        let mut names: Vec<(String, String)> = replies
+            .into_iter()
+            .filter_map(|reply| match reply {
+                RawReply::Ok(sample) => {
+                    let shown: serde_json::Value = serde_json::from_slice(&sample.bytes).ok()?;
+                    let kind = sample.key.rsplit('/').next()?.to_owned();
+                    Some((shown["metadata"]["name"].as_str()?.to_owned(), kind))
+                }
+                RawReply::Err { .. } => None,
+            })
+            .collect();
+        names.sort();
+        names.dedup();
+        Some(names)
+    };
+    let wanted = [("edge", "router"), ("watcher", "client"), ("zenav-router", "router")]
+        .map(|(name, kind)| (name.to_owned(), kind.to_owned()));
+    until("all names", async || (names().await? == wanted).then_some(())).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]

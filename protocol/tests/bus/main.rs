@@ -4,6 +4,7 @@
 
 mod asks;
 mod bad_input;
+mod limits;
 mod links;
 mod rig;
 mod topics;

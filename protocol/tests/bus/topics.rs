@@ -181,6 +181,11 @@ async fn the_last_values_of_many_keys_reach_early_and_late_readers_of_one_key_an
         assert!(late_ids.insert(state.id), "once each");
     }
     assert_eq!(late_ids.first().map(String::as_str), Some("g2"), "the newest eight");
+    // Kept values bear their writer's stamp: by it the rates of several writers are told apart.
+    let mut tool = reader.raw_subscribe_kept(&topic.key(&["r1", "*"]), 1000).unwrap();
+    for _ in 0..8 {
+        assert!(within("a kept sample", tool.next()).await.unwrap().stamp.is_some());
+    }
     let mut one = reader.latest(topic, &["r1", "g5"]).unwrap();
     assert_eq!(within("the kept value", one.next()).await.unwrap().message.id, "g5");
     // The next value of a key that a late reader already has arrives once.

@@ -33,6 +33,20 @@ use angle::{TURN_ERROR, direction, turns};
 const LANES: usize = 8;
 
 /// The nearest solid in every beam of one lidar; reused from sweep to sweep.
+///
+/// ```
+/// # let lidar = zenav_fixtures::robot("tiago").lidar.unwrap();
+/// use nalgebra::Point2;
+/// use zenav_protocol::geometry::Pose2;
+/// use zenav_sim::{lidar::AngularBuffer, shape::Disc};
+///
+/// let mut buffer = AngularBuffer::new(&lidar);
+/// buffer.begin(Pose2::new(1.0, 0.0, 0.0));
+/// buffer.disc(&Disc { center: Point2::new(3.0, 0.0), radius: 0.5 });
+/// let ranges: Vec<f64> = buffer.ranges().collect();
+/// assert!((ranges[lidar.beams / 2] - 1.5).abs() < 1e-6);
+/// assert_eq!(ranges[0], f64::INFINITY, "the first beam meets nothing");
+/// ```
 #[derive(Clone, Debug)]
 pub struct AngularBuffer {
     angle_min: f64,

@@ -29,7 +29,7 @@ use crate::manners::{Neighbour, SIGHT};
 use crate::movers::Mover;
 use crate::scene::Scene;
 use crate::sensors::random::mover_stream;
-use crate::shape::{Shape, Solid};
+use crate::shape::Solid;
 use crate::world::World;
 pub use spec::{MAX_ROBOTS, RobotSpec, SimError};
 
@@ -55,6 +55,20 @@ pub struct Simulation {
 
 impl Simulation {
     /// Puts robots into a world, with the default step.
+    ///
+    /// ```
+    /// # let tiago = zenav_fixtures::robot("tiago");
+    /// use zenav_protocol::{geometry::Pose2, id::Id};
+    /// use zenav_sim::{RobotSpec, Simulation, World};
+    ///
+    /// let kitchen = World::shipped("kitchen")?;
+    /// let at = |x, y| RobotSpec { id: Id::robot("tiago").unwrap(), model: tiago.clone(), start: Pose2::new(x, y, 0.0) };
+    /// let simulation = Simulation::new(&kitchen, vec![at(-1.0, -0.5)], 1)?;
+    /// assert_eq!(simulation.robots(), 1);
+    /// let error = Simulation::new(&kitchen, vec![at(0.0, -1.8)], 1).err().unwrap();
+    /// assert_eq!(error.to_string(), "robot `tiago` cannot stand at (0, -1.8): something stands there");
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     ///
     /// # Errors
     /// [`SimError`]: invalid names, models or starts.
@@ -115,6 +129,20 @@ impl Simulation {
 
     /// Removes a robot; the indices of the robots after it drop by one.
     ///
+    /// ```
+    /// # use zenav_protocol::{geometry::Pose2, id::Id};
+    /// # use zenav_sim::{RobotSpec, Simulation, World};
+    /// # let world = World::shipped("empty")?;
+    /// # let tiago = zenav_fixtures::robot("tiago");
+    /// # let spec = |id: &Id, x| RobotSpec { id: id.clone(), model: tiago.clone(), start: Pose2::new(x, 0.0, 0.0) };
+    /// let (ada, bob) = (Id::robot("ada")?, Id::robot("bob")?);
+    /// let mut simulation = Simulation::new(&world, vec![spec(&ada, 0.0), spec(&bob, 2.0)], 1)?;
+    /// simulation.remove(0);
+    /// assert_eq!((simulation.find(&ada), simulation.find(&bob)), (None, Some(0)));
+    /// assert_eq!(simulation.add(&world, spec(&ada, -2.0))?, 1);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
     /// # Panics
     /// See [`Self::drive`].
     pub fn remove(&mut self, robot: usize) {
@@ -136,33 +164,9 @@ impl Simulation {
         if self.ids.contains_key(&id) {
             return Err(SimError::Duplicate(id));
         }
-        if !start.is_finite() {
-            return Err(SimError::NotFinite(id));
-        }
         let start = Pose2::new(start.x, start.y, start.yaw);
-        if !world.holds(start.position()) {
-            let (low, high) = world.bounds();
-            return Err(SimError::Outside {
-                robot: id,
-                at: start.position(),
-                low,
-                high,
-            });
-        }
-        let around = Surroundings {
-            scene: &self.scene,
-            crowd: &self.crowd,
-            own: usize::MAX,
-        };
-        if world.is_solid(start.position()) || around.clearance(&Placed::footprint(&model.footprint, start)) <= CONTACT
-        {
-            return Err(SimError::Occupied {
-                robot: id,
-                x: start.x,
-                y: start.y,
-            });
-        }
-        self.crowd.push(Solid::new(Shape::from(&model.footprint), start));
+        self.check_room(world, &id, usize::MAX, &model.footprint, start)?;
+        self.crowd.push(Solid::new(model.footprint.clone(), start));
         let body = Body::new(&id, model, start, self.seed, &self.faults);
         for fault in self.faults.iter().filter(|fault| fault.robot.as_ref() == Some(&id)) {
             faulty(fault, [&body])?;
@@ -170,6 +174,31 @@ impl Simulation {
         self.bodies.push(body);
         self.ids.insert(id, index);
         Ok(index)
+    }
+
+    /// Checks that a robot fits at a pose. `own` is its index in the crowd.
+    fn check_room(&self, world: &World, id: &Id, own: usize, footprint: &Footprint, at: Pose2) -> Result<(), SimError> {
+        if !at.is_finite() {
+            return Err(SimError::NotFinite(id.clone()));
+        }
+        if !world.holds(at.position()) {
+            let (low, high) = world.bounds();
+            return Err(SimError::Outside {
+                robot: id.clone(),
+                at: at.position(),
+                low,
+                high,
+            });
+        }
+        // Clearances are to the edges of solids, which are far from a robot well inside one.
+        if world.is_solid(at.position()) || self.clearance_but(own, footprint, at) <= CONTACT {
+            return Err(SimError::Occupied {
+                robot: id.clone(),
+                x: at.x,
+                y: at.y,
+            });
+        }
+        Ok(())
     }
 
     /// Checks that each fault belongs to a robot; without robots there is nothing to check.
@@ -220,43 +249,60 @@ impl Simulation {
 
     /// Commands a robot's wheels (left, right; rad/s), until the next command. Bounded by its limits; NaN stops it.
     ///
+    /// ```
+    /// # use zenav_protocol::id::Id;
+    /// # use zenav_sim::{RobotSpec, Simulation, World};
+    /// # let world = World::shipped("empty")?;
+    /// # let tiago = RobotSpec { id: Id::robot("tiago")?, model: zenav_fixtures::robot("tiago"), start: world.start() };
+    /// let mut simulation = Simulation::new(&world, vec![tiago], 1)?;
+    /// simulation.drive(0, [99.0, 99.0]);
+    /// for _ in 0..100 {
+    ///     simulation.step();
+    /// }
+    /// let top_speed = simulation.model(0).drive.top_speed();
+    /// assert!((simulation.truth(0).twist.v - top_speed).abs() < 1e-3, "bounded to {top_speed} m/s");
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
     /// # Panics
     /// Unless `robot` is less than [`Self::robots`]; so do all calls that take a robot.
     pub fn drive(&mut self, robot: usize, wheels: [f64; 2]) {
         self.bodies[robot].command(wheels);
     }
 
-    /// Moves a robot to another place at once: its sensors do not notice the move, and its wheels keep turning.
+    /// Moves a robot to another place at once: its sensors do not notice the move, and its wheels keep turning. The world must be the one
+    /// that the simulation was made with.
+    ///
+    /// ```
+    /// # use zenav_protocol::{geometry::Pose2, id::Id};
+    /// # use zenav_sim::{RobotSpec, Simulation, World};
+    /// # let kitchen = World::shipped("kitchen")?;
+    /// # let tiago = RobotSpec { id: Id::robot("tiago")?, model: zenav_fixtures::robot("tiago"), start: kitchen.start() };
+    /// let mut simulation = Simulation::new(&kitchen, vec![tiago], 1)?;
+    /// let beside_the_table = Pose2::new(-1.3, -1.8, 1.0);
+    /// simulation.carry(&kitchen, 0, beside_the_table)?;
+    /// simulation.step();
+    /// assert_eq!(simulation.truth(0).map_from_base, beside_the_table);
+    /// assert_eq!(simulation.readings(0).wheels, [0.0, 0.0], "its encoders noticed nothing");
+    /// assert!(simulation.carry(&kitchen, 0, Pose2::new(-0.7, -1.8, 1.0)).is_err(), "half of the robot would be in the table");
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     ///
     /// # Errors
-    /// [`SimError::Occupied`] if it does not fit there; then it stays where it is.
+    /// [`SimError`] if it does not fit there; then it stays where it is.
     ///
     /// # Panics
     /// See [`Self::drive`].
-    pub fn carry(&mut self, robot: usize, to: Pose2) -> Result<(), SimError> {
+    pub fn carry(&mut self, world: &World, robot: usize, to: Pose2) -> Result<(), SimError> {
+        let own = self.movers.len() + robot;
+        let body = &self.bodies[robot];
+        let named = self.ids.iter().find(|(_, place)| **place == robot);
+        let id = named.map_or_else(Id::unique, |(id, _)| id.clone());
+        self.check_room(world, &id, own, &body.model().footprint, to)?;
         let Self {
-            scene,
-            movers,
-            bodies,
-            crowd,
-            ..
+            scene, bodies, crowd, ..
         } = self;
-        let own = movers.len() + robot;
-        let body = &mut bodies[robot];
-        let footprint = Placed::footprint(&body.model().footprint, to);
-        if !to.is_finite() || (Surroundings { scene, crowd, own }).clearance(&footprint) <= CONTACT {
-            let id = self
-                .ids
-                .iter()
-                .find(|(_, place)| **place == robot)
-                .map(|(id, _)| id.clone());
-            return Err(SimError::Occupied {
-                robot: id.unwrap_or_else(Id::unique),
-                x: to.x,
-                y: to.y,
-            });
-        }
-        body.chassis.carry(to);
+        bodies[robot].chassis.carry(to);
         crowd.place(own, to);
         crowd.refresh();
         for other in bodies.iter_mut() {
@@ -268,6 +314,24 @@ impl Simulation {
     }
 
     /// Advances by one step.
+    ///
+    /// ```
+    /// # use zenav_protocol::id::Id;
+    /// # use zenav_sim::{RobotSpec, SimError, Simulation, World};
+    /// # let kitchen = World::shipped("kitchen")?;
+    /// # let tiago = RobotSpec { id: Id::robot("tiago")?, model: zenav_fixtures::robot("tiago"), start: kitchen.start() };
+    /// let run = |seed| {
+    ///     let mut simulation = Simulation::new(&kitchen, vec![tiago.clone()], seed)?;
+    ///     simulation.drive(0, [2.0, 3.0]);
+    ///     for _ in 0..10 {
+    ///         simulation.step();
+    ///     }
+    ///     Ok::<_, SimError>(simulation.readings(0))
+    /// };
+    /// assert_eq!(run(1)?, run(1)?);
+    /// assert_ne!(run(1)?, run(2)?, "another seed, other noise");
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     pub fn step(&mut self) {
         let secs = self.tick.as_secs_f64();
         self.now = self.now + self.tick;
@@ -359,6 +423,19 @@ impl Simulation {
 
     /// A robot's readings in the last step; before the first step, those at time zero.
     ///
+    /// ```
+    /// # use zenav_protocol::{geometry::Pose2, id::Id};
+    /// # use zenav_sim::{RobotSpec, Simulation, World};
+    /// # let tiago = RobotSpec { id: Id::robot("tiago")?, model: zenav_fixtures::robot("tiago"), start: Pose2::IDENTITY };
+    /// let wall = "size = [4.0, 4.0]\norigin = [-2.0, -2.0]\n[[wall]]\nfrom = [1.0, -1.5]\nto = [1.0, 1.5]\nthickness = 0.1\n";
+    /// let world = World::from_toml(wall, "wall.toml", &|_| Err(String::new()))?;
+    /// let readings = Simulation::new(&world, vec![tiago], 1)?.readings(0);
+    /// let ranges = &readings.sweeps[0].ranges;
+    /// // The wall's face is 0.95 m ahead of the base, and the lidar 0.2 m; noise has a standard deviation of 5 mm.
+    /// assert!((ranges[ranges.len() / 2] - 0.75).abs() < 0.03);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
     /// # Panics
     /// See [`Self::drive`].
     #[must_use]
@@ -367,6 +444,23 @@ impl Simulation {
     }
 
     /// Ground truth, which no robot knows exactly.
+    ///
+    /// ```
+    /// # use zenav_protocol::{geometry::Pose2, id::Id};
+    /// # use zenav_sim::{RobotSpec, Simulation, World};
+    /// # let tiago = RobotSpec { id: Id::robot("tiago")?, model: zenav_fixtures::robot("tiago"), start: Pose2::new(-1.3, -1.8, 0.0) };
+    /// let mut simulation = Simulation::new(&World::shipped("kitchen")?, vec![tiago], 1)?;
+    /// // The robot faces the table; its left side lies at x = -0.6, the robot's radius is 0.265 m.
+    /// simulation.drive(0, [3.0, 3.0]);
+    /// for _ in 0..150 {
+    ///     simulation.step();
+    /// }
+    /// let truth = simulation.truth(0);
+    /// assert!((truth.map_from_base.x - (-0.6 - 0.265)).abs() < 1e-3);
+    /// assert_eq!(truth.collisions, 1);
+    /// assert!(truth.last_contact.is_some_and(|contact| contact.bearing.abs() < 0.01 && contact.own_speed > 0.2));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     ///
     /// # Panics
     /// See [`Self::drive`].
@@ -385,11 +479,37 @@ impl Simulation {
     }
 
     /// Present positions of the movers, in the order of the world's file, m.
+    ///
+    /// ```
+    /// use zenav_sim::{Simulation, World};
+    ///
+    /// let person = "size = [4.0, 4.0]\n[[mover]]\nradius = 0.25\npath = [[0.5, 2.0], [3.5, 2.0]]\nspeed = 1.0\n";
+    /// let world = World::from_toml(person, "person.toml", &|_| Err(String::new()))?;
+    /// let mut simulation = Simulation::new(&world, Vec::new(), 1)?;
+    /// for _ in 0..50 {
+    ///     simulation.step();
+    /// }
+    /// let at = simulation.movers().next().unwrap();
+    /// assert!((at.x - 1.5).abs() < 1e-6 && at.y == 2.0, "1 m in 50 steps of 20 ms");
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     pub fn movers(&self) -> impl Iterator<Item = Point2<f64>> + '_ {
         self.crowd.solids().iter().take(self.movers.len()).map(Solid::center)
     }
 
     /// True clearance that a footprint would have at a pose now, among solids, movers and robots, m.
+    ///
+    /// ```
+    /// # use zenav_protocol::{geometry::Pose2, id::Id, robot::Footprint};
+    /// # use zenav_sim::{RobotSpec, Simulation, World};
+    /// # let world = World::shipped("empty")?;
+    /// # let tiago = RobotSpec { id: Id::robot("tiago")?, model: zenav_fixtures::robot("tiago"), start: world.start() };
+    /// let simulation = Simulation::new(&world, vec![tiago], 1)?;
+    /// let (disc, beside) = (Footprint::Radius(0.2), Pose2::new(1.0, 0.0, 0.0));
+    /// assert!((simulation.clearance(&disc, beside) - (1.0 - 0.2 - 0.265)).abs() < 1e-6, "from the robot at the origin");
+    /// assert_eq!(simulation.clearance_beside(0, &disc, beside), f64::INFINITY);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     #[must_use]
     pub fn clearance(&self, footprint: &Footprint, map_from_base: Pose2) -> f64 {
         self.clearance_but(usize::MAX, footprint, map_from_base)

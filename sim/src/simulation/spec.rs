@@ -23,7 +23,7 @@ pub struct RobotSpec {
     pub start: Pose2,
 }
 
-/// Why a simulation cannot begin.
+/// Why a simulation cannot begin, or a robot cannot be put or carried somewhere.
 #[derive(Debug, Error)]
 pub enum SimError {
     /// Two robots have one name.
@@ -32,11 +32,11 @@ pub enum SimError {
     /// Values that no robot may have.
     #[error(transparent)]
     Robot(#[from] RobotError),
-    /// The start is not a pose.
-    #[error("robot `{0}`: its start is not finite")]
+    /// The start or new place is not a pose.
+    #[error("robot `{0}`: its pose is not finite")]
     NotFinite(Id),
-    /// The start lies outside the part intended for driving.
-    #[error("robot `{robot}` cannot start at ({}, {}): the world reaches from ({}, {}) to ({}, {})", Number(at.x), Number(at.y), low.x, low.y, high.x, high.y)]
+    /// The place lies outside the part intended for driving.
+    #[error("robot `{robot}` cannot stand at ({}, {}): the world reaches from ({}, {}) to ({}, {})", Number(at.x), Number(at.y), low.x, low.y, high.x, high.y)]
     Outside {
         /// The robot.
         robot: Id,
@@ -47,8 +47,8 @@ pub enum SimError {
         /// Its upper-right one, m.
         high: Point2<f64>,
     },
-    /// Something occupies the start: choose another one.
-    #[error("robot `{robot}` cannot start at ({}, {}): something stands there", Number(*x), Number(*y))]
+    /// Something occupies the place: choose another one.
+    #[error("robot `{robot}` cannot stand at ({}, {}): something stands there", Number(*x), Number(*y))]
     Occupied {
         /// The robot.
         robot: Id,

@@ -65,7 +65,7 @@ pub(super) fn fault(source: Source<'_>, table: &Spanned<FaultTable>) -> Result<F
         return source.fail(until.span(), "fault.until", problem);
     }
     Ok(FaultModel {
-        at: format!("{}:{}", source.file, source.line(table.span())),
+        at: format!("{}:{}", source.0.file, source.0.line(table.span().start)),
         robot,
         sensor: sensor.get_ref().clone(),
         kind: match kind {

@@ -8,31 +8,24 @@ mod tests;
 
 use nalgebra::Point2;
 use toml::Spanned;
-use zenav_protocol::config_text::Pair;
+use zenav_protocol::config_text::{self, Pair};
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::grid::OccupancyGrid;
 use zenav_protocol::id::Id;
 
 use crate::shape::Disc;
-use crate::world::{Parts, Place, Solids, within};
+use crate::world::{Place, Solids, World, scene, within};
 use crate::world_check::{MAX_ALL_CORNERS, MAX_MOVERS, MAX_SHAPES, Source, WorldError};
-use tables::{CircleTable, PlaceTable, StartTable, WallTable, WorldFile};
+use tables::{CircleTable, MapTable, PlaceTable, StartTable, WallTable, WorldFile};
 
 /// Reads and checks a world file's text.
 pub(crate) fn read(
     text: &str,
     file: &str,
     load_map: &dyn Fn(&str) -> Result<OccupancyGrid, String>,
-) -> Result<Parts, WorldError> {
-    let source = Source { text, file };
-    let world: WorldFile = toml::from_str(text).map_err(|error| {
-        let line = source.line(error.span().unwrap_or(0..0));
-        WorldError::Toml {
-            file: file.to_owned(),
-            line,
-            source: Box::new(error),
-        }
-    })?;
+) -> Result<World, WorldError> {
+    let source = Source(config_text::Source { text, file });
+    let world: WorldFile = source.0.toml()?;
     for (count, limit, key) in [
         (world.polygon.len(), MAX_SHAPES, "polygon"),
         (world.circle.len(), MAX_SHAPES, "circle"),
@@ -49,71 +42,11 @@ pub(crate) fn read(
     ] {
         source.count(count, limit, key)?;
     }
-    let name = match &world.name {
-        Some(name) if name.get_ref().is_empty() || name.get_ref().len() > 100 => {
-            return source.fail(name.span(), "name", "expected 1 to 100 characters");
-        }
-        Some(name) => name.get_ref().clone(),
-        None => file
-            .rsplit(['/', '\\'])
-            .next()
-            .unwrap_or(file)
-            .trim_end_matches(".toml")
-            .to_owned(),
-    };
-    let map = match &world.map {
-        None => None,
-        Some(table) => match load_map(table.yaml.get_ref()) {
-            Ok(map) => Some(map),
-            Err(reason) => {
-                return source.fail(
-                    table.yaml.span(),
-                    "map.yaml",
-                    format!("{}: {reason}", table.yaml.get_ref()),
-                );
-            }
-        },
-    };
+    let name = name(source, &world)?;
+    let map = map(source, &world, load_map)?;
     let (low, high) = bounds(source, &world, map.as_ref())?;
-    let start = match &world.start {
-        None => Pose2::IDENTITY,
-        Some(start) => {
-            let StartTable { x, y, yaw } = *start.get_ref();
-            source.coordinates(start.span(), "start", &[x, y, yaw])?;
-            source.heading(start.span(), "start.yaw", yaw)?;
-            if !within(low, high, Point2::new(x, y)) {
-                let problem = format!(
-                    "({x}, {y}) lies outside of the world: expected {} to {} by {} to {}",
-                    low.x, high.x, low.y, high.y
-                );
-                return source.fail(start.span(), "start", problem);
-            }
-            Pose2::new(x, y, yaw)
-        }
-    };
-    let (mut seen, mut glass) = (Solids::default(), Solids::default());
-    for polygon in &world.polygon {
-        let solids = if polygon.glass { &mut glass } else { &mut seen };
-        solids.polygons.push(source.polygon(&polygon.points, "polygon.points")?);
-    }
-    for wall in &world.wall {
-        let solids = if wall.get_ref().glass { &mut glass } else { &mut seen };
-        solids.polygons.push(self::wall(source, wall)?);
-    }
-    for circle in &world.circle {
-        let CircleTable {
-            x,
-            y,
-            radius,
-            glass: is_glass,
-        } = circle.get_ref();
-        source.coordinates(circle.span(), "circle", &[*x, *y])?;
-        let solids = if *is_glass { &mut glass } else { &mut seen };
-        solids.discs.push(Disc {
-            center: Point2::new(*x, *y),
-            radius: source.positive(radius, "circle.radius")?,
-        });
-    }
+    let start = start(source, &world, low, high)?;
+    let [mut seen, glass] = solids(source, &world)?;
     let movers = world
         .mover
         .iter()
@@ -121,18 +54,88 @@ pub(crate) fn read(
         .chain(world.door.iter().map(|door| moving::door(source, door)))
         .collect::<Result<_, _>>()?;
     let faults = world.fault.iter().map(|fault| faults::fault(source, fault));
-    Ok(Parts {
+    let scene = scene(map.as_ref(), &seen, &glass);
+    seen.polygons.extend(glass.polygons);
+    seen.discs.extend(glass.discs);
+    Ok(World {
         name,
         low,
         high,
         start,
-        seen,
-        glass,
+        solids: seen,
         map,
         movers,
         faults: faults.collect::<Result<_, _>>()?,
         places: places(source, &world.place)?,
+        scene,
     })
+}
+
+/// As written, or the file's name.
+fn name(source: Source<'_>, world: &WorldFile) -> Result<String, WorldError> {
+    match &world.name {
+        Some(name) if name.get_ref().is_empty() || name.get_ref().len() > 100 => {
+            source.fail(name.span(), "name", "expected 1 to 100 characters")
+        }
+        Some(name) => Ok(name.get_ref().clone()),
+        None => {
+            let file = source.0.file.rsplit(['/', '\\']).next().unwrap_or(source.0.file);
+            Ok(file.trim_end_matches(".toml").to_owned())
+        }
+    }
+}
+
+fn map(
+    source: Source<'_>,
+    world: &WorldFile,
+    load_map: &dyn Fn(&str) -> Result<OccupancyGrid, String>,
+) -> Result<Option<OccupancyGrid>, WorldError> {
+    let Some(MapTable { yaml }) = &world.map else {
+        return Ok(None);
+    };
+    match load_map(yaml.get_ref()) {
+        Ok(map) => Ok(Some(map)),
+        Err(reason) => source.fail(yaml.span(), "map.yaml", format!("{}: {reason}", yaml.get_ref())),
+    }
+}
+
+/// The first robot's pose, inside the part intended for driving.
+fn start(source: Source<'_>, world: &WorldFile, low: Point2<f64>, high: Point2<f64>) -> Result<Pose2, WorldError> {
+    let Some(start) = &world.start else {
+        return Ok(Pose2::IDENTITY);
+    };
+    let StartTable { x, y, yaw } = *start.get_ref();
+    source.coordinates(start.span(), "start", &[x, y, yaw])?;
+    source.heading(start.span(), "start.yaw", yaw)?;
+    if within(low, high, Point2::new(x, y)) {
+        return Ok(Pose2::new(x, y, yaw));
+    }
+    // To the millimetre: sums of sizes and origins have more digits than anybody wrote.
+    let [left, right, bottom, top] = [low.x, high.x, low.y, high.y].map(|metres| (metres * 1e3).round() / 1e3);
+    let problem = format!("({x}, {y}) lies outside of the world: expected {left} to {right} by {bottom} to {top}");
+    source.fail(start.span(), "start", problem)
+}
+
+/// What lidars see, and what is of glass.
+fn solids(source: Source<'_>, world: &WorldFile) -> Result<[Solids; 2], WorldError> {
+    let mut solids = [Solids::default(), Solids::default()];
+    for polygon in &world.polygon {
+        let corners = source.polygon(&polygon.points, "polygon.points")?;
+        solids[usize::from(polygon.glass)].polygons.push(corners);
+    }
+    for wall in &world.wall {
+        let corners = self::wall(source, wall)?;
+        solids[usize::from(wall.get_ref().glass)].polygons.push(corners);
+    }
+    for circle in &world.circle {
+        let CircleTable { x, y, radius, glass } = circle.get_ref();
+        source.coordinates(circle.span(), "circle", &[*x, *y])?;
+        solids[usize::from(*glass)].discs.push(Disc {
+            center: Point2::new(*x, *y),
+            radius: source.positive(radius, "circle.radius")?,
+        });
+    }
+    Ok(solids)
 }
 
 /// The part intended for driving: as written, or the map's.

@@ -3,11 +3,11 @@
 use nalgebra::Point2;
 use toml::Spanned;
 use zenav_protocol::config_text::{Number, Pair};
+use zenav_protocol::robot::Footprint;
 
 use super::tables::{DoorTable, MoverTable};
 use crate::manners::Manners;
 use crate::movers::{MoverModel, Route};
-use crate::shape::Shape;
 use crate::world_check::{MAX_MOVER_SPEED, MAX_REST, Source, WorldError};
 
 /// A moving obstacle on its path, or a walker in its box.
@@ -23,8 +23,8 @@ pub(super) fn mover(source: Source<'_>, mover: &Spanned<MoverTable>) -> Result<M
         manners,
     } = mover.get_ref();
     let shape = match (radius, polygon) {
-        (Some(radius), None) => Shape::Disc(source.positive(radius, "mover.radius")?),
-        (None, Some(polygon)) => Shape::Polygon(source.polygon(polygon, "mover.polygon")?),
+        (Some(radius), None) => Footprint::Radius(source.positive(radius, "mover.radius")?),
+        (None, Some(polygon)) => Footprint::Polygon(source.polygon(polygon, "mover.polygon")?),
         _ => return source.fail(mover.span(), "mover", "expected either `radius` or `polygon`"),
     };
     let route = match (path, walk) {
@@ -56,7 +56,7 @@ pub(super) fn mover(source: Source<'_>, mover: &Spanned<MoverTable>) -> Result<M
             format!("{}: expected 0 to {MAX_MOVER_SPEED}", Number(metres_per_second)),
         );
     }
-    if let (Shape::Polygon(_), Some(manners)) = (&shape, manners) {
+    if let (Footprint::Polygon(_), Some(manners)) = (&shape, manners) {
         return source.fail(manners.span(), "mover.manners", "expected with `radius` only");
     }
     Ok(MoverModel {
@@ -147,7 +147,7 @@ pub(super) fn door(source: Source<'_>, door: &Spanned<DoorTable>) -> Result<Move
         path.reverse();
     }
     Ok(MoverModel {
-        shape: Shape::Polygon(corners.map(|corner| Point2::from(corner - middle)).to_vec()),
+        shape: Footprint::Polygon(corners.map(|corner| Point2::from(corner - middle)).to_vec()),
         route: Route::Path(path),
         speed,
         manners: Manners::Blind,

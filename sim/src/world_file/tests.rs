@@ -39,6 +39,14 @@ fn everything_a_world_may_hold_is_read() {
 }
 
 #[test]
+fn a_start_outside_of_the_world_is_told_its_bounds_without_rounding_errors() {
+    let text = "size = [0.8, 1.0]\norigin = [-0.7, 0.0]\n[start]\nx = 5\ny = 0.5\n";
+    let refused = World::from_toml(text, "w.toml", &|_| Err(String::new())).err().unwrap();
+    let told = "w.toml:3: `start`: (5, 0.5) lies outside of the world: expected -0.7 to 0.1 by 0 to 1";
+    assert_eq!(refused.to_string(), told);
+}
+
+#[test]
 fn a_wrong_key_or_value_is_named_with_file_line_and_key() {
     for (body, expected) in [
         ("colour = 1\n", ["w.toml:4:", "colour"]),

@@ -1,7 +1,5 @@
-//! Bytes from anywhere as a tree file: read, checked, and if it is a tree, run against leaves that succeed.
-//!
-//! `cargo +nightly fuzz run tree fuzz/found/tree fuzz/corpus/tree -- -dict=fuzz/tree.dict -max_len=65536` in `tests`. What the ordinary tests
-//! play of the same is the corpus.
+//! Bytes from anywhere as a tree file: read, checked, and if it is a tree, run against leaves that succeed. It begins with the corpus, which
+//! the ordinary tests run too.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
@@ -9,6 +7,6 @@ use libfuzzer_sys::fuzz_target;
 #[path = "../../../cloud/behaviour_tree/tests/exercise/mod.rs"]
 mod exercise;
 
-fuzz_target!(|bytes: &[u8]| {
+fuzz_target!(init: zenav_fuzz::begin("tree", &[]), |bytes: &[u8]| {
     let _ = exercise::exercise(bytes);
 });

@@ -12,9 +12,9 @@ const MOST_TRANSITIONS: usize = 20_000_000;
 /// Size of the bounds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Size {
-    /// All parts take a minute.
+    /// For every test run: seconds.
     Small,
-    /// Takes minutes.
+    /// The small searches, and further ones: minutes.
     Large,
 }
 
@@ -22,6 +22,8 @@ pub enum Size {
 pub trait Part {
     /// The rules of the part.
     type Rule: Copy + Debug + PartialEq + Send + Sync + 'static;
+    /// Bounds on the number of events.
+    type Bounds: Copy;
     /// The checked system.
     type System: Model<State: Clone + Debug + Hash + PartialEq + Send + Sync, Action: Clone + Debug + PartialEq + Send + Sync>
         + Send
@@ -32,14 +34,25 @@ pub trait Part {
     /// Every rule, in words.
     const RULES: &'static [(Self::Rule, &'static str)];
 
-    /// The bounds, in words, one for each [`system`](Self::system).
-    fn bounds(size: Size) -> Vec<String>;
+    /// The bounds that are searched.
+    fn scenarios(size: Size) -> Vec<Self::Bounds>;
 
-    /// One of the checked systems, each within its own bounds.
-    fn system(size: Size, which: usize) -> Self::System;
+    /// Bounds in which the contract breaks without this rule.
+    fn breaks_in(rule: Self::Rule) -> Self::Bounds;
 
-    /// A small system in which the contract breaks without this rule.
-    fn without(rule: Self::Rule) -> Self::System;
+    /// The events that may happen within the bounds, and how often at most.
+    fn events(bounds: &Self::Bounds) -> Vec<(u8, &'static str)>;
+
+    /// The system, optionally without one rule.
+    fn system(bounds: Self::Bounds, without: Option<Self::Rule>) -> Self::System;
+
+    /// The bounds in words.
+    #[must_use]
+    fn in_words(bounds: &Self::Bounds) -> String {
+        let events = Self::events(bounds).into_iter().filter(|(count, _)| *count > 0);
+        let events: Vec<String> = events.map(|(count, what)| format!("{count} {what}")).collect();
+        events.join(", ")
+    }
 }
 
 /// The outcome of a run of the checker.

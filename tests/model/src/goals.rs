@@ -428,6 +428,7 @@ pub struct Goals;
 
 impl Part for Goals {
     type Rule = Rule;
+    type Bounds = Bounds;
     type System = System;
     const NAME: &'static str = "goals";
     const RULES: &'static [(Rule, &'static str)] = &[
@@ -442,51 +443,45 @@ impl Part for Goals {
         ),
     ];
 
-    fn bounds(size: Size) -> Vec<String> {
-        let Bounds {
-            submits,
-            repeats,
-            pauses,
-            cancels,
-            crashes,
-        } = bounds(size);
-        vec![format!(
-            "{submits} goal, {pauses} requests to pause or resume it, {cancels} to cancel it, {repeats} requests sent again, {crashes} crashes \
-             between any two effects"
-        )]
+    fn scenarios(size: Size) -> Vec<Bounds> {
+        let mut scenarios = vec![CRASHES];
+        if size == Size::Large {
+            scenarios.extend([
+                Bounds { repeats: 2, ..CRASHES },
+                Bounds {
+                    pauses: 3,
+                    crashes: 2,
+                    ..CRASHES
+                },
+            ]);
+        }
+        scenarios
     }
 
-    fn system(size: Size, _which: usize) -> System {
-        system(size, None)
+    fn breaks_in(_: Rule) -> Bounds {
+        CRASHES
     }
 
-    fn without(rule: Rule) -> System {
-        system(Size::Small, Some(rule))
+    fn events(bounds: &Bounds) -> Vec<(u8, &'static str)> {
+        vec![
+            (bounds.submits, "goal(s)"),
+            (bounds.pauses, "request(s) to pause or resume it"),
+            (bounds.cancels, "to cancel it"),
+            (bounds.repeats, "request(s) sent again"),
+            (bounds.crashes, "crash(es)"),
+        ]
+    }
+
+    fn system(bounds: Bounds, without: Option<Rule>) -> System {
+        System { bounds, without }
     }
 }
 
-fn system(size: Size, without: Option<Rule>) -> System {
-    System {
-        bounds: bounds(size),
-        without,
-    }
-}
-
-const fn bounds(size: Size) -> Bounds {
-    match size {
-        Size::Small => Bounds {
-            submits: 1,
-            repeats: 2,
-            pauses: 2,
-            cancels: 1,
-            crashes: 1,
-        },
-        Size::Large => Bounds {
-            submits: 1,
-            repeats: 3,
-            pauses: 3,
-            cancels: 2,
-            crashes: 2,
-        },
-    }
-}
+/// A goal, and a crash between any two effects.
+const CRASHES: Bounds = Bounds {
+    submits: 1,
+    repeats: 1,
+    pauses: 2,
+    cancels: 1,
+    crashes: 1,
+};

@@ -1,8 +1,12 @@
-//! Lease. Two missions and an operator compete for the lease of the robot's own [`Authority`]; the robot may restart.
+//! Lease. Two missions and an operator compete for the lease of the robot's own [`Authority`], over links of any delay; the robot may restart.
 //!
 //! The network is implicit: any message that a client could have sent by now may arrive now, late, out of order or repeated. A request may
 //! arrive at any time; a heartbeat or a command may arrive under any past grant. So all delays, orders, losses and copies are explored,
 //! including clients that pause, die or never learn of their grant.
+//!
+//! A request or a heartbeat may echo any past time of the robot: the later the message, and the later the state that its sender knew, the
+//! older the echo. The robot measures the round trip from it, by which a grant lives longer until its first heartbeat. An echo may also be a
+//! stamp of another clock, from before a restart of the robot.
 
 use std::collections::BTreeSet;
 
@@ -13,16 +17,21 @@ use zenav_edge::control_io::Persisted;
 use zenav_edge::event_log::EventLog;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::id::Id;
+use zenav_protocol::lease::LONGEST_ROUND_TRIP;
 use zenav_protocol::messages::{Heartbeat, LeaseAction, LeaseRequest, LeaseRole};
 use zenav_protocol::time::Stamp;
 
 use crate::check::{Part, Size};
 use crate::text::Text;
 
-/// Length of a tick, s: the lease (1 s) survives one tick and lapses with the second.
+/// Length of a tick, s: the lease survives one tick without a heartbeat and lapses with the second.
 pub const TICK: f64 = 0.6;
-/// Ticks that a lease survives without a heartbeat.
-const LIVES: u8 = 1;
+/// Time to live of the lease, s.
+const TTL: f64 = 1.0;
+/// A long wait, ticks: a lease with the longest extension (10 s) survives it, and lapses one tick later.
+const WAIT: u8 = 18;
+/// Age of an echo that is older than the longest round trip, ticks.
+const ANCIENT: u8 = 200;
 
 /// Rules that keep two holders from commanding at once.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -43,6 +52,14 @@ pub enum Rule {
     Counter,
     /// A repeated request gets the first answer.
     FirstAnswer,
+    /// Until its first heartbeat a grant lives longer by the round trip of its request.
+    RoundTrip,
+    /// The first heartbeat ends this extension.
+    UntilHeartbeat,
+    /// The extension is capped at the longest round trip.
+    Longest,
+    /// An echo of the future is no round trip.
+    Future,
 }
 
 /// A client of the lease.
@@ -54,6 +71,36 @@ pub enum Who {
     MissionB,
     /// A person.
     Operator,
+}
+
+/// The robot's time as a client knows it, sent back to the robot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Echo {
+    /// The time of a past tick.
+    At(u8),
+    /// A stamp of another clock, long before this one.
+    Ancient,
+    /// A stamp of another clock, in the future of this one.
+    Future,
+}
+
+impl Echo {
+    fn stamp(self) -> Stamp {
+        match self {
+            Self::At(tick) => clock(tick),
+            Self::Ancient => Stamp::ZERO,
+            Self::Future => clock(u8::MAX),
+        }
+    }
+
+    /// The round trip that it shows, ticks.
+    const fn age(self, now: u8) -> u8 {
+        match self {
+            Self::At(tick) => now - tick,
+            Self::Ancient => ANCIENT,
+            Self::Future => 0,
+        }
+    }
 }
 
 const ALL: [Who; 3] = [Who::MissionA, Who::MissionB, Who::Operator];
@@ -79,9 +126,9 @@ impl Who {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Action {
     /// A request for the lease arrives.
-    Ask(Who),
+    Ask(Who, Option<Echo>),
     /// A request that was answered arrives again.
-    AskAgain(Who, u8),
+    AskAgain(Request),
     /// A client gives the lease back.
     GiveBack(Who),
     /// A heartbeat arrives, sent under the grant of this number.
@@ -90,13 +137,25 @@ pub enum Action {
         grant: u8,
         /// The heartbeat's number.
         counter: u8,
+        /// Its echo.
+        echo: Option<Echo>,
     },
     /// Time passes on the robot.
     Tick,
+    /// Much time passes on the robot, and nothing arrives.
+    Wait,
     /// The robot's disk is written, if that does not happen before the reply.
     Write,
     /// The robot restarts.
     Restart,
+}
+
+/// A request for the lease: its sender, its number and its echo.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Request {
+    who: Who,
+    id: u8,
+    echo: Option<Echo>,
 }
 
 /// A past grant: its holder, and the epoch in the reply.
@@ -114,6 +173,10 @@ struct Grant {
     renewed: u8,
     counter: u8,
     given_back: bool,
+    /// Round trip of its request until its first heartbeat, ticks.
+    extra: u8,
+    /// The newest and the longest round trip of the heartbeats that renewed it, ticks.
+    round_trips: Option<(u8, u8)>,
 }
 
 /// The violated claim.
@@ -128,11 +191,16 @@ enum Broken {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Bounds {
     ticks: u8,
+    waits: u8,
     asks: u8,
     returns: u8,
     beats: u8,
     copies: u8,
     restarts: u8,
+    /// Messages with an echo of the robot's clock.
+    echoes: u8,
+    /// Messages with an echo of another clock.
+    foreign: u8,
 }
 
 /// The robot, and everything that its clients can have sent.
@@ -145,7 +213,9 @@ pub struct State {
     left: Bounds,
     numbers: u8,
     grant: Option<Grant>,
-    answered: BTreeSet<(Who, u8)>,
+    answered: BTreeSet<Request>,
+    /// Whether a first heartbeat renewed a grant that would have lapsed without its extension.
+    is_slow: bool,
     broken: Option<Broken>,
 }
 
@@ -160,6 +230,27 @@ pub struct System {
 impl System {
     fn has(&self, rule: Rule) -> bool {
         self.without != Some(rule)
+    }
+
+    /// The echo of a request as the robot receives it.
+    fn echoed(&self, echo: Option<Echo>) -> Option<Stamp> {
+        let echo = echo.filter(|_| self.has(Rule::RoundTrip))?;
+        Some(match echo {
+            Echo::Future if !self.has(Rule::Future) => Echo::Ancient.stamp(),
+            echo => echo.stamp(),
+        })
+    }
+
+    /// The echoes that a message may carry.
+    fn echoes(state: &State) -> Vec<Option<Echo>> {
+        let mut echoes = vec![None];
+        if state.left.echoes > 0 {
+            echoes.extend((0..=state.now).map(|tick| Some(Echo::At(tick))));
+        }
+        if state.left.foreign > 0 {
+            echoes.extend([Some(Echo::Ancient), Some(Echo::Future)]);
+        }
+        echoes
     }
 }
 
@@ -180,29 +271,59 @@ pub fn clock(ticks: u8) -> Stamp {
     Stamp::from_secs(10.0 + TICK * f64::from(ticks))
 }
 
-/// An event log whose content is ignored.
+/// Whether a lease still lives at this age (ticks since its grant or last heartbeat), with this extension (ticks).
 #[must_use]
-pub fn log() -> EventLog {
-    EventLog::new("boot".to_owned())
+pub fn lives(age: u8, extra: u8) -> bool {
+    TICK * f64::from(age) <= TTL + round_trip(extra)
+}
+
+/// The round trip that the robot measures, s.
+fn round_trip(ticks: u8) -> f64 {
+    (TICK * f64::from(ticks)).min(LONGEST_ROUND_TRIP.as_secs_f64())
+}
+
+/// Id of a start of the robot.
+#[must_use]
+pub fn boot_id(boot: usize) -> String {
+    format!("boot{boot}")
+}
+
+/// An event log of this start, whose content is ignored.
+#[must_use]
+pub fn log(boot: usize) -> EventLog {
+    EventLog::new(boot_id(boot))
 }
 
 impl State {
     /// Whether the grant in force is live by the specification.
     fn is_live(&self) -> bool {
-        let lives = |grant: &Grant| !grant.given_back && self.now - grant.renewed <= LIVES;
-        self.grant.as_ref().is_some_and(lives)
+        let is_live = |grant: &Grant| !grant.given_back && lives(self.now - grant.renewed, grant.extra);
+        self.grant.as_ref().is_some_and(is_live)
     }
 
     fn time(&self, system: &System) -> Stamp {
-        if system.has(Rule::Lapse) {
-            clock(self.now)
-        } else {
-            clock(self.grant.as_ref().map_or(self.now, |grant| grant.renewed))
+        let now = clock(self.now);
+        match (&self.grant, system.without) {
+            (Some(grant), Some(Rule::Lapse)) => clock(grant.renewed),
+            // The robot's clock stops for as long as the cap shortens the extension.
+            (Some(grant), Some(Rule::Longest)) => {
+                let excess = TICK * f64::from(grant.extra) - round_trip(grant.extra);
+                now.plus_secs(-excess).max(clock(grant.renewed))
+            }
+            _ => now,
+        }
+    }
+
+    fn spend(&mut self, echo: Option<Echo>) {
+        match echo {
+            Some(Echo::At(_)) => self.left.echoes -= 1,
+            Some(Echo::Ancient | Echo::Future) => self.left.foreign -= 1,
+            None => {}
         }
     }
 
     /// A heartbeat arrives that was sent under a grant.
-    fn beat(&mut self, system: &System, grant: u8, counter: u8) -> Option<()> {
+    fn beat(&mut self, system: &System, grant: u8, counter: u8, echo: Option<Echo>) -> Option<()> {
         let given = *self.given.get(usize::from(grant))?;
         let now = self.time(system);
         let carries = system.has(Rule::Epoch);
@@ -215,16 +336,40 @@ impl State {
             } else {
                 100 + u64::from(self.numbers)
             },
-            echo: None,
+            echo: echo.map(Echo::stamp),
         };
         self.numbers += u8::from(!numbered);
-        self.robot.heartbeat(now, &beat);
-        let (live, now) = (self.is_live(), self.now);
+        let live = self.is_live();
         let renews = |known: &&mut Grant| known.number == grant && counter > known.counter && live;
-        if let Some(known) = self.grant.as_mut().filter(renews) {
-            (known.renewed, known.counter) = (now, counter);
+        let renewed = self.grant.as_mut().filter(renews);
+        if renewed.is_some() && echo.is_none() && !system.has(Rule::UntilHeartbeat) {
+            // Renews as a command does, which leaves the extension.
+            self.robot.renew_as_operator(now);
+        } else {
+            self.robot.heartbeat(now, &beat, &mut log(0));
+        }
+        self.robot.take_measured();
+        if let Some(known) = renewed {
+            self.is_slow |= known.counter == 0 && !lives(self.now - known.renewed, 0);
+            (known.renewed, known.counter, known.extra) = (self.now, counter, 0);
+            if let Some(newest) = echo.map(|echo| echo.age(self.now)) {
+                let longest = known.round_trips.map_or(newest, |(_, longest)| longest.max(newest));
+                known.round_trips = Some((newest, longest));
+            }
         }
         Some(())
+    }
+
+    /// Whether the round trip that the robot tells is one of the heartbeats that renewed the lease.
+    fn is_measured(&self) -> bool {
+        let known = self.grant.as_ref().and_then(|grant| grant.round_trips);
+        match (self.robot.round_trip_secs(), known) {
+            (None, None) => true,
+            (Some(told), Some((newest, longest))) => {
+                (round_trip(newest) - 1e-6..=round_trip(longest) + 1e-6).contains(&told)
+            }
+            _ => false,
+        }
     }
 
     /// Whether a command acts if it was sent under a grant and arrives now.
@@ -242,7 +387,8 @@ impl State {
         given.all(|(number, given)| newest == Some(number) || !self.is_admitted(system, given))
     }
 
-    fn asked(&mut self, system: &System, who: Who, id: u8) {
+    fn asked(&mut self, system: &System, asked: Request) {
+        let Request { who, id, echo } = asked;
         let now = self.time(system);
         let holder = self.grant.clone().filter(|_| self.is_live());
         if let Some(grant) = holder
@@ -251,7 +397,7 @@ impl State {
         {
             let (name, role) = (grant.who.name(), grant.who.role());
             let request = LeaseRequest::new(name, role, LeaseAction::Release, format!("taken{}", self.numbers));
-            self.robot.lease(now, &request, &mut log());
+            self.robot.lease(now, &request, true, &mut log(0));
             self.numbers += 1;
         }
         let role = if system.has(Rule::Rank) {
@@ -259,15 +405,19 @@ impl State {
         } else {
             LeaseRole::Mission
         };
-        let mut request = LeaseRequest::new(who.name(), role, LeaseAction::Acquire, format!("{who:?}{id}"));
+        let mut request = LeaseRequest {
+            echo: system.echoed(echo),
+            ..LeaseRequest::new(who.name(), role, LeaseAction::Acquire, format!("{who:?}{id}"))
+        };
         if !system.has(Rule::FirstAnswer) {
             request.request_id = format!("anew{}", self.numbers);
             self.numbers += 1;
         }
         let before = (self.robot.epoch(), self.robot.lease_state(now).live);
-        let decision = self.robot.lease(now, &request, &mut log());
+        let decision = self.robot.lease(now, &request, true, &mut log(0));
+        self.robot.take_measured();
         self.persist(system);
-        if !self.answered.insert((who, id)) {
+        if !self.answered.insert(asked) {
             if before != (self.robot.epoch(), self.robot.lease_state(now).live) {
                 self.broken.get_or_insert(Broken::ActsTwice);
             }
@@ -291,6 +441,8 @@ impl State {
                     renewed: self.now,
                     counter: 0,
                     given_back: false,
+                    extra: echo.map_or(0, |echo| echo.age(self.now)),
+                    round_trips: None,
                 });
                 self.given.push(Given {
                     who,
@@ -309,7 +461,7 @@ impl State {
         let id = format!("back{}", self.left.returns);
         let request = LeaseRequest::new(who.name(), who.role(), LeaseAction::Release, id);
         let now = self.time(system);
-        let decision = self.robot.lease(now, &request, &mut log());
+        let decision = self.robot.lease(now, &request, true, &mut log(0));
         self.persist(system);
         if let Some(grant) = self.grant.as_mut().filter(|grant| grant.who == who) {
             grant.given_back |= decision.answer.is_ok();
@@ -339,27 +491,34 @@ impl Model for System {
             numbers: 0,
             grant: None,
             answered: BTreeSet::new(),
+            is_slow: false,
             broken: None,
         }]
     }
 
     fn actions(&self, state: &State, actions: &mut Vec<Action>) {
         let left = &state.left;
+        let echoes = Self::echoes(state);
         for who in ALL {
-            actions.extend((left.asks > 0).then_some(Action::Ask(who)));
+            if left.asks > 0 {
+                actions.extend(echoes.iter().map(|echo| Action::Ask(who, *echo)));
+            }
             let was_granted = state.given.iter().any(|given| given.who == who);
             actions.extend((was_granted && left.returns > 0).then_some(Action::GiveBack(who)));
         }
         if left.copies > 0 {
-            actions.extend(state.answered.iter().map(|(who, id)| Action::AskAgain(*who, *id)));
+            actions.extend(state.answered.iter().map(|request| Action::AskAgain(*request)));
         }
         if left.beats > 0 {
             for grant in (0..).take(state.given.len()) {
                 // Counters in any order, and repeated.
-                actions.extend((1..=self.bounds.beats).map(|counter| Action::Beat { grant, counter }));
+                for counter in 1..=self.bounds.beats {
+                    actions.extend(echoes.iter().map(|&echo| Action::Beat { grant, counter, echo }));
+                }
             }
         }
         actions.extend((left.ticks > 0).then_some(Action::Tick));
+        actions.extend((left.waits > 0).then_some(Action::Wait));
         actions.extend((left.restarts > 0).then_some(Action::Restart));
         if !self.has(Rule::PersistBeforeReply) && state.robot.epoch() != state.disk.epoch {
             actions.push(Action::Write);
@@ -369,26 +528,32 @@ impl Model for System {
     fn next_state(&self, last: &State, action: Action) -> Option<State> {
         let mut state = last.clone();
         match action {
-            Action::Ask(who) => {
+            Action::Ask(who, echo) => {
                 state.left.asks -= 1;
+                state.spend(echo);
                 let id = state.left.asks;
-                state.asked(self, who, id);
+                state.asked(self, Request { who, id, echo });
             }
-            Action::AskAgain(who, id) => {
+            Action::AskAgain(request) => {
                 state.left.copies -= 1;
-                state.asked(self, who, id);
+                state.asked(self, request);
             }
             Action::GiveBack(who) => {
                 state.left.returns -= 1;
                 state.give_back(self, who);
             }
-            Action::Beat { grant, counter } => {
+            Action::Beat { grant, counter, echo } => {
                 state.left.beats -= 1;
-                state.beat(self, grant, counter)?;
+                state.spend(echo);
+                state.beat(self, grant, counter, echo)?;
             }
             Action::Tick => {
                 state.left.ticks -= 1;
                 state.now += 1;
+            }
+            Action::Wait => {
+                state.left.waits -= 1;
+                state.now += WAIT;
             }
             Action::Write => {
                 *state.disk = Persisted {
@@ -410,14 +575,6 @@ impl Model for System {
     fn properties(&self) -> Vec<Property<Self>> {
         vec![
             Property::always(
-                "only the holder of the newest grant commands, while it lives",
-                |system: &Self, state: &State| state.only_the_newest_commands(system),
-            ),
-            Property::always(
-                "a lease lives no longer than its holder's own heartbeats keep it",
-                |system: &Self, state: &State| !state.robot.lease_state(state.time(system)).live || state.is_live(),
-            ),
-            Property::always(
                 "a live lease is taken by an operator from a mission, and by nobody else",
                 |_, state: &State| state.broken != Some(Broken::Taken),
             ),
@@ -428,12 +585,32 @@ impl Model for System {
             Property::always("a request acts once, however often it arrives", |_, state: &State| {
                 state.broken != Some(Broken::ActsTwice)
             }),
+            Property::always(
+                "a lease lives no longer than its heartbeats, or its request's round trip before the first, allow",
+                |system: &Self, state: &State| !state.robot.lease_state(state.time(system)).live || state.is_live(),
+            ),
+            Property::always(
+                "a lease lives as long as that: over a slow link it waits for its first heartbeat",
+                |system: &Self, state: &State| state.robot.lease_state(state.time(system)).live || !state.is_live(),
+            ),
+            Property::always(
+                "only the holder of the newest grant commands, while it lives",
+                |system: &Self, state: &State| state.only_the_newest_commands(system),
+            ),
+            Property::always(
+                "the round trip that the robot tells is one of the heartbeats that renewed the lease",
+                |_, state: &State| state.is_measured(),
+            ),
             Property::sometimes("a command acts", |system: &Self, state: &State| {
                 state.given.iter().any(|given| state.is_admitted(system, given))
             }),
             Property::sometimes("the lease changes hands twice", |_, state: &State| {
                 state.given.len() > 2
             }),
+            Property::sometimes(
+                "a first heartbeat comes after the time to live, and renews",
+                |_, state: &State| state.is_slow,
+            ),
         ]
     }
 }
@@ -444,6 +621,7 @@ pub struct Lease;
 
 impl Part for Lease {
     type Rule = Rule;
+    type Bounds = Bounds;
     type System = System;
     const NAME: &'static str = "lease";
     const RULES: &'static [(Rule, &'static str)] = &[
@@ -467,57 +645,135 @@ impl Part for Lease {
         (Rule::Lapse, "a lease lapses without heartbeats, by the robot's clock"),
         (Rule::Counter, "heartbeats are numbered, and a number renews once"),
         (Rule::FirstAnswer, "a repeated request gets the first answer"),
+        (
+            Rule::RoundTrip,
+            "until its first heartbeat a grant lives longer by the round trip of its request",
+        ),
+        (Rule::UntilHeartbeat, "the first heartbeat ends this extension"),
+        (Rule::Longest, "the extension is at most the longest round trip, 10 s"),
+        (Rule::Future, "an echo of the future is no round trip"),
     ];
 
-    fn bounds(size: Size) -> Vec<String> {
-        let Bounds {
-            ticks,
-            asks,
-            returns,
-            beats,
-            copies,
-            restarts,
-        } = bounds(size);
-        vec![format!(
-            "two missions and an operator; {asks} requests, {copies} of them again, {returns} returns, {beats} heartbeats and any number of \
-             commands under any grant, {restarts} restarts of the robot, {ticks} ticks of {TICK} s"
-        )]
+    fn scenarios(size: Size) -> Vec<Bounds> {
+        let mut scenarios = vec![COMPETE, RETURNS, BEATS, COPIES, SLOW, MEASURED, FOREIGN];
+        if size == Size::Large {
+            scenarios.extend([
+                Bounds {
+                    beats: 2,
+                    ticks: 4,
+                    ..COMPETE
+                },
+                Bounds {
+                    asks: 3,
+                    returns: 1,
+                    ..COPIES
+                },
+                Bounds {
+                    beats: 2,
+                    echoes: 2,
+                    ticks: 4,
+                    ..SLOW
+                },
+                Bounds {
+                    restarts: 1,
+                    beats: 2,
+                    ..FOREIGN
+                },
+            ]);
+        }
+        scenarios
     }
 
-    fn system(size: Size, _which: usize) -> System {
-        system(size, None)
+    fn breaks_in(rule: Rule) -> Bounds {
+        match rule {
+            Rule::Epoch | Rule::EpochAfterLapse | Rule::OneHolder | Rule::Rank | Rule::Lapse => COMPETE,
+            Rule::Counter => BEATS,
+            Rule::PersistBeforeReply | Rule::FirstAnswer => COPIES,
+            Rule::RoundTrip | Rule::UntilHeartbeat => SLOW,
+            Rule::Longest | Rule::Future => FOREIGN,
+        }
     }
 
-    fn without(rule: Rule) -> System {
-        system(Size::Small, Some(rule))
+    fn events(bounds: &Bounds) -> Vec<(u8, &'static str)> {
+        vec![
+            (bounds.asks, "request(s)"),
+            (bounds.returns, "return(s)"),
+            (bounds.beats, "heartbeat(s)"),
+            (bounds.echoes, "echo(es)"),
+            (bounds.foreign, "echo(es) of another clock"),
+            (bounds.copies, "request(s) again"),
+            (bounds.restarts, "restart(s) of the robot"),
+            (bounds.ticks, "tick(s)"),
+            (bounds.waits, "wait(s) of 18 ticks"),
+        ]
+    }
+
+    fn system(bounds: Bounds, without: Option<Rule>) -> System {
+        System {
+            bounds,
+            without,
+            config: config(),
+        }
     }
 }
 
-fn system(size: Size, without: Option<Rule>) -> System {
-    System {
-        bounds: bounds(size),
-        without,
-        config: config(),
-    }
-}
+const NONE: Bounds = Bounds {
+    ticks: 0,
+    waits: 0,
+    asks: 0,
+    returns: 0,
+    beats: 0,
+    copies: 0,
+    restarts: 0,
+    echoes: 0,
+    foreign: 0,
+};
 
-const fn bounds(size: Size) -> Bounds {
-    match size {
-        Size::Small => Bounds {
-            ticks: 3,
-            asks: 3,
-            returns: 1,
-            beats: 2,
-            copies: 1,
-            restarts: 1,
-        },
-        Size::Large => Bounds {
-            ticks: 5,
-            asks: 4,
-            returns: 2,
-            beats: 2,
-            copies: 1,
-            restarts: 1,
-        },
-    }
-}
+/// Three requests, and commands under every grant.
+const COMPETE: Bounds = Bounds {
+    asks: 3,
+    beats: 1,
+    ticks: 3,
+    ..NONE
+};
+/// Further events, each within its own bounds.
+const RETURNS: Bounds = Bounds {
+    returns: 1,
+    ticks: 1,
+    ..COMPETE
+};
+const BEATS: Bounds = Bounds {
+    asks: 2,
+    beats: 2,
+    ticks: 3,
+    ..NONE
+};
+const COPIES: Bounds = Bounds {
+    asks: 2,
+    copies: 1,
+    restarts: 1,
+    ticks: 2,
+    ..NONE
+};
+const SLOW: Bounds = Bounds {
+    asks: 2,
+    beats: 1,
+    echoes: 1,
+    ticks: 3,
+    ..NONE
+};
+const MEASURED: Bounds = Bounds {
+    asks: 1,
+    beats: 2,
+    echoes: 2,
+    ticks: 2,
+    ..NONE
+};
+const FOREIGN: Bounds = Bounds {
+    asks: 2,
+    beats: 1,
+    foreign: 1,
+    ticks: 1,
+    waits: 1,
+    ..NONE
+};

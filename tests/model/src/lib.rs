@@ -11,8 +11,9 @@
 //!
 //! | file | part of the contract |
 //! |---|---|
-//! | [`lease`] | who may command: grants, epochs, heartbeats, an operator, a restart of the robot |
+//! | [`lease`] | who may command: grants, epochs, heartbeats, round trips, an operator, a restart of the robot |
 //! | [`plan`] | how long a plan moves the robot: validity, revisions, boots, stops |
+//! | [`stop`] | a stop holds until a resume of the newest stop: copies, late requests, restarts of the robot |
 //! | [`goals`] | the life of a goal: stored, told, ended, across crashes |
 //! | [`handover`] | two orchestrators: join, catch up, take over; a paused leader that wakes |
 //! | [`check`] | a run of the checker, and its outcome |
@@ -26,6 +27,7 @@ pub mod handover;
 pub mod lease;
 pub mod network;
 pub mod plan;
+pub mod stop;
 pub mod text;
 
 pub use check::{Outcome, Part, Size};

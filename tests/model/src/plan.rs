@@ -1,12 +1,12 @@
 //! Plan validity. The time for which a plan moves the robot. Two missions publish plans, one after the other; the robot judges them by its
 //! own clock, may be stopped and resumed, and may restart with a new clock.
 //!
-//! The header is judged by [`judge_head`], an accepted plan is an [`ActivePlan`], the source of motion is [`Authority::motion_source`].
-//! The robot moves if a plan is its source of motion and allows a speed above zero.
+//! The header is judged by [`judge_head`] against [`Authority::grant`], an accepted plan is an [`ActivePlan`], the source of motion is
+//! [`Authority::motion_source`]. The robot moves if a plan is its source of motion and allows a speed above zero.
 //!
 //! The network is implicit: any plan that could have been sent by now may arrive now. It may be written under any past grant, based on
 //! any past state, however old, with any number, for the current trajectory or a new one. Missions have no clock, and may be
-//! wrong about validity and stamps.
+//! wrong about validity and stamps. A request for the lease may echo any past time of the robot, so that the grant lives longer.
 
 use std::hash::{Hash, Hasher};
 
@@ -18,7 +18,6 @@ use zenav_edge::arbitration::MotionSource;
 use zenav_edge::authority::Authority;
 use zenav_edge::config::EdgeConfig;
 use zenav_edge::control_io::Persisted;
-use zenav_edge::event_log::EventLog;
 use zenav_edge::local_obstacles::LocalObstacles;
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::messages::{
@@ -29,7 +28,7 @@ use zenav_protocol::time::Stamp;
 use zenav_protocol::trajectory::Trajectory;
 
 use crate::check::{Part, Size};
-use crate::lease::{TICK, config};
+use crate::lease::{TICK, boot_id, clock, config, lives, log};
 use crate::text::Text;
 
 /// Validity of an honest plan, ticks.
@@ -96,8 +95,8 @@ pub enum Mistake {
 /// An action of the system.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Action {
-    /// A mission asks for the lease and gets an answer.
-    Acquire(u8),
+    /// A mission asks for the lease, perhaps with an echo of the robot at a past time, and gets an answer.
+    Acquire(u8, Option<u8>),
     /// The holder's heartbeat arrives.
     Beat,
     /// A plan arrives.
@@ -115,13 +114,15 @@ pub enum Action {
 /// Bounds on the number of events.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Bounds {
-    ticks: u8,
+    missions: u8,
     grants: u8,
+    echoes: u8,
     beats: u8,
     plans: u8,
+    mistakes: u8,
     stops: u8,
     restarts: u8,
-    mistakes: u8,
+    ticks: u8,
 }
 
 /// A past grant: its mission and epoch.
@@ -189,6 +190,8 @@ pub struct State {
     granted: Option<u8>,
     /// True time of the last heartbeat or grant.
     renewed: u8,
+    /// Round trip of the grant's request until its first heartbeat, ticks.
+    extra: u8,
     taken: Option<(u64, u8)>,
     older_taken: bool,
     stopped: bool,
@@ -203,10 +206,6 @@ pub struct System {
     without: Option<Rule>,
     config: EdgeConfig,
     obstacles: LocalObstacles,
-}
-
-fn clock(ticks: u8) -> Stamp {
-    Stamp::from_secs(10.0 + TICK * f64::from(ticks))
 }
 
 fn secs(ticks: u8) -> f64 {
@@ -282,18 +281,16 @@ impl System {
             splice: None,
             statistics: PlanStatistics::default(),
         };
-        let newest = state.newest.filter(|(of, _)| *of == epoch && self.has(Rule::Newer));
         let live = state.robot.is_live_as(now, LeaseRole::Mission);
+        let boot = boot_id(state.boots.len());
+        let newest = state.newest.filter(|_| self.has(Rule::Newer));
+        let grant = state.robot.grant(now, &boot, newest, &self.config.settings.acceptance);
         let grant = Grant {
             now: if self.has(Rule::Future) { now } else { now.max(stamp) },
-            boot_id: &boot_id(state.boots.len()),
-            epoch,
-            mission_live: live || !self.has(Rule::Live),
-            stopped: state.robot.is_stopped(),
-            resumed: state.robot.resumed().filter(|_| self.has(Rule::Resume)),
-            newest: newest.map(|(_, revision)| revision),
-            longest_step: self.config.settings.acceptance.longest_step,
+            mission_live: grant.mission_live || !self.has(Rule::Live),
+            resumed: grant.resumed.filter(|_| self.has(Rule::Resume)),
             max_validity: if self.has(Rule::Longest) { secs(LONGEST) } else { 1e6 },
+            ..grant
         };
         let expiry = judge_head(&plan, &grant).ok()?;
         let expiry = if self.has(Rule::Expiry) {
@@ -330,14 +327,6 @@ impl System {
             state.plan.0 = None;
         }
     }
-}
-
-fn boot_id(boot: usize) -> String {
-    format!("boot{boot}")
-}
-
-fn log(state: &State) -> EventLog {
-    EventLog::new(boot_id(state.boots.len()))
 }
 
 impl State {
@@ -377,6 +366,7 @@ impl Model for System {
             followed: None,
             granted: None,
             renewed: 0,
+            extra: 0,
             taken: None,
             older_taken: false,
             stopped: false,
@@ -389,7 +379,12 @@ impl Model for System {
     fn actions(&self, state: &State, actions: &mut Vec<Action>) {
         let left = &state.left;
         if left.grants > 0 {
-            actions.extend([Action::Acquire(0), Action::Acquire(1)]);
+            for mission in 0..self.bounds.missions {
+                actions.push(Action::Acquire(mission, None));
+                if left.echoes > 0 {
+                    actions.extend((0..=state.time).map(|time| Action::Acquire(mission, Some(time))));
+                }
+            }
         }
         actions.extend((!state.given.is_empty() && left.beats > 0).then_some(Action::Beat));
         if left.plans > 0 {
@@ -423,13 +418,17 @@ impl Model for System {
     fn next_state(&self, last: &State, action: Action) -> Option<State> {
         let mut state = last.clone();
         let now = state.clock();
-        let mut log = log(last);
+        let mut log = log(last.boots.len());
         match action {
-            Action::Acquire(mission) => {
+            Action::Acquire(mission, echo) => {
                 state.left.grants -= 1;
+                state.left.echoes -= u8::from(echo.is_some());
                 let request_id = format!("r{}", state.left.grants);
-                let request = LeaseRequest::new(name(mission), LeaseRole::Mission, LeaseAction::Acquire, request_id);
-                let decision = state.robot.lease(now, &request, &mut log);
+                let request = LeaseRequest {
+                    echo: echo.map(|time| clock(state.at(time).1)),
+                    ..LeaseRequest::new(name(mission), LeaseRole::Mission, LeaseAction::Acquire, request_id)
+                };
+                let decision = state.robot.lease(now, &request, true, &mut log);
                 *state.disk = state.robot.unpersisted().unwrap_or(state.disk.0.clone());
                 let reply = decision.answer.ok()?;
                 if self.has(Rule::HandoverDiscards) {
@@ -437,7 +436,12 @@ impl Model for System {
                 }
                 state.granted = Some(mission);
                 state.renewed = state.time;
-                state.beats = 0;
+                if state.given.last().is_none_or(|last| last.epoch != reply.epoch) {
+                    // The echo of a time before a restart is a stamp of another clock.
+                    let age = |time| state.at(state.time).1.saturating_sub(state.at(time).1);
+                    (state.extra, state.beats) = (echo.map_or(0, age), 0);
+                }
+                state.robot.take_measured();
                 state.given.push(Given {
                     mission,
                     epoch: reply.epoch,
@@ -454,9 +458,9 @@ impl Model for System {
                     echo: None,
                 };
                 let live = state.robot.is_live_as(now, LeaseRole::Mission);
-                state.robot.heartbeat(now, &beat);
+                state.robot.heartbeat(now, &beat, &mut log);
                 if live {
-                    state.renewed = state.time;
+                    (state.renewed, state.extra) = (state.time, 0);
                 }
             }
             Action::Plan(letter) => {
@@ -541,13 +545,23 @@ impl Model for System {
             Property::always(
                 "by the policy `stop`, no motion without a live lease",
                 |system: &Self, state: &State| {
-                    !state.brakes || !system.is_moving(state) || state.time - state.renewed <= 1
+                    !state.brakes || !system.is_moving(state) || lives(state.time - state.renewed, state.extra)
                 },
             ),
             Property::sometimes("a plan moves the robot", |_, state: &State| state.moved),
             Property::sometimes("a robot that was resumed moves", |system: &Self, state: &State| {
                 state.resumed.is_some() && system.is_moving(state)
             }),
+            Property::sometimes(
+                "a lease outlives the plan of its silent holder, whose robot rests",
+                |system: &Self, state: &State| {
+                    let is_past = |followed: &Followed| state.is_past(followed.born, followed.valid);
+                    state.extra > 0
+                        && state.robot.is_live_as(state.clock(), LeaseRole::Mission)
+                        && state.followed.as_ref().is_some_and(is_past)
+                        && !system.is_moving(state)
+                },
+            ),
         ]
     }
 }
@@ -558,6 +572,7 @@ pub struct PlanValidity;
 
 impl Part for PlanValidity {
     type Rule = Rule;
+    type Bounds = Bounds;
     type System = System;
     const NAME: &'static str = "plan";
     const RULES: &'static [(Rule, &'static str)] = &[
@@ -595,61 +610,111 @@ impl Part for PlanValidity {
         ),
     ];
 
-    fn bounds(size: Size) -> Vec<String> {
-        let Bounds {
-            ticks,
-            grants,
-            beats,
-            plans,
-            stops,
-            restarts,
-            mistakes,
-        } = bounds(size);
-        vec![format!(
-            "two missions; {grants} grants, {beats} heartbeats, {plans} plans ({mistakes} of them wrong about stamp or validity), {stops} stops, \
-             {restarts} restarts of the robot whose clock begins anew, {ticks} ticks of {TICK} s; a plan is valid for {VALID} ticks, the \
-             longest validity is {LONGEST}; both policies for a lost lease"
-        )]
+    fn scenarios(size: Size) -> Vec<Bounds> {
+        let mut scenarios = vec![FOLLOW, MISTAKEN, SUCCEEDED, STOPPED, RESTARTED, SLOW];
+        if size == Size::Large {
+            scenarios.extend([
+                Bounds {
+                    beats: 1,
+                    mistakes: 1,
+                    ticks: 4,
+                    ..SUCCEEDED
+                },
+                Bounds {
+                    plans: 2,
+                    ticks: 3,
+                    ..RESTARTED
+                },
+                Bounds {
+                    missions: 2,
+                    grants: 2,
+                    echoes: 2,
+                    ticks: 5,
+                    ..SLOW
+                },
+            ]);
+        }
+        scenarios
     }
 
-    fn system(size: Size, _which: usize) -> System {
-        system(size, None)
+    fn breaks_in(rule: Rule) -> Bounds {
+        match rule {
+            Rule::FromState | Rule::Expiry | Rule::Newer | Rule::Live | Rule::Policy => FOLLOW,
+            Rule::Longest | Rule::Future => MISTAKEN,
+            Rule::Epoch | Rule::HandoverDiscards => SUCCEEDED,
+            Rule::Latch | Rule::StopDiscards | Rule::Resume => STOPPED,
+            Rule::Boot | Rule::LatchOnDisk => RESTARTED,
+        }
     }
 
-    fn without(rule: Rule) -> System {
-        system(Size::Small, Some(rule))
+    fn events(bounds: &Bounds) -> Vec<(u8, &'static str)> {
+        vec![
+            (bounds.missions, "mission(s)"),
+            (bounds.grants, "request(s) for the lease"),
+            (bounds.echoes, "echo(es)"),
+            (bounds.beats, "heartbeat(s)"),
+            (bounds.plans, "plan(s)"),
+            (bounds.mistakes, "wrong stamp or validity"),
+            (bounds.stops, "stop(s)"),
+            (bounds.restarts, "restart(s) of the robot"),
+            (bounds.ticks, "tick(s)"),
+        ]
+    }
+
+    fn system(bounds: Bounds, without: Option<Rule>) -> System {
+        let config = config();
+        System {
+            bounds,
+            without,
+            obstacles: LocalObstacles::new(&config.model),
+            config,
+        }
     }
 }
 
-fn system(size: Size, without: Option<Rule>) -> System {
-    let config = config();
-    System {
-        bounds: bounds(size),
-        without,
-        obstacles: LocalObstacles::new(&config.model),
-        config,
-    }
-}
-
-const fn bounds(size: Size) -> Bounds {
-    match size {
-        Size::Small => Bounds {
-            ticks: 4,
-            grants: 2,
-            beats: 1,
-            plans: 2,
-            stops: 1,
-            restarts: 1,
-            mistakes: 1,
-        },
-        Size::Large => Bounds {
-            ticks: 5,
-            grants: 2,
-            beats: 1,
-            plans: 3,
-            stops: 1,
-            restarts: 1,
-            mistakes: 1,
-        },
-    }
-}
+/// One mission publishes plans, in any order and however late.
+const FOLLOW: Bounds = Bounds {
+    missions: 1,
+    grants: 1,
+    echoes: 0,
+    beats: 1,
+    plans: 2,
+    mistakes: 0,
+    stops: 0,
+    restarts: 0,
+    ticks: 3,
+};
+/// Further events, each within its own bounds.
+const MISTAKEN: Bounds = Bounds {
+    plans: 1,
+    mistakes: 1,
+    ticks: 4,
+    ..FOLLOW
+};
+const SUCCEEDED: Bounds = Bounds {
+    missions: 2,
+    grants: 2,
+    beats: 0,
+    ..FOLLOW
+};
+const STOPPED: Bounds = Bounds {
+    beats: 0,
+    stops: 1,
+    ticks: 2,
+    ..FOLLOW
+};
+const RESTARTED: Bounds = Bounds {
+    grants: 2,
+    beats: 0,
+    plans: 1,
+    stops: 1,
+    restarts: 1,
+    ticks: 2,
+    ..FOLLOW
+};
+const SLOW: Bounds = Bounds {
+    echoes: 1,
+    plans: 1,
+    ticks: 4,
+    ..FOLLOW
+};

@@ -5,19 +5,13 @@
 //! closure.
 
 use nalgebra::{Point2, Vector2};
-use zenav::lockstep::{ClosedLoop, ClosedLoopConfig};
-use zenav_cloud::mapping::{PoseSettings, PoseSource};
-use zenav_cloud::motion::MotionSettings;
-use zenav_edge::EdgeConfig;
-use zenav_mapping::MappingSettings;
-use zenav_mission::MissionConfig;
+use zenav_cloud::mapping::PoseSource;
 use zenav_protocol::geometry::Pose2;
-use zenav_protocol::id::Id;
-use zenav_protocol::messages::{GoalPhase, GoalRequest};
-use zenav_protocol::robot::RobotModel;
-use zenav_protocol::topics::MissionRequest;
-use zenav_sim::{RobotSpec, Simulation, TICK, World};
+use zenav_protocol::messages::GoalPhase;
+use zenav_sim::TICK;
 
+use super::indoors::{self, goal};
+use super::tracking::off_path;
 use super::worlds::{Rng, outer_walls, wall};
 
 /// The corridor: length and width, m.
@@ -89,11 +83,8 @@ struct Drive {
 pub fn drive(seed: u64) -> Result<Closing, String> {
     let plain = run(seed, false)?;
     let closed = run(seed, true)?;
-    let apart = |place: Point2<f64>| {
-        let ways = plain.way.windows(2);
-        ways.map(|pair| distance(place, pair[0].0, pair[1].0))
-            .fold(f64::INFINITY, f64::min)
-    };
+    let path: Vec<_> = plain.way.iter().map(|(place, ..)| *place).collect();
+    let apart = |(place, ..): &(Point2<f64>, f64, f64)| off_path(&path, *place);
     let stood = |drive: &Drive| {
         let at_rest = drive
             .way
@@ -102,7 +93,7 @@ pub fn drive(seed: u64) -> Result<Closing, String> {
         TICK.as_secs_f64() * at_rest.count() as f64
     };
     Ok(Closing {
-        beside: closed.way.iter().map(|(place, ..)| apart(*place)).fold(0.0, f64::max),
+        beside: closed.way.iter().map(apart).fold(0.0, f64::max),
         later: TICK.as_secs_f64() * (closed.way.len() as f64 - plain.way.len() as f64),
         stood: stood(&closed) - stood(&plain),
         error_without: plain.end.error,
@@ -112,36 +103,9 @@ pub fn drive(seed: u64) -> Result<Closing, String> {
 
 fn run(seed: u64, closes: bool) -> Result<Drive, String> {
     let mut rng = Rng::new(seed, 7);
-    let world = World::from_toml(&corridor(&mut rng), "corridor", &|name| Err(name.to_owned()))
-        .map_err(|error| error.to_string())?;
-    let model =
-        RobotModel::with_options("tiago+indoor", |name| Err(name.to_owned())).map_err(|error| error.to_string())?;
-    let id = Id::robot("tiago").map_err(|error| error.to_string())?;
-    let start = world.start();
-    let config = ClosedLoopConfig {
-        edge: EdgeConfig::new(id.clone(), model.clone(), start),
-        mission: MissionConfig::new(id.clone(), "mission", "unused".into()),
-        mapping: MappingSettings::default(),
-        poses: PoseSettings {
-            source: PoseSource::Slam,
-            ..PoseSettings::default()
-        },
-        motion: MotionSettings::default(),
-        known_map: None,
-        cloud_delay: rng.between(0.05, 0.4),
-        seed,
-    };
-    let spec = RobotSpec { id, model, start };
-    let simulation = Simulation::new(&world, vec![spec], seed).map_err(|error| error.to_string())?;
-    let mut stage = ClosedLoop::new(simulation, vec![config]);
-    let goal = |id: &str, x: f64, y: f64| {
-        MissionRequest::Goal(GoalRequest {
-            id: Some(id.to_owned()),
-            x: Some(x),
-            y: Some(y),
-            ..GoalRequest::default()
-        })
-    };
+    let world = indoors::world(&corridor(&mut rng), "corridor")?;
+    let cloud_delay = rng.between(0.05, 0.4);
+    let mut stage = indoors::stage(&world, PoseSource::Slam, None, cloud_delay, seed)?;
     let turn_to = if rng.chance(0.5) { 1.0 } else { -1.0 };
     let closes_at = rng.between(15.0, 17.5);
     let (first, second) = (
@@ -223,13 +187,6 @@ fn bent(pose: Pose2, x: f64, turn_to: f64) -> Pose2 {
         middle + arc.y + beyond * sin + across * cos,
         pose.yaw + yaw,
     )
-}
-
-/// Distance of a point from a segment, m.
-fn distance(point: Point2<f64>, from: Point2<f64>, to: Point2<f64>) -> f64 {
-    let way = to - from;
-    let share = (way.dot(&(point - from)) / way.norm_squared().max(1e-12)).clamp(0.0, 1.0);
-    (point - (from + way * share)).norm()
 }
 
 /// A corridor with things along its walls.

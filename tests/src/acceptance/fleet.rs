@@ -15,9 +15,9 @@ use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::grid::{GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::lease::LeaseArbiter;
 use zenav_protocol::messages::{
-    BasedOn, EdgeState, Event, EventKind, GoalPhase, GoalRequest, GuardZone, InfoReply, LeaseReply, Link, MapInfo,
-    MapPatch, MapRef, MapReply, Mode, MotionReply, MotionRequest, Plan, PlanOrigin, PlanOutcome, PlanProgress,
-    PlanReply, PlanStatistics, PoseEstimate, Refusal, SimClock, SmoothReply, TILE, Tile, TrajectoryReply,
+    BasedOn, EdgeState, Event, EventKind, GoalPhase, GoalRequest, InfoReply, LeaseReply, Link, MapInfo, MapPatch,
+    MapRef, MapReply, Mode, MotionReply, MotionRequest, Plan, PlanOrigin, PlanOutcome, PlanProgress, PlanReply,
+    PlanStatistics, PoseEstimate, Refusal, SimClock, SmoothReply, TILE, Tile, TrajectoryReply,
 };
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics;
@@ -219,17 +219,9 @@ impl FakeRobot {
                 lease: self.arbiter.state(now),
                 plan: progress,
                 velocity: self.velocity,
-                guard: GuardZone::Clear,
                 battery: 1.0,
-                behaviour: None,
-                wall_follower: None,
-                missed_ticks: 0,
                 uplink: 1.0,
-                round_trip_secs: None,
-                stops: 0,
-                makes_way: false,
-                frame: 0,
-                faults: Default::default(),
+                ..EdgeState::default()
             });
         }
     }
@@ -265,17 +257,20 @@ fn map_info(now: Stamp) -> MapInfo {
     }
 }
 
-/// Parameters of a run.
-#[derive(Clone, Copy, Debug)]
+/// Parameters of a run
+#[derive(Clone, Copy, Debug, clap::Args)]
 pub struct Fleet {
-    /// Robots.
+    /// Robots
     pub robots: usize,
-    /// Mission processes, each with its share of the robots; a single one is pinned to the first core.
-    pub shards: usize,
-    /// Simulated seconds per second of wall time.
-    pub speed: f64,
-    /// Measured time, simulated, s.
+    /// Simulated time that is measured, s
+    #[arg(default_value_t = 60.0)]
     pub secs: f64,
+    /// Mission processes that share the robots; a single one is pinned to the first core
+    #[arg(long, default_value_t = 1)]
+    pub shards: usize,
+    /// Simulated seconds per second of wall time: below 1 for more robots than this machine can serve
+    #[arg(long, default_value_t = 1.0)]
+    pub speed: f64,
 }
 
 /// Runs the missions of a fleet for a time.
@@ -344,23 +339,23 @@ pub async fn run(binary: &str, fleet: Fleet) -> Result<Findings, String> {
     let mut measured: Option<(Instant, [f64; 2])> = None;
     loop {
         tokio::select! {
-                    biased;
-                    Some(heartbeat) = heartbeats.next() => {
-                        let Some(fake) = heartbeat.chunks.first().and_then(|name| fakes.get_mut(name)) else { continue };
-                        fake.arbiter.renew(now(), &heartbeat.message);
-                        let last = fake.heartbeat.replace(Instant::now());
-                        if let (Some(last), Some(_)) = (last, measured) {
-                            findings.jitter.push((since(last).as_secs_f64() - HEARTBEAT_PERIOD).abs());
-                        }
-                    }
-                    _ = ticks.tick() => {
-                        count += 1;
-                        clock.put(&SimClock { stamp: now() });
-                        for fake in fakes.values_mut() {
-                            fake.tick(now(), count);
-                        }
-                        let led = fakes.values().filter(|fake| fake.arbiter.is_live(now())).count();
-                        match measured {
+            biased;
+            Some(heartbeat) = heartbeats.next() => {
+                let Some(fake) = heartbeat.chunks.first().and_then(|name| fakes.get_mut(name)) else { continue };
+                fake.arbiter.renew(now(), &heartbeat.message);
+                let last = fake.heartbeat.replace(Instant::now());
+                if let (Some(last), Some(_)) = (last, measured) {
+                    findings.jitter.push((since(last).as_secs_f64() - HEARTBEAT_PERIOD).abs());
+                }
+            }
+            _ = ticks.tick() => {
+                count += 1;
+                clock.put(&SimClock { stamp: now() });
+                for fake in fakes.values_mut() {
+                    fake.tick(now(), count);
+                }
+                let led = fakes.values().filter(|fake| fake.arbiter.is_live(now())).count();
+                match measured {
                     None if settling.is_some_and(|begun: Instant| since(begun) > SETTLING) => {
                         measured = Some((Instant::now(), used()?));
                     }
@@ -373,66 +368,69 @@ pub async fn run(binary: &str, fleet: Fleet) -> Result<Findings, String> {
                         settling = Some(Instant::now());
                     }
                     None if since(start) > READY => {
-                                return Err(format!("{led} of {robots} robots are led after {READY:?}"));
+                        return Err(format!("{led} of {robots} robots are led after {READY:?}"));
+                    }
+                    None => {}
+                    Some((begun, before)) => {
+                        findings.faults[0] += robots - led;
+                        let took = since(begun).as_secs_f64();
+                        if took >= secs {
+                            let after = used()?;
+                            findings.load = (after[0] - before[0]) / took;
+                            findings.router = (after[1] - before[1]) / took;
+                            for process in &orchestrators {
+                                let bytes = memory(process.id()).map_err(|error| error.to_string())?;
+                                findings.memory += bytes as f64 / MIB;
                             }
-                            None => {}
-                            Some((begun, before)) => {
-                                findings.faults[0] += robots - led;
-                                let took = since(begun).as_secs_f64();
-                                if took >= secs {
-                                    let after = used()?;
-                                    findings.load = (after[0] - before[0]) / took;
-                                    findings.router = (after[1] - before[1]) / took;
-                                    for process in &orchestrators {
-                                        let bytes = memory(process.id()).map_err(|error| error.to_string())?;
-                                        findings.memory += bytes as f64 / MIB;
-                                    }
-                                    break;
-                                }
-                            }
+                            break;
                         }
                     }
+                }
+            }
             Some(request) = leases.next() => {
-                        let Some(fake) = request.chunks.first().and_then(|name| fakes.get_mut(name)) else { continue };
-                        match fake.arbiter.request(now(), &request.body) {
-                            Ok(granted) => request.reply(&LeaseReply {
-                                epoch: granted.epoch,
-                                ttl_secs: LEASE.as_secs_f64(),
-                                boot_id: "boot".to_owned(), round_trip_secs: None,
-                            }),
-                            Err(refusal) => request.refuse(&refusal),
-                        }
-                    }
-                    Some(request) = infos.next() => {
-                        let robot = request.chunks.first().cloned().unwrap_or_default();
-                        request.reply(&InfoReply {
-                            component: "edge".to_owned(),
-                            version: env!("CARGO_PKG_VERSION").to_owned(),
-                            schema: SCHEMA_VERSION,
-                            robot,
-                            boot: Some(BasedOn { stamp: now(), boot_id: "boot".to_owned() }),
-                            model: Some(model.clone()),
-        ..InfoReply::default()
-        });
-                    }
-                    Some(request) = maps.next() => request.reply(&MapReply {
-                        info: map_info(now()),
-                        values: OccupancyGrid::filled(MAP, Occupancy::FREE).values().to_vec(),
-                        trajectory: Vec::new(), stored: Vec::new(), }),
-                    Some(plan) = written.next() => {
-                        let Some(fake) = plan.chunks.first().and_then(|name| fakes.get_mut(name)) else { continue };
-                        findings.faults[1] += usize::from(!fake.take(now(), plan.message) && measured.is_some());
-                    }
-                    Some(goal) = ended.next() => {
-                        let Some(fake) = goal.chunks.first().and_then(|name| fakes.get_mut(name)) else { continue };
-                        if goal.message.state.is_end() && goal.message.id == format!("{}-{}", fake.name, fake.goals) {
-                            let good = goal.message.state == GoalPhase::Succeeded;
-                            findings.goals += usize::from(good && measured.is_some());
-                            findings.faults[2] += usize::from(!good);
-                            submit(&bus, fake, Duration::ZERO);
-                        }
-                    }
-                        }
+                let Some(fake) = request.chunks.first().and_then(|name| fakes.get_mut(name)) else { continue };
+                match fake.arbiter.request(now(), &request.body) {
+                    Ok(granted) => request.reply(&LeaseReply {
+                        epoch: granted.epoch,
+                        ttl_secs: LEASE.as_secs_f64(),
+                        boot_id: "boot".to_owned(),
+                        round_trip_secs: None,
+                    }),
+                    Err(refusal) => request.refuse(&refusal),
+                }
+            }
+            Some(request) = infos.next() => {
+                let robot = request.chunks.first().cloned().unwrap_or_default();
+                request.reply(&InfoReply {
+                    component: "edge".to_owned(),
+                    version: env!("CARGO_PKG_VERSION").to_owned(),
+                    schema: SCHEMA_VERSION,
+                    robot,
+                    boot: Some(BasedOn { stamp: now(), boot_id: "boot".to_owned() }),
+                    model: Some(model.clone()),
+                    ..InfoReply::default()
+                });
+            }
+            Some(request) = maps.next() => request.reply(&MapReply {
+                info: map_info(now()),
+                values: OccupancyGrid::filled(MAP, Occupancy::FREE).values().to_vec(),
+                trajectory: Vec::new(),
+                stored: Vec::new(),
+            }),
+            Some(plan) = written.next() => {
+                let Some(fake) = plan.chunks.first().and_then(|name| fakes.get_mut(name)) else { continue };
+                findings.faults[1] += usize::from(!fake.take(now(), plan.message) && measured.is_some());
+            }
+            Some(goal) = ended.next() => {
+                let Some(fake) = goal.chunks.first().and_then(|name| fakes.get_mut(name)) else { continue };
+                if goal.message.state.is_end() && goal.message.id == format!("{}-{}", fake.name, fake.goals) {
+                    let good = goal.message.state == GoalPhase::Succeeded;
+                    findings.goals += usize::from(good && measured.is_some());
+                    findings.faults[2] += usize::from(!good);
+                    submit(&bus, fake, Duration::ZERO);
+                }
+            }
+        }
     }
     bus.close().await;
     Ok(findings)

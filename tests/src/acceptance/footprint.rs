@@ -13,7 +13,7 @@ use zenav_protocol::messages::{
 };
 use zenav_protocol::topics;
 
-use crate::process::{Process, free_endpoint};
+use crate::process::{Process, free_endpoint, words};
 use crate::usage::{Unknown, busy_secs, cpu_secs, peak_memory};
 
 /// The robot, by its shipped name.
@@ -84,18 +84,8 @@ pub async fn measure(zenav: &Path, edge: &Path, time: Duration) -> Result<Footpr
     let bus = timeout(PATIENCE, opening)
         .await
         .map_err(|_| FootprintError::Silent("found no world"))??;
-    let arguments = [
-        "--attach",
-        "--robot",
-        ROBOT,
-        "--id",
-        ROBOT,
-        "--connect",
-        &router,
-        "--listen",
-        &own,
-    ];
-    let process = Process::start(edge, &arguments, folder.path());
+    let line = format!("--attach --robot {ROBOT} --id {ROBOT} --connect {router} --listen {own}");
+    let process = Process::start(edge, &words(&line), folder.path());
     let mut client = Client::new(&bus).await?;
     client.drive(SETTLING).await;
     let before = (client.pacing().await?.ticks, cpu_secs(process.id())?, busy_secs()?);

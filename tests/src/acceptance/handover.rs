@@ -138,10 +138,7 @@ pub async fn run(binary: &str, faults: &[Fault], seed: u64) -> Result<Findings, 
     let deployment = Deployment::new(binary, CORRIDOR, SPEED);
     let _router = deployment.start_router();
     let _edge = deployment.start_edge();
-    let _others = [
-        deployment.start_service("mapping"),
-        deployment.start_service("planning"),
-    ];
+    let _others = ["mapping", "motion"].map(|service| deployment.start_service(service));
     let mut pair = Pair::start(&deployment);
     let bus = deployment.bus().await;
     let failed = |error: zenav_protocol::bus::BusError| error.to_string();

@@ -6,26 +6,18 @@
 use std::fmt::Write as _;
 
 use nalgebra::Point2;
-use zenav::lockstep::{ClosedLoop, ClosedLoopConfig};
-use zenav_cloud::mapping::{PoseSettings, PoseSource};
-use zenav_cloud::motion::MotionSettings;
-use zenav_edge::EdgeConfig;
-use zenav_mapping::MappingSettings;
-use zenav_mission::MissionConfig;
+use zenav::lockstep::ClosedLoop;
+use zenav_cloud::mapping::PoseSource;
 use zenav_protocol::geometry::{Pose2, wrap_angle};
-use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
-use zenav_protocol::id::Id;
-use zenav_protocol::messages::{GoalPhase, GoalRequest, Mode};
-use zenav_protocol::robot::{Footprint, RobotModel};
-use zenav_protocol::topics::MissionRequest;
-use zenav_sim::{RobotSpec, Simulation, World};
+use zenav_protocol::messages::{GoalPhase, Mode};
+use zenav_protocol::robot::Footprint;
 
+use super::indoors;
+use super::tracking::true_map;
 use super::worlds::{Rng, outer_walls, wall};
 
 /// The house, m.
 const HOUSE: (f64, f64) = (16.0, 10.0);
-/// Cells of the known map, m.
-const RESOLUTION: f64 = 0.05;
 /// Largest error of a pose that counts as right, m and rad.
 const RIGHT: (f64, f64) = (0.1, 0.035);
 /// Time after which a robot counts as never found, s.
@@ -83,6 +75,35 @@ impl Kidnapping {
         let both = self.found_after.zip(self.noticed_after);
         both.is_some_and(|(found, noticed)| found - noticed <= 3.0)
     }
+
+    /// Takes note of a tick. `since`: when the robot was carried away, s; `length`: how far it had driven until then, m.
+    fn note(&mut self, stage: &ClosedLoop, since: f64, length: f64) {
+        let (truth, robot) = (stage.truth(0), &stage.robots[0]);
+        let after = stage.now().as_secs() - since;
+        let believed = robot.pilot.map_from_base();
+        self.off = believed.distance(&truth.map_from_base);
+        let is_right = self.off <= RIGHT.0 && wrap_angle(believed.yaw - truth.map_from_base.yaw).abs() <= RIGHT.1;
+        let is_trusted = robot.pilot.health().is_trusted();
+        if self.noticed_after.is_none() && (!is_trusted || is_right) {
+            self.noticed_after = Some(after);
+            self.driven = truth.length - length;
+        }
+        if let Some(noticed) = self.noticed_after {
+            if !is_trusted && robot.pilot.mode() == Mode::Follow {
+                self.drove_lost += stage.simulation.tick().as_secs_f64();
+            }
+            if is_right && is_trusted && self.found_after.is_none() {
+                self.found_after = Some(after);
+            }
+            self.trusted_wrong |= is_trusted
+                && !is_right
+                && self.found_after.is_none()
+                && robot.mapping.health().is_trusted()
+                && after > noticed + 1.0;
+        }
+        self.collisions = truth.collisions;
+        self.truth = truth.map_from_base;
+    }
 }
 
 /// Runs the kidnapping of a seed, of a robot that is localised in a known map, or maps by SLAM.
@@ -92,15 +113,9 @@ impl Kidnapping {
 pub fn kidnap(seed: u64, source: PoseSource) -> Result<Kidnapping, String> {
     let is_mapping = source == PoseSource::Slam;
     let mut rng = Rng::new(seed, 11);
-    let world = World::from_toml(&house(&mut Rng::new(seed % 8, 12)), "house", &|name| {
-        Err(name.to_owned())
-    })
-    .map_err(|error| error.to_string())?;
-    let model =
-        RobotModel::with_options("tiago+indoor", |name| Err(name.to_owned())).map_err(|error| error.to_string())?;
-    let id = Id::robot("tiago").map_err(|error| error.to_string())?;
+    let world = indoors::world(&house(&mut Rng::new(seed % 8, 12)), "house")?;
     let start = world.start();
-    let room = Footprint::Radius(model.footprint.circumscribed_radius() + 0.1);
+    let room = Footprint::Radius(indoors::model()?.footprint.circumscribed_radius() + 0.1);
     let mut free = |from: Point2<f64>, far: f64| -> Pose2 {
         loop {
             let pose = Pose2::new(
@@ -119,22 +134,8 @@ pub fn kidnap(seed: u64, source: PoseSource) -> Result<Kidnapping, String> {
     let visits: Vec<Pose2> = (0..if is_mapping { VISITS } else { 0 })
         .map(|_| free(goal.position(), 4.0))
         .collect();
-    let config = ClosedLoopConfig {
-        edge: EdgeConfig::new(id.clone(), model.clone(), start),
-        mission: MissionConfig::new(id.clone(), "mission", "unused".into()),
-        mapping: MappingSettings::default(),
-        poses: PoseSettings {
-            source,
-            ..PoseSettings::default()
-        },
-        motion: MotionSettings::default(),
-        known_map: (!is_mapping).then(|| known(&world)),
-        cloud_delay: 0.1,
-        seed,
-    };
-    let spec = RobotSpec { id, model, start };
-    let simulation = Simulation::new(&world, vec![spec], seed).map_err(|error| error.to_string())?;
-    let mut stage = ClosedLoop::new(simulation, vec![config]);
+    let known_map = (!is_mapping).then(|| true_map(&world));
+    let mut stage = indoors::stage(&world, source, known_map, 0.1, seed)?;
     let been = visit(&mut stage, &visits)?;
     let begun = stage.truth(0);
     if is_mapping {
@@ -152,7 +153,7 @@ pub fn kidnap(seed: u64, source: PoseSource) -> Result<Kidnapping, String> {
         to = Pose2::new(place.x, place.y, to.yaw);
     }
     let (begun_at, start) = (stage.now().as_secs(), begun.map_from_base);
-    stage.robots[0].ask(asked("g", goal));
+    stage.robots[0].ask(indoors::goal("g", goal.x, goal.y));
     let way = begun.length + 0.2 + kidnapped_at * (0.8 * (goal.position() - start.position()).norm() - 0.2);
     let mut told = Kidnapping {
         seed,
@@ -160,7 +161,6 @@ pub fn kidnap(seed: u64, source: PoseSource) -> Result<Kidnapping, String> {
     };
     // Time of the kidnapping, and the distance driven until then.
     let mut carried: Option<(f64, f64)> = None;
-    let tick = stage.simulation.tick().as_secs_f64();
     while stage.now().as_secs() - begun_at < 120.0 {
         stage.tick();
         let (now, truth) = (stage.now().as_secs(), stage.truth(0));
@@ -172,37 +172,14 @@ pub fn kidnap(seed: u64, source: PoseSource) -> Result<Kidnapping, String> {
             let here = truth.map_from_base;
             let is_moving = stage.robots[0].pilot.mode() == Mode::Follow && truth.twist.v > 0.1;
             if truth.length >= way && is_moving && (here.position() - to.position()).norm() >= FAR {
-                if stage.simulation.carry(0, to).is_err() {
+                if stage.simulation.carry(&world, 0, to).is_err() {
                     return Err(format!("seed {seed}: it does not fit where it is to be carried"));
                 }
                 carried = Some((now, truth.length));
             }
             continue;
         };
-        let pilot = &stage.robots[0].pilot;
-        let believed = pilot.map_from_base();
-        let is_right = believed.distance(&truth.map_from_base) <= RIGHT.0
-            && wrap_angle(believed.yaw - truth.map_from_base.yaw).abs() <= RIGHT.1;
-        let is_trusted = pilot.health().is_trusted();
-        if told.noticed_after.is_none() && (!is_trusted || is_right) {
-            told.noticed_after = Some(now - since);
-            told.driven = truth.length - length;
-        }
-        if told.noticed_after.is_some() {
-            if !is_trusted && pilot.mode() == Mode::Follow {
-                told.drove_lost += tick;
-            }
-            if is_right && is_trusted && told.found_after.is_none() {
-                told.found_after = Some(now - since);
-            }
-            told.trusted_wrong |= is_trusted
-                && !is_right
-                && told.found_after.is_none()
-                && stage.robots[0].mapping.health().is_trusted()
-                && now - since > told.noticed_after.unwrap_or(0.0) + 1.0;
-        }
-        told.collisions = truth.collisions;
-        (told.off, told.truth) = (believed.distance(&truth.map_from_base), truth.map_from_base);
+        told.note(&stage, since, length);
         if let Some(state) = state.filter(|state| state.state.is_end()) {
             told.succeeded = state.state == GoalPhase::Succeeded;
             told.end = state.reason.unwrap_or_default();
@@ -220,7 +197,7 @@ fn visit(stage: &mut ClosedLoop, places: &[Pose2]) -> Result<Vec<Pose2>, String>
     let mut been: Vec<Pose2> = Vec::new();
     for (nth, place) in places.iter().enumerate() {
         let (id, begun) = (format!("visit-{nth}"), stage.now().as_secs());
-        stage.robots[0].ask(asked(&id, *place));
+        stage.robots[0].ask(indoors::goal(&id, place.x, place.y));
         let has_ended = |stage: &ClosedLoop| {
             let goal = stage.robots[0].goal();
             goal.is_some_and(|goal| goal.id == id && goal.state.is_end())
@@ -237,41 +214,6 @@ fn visit(stage: &mut ClosedLoop, places: &[Pose2]) -> Result<Vec<Pose2>, String>
         }
     }
     Ok(been)
-}
-
-fn asked(id: &str, place: Pose2) -> MissionRequest {
-    MissionRequest::Goal(GoalRequest {
-        id: Some(id.to_owned()),
-        x: Some(place.x),
-        y: Some(place.y),
-        ..GoalRequest::default()
-    })
-}
-
-/// The world as a map.
-fn known(world: &World) -> OccupancyGrid {
-    let spec = GridSpec {
-        origin: Point2::new(-0.5, -0.5),
-        resolution: RESOLUTION,
-        width: ((HOUSE.0 + 1.0) / RESOLUTION) as u32,
-        height: ((HOUSE.1 + 1.0) / RESOLUTION) as u32,
-    };
-    let mut map = Grid::filled(spec, Occupancy::FREE);
-    let half = 0.5 * RESOLUTION;
-    let cell = Footprint::Polygon(
-        [(-half, -half), (half, -half), (half, half), (-half, half)]
-            .map(|(x, y)| Point2::new(x, y))
-            .to_vec(),
-    );
-    for y in 0..spec.height {
-        for x in 0..spec.width {
-            let center = spec.center(Cell::new(x, y));
-            if world.clearance(&cell, Pose2::new(center.x, center.y, 0.0)) <= 0.0 {
-                map[Cell::new(x, y)] = Occupancy::OCCUPIED;
-            }
-        }
-    }
-    map
 }
 
 /// Rooms with doors and furniture.

@@ -41,10 +41,7 @@ pub async fn run_tampered(
     let store = deployment.folder().join("cloud").join(ROBOT).join("mission.redb");
     let _router = deployment.start_router();
     let _edge = deployment.start_edge();
-    let _others = [
-        deployment.start_service("mapping"),
-        deployment.start_service("planning"),
-    ];
+    let _others = ["mapping", "motion"].map(|service| deployment.start_service(service));
     let bus = deployment.bus().await;
     let mut monitor = Monitor::new(&bus).map_err(|error| error.to_string())?;
     let mut client = Client::default();

@@ -28,6 +28,7 @@ pub mod fleet;
 pub mod footprint;
 pub mod guard;
 pub mod handover;
+mod indoors;
 pub mod invariants;
 pub mod kidnapped;
 pub mod kills;

@@ -14,7 +14,8 @@ use zenav_protocol::messages::{EdgeState, PoseEstimate, Scan};
 use zenav_protocol::topics::{POSE, SCAN, STATE};
 
 use crate::browser::Browser;
-use crate::process::{Process, free_endpoint};
+use crate::http::request;
+use crate::process::{Process, free_endpoint, words};
 use crate::usage::{Unknown, cpu_secs, memory};
 
 /// Publishing period of a robot.
@@ -72,16 +73,8 @@ impl MadeUpFleet {
         let router = Process::start(zenav, &["router", "--listen", &endpoint], folder);
         let file = folder.join("gateway.toml");
         std::fs::write(&file, "[gateway]\nmax_clients = 5000\nrequests_hz = 10000.0\n")?;
-        let arguments = [
-            "gateway",
-            "--connect",
-            &endpoint,
-            "--listen",
-            "127.0.0.1:0",
-            "--deployment",
-            "gateway.toml",
-        ];
-        let mut gateway = Process::start(zenav, &arguments, folder);
+        let line = format!("gateway --connect {endpoint} --listen 127.0.0.1:0 --deployment gateway.toml");
+        let mut gateway = Process::start(zenav, &words(&line), folder);
         let bus = Bus::open(BusConfig::service("made-up", &endpoint)).await?;
         let robots = tokio::spawn(publish(bus, robots));
         let line = tokio::task::block_in_place(|| gateway.until("mission control: ", PATIENCE));
@@ -258,7 +251,10 @@ pub async fn slow_sockets(fleet: &MadeUpFleet, count: usize, time: Duration) -> 
         found.last = memory(id)?;
         found.most = found.most.max(found.last);
         let asked = Instant::now();
-        tokio::task::block_in_place(|| health(&host))?;
+        let answer = tokio::task::block_in_place(|| request(&host, "GET", "/api/v1/health", &host));
+        if answer.status != 200 {
+            return Err(PageError::Refused(answer.head));
+        }
         found.answer = found.answer.max(asked.elapsed().as_secs_f64());
     }
     for socket in &mut sockets {
@@ -291,22 +287,6 @@ fn open_socket(host: &str, robot: &str) -> Result<TcpStream, PageError> {
     frame.extend_from_slice(text.as_bytes());
     stream.write_all(&frame)?;
     Ok(stream)
-}
-
-/// One plain request on its own connection.
-fn health(host: &str) -> Result<(), PageError> {
-    let mut stream = TcpStream::connect(host)?;
-    write!(
-        stream,
-        "GET /api/v1/health HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n"
-    )?;
-    let mut answer = String::new();
-    stream.read_to_string(&mut answer)?;
-    if answer.starts_with("HTTP/1.1 200") {
-        Ok(())
-    } else {
-        Err(PageError::Refused(answer.lines().next().unwrap_or_default().to_owned()))
-    }
 }
 
 /// Whether the other side has closed, after reading what was sent until then.

@@ -172,7 +172,6 @@ impl OffBoard {
         let (position, yaw) = CORRECTION;
         let correction = Correction {
             stamp: now,
-            boot_id: String::new(),
             map_from_base: Pose2::new(
                 truth.x + position * rng.gauss(),
                 truth.y + position * rng.gauss(),
@@ -182,9 +181,7 @@ impl OffBoard {
                 .as_slice()
                 .try_into()
                 .unwrap_or_default(),
-            is_found_anew: false,
-            frame: 0,
-            moves: Vec::new(),
+            ..Correction::default()
         };
         self.waiting
             .push_back((now.plus_secs(rng.between(least, most)), correction));

@@ -4,7 +4,6 @@ use nalgebra::Point2;
 use zenav_protocol::robot::RobotModel;
 use zenav_protocol::sensors::Sweep;
 use zenav_sim::World;
-use zenav_sim::shape::Shape;
 
 use super::sim_rig::SimRig;
 
@@ -23,11 +22,8 @@ impl Sight {
     /// No mover has been seen yet. Movers are discs.
     #[must_use]
     pub fn new(world: &World) -> Self {
-        let radius = |shape: &Shape| match shape {
-            Shape::Disc(radius) => *radius,
-            Shape::Polygon(corners) => corners.iter().map(|corner| corner.coords.norm()).fold(0.0, f64::max),
-        };
-        let radii: Vec<f64> = world.movers().iter().map(|mover| radius(&mover.shape)).collect();
+        let movers = world.movers().iter();
+        let radii: Vec<f64> = movers.map(|mover| mover.shape.circumscribed_radius()).collect();
         Self {
             seen: vec![false; radii.len()],
             radii,

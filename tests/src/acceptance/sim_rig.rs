@@ -6,8 +6,8 @@ use zenav_edge::{EdgeConfig, Inbox, Persisted, Pilot, Publication, Ticket};
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::id::{Id, InvalidId};
 use zenav_protocol::messages::{
-    BasedOn, EdgeState, EventKind, GuardZone, Heartbeat, LeaseAction, LeaseRequest, LeaseRole, MapRef, Plan,
-    PlanStatistics, PoseEstimate, Revision, Teleop, Trajectory,
+    BasedOn, EdgeState, EventKind, GuardZone, Heartbeat, LeaseAction, LeaseRequest, LeaseRole, Plan, PoseEstimate,
+    Revision, Teleop, Trajectory,
 };
 use zenav_protocol::readings::Readings;
 use zenav_protocol::robot::RobotModel;
@@ -165,7 +165,6 @@ impl SimRig {
                 counter: 1,
             },
             trajectory_id: 1,
-            map: MapRef::default(),
             frame: "map".to_owned(),
             based_on: BasedOn {
                 stamp: self.sim.now(),
@@ -174,8 +173,7 @@ impl SimRig {
             valid_for: 5.0,
             waypoints,
             trajectory,
-            splice: None,
-            statistics: PlanStatistics::default(),
+            ..Plan::default()
         }
     }
 

@@ -14,6 +14,7 @@ use zenav_planning::{Budget, PlanOptions, Searcher, plan};
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::messages::{Correction, DrivingProfile, LeaseRole, PlanOutcome, Trajectory};
+use zenav_protocol::polygon::Edge;
 use zenav_protocol::robot::{Footprint, RobotModel};
 use zenav_sim::World;
 use zenav_smoothing::{SmoothQuery, SmoothingSettings, shortcut, smooth, unsmoothed};
@@ -247,9 +248,7 @@ fn correction(rig: &SimRig, rng: &mut Rng) -> Correction {
             about(truth.yaw, CORRECTION.1),
         ),
         covariance: [xy, 0.0, 0.0, 0.0, xy, 0.0, 0.0, 0.0, yaw],
-        is_found_anew: false,
-        frame: 0,
-        moves: Vec::new(),
+        ..Correction::default()
     }
 }
 
@@ -266,22 +265,10 @@ impl PlannedPath {
 }
 
 /// Distance of a point from a path, m.
-fn off_path(path: &[Point2<f64>], place: Point2<f64>) -> f64 {
-    let legs = path.windows(2).filter_map(|leg| match leg {
-        [from, to] => Some((*from, *to)),
-        _ => None,
-    });
-    let distances = legs.map(|(from, to)| {
-        let (along, off) = (to - from, place - from);
-        let squared = along.norm_squared();
-        let share = if squared > 0.0 {
-            (off.dot(&along) / squared).clamp(0.0, 1.0)
-        } else {
-            0.0
-        };
-        (off - along * share).norm()
-    });
-    distances.fold(f64::INFINITY, f64::min)
+pub(super) fn off_path(path: &[Point2<f64>], place: Point2<f64>) -> f64 {
+    let legs = path.windows(2).map(|leg| Edge { a: leg[0], b: leg[1] });
+    legs.map(|leg| (place - leg.nearest(place)).norm())
+        .fold(f64::INFINITY, f64::min)
 }
 
 /// The value that a share of all values does not exceed.

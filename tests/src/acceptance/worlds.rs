@@ -6,6 +6,7 @@ use nalgebra::Point2;
 use rand::RngExt as _;
 use rand_pcg::Pcg64Mcg;
 use zenav_protocol::geometry::Pose2;
+use zenav_protocol::polygon::{Edge, edges};
 use zenav_protocol::robot::Footprint;
 use zenav_sim::World;
 
@@ -149,8 +150,7 @@ fn world(text: &str) -> Result<World, SimRigError> {
 
 /// Whether a disc is free all along a closed path.
 fn is_free(walls: &World, radius: f64, corners: &[Point2<f64>]) -> bool {
-    let legs = corners.iter().zip(corners.iter().cycle().skip(1));
-    legs.into_iter().all(|(from, to)| {
+    edges(corners).all(|Edge { a: from, b: to }| {
         let steps = ((to - from).norm() / STEP).ceil().max(1.0);
         (0..=steps as u32).all(|step| {
             let at = from + (to - from) * (f64::from(step) / steps);

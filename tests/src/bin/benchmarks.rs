@@ -12,186 +12,62 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
 
 use clap::Parser;
+use zenav::parallel;
 use zenav_fixtures::Row;
+use zenav_tests::provenance::{field, output, processor};
 
 /// A bench or an acceptance run.
 struct Run {
     name: &'static str,
     /// What it measures.
     title: &'static str,
-    /// Arguments of `cargo`.
-    arguments: &'static [&'static str],
+    /// Arguments of `cargo`, or a binary of the workspace with its arguments.
+    arguments: &'static str,
 }
 
-const fn bench(name: &'static str, title: &'static str, arguments: &'static [&'static str]) -> Run {
-    Run { name, title, arguments }
+macro_rules! runs {
+    ($($name:literal: $title:literal, $arguments:literal;)*) => {
+        &[$(Run { name: $name, title: $title, arguments: $arguments }),*]
+    };
 }
 
 /// Everything that the page shows, in its order.
-const RUNS: &[Run] = &[
-    bench(
-        "kitchen",
-        "The kitchen mission, 20 seeds over real Zenoh sessions",
-        &["acceptance", "kitchen", "20", "--speed", "8"],
-    ),
-    bench(
-        "online",
-        "A house that nobody has mapped, 20 seeds",
-        &["acceptance", "online", "20", "--speed", "6"],
-    ),
-    bench(
-        "guard",
-        "The collision monitor in random worlds with movers and adversarial commands",
-        &["acceptance", "guard", "10000"],
-    ),
-    bench(
-        "pose",
-        "Consistency of the pose estimate",
-        &["acceptance", "pose", "100", "1000001"],
-    ),
-    bench("track", "Path error of the trackers", &["acceptance", "track"]),
-    bench(
-        "economy",
-        "Energy of the fastest and the most economical drives",
-        &["acceptance", "economy"],
-    ),
-    bench(
-        "kills",
-        "A mission killed at random instants",
-        &["acceptance", "kills", "200"],
-    ),
-    bench(
-        "handover",
-        "Two missions, the leader killed and paused",
-        &["acceptance", "handover", "14", "2", "77"],
-    ),
-    bench(
-        "fleet",
-        "100 robots' missions on one core",
-        &["acceptance", "fleet", "100", "30"],
-    ),
-    bench("footprint", "The robot's binary alone", &["acceptance", "footprint"]),
-    bench(
-        "drive_s2",
-        "Driving among discs on random polylines",
-        &["zenav", "bench", "drive", "--suite", "s2"],
-    ),
-    bench(
-        "drive_s3",
-        "Driving among people who do not look",
-        &["zenav", "bench", "drive", "--suite", "s3"],
-    ),
-    bench(
-        "drive_s4",
-        "Driving among people who make way",
-        &["zenav", "bench", "drive", "--suite", "s4"],
-    ),
-    bench(
-        "drive_s5",
-        "Driving in tight places",
-        &["zenav", "bench", "drive", "--suite", "s5"],
-    ),
-    bench(
-        "drive_s6",
-        "Driving among clutter, in traps and an office",
-        &["zenav", "bench", "drive", "--suite", "s6"],
-    ),
-    bench(
-        "drive_s7",
-        "Waiting for what may leave",
-        &["zenav", "bench", "drive", "--suite", "s7"],
-    ),
-    bench(
-        "drive_s9",
-        "Driving with broken sensors",
-        &["zenav", "bench", "drive", "--suite", "s9"],
-    ),
-    bench(
-        "drive_s11",
-        "Robots among robots, one seed",
-        &["zenav", "bench", "drive", "--suite", "s11", "--seeds", "1"],
-    ),
-    bench(
-        "drive_s12",
-        "Processor time on long ways",
-        &["zenav", "bench", "drive", "--suite", "s12"],
-    ),
-    bench(
-        "search",
-        "A* and JPS beside the crate pathfinding",
-        &["bench", "-p", "zenav-planning", "--bench", "search"],
-    ),
-    bench(
-        "sampling",
-        "Sampling planners beside OMPL",
-        &["bench", "-p", "zenav-planning", "--bench", "sampling"],
-    ),
-    bench(
-        "smoothing",
-        "Trajectories from planned paths, each checked",
-        &["bench", "-p", "zenav-smoothing", "--bench", "smoothing"],
-    ),
-    bench(
-        "timing",
-        "Time laws",
-        &["bench", "-p", "zenav-smoothing", "--bench", "timing"],
-    ),
-    bench(
-        "mapping",
-        "Scan insertion",
-        &["bench", "-p", "zenav-mapping", "--bench", "mapping"],
-    ),
-    bench(
-        "space",
-        "Distance fields",
-        &["bench", "-p", "zenav-space", "--bench", "space"],
-    ),
-    bench(
-        "sight",
-        "Lines of sight",
-        &["bench", "-p", "zenav-space", "--bench", "sight"],
-    ),
-    bench(
-        "solve",
-        "Pose graphs",
-        &["bench", "-p", "zenav-pose-graph", "--bench", "solve"],
-    ),
-    bench(
-        "tick",
-        "Behaviour trees",
-        &["bench", "-p", "zenav-behaviour-tree", "--bench", "tick"],
-    ),
-    bench(
-        "avoidance",
-        "One decision of predictive control among people",
-        &["bench", "-p", "zenav-edge", "--bench", "avoidance"],
-    ),
-    bench(
-        "collision_monitor",
-        "One decision of the collision monitor",
-        &["bench", "-p", "zenav-edge", "--bench", "collision_monitor"],
-    ),
-    bench(
-        "lidar",
-        "The simulated lidar beside parry's ray cast",
-        &["bench", "-p", "zenav-sim", "--bench", "lidar"],
-    ),
-    bench(
-        "simulator",
-        "The simulator beside IR-SIM",
-        &["bench", "-p", "zenav-tests", "--bench", "simulator"],
-    ),
-    bench(
-        "pipeline",
-        "Each stage from scan to plan",
-        &["bench", "-p", "zenav-tests", "--bench", "pipeline"],
-    ),
-    bench(
-        "bus",
-        "The typed bus beside raw Zenoh",
-        &["bench", "-p", "zenav-tests", "--bench", "bus"],
-    ),
-];
+const RUNS: &[Run] = runs! {
+    "kitchen": "The kitchen mission, 20 seeds over real Zenoh sessions", "acceptance kitchen 20 --speed 8";
+    "online": "A house that nobody has mapped, 20 seeds", "acceptance online 20 --speed 6";
+    "guard": "The collision monitor in random worlds with movers and adversarial commands", "acceptance guard 10000";
+    "pose": "Consistency of the pose estimate", "acceptance pose 100 1000001";
+    "track": "Path error of the trackers", "acceptance track";
+    "economy": "Energy of the fastest and the most economical drives", "acceptance economy";
+    "kills": "A mission killed at random instants", "acceptance kills 200";
+    "handover": "Two missions, the leader killed and paused", "acceptance handover 14 2 77";
+    "fleet": "100 robots' missions on one core", "acceptance fleet 100 30";
+    "footprint": "The robot's binary alone", "acceptance footprint";
+    "drive_s2": "Driving among discs on random polylines", "zenav bench drive --suite s2";
+    "drive_s3": "Driving among people who do not look", "zenav bench drive --suite s3";
+    "drive_s4": "Driving among people who make way", "zenav bench drive --suite s4";
+    "drive_s5": "Driving in tight places", "zenav bench drive --suite s5";
+    "drive_s6": "Driving among clutter, in traps and an office", "zenav bench drive --suite s6";
+    "drive_s7": "Waiting for what may leave", "zenav bench drive --suite s7";
+    "drive_s9": "Driving with broken sensors", "zenav bench drive --suite s9";
+    "drive_s11": "Robots among robots, one seed", "zenav bench drive --suite s11 --seeds 1";
+    "drive_s12": "Processor time on long ways", "zenav bench drive --suite s12";
+    "search": "A* and JPS beside the crate pathfinding", "bench -p zenav-planning --bench search";
+    "sampling": "Sampling planners beside OMPL", "bench -p zenav-planning --bench sampling";
+    "smoothing": "Trajectories from planned paths, each checked", "bench -p zenav-smoothing --bench smoothing";
+    "timing": "Time laws", "bench -p zenav-smoothing --bench timing";
+    "mapping": "Scan insertion", "bench -p zenav-mapping --bench mapping";
+    "space": "Distance fields", "bench -p zenav-space --bench space";
+    "sight": "Lines of sight", "bench -p zenav-space --bench sight";
+    "solve": "Pose graphs", "bench -p zenav-pose-graph --bench solve";
+    "tick": "Behaviour trees", "bench -p zenav-behaviour-tree --bench tick";
+    "avoidance": "One decision of predictive control among people", "bench -p zenav-edge --bench avoidance";
+    "collision_monitor": "One decision of the collision monitor", "bench -p zenav-edge --bench collision_monitor";
+    "lidar": "The simulated lidar beside parry's ray cast", "bench -p zenav-sim --bench lidar";
+    "simulator": "The simulator beside IR-SIM", "bench -p zenav-tests --bench simulator";
+    "pipeline": "Each stage from scan to plan", "bench -p zenav-tests --bench pipeline";
+    "bus": "The typed bus beside raw Zenoh", "bench -p zenav-tests --bench bus";
+};
 
 /// Runs benches and writes BENCHMARKS.md from their own output
 #[derive(Debug, Parser)]
@@ -229,7 +105,7 @@ fn write(args: &Args) -> Result<bool, Box<dyn std::error::Error>> {
     let is_wanted = |run: &&Run| args.names.is_empty() || args.names.iter().any(|name| name == run.name);
     if !args.write_only {
         let wanted: Vec<&Run> = RUNS.iter().filter(is_wanted).collect();
-        if wanted.iter().any(|run| run.arguments.first() == Some(&"acceptance")) {
+        if wanted.iter().any(|run| run.arguments.starts_with("acceptance ")) {
             good &= cargo(&["build", "--release", "-p", "zenav-tests", "--bins"])?.1;
         }
         if wanted.iter().any(|run| run.name == "footprint") {
@@ -255,7 +131,8 @@ fn write(args: &Args) -> Result<bool, Box<dyn std::error::Error>> {
 }
 
 fn cargo_arguments(run: &Run) -> Vec<&'static str> {
-    match run.arguments {
+    let words: Vec<&str> = run.arguments.split(' ').collect();
+    match &words[..] {
         ["acceptance", rest @ ..] => built("zenav-tests", "acceptance", rest),
         ["zenav", rest @ ..] => built("zenav", "zenav", rest),
         arguments => arguments.to_vec(),
@@ -270,10 +147,11 @@ fn built(package: &'static str, binary: &'static str, arguments: &[&'static str]
 
 /// The command as it is typed.
 fn command_line(run: &Run) -> String {
-    match run.arguments {
-        ["acceptance" | "zenav", ..] => format!("target/release/{}", run.arguments.join(" ")),
-        arguments => format!("cargo {}", arguments.join(" ")),
-    }
+    let program = match run.arguments.split_once(' ') {
+        Some(("acceptance" | "zenav", _)) => "target/release/",
+        _ => "cargo ",
+    };
+    format!("{program}{}", run.arguments)
 }
 
 /// Runs cargo, shows its output as it comes, and returns it.
@@ -292,27 +170,19 @@ fn cargo(arguments: &[&str]) -> std::io::Result<(String, bool)> {
     Ok((output, child.wait()?.success()))
 }
 
-/// Machine, toolchain and commit of a run.
+/// Machine, its load after a run, toolchain and commit.
 fn provenance() -> String {
-    let first = |program: &str, arguments: &[&str]| {
-        let output = Command::new(program).args(arguments).output().ok();
-        let text = output.map(|output| String::from_utf8_lossy(&output.stdout).trim().to_owned());
-        text.filter(|text| !text.is_empty())
-    };
-    let commit = first("git", &["rev-parse", "--short", "HEAD"]).unwrap_or_else(|| "unknown".to_owned());
-    let changed = first("git", &["status", "--porcelain", "--untracked-files=no"]).map_or("", |_| " with changes");
-    let date = first("date", &["-u", "+%F"]).unwrap_or_default();
-    let rust = first("rustc", &["--version"]).unwrap_or_default();
-    let field = |path: &str, name: &str| {
-        let text = std::fs::read_to_string(path).unwrap_or_default();
-        let line = text.lines().find(|line| line.starts_with(name))?;
-        Some(line.split_once([':', '='])?.1.trim().trim_matches('"').to_owned())
-    };
-    let processor = field("/proc/cpuinfo", "model name").unwrap_or_else(|| std::env::consts::ARCH.to_owned());
+    let commit = output("git", &["rev-parse", "--short", "HEAD"]).unwrap_or_else(|| "unknown".to_owned());
+    let changed = output("git", &["status", "--porcelain", "--untracked-files=no"]).map_or("", |_| " with changes");
+    let date = output("date", &["-u", "+%F"]).unwrap_or_default();
+    let rust = output("rustc", &["--version"]).unwrap_or_default();
+    let processor = processor();
     let memory = field("/proc/meminfo", "MemTotal").unwrap_or_default();
     let system = field("/etc/os-release", "PRETTY_NAME").unwrap_or_default();
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    format!("commit {commit}{changed}, {date}; {cores} x {processor}, {memory}, {system}; {rust}")
+    let cores = parallel::cores();
+    let load = std::fs::read_to_string("/proc/loadavg").unwrap_or_default();
+    let load = load.split(' ').next().unwrap_or_default();
+    format!("commit {commit}{changed}, {date}; {cores} x {processor}, load {load}, {memory}, {system}; {rust}")
 }
 
 /// The section of a run on an earlier page, without its title.
@@ -326,7 +196,8 @@ fn section<'a>(page: &'a str, title: &str) -> Option<&'a str> {
 fn page(folder: &Path, last: &str) -> String {
     let mut page = String::from(
         "# Benchmarks\n\nWritten by `cargo run --release -p zenav-tests --bin benchmarks` from the output of the commands below: every row that they print, \
-         losing ones too. Where a peer was measured, it was in the same run on the same machine; the ratio is its figure over ours.\n",
+         losing ones too. Where a peer was measured, it was in the same run on the same machine; the ratio is its figure over ours. `load`: \
+         mean number of running threads at the end of the run; above those of the bench, its times are longer for other work.\n",
     );
     let mut missing = Vec::new();
     for run in RUNS {

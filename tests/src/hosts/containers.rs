@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde_json::{Map, Value, json};
 use tempfile::TempDir;
 
-use super::{HOSTS, KEYS, NETWORKS, OPERATOR, Site, answers, checked, render};
+use super::{HOSTS, KEYS, NETWORKS, Site, answers, checked, render};
 
 /// The runtime stage of the image begins here.
 const RUNTIME_STAGE: &str = "FROM scratch";
@@ -40,8 +40,12 @@ fn additions<'a>(site: u8, parts: impl Iterator<Item = &'a str>) -> Value {
     let networks: Map<String, Value> = NETWORKS
         .iter()
         .map(|(network, number)| {
-            let subnet = json!({ "subnet": format!("10.{number}.{site}.0/24") });
-            ((*network).to_owned(), json!({ "ipam": { "config": [subnet] } }))
+            // The engine chooses addresses in the upper half only, so none of them is one of the fixed ones.
+            let pool = json!({
+                "subnet": format!("10.{number}.{site}.0/24"),
+                "ip_range": format!("10.{number}.{site}.128/25"),
+            });
+            ((*network).to_owned(), json!({ "ipam": { "config": [pool] } }))
         })
         .collect();
     json!({ "services": services, "networks": networks })
@@ -193,18 +197,12 @@ impl Site for Containers {
         self.ids.keys().cloned().collect()
     }
 
-    fn routers(&self) -> String {
-        ["fleet-a", "fleet-b"]
-            .map(|host| format!("quic/{}:7447", super::address(self.site, host, "fleet")))
-            .join(",")
+    fn number(&self) -> u8 {
+        self.site
     }
 
-    fn world(&self) -> String {
-        format!("quic/{}:7446", super::address(self.site, "hall", "bodies"))
-    }
-
-    fn identity(&self) -> PathBuf {
-        self.folder.path().join(KEYS).join("issued").join(OPERATOR)
+    fn folder(&self) -> &Path {
+        self.folder.path()
     }
 
     fn kill(&mut self, part: &str) -> Result<(), String> {

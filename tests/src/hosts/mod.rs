@@ -55,7 +55,7 @@ runs = ["router", "motion", "mission", "mapping"]
 [hosts.fleet-b]
 role = "cloud"
 address = "{fleet-b}"
-runs = ["router", "motion", "mission", "gateway"]
+runs = ["router", "motion", "mission", "mapping", "gateway"]
 [hosts.hall]
 role = "edge_site"
 address = "{hall}"
@@ -86,26 +86,16 @@ const HALL: &str = r#"
 name = "hall"
 size = [14.0, 9.0]
 origin = [-1.5, -4.5]
+wall = [
+  { from = [-1.4, -4.4], to = [12.4, -4.4], thickness = 0.1 },
+  { from = [-1.4, 4.4], to = [12.4, 4.4], thickness = 0.1 },
+  { from = [-1.4, -4.4], to = [-1.4, 4.4], thickness = 0.1 },
+  { from = [12.4, -4.4], to = [12.4, 4.4], thickness = 0.1 },
+]
 [start]
 x = 0.0
 y = 0.0
 yaw = 0.0
-[[wall]]
-from = [-1.4, -4.4]
-to = [12.4, -4.4]
-thickness = 0.1
-[[wall]]
-from = [-1.4, 4.4]
-to = [12.4, 4.4]
-thickness = 0.1
-[[wall]]
-from = [-1.4, -4.4]
-to = [-1.4, 4.4]
-thickness = 0.1
-[[wall]]
-from = [12.4, -4.4]
-to = [12.4, 4.4]
-thickness = 0.1
 "#;
 
 /// Names of the hosts with parts.
@@ -119,14 +109,27 @@ pub trait Site: Send {
     /// Names of its parts.
     fn parts(&self) -> Vec<String>;
 
+    /// Its number on this machine: part of its addresses.
+    fn number(&self) -> u8;
+
+    /// The folder of its files.
+    fn folder(&self) -> &Path;
+
     /// Endpoints of the routers, as this process reaches them, separated by commas.
-    fn routers(&self) -> String;
+    fn routers(&self) -> String {
+        let router = |host| format!("quic/{}:7447", address(self.number(), host, "fleet"));
+        ["fleet-a", "fleet-b"].map(router).join(",")
+    }
 
     /// The world's endpoint, as this process reaches it.
-    fn world(&self) -> String;
+    fn world(&self) -> String {
+        format!("quic/{}:7446", address(self.number(), "hall", "bodies"))
+    }
 
     /// The folder of this process's identity: an operator's.
-    fn identity(&self) -> PathBuf;
+    fn identity(&self) -> PathBuf {
+        self.folder().join(KEYS).join("issued").join(OPERATOR)
+    }
 
     /// Kills a part at once.
     ///

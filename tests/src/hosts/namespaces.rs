@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use tempfile::TempDir;
 
-use super::{HOSTS, KEYS, NETWORKS, OPERATOR, Site, answers, checked, render};
+use super::{HOSTS, KEYS, NETWORKS, Site, answers, checked, render};
 use crate::process::Process;
 
 /// Time limit for a part to end on request.
@@ -187,18 +187,12 @@ impl Site for Namespaces {
         self.commands.keys().cloned().collect()
     }
 
-    fn routers(&self) -> String {
-        ["fleet-a", "fleet-b"]
-            .map(|host| format!("quic/{}:7447", super::address(self.site, host, "fleet")))
-            .join(",")
+    fn number(&self) -> u8 {
+        self.site
     }
 
-    fn world(&self) -> String {
-        format!("quic/{}:7446", super::address(self.site, "hall", "bodies"))
-    }
-
-    fn identity(&self) -> PathBuf {
-        self.folder.path().join(KEYS).join("issued").join(OPERATOR)
+    fn folder(&self) -> &Path {
+        self.folder.path()
     }
 
     fn kill(&mut self, part: &str) -> Result<(), String> {

@@ -102,7 +102,8 @@ pub fn short() -> Vec<Fault> {
         Fault::Update("fleet-b-motion"),
         Fault::Update("fleet-a-mission"),
         Fault::Update("fleet-b-mission"),
-        Fault::Update("fleet-a-mapping"),
+        Fault::Kill("fleet-a-mapping"),
+        Fault::Update("fleet-b-mapping"),
         Fault::Update("fleet-b-gateway"),
         Fault::Update("fleet-a-router"),
         Fault::Update("fleet-b-router"),
@@ -121,6 +122,7 @@ pub fn long(rounds: usize) -> Vec<Fault> {
         "fleet-a-mission",
         "fleet-b-mission",
         "fleet-a-mapping",
+        "fleet-b-mapping",
         "fleet-b-gateway",
     ];
     let robots = [

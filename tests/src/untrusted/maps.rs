@@ -14,7 +14,7 @@ use zenav_mapping::moving_ai::{parse_map, parse_scenarios};
 use zenav_protocol::grid::OccupancyGrid;
 
 /// Between a description and its image in one input.
-const BETWEEN: &[u8] = b"\n%%\n";
+pub(super) const BETWEEN: &[u8] = b"\n%%\n";
 /// Larger maps are not written again, cells: that takes long and finds nothing new.
 const MOST_CELLS: usize = 1 << 16;
 

@@ -7,15 +7,25 @@
 //! | module | input |
 //! |---|---|
 //! | [`wire`] | the payload of any key, as JSON and as CBOR |
-//! | [`settings`] | files of robots, worlds, deployments and zones |
+//! | [`identities`] | certificates, lists of members |
+//! | [`mission`] | requests, messages and answers to a mission, one after another |
+//! | [`pilot`] | requests, plans and messages to a robot, one after another |
+//! | [`routes`] | requests to the mission-control page's server, its WebSocket, and a health endpoint |
+//! | [`settings`] | files of robots, worlds and zones |
+//! | [`deployments`] | deployment files |
 //! | [`maps`] | map images with their descriptions, Moving AI maps |
 //! | [`logs`] | CARMEN logs, pose graphs, relations, SLAM sessions |
 //! | [`records`] | records of runs, as `zenav replay` and `zenav report` read them |
 //! | [`scripts`] | scripts of `zenav netem` |
 
+pub mod deployments;
+pub mod identities;
 pub mod logs;
 pub mod maps;
+pub mod mission;
+pub mod pilot;
 pub mod records;
+pub mod routes;
 pub mod scripts;
 pub mod settings;
 pub mod wire;
@@ -39,9 +49,34 @@ pub const FAMILIES: &[Family] = &[
         seeds: wire::seeds,
     },
     Family {
+        name: "identities",
+        exercise: identities::exercise,
+        seeds: identities::seeds,
+    },
+    Family {
+        name: "mission",
+        exercise: mission::exercise,
+        seeds: mission::seeds,
+    },
+    Family {
+        name: "pilot",
+        exercise: pilot::exercise,
+        seeds: pilot::seeds,
+    },
+    Family {
+        name: "routes",
+        exercise: routes::exercise,
+        seeds: routes::seeds,
+    },
+    Family {
         name: "settings",
         exercise: settings::exercise,
         seeds: settings::seeds,
+    },
+    Family {
+        name: "deployments",
+        exercise: deployments::exercise,
+        seeds: deployments::seeds,
     },
     Family {
         name: "maps",

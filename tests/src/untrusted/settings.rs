@@ -1,36 +1,15 @@
-//! Settings files. The same text as a robot, an option of a robot, a world, a deployment and a file of zones.
+//! Settings files. The same text as a robot, an option of a robot, a world and a file of zones.
 
-#![allow(clippy::expect_used, reason = "no test without its folder")]
+#![allow(
+    clippy::expect_used,
+    reason = "zones of a file that are refused as messages are a finding"
+)]
 
-use zenav::config;
 use zenav_protocol::grid::GridSpec;
 use zenav_protocol::robot::{self, RobotModel};
 use zenav_sim::{Simulation, World, world};
 use zenav_space::Zones;
 
-/// A fleet on several hosts.
-const FLEET: &str = include_str!("../../../deploy/src/hosts/tests/fleet.toml");
-/// A deployment with settings of several sections.
-const DEPLOYMENT: &str = "\
-[router]
-listen = [\"tcp/127.0.0.1:7460\"]
-[simulation]
-world = \"house\"
-speed = 2.0
-[robots.anna]
-model = \"jackal+rear_lidar\"
-start = { x = 1.0, y = -0.5, yaw = 1.57 }
-on_lost = \"return_home\"
-[robots.anna.edge.collision_monitor]
-feeling_speed = 0.05
-[groups]
-all = [\"anna\"]
-[mapping]
-poses = \"slam\"
-resolution = 0.05
-[planning]
-workers = 2
-";
 /// Zones of both kinds.
 const ZONES: &str = "\
 [[keep_out]]
@@ -46,14 +25,13 @@ points = [[-1.0, -1.0], [0.5, -1.0], [0.0, 1.5]]
 pub fn seeds() -> Vec<Vec<u8>> {
     let shipped = [robot::SHIPPED, robot::OPTIONS, world::SHIPPED].concat();
     let texts = shipped.into_iter().map(|(_, text)| text);
-    let all = texts.chain([FLEET, DEPLOYMENT, ZONES]);
-    all.map(|text| text.as_bytes().to_vec()).collect()
+    texts.chain([ZONES]).map(|text| text.as_bytes().to_vec()).collect()
 }
 
 /// Reads the text as every kind of file, and uses what was read.
 ///
 /// # Panics
-/// When zones that were read are refused as messages; without a temporary folder.
+/// When zones that were read are refused as messages.
 pub fn exercise(bytes: &[u8]) -> usize {
     let Ok(text) = std::str::from_utf8(bytes) else { return 0 };
     [
@@ -61,7 +39,6 @@ pub fn exercise(bytes: &[u8]) -> usize {
         is_option(text),
         is_world(text),
         are_zones(text),
-        is_deployment(text),
     ]
     .into_iter()
     .filter(|taken| *taken)
@@ -95,11 +72,4 @@ fn are_zones(text: &str) -> bool {
     };
     let _ = zones.keep_out_cells(&spec);
     true
-}
-
-fn is_deployment(text: &str) -> bool {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let file = folder.path().join("fuzz.toml");
-    std::fs::write(&file, text).expect("a temporary file");
-    config::load(Some(&file)).is_ok()
 }

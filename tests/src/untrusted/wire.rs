@@ -1,14 +1,16 @@
-//! Messages. The same bytes as the message of every row of the key table, in both encodings.
+//! Messages. The same bytes as the message of every row of the key table, of remote actions, and as a refusal, in both encodings.
 
 #![allow(
     clippy::expect_used,
     reason = "an accepted message that cannot be encoded is a finding"
 )]
 
+use serde::de::IgnoredAny;
+use zenav_gateway::{Client, FleetView, Update};
 use zenav_mapping::{Mapper, MappingSettings};
 use zenav_protocol::codec::{self, Encoding};
 use zenav_protocol::map_replica::MapReplica;
-use zenav_protocol::messages::{Annotations, MapPatch, MapReply, Scan};
+use zenav_protocol::messages::{MapReply, Refusal};
 use zenav_protocol::topics::{self, Ask, Message, TableVisitor, Topic};
 use zenav_space::Zones;
 
@@ -31,14 +33,21 @@ pub fn seeds() -> Vec<Vec<u8>> {
     json.chain(encoder.0).collect()
 }
 
-/// Decodes the bytes as every message, and gives maps, scans and zones to the code that uses them.
+/// Decodes the bytes as every message, gives maps, scans and zones to the code that uses them, and shows the rest to a browser.
 ///
 /// # Panics
-/// When an accepted message cannot be encoded, or changes by being encoded and decoded.
+/// When an accepted message cannot be encoded, or changes by being encoded and decoded; when a frame for a browser is not JSON.
 pub fn exercise(bytes: &[u8]) -> usize {
     let mut decoder = Decoder { bytes, taken: 0 };
     topics::visit_table(&mut decoder);
-    use_contents(bytes);
+    decoder.ask(topics::REMOTE_ACTION, "RemoteRequest", "RemoteReply");
+    decoder.read::<Refusal>("Refusal", MAX_REPLY);
+    if decoder.taken > 0 {
+        for encoding in [Encoding::Json, Encoding::Cbor] {
+            use_contents(bytes, encoding);
+            show(bytes, encoding);
+        }
+    }
     decoder.taken
 }
 
@@ -104,22 +113,53 @@ impl TableVisitor for Encoder {
 }
 
 /// Uses the contents of messages whose numbers decide over memory and geometry.
-fn use_contents(bytes: &[u8]) {
-    for encoding in [Encoding::Json, Encoding::Cbor] {
-        if let Ok(patch) = codec::decode::<MapPatch>(bytes, encoding, topics::MAP_PATCH.max_bytes) {
-            let mut replica = MapReplica::new();
-            let _ = replica.apply(&patch);
-            // The same map goes on from there.
-            let _ = replica.apply(&patch);
-        }
-        if let Ok(reply) = codec::decode::<MapReply>(bytes, encoding, MAX_REPLY) {
-            let _ = reply.grid();
-        }
-        if let Ok(scan) = codec::decode::<Scan>(bytes, encoding, topics::SCAN.max_bytes) {
-            let _ = Mapper::new(MappingSettings::default(), "fuzz").insert(&scan);
-        }
-        if let Ok(annotations) = codec::decode::<Annotations>(bytes, encoding, topics::ANNOTATIONS.max_bytes) {
-            let _ = Zones::new(&annotations.zones);
-        }
+fn use_contents(bytes: &[u8], encoding: Encoding) {
+    if let Some(patch) = read(bytes, encoding, &topics::MAP_PATCH) {
+        let mut replica = MapReplica::new();
+        let _ = replica.apply(&patch);
+        // The same map goes on from there.
+        let _ = replica.apply(&patch);
     }
+    if let Ok(reply) = codec::decode::<MapReply>(bytes, encoding, MAX_REPLY) {
+        let _ = reply.grid();
+    }
+    if let Some(scan) = read(bytes, encoding, &topics::SCAN) {
+        let _ = Mapper::new(MappingSettings::default(), "fuzz").insert(&scan);
+    }
+    if let Some(annotations) = read(bytes, encoding, &topics::ANNOTATIONS) {
+        let _ = Zones::new(&annotations.zones);
+    }
+}
+
+/// Shows the message to a browser that watches the robot: frames are JSON.
+fn show(bytes: &[u8], encoding: Encoding) {
+    let updates = [
+        read(bytes, encoding, &topics::STATE).map(Update::State),
+        read(bytes, encoding, &topics::POSE).map(Update::Pose),
+        read(bytes, encoding, &topics::SCAN).map(|scan| Update::Scan("rear".to_owned(), scan)),
+        read(bytes, encoding, &topics::PLAN).map(Update::Plan),
+        read(bytes, encoding, &topics::MISSION).map(Update::Mission),
+        read(bytes, encoding, &topics::GOAL_STATE).map(Update::Goal),
+        read(bytes, encoding, &topics::EVENT).map(Update::Event),
+        read(bytes, encoding, &topics::MARKER).map(Update::Marker),
+        read(bytes, encoding, &topics::OBSTACLES).map(Update::Obstacles),
+        read(bytes, encoding, &topics::TREE).map(Update::Tree),
+        read(bytes, encoding, &topics::GRAPH).map(Update::Graph),
+        read(bytes, encoding, &topics::MAP_PATCH).map(Update::Patch),
+        read(bytes, encoding, &topics::ANNOTATIONS).map(Update::Annotations),
+        read(bytes, encoding, &topics::LOCALISATION).map(Update::Localisation),
+        codec::decode(bytes, encoding, MAX_REPLY).ok().map(Update::Map),
+        codec::decode(bytes, encoding, MAX_REPLY).ok().map(Update::Info),
+    ];
+    let (mut view, mut client) = (FleetView::new(), Client::new());
+    client.watch(Some("fuzz".to_owned()));
+    for update in updates.into_iter().flatten() {
+        view.take("fuzz", update, 1.0);
+    }
+    let text = client.frame(&view, 1.0, true).text.unwrap_or_default();
+    serde_json::from_str::<IgnoredAny>(&text).expect("JSON");
+}
+
+fn read<T: Message>(bytes: &[u8], encoding: Encoding, topic: &Topic<T>) -> Option<T> {
+    codec::decode(bytes, encoding, topic.max_bytes).ok()
 }

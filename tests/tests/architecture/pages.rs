@@ -1,29 +1,6 @@
 //! Are the pages correct? The key table, and every link to a file.
 
-use std::path::{Path, PathBuf};
-
-use crate::workspace::{relative, root};
-
-/// Every Markdown page of the project.
-fn pages() -> Vec<PathBuf> {
-    fn collect(folder: &Path, found: &mut Vec<PathBuf>) {
-        for path in std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()) {
-            let name = path.file_name().unwrap().to_string_lossy().into_owned();
-            if name.starts_with('.') || ["target", "zenav-out", "zenav-data"].contains(&name.as_str()) {
-                continue;
-            }
-            if path.is_dir() {
-                collect(&path, found);
-            } else if path.extension().is_some_and(|ending| ending == "md") {
-                found.push(path);
-            }
-        }
-    }
-    let mut found = Vec::new();
-    collect(root(), &mut found);
-    found.sort();
-    found
-}
+use crate::workspace::{files, relative, root};
 
 /// Targets of `[text](target)` and `src="target"` outside code, with their lines.
 fn links(text: &str) -> Vec<(usize, String)> {
@@ -61,7 +38,7 @@ fn anchor(heading: &str) -> String {
 
 #[test]
 fn every_link_to_a_file_or_a_heading_of_the_project_leads_somewhere() {
-    for page in pages() {
+    for page in files(root(), "md") {
         let text = std::fs::read_to_string(&page).unwrap();
         for (line, target) in links(&text) {
             if target.is_empty() || target.contains("://") || target.starts_with("mailto:") {

@@ -48,24 +48,6 @@ pub fn sources(folder: &str) -> Vec<Source> {
     found
 }
 
-/// Every `.rs` file below a folder, tests included; paths from the workspace root.
-pub fn files(folder: &str) -> Vec<String> {
-    fn collect(folder: &Path, found: &mut Vec<String>) {
-        let Ok(entries) = std::fs::read_dir(folder) else { return };
-        for path in entries.map(|entry| entry.unwrap().path()) {
-            if path.is_dir() {
-                collect(&path, found);
-            } else if path.extension().is_some_and(|ending| ending == "rs") {
-                found.push(relative(&path));
-            }
-        }
-    }
-    let mut found = Vec::new();
-    collect(&root().join(folder), &mut found);
-    found.sort();
-    found
-}
-
 /// Modules of a file that have files of their own, tests included.
 pub fn modules_of(path: &str) -> Vec<String> {
     read(&root().join(path), true).modules

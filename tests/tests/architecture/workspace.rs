@@ -92,15 +92,37 @@ pub fn relative(path: &Path) -> String {
     inside.to_string_lossy().replace('\\', "/")
 }
 
-fn cargo(arguments: &[&str]) -> String {
+/// Every file below a folder with this ending, in order; without hidden folders, and those that a build or a run writes.
+pub fn files(folder: &Path, ending: &str) -> Vec<PathBuf> {
+    fn collect(folder: &Path, ending: &str, found: &mut Vec<PathBuf>) {
+        let Ok(entries) = std::fs::read_dir(folder) else { return };
+        for path in entries.map(|entry| entry.unwrap().path()) {
+            let name = path.file_name().unwrap().to_string_lossy().into_owned();
+            if name.starts_with('.') || ["target", "zenav-out", "zenav-data"].contains(&name.as_str()) {
+                continue;
+            }
+            if path.is_dir() {
+                collect(&path, ending, found);
+            } else if path.extension().is_some_and(|found| found == ending) {
+                found.push(path);
+            }
+        }
+    }
+    let mut found = Vec::new();
+    collect(folder, ending, &mut found);
+    found.sort();
+    found
+}
+
+fn cargo(arguments: &str) -> String {
     let cargo = std::env::var_os("CARGO").unwrap_or_else(|| env!("CARGO").into());
     let output = Command::new(cargo)
-        .args(arguments)
+        .args(arguments.split(' '))
         .current_dir(root())
         .output()
         .unwrap();
     let errors = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "cargo {}: {errors}", arguments.join(" "));
+    assert!(output.status.success(), "cargo {arguments}: {errors}");
     String::from_utf8(output.stdout).unwrap()
 }
 
@@ -111,32 +133,18 @@ pub fn metadata() -> &'static Metadata {
         let version = Command::new("rustc").arg("-vV").output().unwrap();
         let version = String::from_utf8(version.stdout).unwrap();
         let host = version.lines().find_map(|line| line.strip_prefix("host: ")).unwrap();
-        let text = cargo(&[
-            "metadata",
-            "--locked",
-            "--format-version",
-            "1",
-            "--filter-platform",
-            host,
-        ]);
+        let text = cargo(&format!(
+            "metadata --locked --format-version 1 --filter-platform {host}"
+        ));
         serde_json::from_str(&text).unwrap()
     })
 }
 
 /// Names of all packages in the build of one, without features that only other packages enable.
 pub fn built_of(package: &str) -> Vec<String> {
-    let tree = cargo(&[
-        "tree",
-        "--locked",
-        "--package",
-        package,
-        "--edges",
-        "normal",
-        "--prefix",
-        "none",
-        "--format",
-        "{p}",
-    ]);
+    let tree = cargo(&format!(
+        "tree --locked --package {package} --edges normal --prefix none --format {{p}}"
+    ));
     tree.lines()
         .filter_map(|line| line.split_whitespace().next())
         .map(str::to_owned)

@@ -57,10 +57,42 @@ async fn a_mission_on_a_full_disk_acknowledges_nothing_lives_and_goes_on_when_th
     );
     cloud.until("waits for room", LONG);
     cloud.assert_running();
+    let health = said(&deployment.client(&["doctor"]));
+    assert!(
+        health.contains("stores no goals") && health.contains("make room on that disk"),
+        "{health}"
+    );
+    assert!(!health.contains("lease forget"), "its goals are not lost: {health}");
 
     set_room(&cloud, true);
     let done = deployment.client(&[&submit[..6], &["--wait", "--timeout", "40"]].concat());
     assert_eq!(done.status.code(), Some(0), "{}", said(&done));
+    cloud.assert_running();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn a_mission_that_starts_on_a_full_disk_shows_why_it_refuses_and_goes_on_when_there_is_room() {
+    let deployment = Deployment::new(ZENAV, "kitchen", 4.0);
+    let _router = deployment.start_router();
+    deployment.bus().await.close().await;
+    let _edge = deployment.start_edge();
+    let arguments = ["cloud", "mission", "--connect", &deployment.router, "--data", "cloud"];
+    let mut cloud = start(&arguments, deployment.folder(), false);
+    cloud.until("waits for room", LONG);
+    let shown = said(&deployment.client(&["ps"]));
+    assert!(shown.contains("mission, without room"), "{shown}");
+    let health = said(&deployment.client(&["doctor"]));
+    assert!(
+        health.contains("stores no goals") && health.contains("mission.redb"),
+        "{health}"
+    );
+    let submit = ["goal", "submit", "-0.9", "0.3", "--id", "full", "--timeout", "10"];
+    let refused = said(&deployment.client(&submit));
+    assert!(refused.contains("nothing can be stored"), "{refused}");
+
+    set_room(&cloud, true);
+    let accepted = deployment.client(&[&submit[..6], &["--timeout", "40"]].concat());
+    assert_eq!(accepted.status.code(), Some(0), "{}", said(&accepted));
     cloud.assert_running();
 }
 

@@ -49,6 +49,30 @@ fn a_robot_that_is_lost_is_looked_for_turns_and_ends_its_goal_as_lost() {
 }
 
 #[test]
+fn a_robot_that_goes_by_its_own_estimate_drives_on_but_arrives_nowhere_while_its_beams_pass_through_walls() {
+    let mut rig = Rig::new();
+    rig.submit(to(3.0, 0.0, "g")).unwrap();
+    assert!(rig.run_until(20.0, |rig| rig.driven() > 0.3));
+    say(&mut rig, Health::Contradicted);
+    assert!(rig.run_until(20.0, |rig| rig.driven() > 2.0));
+    say(&mut rig, Health::Contradicted);
+    let goal = rig.end_of("g", 60.0);
+    assert!(rig.distance(3.0, 0.0) < 0.3, "{:?}", rig.pose());
+    let reason = goal.reason.unwrap_or_default();
+    assert!(
+        goal.state == GoalPhase::Aborted && reason.contains("arrived by the robot's own estimate alone: 50 %"),
+        "{:?} {reason}",
+        goal.state
+    );
+    // Nobody can look for it, and no recovery would help.
+    let recoveries = |ask: &&Ask| matches!(ask, Ask::Localise(_) | Ask::Behaviour(_));
+    assert_eq!(rig.asked.iter().filter(recoveries).count(), 0);
+    say(&mut rig, Health::Tracking);
+    rig.submit(to(0.0, 0.0, "back")).unwrap();
+    rig.success_of("back", 60.0);
+}
+
+#[test]
 fn a_robot_that_is_found_again_goes_on_to_its_goal() {
     let mut rig = Rig::new();
     rig.submit(to(3.0, 0.0, "g")).unwrap();

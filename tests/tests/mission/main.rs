@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 
 mod drives;
+mod glass;
 mod goals;
 mod kitchen;
 mod lost;

@@ -44,6 +44,40 @@ fn halls(other: f64, end: f64, secs: f64) -> String {
     format!("size = [20.4, 5.4]\norigin = [-0.2, -0.2]\n[start]\nx = 2\ny = 1.2\n{walls}{person}")
 }
 
+/// A corridor along the x axis, 5 m wide, with a door 0.9 m wide at its end, (8, 2.5). The way round leads through an opening at its other
+/// end, (-7.8, 5), and back along another corridor. The robot starts at (3, 2.5). Somebody comes into the door 2.5 s later, stands there for
+/// some time, and leaves.
+fn somebody_comes(secs: f64) -> String {
+    let walls = [
+        ([-9.1, -0.1], [12.1, -0.1]),
+        ([-9.1, 8.1], [12.1, 8.1]),
+        ([-9.1, -0.1], [-9.1, 8.1]),
+        ([12.1, -0.1], [12.1, 8.1]),
+    ];
+    let walls = walls.map(|(from, to)| format!("[[wall]]\nfrom = {from:?}\nto = {to:?}\nthickness = 0.2\n"));
+    let between = [
+        ([7.9, 8.1], [0.0, 2.05]),
+        ([7.9, 8.1], [2.95, 5.1]),
+        ([-6.5, 8.1], [4.9, 5.1]),
+    ];
+    let between = between.map(|([left, right], [low, high])| {
+        format!(
+            "[[polygon]]\npoints = [[{left}, {low:.2}], [{right}, {low:.2}], [{right}, {high}], [{left}, {high}]]\n"
+        )
+    });
+    format!(
+        "size = [21.4, 8.4]\norigin = [-9.2, -0.2]\n[start]\nx = 3\ny = 2.5\n{}{}[[mover]]\nradius = 0.25\nspeed = 0.8\n\
+        path = [[8.9, 3.6], [8.9, 2.5], [8, 2.5], [8.9, 2.5], [8.9, 4.8]]\nrest_secs = [0, 0, {secs:.1}, 0, 10000]\n",
+        walls.concat(),
+        between.concat()
+    )
+}
+
+/// A tree that replans while driving, and has no recovery.
+const REPLANS: &str = r#"<root BTCPP_format="4"><BehaviorTree ID="Main"><PipelineSequence>
+    <RateController hz="1.0"><ComputePathToPose goal="{goal}" path="{path}"/></RateController>
+    <FollowPath path="{path}"/></PipelineSequence></BehaviorTree></root>"#;
+
 fn to(x: f64, y: f64) -> GoalRequest {
     GoalRequest {
         id: Some("a".to_owned()),
@@ -135,6 +169,69 @@ fn a_short_way_round_is_driven_at_once() {
         rig.goal("a").feedback.blockage.is_some() || rig.phase("a").is_end()
     });
     assert!(waits && rig.phase("a") == GoalPhase::Succeeded, "{:?}", rig.goal("a"));
+}
+
+#[test]
+fn somebody_who_comes_into_the_door_on_the_way_is_waited_for_where_the_way_round_is_long() {
+    for tree in ["navigate", "navigate_with_recovery", REPLANS] {
+        let mut rig = Rig::in_world(&somebody_comes(8.0));
+        let goal = GoalRequest {
+            tree: Some(tree.to_owned()),
+            ..to(10.0, 2.5)
+        };
+        rig.submit(goal).unwrap();
+        let waits = rig.run_until(12.0, |rig| rig.goal("a").feedback.blockage.is_some());
+        assert!(waits, "{tree}: {:?} {:?}", rig.pose(), rig.goal("a").feedback);
+        rig.success_of("a", 40.0);
+        assert!(rig.driven() < 8.0, "{tree}: {} m", rig.driven());
+    }
+}
+
+#[test]
+fn who_comes_into_the_door_and_stays_is_waited_for_at_a_distance_and_then_driven_round() {
+    let mut rig = Rig::in_world(&somebody_comes(10_000.0));
+    rig.submit(to(10.0, 2.5)).unwrap();
+    let waits = rig.run_until(12.0, |rig| rig.goal("a").feedback.blockage.is_some());
+    assert!(waits, "{:?} {:?}", rig.pose(), rig.goal("a").feedback);
+    let nearest = rig.success_past("a", 200.0, &[(8.0, 2.5)])[0];
+    // 0.25 m of the person, 0.27 m of the robot, and 0.5 m between them.
+    assert!(nearest > 0.9, "{nearest} m");
+    let feedback = &rig.goal("a").feedback;
+    assert!(feedback.recoveries == 0 && rig.driven() > 30.0, "{feedback:?}");
+}
+
+#[test]
+fn who_is_out_of_sight_in_the_door_is_driven_to_and_waited_for_there() {
+    let mut rig = Rig::in_world(&somebody_comes(24.0));
+    // From the first place the robot sees who stands in the door, from the second one it does not.
+    for (id, x) in [("near", 5.0), ("away", 2.5)] {
+        let goal = GoalRequest {
+            id: Some(id.to_owned()),
+            ..to(x, 2.5)
+        };
+        rig.submit(goal).unwrap();
+        rig.success_of(id, 20.0);
+        rig.run(1.0);
+    }
+    rig.submit(to(10.0, 2.5)).unwrap();
+    rig.success_of("a", 60.0);
+    assert!(rig.driven() < 14.0, "{} m", rig.driven());
+}
+
+#[test]
+fn a_stop_that_the_tree_adds_is_driven_to_while_somebody_is_waited_for() {
+    let tree = r#"<root BTCPP_format="4"><BehaviorTree ID="Main"><Parallel success_count="2" failure_count="1">
+        <Sequence><ComputePathToPose goal="{goal}" path="{path}"/><FollowPath path="{path}"/></Sequence>
+        <Delay delay_msec="6000"><ComputePathThroughPoses goals="5;0.8|10;2.5" path="{path}"/></Delay>
+        </Parallel></BehaviorTree></root>"#;
+    let mut rig = Rig::in_world(&somebody_comes(10_000.0));
+    let goal = GoalRequest {
+        tree: Some(tree.to_owned()),
+        ..to(10.0, 2.5)
+    };
+    rig.submit(goal).unwrap();
+    let stops = rig.run_until(30.0, |rig| rig.distance(5.0, 0.8) < 0.3);
+    assert!(stops, "{:?} {:?}", rig.pose(), rig.goal("a").feedback);
 }
 
 #[test]

@@ -55,6 +55,17 @@ fn a_person_sees_the_robot_sends_it_stops_it_and_is_told_when_the_cloud_is_gone(
     site.browser
         .until("it is under way", DRIVE, "zenav.store.trail.length > 12");
     site.shoot("driving");
+    let fits = "const badges = document.getElementById('badges'); return badges.scrollWidth <= badges.clientWidth";
+    assert_eq!(site.browser.script(fits), true, "no badge is cut off");
+    site.browser.key("?");
+    site.browser
+        .until("the keys are listed", SOON, "!document.getElementById('help').hidden");
+    site.browser.key(ESCAPE);
+    site.browser.until(
+        "the list is closed, also for screen readers",
+        SOON,
+        "document.getElementById('help').hidden && document.getElementById('help-button').ariaExpanded === 'false'",
+    );
     site.browser.until(
         "the goal is reached",
         DRIVE,
@@ -101,6 +112,11 @@ fn a_person_sees_the_robot_sends_it_stops_it_and_is_told_when_the_cloud_is_gone(
         site.settle();
         site.shoot(&format!("panel_{tab}"));
     }
+    let events = site
+        .browser
+        .script("return document.getElementById('events').textContent");
+    let events = events.as_str().unwrap_or_default();
+    assert!(events.contains("plan accepted for corner"), "{events}");
     site.browser.click("#theme");
     site.settle();
     site.shoot("other_theme");

@@ -130,7 +130,7 @@ fn a_zone_drawn_bends_the_next_plan_and_places_and_pose_are_set_by_a_click() {
     page.until(
         "mapping has told the robot",
         SOON,
-        "document.getElementById('toasts').innerText.includes('goes on from')",
+        "document.getElementById('toasts').innerText.includes('Pose of')",
     );
     // The resulting pose is for the `at_run_time` tests: this robot's GPS corrects it at once.
     page.until(
@@ -177,6 +177,11 @@ fn goals_that_wait_are_put_in_another_order_and_cancelled() {
     order("sink,table_5,table_7");
     page.click("#goal-list li:nth-child(3) button[title=Earlier]");
     order("sink,table_7,table_5");
+    assert_eq!(
+        page.script("return document.activeElement.getAttribute('aria-label')"),
+        "Earlier: goal table_7",
+        "the list is another one, and the focus still there"
+    );
     page.click("#goal-list li:nth-child(1) button[title=Later]");
     order("table_7,sink,table_5");
     site.shoot("queue");

@@ -5,6 +5,7 @@
 //! |---|---|
 //! | `control` | see, send, stop and hand-drive the robot; the page reports lost parts |
 //! | `drawing` | places, zones, the pose and the order of the queue |
+//! | `hands` | fingers, keys, screens; a stop while the link is lost |
 //! | `accessible` | the page is accessible |
 //! | `fleet` | twenty robots at 10 Hz; a thousand browsers that do not read |
 
@@ -14,4 +15,5 @@ mod accessible;
 mod control;
 mod drawing;
 mod fleet;
+mod hands;
 mod site;

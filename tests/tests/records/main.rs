@@ -278,6 +278,8 @@ fn the_python_library_for_mcap_reads_every_message_of_a_record() {
         (format!("/{ROBOT}/map"), "foxglove.Grid"),
         (format!("/{ROBOT}/pose"), "foxglove.PoseInFrame"),
         ("/tf".to_owned(), "foxglove.FrameTransforms"),
+        (format!("/{ROBOT}/footprint"), "foxglove.SceneUpdate"),
+        (format!("/{ROBOT}/plan"), "foxglove.SceneUpdate"),
         (format!("/{ROBOT}/scene"), "foxglove.SceneUpdate"),
         (format!("/{ROBOT}/log"), "foxglove.Log"),
         (format!("zenav/{ROBOT}/edge/scan"), "zenav.Scan"),

@@ -20,11 +20,12 @@ def ended(path):
             metadata[entry.name] = entry.metadata
         for schema, channel, message in reader.iter_messages():
             topics[channel.topic] += 1
+            if schema is not None:
+                schemas[channel.topic] = schema.name
+                assert schema.encoding == {"json": "jsonschema"}.get(channel.message_encoding, "protobuf"), schema
             if channel.message_encoding == "json":
                 value = json.loads(message.data)
                 if schema is not None:
-                    assert schema.encoding == "jsonschema", schema
-                    schemas[channel.topic] = schema.name
                     wanted = json.loads(schema.data)
                     assert wanted["type"] == "object" and isinstance(value, dict), channel.topic
                     missing = [name for name in wanted.get("required", []) if name not in value]

@@ -142,7 +142,8 @@ impl<C> Builtin<C> for NonblockingSequence {
     }
 }
 
-/// A Sequence whose index is a blackboard entry, so that it survives halts. `Failure` and the end reset it to 0.
+/// A Sequence whose index is a blackboard entry, so that it survives halts. `Failure` and the end reset it to 0. A skipped child counts as
+/// done, and where all are skipped, the answer is `Success`. An entry without a value is 0; in Nav2 it is an error.
 pub(crate) struct PersistentSequence {
     pub(crate) current_child_idx: Source,
 }
@@ -150,7 +151,6 @@ pub(crate) struct PersistentSequence {
 impl<C> Builtin<C> for PersistentSequence {
     fn tick(&self, run: &mut Run<'_, C>, id: NodeId, _: Status) -> Answer {
         let kids = run.kids(id);
-        let mut skipped = 0;
         loop {
             let at = run.value(&self.current_child_idx).and_then(Value::as_int).unwrap_or(0);
             let Some(child) = usize::try_from(at).ok().and_then(|at| kids.get(at)) else {
@@ -163,14 +163,13 @@ impl<C> Builtin<C> for PersistentSequence {
                     self.write_index(run, id, 0)?;
                     return Ok(Status::Failure);
                 }
-                Status::Skipped => skipped += 1,
                 _ => {}
             }
             self.write_index(run, id, at + 1)?;
         }
         run.reset_children(id);
         self.write_index(run, id, 0)?;
-        Ok(Status::Success.unless_skipped(skipped == kids.len()))
+        Ok(Status::Success)
     }
 }
 

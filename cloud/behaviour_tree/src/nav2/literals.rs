@@ -55,6 +55,14 @@ fn is_meant(pose: &Pose) -> bool {
 }
 
 /// Parses a pose given by coordinates; `None` for a name and for invalid text.
+///
+/// ```
+/// use zenav_behaviour_tree::nav2::{Pose, pose};
+///
+/// assert_eq!(pose("1.5;2"), Some(Pose { x: 1.5, y: 2.0, yaw: None }));
+/// assert_eq!(pose("0;map;1.5;2;0;0;0;0;1"), Some(Pose { x: 1.5, y: 2.0, yaw: Some(0.0) }));
+/// assert_eq!(pose("1.5;2;90"), None, "a heading is in radians");
+/// ```
 pub fn pose(text: &str) -> Option<Pose> {
     if let Some(json) = json_of(text) {
         return pose_of_json(&serde_json::from_str(json).ok()?);

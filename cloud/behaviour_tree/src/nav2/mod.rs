@@ -56,6 +56,26 @@ pub fn controls<C>() -> Registry<C> {
 
 /// All of Nav2's nodes for trees that drive the robot of a context: [`controls`], the decorators, and the conditions that depend only on
 /// the blackboard. All others are declared: a leaf registered under the same id implements them.
+///
+/// ```
+/// use zenav_behaviour_tree::{Value, nav2};
+///
+/// struct Robot;
+/// impl nav2::Travel for Robot {
+///     fn position(&self) -> Option<[f64; 2]> {
+///         Some([0.0, 0.0])
+///     }
+///     fn speed(&self) -> f64 {
+///         0.5
+///     }
+///     fn measure(&self, _: &Value) -> Option<nav2::Measure> {
+///         None
+///     }
+/// }
+/// let registry = nav2::registry::<Robot>();
+/// let declared = |id: &str| registry.declared().any(|spec| spec.id == id);
+/// assert!(declared("ComputePathToPose") && !declared("DistanceController"));
+/// ```
 pub fn registry<C: Travel + 'static>() -> Registry<C> {
     let mut registry = controls();
     for spec in specs() {

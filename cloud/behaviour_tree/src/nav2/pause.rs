@@ -19,7 +19,7 @@ const ON_RESUME: u32 = 3;
 
 /// Ticks the child of the present state. A request resets every child and goes through the child for the transition, if there is one; a
 /// state without a child is `Running`. `Success` of the resumed child is the answer, and so is `Failure` of any child; any other success
-/// continues.
+/// continues. `Skipped` is the same as `Success`.
 pub(crate) struct PauseResume(pub(crate) PauseEntries);
 
 impl<C> Builtin<C> for PauseResume {
@@ -49,7 +49,7 @@ impl<C> Builtin<C> for PauseResume {
             (Status::Running, _) => Ok(Status::Running),
             (Status::Failure, _) | (_, RESUMED) => {
                 run.reset_children(id);
-                Ok(status)
+                Ok(Status::from_truth(status != Status::Failure))
             }
             (_, change) => {
                 if change == ON_PAUSE {

@@ -6,8 +6,8 @@
 use crate::ports::{Direction, PortType};
 use crate::registry::{Category, NodeSpec};
 
-/// One node per line: category, id, ports. A port is `name:type=default`, with `>` before an output; `@server`, `@service` and `@error` are
-/// common groups of ports.
+/// One node per line: category, id, ports. A port is `name:type=default`, with `>` before an output, and `!` before an input without which
+/// the node always fails; `@server`, `@service` and `@error` are common groups of ports.
 const NODES: &str = "\
 Action BackUp backup_dist:double=0.15 backup_speed:double=0.025 time_allowance:double=10.0 disable_collision_checks:bool=false @server @error
 Action DriveOnHeading dist_to_travel:double=0.15 speed:double=0.025 time_allowance:double=10.0 disable_collision_checks:bool=false @server @error
@@ -23,20 +23,20 @@ Action ClearEntireCostmap @service plugins:vector<string>
 Action ClearCostmapExceptRegion reset_distance:double=1.0 @service plugins:vector<string>
 Action ClearCostmapAroundRobot reset_distance:double=1.0 @service plugins:vector<string>
 Action ClearCostmapAroundPose pose:PoseStamped reset_distance:double=1.0 @service plugins:vector<string>
-Action ComputePathToPose start:PoseStamped use_start:bool goal:PoseStamped viapoints:vector<PoseStamped> planner_id:string= @server >path:Path @error
-Action ComputePathThroughPoses start:PoseStamped goals:Goals planner_id:string= @server >path:Path >last_reached_index:int @error
+Action ComputePathToPose start:PoseStamped use_start:bool !goal:PoseStamped viapoints:vector<PoseStamped> planner_id:string= @server >path:Path @error
+Action ComputePathThroughPoses start:PoseStamped !goals:Goals planner_id:string= @server >path:Path >last_reached_index:int @error
 Action ComputeRoute start:PoseStamped goal:PoseStamped start_id:uint goal_id:uint use_start:bool=false use_poses:bool=false @server >route:Route >path:Path >planning_time:Duration @error
 Action ComputeAndTrackRoute start:PoseStamped goal:PoseStamped start_id:uint goal_id:uint use_start:bool=false use_poses:bool=false @server >execution_duration:Duration >last_node_id:uint >next_node_id:uint >current_edge_id:uint >route:Route >path:Path >rerouted:bool @error
-Action RemovePassedGoals radius:double=0.5 robot_base_frame:string input_goals:Goals input_waypoint_statuses:vector<WaypointStatus> >output_goals:Goals >output_waypoint_statuses:vector<WaypointStatus>
-Action RemoveInCollisionGoals input_goals:Goals cost_threshold:double=254.0 use_footprint:bool=true consider_unknown_as_obstacle:bool=false input_waypoint_statuses:vector<WaypointStatus> @service >output_goals:Goals >output_waypoint_statuses:vector<WaypointStatus>
-Action SmoothPath unsmoothed_path:Path max_smoothing_duration:double=3.0 check_for_collisions:bool=false smoother_id:string @server >smoothed_path:Path >smoothing_duration:double >was_completed:bool @error
-Action FollowPath path:Path controller_id:string goal_checker_id:string progress_checker_id:string path_handler_id:string @server >tracking_feedback:TrackingFeedback @error
+Action RemovePassedGoals radius:double=0.5 robot_base_frame:string !input_goals:Goals input_waypoint_statuses:vector<WaypointStatus> >output_goals:Goals >output_waypoint_statuses:vector<WaypointStatus>
+Action RemoveInCollisionGoals !input_goals:Goals cost_threshold:double=254.0 use_footprint:bool=true consider_unknown_as_obstacle:bool=false input_waypoint_statuses:vector<WaypointStatus> @service >output_goals:Goals >output_waypoint_statuses:vector<WaypointStatus>
+Action SmoothPath !unsmoothed_path:Path max_smoothing_duration:double=3.0 check_for_collisions:bool=false smoother_id:string @server >smoothed_path:Path >smoothing_duration:double >was_completed:bool @error
+Action FollowPath !path:Path controller_id:string goal_checker_id:string progress_checker_id:string path_handler_id:string @server >tracking_feedback:TrackingFeedback @error
 Action FollowObject pose_topic:string=dynamic_pose max_duration:double=0.0 tracked_frame:string @server >total_elapsed_time:Duration @error
-Action NavigateToPose goal:PoseStamped behavior_tree:string @server @error
-Action NavigateThroughPoses goals:Goals behavior_tree:string @server @error
+Action NavigateToPose !goal:PoseStamped behavior_tree:string @server @error
+Action NavigateThroughPoses !goals:Goals behavior_tree:string @server @error
 Action ReinitializeGlobalLocalization @service
-Action TruncatePath input_path:Path distance:double=1.0 >output_path:Path
-Action TruncatePathLocal input_path:Path distance_forward:double=8.0 distance_backward:double=4.0 robot_base_frame:string transform_tolerance:double=0.2 pose:PoseStamped angular_distance_weight:double=0.0 max_robot_pose_search_dist:double=inf >output_path:Path
+Action TruncatePath !input_path:Path distance:double=1.0 >output_path:Path
+Action TruncatePathLocal !input_path:Path distance_forward:double=8.0 distance_backward:double=4.0 robot_base_frame:string transform_tolerance:double=0.2 pose:PoseStamped angular_distance_weight:double=0.0 max_robot_pose_search_dist:double=inf >output_path:Path
 Action PlannerSelector topic_name:string=planner_selector default_planner:string >selected_planner:string
 Action ControllerSelector topic_name:string=controller_selector default_controller:string >selected_controller:string
 Action SmootherSelector topic_name:string=smoother_selector default_smoother:string >selected_smoother:string
@@ -48,18 +48,18 @@ Action Wait wait_duration:double=1.0 @server @error
 Action AssistedTeleop is_recovery:bool=false time_allowance:double=10.0 @server @error
 Action DockRobot use_dock_id:bool=true dock_id:string dock_pose:PoseStamped dock_type:string max_staging_time:double=1000.0 navigate_to_staging_pose:bool=true @server >success:bool >num_retries:uint @error
 Action UndockRobot dock_type:string max_undocking_time:double=30.0 @server >success:bool @error
-Action GetPoseFromPath path:Path index:int=0 >pose:PoseStamped
+Action GetPoseFromPath !path:Path index:int=0 >pose:PoseStamped
 Action ToggleCollisionMonitor enable:bool=true @service
 Action GetCurrentPose robot_base_frame:string global_frame:string >current_pose:PoseStamped
 Action ConcatenatePaths input_path1:Path input_path2:Path >output_path:Path
-Action AppendGoalPoseToGoals goal_pose:PoseStamped input_goals:Goals >output_goals:Goals
+Action AppendGoalPoseToGoals !goal_pose:PoseStamped input_goals:Goals >output_goals:Goals
 Action ExtractRouteNodesAsGoals route:Route >goals:Goals
-Action GetNextFewGoals num_goals:int input_goals:Goals >output_goals:Goals
-Action CheckPoseOccupancy pose:PoseStamped cost_threshold:double=254.0 use_footprint:bool=true consider_unknown_as_obstacle:bool=false @service
+Action GetNextFewGoals !num_goals:int !input_goals:Goals >output_goals:Goals
+Action CheckPoseOccupancy !pose:PoseStamped cost_threshold:double=254.0 use_footprint:bool=true consider_unknown_as_obstacle:bool=false @service
 Action CheckStopStatus velocity_threshold:double=0.01 duration_stopped:ms=1000
-Action ValidatePath path:Path max_cost:uint=254 consider_unknown_as_obstacle:bool=false layer_name:string= footprint:string= stop_at_first_collision:bool=true max_lookahead_distance:double=-1.0 @service >collision_poses:vector<PoseStamped>
-Condition IsPathValid path:Path max_cost:uint=253 consider_unknown_as_obstacle:bool=false @service
-Condition GoalReached goal:PoseStamped robot_base_frame:string
+Action ValidatePath !path:Path max_cost:uint=254 consider_unknown_as_obstacle:bool=false layer_name:string= footprint:string= stop_at_first_collision:bool=true max_lookahead_distance:double=-1.0 @service >collision_poses:vector<PoseStamped>
+Condition IsPathValid !path:Path max_cost:uint=253 consider_unknown_as_obstacle:bool=false @service
+Condition GoalReached !goal:PoseStamped robot_base_frame:string
 Condition IsStuck
 Condition TransformAvailable child:string= parent:string=
 Condition GoalUpdated goal:PoseStamped goals:Goals
@@ -76,7 +76,7 @@ Condition WouldASmootherRecoveryHelp error_code:uint error_codes_to_check:vector
 Condition WouldARouteRecoveryHelp error_code:uint error_codes_to_check:vector<int>
 Condition AreErrorCodesPresent error_code:uint error_codes_to_check:vector<int>
 Condition ArePosesNear ref_pose:PoseStamped target_pose:PoseStamped global_frame:string tolerance:double=0.5
-Condition IsGoalNearby path:Path proximity_threshold:double=1.0 max_robot_pose_search_dist:double=-1.0 global_frame:string robot_base_frame:string
+Condition IsGoalNearby !path:Path proximity_threshold:double=1.0 max_robot_pose_search_dist:double=-1.0 global_frame:string robot_base_frame:string
 Condition IsWithinPathTrackingBounds max_error_left:double=0.5 max_error_right:double=0.5 max_error_heading:double=3.14 tracking_feedback:TrackingFeedback
 Decorator DistanceController distance:double=1.0 global_frame:string robot_base_frame:string
 Decorator GoalUpdater input_goal:PoseStamped input_goals:Goals >output_goal:PoseStamped >output_goals:Goals
@@ -116,6 +116,10 @@ fn add_port(spec: NodeSpec, port: &str) -> Option<NodeSpec> {
         Some(output) => (Direction::Output, output),
         None => (Direction::Input, port),
     };
+    let (is_required, port) = match port.strip_prefix('!') {
+        Some(required) => (true, required),
+        None => (false, port),
+    };
     let (name, kind) = port.split_once(':')?;
     let (kind, default) = match kind.split_once('=') {
         Some((kind, default)) => (kind, Some(default)),
@@ -125,7 +129,8 @@ fn add_port(spec: NodeSpec, port: &str) -> Option<NodeSpec> {
         "uint" | "ms" => PortType::Unsigned,
         other => PortType::from_name(other),
     };
-    Some(spec.port(name, direction, kind, default, false, ""))
+    let doc = if is_required { "without it the node fails" } else { "" };
+    Some(spec.port(name, direction, kind, default, is_required, doc))
 }
 
 #[cfg(test)]

@@ -12,7 +12,7 @@ use crate::tick::{Answer, Run};
 use crate::value::Value;
 
 /// Ticks child 0 until it completes, then runs child 1 on `Success` or child 2 on `Failure` to completion (`cursor` is the branch). Without
-/// a third child, `Failure` of the first is the answer.
+/// a third child, `Failure` of the first is the answer. `Skipped` of the first is the answer, too; in BehaviorTree.CPP it is an error.
 pub(crate) struct IfThenElse;
 
 impl<C> Builtin<C> for IfThenElse {
@@ -39,7 +39,7 @@ impl<C> Builtin<C> for IfThenElse {
 }
 
 /// Ticks child 0 in every tick and runs child 1 while it succeeds, child 2 while it fails; the other branch is halted. Without a third
-/// child, `Failure` of the first is the answer.
+/// child, `Failure` of the first is the answer. `Skipped` of the first is the answer, too; in BehaviorTree.CPP it is an error.
 pub(crate) struct WhileDoElse;
 
 impl<C> Builtin<C> for WhileDoElse {

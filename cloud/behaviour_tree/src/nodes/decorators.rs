@@ -33,63 +33,49 @@ impl<C> Builtin<C> for Force {
     }
 }
 
-/// Retries on `Failure`, at most `num_attempts` attempts in all (-1: unlimited); then `Failure`. The port is read again before every
-/// attempt. `Skipped` passes and keeps the count.
-pub(crate) struct Retry(pub(crate) Source);
-
-impl<C> Builtin<C> for Retry {
-    fn tick(&self, run: &mut Run<'_, C>, id: NodeId, _: Status) -> Answer {
-        again(run, id, "num_attempts", &self.0, Status::Failure)
-    }
-
-    fn on_reset(&self, state: &mut NodeState) {
-        state.count = 0;
-    }
-}
-
-/// Repeats on `Success`, `num_cycles` times (-1: unlimited), then `Success`. `Failure` ends it. `Skipped` passes and keeps the count.
-pub(crate) struct Repeat(pub(crate) Source);
-
-impl<C> Builtin<C> for Repeat {
-    fn tick(&self, run: &mut Run<'_, C>, id: NodeId, _: Status) -> Answer {
-        again(run, id, "num_cycles", &self.0, Status::Success)
-    }
-
-    fn on_reset(&self, state: &mut NodeState) {
-        state.count = 0;
-    }
-}
-
 /// Unlimited attempts or cycles; other negative numbers mean none, as in BehaviorTree.CPP.
 const UNLIMITED: i64 = -1;
 
-/// Ticks the child again while it answers `again`. After a child that completed in its first tick, it yields `Running` and asks to be
-/// woken, so that it stays interruptible.
-fn again<C>(run: &mut Run<'_, C>, id: NodeId, port: &str, limit: &Source, again: Status) -> Answer {
-    let child = run.child(id, 0)?;
-    loop {
-        let most: i64 = run.read(id, port, limit)?;
-        let spent = i64::from(run.states[id as usize].count);
-        if most != UNLIMITED && spent >= most {
-            run.states[id as usize].count = 0;
-            return Ok(again);
+/// Ticks the child again while it answers `status`, at most as often as the port says (-1: unlimited); then answers the same. Any other
+/// end ends it; `Skipped` passes and keeps the count. The port is read again before every attempt. After a child that completed in its
+/// first tick, it yields `Running` and asks to be woken, so that it stays interruptible.
+pub(crate) struct Again {
+    pub(crate) status: Status,
+    pub(crate) port: &'static str,
+    pub(crate) limit: Source,
+}
+
+impl<C> Builtin<C> for Again {
+    fn tick(&self, run: &mut Run<'_, C>, id: NodeId, _: Status) -> Answer {
+        let child = run.child(id, 0)?;
+        loop {
+            let most: i64 = run.read(id, self.port, &self.limit)?;
+            let spent = i64::from(run.states[id as usize].count);
+            if most != UNLIMITED && spent >= most {
+                run.states[id as usize].count = 0;
+                return Ok(self.status);
+            }
+            let fresh = run.states[child as usize].status == Status::Idle;
+            let status = run.exec_and_reset(child)?;
+            if status == Status::Running || status == Status::Skipped {
+                return Ok(status);
+            }
+            let state = &mut run.states[id as usize];
+            if status != self.status {
+                state.count = 0;
+                return Ok(status);
+            }
+            bump(&mut state.count);
+            run.changes += 1;
+            if fresh && (most == UNLIMITED || spent + 1 < most) {
+                run.wake = true;
+                return Ok(Status::Running);
+            }
         }
-        let fresh = run.states[child as usize].status == Status::Idle;
-        let status = run.exec_and_reset(child)?;
-        if status == Status::Running || status == Status::Skipped {
-            return Ok(status);
-        }
-        let state = &mut run.states[id as usize];
-        if status != again {
-            state.count = 0;
-            return Ok(status);
-        }
-        bump(&mut state.count);
-        run.changes += 1;
-        if fresh && (most == UNLIMITED || spent + 1 < most) {
-            run.wake = true;
-            return Ok(Status::Running);
-        }
+    }
+
+    fn on_reset(&self, state: &mut NodeState) {
+        state.count = 0;
     }
 }
 
@@ -128,9 +114,9 @@ impl<C> Builtin<C> for RunOnce {
     }
 
     fn after_halt(&self, state: &mut NodeState) {
-        let flag = state.flag;
+        let latch = (state.flag, state.mark);
         state.clear();
-        state.flag = flag;
+        (state.flag, state.mark) = latch;
     }
 }
 
@@ -144,11 +130,7 @@ pub(crate) struct Precondition {
 impl<C> Builtin<C> for Precondition {
     fn tick(&self, run: &mut Run<'_, C>, id: NodeId, _: Status) -> Answer {
         if !run.states[id as usize].flag && !run.holds(id, &self.condition)? {
-            let answer: String = run.read(id, "else", &self.otherwise)?;
-            return match Status::from_name(&answer) {
-                Some(status) => Ok(status),
-                None => Err(run.fault(id, format!("port `else` holds `{answer}`: expected a status"))),
-            };
+            return run.read(id, "else", &self.otherwise);
         }
         let status = run.only_child(id)?;
         run.states[id as usize].flag = status == Status::Running;

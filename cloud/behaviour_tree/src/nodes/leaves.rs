@@ -19,8 +19,8 @@ impl<C> Builtin<C> for Always {
     }
 }
 
-/// Copies a literal or another entry into an entry, which keeps its type: `Success`. A literal does not give a new entry a type; the first
-/// typed assignment does. A value of another type is an error.
+/// Copies a literal or another entry into an entry, which keeps its type: `Success`; `Failure` if the other entry has no value. A literal
+/// does not give a new entry a type; the first typed assignment does. A value of another type is an error.
 pub(crate) struct SetBlackboard {
     pub(crate) value: Source,
     pub(crate) slot: Slot,
@@ -34,7 +34,9 @@ impl<C> Builtin<C> for SetBlackboard {
             run.board.write_literal(self.slot, text);
             return Ok(Status::Success);
         }
-        let value: Value = run.read(id, "value", &self.value)?;
+        let Some(value) = run.value(&self.value).cloned() else {
+            return Ok(Status::Failure);
+        };
         match run.board.write(self.slot, value) {
             Ok(()) => Ok(Status::Success),
             Err(wrong) => Err(run.fault(id, wrong.to_string())),

@@ -1,10 +1,10 @@
 //! Decorators that tick their child once for each item of a list: BehaviorTree.CPP's `LoopInt`, `LoopBool`, `LoopDouble`, `LoopString`.
 //!
-//! A list in the tree file (`1;2;3`) is traversed by index (`cursor`); a list on the blackboard is consumed. `flag`: the child runs with
-//! the current item.
+//! A list in the tree file (`1;2;3`) is traversed by index (`cursor`); a list on the blackboard is consumed. Spaces around the items of a
+//! text are left out, and so are empty items. `flag`: the child runs with the current item.
 
 use super::Builtin;
-use crate::node::NodeId;
+use crate::node::{NodeId, bump};
 use crate::ports::Source;
 use crate::status::Status;
 use crate::tick::{Answer, Run, Stop};
@@ -28,11 +28,7 @@ impl<C> Builtin<C> for LoopOver {
         }
         if !run.states[id as usize].flag {
             let Some(item) = self.next_item(run, id)? else {
-                let answer: String = run.read(id, "if_empty", &self.if_empty)?;
-                return match Status::from_name(&answer) {
-                    Some(status) => Ok(status),
-                    None => Err(run.fault(id, format!("port `if_empty` holds `{answer}`: expected a status"))),
-                };
+                return run.read(id, "if_empty", &self.if_empty);
             };
             if let Source::Slot(slot) = self.value
                 && let Err(wrong) = run.board.write(slot, item)
@@ -62,7 +58,7 @@ impl LoopOver {
             Source::Unset => None,
         };
         let Some(item) = item else { return Ok(None) };
-        run.states[id as usize].cursor = index as u32 + 1;
+        bump(&mut run.states[id as usize].cursor);
         run.changes += 1;
         match item.convert(self.item) {
             Some(item) => Ok(Some(item)),

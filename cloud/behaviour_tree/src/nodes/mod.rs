@@ -114,25 +114,25 @@ fn decorator(id: &str, doc: &str) -> NodeSpec {
 /// BehaviorTree.CPP's nodes, and py_trees' `ParallelAny`.
 pub(crate) fn rows<C>() -> Vec<Row<C>> {
     use branches::{IfThenElse, Switch, TryCatch, WhileDoElse};
-    use decorators::{Force, Inverter, KeepRunningUntilFailure, Precondition, Repeat, Retry, RunOnce};
+    use decorators::{Again, Force, Inverter, KeepRunningUntilFailure, Precondition, RunOnce};
     use leaves::{RunScript, ScriptCondition, SetBlackboard, UnsetBlackboard};
     use loops::LoopOver;
     use parallel::{Parallel, ParallelAll, ParallelAny};
-    use reactive::{ReactiveFallback, ReactiveSequence};
-    use sequences::{Fallback, Sequence, SequenceWithMemory};
+    use reactive::Reactive;
+    use sequences::InOrder;
     use timing::{Delay, Sleep, Timeout};
     use updates::{IfUpdated, WasEntryUpdated};
 
     let mut rows = table! { ports:
         // Controls.
-        control("Sequence", "Ticks children in order until one fails; resumes at the running child.") => Sequence { yields: false };
-        control("AsyncSequence", "A Sequence that yields after each child.") => Sequence { yields: true };
-        control("SequenceWithMemory", "A Sequence that retries the failed child.") => SequenceWithMemory;
-        control("SequenceStar", "Former name of SequenceWithMemory.") => SequenceWithMemory;
-        control("ReactiveSequence", "A Sequence that starts from the first child in every tick.") => ReactiveSequence;
-        control("Fallback", "Ticks children in order until one succeeds; resumes at the running child.") => Fallback { yields: false };
-        control("AsyncFallback", "A Fallback that yields after each child.") => Fallback { yields: true };
-        control("ReactiveFallback", "A Fallback that starts from the first child in every tick.") => ReactiveFallback;
+        control("Sequence", "Ticks children in order until one fails; resumes at the running child.") => InOrder::SEQUENCE;
+        control("AsyncSequence", "A Sequence that yields after each child.") => InOrder { yields: true, ..InOrder::SEQUENCE };
+        control("SequenceWithMemory", "A Sequence that retries the failed child.") => InOrder::WITH_MEMORY;
+        control("SequenceStar", "Former name of SequenceWithMemory.") => InOrder::WITH_MEMORY;
+        control("ReactiveSequence", "A Sequence that starts from the first child in every tick.") => Reactive { end: Status::Failure };
+        control("Fallback", "Ticks children in order until one succeeds; resumes at the running child.") => InOrder::FALLBACK;
+        control("AsyncFallback", "A Fallback that yields after each child.") => InOrder { yields: true, ..InOrder::FALLBACK };
+        control("ReactiveFallback", "A Fallback that starts from the first child in every tick.") => Reactive { end: Status::Success };
         control("Parallel", "Ticks all children until enough have succeeded or failed.")
             .input_or("success_count", Int, "-1", "successes that end it; -1: all")
             .input_or("failure_count", Int, "1", "failures that end it; -1: all")
@@ -152,9 +152,9 @@ pub(crate) fn rows<C>() -> Vec<Row<C>> {
         decorator("ForceFailure", "FAILURE whatever the child ends with.") => Force(Status::Failure);
         decorator("RetryUntilSuccessful", "Retries until the child succeeds.")
             .input("num_attempts", Int, "attempts in all; -1: unlimited")
-            => Retry(ports.source("num_attempts"));
+            => Again { status: Status::Failure, port: "num_attempts", limit: ports.source("num_attempts") };
         decorator("Repeat", "Repeats while the child succeeds.").input("num_cycles", Int, "cycles; -1: unlimited")
-            => Repeat(ports.source("num_cycles"));
+            => Again { status: Status::Success, port: "num_cycles", limit: ports.source("num_cycles") };
         decorator("KeepRunningUntilFailure", "RUNNING until the child fails.") => KeepRunningUntilFailure;
         decorator("Timeout", "FAILURE if the child takes longer.").input("msec", Unsigned, "time for the child, ms; 0: unlimited")
             => Timeout(ports.source("msec"));

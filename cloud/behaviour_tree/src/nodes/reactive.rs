@@ -6,7 +6,7 @@ use crate::node::NodeId;
 use crate::status::Status;
 use crate::tick::{Answer, Run};
 
-/// Starts from child 0 in every tick.
+/// Starts from child 0 in every tick, until one answers `end`. As a ReactiveSequence:
 ///
 /// | child | ReactiveSequence |
 /// |---|---|
@@ -14,45 +14,37 @@ use crate::tick::{Answer, Run};
 /// | `Running` | halts all others, `Running` |
 /// | `Failure` | resets all, `Failure` |
 /// | `Skipped` | resets it and continues; all skipped: `Skipped` |
-pub(crate) struct ReactiveSequence;
-
-/// [`ReactiveSequence`] with `Success` and `Failure` swapped.
-pub(crate) struct ReactiveFallback;
-
-impl<C> Builtin<C> for ReactiveSequence {
-    fn tick(&self, run: &mut Run<'_, C>, id: NodeId, _: Status) -> Answer {
-        react(run, id, Status::Failure, Status::Success)
-    }
+///
+/// A ReactiveFallback swaps `Success` and `Failure`.
+pub(crate) struct Reactive {
+    pub(crate) end: Status,
 }
 
-impl<C> Builtin<C> for ReactiveFallback {
+impl<C> Builtin<C> for Reactive {
     fn tick(&self, run: &mut Run<'_, C>, id: NodeId, _: Status) -> Answer {
-        react(run, id, Status::Success, Status::Failure)
-    }
-}
-
-fn react<C>(run: &mut Run<'_, C>, id: NodeId, end: Status, otherwise: Status) -> Answer {
-    let kids = run.kids(id);
-    let mut skipped = 0;
-    for child in kids {
-        let status = run.exec(*child)?;
-        if status == Status::Running {
-            for other in kids {
-                if other != child {
-                    run.reset(*other);
+        let kids = run.kids(id);
+        let mut skipped = 0;
+        for child in kids {
+            let status = run.exec(*child)?;
+            if status == Status::Running {
+                for other in kids {
+                    if other != child {
+                        run.reset(*other);
+                    }
                 }
+                return Ok(Status::Running);
             }
-            return Ok(Status::Running);
+            if status == self.end {
+                run.reset_children(id);
+                return Ok(status);
+            }
+            if status == Status::Skipped {
+                skipped += 1;
+                run.reset(*child);
+            }
         }
-        if status == end {
-            run.reset_children(id);
-            return Ok(end);
-        }
-        if status == Status::Skipped {
-            skipped += 1;
-            run.reset(*child);
-        }
+        run.reset_children(id);
+        let otherwise = Status::from_truth(self.end == Status::Failure);
+        Ok(otherwise.unless_skipped(skipped == kids.len()))
     }
-    run.reset_children(id);
-    Ok(otherwise.unless_skipped(skipped == kids.len()))
 }

@@ -8,7 +8,7 @@ use crate::node::{NodeId, NodeState, bump};
 use crate::status::Status;
 use crate::tick::{Answer, Run};
 
-/// Ticks children in order.
+/// Ticks children in order until one answers `end`. As a Sequence:
 ///
 /// | child | Sequence |
 /// |---|---|
@@ -17,66 +17,35 @@ use crate::tick::{Answer, Run};
 /// | `Failure` | resets all, `Failure` |
 /// | all `Skipped` | `Skipped` |
 ///
-/// `yields` (AsyncSequence): after a child that succeeds in its first tick, answers `Running` and asks to be woken, so that it stays
-/// interruptible.
-pub(crate) struct Sequence {
+/// A Fallback swaps `Success` and `Failure`.
+pub(crate) struct InOrder {
+    /// The answer of a child that ends it.
+    pub(crate) end: Status,
+    /// After a child that is done in its first tick, answers `Running` and asks to be woken, so that it stays interruptible.
     pub(crate) yields: bool,
+    /// An `end` keeps the index, so that the next activation retries the child; so does a halt. Otherwise the index is reset.
+    pub(crate) remembers: bool,
 }
 
-/// Ticks children in order until one succeeds: [`Sequence`] with `Success` and `Failure` swapped.
-pub(crate) struct Fallback {
-    pub(crate) yields: bool,
+impl InOrder {
+    pub(crate) const SEQUENCE: Self = Self {
+        end: Status::Failure,
+        yields: false,
+        remembers: false,
+    };
+    pub(crate) const FALLBACK: Self = Self {
+        end: Status::Success,
+        ..Self::SEQUENCE
+    };
+    /// Yields as in BehaviorTree.CPP 4.10.
+    pub(crate) const WITH_MEMORY: Self = Self {
+        yields: true,
+        remembers: true,
+        ..Self::SEQUENCE
+    };
 }
 
-impl<C> Builtin<C> for Sequence {
-    fn tick(&self, run: &mut Run<'_, C>, id: NodeId, before: Status) -> Answer {
-        until(run, id, Status::Failure, self.yields, before)
-    }
-}
-
-impl<C> Builtin<C> for Fallback {
-    fn tick(&self, run: &mut Run<'_, C>, id: NodeId, before: Status) -> Answer {
-        until(run, id, Status::Success, self.yields, before)
-    }
-}
-
-/// Ticks the children in order until one answers `end`.
-fn until<C>(run: &mut Run<'_, C>, id: NodeId, end: Status, yields: bool, before: Status) -> Answer {
-    let kids = run.kids(id);
-    if !before.is_active() {
-        run.states[id as usize].skipped = 0;
-    }
-    loop {
-        let at = run.states[id as usize].cursor as usize;
-        let Some(child) = kids.get(at) else { break };
-        let fresh = run.states[*child as usize].status == Status::Idle;
-        let status = run.exec(*child)?;
-        if status == Status::Running {
-            return Ok(Status::Running);
-        }
-        if status == end {
-            return Ok(run.finish(id, end));
-        }
-        let state = &mut run.states[id as usize];
-        bump(&mut state.cursor);
-        if status == Status::Skipped {
-            bump(&mut state.skipped);
-        } else if yields && fresh && at + 1 < kids.len() {
-            run.wake = true;
-            run.changes += 1;
-            return Ok(Status::Running);
-        }
-    }
-    let otherwise = Status::from_truth(end == Status::Failure);
-    let skipped = run.states[id as usize].skipped as usize == kids.len();
-    Ok(run.finish(id, otherwise.unless_skipped(skipped)))
-}
-
-/// [`Sequence`], but `Failure` keeps the index, so that the next activation retries the failed child; so does a halt. The index is reset
-/// only at the end.
-pub(crate) struct SequenceWithMemory;
-
-impl<C> Builtin<C> for SequenceWithMemory {
+impl<C> Builtin<C> for InOrder {
     fn tick(&self, run: &mut Run<'_, C>, id: NodeId, before: Status) -> Answer {
         let kids = run.kids(id);
         if !before.is_active() {
@@ -87,30 +56,36 @@ impl<C> Builtin<C> for SequenceWithMemory {
             let Some(child) = kids.get(at) else { break };
             let fresh = run.states[*child as usize].status == Status::Idle;
             let status = run.exec(*child)?;
-            match status {
-                Status::Running => return Ok(Status::Running),
-                Status::Failure => {
-                    run.reset_children(id);
-                    return Ok(Status::Failure);
-                }
-                Status::Skipped => bump(&mut run.states[id as usize].skipped),
-                _ => {}
+            if status == Status::Running {
+                return Ok(Status::Running);
             }
-            bump(&mut run.states[id as usize].cursor);
-            // As in BehaviorTree.CPP 4.10, so that it stays interruptible.
-            if status == Status::Success && fresh && at + 1 < kids.len() {
+            if status == self.end && self.remembers {
+                run.reset_children(id);
+                return Ok(status);
+            }
+            if status == self.end {
+                return Ok(run.finish(id, status));
+            }
+            let state = &mut run.states[id as usize];
+            bump(&mut state.cursor);
+            if status == Status::Skipped {
+                bump(&mut state.skipped);
+            } else if self.yields && fresh && at + 1 < kids.len() {
                 run.wake = true;
                 run.changes += 1;
                 return Ok(Status::Running);
             }
         }
+        let otherwise = Status::from_truth(self.end == Status::Failure);
         let skipped = run.states[id as usize].skipped as usize == kids.len();
-        Ok(run.finish(id, Status::Success.unless_skipped(skipped)))
+        Ok(run.finish(id, otherwise.unless_skipped(skipped)))
     }
 
     fn after_halt(&self, state: &mut NodeState) {
         let cursor = state.cursor;
         state.clear();
-        state.cursor = cursor;
+        if self.remembers {
+            state.cursor = cursor;
+        }
     }
 }

@@ -1,7 +1,7 @@
 //! Nodes that check whether a blackboard entry has been written since their last check: BehaviorTree.CPP's `SkipUnlessUpdated`,
 //! `WaitValueUpdate`, `WasEntryUpdated`.
 //!
-//! `mark` is the last seen sequence number; it survives halts.
+//! `mark` is the last seen sequence number; it survives halts. An entry that was removed (`UnsetBlackboard`) has not been written.
 
 use super::Builtin;
 use crate::blackboard::Slot;
@@ -43,6 +43,9 @@ impl<C> Builtin<C> for WasEntryUpdated {
 }
 
 fn was_written<C>(run: &mut Run<'_, C>, id: NodeId, slot: Slot) -> bool {
+    if run.board.read(slot).is_none() {
+        return false;
+    }
     let current = run.board.sequence(slot);
     std::mem::replace(&mut run.states[id as usize].mark, current) != current
 }

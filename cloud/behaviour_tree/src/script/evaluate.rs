@@ -1,5 +1,8 @@
 //! Evaluation. What is the value of a script? As in BehaviorTree.CPP, only an integer literal is an integer; everything computed (sums,
 //! signs, comparisons, truth values) and every named number is a float. `..` joins text.
+//!
+//! More lenient than BehaviorTree.CPP: every number but 0 is true, text `true` and `false` are truth values, `..` joins two numbers, and text
+//! that is no number differs from every number.
 
 use super::{Assignment, Binary, Comparison, Enums, Expression, ScriptError, Unary, Variable};
 use crate::blackboard::Blackboard;

@@ -316,12 +316,12 @@ fn so_many_errors_are_told_and_the_rest_counted() {
 fn ports_that_exclude_one_another_cannot_share_an_entry() {
     use crate::simulate;
     let text = br#"<root><BehaviorTree ID="A"><Sequence>
-<ComputePathToPose path="{p}"/><Wait wait_duration="{p}"/></Sequence></BehaviorTree></root>"#;
+<ComputePathToPose goal="{g}" path="{p}"/><Wait wait_duration="{p}"/></Sequence></BehaviorTree></root>"#;
     let errors = build("bad.xml", text, &simulate::registry(), None, &mut |_, _| {
         Err(String::new())
     })
     .unwrap_err();
-    let told = "bad.xml:2:38: port `wait_duration` and the port at bad.xml:2:20 share an entry: expected the same type, not a number and a Path";
+    let told = "bad.xml:2:49: port `wait_duration` and the port at bad.xml:2:31 share an entry: expected the same type, not a number and a Path";
     assert_eq!(errors.to_string(), told);
     // Also checked alone, reported once although the tree is unfolded twice, and beside other errors.
     let text = String::from_utf8_lossy(text).replace("<root>", "<root main_tree_to_execute=\"M\">").replace(

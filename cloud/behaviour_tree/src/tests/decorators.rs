@@ -175,6 +175,22 @@ fn updates_are_seen_once_each() {
 }
 
 #[test]
+fn a_removed_entry_was_not_updated_and_one_that_is_written_again_was() {
+    let mut rig = Rig::new(r#"<WasEntryUpdated entry="{e}"/>"#);
+    rig.tree.blackboard_mut().set("e", 1_i64).unwrap();
+    assert_eq!(rig.ticks(1), "S");
+    rig.tree.blackboard_mut().unset("e");
+    assert_eq!(rig.ticks(1), "F");
+    rig.tree.blackboard_mut().set("e", 1_i64).unwrap();
+    assert_eq!(rig.ticks(2), "SF");
+}
+
+#[test]
+fn there_is_nothing_to_copy_from_an_entry_without_a_value() {
+    plays(r#"<SetBlackboard value="{nothing}" output_key="y"/>"#, "F", "");
+}
+
+#[test]
 fn leaves_write_and_forget_entries() {
     let body = r#"<Sequence><SetBlackboard value="5" output_key="x"/><SetBlackboard value="{x}" output_key="{y}"/>
         <Script code="z := x + 1"/><ScriptCondition code="z == 6 &amp;&amp; y == '5'"/><UnsetBlackboard key="x"/></Sequence>"#;

@@ -5,6 +5,7 @@ mod bad_files;
 mod branches;
 mod controls;
 mod decorators;
+mod errors;
 mod extensions;
 mod guards;
 #[cfg(feature = "nav2")]

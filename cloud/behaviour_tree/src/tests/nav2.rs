@@ -129,6 +129,9 @@ fn persistent_sequence_keeps_its_index_on_the_blackboard() {
     assert_eq!(rig.ticks(2), "SF");
     assert_eq!(rig.log(), "b a b");
     assert_eq!(rig.tree.blackboard().get("i").unwrap().as_int(), Some(0));
+    // Unlike a Sequence, it is not skipped itself.
+    let body = r#"<PersistentSequence current_child_idx="{i}"><T name="a" plan="K"/><T name="b" plan="K"/></PersistentSequence>"#;
+    plays(body, "S", "a b");
 }
 
 #[test]

@@ -328,3 +328,9 @@ fn a_pause_without_a_child_for_it_only_waits_and_a_failure_ends_it() {
     assert_eq!((stand.at(50), stand.log().as_str()), (Running, ""));
     assert_eq!((stand.at(60), stand.log().as_str()), (Failure, "work"));
 }
+
+#[test]
+fn a_skipped_child_of_a_pause_resume_controller_counts_as_one_that_succeeded() {
+    let mut stand = Stand::new("<PauseResumeController><T name=\"work\" _skipIf=\"true\"/></PauseResumeController>");
+    assert_eq!((stand.at(0), stand.log().as_str()), (Success, ""));
+}

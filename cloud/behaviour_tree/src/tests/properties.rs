@@ -1,15 +1,16 @@
 //! Properties of every tree.
 
 use std::collections::BTreeMap;
+use std::time::Duration;
 
 use proptest::prelude::*;
 
 use super::rig::Rig;
 use crate::Status;
 
-/// A random tree in which every leaf has its own name and plan.
-fn tree() -> impl Strategy<Value = String> {
-    let leaf = "[SFRK]{1,5}".prop_map(|plan| format!("<T name=\"?\" plan=\"{plan}\"/>"));
+/// A random tree in which every leaf has its own name and plan, of this form.
+fn tree(plans: &'static str) -> impl Strategy<Value = String> {
+    let leaf = plans.prop_map(|plan| format!("<T name=\"?\" plan=\"{plan}\"/>"));
     leaf.prop_recursive(5, 40, 4, |inner| {
         let control = prop::sample::select(vec![
             "Sequence",
@@ -33,6 +34,7 @@ fn tree() -> impl Strategy<Value = String> {
             ("IfThenElse", 3),
             ("WhileDoElse", 3),
             ("TryCatch", 3),
+            ("TryCatch catch_on_halt=\"true\"", 3),
         ]);
         let decorator = prop::sample::select(vec![
             "Inverter",
@@ -72,45 +74,70 @@ fn tree() -> impl Strategy<Value = String> {
     })
 }
 
+/// Plans of leaves, without and with errors.
+const PLANS: &str = "[SFRK]{1,5}";
+const PLANS_WITH_ERRORS: &str = "[SFRKE]{1,5}";
+
+/// Why a log is not that of a tree in which every started leaf ends or is halted exactly once, and nothing else is ever halted.
+fn is_unbalanced(body: &str, log: &[String]) -> Option<String> {
+    let mut running: BTreeMap<&str, bool> = BTreeMap::new();
+    let mut calls: BTreeMap<&str, usize> = BTreeMap::new();
+    for event in log {
+        let name = event.trim_end_matches(['.', '!']);
+        let runs = running.entry(name).or_default();
+        if *runs != event.ends_with(['.', '!']) {
+            return Some(format!("{event} while running is {runs}"));
+        }
+        *runs = false;
+        if !event.ends_with('!') {
+            let plan = body
+                .split(&format!("name=\"{name}\" plan=\""))
+                .nth(1)
+                .unwrap_or_default();
+            let plan: Vec<char> = plan.chars().take_while(|letter| *letter != '"').collect();
+            let call = calls.entry(name).or_default();
+            *runs = plan.get(*call).or(plan.last()) == Some(&'R');
+            *call += 1;
+        }
+    }
+    let left: Vec<&str> = running
+        .iter()
+        .filter(|(_, runs)| **runs)
+        .map(|(name, _)| *name)
+        .collect();
+    (!left.is_empty()).then(|| format!("left running: {left:?}"))
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 300, ..ProptestConfig::default() })]
 
     /// Every started leaf ends or is halted exactly once; nothing else is ever halted.
     #[test]
-    fn every_start_ends_once(body in tree(), ticks in 1_usize..12) {
+    fn every_start_ends_once(body in tree(PLANS), ticks in 1_usize..12) {
         let mut rig = Rig::new(&body);
         let answers = rig.ticks(ticks);
         rig.halt();
         rig.halt();
-        let mut running: BTreeMap<String, bool> = BTreeMap::new();
-        let mut calls: BTreeMap<String, usize> = BTreeMap::new();
-        for event in rig.world.log.clone() {
-            let name = event.trim_end_matches(['.', '!']).to_owned();
-            let runs = running.entry(name.clone()).or_default();
-            match event.as_bytes().last() {
-                Some(b'!') => {
-                    prop_assert!(*runs, "{event} of what does not run: {body} {answers}");
-                    *runs = false;
-                }
-                Some(b'.') => prop_assert!(*runs, "{event} of what does not run: {body}"),
-                _ => prop_assert!(!*runs, "{event} of what runs: {body}"),
-            }
-            if !event.ends_with('!') {
-                let plan = body.split(&format!("name=\"{name}\" plan=\"")).nth(1).unwrap();
-                let plan: Vec<char> = plan.chars().take_while(|letter| *letter != '"').collect();
-                let call = calls.entry(name.clone()).or_default();
-                let letter = plan.get(*call).or(plan.last());
-                *call += 1;
-                running.insert(name, letter == Some(&'R'));
-            }
-        }
-        prop_assert!(running.values().all(|runs| !runs), "left running: {body}");
+        prop_assert_eq!(is_unbalanced(&body, &rig.world.log), None, "{} {}", body, answers);
         prop_assert!(rig.tree.statuses().all(|(_, status, _)| status == Status::Idle));
+    }
+
+    /// The same of a tree that leaves end with an error; afterwards nothing runs.
+    #[test]
+    fn every_start_ends_once_with_errors_too(body in tree(PLANS_WITH_ERRORS), ticks in 1_u64..12) {
+        let mut rig = Rig::new(&body);
+        for tick in 0..ticks {
+            let ticked = rig.tree.tick(Duration::from_millis(10 * tick), &mut rig.world);
+            prop_assert!(ticked.is_ok() || rig.tree.statuses().all(|(_, status, _)| status == Status::Idle), "{}", body);
+        }
+        // A clean-up may end with an error, too.
+        let _ = rig.tree.halt(Duration::from_secs(1), &mut rig.world);
+        prop_assert_eq!(is_unbalanced(&body, &rig.world.log), None, "{}", body);
     }
 
     /// Stored and restored after any tick, a tree continues as if nothing had happened.
     #[test]
-    fn a_restart_changes_nothing(body in tree(), before in 1_usize..8, after in 1_usize..8) {
+    fn a_restart_changes_nothing(body in tree(PLANS), before in 1_usize..8, after in 1_usize..8) {
         let mut whole = Rig::new(&body);
         whole.ticks(before);
         let stored = serde_json::to_string(&whole.tree.snapshot()).unwrap();
@@ -132,7 +159,7 @@ proptest! {
 
     /// No variation of a tree file makes the reader panic.
     #[test]
-    fn a_damaged_file_is_read_or_refused(body in tree(), at in 0_usize..2000, byte in any::<u8>(), cut in any::<bool>()) {
+    fn a_damaged_file_is_read_or_refused(body in tree(PLANS), at in 0_usize..2000, byte in any::<u8>(), cut in any::<bool>()) {
         let mut bytes = format!("<root BTCPP_format=\"4\"><BehaviorTree ID=\"Main\">{body}</BehaviorTree></root>").into_bytes();
         let at = at % bytes.len();
         if cut { bytes.truncate(at) } else { bytes[at] = byte }

@@ -12,7 +12,7 @@ pub(super) struct World {
     calls: BTreeMap<String, usize>,
 }
 
-/// `<T name="a" plan="RRS"/>`: one letter per call, the last repeats forever. S, F, R, K (skipped).
+/// `<T name="a" plan="RRS"/>`: one letter per call, the last repeats forever. S, F, R, K (skipped), E (ends the tree with an error).
 struct Planned;
 
 impl Planned {
@@ -26,6 +26,7 @@ impl Planned {
             Some('S') => Status::Success,
             Some('F') => Status::Failure,
             Some('K') => Status::Skipped,
+            Some('E') => io.abort("as planned"),
             _ => Status::Running,
         }
     }

@@ -93,6 +93,18 @@ fn cursors_out_of_range_are_errors_not_panics() {
 }
 
 #[test]
+fn a_queue_on_the_blackboard_is_consumed_whatever_cursor_was_stored() {
+    let mut rig = Rig::new(r#"<LoopInt queue="{q}" value="{v}"><T name="a"/></LoopInt>"#);
+    rig.tree.blackboard_mut().set("q", serde_json::json!([1, 2])).unwrap();
+    let mut json = serde_json::to_value(rig.tree.snapshot()).unwrap();
+    json["states"][0]["cursor"] = u32::MAX.into();
+    json["states"][0]["status"] = "RUNNING".into();
+    rig.tree.restore(serde_json::from_value(json).unwrap()).unwrap();
+    assert_eq!(rig.ticks(3), "RRS");
+    assert_eq!(rig.log(), "a a");
+}
+
+#[test]
 fn the_revision_stands_still_while_nothing_changes() {
     let mut rig = Rig::new(
         r#"<ReactiveSequence><AlwaysSuccess/><Inverter><T name="watch" plan="F"/></Inverter><T name="a" plan="RRRS"/></ReactiveSequence>"#,

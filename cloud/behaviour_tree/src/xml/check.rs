@@ -72,11 +72,7 @@ pub(super) fn specification<'f, C>(
             if !told {
                 return Err(Default::default());
             }
-            let hint = hint(&id.value, forest.trees.keys().map(String::as_str));
-            return Err((
-                format!("unknown tree `{}`", id.value),
-                format!("the ID of a <BehaviorTree>{hint}"),
-            ));
+            return Err((format!("unknown tree `{}`", id.value), known_tree(forest, &id.value)));
         }
         (Some(_), Some(id)) => id.value.as_str(),
         (None, _) => element.tag.as_str(),
@@ -111,6 +107,12 @@ pub(super) fn specification<'f, C>(
     }
 }
 
+/// What was expected in place of an unknown tree.
+fn known_tree(forest: &Forest, id: &str) -> String {
+    let hint = hint(id, forest.trees.keys().map(String::as_str));
+    format!("the ID of a <BehaviorTree>{hint}")
+}
+
 /// Checks every tree, used or not.
 pub(super) fn check<C>(forest: &Forest, registry: &Registry<C>, limits: &Limits, errors: &mut Collector) -> Checked {
     let mut sizes = BTreeMap::new();
@@ -129,12 +131,7 @@ pub(super) fn check<C>(forest: &Forest, registry: &Registry<C>, limits: &Limits,
     if let Some((main, at)) = &forest.main
         && !forest.trees.contains_key(main)
     {
-        let hint = hint(main, forest.trees.keys().map(String::as_str));
-        errors.add(
-            *at,
-            format!("unknown tree `{main}`"),
-            format!("the ID of a <BehaviorTree>{hint}"),
-        );
+        errors.add(*at, format!("unknown tree `{main}`"), known_tree(forest, main));
     }
     let before = errors.count();
     let trees = unfold(&sizes, forest, limits, errors);
@@ -188,12 +185,7 @@ pub(super) fn main_tree(forest: &Forest, wanted: Option<&str>, errors: &mut Coll
         (Some(id), _, _) if forest.trees.contains_key(id) => Some(id.to_owned()),
         (Some(id), _, _) => {
             if wanted.is_some() {
-                let hint = hint(id, forest.trees.keys().map(String::as_str));
-                errors.add(
-                    forest.start,
-                    format!("no tree `{id}`"),
-                    format!("the ID of a <BehaviorTree>{hint}"),
-                );
+                errors.add(forest.start, format!("no tree `{id}`"), known_tree(forest, id));
             }
             None
         }

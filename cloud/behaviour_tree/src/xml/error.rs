@@ -2,8 +2,10 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use serde::Serialize;
+
 /// One error.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, thiserror::Error)]
 #[error("{file}:{line}:{column}: {message}: expected {expected}")]
 pub struct TreeError {
     /// Name of the file.
@@ -85,13 +87,12 @@ pub(super) struct Collector {
 
 impl Collector {
     pub(super) fn new(limit: usize) -> Collector {
-        let found = TreeErrors {
-            errors: Vec::new(),
-            more: 0,
-        };
         Collector {
             files: Vec::new(),
-            found,
+            found: TreeErrors {
+                errors: Vec::new(),
+                more: 0,
+            },
             limit: limit.max(1),
             doubts: BTreeMap::new(),
             clashes: BTreeSet::new(),

@@ -34,44 +34,23 @@ pub(super) fn expand<C>(
         looked_at,
         enums: Arc::new(registry.enums().clone()),
         errors,
-        board: Blackboard::default(),
         kinds: BTreeMap::new(),
-        nodes: Vec::new(),
-        infos: Vec::new(),
-        children: Vec::new(),
-        bodies: Vec::new(),
-        shape: Shape::new(),
+        tree: Tree {
+            id: main.to_owned(),
+            nodes: Vec::new(),
+            infos: Vec::new(),
+            children: Vec::new(),
+            states: Vec::new(),
+            memories: Vec::new(),
+            bodies: Vec::new(),
+            board: Blackboard::default(),
+            shape: 0xcbf2_9ce4_8422_2325,
+            changes: 0,
+        },
     };
     let root = forest.trees.get(main)?.root?;
     builder.node(root, None, 0, 0);
-    let count = builder.nodes.len();
-    Some(Tree {
-        id: main.to_owned(),
-        nodes: builder.nodes,
-        infos: builder.infos,
-        children: builder.children,
-        states: vec![NodeState::default(); count],
-        memories: vec![Memory::default(); count],
-        bodies: builder.bodies,
-        board: builder.board,
-        shape: builder.shape.0,
-        changes: 0,
-    })
-}
-
-/// Hash of everything that a snapshot relies on (FNV-1a, 64 bits: the same on every machine).
-struct Shape(u64);
-
-impl Shape {
-    fn new() -> Shape {
-        Shape(0xcbf2_9ce4_8422_2325)
-    }
-
-    fn add(&mut self, text: &str) {
-        for byte in text.bytes().chain([0xff]) {
-            self.0 = (self.0 ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
-        }
-    }
+    Some(builder.tree)
 }
 
 struct Builder<'f, C> {
@@ -80,14 +59,9 @@ struct Builder<'f, C> {
     looked_at: bool,
     enums: Arc<BTreeMap<String, i64>>,
     errors: &'f mut Collector,
-    board: Blackboard,
     /// Type of each entry according to the first port that uses it.
     kinds: BTreeMap<u32, (PortType, Place)>,
-    nodes: Vec<Node<C>>,
-    infos: Vec<Info>,
-    children: Vec<NodeId>,
-    bodies: Vec<Body<C>>,
-    shape: Shape,
+    tree: Tree<C>,
 }
 
 impl<C> Builder<'_, C> {
@@ -96,7 +70,7 @@ impl<C> Builder<'_, C> {
         let registry = self.registry;
         let element = forest.element(id)?;
         let spec = specification(element, forest, registry, false).ok()?;
-        let node = self.nodes.len() as NodeId;
+        let node = self.tree.nodes.len() as NodeId;
         let name = element
             .attribute("name")
             .map_or(spec.id.as_str(), |name| name.value.as_str());
@@ -109,13 +83,15 @@ impl<C> Builder<'_, C> {
         };
         let guards = site.guards();
         let (role, ports) = site.role(node, name);
-        self.nodes.push(Node {
+        self.tree.nodes.push(Node {
             role,
             guards,
             first_child: 0,
             child_count: 0,
         });
-        self.infos.push(Info {
+        self.tree.states.push(NodeState::default());
+        self.tree.memories.push(Memory::default());
+        self.tree.infos.push(Info {
             name: Arc::from(name),
             id: Arc::from(spec.id.as_str()),
             category: spec.category,
@@ -137,20 +113,22 @@ impl<C> Builder<'_, C> {
                 .filter_map(|child| self.node(*child, Some(node), depth + 1, scope))
                 .collect()
         };
-        if let Some(made) = self.nodes.get_mut(node as usize) {
-            made.first_child = self.children.len() as u32;
+        if let Some(made) = self.tree.nodes.get_mut(node as usize) {
+            made.first_child = self.tree.children.len() as u32;
             made.child_count = below.len() as u32;
         }
-        self.children.extend(below);
+        self.tree.children.extend(below);
         Some(node)
     }
 
+    /// Hashes everything that a snapshot relies on (FNV-1a, 64 bits: the same on every machine).
     fn hash(&mut self, element: &Element, id: &str, depth: u16) {
-        self.shape.add(id);
-        self.shape.add(&depth.to_string());
-        for attribute in &element.attributes {
-            self.shape.add(&attribute.name);
-            self.shape.add(&attribute.value);
+        let depth = depth.to_string();
+        let attributes = element.attributes.iter().flat_map(|own| [&*own.name, &*own.value]);
+        for text in [id, &depth].into_iter().chain(attributes) {
+            for byte in text.bytes().chain([0xff]) {
+                self.tree.shape = (self.tree.shape ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
+            }
         }
     }
 
@@ -160,7 +138,7 @@ impl<C> Builder<'_, C> {
             .attribute("_autoremap")
             .and_then(|remap| parse_bool(&remap.value))
             .unwrap_or(false);
-        let inner = self.board.add_scope(name.to_owned(), outer, autoremap);
+        let inner = self.tree.board.add_scope(name.to_owned(), outer, autoremap);
         let own = element.remappings();
         let mut remapped: Vec<(&str, &str)> = own.map(|own| (own.name.as_str(), own.value.as_str())).collect();
         let forest = self.forest;
@@ -176,12 +154,12 @@ impl<C> Builder<'_, C> {
         for (key, value) in remapped {
             match pointer(value, key) {
                 Some(outer_key) => {
-                    let slot = self.board.resolve(outer, outer_key);
-                    self.board.alias(inner, key, slot);
+                    let slot = self.tree.board.resolve(outer, outer_key);
+                    self.tree.board.alias(inner, key, slot);
                 }
                 None => {
-                    let slot = self.board.add_entry(inner, key);
-                    self.board.write_constant(slot, value);
+                    let slot = self.tree.board.add_entry(inner, key);
+                    self.tree.board.write_constant(slot, value);
                 }
             }
         }
@@ -233,7 +211,7 @@ impl<C> Site<'_, '_, C> {
             return (Role::Builtin(make(self)), Box::default());
         }
         let ports = self.bound_ports();
-        let body = self.builder.bodies.len() as u32;
+        let body = self.builder.tree.bodies.len() as u32;
         let site = LeafSite {
             id: &spec.id,
             name,
@@ -242,15 +220,15 @@ impl<C> Site<'_, '_, C> {
         };
         match (make, registry.inventor()) {
             (Some(Make::Leaf(make)), _) => {
-                self.builder.bodies.push(Body::Leaf(make(site)));
+                self.builder.tree.bodies.push(Body::Leaf(make(site)));
                 (Role::Leaf(body), ports)
             }
             (Some(Make::Decorator(make)), _) => {
-                self.builder.bodies.push(Body::Decorator(make(site)));
+                self.builder.tree.bodies.push(Body::Decorator(make(site)));
                 (Role::Decorator(body), ports)
             }
             (_, Some(invent)) if spec.category.is_leaf() => {
-                self.builder.bodies.push(Body::Leaf(invent(site)));
+                self.builder.tree.bodies.push(Body::Leaf(invent(site)));
                 (Role::Leaf(body), ports)
             }
             _ => {
@@ -312,8 +290,8 @@ impl<C> Site<'_, '_, C> {
     fn source_of(&mut self, port: &str, value: &str, kind: &PortType, at: Place) -> Source {
         match pointer(value, port) {
             Some(key) => {
-                let slot = self.builder.board.resolve(self.scope, key);
-                self.builder.board.declare(slot);
+                let slot = self.builder.tree.board.resolve(self.scope, key);
+                self.builder.tree.board.declare(slot);
                 self.builder.entry_of(slot, kind, port, at);
                 Source::Slot(slot)
             }
@@ -347,7 +325,7 @@ impl<C> Site<'_, '_, C> {
     fn bind(&mut self, text: &str) -> Program {
         let statements = script::parse(text).unwrap_or_default();
         let enums = self.builder.enums.clone();
-        let (board, scope) = (&mut self.builder.board, self.scope);
+        let (board, scope) = (&mut self.builder.tree.board, self.scope);
         Program::bind(text, statements, &enums, &mut |name| board.resolve(scope, name))
     }
 }
@@ -377,13 +355,13 @@ impl<C> Ports for Site<'_, '_, C> {
 
     fn slot(&mut self, port: &str) -> Slot {
         let key = self.key(port);
-        self.builder.board.resolve(self.scope, &key)
+        self.builder.tree.board.resolve(self.scope, &key)
     }
 
     #[cfg(feature = "nav2")]
     fn root_slot(&mut self, port: &str) -> Slot {
         let key = self.key(port);
-        self.builder.board.resolve(0, key.trim_start_matches('@'))
+        self.builder.tree.board.resolve(0, key.trim_start_matches('@'))
     }
 
     fn program(&mut self, port: &str) -> Program {

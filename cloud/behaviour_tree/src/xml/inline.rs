@@ -10,6 +10,16 @@ use super::{Include, Limits};
 ///
 /// # Errors
 /// A message with the including file and the path, when an included file cannot be read, or when the files are too large together.
+///
+/// ```
+/// use zenav_behaviour_tree::inline;
+///
+/// let main = "<root BTCPP_format=\"4\">\n<include path=\"dock.xml\"/>\n<BehaviorTree ID=\"Main\"><SubTree ID=\"Dock\"/></BehaviorTree></root>";
+/// let dock = "<root BTCPP_format=\"4\"><BehaviorTree ID=\"Dock\"><AlwaysSuccess/></BehaviorTree></root>";
+/// let whole = inline("main.xml", main, &mut |_: &str, path: &str| Ok((path.to_owned(), dock.into())))?;
+/// assert!(whole.contains("<BehaviorTree ID=\"Dock\">") && !whole.contains("<include"));
+/// # Ok::<(), String>(())
+/// ```
 pub fn inline(file: &str, text: &str, include: &mut Include<'_>) -> Result<String, String> {
     let limits = Limits::default();
     let (mut whole, mut included) = (text.to_owned(), String::new());

@@ -70,6 +70,16 @@ const UNFOLDED: u64 = 20;
 ///
 /// # Errors
 /// All errors in the file.
+///
+/// ```
+/// use zenav_behaviour_tree::{Limits, Registry, check};
+///
+/// let text = "<root BTCPP_format=\"4\"><BehaviorTree ID=\"Main\">\n<Sleep msec=\"soon\"/>\n</BehaviorTree></root>";
+/// let mut include = |_: &str, _: &str| Err("no includes".to_owned());
+/// let checked = check("wait.xml", text.as_bytes(), &Registry::<()>::new(), &mut include, Limits::default());
+/// let errors = checked.unwrap_err().to_string();
+/// assert_eq!(errors, "wait.xml:2:8: port `msec` is `soon`: expected an integer of at least 0");
+/// ```
 pub fn check<C>(
     file: &str,
     bytes: &[u8],
@@ -108,6 +118,21 @@ pub fn check<C>(
 ///
 /// # Errors
 /// All errors in the file, whether or not they concern this tree.
+///
+/// ```
+/// use zenav_behaviour_tree::{Registry, build};
+///
+/// let main = r#"<root BTCPP_format="4"><include path="dock.xml"/>
+///     <BehaviorTree ID="Main"><Sequence><SubTree ID="Dock"/><AlwaysSuccess/></Sequence></BehaviorTree></root>"#;
+/// let dock = r#"<root BTCPP_format="4"><BehaviorTree ID="Dock"><AlwaysSuccess/></BehaviorTree></root>"#;
+/// let mut include = |_from: &str, path: &str| match path {
+///     "dock.xml" => Ok((path.to_owned(), dock.as_bytes().to_vec())),
+///     _ => Err("no such file".to_owned()),
+/// };
+/// let tree = build("main.xml", main.as_bytes(), &Registry::<()>::new(), Some("Main"), &mut include)?;
+/// assert_eq!((tree.id(), tree.len()), ("Main", 4), "the SubTree is unfolded");
+/// # Ok::<(), zenav_behaviour_tree::TreeErrors>(())
+/// ```
 pub fn build<C>(
     file: &str,
     bytes: &[u8],
@@ -122,6 +147,18 @@ pub fn build<C>(
 ///
 /// # Errors
 /// All errors in the file, whether or not they concern this tree.
+///
+/// ```
+/// use zenav_behaviour_tree::{Limits, Registry, build_within};
+///
+/// let text = r#"<root BTCPP_format="4"><BehaviorTree ID="Main"><Inverter><Sleep msec="10"/></Inverter></BehaviorTree></root>"#;
+/// let within = |nodes| {
+///     let limits = Limits { nodes, ..Limits::default() };
+///     build_within("two.xml", text.as_bytes(), &Registry::<()>::new(), None, &mut |_, _| Err("no includes".into()), limits)
+/// };
+/// assert!(within(2).is_ok());
+/// assert!(within(1).unwrap_err().to_string().contains("2 nodes"));
+/// ```
 pub fn build_within<C>(
     file: &str,
     bytes: &[u8],

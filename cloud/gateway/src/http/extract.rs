@@ -20,9 +20,11 @@ fn text<'h>(headers: &'h HeaderMap, name: &header::HeaderName) -> Option<&'h str
     headers.get(name)?.to_str().ok()
 }
 
-/// The token of a request, from a header or from the subprotocol of a WebSocket.
+/// The token of a request, from a header or from the subprotocol of a WebSocket. The scheme's name has no case (RFC 9110, section 11.1).
 fn token(headers: &HeaderMap) -> Option<&str> {
-    let bearer = text(headers, &header::AUTHORIZATION).and_then(|value| value.strip_prefix("Bearer "));
+    let credentials = text(headers, &header::AUTHORIZATION).and_then(|value| value.split_once(' '));
+    let bearer = credentials.filter(|(scheme, _)| scheme.eq_ignore_ascii_case("bearer"));
+    let bearer = bearer.map(|(_, token)| token);
     let protocols = text(headers, &header::SEC_WEBSOCKET_PROTOCOL);
     let offered = || {
         protocols?

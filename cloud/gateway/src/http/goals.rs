@@ -22,10 +22,15 @@ use super::robots::known;
 /// Most goals in a list.
 const MAX_LISTED: usize = 200;
 
-/// A submitted goal; an unknown field is an error, so that typing mistakes do not pass unnoticed.
+/// A submitted goal.
 #[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct GoalBody {
+#[serde(transparent)]
+pub(super) struct GoalBody(#[serde(with = "GoalFields")] GoalRequest);
+
+/// The goal's fields; an unknown one is an error, so that typing mistakes do not pass unnoticed.
+#[derive(Deserialize)]
+#[serde(remote = "GoalRequest", deny_unknown_fields)]
+struct GoalFields {
     id: Option<String>,
     x: Option<f64>,
     y: Option<f64>,
@@ -59,35 +64,23 @@ fn whole<'de, D: Deserializer<'de>>(from: D) -> Result<i32, D::Error> {
 
 impl GoalBody {
     fn request(self) -> Result<GoalRequest, ApiError> {
-        let id = match self.id {
+        let mut goal = self.0;
+        let id = match goal.id {
             Some(id) => Id::new(id)
                 .map_err(|error| ApiError::bad_request(format!("`id`: {error}")))?
                 .into(),
             None => format!("goal-{}", Id::unique()),
         };
-        let mut yaws = self.waypoints.iter().filter_map(|point| point.yaw).chain(self.yaw);
+        goal.id = Some(id);
+        let mut yaws = goal.waypoints.iter().filter_map(|point| point.yaw).chain(goal.yaw);
         yaws.try_for_each(in_radians)?;
-        if self.waypoints.len() > GoalRequest::MAX_WAYPOINTS {
+        if goal.waypoints.len() > GoalRequest::MAX_WAYPOINTS {
             return Err(ApiError::bad_request(format!(
                 "`waypoints`: expected at most {}",
                 GoalRequest::MAX_WAYPOINTS
             )));
         }
-        Ok(GoalRequest {
-            id: Some(id),
-            x: self.x,
-            y: self.y,
-            yaw: self.yaw,
-            place: self.place,
-            waypoints: self.waypoints,
-            tree: self.tree,
-            blackboard: self.blackboard,
-            on_busy: self.on_busy,
-            priority: self.priority,
-            deadline_secs: self.deadline_secs,
-            tolerance: self.tolerance,
-            profile: self.profile,
-        })
+        Ok(goal)
     }
 }
 

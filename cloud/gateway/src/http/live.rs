@@ -17,6 +17,7 @@ use tokio::sync::watch;
 use tokio::time::{MissedTickBehavior, interval, timeout};
 use zenav_protocol::geometry::Twist2;
 use zenav_protocol::id::Id;
+use zenav_protocol::token_bucket::TokenBucket;
 
 use super::error::ApiError;
 use super::robots::BY;
@@ -25,7 +26,6 @@ use crate::client::Client;
 use crate::hold::Hold;
 use crate::hub::Joined;
 use crate::operator::Drive;
-use crate::rate::TokenBucket;
 
 /// Requested subprotocol; a browser may offer its token beside it.
 const PROTOCOL: &str = "zenav.v1";
@@ -91,7 +91,7 @@ pub(super) async fn upgrade(
                 drive: None,
                 ending: None,
                 heard: shared.hub.now(),
-                rate: TokenBucket::new(MESSAGES_HZ),
+                rate: TokenBucket::full(MESSAGES_HZ, MESSAGES_HZ, Duration::ZERO),
                 left_out: 0,
                 shared,
             };
@@ -211,7 +211,7 @@ impl Session {
     /// Whether a message may pass. A slow link delivers many at once: the excess is ignored, and only a client that continues at that rate
     /// is disconnected.
     fn admit(&mut self, now: f64) -> Result<bool, Gone> {
-        let passes = self.rate.take(now);
+        let passes = self.rate.take(Duration::from_secs_f64(now));
         self.left_out = if passes { 0 } else { self.left_out + 1 };
         if self.left_out > MOST_LEFT_OUT {
             Err(Gone)

@@ -52,6 +52,8 @@ const LIMITS: connections::Limits = connections::Limits {
     most: 1024,
     // Longer than proxies keep idle connections.
     head_within: Duration::from_secs(75),
+    // A map of several megabytes over a slow link.
+    answer_within: Duration::from_secs(30),
 };
 /// Time limit for receiving a request's body.
 const BODY_WITHIN: Duration = Duration::from_secs(30);
@@ -75,6 +77,20 @@ impl std::fmt::Debug for Shared {
 type App = State<Arc<Shared>>;
 
 /// The page and the API.
+///
+/// ```
+#[doc = include_str!("../doc_setup/operator.txt")]
+/// # use tower::ServiceExt;
+/// let hub = Hub::new(GatewaySettings::default(), BTreeMap::new());
+/// hub.take("tiago", Update::Part { component: "edge".into(), alive: true });
+/// let site = router(hub, Arc::new(MadeUp), Access::new(DEFAULT_LISTEN.parse()?, None, Vec::new())?);
+/// let request = |path: &str| Request::post(path).header("host", DEFAULT_LISTEN).body(Body::empty());
+/// let stop = site.clone().oneshot(request("/api/v1/robots/tiago/stop")?).await?;
+/// let nowhere = site.oneshot(request("/api/v1/robot")?).await?;
+/// assert_eq!((stop.status(), nowhere.status()), (StatusCode::OK, StatusCode::NOT_FOUND));
+/// # Ok(())
+/// # }
+/// ```
 pub fn router(hub: Arc<Hub>, operator: Arc<dyn Operator>, access: Access) -> Router {
     let shared = Arc::new(Shared { hub, operator, access });
     let api = Router::new()
@@ -133,6 +149,24 @@ pub fn router(hub: Arc<Hub>, operator: Arc<dyn Operator>, access: Access) -> Rou
 
 /// Serves connections until `ended`; then closes open connections.
 ///
+/// ```
+#[doc = include_str!("../doc_setup/operator.txt")]
+/// # use tokio::{io::{AsyncReadExt, AsyncWriteExt}, net::TcpStream, sync::oneshot};
+/// let (listener, address) = listen("127.0.0.1:0").await?;
+/// let hub = Hub::new(GatewaySettings::default(), BTreeMap::new());
+/// let site = router(hub, Arc::new(MadeUp), Access::new(address, None, Vec::new())?);
+/// let (end, ended) = oneshot::channel::<()>();
+/// let serving = tokio::spawn(serve(listener, site, async { _ = ended.await }));
+/// let (mut browser, mut reply) = (TcpStream::connect(address).await?, [0; 12]);
+/// browser.write_all(format!("GET / HTTP/1.1\r\nHost: {address}\r\n\r\n").as_bytes()).await?;
+/// browser.read_exact(&mut reply).await?;
+/// assert_eq!(&reply, b"HTTP/1.1 200");
+/// drop(end);
+/// serving.await??;
+/// # Ok(())
+/// # }
+/// ```
+///
 /// # Errors
 /// When the listener fails.
 pub async fn serve(
@@ -144,6 +178,18 @@ pub async fn serve(
 }
 
 /// Listens on an address; port 0 picks a free one.
+///
+/// ```
+/// # #[tokio::main(flavor = "current_thread")]
+/// # async fn main() -> std::io::Result<()> {
+/// use zenav_gateway::listen;
+///
+/// let (_listener, address) = listen("127.0.0.1:0").await?;
+/// assert!(address.ip().is_loopback() && address.port() != 0);
+/// assert!(listen(&address.to_string()).await.is_err(), "in use");
+/// # Ok(())
+/// # }
+/// ```
 ///
 /// # Errors
 /// When the address is invalid or in use.

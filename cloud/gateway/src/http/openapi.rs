@@ -47,12 +47,12 @@ const ASKED: &[(&str, &str)] = &[
     ("504", "No answer in time."),
 ];
 
-fn asked(id: &str, summary: &str, status: &str, schema: &str) -> Value {
-    operation(id, summary, &[(status, schema, "Done.")], ASKED)
+fn asked(id: &str, summary: &str, schema: &str) -> Value {
+    operation(id, summary, &[("200", schema, "Done.")], ASKED)
 }
 
-/// Adds a request body with the named schema, and the errors of invalid bodies.
-fn takes(operation: &mut Value, schema: &str) {
+/// The operation with a request body of the named schema, and the errors of invalid bodies.
+fn taking(schema: &str, mut operation: Value) -> Value {
     for (status, why) in [
         ("400", "Not what is expected."),
         ("413", "Too large."),
@@ -64,90 +64,11 @@ fn takes(operation: &mut Value, schema: &str) {
         "required": true,
         "content": { "application/json": { "schema": { "$ref": format!("#/components/schemas/{schema}") } } },
     });
-}
-
-/// A name given by people.
-fn given_name(name: &str) -> Value {
-    json!({
-        "name": name, "in": "path", "required": true,
-        "schema": { "type": "string", "minLength": 1, "maxLength": 64 },
-    })
-}
-
-fn name_in_path(name: &str) -> Value {
-    json!({
-        "name": name, "in": "path", "required": true,
-        "schema": { "type": "string", "pattern": "^[A-Za-z0-9_-]{1,64}$" },
-    })
+    operation
 }
 
 /// The OpenAPI document.
 pub(super) fn openapi() -> Value {
-    let (robot, goal) = (name_in_path("robot"), name_in_path("goal"));
-    let mut submit = asked(
-        "submitGoal",
-        "Submit a goal. It is stored before it is answered; the same `id` again is the same goal.",
-        "202",
-        "GoalReply",
-    );
-    takes(&mut submit, "Goal");
-    let mut move_goal = asked(
-        "moveGoal",
-        "Move a goal that waits before another one, or to the end of the queue; it takes the other's priority.",
-        "200",
-        "GoalReply",
-    );
-    takes(&mut move_goal, "Move");
-    let mut set_pose = asked(
-        "setPose",
-        "Tell the robot where it is, to within some decimetres: it drops its plan, and goes on from there.",
-        "200",
-        "Localisation",
-    );
-    takes(&mut set_pose, "Pose");
-    let mut put_place = asked(
-        "putPlace",
-        "Add a place, or move the one of this name.",
-        "200",
-        "Annotations",
-    );
-    takes(&mut put_place, "Place");
-    let mut put_zone = asked(
-        "putZone",
-        "Add a zone, or replace the one of this name. It acts on the plan that is driven too.",
-        "200",
-        "Annotations",
-    );
-    takes(&mut put_zone, "NewZone");
-    let removal = |id: &str, summary: &str| {
-        let mut removal = asked(id, summary, "200", "Annotations");
-        removal["responses"]["400"] = reply("Error", "Not a name.");
-        removal
-    };
-    let (place, zone) = (given_name("place"), given_name("zone"));
-    let read = |id: &str, summary: &str, schema: &str| operation(id, summary, &[("200", schema, "Read.")], &[]);
-    let mut stop_all = operation(
-        "stopAll",
-        "Stop every robot that shows.",
-        &[("200", "Stops", "All stopped.")],
-        &[],
-    );
-    stop_all["responses"]["503"] = reply(
-        "Stops",
-        "No robot is known, or the router is out of reach: all that are known are stopped.",
-    );
-    stop_all["responses"]["504"] = reply("Stops", "Not every robot confirmed its stop.");
-    let mut live = operation(
-        "live",
-        "WebSocket: the newest state of all robots, and of one in detail.",
-        &[],
-        &[
-            ("400", "Not an upgrade."),
-            ("426", "Not an upgrade."),
-            ("503", "Too many browsers."),
-        ],
-    );
-    live["responses"]["101"] = json!({ "description": "Switched to the WebSocket `zenav.v1`." });
     json!({
         "openapi": "3.1.0",
         "info": {
@@ -157,86 +78,181 @@ pub(super) fn openapi() -> Value {
         },
         "servers": [{ "url": "/" }],
         "security": [{}, { "token": [] }],
-        "paths": {
-            "/api/v1/health": { "get": read("health", "Whether the gateway runs and reaches the bus.", "Health") },
-            "/api/v1/openapi.json": { "get": read("openapi", "This document.", "Object") },
-            "/api/v1/places": { "get": read("places", "Named places, map frame.", "Object") },
-            "/api/v1/stop": { "post": stop_all },
-            "/api/v1/robots": { "get": read("listRobots", "All robots with their latest state.", "Robots") },
-            "/api/v1/robots/{robot}": {
-                "parameters": [robot],
-                "get": read("getRobot", "Everything known of a robot: each channel with its age in seconds.", "Object"),
-            },
-            "/api/v1/robots/{robot}/events": {
-                "parameters": [robot],
-                "get": read("listEvents", "The robot's latest events, oldest first.", "Events"),
-            },
-            "/api/v1/robots/{robot}/map": {
-                "parameters": [robot],
-                "get": asked("getMap", "The whole map: -1 unknown, 0 to 100 occupied in percent, row by row from the lowest.", "200", "Object"),
-            },
-            "/api/v1/robots/{robot}/stop": {
-                "parameters": [robot],
-                "post": asked("stop", "Stop the robot until it is resumed. Needs no lease and no cloud.", "200", "Stopped"),
-            },
-            "/api/v1/robots/{robot}/resume": {
-                "parameters": [robot],
-                "post": asked("resume", "Lift a stop: the robot takes a new plan from where it stands.", "200", "Stopped"),
-            },
-            "/api/v1/robots/{robot}/pose": { "parameters": [robot], "post": set_pose },
-            "/api/v1/robots/{robot}/places": {
-                "parameters": [robot],
-                "get": asked("listPlaces", "Named places of the robot's map.", "200", "Places"),
-            },
-            "/api/v1/robots/{robot}/places/{place}": {
-                "parameters": [robot, place],
-                "put": put_place,
-                "delete": removal("deletePlace", "Remove a place, also one of the world."),
-            },
-            "/api/v1/robots/{robot}/zones": {
-                "parameters": [robot],
-                "get": asked("listZones", "Keep-out and speed zones of the robot's map.", "200", "Zones"),
-            },
-            "/api/v1/robots/{robot}/zones/{zone}": {
-                "parameters": [robot, zone],
-                "put": put_zone,
-                "delete": removal("deleteZone", "Remove a zone, also one of the deployment's file."),
-            },
-            "/api/v1/robots/{robot}/goals": {
-                "parameters": [robot],
-                "get": asked("listGoals", "Goals, newest first.", "200", "Goals"),
-                "post": submit,
-            },
-            "/api/v1/robots/{robot}/goals/{goal}": {
-                "parameters": [robot, goal],
-                "get": asked("getGoal", "One goal.", "200", "Object"),
-                "delete": asked("cancelGoal", "Cancel a goal.", "200", "GoalReply"),
-            },
-            "/api/v1/robots/{robot}/goals/{goal}/pause": {
-                "parameters": [robot, goal],
-                "post": asked("pauseGoal", "Pause a goal.", "200", "GoalReply"),
-            },
-            "/api/v1/robots/{robot}/goals/{goal}/resume": {
-                "parameters": [robot, goal],
-                "post": asked("resumeGoal", "Let a paused goal go on.", "200", "GoalReply"),
-            },
-            "/api/v1/robots/{robot}/goals/{goal}/move": { "parameters": [robot, goal], "post": move_goal },
-            "/api/v1/live": { "get": live },
-        },
+        "paths": joined([fleet_paths(), robot_paths(), annotation_paths(), goal_paths()]),
         "components": {
             "securitySchemes": { "token": { "type": "http", "scheme": "bearer" } },
-            "schemas": schemas(),
+            "schemas": joined([shape_schemas(), request_schemas(), fleet_schemas(), robot_schemas()]),
         },
     })
 }
 
-fn schemas() -> Value {
-    let coordinate = json!({ "type": "number", "minimum": -100_000, "maximum": 100_000 });
-    let optional = |kind: &str| json!({ "type": [kind, "null"] });
+/// One object with the entries of several.
+fn joined<const N: usize>(objects: [Value; N]) -> Value {
+    let entries = objects.into_iter().filter_map(|object| match object {
+        Value::Object(entries) => Some(entries),
+        _ => None,
+    });
+    Value::Object(entries.flatten().collect())
+}
+
+/// A parameter in the path.
+fn in_path(name: &str, schema: &Value) -> Value {
+    json!({ "name": name, "in": "path", "required": true, "schema": schema })
+}
+
+/// An identity: part of a key.
+fn id() -> Value {
+    json!({ "type": "string", "pattern": "^[A-Za-z0-9_-]{1,64}$" })
+}
+
+fn read(id: &str, summary: &str, schema: &str) -> Value {
+    operation(id, summary, &[("200", schema, "Read.")], &[])
+}
+
+/// Paths of the gateway and of all robots.
+fn fleet_paths() -> Value {
+    let unreached = "No robot is known, or the router is out of reach: all that are known are stopped.";
+    let stops = [
+        ("200", "Stops", "All stopped."),
+        ("503", "Stops", unreached),
+        ("504", "Stops", "Not every robot confirmed its stop."),
+    ];
+    let not_upgraded = [
+        ("400", "Not an upgrade."),
+        ("426", "Not an upgrade."),
+        ("503", "Too many browsers."),
+    ];
+    let what = "WebSocket: the newest state of all robots, and of one in detail.";
+    let mut live = operation("live", what, &[], &not_upgraded);
+    live["responses"]["101"] = json!({ "description": "Switched to the WebSocket `zenav.v1`." });
+    json!({
+        "/api/v1/health": { "get": read("health", "Whether the gateway runs and reaches the bus.", "Health") },
+        "/api/v1/openapi.json": { "get": read("openapi", "This document.", "Object") },
+        "/api/v1/places": { "get": read("places", "Named places, map frame.", "Object") },
+        "/api/v1/stop": { "post": operation("stopAll", "Stop every robot that shows.", &stops, &[]) },
+        "/api/v1/robots": { "get": read("listRobots", "All robots with their latest state.", "Robots") },
+        "/api/v1/live": { "get": live },
+    })
+}
+
+/// Paths of one robot.
+fn robot_paths() -> Value {
+    let robot = in_path("robot", &id());
+    json!({
+        "/api/v1/robots/{robot}": {
+            "parameters": [robot],
+            "get": read("getRobot", "Everything known of a robot: each channel with its age in seconds.", "Object"),
+        },
+        "/api/v1/robots/{robot}/events": {
+            "parameters": [robot],
+            "get": read("listEvents", "The robot's latest events, oldest first.", "Events"),
+        },
+        "/api/v1/robots/{robot}/map": {
+            "parameters": [robot],
+            "get": asked("getMap", "The whole map: -1 unknown, 0 to 100 occupied in percent, row by row from the lowest.", "Object"),
+        },
+        "/api/v1/robots/{robot}/stop": {
+            "parameters": [robot],
+            "post": asked("stop", "Stop the robot until it is resumed. Needs no lease and no cloud.", "Stopped"),
+        },
+        "/api/v1/robots/{robot}/resume": {
+            "parameters": [robot],
+            "post": asked("resume", "Lift a stop: the robot takes a new plan from where it stands.", "Stopped"),
+        },
+        "/api/v1/robots/{robot}/pose": {
+            "parameters": [robot],
+            "post": taking("Pose", asked("setPose", "Tell the robot where it is, to within some decimetres: it drops its plan, and goes on from there.", "Localisation")),
+        },
+    })
+}
+
+/// Paths of the places and zones of a robot's map.
+fn annotation_paths() -> Value {
+    let name = json!({ "type": "string", "minLength": 1, "maxLength": 64 });
+    let (robot, place, zone) = (in_path("robot", &id()), in_path("place", &name), in_path("zone", &name));
+    let removal = |id: &str, summary: &str| {
+        let mut removal = asked(id, summary, "Annotations");
+        removal["responses"]["400"] = reply("Error", "Not a name.");
+        removal
+    };
+    json!({
+        "/api/v1/robots/{robot}/places": {
+            "parameters": [robot],
+            "get": asked("listPlaces", "Named places of the robot's map.", "Places"),
+        },
+        "/api/v1/robots/{robot}/places/{place}": {
+            "parameters": [robot, place],
+            "put": taking("Place", asked("putPlace", "Add a place, or move the one of this name.", "Annotations")),
+            "delete": removal("deletePlace", "Remove a place, also one of the world."),
+        },
+        "/api/v1/robots/{robot}/zones": {
+            "parameters": [robot],
+            "get": asked("listZones", "Keep-out and speed zones of the robot's map.", "Zones"),
+        },
+        "/api/v1/robots/{robot}/zones/{zone}": {
+            "parameters": [robot, zone],
+            "put": taking("NewZone", asked("putZone", "Add a zone, or replace the one of this name. It acts on the plan that is driven too.", "Annotations")),
+            "delete": removal("deleteZone", "Remove a zone, also one of the deployment's file."),
+        },
+    })
+}
+
+/// Paths of a robot's goals.
+fn goal_paths() -> Value {
+    let (robot, goal) = (in_path("robot", &id()), in_path("goal", &id()));
+    let submit = operation(
+        "submitGoal",
+        "Submit a goal. It is stored before it is answered; the same `id` again is the same goal.",
+        &[("202", "GoalReply", "Done.")],
+        ASKED,
+    );
+    json!({
+        "/api/v1/robots/{robot}/goals": {
+            "parameters": [robot],
+            "get": asked("listGoals", "Goals, newest first.", "Goals"),
+            "post": taking("Goal", submit),
+        },
+        "/api/v1/robots/{robot}/goals/{goal}": {
+            "parameters": [robot, goal],
+            "get": asked("getGoal", "One goal.", "Object"),
+            "delete": asked("cancelGoal", "Cancel a goal.", "GoalReply"),
+        },
+        "/api/v1/robots/{robot}/goals/{goal}/pause": {
+            "parameters": [robot, goal],
+            "post": asked("pauseGoal", "Pause a goal.", "GoalReply"),
+        },
+        "/api/v1/robots/{robot}/goals/{goal}/resume": {
+            "parameters": [robot, goal],
+            "post": asked("resumeGoal", "Let a paused goal go on.", "GoalReply"),
+        },
+        "/api/v1/robots/{robot}/goals/{goal}/move": {
+            "parameters": [robot, goal],
+            "post": taking("Move", asked("moveGoal", "Move a goal that waits before another one, or to the end of the queue; it takes the other's priority.", "GoalReply")),
+        },
+    })
+}
+
+/// A coordinate, m.
+fn coordinate() -> Value {
+    json!({ "type": "number", "minimum": -100_000, "maximum": 100_000 })
+}
+
+/// A type that may be missing.
+fn optional(kind: &str) -> Value {
+    json!({ "type": [kind, "null"] })
+}
+
+/// A list of the named schema.
+fn list_of(schema: &str) -> Value {
+    json!({ "type": "array", "items": { "$ref": format!("#/components/schemas/{schema}") } })
+}
+
+/// Points, poses and zones.
+fn shape_schemas() -> Value {
     let point = json!({
         "type": "object", "required": ["x", "y"],
         "properties": {
-            "x": coordinate, "y": coordinate, "yaw": { "type": ["number", "null"], "minimum": -TAU, "maximum": TAU },
+            "x": coordinate(), "y": coordinate(), "yaw": { "type": ["number", "null"], "minimum": -TAU, "maximum": TAU },
         },
     });
     let rule = json!({ "oneOf": [
@@ -244,65 +260,71 @@ fn schemas() -> Value {
         {
             "type": "object", "required": ["speed_limit"], "additionalProperties": false,
             "properties": { "speed_limit": {
-                "type": "object", "required": ["max_speed"], "properties": { "max_speed": { "type": "number", "exclusiveMinimum": 0 } },
+                "type": "object", "required": ["max_speed"], "properties": { "max_speed": { "type": "number", "minimum": 0.01, "maximum": 100 } },
             } },
         },
     ] });
     let corners = json!({
         "type": "array", "minItems": 3, "maxItems": 1000,
-        "items": { "type": "array", "minItems": 2, "maxItems": 2, "items": coordinate },
+        "items": { "type": "array", "minItems": 2, "maxItems": 2, "items": coordinate() },
     });
-    let zone = |more: &[(&str, Value)]| {
-        let mut zone = json!({
-            "type": "object", "required": ["rule", "points"], "additionalProperties": false,
-            "description": "Corners of a simple polygon in order, map frame, m.",
-            "properties": { "rule": rule, "points": corners },
-        });
-        for (name, schema) in more {
-            zone["properties"][*name] = schema.clone();
-        }
-        zone
-    };
-    let mut place = point.clone();
+    let new_zone = json!({
+        "type": "object", "required": ["rule", "points"], "additionalProperties": false,
+        "description": "Corners of a simple polygon in order, map frame, m.",
+        "properties": { "rule": rule, "points": corners },
+    });
+    let (mut place, mut zone) = (point.clone(), new_zone.clone());
     place["additionalProperties"] = false.into();
+    zone["properties"]["name"] = json!({ "type": "string" });
     json!({
         "Object": { "type": "object" },
+        "Point": point,
+        "Place": place,
+        "Pose": {
+            "type": "object", "required": ["x", "y", "yaw"], "additionalProperties": false,
+            "properties": { "x": coordinate(), "y": coordinate(), "yaw": { "type": "number", "minimum": -TAU, "maximum": TAU } },
+        },
+        "NewZone": new_zone,
+        "Zone": zone,
+    })
+}
+
+/// Bodies of requests besides shapes.
+fn request_schemas() -> Value {
+    json!({
+        "Move": {
+            "type": "object", "additionalProperties": false,
+            "description": "The waiting goal that it is put before; without one, it becomes the last.",
+            "properties": { "before": optional("string") },
+        },
+        "Goal": {
+            "type": "object", "additionalProperties": false,
+            "description": "Exactly one of (x, y), place and waypoints; or a tree, alone or with one of them.",
+            "properties": {
+                "id": { "type": ["string", "null"], "pattern": "^[A-Za-z0-9_-]{1,64}$" },
+                "x": optional("number"), "y": optional("number"),
+                "yaw": { "type": ["number", "null"], "minimum": -TAU, "maximum": TAU },
+                "place": optional("string"), "tree": optional("string"),
+                "waypoints": { "type": "array", "maxItems": 1000, "items": { "$ref": "#/components/schemas/Point" } },
+                "blackboard": { "type": "object" },
+                "on_busy": { "enum": ["queue", "preempt", "reject"] },
+                "priority": { "type": "integer", "minimum": -2147483648_i64, "maximum": 2147483647 },
+                "deadline_secs": optional("number"), "tolerance": optional("number"),
+                "profile": { "enum": ["fastest", "economy", null] },
+            },
+        },
+    })
+}
+
+/// Replies about the gateway and all robots.
+fn fleet_schemas() -> Value {
+    json!({
         "Error": {
             "type": "object", "required": ["error", "reason"],
             "properties": {
                 "error": { "type": "string" }, "reason": { "type": "string" },
                 "nearest_free": { "$ref": "#/components/schemas/Point" },
             },
-        },
-        "Point": point,
-        "Pose": {
-            "type": "object", "required": ["x", "y", "yaw"], "additionalProperties": false,
-            "properties": { "x": coordinate, "y": coordinate, "yaw": { "type": "number", "minimum": -TAU, "maximum": TAU } },
-        },
-        "Localisation": { "type": "object", "required": ["health"] },
-        "NewZone": zone(&[]),
-        "Zone": zone(&[("name", json!({ "type": "string" }))]),
-        "Place": place,
-        "Zones": {
-            "type": "object", "required": ["zones"],
-            "properties": { "zones": { "type": "array", "items": { "$ref": "#/components/schemas/Zone" } } },
-        },
-        "Places": {
-            "type": "object", "required": ["places"],
-            "properties": { "places": { "type": "object", "additionalProperties": { "$ref": "#/components/schemas/Point" } } },
-        },
-        "Annotations": {
-            "type": "object", "required": ["revision", "places", "zones"],
-            "properties": {
-                "revision": { "type": "integer" },
-                "places": { "type": "object", "additionalProperties": { "$ref": "#/components/schemas/Point" } },
-                "zones": { "type": "array", "items": { "$ref": "#/components/schemas/Zone" } },
-            },
-        },
-        "Move": {
-            "type": "object", "additionalProperties": false,
-            "description": "The waiting goal that it is put before; without one, it becomes the last.",
-            "properties": { "before": optional("string") },
         },
         "Health": {
             "type": "object", "required": ["version", "connected", "clients", "robots"],
@@ -322,17 +344,6 @@ fn schemas() -> Value {
                 },
             } } },
         },
-        "Events": {
-            "type": "object", "required": ["events"],
-            "properties": { "events": { "type": "array", "items": { "type": "object" } } },
-        },
-        "Goals": {
-            "type": "object", "required": ["goals"],
-            "properties": { "goals": { "type": "array", "items": { "type": "object" } } },
-        },
-        "Stopped": {
-            "type": "object", "required": ["stopped"], "properties": { "stopped": { "type": "boolean" } },
-        },
         "Stops": {
             "type": "object", "required": ["robots"],
             "properties": {
@@ -345,26 +356,28 @@ fn schemas() -> Value {
                 } },
             },
         },
+    })
+}
+
+/// Replies about one robot.
+fn robot_schemas() -> Value {
+    let objects = json!({ "type": "array", "items": { "type": "object" } });
+    let places = json!({ "type": "object", "additionalProperties": { "$ref": "#/components/schemas/Point" } });
+    json!({
+        "Localisation": { "type": "object", "required": ["health"] },
+        "Stopped": { "type": "object", "required": ["stopped"], "properties": { "stopped": { "type": "boolean" } } },
+        "Events": { "type": "object", "required": ["events"], "properties": { "events": objects } },
+        "Goals": { "type": "object", "required": ["goals"], "properties": { "goals": objects } },
+        "Places": { "type": "object", "required": ["places"], "properties": { "places": places } },
+        "Zones": { "type": "object", "required": ["zones"], "properties": { "zones": list_of("Zone") } },
+        "Annotations": {
+            "type": "object", "required": ["revision", "places", "zones"],
+            "properties": { "revision": { "type": "integer" }, "places": places, "zones": list_of("Zone") },
+        },
         "GoalReply": {
             "type": "object", "required": ["id", "state"],
             "properties": {
                 "id": { "type": "string" }, "state": { "type": "string" }, "reason": { "type": "string" }, "robot": { "type": "string" },
-            },
-        },
-        "Goal": {
-            "type": "object", "additionalProperties": false,
-            "description": "Exactly one of (x, y), place and waypoints; or a tree, alone or with one of them.",
-            "properties": {
-                "id": { "type": ["string", "null"], "pattern": "^[A-Za-z0-9_-]{1,64}$" },
-                "x": optional("number"), "y": optional("number"),
-                "yaw": { "type": ["number", "null"], "minimum": -TAU, "maximum": TAU },
-                "place": optional("string"), "tree": optional("string"),
-                "waypoints": { "type": "array", "maxItems": 1000, "items": { "$ref": "#/components/schemas/Point" } },
-                "blackboard": { "type": "object" },
-                "on_busy": { "enum": ["queue", "preempt", "reject"] },
-                "priority": { "type": "integer", "minimum": -2147483648_i64, "maximum": 2147483647 },
-                "deadline_secs": optional("number"), "tolerance": optional("number"),
-                "profile": { "enum": ["fastest", "economy", null] },
             },
         },
     })

@@ -7,6 +7,7 @@ use axum::http::StatusCode;
 use axum::response::Response;
 use serde_json::{Value, json};
 use tokio::task::JoinSet;
+use zenav_protocol::messages::ResumeRequest;
 
 use super::error::ApiError;
 use super::extract::Named;
@@ -105,13 +106,16 @@ pub(super) async fn stop(State(shared): App, Named([robot]): Named<1>) -> Result
 
 pub(super) async fn resume(State(shared): App, Named([robot]): Named<1>) -> Result<Response, ApiError> {
     known(&shared, &robot)?;
-    let stop = reported_stops(&shared, &robot).await?;
-    let reply = shared.operator.resume(&robot, stop, BY).await?;
+    let (boot_id, stops) = reported_stops(&shared, &robot).await?;
+    let reply = shared
+        .operator
+        .resume(&robot, ResumeRequest::new(BY, boot_id, stops))
+        .await?;
     Ok(super::json(StatusCode::OK, &reply))
 }
 
-/// The number of the newest stop that the robot has reported since this gateway last stopped it.
-async fn reported_stops(shared: &Shared, robot: &str) -> Result<u64, ApiError> {
+/// The robot's boot and its number of stops, as reported since this gateway last stopped it.
+async fn reported_stops(shared: &Shared, robot: &str) -> Result<(String, u64), ApiError> {
     let end = shared.hub.now() + STATE_WITHIN;
     loop {
         if let Some(stops) = shared.hub.view().stops(robot) {

@@ -13,7 +13,7 @@ use tower::ServiceExt as _;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::messages::{
     AnnotateAction, Annotations, CancelRequest, GoalPhase, GoalPoint, GoalReply, GoalRequest, GoalsReply, GoalsRequest,
-    Health, LocaliseReply, MapReply, MoveGoalRequest, PauseRequest, Refusal, StopReply,
+    Health, LocaliseReply, MapReply, MoveGoalRequest, PauseRequest, Refusal, ResumeRequest, StopReply,
 };
 
 use super::*;
@@ -112,8 +112,12 @@ impl Operator for Scribe {
         self.note(format!("stop {robot} {by}"), answer)
     }
 
-    fn resume(&self, robot: &str, stop: u64, _: &str) -> Answer<StopReply> {
-        self.note(format!("resume {robot} {stop}"), Ok(StopReply { stopped: false }))
+    fn resume(&self, robot: &str, request: ResumeRequest) -> Answer<StopReply> {
+        let (boot_id, stop) = (request.boot_id.unwrap(), request.stop.unwrap());
+        self.note(
+            format!("resume {robot} {boot_id} {stop}"),
+            Ok(StopReply { stopped: false }),
+        )
     }
 
     fn map(&self, _: &str) -> Answer<MapReply> {
@@ -196,22 +200,29 @@ const GOALS: &str = "/api/v1/robots/tiago/goals";
 #[tokio::test]
 async fn a_resume_names_the_newest_stop_that_the_robot_has_reported() {
     let site = site(None, GatewaySettings::default());
-    let report = |stops: u64| {
+    let report = |boot_id: &str, stops: u64| {
         let state = json!({
-            "stamp": 1, "boot_id": "b", "mode": "stopped", "link": "Connected", "battery": 1.0, "guard": "clear", "stops": stops,
+            "stamp": 1, "boot_id": boot_id, "mode": "stopped", "link": "Connected", "battery": 1.0, "guard": "clear", "stops": stops,
             "lease": { "holder": null, "role": null, "epoch": 1, "live": false }, "velocity": { "v": 0.0, "w": 0.0 },
         });
         let state = serde_json::from_value(state).unwrap();
         site.hub.take("tiago", Update::State(state));
     };
     let resume = || site.ask(Method::POST, "/api/v1/robots/tiago/resume", None);
-    report(1);
+    report("b", 1);
     assert_eq!(resume().await.0, StatusCode::OK);
     site.ask(Method::POST, "/api/v1/robots/tiago/stop", None).await;
     assert_eq!(resume().await.0, StatusCode::SERVICE_UNAVAILABLE, "no state since");
-    report(2);
+    report("b", 2);
     assert_eq!(resume().await.0, StatusCode::OK);
-    let asked = ["resume tiago 1", "stop tiago gateway", "resume tiago 2"];
+    report("c", 0);
+    assert_eq!(resume().await.0, StatusCode::OK);
+    let asked = [
+        "resume tiago b 1",
+        "stop tiago gateway",
+        "resume tiago b 2",
+        "resume tiago c 0",
+    ];
     assert_eq!(site.asked(), asked);
 }
 
@@ -409,7 +420,7 @@ async fn other_origins_other_hosts_and_wrong_tokens_get_nothing() {
         }
         request.body(Body::empty()).unwrap()
     };
-    let bearer = format!("Bearer {TOKEN}");
+    let (bearer, lower) = (format!("Bearer {TOKEN}"), format!("bearer {TOKEN}"));
     let offered = format!("zenav.v1, bearer.{TOKEN}");
     for (site, headers, status) in [
         (&open, vec![("host", HOST)], 200),
@@ -426,6 +437,11 @@ async fn other_origins_other_hosts_and_wrong_tokens_get_nothing() {
         (
             &closed,
             vec![("host", "robots.lan"), ("authorization", bearer.as_str())],
+            200,
+        ),
+        (
+            &closed,
+            vec![("host", "robots.lan"), ("authorization", lower.as_str())],
             200,
         ),
         (

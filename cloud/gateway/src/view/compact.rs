@@ -5,7 +5,9 @@
 
 use nalgebra::Point2;
 use serde::Serialize;
-use zenav_protocol::messages::{GraphEdgeKind, InfoReply, Obstacles, Plan, PoseEstimate, PoseGraph, Scan, SearchTree};
+use zenav_protocol::messages::{
+    GraphCertificate, GraphEdgeKind, InfoReply, Obstacles, Plan, PoseEstimate, PoseGraph, Scan, SearchTree,
+};
 use zenav_protocol::robot::Footprint;
 
 /// Most points drawn of a plan.
@@ -168,6 +170,7 @@ pub(super) struct CompactGraph {
     closures: Vec<u32>,
     /// Closures that are held to be false.
     rejected: Vec<u32>,
+    certificate: GraphCertificate,
 }
 
 impl From<&PoseGraph> for CompactGraph {
@@ -178,6 +181,7 @@ impl From<&PoseGraph> for CompactGraph {
                 .iter()
                 .flat_map(|node| [milli(node.x), milli(node.y)])
                 .collect(),
+            certificate: graph.certificate,
             ..Self::default()
         };
         for (edge, _) in graph.lines() {

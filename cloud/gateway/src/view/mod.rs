@@ -97,6 +97,16 @@ impl FleetView {
     }
 
     /// Takes a message about a robot that arrived at `now`, in seconds of the gateway's own clock.
+    ///
+    /// ```
+    /// use zenav_gateway::{FleetView, Update};
+    ///
+    /// let mut view = FleetView::new();
+    /// for (component, alive) in [("edge", true), ("mission", true), ("edge", false)] {
+    ///     view.take("tiago", Update::Part { component: component.into(), alive }, 1.0);
+    /// }
+    /// assert_eq!(view.channel("tiago", "parts", 1.0), Some((r#"["mission"]"#, 0.0)));
+    /// ```
     pub fn take(&mut self, robot: &str, update: Update, now: f64) {
         self.version += 1;
         let version = self.version;
@@ -112,38 +122,26 @@ impl FleetView {
         }
         match update {
             Update::State(state) => {
-                view.stops = Some(state.stops);
-                put(&mut view.summary, "state", Entry::new(version, now, &state));
+                view.stops = Some((state.boot_id.clone(), state.stops));
+                view.set("state", version, now, &state);
             }
             Update::Pose(pose) => {
                 let at = pose.map_from_base;
                 if at.is_finite() {
                     view.follow(version, [at.x, at.y]);
                 }
-                put(
-                    &mut view.summary,
-                    "pose",
-                    Entry::new(version, now, &CompactPose::from(&pose)),
-                );
+                view.set("pose", version, now, &CompactPose::from(&pose));
             }
-            Update::Annotations(annotations) => {
-                put(&mut view.summary, "annotations", Entry::new(version, now, &annotations));
-            }
-            Update::Localisation(localisation) => {
-                put(
-                    &mut view.summary,
-                    "localisation",
-                    Entry::new(version, now, &localisation),
-                );
-            }
+            Update::Annotations(annotations) => view.set("annotations", version, now, &annotations),
+            Update::Localisation(localisation) => view.set("localisation", version, now, &localisation),
             Update::Part { component, alive } => {
                 view.parts.retain(|part| *part != component);
                 if alive && view.parts.len() < 32 {
                     view.parts.push(component);
                     view.parts.sort_unstable();
                 }
-                let entry = Entry::new(version, now, &view.parts);
-                put(&mut view.summary, "parts", entry);
+                let parts = view.parts.clone();
+                view.set("parts", version, now, &parts);
             }
             Update::Goal(goal) => {
                 if let Some(entry) = Entry::new(version, now, &goal) {
@@ -206,6 +204,16 @@ impl FleetView {
     }
 
     /// Drops robots that have been silent for `secs` and have no living component.
+    ///
+    /// ```
+    /// use zenav_gateway::{FleetView, Update};
+    ///
+    /// let mut view = FleetView::new();
+    /// view.take("gone", Update::RoundTrip(None), 1.0);
+    /// view.take("quiet", Update::Part { component: "edge".into(), alive: true }, 1.0);
+    /// view.forget_silent(62.0, 60.0);
+    /// assert!(!view.knows("gone") && view.knows("quiet"), "one of its components is alive");
+    /// ```
     pub fn forget_silent(&mut self, now: f64, secs: f64) {
         let gone = |view: &RobotView| view.parts.is_empty() && now - view.heard > secs;
         let gone: Vec<String> = self
@@ -220,6 +228,17 @@ impl FleetView {
     }
 
     /// Names of the robots, in order.
+    ///
+    /// ```
+    /// use zenav_gateway::{FleetView, Update};
+    ///
+    /// let mut view = FleetView::new();
+    /// for robot in ["tiago-2", "jackal", "tiago-1"] {
+    ///     view.take(robot, Update::RoundTrip(None), 1.0);
+    /// }
+    /// view.forget("jackal");
+    /// assert_eq!(view.robots().collect::<Vec<_>>(), ["tiago-1", "tiago-2"]);
+    /// ```
     pub fn robots(&self) -> impl Iterator<Item = &str> {
         self.robots.keys().map(String::as_str)
     }
@@ -230,9 +249,9 @@ impl FleetView {
         self.robots.contains_key(robot)
     }
 
-    /// Number of this robot's stops, as far as it has reported.
-    pub(crate) fn stops(&self, robot: &str) -> Option<u64> {
-        self.robots.get(robot)?.stops
+    /// Boot and number of stops of this robot's newest state.
+    pub(crate) fn stops(&self, robot: &str) -> Option<(String, u64)> {
+        self.robots.get(robot)?.stops.clone()
     }
 
     /// The robot was just told to stop: its next state reports the new number.
@@ -243,6 +262,28 @@ impl FleetView {
     }
 
     /// Whether the whole map of this robot must be requested.
+    ///
+    /// ```
+    /// # use nalgebra::Point2;
+    /// # use zenav_gateway::{FleetView, Update};
+    /// # use zenav_protocol::{grid::GridSpec, messages::{MapPatch, MapRef, TILE, Tile}, time::Stamp};
+    /// # let patch = MapPatch {
+    /// #     stamp: Stamp(1),
+    /// #     map: MapRef { id: "kitchen".into(), revision: 1, frame: 0 },
+    /// #     base_revision: 0,
+    /// #     spec: GridSpec { origin: Point2::origin(), resolution: 0.05, width: TILE, height: TILE },
+    /// #     tiles: vec![Tile { x: 0, y: 0, values: vec![0; (TILE * TILE) as usize] }],
+    /// # };
+    /// let mut view = FleetView::new();
+    /// view.take("tiago", Update::RoundTrip(None), 1.0);
+    /// assert!(view.wants_map("tiago") && !view.wants_map("nobody"));
+    /// // The first patch of a map holds all of it; with the third the second is missing.
+    /// let later = MapPatch { base_revision: 2, map: MapRef { revision: 3, ..patch.map.clone() }, ..patch.clone() };
+    /// view.take("tiago", Update::Patch(patch), 1.1);
+    /// assert!(!view.wants_map("tiago"));
+    /// view.take("tiago", Update::Patch(later), 1.2);
+    /// assert!(view.wants_map("tiago"));
+    /// ```
     #[must_use]
     pub fn wants_map(&self, robot: &str) -> bool {
         self.robots
@@ -261,6 +302,15 @@ impl FleetView {
     }
 
     /// Everything known about a robot, as JSON: every channel with its age.
+    ///
+    /// ```
+    /// use zenav_gateway::{FleetView, Update};
+    ///
+    /// let mut view = FleetView::new();
+    /// view.take("tiago", Update::Part { component: "edge".into(), alive: true }, 1.0);
+    /// assert_eq!(view.robot_json("tiago", 1.5).unwrap(), r#"{"parts":{"age":0.500,"data":["edge"]}}"#);
+    /// assert_eq!(view.robot_json("nobody", 1.5), None);
+    /// ```
     #[must_use]
     pub fn robot_json(&self, robot: &str, now: f64) -> Option<String> {
         let view = self.robots.get(robot)?;
@@ -285,16 +335,23 @@ impl FleetView {
     }
 
     /// A robot's events, oldest first, as JSON texts.
+    ///
+    /// ```
+    /// use serde_json::json;
+    /// use zenav_gateway::{FleetView, Update};
+    ///
+    /// let bumped = |sequence: u32| serde_json::from_value(json!({ "stamp": 1, "boot_id": "b", "sequence": sequence, "event": "bumped" }));
+    /// let mut view = FleetView::new();
+    /// for sequence in [1, 2, 2] {
+    ///     view.take("tiago", Update::Event(bumped(sequence)?), 1.0);
+    /// }
+    /// assert_eq!(view.events("tiago").count(), 2, "an event that is sent again is one event");
+    /// # Ok::<(), serde_json::Error>(())
+    /// ```
     pub fn events(&self, robot: &str) -> impl Iterator<Item = &str> {
         let view = self.robots.get(robot);
         view.into_iter()
             .flat_map(|view| view.events.iter().map(|entry| &*entry.text))
-    }
-}
-
-fn put(channels: &mut BTreeMap<String, Entry>, name: &str, entry: Option<Entry>) {
-    if let Some(entry) = entry {
-        channels.insert(name.to_owned(), entry);
     }
 }
 

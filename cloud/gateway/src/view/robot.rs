@@ -47,8 +47,8 @@ pub(crate) struct RobotView {
     pub(crate) summary: BTreeMap<String, Entry>,
     /// Channels sent to the clients that watch this robot: `plan`, `mission`, `scan`, …
     pub(crate) detail: BTreeMap<String, Entry>,
-    /// Number of its stops, by its newest state.
-    pub(super) stops: Option<u64>,
+    /// Boot and number of stops of its newest state.
+    pub(super) stops: Option<(String, u64)>,
     /// Goals by id.
     pub(crate) goals: BTreeMap<String, Entry>,
     /// Events, oldest first.
@@ -68,6 +68,13 @@ pub(crate) struct RobotView {
 }
 
 impl RobotView {
+    /// Sets a channel of the summary.
+    pub(super) fn set(&mut self, name: &str, version: u64, now: f64, message: &impl Serialize) {
+        if let Some(entry) = Entry::new(version, now, message) {
+            self.summary.insert(name.to_owned(), entry);
+        }
+    }
+
     pub(super) fn set_detail(&mut self, name: &str, entry: Entry) {
         if self.detail.len() >= MAX_CHANNELS && !self.detail.contains_key(name) {
             // The fixed channels are few, and some are sent only once.

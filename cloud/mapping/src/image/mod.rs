@@ -49,6 +49,14 @@ pub enum ImageError {
         /// Number of pixels in the file.
         found: usize,
     },
+    /// The file holds more than its pixels.
+    #[error("{expected} bytes of pixels expected after the header, {found} found")]
+    Length {
+        /// Bytes of all pixels by the header.
+        expected: usize,
+        /// Bytes after the header.
+        found: usize,
+    },
     /// A value of a text graymap (P2) is out of bounds.
     #[error("line {line}: expected a number from 0 to {limit}, found {found}")]
     Value {
@@ -76,6 +84,15 @@ pub enum ImageError {
 ///
 /// # Errors
 /// [`ImageError`]. A size beyond the limits is refused before anything is allocated.
+///
+/// ```
+/// use zenav_mapping::image::{ImageError, decode};
+///
+/// let picture = decode(b"P2 2 1 100 0 100".to_vec())?;
+/// assert_eq!((picture.width, picture.height, picture.gray), (2, 1, vec![0, 255]));
+/// assert_eq!(decode(b"GIF89a".to_vec()), Err(ImageError::Format));
+/// # Ok::<(), ImageError>(())
+/// ```
 pub fn decode(bytes: Vec<u8>) -> Result<GrayImage, ImageError> {
     match bytes.as_slice() {
         [b'P', b'2' | b'5', ..] => pgm::decode(bytes),
@@ -145,6 +162,25 @@ mod tests {
         );
         let png = encode_png(&image(10, 10, vec![1; 100])).unwrap();
         assert!(matches!(decode(png[..png.len() / 2].to_vec()), Err(ImageError::Png(_))));
+    }
+
+    #[test]
+    fn the_pixels_of_a_binary_graymap_begin_where_their_number_fits() {
+        let gray = |bytes: &[u8]| decode(bytes.to_vec()).map(|image| image.gray);
+        // Dark pixels look like white space and comments.
+        assert_eq!(gray(b"P5\n3 1\n255\n\n# "), Ok(b"\n# ".to_vec()));
+        for header in ["\r\n", "#c\n", " # made by a tool\n", "\n# one\n# two\n", " \r\n"] {
+            let bytes = [b"P5\r\n3 1\r\n255".as_slice(), header.as_bytes(), &[7, 8, 9]].concat();
+            assert_eq!(gray(&bytes), Ok(vec![7, 8, 9]), "{header:?}");
+        }
+        assert_eq!(gray(b"P5 1 2 65535\r\n\xff\xff\x80\x00"), Ok(vec![255, 128]));
+        assert_eq!(gray(b"P5 3 1 255 abc\n"), Ok(b"abc".to_vec()));
+        let longer = gray(b"P5 3 1 255 abcdef").unwrap_err();
+        assert_eq!(
+            longer.to_string(),
+            "3 bytes of pixels expected after the header, 6 found"
+        );
+        assert!(gray(b"P5 3 1 255 # never ends").is_err());
     }
 
     #[test]

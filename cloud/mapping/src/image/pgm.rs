@@ -57,6 +57,23 @@ fn quote(word: &str) -> String {
     }
 }
 
+/// Where the pixels of a binary graymap begin: after exactly one white-space character (netpbm's `pgm` format). Files with more of it, as the
+/// line ends of Windows, and with a comment after the largest value are read where the pixels, `length` bytes, then fit exactly.
+fn raster_start(bytes: &[u8], header_end: usize, length: usize) -> usize {
+    let mut start = header_end;
+    while let Some(byte) = bytes.get(start) {
+        start += match byte {
+            b'#' => bytes[start..].iter().take_while(|byte| **byte != b'\n').count() + 1,
+            byte if byte.is_ascii_whitespace() => 1,
+            _ => break,
+        };
+        if bytes.len().checked_sub(start) == Some(length) {
+            return start;
+        }
+    }
+    header_end + 1
+}
+
 /// Decodes a graymap, text (P2) or binary (P5).
 pub(super) fn decode(mut bytes: Vec<u8>) -> Result<GrayImage, ImageError> {
     let mut words = Words {
@@ -84,15 +101,20 @@ pub(super) fn decode(mut bytes: Vec<u8>) -> Result<GrayImage, ImageError> {
     };
     let is_binary = bytes[1] == b'5';
     let (gray, comments) = if is_binary {
-        // Exactly one white-space character ends the header.
-        let start = words.at + 1;
+        let size = if limit > 255 { 2 } else { 1 };
+        let start = raster_start(&bytes, words.at, size * count);
         let comments = std::mem::take(&mut words.comments);
         let data = bytes.get(start..).unwrap_or_default();
-        let size = if limit > 255 { 2 } else { 1 };
         if data.len() / size < count {
             return Err(ImageError::Truncated {
                 expected: count,
                 found: data.len() / size,
+            });
+        }
+        if !data[size * count..].iter().all(u8::is_ascii_whitespace) {
+            return Err(ImageError::Length {
+                expected: size * count,
+                found: data.len(),
             });
         }
         if size == 2 {

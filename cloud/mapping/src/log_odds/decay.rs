@@ -26,13 +26,34 @@ const BESIDE: f64 = 0.1;
 /// A stamp this long before the newest one means that the clock restarted.
 const CLOCK_RESTART: Duration = Duration::from_secs(10);
 
+/// Time by the scans' stamps, since the first scan. A stamp before the newest one does not advance it, since scans of several lidars arrive
+/// out of order; a stamp far before it means that the robot's clock restarted.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct ScanClock {
+    pub(super) now: Duration,
+    newest: Option<Stamp>,
+}
+
+impl ScanClock {
+    /// Advances to a scan's stamp.
+    pub(super) fn advance(&mut self, stamp: Stamp) -> Duration {
+        let before = self.newest.unwrap_or(stamp);
+        let is_late = stamp <= before && before.since(stamp) <= CLOCK_RESTART;
+        if self.newest.is_none() || !is_late {
+            self.newest = Some(stamp);
+        }
+        self.now = self.now.saturating_add(stamp.since(before));
+        self.now
+    }
+}
+
 /// Transient obstacles of a map.
 #[derive(Clone, Debug)]
 pub(super) struct Decay {
     after: Duration,
-    /// Time by the scans' stamps, since the first scan.
+    clock: ScanClock,
+    /// Its time.
     now: Duration,
-    newest: Option<Stamp>,
     /// Time of the next round, which collects the cells that stayed free since the last one.
     next_round: Duration,
     /// Time of the next decay.
@@ -64,8 +85,8 @@ impl Decay {
     pub(super) fn new(after: Duration) -> Self {
         Self {
             after,
+            clock: ScanClock::default(),
             now: Duration::ZERO,
-            newest: None,
             next_round: after,
             due: Duration::MAX,
             tiles: BTreeMap::new(),
@@ -77,15 +98,9 @@ impl Decay {
         Self::new(self.after)
     }
 
-    /// Advances to a scan's stamp and frees what is due. A stamp before the newest one does not advance time, since scans of several lidars
-    /// arrive out of order; a stamp far before it means that the robot's clock restarted.
+    /// Advances to a scan's stamp and frees what is due.
     pub(super) fn advance(&mut self, stamp: Stamp, map: &mut Tiles, model: &QuantizedModel) {
-        let before = self.newest.unwrap_or(stamp);
-        let is_late = stamp <= before && before.since(stamp) <= CLOCK_RESTART;
-        if self.newest.is_none() || !is_late {
-            self.newest = Some(stamp);
-        }
-        self.now = self.now.saturating_add(stamp.since(before));
+        self.now = self.clock.advance(stamp);
         if self.now >= self.due {
             self.decay(map, model);
         }
@@ -130,6 +145,31 @@ impl Decay {
                 }
                 false
             });
+        }
+    }
+
+    /// Cells of a tile were touched: they are not transient. Those only assumed to be are, for as long as that lasts.
+    pub(super) fn touch(&mut self, at: [i64; 2], [known, assumed]: &[Bits; 2]) {
+        let Some(history) = self.tiles.get_mut(&at) else {
+            return;
+        };
+        let is_known = |row: usize, column: usize| known[row] >> column & 1 == 1;
+        history.transient.retain(|(row, column), _| !is_known(*row, *column));
+        for row in 0..TILE_SIDE {
+            history.free[row] &= !(known[row] | assumed[row]);
+            history.long_free[row] &= !known[row];
+            let mut left = assumed[row] & !known[row];
+            while left != 0 {
+                let column = left.trailing_zeros() as usize;
+                let bit = left & left.wrapping_neg();
+                left ^= bit;
+                let was_free = history.long_free[row] & bit != 0;
+                history.long_free[row] &= !bit;
+                if was_free || history.transient.contains_key(&(row, column)) {
+                    history.transient.insert((row, column), [self.now; 2]);
+                    self.due = self.due.min(self.now.saturating_add(self.after));
+                }
+            }
         }
     }
 
@@ -242,11 +282,8 @@ mod tests {
                     range_min: 0.02,
                     range_max: 6.0,
                     ranges: vec![range; 21],
-                    boot_id: String::new(),
-                    moving: Vec::new(),
-                    base_from_laser: Pose2::IDENTITY,
-                    map_from_odom: Pose2::IDENTITY,
                     odom_from_base: Pose2::new(0.01, 0.01, yaw),
+                    ..Scan::default()
                 };
                 assert_eq!(self.mapper.insert(&scan), Insertion::Inserted);
             }

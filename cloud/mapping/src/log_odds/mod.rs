@@ -2,7 +2,7 @@
 //!
 //! The grid grows by whole tiles. The sensor model is applied once for each cell and scan: a cell in which any beam of the scan ended takes
 //! one hit, every other cell that any beam passed takes one miss. Beams of one scan are not independent observations, and a hit must not be
-//! erased by neighbouring beams that graze the same cell.
+//! erased by neighbouring beams that graze the same cell. A cell that the robot touched (`touched`) takes a hit, too.
 
 mod decay;
 mod scan_bitmap;
@@ -11,6 +11,7 @@ mod snapshot;
 mod tests;
 mod tile;
 mod tiles;
+mod touched;
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -29,7 +30,9 @@ use crate::sensor_model::QuantizedModel;
 use crate::settings::{BeamSettings, SensorModel};
 use decay::Decay;
 use scan_bitmap::{ScanBitmap, Spacing};
+use tile::Bits;
 use tiles::{Bounds, TILE_SIDE, Tiles};
+use touched::TouchedCells;
 
 /// How beams are drawn into the map.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -70,11 +73,8 @@ pub struct BeamCount {
 ///     range_min: 0.02,
 ///     range_max: 5.0,
 ///     ranges: vec![2.0],
-///     boot_id: String::new(),
-///     moving: Vec::new(),
-///     base_from_laser: Pose2::IDENTITY,
-///     map_from_odom: Pose2::IDENTITY,
 ///     odom_from_base: Pose2::new(0.01, 0.01, 0.0),
+///     ..Scan::default()
 /// };
 /// let beams = BeamSettings { trim: 0, ..BeamSettings::default() };
 /// let mut grid = LogOddsGrid::new(0.05, &SensorModel::default());
@@ -90,6 +90,7 @@ pub struct LogOddsGrid {
     model: QuantizedModel,
     tiles: Tiles,
     decay: Option<Decay>,
+    touched: TouchedCells,
     reader: BeamReader,
     beams: Vec<Beam>,
     bitmap: ScanBitmap,
@@ -113,6 +114,7 @@ impl LogOddsGrid {
             model: QuantizedModel::new(model),
             tiles,
             decay: None,
+            touched: TouchedCells::default(),
             reader: BeamReader::default(),
             beams: Vec::new(),
             bitmap: ScanBitmap::default(),
@@ -120,6 +122,18 @@ impl LogOddsGrid {
     }
 
     /// A grid that starts with a known map, padded with unknown cells to whole tiles. All known cells count as changed.
+    ///
+    /// ```
+    /// use nalgebra::Point2;
+    /// use zenav_mapping::{LogOddsGrid, SensorModel};
+    /// use zenav_protocol::grid::{GridSpec, OccupancyGrid};
+    ///
+    /// let spec = GridSpec { origin: Point2::new(-1.0, 2.0), resolution: 0.05, width: 3, height: 1 };
+    /// let map = OccupancyGrid::from_values(spec, vec![0, 100, -1]).unwrap();
+    /// let map = LogOddsGrid::from_occupancy(&map, &SensorModel::default());
+    /// assert_eq!((map.counts().free, map.counts().occupied), (1, 1));
+    /// assert_eq!((map.spec().origin, map.spec().width), (spec.origin, 64));
+    /// ```
     #[must_use]
     pub fn from_occupancy(grid: &OccupancyGrid, model: &SensorModel) -> Self {
         let spec = *grid.spec();
@@ -145,6 +159,25 @@ impl LogOddsGrid {
         map
     }
 
+    /// The cells that the robot has touched though no beam shows an obstacle there: column and row, from the grid's lower-left cell.
+    #[must_use]
+    pub fn touched_cells(&self) -> Vec<[u32; 2]> {
+        let [left, low] = self.tiles.first.map(|tile| tile * TILE_SIDE as i64);
+        let cells = self.touched.cells();
+        let in_grid = |[x, y]: [i64; 2]| Some([u32::try_from(x - left).ok()?, u32::try_from(y - low).ok()?]);
+        cells.filter_map(in_grid).collect()
+    }
+
+    /// Adds [`Self::touched_cells`] of the grid that was stored, as if the robot had just reported them. Cells outside of this one are
+    /// left out.
+    pub fn restore_touched(&mut self, cells: &[[u32; 2]]) {
+        let [left, low] = self.tiles.first.map(|tile| tile * TILE_SIDE as i64);
+        let spec = self.spec();
+        let cells = cells.iter().filter(|[x, y]| *x < spec.width && *y < spec.height);
+        self.touched
+            .restore(cells.map(|[x, y]| [left + i64::from(*x), low + i64::from(*y)]));
+    }
+
     /// The same grid, with temporal decay: an obstacle that appeared where it had long been free, and that is no longer seen, is freed
     /// after this time, by the scans' stamps.
     #[must_use]
@@ -166,6 +199,7 @@ impl LogOddsGrid {
         Self {
             tiles: self.tiles.unseen(),
             decay: self.decay.as_ref().map(Decay::restarted),
+            touched: TouchedCells::default(),
             ..self.clone()
         }
     }
@@ -182,7 +216,7 @@ impl LogOddsGrid {
         self.tiles.spec()
     }
 
-    /// Inserts a scan, and clears the cells under the robot's footprint if one is given.
+    /// Inserts a scan with what the robot touched, and clears the cells under the robot's footprint if one is given.
     ///
     /// The scan must be [sane](Scan::is_sane). Beams that end beyond the largest map are left out. A scan taken beyond it changes nothing
     /// and returns `None`. Cost: proportional to the cells that the beams pass.
@@ -201,7 +235,7 @@ impl LogOddsGrid {
             decay.advance(scan.stamp, &mut self.tiles, &self.model);
         }
         let count = self.insert_beams(
-            self.tiles.frame.cells(scan.map_from_laser().position()),
+            scan,
             &mut beams,
             Spacing::new(scan.angle_increment, self.tiles.frame.resolution),
             mode,
@@ -213,12 +247,13 @@ impl LogOddsGrid {
 
     fn insert_beams(
         &mut self,
-        laser: Point2<f64>,
+        scan: &Scan,
         beams: &mut Vec<Beam>,
         spacing: Spacing,
         mode: InsertMode,
         body: Option<(&Footprint, Pose2)>,
     ) -> Option<BeamCount> {
+        let laser = self.tiles.frame.cells(scan.map_from_laser().position());
         let mut bounds = Bounds::at(laser);
         let body_bounds = body.map(|(footprint, base)| {
             let radius = footprint.circumscribed_radius();
@@ -231,10 +266,15 @@ impl LogOddsGrid {
         if !self.tiles.cover(&bounds) {
             return None;
         }
+        self.touched.report(scan, &self.tiles.frame);
         let read = beams.len();
         let mut all = bounds;
         for beam in beams.iter() {
             all.add(beam.end);
+        }
+        if let Some(touched) = self.touched.reported {
+            all.add(touched.low);
+            all.add(touched.high);
         }
         if self.tiles.cover(&all) {
             bounds = all;
@@ -256,13 +296,28 @@ impl LogOddsGrid {
         if let (Some((footprint, base)), Some(corners)) = (body, body_bounds) {
             self.clear_footprint(footprint, base, corners);
         }
-        let (tiles, model) = (&mut self.tiles, &self.model);
-        self.bitmap.take(|at, seen, hits| {
+        for tile in self.touched.tiles() {
+            self.bitmap.visit(tile);
+        }
+        let (tiles, model, touched) = (&mut self.tiles, &self.model, &self.touched);
+        let mut update = |at, seen: &Bits, by_beams: &Bits, hits: &Bits, cells: Option<&[Bits; 2]>| {
             if let Some(decay) = &mut self.decay {
-                decay.observe(at, hits, tiles, model);
+                if let Some(cells) = cells {
+                    decay.touch(at, cells);
+                }
+                decay.observe(at, by_beams, tiles, model);
             }
             if let Some(index) = tiles.index(at) {
                 tiles.dirty[index] |= tiles.tile_mut(index).update(seen, hits, model);
+            }
+        };
+        self.bitmap.take(|at, seen, hits| match touched.of(at) {
+            None => update(at, seen, hits, hits, None),
+            Some(cells) => {
+                let held: Bits = std::array::from_fn(|row| cells[0][row] | cells[1][row]);
+                let by_beams = std::array::from_fn(|row| hits[row] & !held[row]);
+                let all = std::array::from_fn(|row| hits[row] | held[row]);
+                update(at, seen, &by_beams, &all, Some(&cells));
             }
         });
         Some(BeamCount {
@@ -282,6 +337,8 @@ impl LogOddsGrid {
                 let center = anchor + (Vector2::new(x as f64 + 0.5, y as f64 + 0.5) + corner) * resolution;
                 if footprint.distance(base_from_map.transform_point(center)) <= 0.0 {
                     self.bitmap.clear(x, y);
+                    self.touched
+                        .remove(corner.x as i64 + x as i64, corner.y as i64 + y as i64);
                 }
             }
         }
@@ -294,6 +351,18 @@ impl LogOddsGrid {
     }
 
     /// Takes up to `at_most` changed tiles, in row-major order; the others remain changed.
+    ///
+    /// ```
+    /// # use zenav_mapping::carmen::{CarmenReader, LOG_BEAMS};
+    /// use zenav_mapping::{InsertMode, LogOddsGrid, SensorModel};
+    ///
+    /// # let log = "FLASER 3 1.0 1.5 1.0 0 0 0 0 0 0 1.0 host 1.0\n";
+    /// # let scan = CarmenReader::new(log.as_bytes()).next().unwrap().unwrap();
+    /// let mut map = LogOddsGrid::new(0.05, &SensorModel::default());
+    /// map.insert(&scan, &LOG_BEAMS, InsertMode::Reference, None);
+    /// assert!(map.is_dirty() && !map.take_dirty(100).is_empty());
+    /// assert!(!map.is_dirty() && map.take_dirty(100).is_empty());
+    /// ```
     pub fn take_dirty(&mut self, at_most: usize) -> Vec<Tile> {
         let mut taken = Vec::new();
         for index in 0..self.tiles.dirty.len() {

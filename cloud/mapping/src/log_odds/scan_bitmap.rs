@@ -147,6 +147,14 @@ impl ScanBitmap {
         }
     }
 
+    /// Has a tile handed over even if no beam passes it; one outside the bitmap is ignored.
+    pub(super) fn visit(&mut self, tile: [i64; 2]) {
+        let at = [0, 1].map(|axis| usize::try_from(tile[axis] - self.first[axis]).unwrap_or(usize::MAX));
+        if at[0] < self.counts[0] && at[1] < self.counts[1] {
+            self.touched[at[0] * self.counts[1] + at[1]] = true;
+        }
+    }
+
     /// Marks the cells that the beams passed and in which they ended. The space between two close beams that both pass it counts as passed
     /// too, since a beam has a width.
     pub(super) fn draw(&mut self, origin: Point2<f64>, beams: &[Beam], spacing: Spacing, mode: InsertMode) {

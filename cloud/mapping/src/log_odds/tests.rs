@@ -25,11 +25,8 @@ fn scan(pose: Pose2, step: f64, ranges: Vec<f32>) -> Scan {
         range_min: 0.02,
         range_max: 5.0,
         ranges,
-        boot_id: String::new(),
-        moving: Vec::new(),
-        base_from_laser: Pose2::IDENTITY,
-        map_from_odom: Pose2::IDENTITY,
         odom_from_base: pose,
+        ..Scan::default()
     }
 }
 
@@ -267,4 +264,158 @@ fn known_values_are_taken_over_and_padded() {
         }
     );
     assert_eq!(Occupancy::of(map.to_occupancy()[Cell::new(69, 2)]), Occupancy::Occupied);
+}
+
+/// Where the robot touched something 2 m ahead while its beams end at 4 m.
+fn touched(secs: f64, lines: Vec<[[f64; 4]; 2]>) -> Scan {
+    Scan {
+        stamp: Stamp::from_secs(secs),
+        touched: lines,
+        ..scan(Pose2::new(0.01, 0.01, 0.0), 0.05, vec![4.0; 4])
+    }
+}
+
+#[test]
+fn what_the_robot_touched_stays_though_beams_pass_it_until_it_is_old_or_the_robot_stands_there() {
+    let pane = || vec![[[2.01, -0.4, 2.01, 0.4]; 2]];
+    for mode in [InsertMode::Reference, InsertMode::Fast] {
+        let mut map = empty().with_decay(Duration::from_secs(10));
+        let body = Footprint::Radius(0.3);
+        let look = |map: &mut LogOddsGrid, scan: &Scan| {
+            assert!(map.insert(scan, &BEAMS, mode, Some(&body)).is_some());
+        };
+        for second in 0..60 {
+            look(&mut map, &touched(f64::from(second), Vec::new()));
+        }
+        assert_eq!(at(&map, 2.01, 0.21), Occupancy::Free);
+        look(&mut map, &touched(60.0, pane()));
+        for second in 61..200 {
+            look(&mut map, &touched(f64::from(second), Vec::new()));
+        }
+        for y in [-0.3, 0.0, 0.21, 0.39] {
+            assert_eq!(at(&map, 2.02, y), Occupancy::Occupied, "{mode:?}, {y}");
+        }
+        assert_eq!(at(&map, 1.8, 0.1), Occupancy::Free);
+        map.decay_now();
+        assert_eq!(at(&map, 2.02, 0.1), Occupancy::Occupied);
+        // The same scans, drawn again from other poses.
+        let mut redrawn = map.unseen();
+        let moved = Scan {
+            map_from_odom: Pose2::new(1.0, 0.0, 0.0),
+            ..touched(60.0, pane())
+        };
+        for _ in 0..2 {
+            look(&mut redrawn, &moved);
+        }
+        assert_eq!(at(&redrawn, 3.02, 0.1), Occupancy::Occupied);
+        assert_eq!(at(&redrawn, 2.02, 0.1), Occupancy::Free);
+        // The robot stands on part of it.
+        let there = Scan {
+            odom_from_base: Pose2::new(2.0, 0.3, 0.0),
+            ..touched(201.0, Vec::new())
+        };
+        for _ in 0..20 {
+            look(&mut map, &there);
+        }
+        for second in 202..220 {
+            look(&mut map, &touched(f64::from(second), Vec::new()));
+        }
+        assert_eq!(at(&map, 2.02, 0.21), Occupancy::Free);
+        assert_eq!(at(&map, 2.02, -0.3), Occupancy::Occupied);
+        // Where beams pass, it is free an hour later.
+        look(&mut map, &touched(221.0, vec![[[2.01, 0.1, 2.01, 0.3]; 2]]));
+        for second in 222..230 {
+            look(&mut map, &touched(f64::from(second), Vec::new()));
+        }
+        assert_eq!(at(&map, 2.02, 0.21), Occupancy::Occupied);
+        for second in 0..20 {
+            look(&mut map, &touched(4000.0 + f64::from(second), Vec::new()));
+        }
+        assert_eq!(at(&map, 2.02, 0.21), Occupancy::Free);
+    }
+}
+
+#[test]
+fn what_is_only_assumed_of_a_surface_is_cleared_by_beams_or_decays_after_a_short_while() {
+    let body = Footprint::Radius(0.3);
+    for looks_there in [true, false] {
+        let mut map = empty().with_decay(Duration::from_secs(10));
+        let look = |map: &mut LogOddsGrid, secs: f64, yaw: f64, lines: Vec<[[f64; 4]; 2]>| {
+            let scan = Scan {
+                odom_from_base: Pose2::new(0.01, 0.01, yaw),
+                ..touched(secs, lines)
+            };
+            assert!(map.insert(&scan, &BEAMS, InsertMode::Reference, Some(&body)).is_some());
+        };
+        for second in 0..60 {
+            look(&mut map, f64::from(second), 0.0, Vec::new());
+        }
+        look(
+            &mut map,
+            60.0,
+            0.0,
+            vec![[[2.01, 0.2, 2.01, 0.2], [2.01, 0.0, 2.01, 0.4]]],
+        );
+        let yaw = if looks_there { 0.0 } else { 3.0 };
+        for second in 61..100 {
+            look(&mut map, f64::from(second), yaw, Vec::new());
+        }
+        for y in [0.11, 0.21, 0.35] {
+            assert_eq!(at(&map, 2.02, y), Occupancy::Occupied, "{y}");
+        }
+        for second in 100..130 {
+            look(&mut map, f64::from(second), yaw, Vec::new());
+        }
+        assert_eq!(at(&map, 2.02, 0.21), Occupancy::Occupied);
+        assert_eq!(at(&map, 2.02, 0.11), Occupancy::Free, "{looks_there}");
+    }
+}
+
+#[test]
+fn what_beams_met_before_it_was_touched_does_not_decay_afterwards() {
+    let mut map = empty().with_decay(Duration::from_secs(10));
+    let look = |map: &mut LogOddsGrid, secs: f64, yaw: f64, range: f32, lines: Vec<[[f64; 4]; 2]>| {
+        let scan = Scan {
+            ranges: vec![range; 4],
+            odom_from_base: Pose2::new(0.01, 0.01, yaw),
+            ..touched(secs, lines)
+        };
+        assert!(map.insert(&scan, &BEAMS, InsertMode::Reference, None).is_some());
+    };
+    for second in 0..60 {
+        look(&mut map, f64::from(second), 0.0, 4.0, Vec::new());
+    }
+    for second in 60..66 {
+        look(&mut map, f64::from(second), 0.0, 2.01, Vec::new());
+    }
+    assert_eq!(at(&map, 2.02, 0.02), Occupancy::Occupied);
+    look(&mut map, 66.0, 0.0, 4.0, vec![[[2.01, 0.01, 2.01, 0.01]; 2]]);
+    // The scan at which the hits of the beams would have decayed, and a later one.
+    for secs in [75.5, 76.0] {
+        look(&mut map, secs, 3.0, 4.0, Vec::new());
+        assert_eq!(at(&map, 2.02, 0.02), Occupancy::Occupied, "{secs}");
+    }
+    map.decay_now();
+    assert_eq!(at(&map, 2.02, 0.02), Occupancy::Occupied);
+}
+
+#[test]
+fn touched_cells_outlast_a_restart_of_the_robot_s_clock_and_a_scan_out_of_bounds_reports_none() {
+    let mut map = empty();
+    let look = |map: &mut LogOddsGrid, scan: &Scan| map.insert(scan, &BEAMS, InsertMode::Reference, None);
+    let pane = || vec![[[2.01, -0.4, 2.01, 0.4]; 2]];
+    let far = Scan {
+        odom_from_base: Pose2::new(1e7, 0.0, 0.0),
+        ..touched(5000.0, pane())
+    };
+    assert!(look(&mut map, &touched(5000.0, Vec::new())).is_some());
+    assert!(look(&mut map, &far).is_none());
+    assert_eq!(map.touched.tiles().count(), 0);
+    for scan in [touched(5001.0, pane()), touched(1.0, Vec::new())] {
+        assert!(look(&mut map, &scan).is_some());
+    }
+    for second in 2..20 {
+        assert!(look(&mut map, &touched(f64::from(second), Vec::new())).is_some());
+    }
+    assert_eq!(at(&map, 2.02, 0.21), Occupancy::Occupied);
 }

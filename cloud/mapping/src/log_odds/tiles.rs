@@ -22,7 +22,7 @@ pub(super) struct Tiles {
     /// Corner of tile (0, 0), fixed while the grid grows, and the side of a cell.
     pub(super) frame: CellFrame,
     /// Tile column and row of the grid's lower-left corner, counted from the anchor.
-    first: [i64; 2],
+    pub(super) first: [i64; 2],
     /// Tiles in each direction.
     pub(super) counts: [usize; 2],
     /// Row-major from the lowest row; `None` where nothing was ever seen.

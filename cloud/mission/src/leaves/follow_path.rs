@@ -1,8 +1,9 @@
 //! FollowPath: drives a path to its end; rechecks and renews the plan as the map grows, and replans when it is blocked or when a shorter
 //! way opens.
 //!
-//! SUCCESS at the goal, within its tolerance; FAILURE when the robot makes no progress, when no path leads round an obstacle, or when the
-//! robot refuses plan after plan. Without the lease, or while the robot is stopped or driven by hand, it waits.
+//! SUCCESS at the goal, within its tolerance; FAILURE when the robot makes no progress, when no path leads round an obstacle, when the
+//! robot refuses plan after plan, or when its scans deny that it is at the goal. Without the lease, or while the robot is stopped or driven
+//! by hand, it waits.
 
 use std::sync::Arc;
 
@@ -18,9 +19,8 @@ use super::tracking::Tracking;
 use super::{fail, no_error, step};
 use crate::context::Context;
 use crate::motion::{PlanStatus, Recheck, recheck};
-use crate::route::{Route, RouteData, RouteRequest, Search, Searching, short_way_opens};
+use crate::route::{Route, RouteData, RouteRequest, Search, Searching, is_long, short_way_opens};
 use zenav_behaviour_tree::{Leaf, LeafIo, Status};
-use zenav_smoothing::Limits;
 
 /// Nav2's error codes of path following.
 mod error_code {
@@ -102,6 +102,12 @@ fn is_there(ctx: &Context, goal: &GoalPoint) -> bool {
     goal.yaw.is_none() && ctx.robot.is_at_rest() && ctx.robot.pose().is_some_and(near)
 }
 
+fn arrived(io: &mut LeafIo<'_>) -> Status {
+    no_error(io);
+    io.say("arrived");
+    Status::Success
+}
+
 impl Leaf<Context> for FollowPath {
     fn start(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
         *self = Self::default();
@@ -124,9 +130,10 @@ impl Leaf<Context> for FollowPath {
         self.path_sequence = io.sequence("path");
         if is_there(ctx, &data.goal) {
             // A path whose end stays near the robot, as when it follows something.
-            no_error(io);
-            io.say("arrived");
-            return Status::Success;
+            if let Some(why) = ctx.robot.has_not_arrived(ctx.now) {
+                return fail(io, ctx, Some(error_code::TF_ERROR), why);
+            }
+            return arrived(io);
         }
         self.offered = ctx.route(data.route);
         // A robot that approached the obstacle continues from there.
@@ -206,17 +213,10 @@ impl Leaf<Context> for FollowPath {
                 ctx.motion.clear();
             }
         }
-        if let Some(PlanStatus::Refused(why)) = ctx.motion.status().cloned() {
-            self.refusals += 1;
-            tracing::info!(goal = ctx.goal.id, why, "the robot rejected a plan");
-            if self.refusals > ctx.config.settings.retries.refusals {
-                let why = format!("the robot rejects the plan: {why}");
-                return self.end(io, ctx, error_code::NO_VALID_CONTROL, why);
-            }
-            if !ctx.motion.revert() {
-                ctx.motion.clear();
-            }
-            self.begin_search(ctx, memory.goal, ctx.config.settings.retries.refusal_wait);
+        if let Some(PlanStatus::Refused(why)) = ctx.motion.status().cloned()
+            && let Some(failure) = self.refused(io, ctx, memory.goal, &why)
+        {
+            return failure;
         }
         if self.search.is_none() {
             match ctx.motion.status().cloned() {
@@ -226,27 +226,9 @@ impl Leaf<Context> for FollowPath {
                     self.begin_search(ctx, memory.goal, 0.0);
                 }
                 Some(PlanStatus::Finished) => {
-                    let left = ctx.robot.pose().map_or(f64::INFINITY, |pose| {
-                        (pose.x - memory.goal.x).hypot(pose.y - memory.goal.y)
-                    });
-                    if left <= ctx.goal.tolerance {
-                        self.stop_search(ctx);
-                        no_error(io);
-                        io.say("arrived");
-                        ctx.end_leg(GoalPhase::Succeeded, None);
-                        return Status::Success;
+                    if let Some(end) = self.finished(io, ctx, memory.goal) {
+                        return end;
                     }
-                    self.misses += 1;
-                    if self.misses > ctx.config.settings.retries.misses {
-                        let why = format!(
-                            "ended {left:.2} m from the goal; the tolerance is {:.2} m",
-                            ctx.goal.tolerance
-                        );
-                        return self.end(io, ctx, error_code::NO_VALID_CONTROL, why);
-                    }
-                    ctx.motion.clear();
-                    self.blocked_at = None;
-                    self.begin_search(ctx, memory.goal, 0.0);
                 }
                 Some(PlanStatus::Sent | PlanStatus::Taken | PlanStatus::Refused(_)) => {
                     return self.supervise(io, ctx, memory);
@@ -263,6 +245,46 @@ impl Leaf<Context> for FollowPath {
 }
 
 impl FollowPath {
+    /// The robot has rejected the plan in force: another one is searched. After too many, the failure.
+    fn refused(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, goal: GoalPoint, why: &str) -> Option<Status> {
+        self.refusals += 1;
+        tracing::info!(goal = ctx.goal.id, why, "the robot rejected a plan");
+        if self.refusals > ctx.config.settings.retries.refusals {
+            let why = format!("the robot rejects the plan: {why}");
+            return Some(self.end(io, ctx, error_code::NO_VALID_CONTROL, why));
+        }
+        if !ctx.motion.revert() {
+            ctx.motion.clear();
+        }
+        self.begin_search(ctx, goal, ctx.config.settings.retries.refusal_wait);
+        None
+    }
+
+    /// The robot is at rest at the end of its plan: at the goal, the answer; elsewhere another plan is searched, a few times.
+    fn finished(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, goal: GoalPoint) -> Option<Status> {
+        let left = ctx
+            .robot
+            .pose()
+            .map_or(f64::INFINITY, |pose| (pose.x - goal.x).hypot(pose.y - goal.y));
+        if left <= ctx.goal.tolerance {
+            if let Some(why) = ctx.robot.has_not_arrived(ctx.now) {
+                return Some(self.end(io, ctx, error_code::TF_ERROR, why));
+            }
+            self.stop_search(ctx);
+            ctx.end_leg(GoalPhase::Succeeded, None);
+            return Some(arrived(io));
+        }
+        self.misses += 1;
+        if self.misses > ctx.config.settings.retries.misses {
+            let tolerance = ctx.goal.tolerance;
+            let why = format!("ended {left:.2} m from the goal; the tolerance is {tolerance:.2} m");
+            return Some(self.end(io, ctx, error_code::NO_VALID_CONTROL, why));
+        }
+        ctx.motion.clear();
+        self.begin_search(ctx, goal, 0.0);
+        None
+    }
+
     /// Switches to the present frame of the map. The plan in force continues; if its goal has moved relative to the robot's surroundings, a
     /// new route to the goal is searched meanwhile. `false` if the goal's frame is too old.
     fn settle(&mut self, io: &mut LeafIo<'_>, ctx: &mut Context, memory: &mut Memory) -> bool {
@@ -278,8 +300,11 @@ impl FollowPath {
         self.offered = None;
         self.stop_other(ctx);
         let parted = (along.x - memory.goal.x).hypot(along.y - memory.goal.y) > PARTED;
+        let is_blocked = self.blocked_at.is_some() || self.search.as_ref().is_some_and(Search::is_waiting);
         if self.search.is_some() || parted {
             self.begin_search(ctx, memory.goal, 0.0);
+        }
+        if !is_blocked {
             self.search = self.search.take().map(Search::at_once);
         }
         true
@@ -296,7 +321,14 @@ impl FollowPath {
             && !data.points.is_empty()
             && let Some(data) = data.here(&ctx.frames)
         {
-            self.offered = ctx.route(data.route);
+            let route = ctx.route(data.route);
+            if let Some(route) = &route
+                && memory.goal == data.goal
+                && self.weighs(ctx, &data, route)
+            {
+                return;
+            }
+            self.offered = route;
             if memory.goal != data.goal {
                 memory.goal = data.goal;
                 self.remember(io, *memory);
@@ -307,9 +339,42 @@ impl FollowPath {
         }
     }
 
+    /// Whether an offered route is left to this leaf's own search: one through the same goals, much longer than the plan in force, while
+    /// something blocks that. The search weighs it against waiting.
+    fn weighs(&mut self, ctx: &mut Context, data: &RouteData, route: &Route) -> bool {
+        let is_same_way = data.via == self.tracking.goals_ahead();
+        if ctx.config.settings.patience <= 0.0 || !is_same_way || !is_long(ctx, &data.via, route) {
+            return false;
+        }
+        if let Some(search) = &self.search {
+            return search.is_waiting() || self.blocked_at.is_some();
+        }
+        match self.recheck(ctx) {
+            Ok(Recheck::Blocked(ahead)) if ctx.motion.status() == Some(&PlanStatus::Taken) => {
+                if self.needs_replan(ctx, ahead) {
+                    self.replan(ctx, data.goal, ahead);
+                }
+                true
+            }
+            _ => false,
+        }
+    }
+
+    /// Rechecks the plan in force from the robot's position on; `Err` if it cannot be checked.
+    fn recheck(&self, ctx: &mut Context) -> Result<Recheck, String> {
+        let (time, escape) = (self.where_it_is(ctx).0, ctx.config.settings.escape);
+        let space = ctx.space_now()?;
+        Ok(ctx.motion.recheck(&space, time, escape))
+    }
+
+    /// Whether an obstacle this far ahead on the plan in force, s, needs a replan: just after the last one only if it is near.
+    fn needs_replan(&self, ctx: &Context, ahead: f64) -> bool {
+        ahead <= ctx.config.settings.obstacle.far || ctx.now >= self.gathered
+    }
+
     /// Searches a motion along a path that came without one.
     fn follow_points(&mut self, ctx: &mut Context, data: &RouteData) {
-        self.stop_search(ctx);
+        self.cancel_search(ctx);
         let request = RouteRequest {
             given: data.points.clone(),
             via: data.via.clone(),
@@ -355,7 +420,6 @@ impl FollowPath {
             }
         }
         self.stop_search(ctx);
-        self.blocked_at = None;
         ctx.drive(route.plan.clone());
         self.gathered = ctx.now.plus_secs(ctx.config.settings.obstacle.gather);
         memory.motion = ctx.motion.id();
@@ -369,8 +433,7 @@ impl FollowPath {
         if taken && !ctx.motion.is_held() {
             self.refusals = 0;
         }
-        let (time, left) = self.where_it_is(ctx);
-        if let Some(progress) = left {
+        if let Some(progress) = self.where_it_is(ctx).1 {
             ctx.goal.feedback.distance_left = Some(progress.0);
             ctx.goal.feedback.time_left = Some(progress.1);
         }
@@ -383,10 +446,7 @@ impl FollowPath {
         let rezoned = std::mem::replace(&mut self.zone_changes, zone_changes) != zone_changes;
         if due || rezoned || revision != self.rechecked {
             self.rechecked = revision;
-            match ctx
-                .space_now()
-                .map(|space| ctx.motion.recheck(&space, time, ctx.config.settings.escape))
-            {
+            match self.recheck(ctx) {
                 // Speed limits may have changed, or the path may be shorter: this motion continues until there is a better one.
                 Ok(Recheck::Free) if rezoned => {
                     self.begin_search(ctx, memory.goal, 0.0);
@@ -397,12 +457,10 @@ impl FollowPath {
                 Ok(Recheck::Free) => {}
                 // The plan runs out: the robot is at rest by its expiry, and continues once the plan can be checked again.
                 Err(why) => return step(io, ctx, &format!("plan not renewed, it cannot be checked: {why}")),
-                Ok(Recheck::Blocked(ahead)) if ahead > ctx.config.settings.obstacle.far && ctx.now < self.gathered => {}
+                Ok(Recheck::Blocked(ahead)) if !self.needs_replan(ctx, ahead) => {}
                 Ok(Recheck::Blocked(ahead)) => {
                     tracing::debug!(goal = ctx.goal.id, ahead, "the path is blocked");
-                    self.begin_search(ctx, memory.goal, 0.0);
-                    self.blocked_at = Some(time + ahead);
-                    self.brake_in_time(ctx);
+                    self.replan(ctx, memory.goal, ahead);
                     return step(io, ctx, "replanning: the path is blocked");
                 }
             }
@@ -490,10 +548,15 @@ impl FollowPath {
         let Some(search) = &mut self.search else {
             return Status::Running;
         };
+        let keeps_off = search.keeps_off();
         match search.step(ctx) {
             Searching::Wait(what) => step(io, ctx, what),
             Searching::Blocked(what) => {
+                let stops_at = search.stops_at(ctx);
                 self.progress.reset();
+                if let Some(at) = stops_at.filter(|_| !ctx.motion.is_held()) {
+                    self.drive_up_to(ctx, at);
+                }
                 step(io, ctx, &what)
             }
             Searching::Nearer(route) => {
@@ -503,12 +566,18 @@ impl FollowPath {
             }
             Searching::Found(route) => {
                 self.search = None;
-                if self.fits(ctx, &route) {
-                    self.drive(io, ctx, memory, &route)
-                } else {
+                if !self.fits(ctx, &route) {
                     self.begin_search(ctx, memory.goal, 0.0);
-                    step(io, ctx, "replanning: the robot is elsewhere by now")
+                    return step(io, ctx, "replanning: the robot is elsewhere by now");
                 }
+                let leads_round =
+                    keeps_off && route.plan.splice.is_some() && is_long(ctx, &self.tracking.goals_ahead(), &route);
+                if leads_round && self.recheck(ctx) == Ok(Recheck::Free) {
+                    // The plan in force is free again, though with less room than the planner wants.
+                    self.stop_search(ctx);
+                    return self.supervise(io, ctx, memory);
+                }
+                self.drive(io, ctx, memory, &route)
             }
             Searching::Failed(no_route)
                 if !ctx.robot.is_at_rest() && ctx.motion.status() == Some(&PlanStatus::Taken) =>
@@ -530,26 +599,47 @@ impl FollowPath {
         }
     }
 
+    /// Searches another path to the goal: the plan in force is blocked this far ahead, s.
+    fn replan(&mut self, ctx: &mut Context, goal: GoalPoint, ahead: f64) {
+        self.begin_search(ctx, goal, 0.0);
+        self.blocked_at = Some(self.where_it_is(ctx).0 + ahead);
+        self.brake_in_time(ctx);
+    }
+
     /// Holds the motion in force once the obstacle on the trajectory comes near.
     fn brake_in_time(&mut self, ctx: &mut Context) {
-        if let (Some(at), Some(model)) = (self.blocked_at, ctx.robot.model()) {
-            let braking = Limits::of(model).braking_time(ctx.robot.velocity());
-            let early = ctx.latency_budget() + ctx.config.settings.obstacle.brake_early;
+        if let (Some(at), Some(stopping)) = (self.blocked_at, ctx.stopping_time()) {
             let ahead = at - self.where_it_is(ctx).0;
-            if ahead < braking + early {
+            if ahead < stopping {
                 ctx.hold_within(ahead);
             }
         }
     }
 
+    /// Drives on while it waits, until this plan time, s. The plan is renewed while all that it is valid for is free.
+    fn drive_up_to(&mut self, ctx: &mut Context, at: f64) {
+        self.blocked_at = Some(at);
+        let (time, valid) = (self.where_it_is(ctx).0, ctx.plan_valid());
+        if ctx.motion.age(ctx.now) < ctx.config.settings.renew_period || at - time <= valid {
+            return;
+        }
+        let is_free = self.recheck(ctx).is_ok_and(|recheck| match recheck {
+            Recheck::Free => true,
+            Recheck::Blocked(ahead) => ahead > valid,
+        });
+        if is_free {
+            ctx.renew();
+        }
+    }
+
     fn begin_search(&mut self, ctx: &mut Context, goal: GoalPoint, wait: f64) {
-        self.stop_search(ctx);
+        self.cancel_search(ctx);
         let from = ctx.now.plus_secs(wait);
         let request = RouteRequest {
             via: self.tracking.goals_ahead(),
             ..RouteRequest::to(goal)
         };
-        self.search = Some(Search::new(ctx, request, None, from));
+        self.search = Some(Search::new(ctx, request, None, from).replacing());
     }
 
     fn stop_other(&mut self, ctx: &mut Context) {
@@ -559,6 +649,12 @@ impl FollowPath {
     }
 
     fn stop_search(&mut self, ctx: &mut Context) {
+        self.blocked_at = None;
+        self.cancel_search(ctx);
+    }
+
+    /// Ends the search for another one: what blocks the plan in force still does.
+    fn cancel_search(&mut self, ctx: &mut Context) {
         self.stop_other(ctx);
         if let Some(search) = self.search.take() {
             search.cancel(ctx);
@@ -577,3 +673,6 @@ impl FollowPath {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,7 +1,7 @@
 //! FollowWaypoints: passes places in order with the robot's waypoint law, without a planner or a map.
 //!
 //! The collision monitor keeps the robot from obstacles. SUCCESS at the last place; FAILURE when the robot makes no progress or refuses the
-//! plan. After a loss of the lease or a restart it continues with the first place not yet passed.
+//! plan, or when its scans deny that it is there. After a loss of the lease or a restart it continues with the first place not yet passed.
 
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
@@ -15,6 +15,7 @@ use crate::motion::{PlanDraft, PlanStatus};
 use zenav_behaviour_tree::{Leaf, LeafIo, Status};
 
 /// Nav2's error codes.
+const TF_ERROR: i64 = 102;
 const FAILED_TO_MAKE_PROGRESS: i64 = 105;
 const NO_VALID_CONTROL: i64 = 106;
 const UNKNOWN: i64 = 100;
@@ -161,6 +162,9 @@ impl FollowWaypoints {
     }
 
     fn succeed(&self, io: &mut LeafIo<'_>, ctx: &mut Context) -> Status {
+        if let Some(why) = ctx.robot.has_not_arrived(ctx.now) {
+            return self.end(io, ctx, TF_ERROR, why);
+        }
         no_error(io);
         io.say("all waypoints passed");
         ctx.end_leg(GoalPhase::Succeeded, None);

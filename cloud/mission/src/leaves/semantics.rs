@@ -13,7 +13,7 @@ use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::grid::{GridSpec, OccupancyGrid};
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{
-    EdgeState, Event, EventKind, GuardZone, InfoReply, LeaseState, Link, MapRef, Mode, PoseEstimate,
+    EdgeState, Event, EventKind, Health, InfoReply, Link, Localisation, MapRef, PoseEstimate,
 };
 use zenav_protocol::time::Stamp;
 
@@ -143,23 +143,11 @@ impl Stand {
 fn state(now: Stamp) -> EdgeState {
     EdgeState {
         stamp: now,
-        frame: 0,
         boot_id: "b".into(),
-        mode: Mode::Idle,
         link: Link::Connected,
-        lease: LeaseState::default(),
-        plan: None,
-        velocity: Twist2::ZERO,
-        guard: GuardZone::Clear,
         battery: 0.15,
-        behaviour: None,
-        missed_ticks: 0,
         uplink: 1.0,
-        round_trip_secs: None,
-        stops: 0,
-        makes_way: false,
-        faults: Default::default(),
-        wall_follower: None,
+        ..EdgeState::default()
     }
 }
 
@@ -362,6 +350,24 @@ fn a_selector_takes_what_its_topic_says_else_the_default_else_it_fails() {
         Stand::new(r#"<GoalCheckerSelector selected_goal_checker="{p}"/>"#).now(),
         Failure
     );
+}
+
+#[test]
+fn a_robot_whose_beams_pass_through_walls_has_not_arrived_though_it_takes_itself_to_be_there() {
+    for (health, answer, code) in [(Health::Contradicted, Failure, "102"), (Health::Tracking, Success, "0")] {
+        let node = r#"<FollowPath path="{path}" error_code_id="{code}"/>"#;
+        let mut stand = Stand::new(node).with("path", "[[1,0],[0,0]]");
+        let said = Localisation {
+            stamp: Stamp(1),
+            boot_id: "b".into(),
+            health,
+            map_from_base: Pose2::IDENTITY,
+            agreeing: 0.3,
+            through_walls: 0.4,
+        };
+        stand.ctx.robot.observe_localisation(Stamp(1), said);
+        assert_eq!((stand.now(), stand.entry("code").as_str()), (answer, code));
+    }
 }
 
 #[test]

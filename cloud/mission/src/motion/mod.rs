@@ -15,6 +15,7 @@ use zenav_protocol::trajectory::Trajectory;
 use zenav_space::ConfigurationSpace;
 
 use self::pace::Pace;
+pub(crate) use self::recheck::BLOCKED_WITHIN;
 pub use self::recheck::{Recheck, recheck};
 use super::frames::Frames;
 use super::lease::newer;
@@ -373,7 +374,7 @@ impl ActivePlan {
 mod tests {
     use super::*;
     use zenav_protocol::geometry::Twist2;
-    use zenav_protocol::messages::{Faults, GuardZone, LeaseState, Link, PlanProgress};
+    use zenav_protocol::messages::{Link, PlanProgress};
 
     #[test]
     fn who_is_held_back_is_expected_where_its_pace_leads() {
@@ -411,20 +412,11 @@ mod tests {
             boot_id: "b".into(),
             mode: Mode::Follow,
             link: Link::Connected,
-            lease: LeaseState::default(),
-            round_trip_secs: None,
             plan: Some(progress),
             velocity: Twist2::new(velocity, 0.0),
-            guard: GuardZone::Clear,
             battery: 1.0,
-            behaviour: None,
-            wall_follower: None,
-            missed_ticks: 0,
             uplink: 1.0,
-            stops: 0,
-            makes_way: false,
-            frame: 0,
-            faults: Faults::default(),
+            ..EdgeState::default()
         }
     }
 

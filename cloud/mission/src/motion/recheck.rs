@@ -11,6 +11,10 @@ const SPACING: (f64, f64) = (0.05, 0.1);
 const NEAR: f64 = 0.1;
 /// Poses rechecked at once; the first block that collides gives the time.
 const BLOCK: usize = 16;
+/// The obstacle is touched at most this far behind the place that a recheck calls blocked, m: a block of poses up to twice their spacing apart.
+pub(crate) const BLOCKED_WITHIN: f64 = 2.0 * SPACING.0 * BLOCK as f64;
+/// A robot that leaves an obstacle comes this much nearer to its surroundings at most, m: it does not leave it through the obstacle.
+const NEARER: f64 = 0.05;
 /// Clearances above this are equivalent for a recheck, m.
 const CONTACT: f64 = 2e-3;
 
@@ -25,6 +29,25 @@ pub enum Recheck {
 
 /// Rechecks a trajectory from plan time `from` on, with the true footprint. A robot that stands in an obstacle according to the map may
 /// leave it within `escape` m.
+///
+/// ```
+/// use nalgebra::Point2;
+/// use zenav_mission::motion::{Recheck, recheck};
+/// use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy};
+/// use zenav_protocol::robot::Footprint;
+/// use zenav_protocol::trajectory::{Trajectory, TrajectoryPoint};
+/// use zenav_space::{ConfigurationSpace, UnknownPolicy};
+///
+/// let spec = GridSpec { origin: Point2::new(-1.0, -1.0), resolution: 0.05, width: 200, height: 60 };
+/// let mut map = Grid::filled(spec, Occupancy::FREE);
+/// map[Cell::new(100, 20)] = Occupancy::OCCUPIED; // from (4, 0) to (4.05, 0.05)
+/// let space = ConfigurationSpace::new(&map, &Footprint::Radius(0.25), UnknownPolicy::Free, 0.0);
+/// // Along x at 0.5 m/s, a point every 0.1 s: the robot's front reaches the obstacle after 7.5 s.
+/// let point = |step: u32| TrajectoryPoint { t: 0.1 * f64::from(step), x: 0.05 * f64::from(step), v: 0.5, ..TrajectoryPoint::default() };
+/// let trajectory: Trajectory = (0..160).map(point).collect();
+/// assert!(matches!(recheck(&trajectory, &space, 0.0, 0.6), Recheck::Blocked(ahead) if ahead > 5.0 && ahead < 7.6));
+/// assert_eq!(recheck(&trajectory, &space, 9.0, 0.6), Recheck::Free, "it has passed");
+/// ```
 #[must_use]
 pub fn recheck(trajectory: &Trajectory, space: &ConfigurationSpace, from: f64, escape: f64) -> Recheck {
     // A disc turns in place.
@@ -36,6 +59,7 @@ pub fn recheck(trajectory: &Trajectory, space: &ConfigurationSpace, from: f64, e
     let mut way = 0.0;
     let mut before: Option<Pose2> = None;
     let mut leaving = true;
+    let mut begun: Option<f64> = None;
     for point in trajectory.spaced(from, SPACING.0, SPACING.1) {
         let pose = point.pose();
         if let Some(before) = before {
@@ -43,7 +67,10 @@ pub fn recheck(trajectory: &Trajectory, space: &ConfigurationSpace, from: f64, e
         }
         before = Some(pose);
         // A robot that stands in an obstacle according to the map must be able to leave it.
-        leaving = leaving && way < escape && space.footprint_clearance(pose) <= 0.0;
+        leaving = leaving && way < escape && space.footprint_clearance(pose) <= 0.0 && {
+            let clearance = space.clearance(pose.position());
+            clearance >= *begun.get_or_insert(clearance) - NEARER
+        };
         if leaving {
             continue;
         }
@@ -151,5 +178,24 @@ mod tests {
             recheck(&straight(), &space(&[(0.5, 0.0)]), 0.0, 0.6),
             Recheck::Blocked(_)
         ));
+    }
+
+    #[test]
+    fn a_robot_that_stands_in_a_thin_wall_is_not_let_through_it() {
+        let wall: Vec<(f64, f64)> = (-18..18).map(|y| (0.21, 0.05 * f64::from(y) + 0.01)).collect();
+        assert!(matches!(
+            recheck(&straight(), &space(&wall), 0.0, 0.6),
+            Recheck::Blocked(_)
+        ));
+        let back: Trajectory = straight()
+            .iter()
+            .take_while(|point| point.x < 0.7)
+            .map(|point| TrajectoryPoint {
+                x: -point.x,
+                v: -point.v,
+                ..*point
+            })
+            .collect();
+        assert_eq!(recheck(&back, &space(&wall), 0.0, 0.6), Recheck::Free);
     }
 }

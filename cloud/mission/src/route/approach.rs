@@ -2,7 +2,7 @@
 //! and how does the robot get there?
 //!
 //! The robot drives there by a separate plan, checked and renewed like any other, while the search continues. A goal has a limited number
-//! of tries, with growing pauses; while an approach is under way, the time that the obstacle has been there does not count.
+//! of tries, with growing pauses; while the obstacle is out of sight, the time that it has been there does not count.
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;
@@ -10,6 +10,7 @@ use zenav_protocol::grid::Occupancy;
 use zenav_protocol::messages::{GoalPoint, MotionReply, MotionRequest, PlanOutcome, PlanRequest, TrajectoryRequest};
 use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
+use zenav_protocol::trajectory::{Trajectory, TrajectoryPoint};
 
 use super::begin::{Begin, predicted};
 use super::waiting::Waiting;
@@ -31,6 +32,8 @@ const STEP: f64 = 0.25;
 const MOST_PLACES: usize = 2000;
 /// Distance that the robot keeps from the obstacle, beyond its circumscribed radius, m: the obstacle must be able to leave.
 const KEPT: f64 = 0.5;
+/// Spacing of the places of a plan that are compared with an obstacle, m.
+pub(super) const PLAN_STEP: f64 = 0.05;
 /// Greatest distance of the robot from the start of its plan when it sets out, m.
 const BEGINS: f64 = 0.15;
 /// Most tries of a goal; each waits this much longer than the one before, s.
@@ -105,7 +108,7 @@ impl Search {
             return;
         };
         tracing::info!(goal = ctx.goal.id, "drives to where it sees what bars the way");
-        self.from_rest = false;
+        (self.from_rest, self.replaces) = (false, false);
         self.approach = Some(Approach::Driving {
             id,
             revision: ctx.map.newest().map_or(0, |map| map.revision),
@@ -203,6 +206,27 @@ impl Waiting {
             .find(|place| self.is_seen_from(ctx, model, *place))?;
         ((place - from).norm() > STEP).then_some(place)
     }
+
+    /// Plan time at which the robot, on the plan in force, comes nearer to the obstacle than the distance that it keeps, s.
+    pub(super) fn kept_off_until(&self, ctx: &Context) -> Option<f64> {
+        let kept = ctx.robot.model()?.footprint.circumscribed_radius() + KEPT;
+        let time = ctx.motion.time(ctx.robot.state()?, 0.0, 0.0)?;
+        comes_near(ctx.motion.here()?, time, &self.cells, kept)
+    }
+
+    /// Whether the moving robot can still stop at that distance.
+    pub(super) fn may_be_kept_off(&self, ctx: &Context) -> bool {
+        let time = ctx.robot.state().and_then(|state| ctx.motion.time(state, 0.0, 0.0));
+        let times = self.kept_off_until(ctx).zip(time).zip(ctx.stopping_time());
+        times.is_some_and(|((until, time), stopping)| until - time >= stopping)
+    }
+}
+
+/// First time from plan time `from` on at which a trajectory is `kept` (m) or less away from one of these cells, s.
+fn comes_near(trajectory: &Trajectory, from: f64, cells: &[Point2<f64>], kept: f64) -> Option<f64> {
+    let is_near = |point: &TrajectoryPoint| cells.iter().any(|cell| (cell - point.position()).norm() <= kept);
+    let mut places = trajectory.spaced(from, PLAN_STEP, f64::INFINITY);
+    places.find(is_near).map(|point| point.t)
 }
 
 /// Whether the robot is at rest, and nothing prevents driving.
@@ -268,4 +292,33 @@ fn keep_up(ctx: &mut Context, id: u64, (revision, zones): (u64, u64)) -> Option<
         Ok(Recheck::Free) | Err(_) => {}
     }
     Some(checked)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_plan_comes_near_an_obstacle_at_its_distance_before_it() {
+        let at = |t: f64, x: f64, y: f64| TrajectoryPoint {
+            t,
+            x,
+            y,
+            ..TrajectoryPoint::default()
+        };
+        // 5 m along the x axis at 0.5 m/s, and back at a distance.
+        let plan = Trajectory::new(vec![
+            at(0.0, 0.0, 0.0),
+            at(10.0, 5.0, 0.0),
+            at(14.0, 5.0, 2.0),
+            at(24.0, 0.0, 2.0),
+        ]);
+        let near = |from, x, y| comes_near(&plan, from, &[Point2::new(x, y)], 0.75);
+        let is = |found: Option<f64>, secs: f64| found.is_some_and(|found| (found - secs).abs() < 0.11);
+        assert!(is(near(0.0, 4.0, 0.0), 6.5));
+        assert!(is(near(7.0, 4.0, 0.0), 7.0), "it is there");
+        assert!(is(near(0.0, 4.0, 2.5), 14.9), "on the way back");
+        assert_eq!(near(0.0, 2.5, -1.0), None);
+        assert_eq!(near(10.0, 3.0, 0.0), None, "it has passed");
+    }
 }

@@ -5,7 +5,7 @@
 //!
 //! If there is no path, the worker is asked again as if the transient obstacles ([`transient`](crate::transient)) had left. If there is a
 //! path then, the search waits for them: it asks again when one of them leaves, and each second. If the path round them is much longer
-//! than the one through them, it waits, too, as long as that is likely to be sooner.
+//! than the one through them, it waits, too, as long as that is likely to be sooner. A moving robot waits on the plan in force.
 
 mod approach;
 mod begin;
@@ -36,8 +36,8 @@ use begin::{Begin, predicted};
 
 pub use approach::Tries;
 pub use request::RouteRequest;
-pub(crate) use waiting::{Waiting, look_at};
-pub(crate) use way_round::short_way_opens;
+pub(crate) use waiting::{InSight, Waiting, look_at};
+pub(crate) use way_round::{is_long, short_way_opens};
 
 /// Nav2's error codes of path planning.
 pub mod error_code {
@@ -188,6 +188,8 @@ pub struct Search {
     begun: Stamp,
     /// Plan only from rest.
     from_rest: bool,
+    /// Whether its route replaces the plan in force: then a moving robot may wait on that one.
+    replaces: bool,
     /// Transient cells of the last request.
     cleared: Vec<TransientCell>,
     /// Whether some of them are one or two beam returns near a goal far away.
@@ -221,6 +223,7 @@ impl Search {
             stage: Stage::Idle(from),
             begun: from,
             from_rest: false,
+            replaces: false,
             cleared: Vec::new(),
             doubts: false,
             waiting: None,
@@ -241,6 +244,12 @@ impl Search {
             may_approach: false,
             ..self
         }
+    }
+
+    /// Replaces the plan in force, on the way to the same goal.
+    #[must_use]
+    pub(crate) fn replacing(self) -> Self {
+        Self { replaces: true, ..self }
     }
 
     /// Waits until the robot is at rest, and plans from there.

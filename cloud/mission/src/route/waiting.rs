@@ -11,6 +11,7 @@ use zenav_protocol::time::Stamp;
 use super::begin::Begin;
 use super::{NoRoute, Search, Searching, Stage, error_code, named};
 use crate::context::Context;
+use crate::frames::moved_points;
 use crate::io::{Answer, Ask, NoAnswer, Ticket};
 use crate::leaves::path;
 use crate::transient::TransientCell;
@@ -51,8 +52,46 @@ pub(crate) struct Waiting {
     pub(super) way: Vec<Point2<f64>>,
     /// Distance beyond which it cannot be identified, m.
     pub(super) told_within: f64,
+    /// Whether a moving robot chose to wait although there is a way round: it stops at a distance.
+    pub(super) keeps_off: bool,
     /// How many of its cells were occupied at the last path request.
     occupied: usize,
+}
+
+/// Time for which the robot has had an obstacle in sight that was out of sight before: only that counts as waiting for it. It goes on
+/// counting after the obstacle was out of sight again, also in another search.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct InSight {
+    blockage: Blockage,
+    secs: f64,
+    /// Up to when it is counted.
+    at: Stamp,
+}
+
+impl InSight {
+    /// The time by now of an obstacle that is hidden, or in sight; `None` if it was never hidden.
+    fn of(blockage: Blockage, before: Option<Self>, is_hidden: bool, now: Stamp) -> Option<Self> {
+        // What came after that is another obstacle.
+        let goes_on = |before: &Self| is_same(before.blockage, blockage) && blockage.since <= before.at;
+        let before = before.filter(goes_on);
+        if before.is_none() && !is_hidden {
+            return None;
+        }
+        let counted = before.map_or(0.0, |before| before.secs);
+        let more = before
+            .filter(|_| !is_hidden)
+            .map_or(0.0, |before| now.secs_since(before.at));
+        Some(Self {
+            blockage,
+            secs: counted + more,
+            at: now,
+        })
+    }
+}
+
+/// Whether two blockages are so near to each other that they are one.
+fn is_same(one: Blockage, other: Blockage) -> bool {
+    (one.x - other.x).hypot(one.y - other.y) <= SAME_PLACE
 }
 
 impl Waiting {
@@ -82,12 +121,14 @@ impl Waiting {
             cells: thing.iter().map(|cell| cell.center).collect(),
             way: path.to_vec(),
             told_within: f64::INFINITY,
+            keeps_off: false,
             occupied: thing.len(),
         })
     }
 
-    /// Records in the goal that the robot waits for this obstacle. If it was waited for or driven round before, it keeps its first time.
+    /// Records that the robot waits for this obstacle. If it was waited for or driven round before, it keeps its first time.
     pub(super) fn note(&mut self, ctx: &mut Context) {
+        self.blockage.since = ctx.map.notice(&self.cells, self.blockage.since);
         let waited = ctx
             .goal
             .waited
@@ -104,7 +145,7 @@ impl Waiting {
     }
 
     fn keep_first_time(&mut self, before: Blockage) {
-        if (before.x - self.blockage.x).hypot(before.y - self.blockage.y) <= SAME_PLACE {
+        if is_same(before, self.blockage) {
             self.blockage.since = self.blockage.since.min(before.since);
         }
     }
@@ -117,6 +158,22 @@ impl Waiting {
             now.keep_first_time(self.blockage);
         }
         Some(now)
+    }
+
+    /// The same in the present frame of the map: it moves with the robot's surroundings. `None` if its frame is too old.
+    pub(crate) fn settle(self, from: u64, ctx: &Context) -> Option<Self> {
+        let moved = ctx.frames.robot(from)?;
+        let Blockage { x, y, since } = self.blockage;
+        let place = moved.transform_point(Point2::new(x, y));
+        let (x, y) = (place.x, place.y);
+        let mut settled = Self {
+            blockage: Blockage { x, y, since },
+            cells: moved_points(&self.cells, moved),
+            way: moved_points(&self.way, moved),
+            ..self
+        };
+        settled.asked(ctx);
+        Some(settled)
     }
 
     /// How long the obstacle has been there, s.
@@ -179,7 +236,7 @@ impl Waiting {
     pub(super) fn given_up(&self, now: Stamp) -> String {
         let Blockage { x, y, .. } = self.blockage;
         format!(
-            "something that came has stood at ({x:.2}, {y:.2}) for {:.0} s",
+            "something that may leave has stood at ({x:.2}, {y:.2}) for {:.0} s",
             self.stood(now)
         )
     }
@@ -318,13 +375,11 @@ impl Search {
             waiting.note(ctx);
         }
         let approaches = self.is_approaching() || self.may_approach && ctx.goal.tries.are_left();
-        if approaches && !waiting.is_in_sight(ctx) {
-            ctx.goal.unseen_until = Some(ctx.now);
-        }
-        let seen = ctx
-            .goal
-            .unseen_until
-            .map_or(f64::INFINITY, |until| ctx.now.secs_since(until));
+        let is_hidden = approaches && !waiting.is_in_sight(ctx);
+        let in_sight = InSight::of(waiting.blockage, ctx.goal.in_sight, is_hidden, ctx.now);
+        // Another obstacle in sight does not make it forgotten.
+        ctx.goal.in_sight = in_sight.or(ctx.goal.in_sight);
+        let seen = in_sight.map_or(f64::INFINITY, |seen| seen.secs);
         if waiting.stood(ctx.now).min(seen) > patience(ctx) {
             let reason = format!("{}; {}", no_route.reason, waiting.given_up(ctx.now));
             self.waiting = None;
@@ -413,4 +468,95 @@ fn ask_behaviour(ctx: &mut Context, action: BehaviourAction) -> bool {
     let ticket = ctx.ask_maneuver(request);
     ctx.asks.forget(ticket);
     true
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use zenav_protocol::grid::GridSpec;
+    use zenav_protocol::id::Id;
+    use zenav_protocol::messages::{MapFrame, MapPatch, MapRef, TILE, Tile};
+
+    use super::*;
+    use crate::{MissionConfig, Restored};
+
+    #[test]
+    fn what_the_robot_drives_round_moves_with_the_map() {
+        let config = MissionConfig::new(Id::robot("tiago").unwrap(), "m", "unused".into());
+        let mut ctx = Context::new(config, &Restored::fresh());
+        let map = |frame| MapRef {
+            id: "m".into(),
+            revision: frame + 1,
+            frame,
+        };
+        let settle = |ctx: &mut Context, frame: u64, moves: Vec<Pose2>| {
+            let patch = MapPatch {
+                stamp: Stamp(frame + 1),
+                map: map(frame),
+                base_revision: frame,
+                spec: GridSpec {
+                    origin: Point2::origin(),
+                    resolution: 0.05,
+                    width: TILE,
+                    height: TILE,
+                },
+                tiles: vec![Tile {
+                    x: 0,
+                    y: 0,
+                    values: vec![Occupancy::OCCUPIED; (TILE * TILE) as usize],
+                }],
+            };
+            ctx.map.observe(Stamp(frame + 1), None, &[patch]);
+            ctx.frames.observe(MapFrame {
+                map: map(frame),
+                moves,
+                ..MapFrame::default()
+            });
+            ctx.settle();
+        };
+        settle(&mut ctx, 0, Vec::new());
+        let cell = TransientCell {
+            center: Point2::new(1.0, 0.5),
+            since: Some(Stamp(1)),
+        };
+        let way = [(0.0, 0.5), (2.0, 0.5)].map(|(x, y)| Point2::new(x, y));
+        ctx.goal.avoided = Waiting::on(&way, &[cell], 0.3, Stamp(1));
+        settle(&mut ctx, 1, vec![Pose2::new(0.0, 1.0, 0.0)]);
+        let avoided = ctx.goal.avoided.as_ref().unwrap();
+        let Blockage { x, y, since } = avoided.blockage;
+        assert!((x - 1.0).hypot(y - 1.5) < 1e-9 && since == Stamp(1), "{avoided:?}");
+        assert!(!avoided.gives_way(&ctx) && (avoided.way[1].y - 1.5).abs() < 1e-9);
+    }
+
+    #[test]
+    fn the_wait_for_an_obstacle_that_was_lost_from_sight_goes_on_where_it_was() {
+        let wall = |x: f64| Blockage {
+            x,
+            y: 2.0,
+            since: Stamp::ZERO,
+        };
+        let at = Stamp::from_secs;
+        assert_eq!(InSight::of(wall(6.5), None, false, at(5.0)), None, "always in sight");
+        // Driven to from 5 s to 10 s, seen until 90 s, out of sight until 100 s, and seen again.
+        let mut seen = None;
+        let looks = [
+            (5.0, true, 0.0),
+            (10.0, true, 0.0),
+            (90.0, false, 80.0),
+            (100.0, true, 80.0),
+            (140.0, false, 120.0),
+        ];
+        for (secs, is_hidden, counted) in looks {
+            seen = InSight::of(wall(6.5 + 0.001 * secs), seen, is_hidden, at(secs));
+            assert!((seen.unwrap().secs - counted).abs() < 1e-6, "{seen:?} at {secs} s");
+        }
+        let came_later = Blockage {
+            since: at(145.0),
+            ..wall(6.5)
+        };
+        for other in [wall(0.0), came_later] {
+            let other = InSight::of(other, seen, true, at(150.0)).unwrap();
+            assert!(other.secs.abs() < 1e-9, "another obstacle begins anew: {other:?}");
+        }
+    }
 }

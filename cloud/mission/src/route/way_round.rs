@@ -5,17 +5,23 @@
 //! lost is then at most twice that of the best choice in hindsight, and no deterministic rule guarantees less (Karlin, Manasse, Rudolph
 //! and Sleator, "Competitive snoopy caching", Algorithmica 3, 1988). An obstacle that had stood there before is waited for less.
 //!
-//! On the way round, the short way is searched again when part of the obstacle has left.
+//! A moving robot drives on meanwhile, up to where it keeps its distance from the obstacle; if it cannot stop there any more, it drives round
+//! at once. On the way round, the short way is searched again when part of the obstacle has left.
+//!
+//! What the robot touched while driving is driven round at once: no beam shows it, so none would see it leave.
 
 use nalgebra::Point2;
+use zenav_protocol::messages::GoalPoint;
 use zenav_smoothing::Limits;
 
+use super::approach::PLAN_STEP;
 use super::waiting::{RETRY, Waiting, path_of, patience, reach};
 use super::{Route, Search, Searching, Stage};
 use crate::context::Context;
 use crate::io::{Answer, NoAnswer};
 use crate::leaves::path;
-use crate::motion::Recheck;
+use crate::motion::{BLOCKED_WITHIN, Recheck};
+use crate::transient::TransientCell;
 
 /// Least expected wait, s: a way round that costs less is taken at once.
 const LEAST_WAIT: f64 = 5.0;
@@ -27,14 +33,15 @@ const SPARE: f64 = 0.2;
 impl Search {
     /// Takes a route, unless it is much longer than necessary: then asks what the way would be without the obstacles that may leave.
     pub(super) fn unless_waiting_is_sooner(&mut self, ctx: &mut Context, route: Box<Route>) -> Searching {
-        // A moving robot goes on: in front of the obstacle it may have no room to set out again.
-        let is_moving = route.plan.splice.is_some();
-        let is_given = is_moving || self.goes_round || self.request.past_others || !self.may_wait(ctx);
-        if is_given || !self.is_long(ctx, &route) {
+        let is_given = self.goes_round || self.request.past_others || !self.may_wait(ctx);
+        if is_given || !is_long(ctx, &self.request.via, &route) {
             return self.takes(route);
         }
+        if let Some(splice) = route.plan.splice {
+            return self.weigh_in_motion(ctx, route, splice.time);
+        }
         let places: Vec<Point2<f64>> = [route.begin.position()].into_iter().chain(barred_at(ctx)).collect();
-        self.cleared = self.what_may_leave(ctx, &places);
+        self.cleared = self.what_may_be_seen_to_leave(ctx, &places);
         match self.ask_without_what_may_leave(ctx, route.begin) {
             Some(ticket) => {
                 self.stage = Stage::Weighed(ticket, route);
@@ -44,16 +51,52 @@ impl Search {
         }
     }
 
-    /// Whether a route takes much longer than a straight line at top speed, and longer than the rest of the plan in force.
-    fn is_long(&self, ctx: &Context, route: &Route) -> bool {
-        let goals = self.request.via.iter().chain([&self.request.goal]);
-        let goals = goals.map(|goal| Point2::new(goal.x, goal.y));
-        let corners: Vec<Point2<f64>> = [route.begin.position()].into_iter().chain(goals).collect();
-        let speed = ctx.robot.model().map_or(f64::INFINITY, |model| Limits::of(model).speed);
-        let straight = path::length(&corners) / speed;
-        let left = ctx.goal.feedback.time_left.unwrap_or(0.0);
-        let secs = route.plan.trajectory.duration();
-        secs > straight + LEAST_WAIT && secs > left + LONGER
+    /// The same for a moving robot. The short way is the rest of the plan in force, from plan time `from` on; only what has come onto it is
+    /// waited for.
+    fn weigh_in_motion(&mut self, ctx: &mut Context, route: Box<Route>, from: f64) -> Searching {
+        if !self.replaces {
+            let stands = self.waiting.as_ref().is_some_and(|waiting| waiting.now(ctx).is_some());
+            if !stands || !self.may_approach || is_urgent(ctx, &route) {
+                return self.takes(route);
+            }
+            // The plan in force is an approach: at its end, the robot weighs again.
+            self.again_at(ctx.now.plus_secs(RETRY[1]));
+            return Searching::Wait("is about to plan");
+        }
+        let barred = blocked_from(ctx, from);
+        let (Some(barred), Some(plan)) = (barred, ctx.motion.here()) else {
+            return self.takes(route);
+        };
+        let cost = route.plan.trajectory.duration() - (plan.end_time() - from);
+        let ahead: Vec<(f64, Point2<f64>)> = plan
+            .spaced(from, PLAN_STEP, f64::INFINITY)
+            .map(|point| (point.t, point.position()))
+            .collect();
+        let beyond = ahead.iter().filter(|(t, _)| *t >= barred);
+        let beyond: Vec<Point2<f64>> = beyond.map(|(_, place)| *place).collect();
+        let beyond = path::part(&beyond, 0.0, BLOCKED_WITHIN);
+        let mut cells = self.what_may_be_seen_to_leave(ctx, beyond.get(..1).unwrap_or_default());
+        cells.retain(|cell| cell.since.is_some());
+        let waiting = Waiting::on(&beyond, &cells, reach(ctx), ctx.now).filter(|_| cost > LEAST_WAIT);
+        let Some(mut waiting) = waiting else {
+            return self.takes(route);
+        };
+        waiting.way = ahead.into_iter().map(|(_, place)| place).collect();
+        waiting.keeps_off = true;
+        let waits = self.waiting.as_ref().is_some_and(|waiting| waiting.keeps_off);
+        if !waits && !waiting.may_be_kept_off(ctx) {
+            // In front of the obstacle the robot may have no room to set out again.
+            ctx.goal.avoided = Some(waiting);
+            return self.takes(route);
+        }
+        self.wait_or_go_round(ctx, route, waiting, cost)
+    }
+
+    /// Transient cells near these places and the goals, without those that the robot felt.
+    fn what_may_be_seen_to_leave(&self, ctx: &Context, places: &[Point2<f64>]) -> Vec<TransientCell> {
+        let mut cells = self.what_may_leave(ctx, places);
+        cells.retain(|cell| !cell.since.is_some_and(|since| ctx.robot.has_felt(cell.center, since)));
+        cells
     }
 
     /// The answer to that request: waits for the first obstacle on the short way, or drives round it.
@@ -64,38 +107,44 @@ impl Search {
         answer: Result<Answer, NoAnswer>,
     ) -> Searching {
         let (short, cells) = (path_of(answer), std::mem::take(&mut self.cleared));
-        let round = route.plan.trajectory.duration();
         // At the same mean speed.
-        let cost = round * (1.0 - path::length(&short) / route.length);
-        let Some(mut waiting) = Waiting::on(&short, &cells, reach(ctx), ctx.now).filter(|_| cost > LEAST_WAIT) else {
-            return self.takes_after_asking(ctx, route);
-        };
+        let cost = route.plan.trajectory.duration() * (1.0 - path::length(&short) / route.length);
+        match Waiting::on(&short, &cells, reach(ctx), ctx.now).filter(|_| cost > LEAST_WAIT) {
+            Some(waiting) => self.wait_or_go_round(ctx, route, waiting, cost),
+            None => self.takes(route),
+        }
+    }
+
+    /// Waits for an obstacle, or takes the route round it, which costs this much more time than the short way, s.
+    fn wait_or_go_round(&mut self, ctx: &mut Context, route: Box<Route>, mut waiting: Waiting, cost: f64) -> Searching {
         self.doubts = false;
         waiting.note(ctx);
         ctx.goal.avoided = Some(waiting.clone());
         let stood = waiting.stood(ctx.now);
-        let left = ctx.goal.deadline.map(|deadline| deadline.secs_since(ctx.now));
-        // The next attempt comes after a pause and two requests.
-        let attempt = RETRY[1] + 2.0 * ctx.latency_budget();
-        let is_urgent = left.is_some_and(|left| is_last_chance(round, left, attempt));
-        if is_worth_waiting(cost, stood) && stood <= patience(ctx) && !is_urgent {
+        if is_worth_waiting(cost, stood) && stood <= patience(ctx) && !is_urgent(ctx, &route) {
             return self.wait_for(ctx, waiting);
         }
         tracing::info!(goal = ctx.goal.id, stood, cost, "drives round what may leave");
-        self.takes_after_asking(ctx, route)
-    }
-
-    /// Takes a route that was found before the short way was asked for: by now a moving robot may be past the point where it begins.
-    fn takes_after_asking(&mut self, ctx: &Context, route: Box<Route>) -> Searching {
-        if route.plan.splice.is_some() {
-            self.goes_round = true;
-            self.stage = Stage::Idle(ctx.now);
-            return Searching::Wait("plans");
-        }
         self.takes(route)
     }
 
-    /// The same, without weighing a long route against waiting: for a plan in force that is free.
+    /// Plan time at which a moving robot is to be at rest on the plan in force while it waits, s.
+    pub(crate) fn stops_at(&self, ctx: &Context) -> Option<f64> {
+        let waiting = self.waiting.as_ref().filter(|_| self.keeps_off())?;
+        waiting.kept_off_until(ctx)
+    }
+
+    /// Whether a moving robot waits on the plan in force although there is a way round.
+    pub(crate) fn keeps_off(&self) -> bool {
+        self.replaces && self.waiting.as_ref().is_some_and(|waiting| waiting.keeps_off)
+    }
+
+    /// Whether it waits for an obstacle.
+    pub(crate) fn is_waiting(&self) -> bool {
+        self.waiting.is_some()
+    }
+
+    /// Takes a long route without weighing it against waiting: for a plan in force that is free.
     pub(crate) fn at_once(mut self) -> Self {
         self.goes_round = true;
         self
@@ -109,9 +158,29 @@ impl Search {
     }
 }
 
+/// Whether a route takes much longer than a straight line at top speed through these goals, and longer than the rest of the plan in force.
+pub(crate) fn is_long(ctx: &Context, via: &[GoalPoint], route: &Route) -> bool {
+    let goals = via.iter().chain([&route.goal]);
+    let goals = goals.map(|goal| Point2::new(goal.x, goal.y));
+    let corners: Vec<Point2<f64>> = [route.begin.position()].into_iter().chain(goals).collect();
+    let speed = ctx.robot.model().map_or(f64::INFINITY, |model| Limits::of(model).speed);
+    let straight = path::length(&corners) / speed;
+    let left = ctx.goal.feedback.time_left.unwrap_or(0.0);
+    let secs = route.plan.trajectory.duration();
+    secs > straight + LEAST_WAIT && secs > left + LONGER
+}
+
 /// Whether to wait for an obstacle that has stood for some time, s, if the way round costs this much more time than the short way, s.
 fn is_worth_waiting(cost: f64, stood: f64) -> bool {
     cost > stood.max(LEAST_WAIT)
+}
+
+/// Whether a way round leads to the goal before its deadline only if the robot takes it now.
+fn is_urgent(ctx: &Context, route: &Route) -> bool {
+    let left = ctx.goal.deadline.map(|deadline| deadline.secs_since(ctx.now));
+    // The next attempt comes after a pause and two requests.
+    let attempt = RETRY[1] + 2.0 * ctx.latency_budget();
+    left.is_some_and(|left| is_last_chance(route.plan.trajectory.duration(), left, attempt))
 }
 
 /// Whether a way round, s, is in time only if the robot sets out now; `left` until the deadline and `attempt` until it is asked again, s.
@@ -122,9 +191,15 @@ fn is_last_chance(round: f64, left: f64, attempt: f64) -> bool {
 /// Where the plan in force is blocked.
 fn barred_at(ctx: &mut Context) -> Option<Point2<f64>> {
     let time = ctx.motion.time(ctx.robot.state()?, 0.0, 0.0)?;
+    let barred = blocked_from(ctx, time)?;
+    Some(ctx.motion.here()?.sample(barred).position())
+}
+
+/// Plan time at which the rest of the plan in force is blocked, from a plan time on, s.
+fn blocked_from(ctx: &mut Context, from: f64) -> Option<f64> {
     let space = ctx.space_now().ok()?;
-    match ctx.motion.recheck(&space, time, ctx.config.settings.escape) {
-        Recheck::Blocked(ahead) => Some(ctx.motion.here()?.sample(time + ahead).position()),
+    match ctx.motion.recheck(&space, from, ctx.config.settings.escape) {
+        Recheck::Blocked(ahead) => Some(from + ahead),
         Recheck::Free => None,
     }
 }
@@ -135,43 +210,4 @@ pub(crate) fn short_way_opens(ctx: &Context) -> bool {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Time lost over a free short way, s: by waiting for an obstacle that leaves after some time, and by the way round if that is taken.
-    fn lost(cost: f64, leaves: f64) -> f64 {
-        let waits = |secs: &f64| is_worth_waiting(cost, *secs) && *secs < leaves;
-        let waited = (0..).map(|tick| 0.1 * f64::from(tick)).find(|secs| !waits(secs));
-        let waited = waited.unwrap_or(f64::INFINITY);
-        if waited < leaves { waited + cost } else { waited }
-    }
-
-    #[test]
-    fn waiting_and_driving_round_lose_at_most_twice_as_much_as_the_better_of_the_two() {
-        for cost in [6.0, 10.0, 40.0, 110.0] {
-            for leaves in [1.0, 4.0, 9.9, 10.1, 35.0, 60.0, 300.0] {
-                let best = f64::min(cost, leaves);
-                assert!(
-                    lost(cost, leaves) <= 2.0 * best + 0.2,
-                    "{cost} {leaves}: {}",
-                    lost(cost, leaves)
-                );
-            }
-        }
-    }
-
-    #[test]
-    fn a_short_way_round_is_taken_at_once() {
-        assert!(!is_worth_waiting(4.9, 0.0));
-        assert!(is_worth_waiting(5.1, 0.0) && is_worth_waiting(30.0, 29.0));
-        assert!(!is_worth_waiting(30.0, 31.0), "what has stood for long stays");
-    }
-
-    #[test]
-    fn the_way_round_is_taken_while_it_is_in_time_and_not_when_it_would_be_late_anyway() {
-        assert!(!is_last_chance(50.0, 61.0, 0.5));
-        assert!(is_last_chance(50.0, 55.0, 0.5));
-        assert!(is_last_chance(5.0, 8.0, 3.0), "the next attempt would come too late");
-        assert!(!is_last_chance(50.0, 49.0, 0.5));
-    }
-}
+mod tests;

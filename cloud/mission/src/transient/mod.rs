@@ -7,13 +7,16 @@
 //!
 //! Beams that graze a wall sometimes show its surface as free. But the space behind a wall is never seen free, so all sides are checked.
 //! Obstacles of a stored map have been there for long, and stay.
+//!
+//! Nobody knows how long a lone object has been there. A piece of a wall of which no more was seen looks the same, so the time counts from
+//! when it was first in the way, for all goals, until its cells are free.
 
 mod window;
 
 use std::collections::BTreeMap;
 
 use nalgebra::Point2;
-use zenav_protocol::grid::{GridSpec, Occupancy, OccupancyGrid};
+use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::messages::{MapPatch, TILE};
 use zenav_protocol::time::Stamp;
 
@@ -27,6 +30,8 @@ const _: () = assert!(TILE as usize == SIDE, "a row of a tile is a word");
 const SEEN_FREE: i8 = 15;
 /// Most cells returned.
 const MAX_CELLS: usize = 20_000;
+/// Fewest newly occupied cells that show that something has arrived: noise moves the edge of an obstacle by a cell here and there.
+const ARRIVED: usize = 5;
 
 /// A cell's column and row, counted from the origin of the map's first grid.
 type Place = (i64, i64);
@@ -48,6 +53,8 @@ pub struct Transients {
     tiles: BTreeMap<Place, Tile>,
     /// Times at which free cells became occupied, by row and column.
     since: BTreeMap<Place, Stamp>,
+    /// Times since which occupied cells that were never seen free have been in the way, by row and column.
+    noticed: BTreeMap<Place, Stamp>,
 }
 
 /// One machine word per row.
@@ -94,6 +101,14 @@ impl Transients {
         let free = mask(|value| (0..=SEEN_FREE).contains(&value));
         let occupied = mask(|value| Occupancy::of(value) == Occupancy::Occupied);
         let side = SIDE as i64;
+        if !self.noticed.is_empty() {
+            let stands = |cell: &Place| occupied >> (cell.1 - x) & 1 == 1;
+            let row = self.noticed.range((y, x)..(y, x + side));
+            let left: Vec<Place> = row.map(|(cell, _)| *cell).filter(|cell| !stands(cell)).collect();
+            for cell in left {
+                self.noticed.remove(&cell);
+            }
+        }
         let key = (x.div_euclid(side), y.div_euclid(side));
         if free == 0 && !self.tiles.contains_key(&key) {
             return;
@@ -116,6 +131,36 @@ impl Transients {
                 self.since.remove(&cell);
             }
         }
+    }
+
+    /// Notes that the cells with these centres are in the way since a time. Returns that time, or an earlier one at which they were noticed
+    /// before. Of cells that became occupied the time is known without that; with more than a few of them something has arrived, and the
+    /// given time holds.
+    pub fn notice(&mut self, grid: &OccupancyGrid, centers: &[Point2<f64>], since: Stamp) -> Stamp {
+        let offset = self.anchor.as_ref();
+        let Some((dx, dy)) = offset.and_then(|(_, anchor)| between(anchor, grid.spec())) else {
+            return since;
+        };
+        let is_occupied = |cell: &Cell| {
+            let value = grid.get(*cell);
+            value.is_some_and(|value| Occupancy::of(*value) == Occupancy::Occupied)
+        };
+        let cells = centers.iter().filter_map(|center| grid.spec().cell_at(*center));
+        let places = cells
+            .filter(is_occupied)
+            .map(|cell| (i64::from(cell.y) + dy, i64::from(cell.x) + dx));
+        let (arrived, places): (Vec<Place>, Vec<Place>) = places.partition(|place| self.since.contains_key(place));
+        if arrived.len() >= ARRIVED {
+            return since;
+        }
+        let first = places.iter().filter_map(|place| self.noticed.get(place).copied()).min();
+        let first = first.map_or(since, |first| first.min(since));
+        for place in places {
+            if self.noticed.len() < MAX_CELLS {
+                self.noticed.entry(place).or_insert(first);
+            }
+        }
+        first
     }
 
     /// Whether a cell (row and column) was ever free.

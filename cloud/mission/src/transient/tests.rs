@@ -145,6 +145,52 @@ fn what_stands_alone_may_leave_unless_it_is_large_or_in_a_stored_map() {
 }
 
 #[test]
+fn what_was_never_seen_to_come_is_in_the_way_since_it_was_noticed_first_until_it_leaves() {
+    let mut shown = Shown::new();
+    shown.show(100, 60..68, 62..64).show(0, 50..60, 52..70);
+    let centers: Vec<Point2<f64>> = (60..68)
+        .map(|x| SPEC.from_cells(Point2::new(f64::from(x) + 0.5, 62.5)))
+        .collect();
+    let at = Stamp::from_secs;
+    let notice = |shown: &mut Shown, secs: f64| shown.transients.notice(&shown.grid, &centers, at(secs));
+    assert_eq!(notice(&mut shown, 30.0), at(30.0));
+    // Another goal comes to it, and the map changes elsewhere.
+    shown.show(0, 68..78, 52..70);
+    assert_eq!(notice(&mut shown, 90.0), at(30.0));
+    // Some of it leaves, then all of it; what comes there later is another obstacle, whose time is known.
+    shown.show(0, 60..64, 62..64);
+    assert_eq!(notice(&mut shown, 100.0), at(30.0));
+    shown.show(0, 60..68, 62..64).show(100, 60..68, 62..64);
+    assert_eq!(notice(&mut shown, 200.0), at(200.0));
+}
+
+#[test]
+fn who_comes_to_stand_beside_an_old_obstacle_has_not_stood_there_as_long() {
+    let mut shown = Shown::new();
+    shown.show(100, 60..68, 62..64).show(0, 50..60, 52..70);
+    let centers = |columns: std::ops::Range<usize>| -> Vec<Point2<f64>> {
+        let center = |x: usize| SPEC.from_cells(Point2::new(x as f64 + 0.5, 62.5));
+        columns.map(center).collect()
+    };
+    let at = Stamp::from_secs;
+    assert_eq!(
+        shown.transients.notice(&shown.grid, &centers(60..68), at(30.0)),
+        at(30.0)
+    );
+    // Noise at its edge is nobody.
+    shown.show(100, 58..60, 62..64);
+    assert_eq!(
+        shown.transients.notice(&shown.grid, &centers(58..68), at(90.0)),
+        at(30.0)
+    );
+    shown.show(100, 52..58, 62..64);
+    assert_eq!(
+        shown.transients.notice(&shown.grid, &centers(52..68), at(200.0)),
+        at(200.0)
+    );
+}
+
+#[test]
 fn a_map_of_senseless_size_is_left_alone() {
     let mut transients = Transients::default();
     let spec = GridSpec {

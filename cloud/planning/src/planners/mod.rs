@@ -143,12 +143,26 @@ impl Planner {
     }
 
     /// Whether its paths keep clear of obstacles where there is room; paths of the others may pass as close as the robot fits.
+    ///
+    /// ```
+    /// use zenav_planning::Planner;
+    ///
+    /// let clear = Planner::ALL.iter().filter(|(_, planner)| planner.keeps_clear());
+    /// assert_eq!(clear.map(|(name, _)| *name).collect::<Vec<_>>(), ["astar"]);
+    /// ```
     #[must_use]
     pub fn keeps_clear(self) -> bool {
         self.kind() == Kind::CostGrid
     }
 
     /// Its name, as in requests and on the command line.
+    ///
+    /// ```
+    /// use zenav_planning::Planner;
+    ///
+    /// assert_eq!(Planner::RrtConnect.name(), "rrt_connect");
+    /// assert!(Planner::ALL.iter().all(|(name, planner)| name.parse::<Planner>() == Ok(*planner)));
+    /// ```
     #[must_use]
     pub fn name(self) -> &'static str {
         let mut all = Self::ALL.iter();

@@ -134,7 +134,7 @@ fn expand(
         }
         memory.reached.set(node, here.with_its_turn());
         if node == goal_node {
-            return Ok(path(graph, memory, sight, query, goal_node));
+            return Ok(path(graph, memory, sight, query, goal_node, budget));
         }
         *expansions += 1;
         let base = memory.reached.get(here.parent).cost();
@@ -147,7 +147,7 @@ fn expand(
             if known.had_its_turn() {
                 continue;
             }
-            let to = Cell::new(cell.x.wrapping_add_signed(step.x), cell.y.wrapping_add_signed(step.y));
+            let to = step.after(cell);
             let cost = base + distance(parent, to);
             if cost >= LONGEST {
                 too_long = true;
@@ -179,7 +179,15 @@ fn beside(graph: &GridGraph, memory: &Memory, node: u32) -> Reached {
     best
 }
 
-fn path(graph: &GridGraph, memory: &Memory, sight: &impl LineOfSight, query: &Query, goal_node: u32) -> Path {
+/// The path to the goal, pulled taut as far as the budget goes.
+fn path(
+    graph: &GridGraph,
+    memory: &Memory,
+    sight: &impl LineOfSight,
+    query: &Query,
+    goal_node: u32,
+    budget: Budget<'_>,
+) -> Path {
     let mut corners = vec![query.goal];
     let mut node = goal_node;
     loop {
@@ -193,7 +201,7 @@ fn path(graph: &GridGraph, memory: &Memory, sight: &impl LineOfSight, query: &Qu
     corners.push(query.start);
     corners.reverse();
     corners.dedup();
-    pull_string(sight, &mut corners, 1.0);
+    pull_string(sight, &mut corners, 1.0, || budget.is_cancelled());
     Path::through(corners)
 }
 

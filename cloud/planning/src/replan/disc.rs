@@ -3,10 +3,11 @@
 //!
 //! Each answer is kept with a lower bound on the cost of any path. At first it is the cost of the path itself. It stays valid while the
 //! map changes, except for cells that became cheaper or free: a path through such a cell `c` costs at least the octile distance from the
-//! start to `c` and on to the goal, and the bound drops to the least of these. A cell without a neighbour that the search had reached
-//! does not count: a path to it leaves the expanded cells through a cell that stayed open because no path through it was cheaper. From a
-//! cell `s'` no path costs less than the bound minus the cost from the start to `s'`; along the path, that is the cost of the part left
-//! behind.
+//! start to `c` and on to the goal, and the bound drops to the least of these. A cell that became free also allows the diagonal steps
+//! beside it, which are shorter than the two straight steps through it: by that much the bound drops farther. A cell without a neighbour
+//! that the search had reached does not count: a path to it leaves the expanded cells through a cell that stayed open because no path
+//! through it was cheaper. From a cell `s'` no path costs less than the bound minus the cost from the start to `s'`; along the path, that
+//! is the cost of the part left behind.
 //!
 //! So an earlier path, or the rest of it, is as good as a new search while it costs no more than the bound; the check takes a comparison
 //! of two bitmaps and a walk along the path. If the path is cut, a piece around the cut is searched for; the result is taken if the bound
@@ -28,7 +29,7 @@ use super::span::Span;
 use crate::budget::Budget;
 use crate::cell_cost::{Uniform, costs_along};
 use crate::ends::End;
-use crate::grid_graph::{GridPath, TooManyCells, UNREACHED, octile};
+use crate::grid_graph::{DIAGONAL, GridPath, STRAIGHT, TooManyCells, UNREACHED, octile};
 use crate::node_table::Written;
 use crate::options::PlanOptions;
 use crate::path::Path;
@@ -41,6 +42,8 @@ use zenav_space::{BitGrid, ConfigurationSpace, LineOfSight};
 const KEPT: usize = 16;
 /// Largest distance of the robot from the path, cells.
 const BESIDE: u32 = 6;
+/// A diagonal step beside a cell is this much cheaper than the two straight steps through it.
+const CUT_CORNER: u32 = 2 * STRAIGHT - DIAGONAL;
 
 /// Paths for one disc on one changing map.
 #[derive(Clone, Debug)]
@@ -139,16 +142,15 @@ impl DiscReplanner {
             let mut spans = [span(freed, 0), span(gone, reach)].into_iter().flatten();
             match &mut kept.known {
                 Known::Grid { cells, bound, reached } => {
+                    let goal = Cell::new(kept.goal.x as u32, kept.goal.y as u32);
                     for span in spans {
                         if reached.as_ref().is_none_or(|reached| span.touches(reached, pitch)) {
                             if *bound == UNREACHED {
                                 // There was no path, and now there may be one.
                                 return false;
                             }
-                            *bound = span
-                                .distance(cells[0])
-                                .saturating_add(span.distance(Cell::new(kept.goal.x as u32, kept.goal.y as u32)))
-                                .min(*bound);
+                            let through = span.distance(cells[0]).saturating_add(span.distance(goal));
+                            *bound = through.saturating_sub(CUT_CORNER).min(*bound);
                         }
                     }
                     true
@@ -328,7 +330,7 @@ pub(super) fn cells_along(path: &Path) -> Vec<Cell> {
     let corners: Vec<Cell> = path.corners.iter().map(|p| Cell::new(p.x as u32, p.y as u32)).collect();
     let mut cells: Vec<Cell> = corners.first().copied().into_iter().collect();
     for leg in corners.windows(2) {
-        let toward = |from: u32, to: u32| (i64::from(to) - i64::from(from)).signum() as i32;
+        let toward = |from: u32, to: u32| to.cmp(&from) as i32;
         let (x, y) = (toward(leg[0].x, leg[1].x), toward(leg[0].y, leg[1].y));
         let mut at = leg[0];
         for _ in 0..leg[0].x.abs_diff(leg[1].x).max(leg[0].y.abs_diff(leg[1].y)) {

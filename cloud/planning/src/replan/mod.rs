@@ -66,6 +66,28 @@ impl Replanner {
     ///
     /// # Errors
     /// [`TooManyCells`] if the map has grown.
+    ///
+    /// ```
+    /// # use nalgebra::Point2;
+    /// # use zenav_planning::{Budget, PlanOptions, Replanner};
+    /// # use zenav_protocol::geometry::Pose2;
+    /// # use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy, OccupancyGrid};
+    /// # use zenav_protocol::messages::PlanOutcome;
+    /// # use zenav_protocol::robot::Footprint;
+    /// # use zenav_space::{ConfigurationSpace, UnknownPolicy};
+    /// # let spec = GridSpec { origin: Point2::origin(), resolution: 0.1, width: 60, height: 40 };
+    /// # let mut map = Grid::filled(spec, Occupancy::FREE);
+    /// let space = |map: &OccupancyGrid| ConfigurationSpace::new(map, &Footprint::Radius(0.25), UnknownPolicy::Blocked, 0.0);
+    /// let mut replanner = Replanner::new(&space(&map))?;
+    /// let mut ask = |map: &OccupancyGrid| {
+    ///     let (start, goal) = (Pose2::new(1.05, 2.05, 0.0), Pose2::new(5.05, 2.05, 0.0));
+    ///     replanner.plan(&space(map), start, goal, &PlanOptions::default(), Budget::UNLIMITED)
+    /// };
+    /// assert!(matches!(ask(&map)?.outcome, PlanOutcome::Found { .. }));
+    /// (0..40).for_each(|y| map[Cell::new(30, y)] = Occupancy::OCCUPIED);
+    /// assert_eq!(ask(&map)?.outcome, PlanOutcome::NoPath);
+    /// # Ok::<(), zenav_planning::TooManyCells>(())
+    /// ```
     pub fn plan(
         &mut self,
         space: &ConfigurationSpace,
@@ -99,6 +121,26 @@ impl Replanner {
     }
 
     /// Edges of the trees of the last search, m, map frame, at most `limit` of them; empty after a search without trees.
+    ///
+    /// ```
+    /// # use nalgebra::Point2;
+    /// # use zenav_planning::{Budget, PlanOptions, Planner, Replanner};
+    /// # use zenav_protocol::geometry::Pose2;
+    /// # use zenav_protocol::grid::{Cell, Grid, GridSpec, Occupancy};
+    /// # use zenav_protocol::robot::Footprint;
+    /// # use zenav_space::{ConfigurationSpace, UnknownPolicy};
+    /// # let spec = GridSpec { origin: Point2::origin(), resolution: 0.1, width: 60, height: 40 };
+    /// # let mut map = Grid::filled(spec, Occupancy::FREE);
+    /// # (0..25).for_each(|y| map[Cell::new(30, y)] = Occupancy::OCCUPIED);
+    /// # let space = ConfigurationSpace::new(&map, &Footprint::Radius(0.25), UnknownPolicy::Blocked, 0.0);
+    /// // A map of 6 m by 4 m with a wall between start and goal.
+    /// let mut replanner = Replanner::new(&space)?;
+    /// let [start, goal] = [1.0, 5.0].map(|x| Pose2::new(x, 1.0, 0.0));
+    /// replanner.plan(&space, start, goal, &PlanOptions::new(Planner::Rrt), Budget::UNLIMITED)?;
+    /// let edges = replanner.tree(1000);
+    /// assert!(!edges.is_empty() && edges.iter().flatten().all(|end| end.x < 6.0 && end.y < 4.0));
+    /// # Ok::<(), zenav_planning::TooManyCells>(())
+    /// ```
     #[must_use]
     pub fn tree(&self, limit: usize) -> Vec<[Point2<f64>; 2]> {
         let edges = self.discs.first().map(|(_, disc)| disc.searcher.tree(limit));

@@ -249,6 +249,32 @@ fn a_shortcut_is_not_missed() {
 }
 
 #[test]
+fn a_diagonal_step_beside_a_cell_that_became_known_is_not_missed() {
+    for options in [
+        PlanOptions::shortest(Planner::Jps),
+        PlanOptions::shortest(Planner::AStar),
+    ] {
+        let mut grid = room();
+        // It forbids one step of the only path without a straight step, and lies on no shortest path itself.
+        grid[Cell::new(42, 41)] = Occupancy::UNKNOWN;
+        let mut replanner = DiscReplanner::new(&space(&grid)).unwrap();
+        let mut ask = |grid: &OccupancyGrid| {
+            let space = space(grid);
+            replanner.follow(&space).unwrap();
+            let [start, goal] = [35, 50].map(|at| end(Cell::new(at, at)));
+            let (found, origin) = replanner.find(&space, start, goal, &options, Budget::UNLIMITED);
+            (found.result.unwrap().length, origin)
+        };
+        let (before, _) = ask(&grid);
+        set(&mut grid, 42, 41, true);
+        let (after, origin) = ask(&grid);
+        assert_eq!(origin, PlanOrigin::Searched, "{options:?}");
+        let diagonal = std::f64::consts::SQRT_2;
+        assert!((before - 2.0 - 14.0 * diagonal).abs() < 1e-9 && (after - 15.0 * diagonal).abs() < 1e-9);
+    }
+}
+
+#[test]
 fn a_map_that_has_grown_is_prepared_anew() {
     let mut replanner = Replanner::new(&space(&room())).unwrap();
     let spec = GridSpec {

@@ -33,6 +33,9 @@ pub(super) const MOST_PLACES: u32 = 9;
 pub(super) const PARTS_OF_TURN: u32 = 3;
 /// Margin around the footprint, m: later rounding causes no contact.
 pub(super) const MARGIN: f64 = 5e-4;
+/// Corners of an outline that are moved without an allocation.
+const FEW: usize = 64;
+/// Heading of a step, rad.
 pub(super) fn yaw_of(heading: usize) -> f64 {
     let (x, y) = STEPS[heading];
     (y as f64).atan2(x as f64)
@@ -129,15 +132,21 @@ impl<'a> FootprintMasks<'a> {
         self.space.field().distance(self.cell(place)) > self.room_to_turn
     }
 
+    /// Whether an outline around a place touches no obstacle.
     pub(super) fn admits(&self, outline: &[Point2<f64>], p: Point2<f64>) -> bool {
-        let mut moved = [Point2::origin(); 128];
-        let moved = moved.get_mut(..outline.len());
-        moved.is_some_and(|moved| {
-            for (to, corner) in moved.iter_mut().zip(outline) {
-                *to = corner + p.coords;
+        // Most outlines have few corners, and need no memory of their own.
+        let (mut few, mut many) = ([Point2::origin(); FEW], Vec::new());
+        let moved = match few.get_mut(..outline.len()) {
+            Some(few) => few,
+            None => {
+                many.resize(outline.len(), Point2::origin());
+                &mut many[..]
             }
-            self.space.is_clear_of(moved)
-        })
+        };
+        for (to, corner) in moved.iter_mut().zip(outline) {
+            *to = corner + p.coords;
+        }
+        self.space.is_clear_of(moved)
     }
 
     /// Whether the footprint fits somewhere in a cell, with any heading.

@@ -15,10 +15,9 @@ mod tests;
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
-use std::collections::HashMap;
-use std::hash::{BuildHasherDefault, Hasher};
 
 use nalgebra::{Point2, Vector2};
+use rustc_hash::FxHashMap;
 use zenav_protocol::geometry::{Pose2, wrap_angle};
 
 use cost_to_go::{CostToGo, UNIT};
@@ -119,6 +118,7 @@ pub(super) fn search(
 type Node = u64;
 
 /// The best path known to a node.
+#[derive(Clone, Copy)]
 struct Reached {
     cost: u32,
     /// The previous node, or, from [`STARTS`] on, the number of a start.
@@ -133,23 +133,78 @@ struct Reached {
 /// Values of `Reached::before` from here on are numbers of starts.
 const STARTS: u64 = 1 << 63;
 
-/// Hashes a node: one multiplication, its high bits first.
-#[derive(Default)]
-struct NodeHasher(u64);
+/// The best paths known, and the nodes to expand.
+struct Frontier<'a> {
+    masks: &'a FootprintMasks<'a>,
+    left: CostToGo,
+    /// Weight of the cost to go, in parts of 256. Integers throughout: the same order on every platform.
+    weight: u64,
+    reached: FxHashMap<Node, Reached>,
+    open: BinaryHeap<Reverse<(u32, Node)>>,
+}
 
-impl Hasher for NodeHasher {
-    fn write(&mut self, bytes: &[u8]) {
-        for byte in bytes {
-            self.write_u64(u64::from(*byte));
+impl Frontier<'_> {
+    /// Keeps a way to a place and heading if it is better than the one known.
+    fn reach(&mut self, place: (i64, i64), heading: usize, way: Reached) {
+        let node = ((place.1 * self.masks.width + place.0) as u64) << 4 | heading as u64;
+        let known = self.reached.get(&node);
+        if known.is_none_or(|known| !known.closed && way.cost < known.cost) {
+            let left = (u64::from(self.left.from(self.masks.cell(place))) * self.weight) >> 8;
+            let estimate = way.cost.saturating_add(u32::try_from(left).unwrap_or(u32::MAX));
+            self.open.push(Reverse((estimate, node)));
+            self.reached.insert(node, way);
         }
     }
 
-    fn write_u64(&mut self, node: u64) {
-        self.0 = (self.0 ^ node).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+    /// The place and heading of a node.
+    fn place(&self, node: Node) -> ((i64, i64), usize) {
+        let index = (node >> 4) as i64;
+        (
+            (index % self.masks.width, index / self.masks.width),
+            (node & 15) as usize,
+        )
     }
 
-    fn finish(&self) -> u64 {
-        self.0.rotate_left(26)
+    /// Reaches all that is one step or turn away from a node.
+    fn leave(&mut self, node: Node, here: Reached, costs: &impl CellCost, settings: &Se2Settings) {
+        let masks = self.masks;
+        let resolution = masks.space.spec().resolution;
+        let (place, heading) = self.place(node);
+        let way = |step: u32, turned: f32, backwards: bool| Reached {
+            cost: here.cost.saturating_add(step),
+            before: node,
+            turned,
+            backwards,
+            closed: false,
+        };
+        let (x, y) = STEPS[heading];
+        for backwards in [false, true] {
+            let to = if backwards {
+                (place.0 - x, place.1 - y)
+            } else {
+                (place.0 + x, place.1 + y)
+            };
+            // Driving backwards is driving forwards from the other end.
+            let (from, until) = if backwards { (to, place) } else { (place, to) };
+            if masks.contains(to) && masks.can_step(from, until, heading) {
+                let extra = f64::from(costs.extra(masks.cell(to))) / f64::from(PARTS);
+                let length = masks.spacing * ((x * x + y * y) as f64).sqrt();
+                let times = if backwards { settings.reverse_cost } else { 1.0 };
+                let changes = backwards != here.backwards;
+                let cusp = if changes { settings.cusp_cost / resolution } else { 0.0 };
+                let step = (length * times * (1.0 + extra) + cusp) * UNIT;
+                self.reach(to, heading, way(step as u32, 0.0, backwards));
+            }
+        }
+        let turn_cost = (settings.turn_cost / resolution * UNIT) as u32;
+        let (next, previous) = ((heading + 1) % STEPS.len(), (heading + STEPS.len() - 1) % STEPS.len());
+        for (to, between) in [(next, heading), (previous, previous)] {
+            let turned = here.turned + wrap_angle(yaw_of(to) - yaw_of(heading)) as f32;
+            let is_shorter = turned.abs() < HALF_TURN || masks.can_turn_round(place);
+            if is_shorter && masks.can_turn(place, between) {
+                self.reach(place, to, way(turn_cost, turned, here.backwards));
+            }
+        }
     }
 }
 
@@ -180,44 +235,38 @@ fn expand(
     let Some(left) = CostToGo::new(masks, costs, first, last, budget, expansions)? else {
         return Err(NotFound::NoPath);
     };
-    let node = |(x, y): (i64, i64), heading: usize| ((y * masks.width + x) as u64) << 4 | heading as u64;
-    let mut reached: HashMap<Node, Reached, BuildHasherDefault<NodeHasher>> = HashMap::default();
-    let mut open: BinaryHeap<Reverse<(u32, Node)>> = BinaryHeap::new();
-    // Integers throughout: the same order on every platform.
-    let weight = (settings.heuristic_weight * 256.0) as u64;
-    let estimate = |cost: u32, left: u32| {
-        let left = (u64::from(left) * weight) >> 8;
-        cost.saturating_add(u32::try_from(left).unwrap_or(u32::MAX))
+    let mut frontier = Frontier {
+        masks,
+        left,
+        weight: (settings.heuristic_weight * 256.0) as u64,
+        reached: FxHashMap::default(),
+        open: BinaryHeap::new(),
     };
     let ends = [Some(query.goal), roomiest_end(space, query).filter(|_| is_tight)];
     let ends: Vec<Point2<f64>> = ends.into_iter().flatten().collect();
-    let starts = starts(masks, query, settings);
+    let starts = starts(masks, query, settings, budget);
+    if budget.is_cancelled() {
+        return Err(NotFound::TimedOut);
+    }
     for (number, start) in starts.iter().enumerate() {
-        let cost = (start.cost / spec.resolution * UNIT) as u32;
-        let at = node(start.place, start.heading);
-        if reached.get(&at).is_none_or(|known| cost < known.cost) {
-            let begun = Reached {
-                cost,
-                before: STARTS + number as u64,
-                turned: start.turned as f32,
-                backwards: false,
-                closed: false,
-            };
-            reached.insert(at, begun);
-            open.push(Reverse((estimate(cost, left.from(masks.cell(start.place))), at)));
-        }
+        let begun = Reached {
+            cost: (start.cost / spec.resolution * UNIT) as u32,
+            before: STARTS + number as u64,
+            turned: start.turned as f32,
+            backwards: false,
+            closed: false,
+        };
+        frontier.reach(start.place, start.heading, begun);
     }
     let mut nodes = 0;
     // Multiples only, so that the budget checks its flag regularly.
     *expansions = expansions.next_multiple_of(CELLS_A_NODE);
-    let turn_cost = (settings.turn_cost / spec.resolution * UNIT) as u32;
-    let cusp_cost = settings.cusp_cost / spec.resolution;
-    while let Some(Reverse((_, at))) = open.pop() {
-        let Some(known) = reached.get_mut(&at).filter(|known| !known.closed) else {
+    while let Some(Reverse((_, at))) = frontier.open.pop() {
+        let Some(known) = frontier.reached.get_mut(&at).filter(|known| !known.closed) else {
             continue;
         };
         known.closed = true;
-        let (cost, since, backed) = (known.cost, known.turned, known.backwards);
+        let here = *known;
         nodes += 1;
         if nodes > settings.max_nodes {
             return Err(NotFound::TimedOut);
@@ -226,59 +275,16 @@ fn expand(
         if budget.is_spent(*expansions) {
             return Err(NotFound::TimedOut);
         }
-        let (index, heading) = ((at >> 4) as i64, (at & 15) as usize);
-        let place = (index % masks.width, index / masks.width);
-        let come_to = yaw_of(heading) - f64::from(since);
+        let (place, heading) = frontier.place(at);
+        let come_to = yaw_of(heading) - f64::from(here.turned);
         if let Some(end) = ends.iter().find(|end| arrives(masks, place, come_to, **end)) {
-            return Ok(trace(masks, &reached, &starts, at, *end));
+            return Ok(trace(&frontier, &starts, at, *end));
         }
         if (masks.point(place) - goal).norm() < enough {
             let end = spec.from_cells(masks.point(place));
-            return Ok(trace(masks, &reached, &starts, at, end));
+            return Ok(trace(&frontier, &starts, at, end));
         }
-        let mut reach = |place: (i64, i64), heading: usize, step: u32, turned: f32, backwards: bool| {
-            let (next, cost) = (node(place, heading), cost.saturating_add(step));
-            if reached
-                .get(&next)
-                .is_none_or(|known| !known.closed && cost < known.cost)
-            {
-                let better = Reached {
-                    cost,
-                    before: at,
-                    turned,
-                    backwards,
-                    closed: false,
-                };
-                reached.insert(next, better);
-                open.push(Reverse((estimate(cost, left.from(masks.cell(place))), next)));
-            }
-        };
-        let (x, y) = STEPS[heading];
-        for backwards in [false, true] {
-            let to = if backwards {
-                (place.0 - x, place.1 - y)
-            } else {
-                (place.0 + x, place.1 + y)
-            };
-            // Driving backwards is driving forwards from the other end.
-            let (from, until) = if backwards { (to, place) } else { (place, to) };
-            if masks.contains(to) && masks.can_step(from, until, heading) {
-                let extra = f64::from(costs.extra(masks.cell(to))) / f64::from(PARTS);
-                let length = masks.spacing * ((x * x + y * y) as f64).sqrt();
-                let times = if backwards { settings.reverse_cost } else { 1.0 };
-                let cusp = if backwards == backed { 0.0 } else { cusp_cost };
-                let step = (length * times * (1.0 + extra) + cusp) * UNIT;
-                reach(to, heading, step as u32, 0.0, backwards);
-            }
-        }
-        let (next, previous) = ((heading + 1) % STEPS.len(), (heading + STEPS.len() - 1) % STEPS.len());
-        for (to, between) in [(next, heading), (previous, previous)] {
-            let turned = since + wrap_angle(yaw_of(to) - yaw_of(heading)) as f32;
-            let is_shorter = turned.abs() < HALF_TURN || masks.can_turn_round(place);
-            if is_shorter && masks.can_turn(place, between) {
-                reach(place, to, turn_cost, turned, backed);
-            }
-        }
+        frontier.leave(at, here, costs, settings);
     }
     Err(NotFound::NoPath)
 }
@@ -296,18 +302,19 @@ struct Start {
     turned: f64,
 }
 
-/// All places beside the start, or straight ahead of or behind it, where the robot can turn to a heading of the lattice.
-fn starts(masks: &FootprintMasks<'_>, query: &Query, settings: &Se2Settings) -> Vec<Start> {
+/// All places beside the start, or straight ahead of or behind it, where the robot can turn to a heading of the lattice; fewer once the
+/// search is cancelled.
+fn starts(masks: &FootprintMasks<'_>, query: &Query, settings: &Se2Settings, budget: Budget<'_>) -> Vec<Start> {
     let mut starts = Vec::new();
     match query.heading {
-        Some(yaw) => starts_with(masks, query.start, yaw, settings, &mut starts),
+        Some(yaw) => starts_with(masks, query.start, yaw, settings, budget, &mut starts),
         None => (0..STEPS.len())
             .map(yaw_of)
             .filter(|yaw| {
                 let pose = Pose2::new(query.start.x, query.start.y, *yaw);
                 masks.space.is_valid(pose)
             })
-            .for_each(|yaw| starts_with(masks, query.start, yaw, settings, &mut starts)),
+            .for_each(|yaw| starts_with(masks, query.start, yaw, settings, budget, &mut starts)),
     }
     starts
 }
@@ -317,6 +324,7 @@ fn starts_with(
     start: Point2<f64>,
     heading: f64,
     settings: &Se2Settings,
+    budget: Budget<'_>,
     starts: &mut Vec<Start>,
 ) {
     let (space, spec) = (masks.space, masks.space.spec());
@@ -326,7 +334,9 @@ fn starts_with(
     for i in 0..=(settings.straight_on / spacing) as u32 {
         let way = spacing * f64::from(i);
         let from = start + ahead * way;
-        if i > 0 && (space.leg_clearance(start, from, MARGIN) < MARGIN || !space.is_permitted_between(start, from)) {
+        let is_blocked =
+            || space.leg_clearance(start, from, MARGIN) < MARGIN || !space.is_permitted_between(start, from);
+        if budget.is_cancelled() || (i > 0 && is_blocked()) {
             break;
         }
         // Places beside the line ahead, for which a small turn is enough.
@@ -345,7 +355,9 @@ fn starts_with(
     for i in 1..=(settings.straight_on / BACK) as u32 {
         let way = BACK * f64::from(i);
         let from = start - ahead * way;
-        if space.leg_clearance(from, start, MARGIN) < MARGIN || !space.is_permitted_between(start, from) {
+        let is_blocked =
+            || space.leg_clearance(from, start, MARGIN) < MARGIN || !space.is_permitted_between(start, from);
+        if budget.is_cancelled() || is_blocked() {
             break;
         }
         let cost = settings.cusp_cost + settings.reverse_cost * way;
@@ -431,24 +443,14 @@ fn arrives(masks: &FootprintMasks<'_>, place: (i64, i64), heading: f64, to: Poin
 }
 
 /// The path to a node, and on to the end.
-fn trace<S>(
-    masks: &FootprintMasks<'_>,
-    reached: &HashMap<Node, Reached, S>,
-    starts: &[Start],
-    last: Node,
-    end: Point2<f64>,
-) -> DrivenPath
-where
-    S: std::hash::BuildHasher,
-{
-    let spec = masks.space.spec();
+fn trace(frontier: &Frontier<'_>, starts: &[Start], last: Node, end: Point2<f64>) -> DrivenPath {
+    let spec = frontier.masks.space.spec();
     // Each point with whether the leg to it is driven backwards.
     let mut points = vec![(end, false)];
     let mut at = last;
     loop {
-        let index = (at >> 4) as i64;
-        let place = spec.from_cells(masks.point((index % masks.width, index / masks.width)));
-        match reached.get(&at) {
+        let place = spec.from_cells(frontier.masks.point(frontier.place(at).0));
+        match frontier.reached.get(&at) {
             Some(known) if known.before < STARTS => {
                 points.push((place, known.backwards));
                 at = known.before;

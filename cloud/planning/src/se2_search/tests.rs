@@ -134,6 +134,21 @@ fn beside_a_wall_the_path_ends_where_the_robot_comes_to_at_an_angle() {
 }
 
 #[test]
+fn an_outline_of_many_corners_turns_beside_an_obstacle() {
+    // As many corners as a robot may have; the area swept by a turn has five times as many.
+    let corner = |nth: u32| {
+        let (sin, cos) = (f64::from(nth) * std::f64::consts::TAU / 64.0).sin_cos();
+        Point2::new(0.3 * cos, 0.3 * sin)
+    };
+    let outline = Footprint::Polygon((0..64).map(corner).collect());
+    // Nearer than the distance from which on no outline is looked at, and farther away than the outline reaches.
+    let grid = zenav_fixtures::map_with_occupied(zenav_fixtures::spec(40, 40, 0.05), &[(20, 29)]);
+    let space = ConfigurationSpace::new(&grid, &outline, UnknownPolicy::Blocked, 0.0);
+    let masks = FootprintMasks::new(&space).unwrap();
+    assert!(!masks.has_room_to_turn((20, 20)) && masks.can_turn_round((20, 20)));
+}
+
+#[test]
 fn a_search_without_budget_times_out() {
     let space = ConfigurationSpace::new(&room(|_, _| false), &long(), UnknownPolicy::Blocked, 0.0);
     let query = Query {

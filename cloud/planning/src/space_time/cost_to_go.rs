@@ -49,9 +49,7 @@ impl CostToGo {
             for (x, y, step) in STEPS {
                 let next = (place.0 + x, place.1 + y);
                 let there = here + step;
-                if ticks.get(&next).is_some_and(|known| *known <= there)
-                    || !grid.is_free(place.0, place.1, next.0, next.1)
-                {
+                if ticks.get(&next).is_some_and(|known| *known <= there) || !grid.is_free(place, next) {
                     continue;
                 }
                 ticks.insert(next, there);

@@ -16,6 +16,7 @@ use std::collections::BinaryHeap;
 use nalgebra::Point2;
 use rustc_hash::FxHashMap;
 use zenav_protocol::messages::KnownCourse;
+use zenav_protocol::polygon::Edge;
 use zenav_space::{ConfigurationSpace, LineOfSight as _};
 
 use super::budget::Budget;
@@ -74,6 +75,25 @@ pub struct SpaceTimePath {
 
 impl SpaceTimePath {
     /// Time of arrival at the goal, s.
+    ///
+    /// ```
+    /// # use nalgebra::Point2;
+    /// # use zenav_planning::{Budget, SpaceTimeQuery, SpaceTimeSettings, search_space_time};
+    /// # use zenav_protocol::grid::{Grid, GridSpec, Occupancy};
+    /// # use zenav_protocol::robot::Footprint;
+    /// # use zenav_space::{ConfigurationSpace, UnknownPolicy};
+    /// # let spec = GridSpec { origin: Point2::origin(), resolution: 0.05, width: 200, height: 160 };
+    /// # let map = Grid::filled(spec, Occupancy::FREE);
+    /// # let space = ConfigurationSpace::new(&map, &Footprint::Radius(0.3), UnknownPolicy::Blocked, 0.0);
+    /// // 8 m of open floor, and nobody else on it.
+    /// let (start, goal) = (Point2::new(1.0, 4.0), Point2::new(9.0, 4.0));
+    /// let arrival = |speed| {
+    ///     let query = SpaceTimeQuery { start, goal, speed, radius: 0.3, courses: &[] };
+    ///     let path = search_space_time(&space, &query, &SpaceTimeSettings::default(), Budget::UNLIMITED);
+    ///     path.unwrap().arrival()
+    /// };
+    /// assert!((arrival(0.5) - 16.0).abs() < 0.1 && (arrival(1.0) - 8.0).abs() < 0.1);
+    /// ```
     #[must_use]
     pub fn arrival(&self) -> f64 {
         self.places.last().map_or(0.0, |(secs, _)| *secs)
@@ -81,6 +101,28 @@ impl SpaceTimePath {
 
     /// Discs, center and radius (m), that the other robots occupy while this one passes them. Each leaves room for this robot's own disc on
     /// the path, and `kept` m beside it.
+    ///
+    /// ```
+    /// # use nalgebra::Point2;
+    /// # use zenav_planning::{Budget, SpaceTimeQuery, SpaceTimeSettings, search_space_time};
+    /// # use zenav_protocol::grid::{Grid, GridSpec, Occupancy};
+    /// # use zenav_protocol::messages::{CoursePlace, KnownCourse};
+    /// # use zenav_protocol::robot::Footprint;
+    /// # use zenav_space::{ConfigurationSpace, UnknownPolicy};
+    /// # let spec = GridSpec { origin: Point2::origin(), resolution: 0.05, width: 200, height: 160 };
+    /// # let map = Grid::filled(spec, Occupancy::FREE);
+    /// # let space = ConfigurationSpace::new(&map, &Footprint::Radius(0.3), UnknownPolicy::Blocked, 0.0);
+    /// # let places = [(0.0, 9.0), (16.0, 1.0)].map(|(secs, x)| CoursePlace { secs, x, y: 4.0 });
+    /// # let courses = [KnownCourse { radius: 0.3, places: places.to_vec() }];
+    /// # let (start, goal, settings) = (Point2::new(1.0, 4.0), Point2::new(9.0, 4.0), SpaceTimeSettings::default());
+    /// // A robot of 0.3 m radius comes towards this one along y = 4 m.
+    /// let query = SpaceTimeQuery { start, goal, speed: 0.5, radius: 0.3, courses: &courses };
+    /// let path = search_space_time(&space, &query, &settings, Budget::UNLIMITED).unwrap();
+    /// let discs = path.meets(&query, &settings, 0.1);
+    /// assert!(!discs.is_empty());
+    /// let most = 0.3 + settings.clearance;
+    /// assert!(discs.iter().all(|(center, radius)| (center.y - 4.0).abs() < 1e-9 && *radius <= most));
+    /// ```
     #[must_use]
     pub fn meets(
         &self,
@@ -112,29 +154,42 @@ impl SpaceTimePath {
 }
 
 /// The corners of a path, pulled taut in a space for the same disc in which [`SpaceTimePath::meets`] is occupied.
+///
+/// ```
+/// # use nalgebra::Point2;
+/// # use zenav_planning::{Budget, SpaceTimeQuery, SpaceTimeSettings, pulled, search_space_time};
+/// # use zenav_protocol::grid::{Grid, GridSpec, Occupancy};
+/// # use zenav_protocol::robot::Footprint;
+/// # use zenav_space::{ConfigurationSpace, UnknownPolicy};
+/// # let spec = GridSpec { origin: Point2::origin(), resolution: 0.05, width: 200, height: 160 };
+/// # let map = Grid::filled(spec, Occupancy::FREE);
+/// # let space = ConfigurationSpace::new(&map, &Footprint::Radius(0.3), UnknownPolicy::Blocked, 0.0);
+/// let (start, goal) = (Point2::new(1.0, 4.0), Point2::new(9.0, 6.0));
+/// let query = SpaceTimeQuery { start, goal, speed: 0.5, radius: 0.3, courses: &[] };
+/// let path = search_space_time(&space, &query, &SpaceTimeSettings::default(), Budget::UNLIMITED).unwrap();
+/// let corners = pulled(&space, &path);
+/// // Steps to eight neighbours become one straight leg.
+/// assert!(path.places.len() > 30 && corners.len() <= 4);
+/// assert!((corners[corners.len() - 1] - goal).norm() < 1e-9);
+/// ```
 #[must_use]
 pub fn pulled(space: &ConfigurationSpace, path: &SpaceTimePath) -> Vec<Point2<f64>> {
     let spec = space.spec();
     let mut corners: Vec<Point2<f64>> = path.places.iter().map(|(_, place)| spec.to_cells(*place)).collect();
     corners.dedup();
-    pull_string(space, &mut corners, FINEST);
+    pull_string(space, &mut corners, FINEST, || false);
     corners.into_iter().map(|corner| spec.from_cells(corner)).collect()
 }
 
 /// Distance of a point from a polyline, m.
 fn distance_to_line(point: Point2<f64>, line: &[Point2<f64>]) -> f64 {
     let first = line.first().map_or(f64::INFINITY, |at| (at - point).norm());
-    let pieces = line.windows(2).map(|leg| distance_to_leg(point, leg[0], leg[1]));
+    let leg = |leg: &[Point2<f64>]| Edge { a: leg[0], b: leg[1] };
+    let pieces = line.windows(2).map(|ends| (leg(ends).nearest(point) - point).norm());
     pieces.fold(first, f64::min)
 }
 
-fn distance_to_leg(point: Point2<f64>, from: Point2<f64>, to: Point2<f64>) -> f64 {
-    let along = to - from;
-    let share = (point - from).dot(&along) / along.norm_squared().max(1e-12);
-    (from + along * share.clamp(0.0, 1.0) - point).norm()
-}
-
-/// The straight legs of a course between two times, s.
+/// The straight legs of a course between two times, s; a course of one place is a leg without length.
 fn pieces(course: &KnownCourse, from: f64, to: f64) -> impl Iterator<Item = (Point2<f64>, Point2<f64>)> + '_ {
     let at = |leg: &[zenav_protocol::messages::CoursePlace], secs: f64| {
         let (first, last) = (leg[0], leg[1]);
@@ -143,9 +198,15 @@ fn pieces(course: &KnownCourse, from: f64, to: f64) -> impl Iterator<Item = (Poi
     };
     let begins = course.places.partition_point(|place| place.secs <= from).max(1) - 1;
     let legs = course.places.get(begins..).unwrap_or_default().windows(2);
-    legs.take_while(move |leg| leg[0].secs < to)
+    let legs = legs
+        .take_while(move |leg| leg[0].secs < to)
         .filter(move |leg| leg[1].secs > from)
-        .map(move |leg| (at(leg, from), at(leg, to)))
+        .map(move |leg| (at(leg, from), at(leg, to)));
+    let alone = match &course.places[..] {
+        [place] if place.secs > from && place.secs < to => Some((place.at(), place.at())),
+        _ => None,
+    };
+    legs.chain(alone)
 }
 
 /// Positions on a leg, [`SPACING`] apart, no farther than `near` m from a place.
@@ -170,7 +231,7 @@ fn is_taken(query: &SpaceTimeQuery<'_>, settings: &SpaceTimeSettings, place: Poi
     query.courses.iter().any(|course| {
         let near = query.radius + course.radius + settings.clearance;
         let mut pieces = pieces(course, secs - settings.after, secs + settings.before);
-        pieces.any(|(from, to)| distance_to_leg(place, from, to) < near)
+        pieces.any(|(a, b)| (Edge { a, b }.nearest(place) - place).norm() < near)
     })
 }
 
@@ -188,7 +249,8 @@ struct Reached {
 }
 
 /// The path that costs least: time of arrival, plus a penalty for time in the way of other robots. `None` if no path on the coarse grid is
-/// free of static obstacles, or the budget is spent. `space`: for the disc around the footprint.
+/// free of static obstacles, if an end lies outside the map or the speed is not positive, and once the budget is spent. `space`: for the
+/// disc around the footprint. Every leg is in sight in it.
 ///
 /// ```
 /// use nalgebra::Point2;
@@ -223,8 +285,15 @@ pub fn search(
     budget: Budget<'_>,
 ) -> Option<SpaceTimePath> {
     let tick = settings.cell / query.speed / f64::from(STRAIGHT);
+    let is_on_map = |end: Point2<f64>| space.spec().cell_at(end).is_some();
+    if !(is_on_map(query.start) && is_on_map(query.goal) && tick.is_finite() && tick > 0.0) {
+        return None;
+    }
     let grid = CoarseGrid::new(space, query.start, settings.cell);
     let goal = grid.nearest(query.goal);
+    if !grid.sees(grid.point(goal), query.goal) {
+        return None;
+    }
     let slack = (settings.slack / tick) as u32;
     let to_go = CostToGo::new(&grid, goal, (0, 0), slack, settings.max_nodes, budget)?;
     let secs = |ticks: u32| f64::from(ticks) * tick;
@@ -261,7 +330,7 @@ pub fn search(
         for (x, y, ticks) in STEPS.iter().copied().chain(waits) {
             let place = (node.0 + x, node.1 + y);
             let Some(rest) = to_go.at(place) else { continue };
-            if (x, y) != (0, 0) && !grid.is_free(node.0, node.1, place.0, place.1) {
+            if (x, y) != (0, 0) && !grid.is_free((node.0, node.1), place) {
                 continue;
             }
             let after = here.ticks + ticks;
@@ -307,8 +376,13 @@ fn found(
         at = here.from;
     }
     places.reverse();
-    if let Some((_, end)) = places.last_mut() {
+    // The goal lies beside its node: in sight from the place before it, or else from the node.
+    if let [.., (_, before), (_, end)] = &mut places[..]
+        && grid.sees(*before, query.goal)
+    {
         *end = query.goal;
+    } else if let Some((secs, end)) = places.last().copied() {
+        places.push((secs + (query.goal - end).norm() / query.speed, query.goal));
     }
     SpaceTimePath {
         places,
@@ -342,10 +416,14 @@ impl<'a> CoarseGrid<'a> {
         (off.x.round() as i32, off.y.round() as i32)
     }
 
-    /// Whether the robot can move straight between two positions.
-    fn is_free(&self, from_x: i32, from_y: i32, to_x: i32, to_y: i32) -> bool {
-        let spec = self.space.spec();
-        let [from, to] = [(from_x, from_y), (to_x, to_y)].map(|node| spec.to_cells(self.point(node)));
+    /// Whether the robot can move straight between two nodes.
+    fn is_free(&self, from: (i32, i32), to: (i32, i32)) -> bool {
+        self.sees(self.point(from), self.point(to))
+    }
+
+    /// Whether the robot can move straight between two positions, m.
+    fn sees(&self, from: Point2<f64>, to: Point2<f64>) -> bool {
+        let [from, to] = [from, to].map(|end| self.space.spec().to_cells(end));
         self.space.sees(from, to)
     }
 }

@@ -126,6 +126,24 @@ fn what_is_met_stands_beside_the_path_and_the_pulled_path_keeps_its_side() {
 }
 
 #[test]
+fn a_robot_known_at_one_time_alone_is_passed_at_a_distance_then() {
+    let place = CoursePlace {
+        secs: 8.0,
+        x: 5.0,
+        y: 4.0,
+    };
+    let course = KnownCourse {
+        radius: RADIUS,
+        places: vec![place],
+    };
+    let path = find(&hall(&[]), std::slice::from_ref(&course));
+    let then = path.places.iter().filter(|(secs, _)| (7.0..8.5).contains(secs));
+    let distances: Vec<f64> = then.map(|(_, at)| (at - place.at()).norm()).collect();
+    assert!(!distances.is_empty() && distances.iter().all(|distance| *distance > 2.0 * RADIUS));
+    assert!(path.arrival() < 20.0 && path.in_the_way == 0.0, "{path:?}");
+}
+
+#[test]
 fn where_no_way_leads_there_is_none() {
     let wall: Vec<(u32, u32)> = (0..160).map(|y| (100, y)).collect();
     let found = search(
@@ -135,4 +153,49 @@ fn where_no_way_leads_there_is_none() {
         Budget::UNLIMITED,
     );
     assert_eq!(found, None);
+}
+
+#[test]
+fn a_goal_that_the_place_before_its_node_does_not_see_is_reached_over_the_node() {
+    // Beside the last metre stands a post, 0.35 m from the row of nodes and 0.31 m from the straight line to the goal.
+    let grid = zenav_fixtures::map_with_occupied(zenav_fixtures::spec(200, 160, 0.05), &[(177, 87)]);
+    let space = ConfigurationSpace::new(&grid, &Footprint::Radius(0.32), UnknownPolicy::Blocked, 0.0);
+    let query = SpaceTimeQuery {
+        goal: Point2::new(9.09, 4.08),
+        radius: 0.32,
+        ..query(&[])
+    };
+    let path = search(&space, &query, &SpaceTimeSettings::default(), Budget::UNLIMITED).unwrap();
+    let places: Vec<_> = path
+        .places
+        .iter()
+        .map(|(_, place)| space.spec().to_cells(*place))
+        .collect();
+    assert!(places.windows(2).all(|leg| space.sees(leg[0], leg[1])), "{path:?}");
+    let (_, end) = path.places[path.places.len() - 1];
+    assert_eq!(end, query.goal);
+    assert!(path.places.windows(2).all(|pair| pair[0].0 < pair[1].0));
+}
+
+#[test]
+fn ends_off_the_map_and_speeds_that_are_none_have_no_path() {
+    let space = hall(&[]);
+    let good = query(&[]);
+    let asked = |query: SpaceTimeQuery<'_>| search(&space, &query, &SpaceTimeSettings::default(), Budget::UNLIMITED);
+    for bad in [f64::NAN, f64::INFINITY, -1.0, 1e300] {
+        let place = Point2::new(bad, 4.0);
+        assert_eq!(asked(SpaceTimeQuery { goal: place, ..good }), None);
+        assert_eq!(asked(SpaceTimeQuery { start: place, ..good }), None);
+    }
+    for speed in [0.0, -0.5, f64::NAN] {
+        assert_eq!(asked(SpaceTimeQuery { speed, ..good }), None);
+    }
+    assert!(asked(good).is_some());
+    // Less than half a node away.
+    let near = SpaceTimeQuery {
+        goal: Point2::new(1.05, 4.0),
+        ..good
+    };
+    let path = asked(near).unwrap();
+    assert_eq!((path.places[0].1, path.places[1].1), (near.start, near.goal));
 }

@@ -5,7 +5,9 @@ use zenav_pose_graph::{Edge, EdgeKind, GraphError};
 use zenav_protocol::geometry::Pose2;
 
 use crate::closure::{Around, Seen, closure, seen_again};
+use crate::fixes::Factor;
 use crate::slam::Slam;
+use crate::submap::Scans;
 
 /// Standard deviation of one map's pose in the other by votes alone, m and rad. This measurement is trusted and holds the graph together;
 /// the closures beside it are a hundred times as exact and determine the pose.
@@ -28,8 +30,13 @@ pub(crate) fn closures(older: &mut Slam, newer: &Slam, older_from_newer: Pose2) 
         asked += 1.0;
         let expected = older.nodes()[older.submaps[index].anchor].inverse() * here;
         let submap = &mut older.submaps[index];
+        let scans = Scans {
+            sessions: &older.sessions,
+            points: &older.scans,
+        };
         let (laser, scan) = (newer.laser_of(node), &newer.scans[node]);
-        if let Seen::At(refined, _) = seen_again(submap, expected, Around::near(limits), laser, scan, &settings) {
+        let around = Around::near(limits);
+        if let Seen::At(refined, _) = seen_again(submap, scans, expected, around, laser, scan, &settings) {
             found.push(closure(submap.anchor, node, &refined, &settings));
         }
     }
@@ -71,6 +78,10 @@ pub(crate) fn joined(older: Slam, newer: Slam, older_from_newer: Pose2, closures
             ..*edge
         })?;
     }
+    for factor in newer.back_end.factors() {
+        let node = offset + factor.node;
+        back_end.add_factor(Factor { node, ..*factor });
+    }
     let submaps = newer.submaps.into_iter().map(|mut submap| {
         submap.anchor += offset;
         submap
@@ -92,6 +103,8 @@ pub(crate) fn joined(older: Slam, newer: Slam, older_from_newer: Pose2, closures
         older: None,
         start: older.start,
         is_dirty: true,
+        solve: None,
+        adopts_at: None,
         counts,
         ..newer
     })

@@ -81,7 +81,16 @@ pub enum MergeError {
 ///
 /// Submaps of `b` are searched for in all of `a`. The maps are merged if at least three searches agree on one alignment, no other alignment
 /// has more than half of its votes, at most a fifth of the scans of either map contradict the other, and closures between single scans and
-/// submaps hold in the robust solution. They must not share a session.
+/// submaps hold in the robust solution. They must not share a session. Measurements by GPS and compass are dropped.
+///
+/// ```
+#[doc = include_str!("../doc_setup/mapped_room.txt")]
+/// use zenav_slam::{MergeError, merge};
+///
+/// let refused = merge(slam.clone(), slam).unwrap_err();
+/// assert_eq!(refused, MergeError::Repeated { first: 1, second: 1 }, "its measurements would count twice");
+/// # Ok::<(), zenav_slam::SlamError>(())
+/// ```
 ///
 /// # Errors
 /// See [`MergeError`]: unless the result is certain, nothing is merged.
@@ -95,7 +104,7 @@ pub fn merge(a: Slam, b: Slam) -> Result<(Slam, RobustSolution), MergeError> {
 /// As [`merge`].
 pub fn merge_timed(
     mut a: Slam,
-    b: Slam,
+    mut b: Slam,
     clock: &mut dyn FnMut() -> f64,
 ) -> Result<(Slam, RobustSolution, f64), MergeError> {
     if !a.is_located() || !b.is_located() {
@@ -107,6 +116,8 @@ pub fn merge_timed(
             second: second + 1,
         });
     }
+    a.back_end.drop_factors();
+    b.back_end.drop_factors();
     let overview = Overview::new(&a);
     let step = b.submaps.len().div_ceil(SEARCHES).max(2);
     // Neighbouring submaps share half of their scans; every second one is independent.

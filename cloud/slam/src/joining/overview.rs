@@ -117,39 +117,40 @@ impl Overview {
                 let turn = wrap_angle(known.map_from_other.yaw - map_from_other.yaw);
                 known.seen_from.distance(&pose) < APART.0 && turn.abs() < APART.1
             });
-            let verdict = self.judged(map, other, submap.nodes().step_by(JUDGED), map_from_other);
-            let fits = verdict.explained >= self.settings.closure.explained && verdict.through_walls <= THROUGH_WALLS;
+            let judged = submap.nodes().step_by(JUDGED);
+            let (explained, through_walls) = self.judged(map, other, judged, map_from_other);
+            let fits = explained >= self.settings.closure.explained && through_walls <= THROUGH_WALLS;
             if !is_known && fits {
                 places.push(Vote {
                     map_from_other,
                     seen_from: pose,
-                    explained: verdict.explained,
+                    explained,
                 });
             }
         }
         places
     }
 
-    /// The mean verdict on nodes of another map.
-    fn judged(&self, map: &Slam, other: &Slam, nodes: impl Iterator<Item = usize>, map_from_other: Pose2) -> Verdict {
-        let mut sum = Verdict {
-            explained: 0.0,
-            through_walls: 0.0,
-        };
-        let mut count = 0.0;
+    /// The mean shares of points that are explained and of beams through walls, for nodes of another map.
+    fn judged(
+        &self,
+        map: &Slam,
+        other: &Slam,
+        nodes: impl Iterator<Item = usize>,
+        map_from_other: Pose2,
+    ) -> (f64, f64) {
+        let (mut explained, mut through_walls, mut count) = (0.0, 0.0, 0.0);
         for node in nodes {
             let pose = map_from_other * other.nodes()[node];
             let (laser, scan) = (other.laser_of(node), &other.scans[node]);
-            sum.explained += judge(self.pyramid.field(), laser, scan, pose, &self.settings.verdict).explained;
+            explained += judge(self.pyramid.field(), laser, scan, pose, &self.settings.verdict).explained;
             // The whole map contains everything that ever stood or moved somewhere, so walls are taken from a submap.
             let around = verdict(map, other, node, map_from_other);
-            sum.through_walls += around.map_or(1.0, |verdict| verdict.through_walls);
+            through_walls += around.map_or(1.0, |verdict| verdict.through_walls);
             count += 1.0;
         }
-        Verdict {
-            explained: sum.explained / f64::max(count, 1.0),
-            through_walls: sum.through_walls / f64::max(count, 1.0),
-        }
+        let count = f64::max(count, 1.0);
+        (explained / count, through_walls / count)
     }
 }
 

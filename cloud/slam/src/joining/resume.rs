@@ -13,6 +13,7 @@ use crate::closure::{Around, DOUBT, Seen, seen_again};
 use crate::session::{laser_of, on_grid};
 use crate::slam::Slam;
 use crate::step::{Effects, SlamError};
+use crate::submap::Scans;
 
 /// Least number of searches that agree when no start is given.
 const VOTES: usize = 2;
@@ -47,7 +48,19 @@ impl Slam {
     /// its scans are explained, and its beams pass through no walls. Until then the session is a map of its own, and [`Self::is_located`]
     /// is false: [`Self::trajectory`], [`Self::graph`], [`Self::nodes`] and the certificate of [`Self::finish`] cover the session alone, in
     /// the frame of its first scan. When it is found, [`Effects::moved`](crate::Effects::moved) leads from that frame into the map's, and
-    /// both become one graph. Every scan of the session is kept for its finish, of a map made beside a robot too.
+    /// both become one graph. Every scan of the session is kept for its finish, of a map made beside a robot too. Measurements by GPS and
+    /// compass are dropped.
+    ///
+    /// ```
+    #[doc = include_str!("../doc_setup/mapped_room.txt")]
+    /// use zenav_slam::SessionError;
+    ///
+    /// assert_eq!((slam.sessions(), slam.is_located()), (vec![9], true));
+    /// let next = slam.begin_session(None);
+    /// assert!(!next.is_located() && next.is_searched_everywhere());
+    /// assert_eq!(next.save(), Err(SessionError::Unlocated));
+    /// # Ok::<(), zenav_slam::SlamError>(())
+    /// ```
     #[must_use]
     pub fn begin_session(mut self, start: Option<Pose2>) -> Self {
         // The finish of their session has placed them.
@@ -58,6 +71,7 @@ impl Slam {
             self.keeps_all = true;
             return self;
         }
+        self.back_end.drop_factors();
         Self::new(self.settings).in_older(self, start)
     }
 
@@ -145,7 +159,11 @@ impl Slam {
         };
         let seen = on_grid(points(scan, Pose2::IDENTITY, 0.0, &self.settings.scan));
         let laser = scan.base_from_laser.position();
-        let seen = seen_again(&mut submap, expected, around, laser, &seen, &self.settings);
+        let scans = Scans {
+            sessions: &self.sessions,
+            points: &self.scans,
+        };
+        let seen = seen_again(&mut submap, scans, expected, around, laser, &seen, &self.settings);
         matches!(seen, Seen::At(..))
     }
 

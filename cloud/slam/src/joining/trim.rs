@@ -25,8 +25,8 @@ impl Slam {
     ///
     /// A submap of an earlier session is dropped if submaps that stay, all of them newer, have seen 95 % of the half-metre cells that its
     /// beams saw from within 5 m, from as near. With it go the nodes that are in no other submap, and their scans. Measurements between
-    /// remaining nodes through dropped ones are composed ([`zenav_pose_graph::composed_edges`]). The last session stays whole. Returns the
-    /// number of dropped nodes.
+    /// remaining nodes through dropped ones are composed ([`zenav_pose_graph::composed_edges`]); those by GPS and compass are dropped. The
+    /// last session stays whole. Returns the number of dropped nodes.
     ///
     /// Call it when a session is finished.
     ///
@@ -49,6 +49,7 @@ impl Slam {
         }
         let dropped = groups.iter().filter(|group| group.is_none()).count();
         if dropped > 0 {
+            self.drop_solve();
             self.back_end = self.reduced(&groups)?;
             self.renumber(&groups, &stays);
         }

@@ -13,6 +13,7 @@ use super::grid::{packed, unpacked};
 use super::{Session, SessionError, laser_of};
 use crate::back_end::BackEnd;
 use crate::doubt::Doubt;
+use crate::fixes::Factor;
 use crate::settings::SlamSettings;
 use crate::slam::{Slam, Stand};
 use crate::step::Counts;
@@ -28,6 +29,8 @@ pub(super) struct Content {
     sessions: Vec<Session>,
     nodes: Vec<Row>,
     edges: Vec<Measured>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    factors: Vec<Fixed>,
     /// Points of each node's scan.
     scans: Vec<Vec<i32>>,
     submaps: Vec<Drawn>,
@@ -52,6 +55,10 @@ pub(super) struct Content {
 /// of a finish.
 #[derive(Debug, Serialize, Deserialize)]
 struct Measured(usize, usize, Row, [f64; 6], f64, bool, bool);
+
+/// A measurement of a node in the world: the node, its pose as measured, information of position and heading, and the weight.
+#[derive(Debug, Serialize, Deserialize)]
+struct Fixed(usize, Row, [f64; 2], f64);
 
 /// A submap: its anchor, and where the scans from there on were inserted.
 #[derive(Debug, Serialize, Deserialize)]
@@ -103,6 +110,10 @@ impl Content {
                 is_final,
             )
         };
+        let fixed = |factor: &Factor| {
+            let pose = row(factor.world_from_node);
+            Fixed(factor.node, pose, factor.information, factor.weight)
+        };
         let submap = |submap: &Submap| Drawn(submap.anchor, submap.inserted.iter().copied().map(row).collect());
         let stand = |stand: &Stand| {
             Stood(
@@ -117,6 +128,7 @@ impl Content {
             sessions: slam.sessions.clone(),
             nodes: slam.back_end.poses().iter().copied().map(row).collect(),
             edges: slam.back_end.edges().map(edge).collect(),
+            factors: slam.back_end.factors().iter().map(fixed).collect(),
             scans: Vec::new(),
             submaps: slam.submaps.iter().map(submap).collect(),
             stands: slam.stands.iter().map(stand).collect(),
@@ -131,7 +143,8 @@ impl Content {
             start: row(slam.start),
             usual: slam.usual,
             doubt: slam.doubt,
-            is_dirty: slam.is_dirty,
+            // A solve whose poses were not adopted yet begins anew.
+            is_dirty: slam.is_dirty || slam.adopts_at.is_some(),
             counts: slam.counts,
         }
     }
@@ -233,6 +246,21 @@ impl Content {
                 },
             };
             back_end.add_weighted(edge, *weight, *is_final).map_err(refused)?;
+        }
+        for Fixed(node, world_from_node, information, weight) in &self.factors {
+            let is_known = information.iter().all(|entry| entry.is_finite() && *entry >= 0.0)
+                && information.iter().any(|entry| *entry > 0.0);
+            if *node >= self.nodes.len() || !is_known || !(0.0..=1.0).contains(weight) {
+                return Err(expected(
+                    "measurements in the world, of nodes, with information and weights from 0 to 1",
+                ));
+            }
+            back_end.add_factor(Factor {
+                node: *node,
+                world_from_node: pose(*world_from_node)?,
+                information: *information,
+                weight: *weight,
+            });
         }
         Ok(back_end)
     }

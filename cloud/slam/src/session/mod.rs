@@ -73,6 +73,15 @@ impl Snapshot {
 impl Slam {
     /// The map as it is now: poses and measurements are copied, points of scans are shared.
     ///
+    /// ```
+    #[doc = include_str!("../doc_setup/mapped_room.txt")]
+    /// let (snapshot, saved) = (slam.snapshot()?, slam.save()?);
+    /// slam.step(&look(9.0, Pose2::new(1.08, 0.0, 0.0)))?;
+    /// assert_eq!(snapshot.into_bytes()?, saved, "the map as it was");
+    /// assert_ne!(slam.save()?, saved);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
     /// # Errors
     /// [`SessionError::Unlocated`], as [`Self::save`].
     pub fn snapshot(&self) -> Result<Snapshot, SessionError> {
@@ -86,7 +95,17 @@ impl Slam {
     }
 
     /// The map as bytes, with everything needed to continue without a trace of the interruption: poses, measurements with their weights,
-    /// points of scans on their millimetre grid, where each scan was inserted into its submaps, and the learned odometry.
+    /// points of scans on their millimetre grid, where each scan was inserted into its submaps, and the learned odometry. Not stored: the
+    /// last readings of GPS and compass, if they are no measurements of a node yet; the next scans bring newer ones.
+    ///
+    /// ```
+    #[doc = include_str!("../doc_setup/mapped_room.txt")]
+    /// # use zenav_slam::{Slam, SlamSettings};
+    /// let again = Slam::load(&slam.save()?)?;
+    /// assert_eq!(again.nodes(), slam.nodes());
+    /// assert_eq!(again.scan(8), slam.scan(8));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     ///
     /// # Errors
     /// [`SessionError::Unlocated`] while the session has not been found in the older map: save when [`Self::is_located`].
@@ -97,6 +116,18 @@ impl Slam {
 
     /// The map that [`Self::save`] encoded. Likelihood fields and surfels are recomputed.
     ///
+    /// ```
+    #[doc = include_str!("../doc_setup/mapped_room.txt")]
+    /// # use zenav_slam::{SessionError, Slam, SlamSettings};
+    /// let mut bytes = slam.save()?;
+    /// assert!(Slam::load(&bytes).is_ok());
+    /// assert!(matches!(Slam::load(&bytes[..bytes.len() - 1]), Err(SessionError::Length { .. })));
+    /// bytes[100] ^= 1;
+    /// assert_eq!(Slam::load(&bytes).unwrap_err(), SessionError::Checksum);
+    /// assert_eq!(Slam::load(b"P5 640 480 255").unwrap_err(), SessionError::Foreign);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
     /// # Errors
     /// See [`SessionError`]; a partial map is never returned.
     pub fn load(bytes: &[u8]) -> Result<Self, SessionError> {
@@ -105,6 +136,16 @@ impl Slam {
 
     /// The map with other settings, which apply to further scans. Points and poses stay as they are; likelihood fields and surfels are
     /// recomputed if needed.
+    ///
+    /// ```
+    #[doc = include_str!("../doc_setup/mapped_room.txt")]
+    /// # use zenav_slam::{FrontSettings, Slam, SlamSettings};
+    /// let front = FrontSettings { distance: 0.2, ..FrontSettings::default() };
+    /// let mut slam = slam.with_settings(SlamSettings { front, ..SlamSettings::default() });
+    /// let next = slam.step(&look(9.0, Pose2::new(1.08, 0.0, 0.0)))?;
+    /// assert!(!next.is_inserted, "0.12 m was enough for a node before");
+    /// # Ok::<(), zenav_slam::SlamError>(())
+    /// ```
     #[must_use]
     pub fn with_settings(mut self, settings: SlamSettings) -> Self {
         let was = std::mem::replace(&mut self.settings, settings);

@@ -139,14 +139,33 @@ impl House {
                 range_min: 0.02,
                 range_max: 30.0,
                 ranges: ranges.collect(),
-                boot_id: String::new(),
-                moving: Vec::new(),
-                base_from_laser: Pose2::IDENTITY,
-                map_from_odom: Pose2::IDENTITY,
                 odom_from_base: odometry,
+                ..Scan::default()
             });
         }
         scans
+    }
+}
+
+/// Leaves of each scan the half circle ahead.
+pub fn look_ahead_only(scans: &mut [Scan]) {
+    for scan in scans {
+        for beam in 0..scan.ranges.len() {
+            if scan.angle(beam).cos() < 0.0 {
+                scan.ranges[beam] = f32::INFINITY;
+            }
+        }
+    }
+}
+
+/// Puts somebody in front of the lidar, this far ahead and this wide, m.
+pub fn put_ahead(scan: &mut Scan, ahead: f64, wide: f64) {
+    for beam in 0..scan.ranges.len() {
+        let (sin, cos) = scan.angle(beam).sin_cos();
+        let range = ahead / cos;
+        if cos > 0.0 && (range * sin).abs() < 0.5 * wide {
+            scan.ranges[beam] = scan.ranges[beam].min(range as f32);
+        }
     }
 }
 

@@ -61,6 +61,24 @@ pub enum JerkError {
 ///
 /// # Errors
 /// [`JerkError`].
+///
+/// # Panics
+/// With fewer speeds than the path has samples.
+///
+/// ```
+/// use nalgebra::Point2;
+/// use zenav_smoothing::{GeometricPath, Limits, TimeLaw, fastest, jerk_limited};
+///
+/// # let limits = Limits { wheel_speed: 0.6, wheel_acceleration: 0.75, half_separation: 0.2, speed: 0.5, lateral_acceleration: 0.5,
+/// #     yaw_rate: 2.5, jerk: None };
+/// let path = GeometricPath::straight(Point2::origin(), Point2::new(2.0, 0.0), 0.02).unwrap();
+/// let squared = fastest(&path, &limits, 0.0)?;
+/// let limited = jerk_limited(&path, &limits, 1.0, &squared)?.law;
+/// // 4 s at 0.5 m/s, and the root of 0.5 s² more for each change of speed with a jerk of 1 m/s³.
+/// assert!((limited.duration() - (4.0 + 2.0 * 0.5_f64.sqrt())).abs() < 0.1);
+/// assert!(limited.duration() > TimeLaw::steady(&path, &squared).duration());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub fn limited(path: &GeometricPath, limits: &Limits, jerk: f64, squared: &[f64]) -> Result<JerkLimited, JerkError> {
     let spline = Spline::new(path, squared[0], jerk).ok_or(JerkError::TooShort)?;
     let bounds = Bounds {

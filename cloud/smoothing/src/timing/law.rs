@@ -30,6 +30,21 @@ pub struct Progress {
 
 impl TimeLaw {
     /// Constant acceleration between samples, by the squared speeds (m²/s²) at them.
+    ///
+    /// # Panics
+    /// With fewer speeds than the path has samples.
+    ///
+    /// ```
+    /// use nalgebra::Point2;
+    /// use zenav_smoothing::{GeometricPath, TimeLaw};
+    ///
+    /// // 0.5 m from rest to 1 m/s, and 0.5 m back to rest: 1 s each.
+    /// let path = GeometricPath::straight(Point2::origin(), Point2::new(1.0, 0.0), 0.125).unwrap();
+    /// let law = TimeLaw::steady(&path, &[0.0, 0.25, 0.5, 0.75, 1.0, 0.75, 0.5, 0.25, 0.0]);
+    /// assert!((law.duration() - 2.0).abs() < 1e-9);
+    /// let middle = law.at(0.5);
+    /// assert!((middle.v - 0.5).abs() < 1e-9 && (middle.a - 1.0).abs() < 1e-9);
+    /// ```
     #[must_use]
     pub fn steady(path: &GeometricPath, squared: &[f64]) -> Self {
         Self::of(path, squared, |i, length| {
@@ -39,6 +54,9 @@ impl TimeLaw {
     }
 
     /// Continuous acceleration: `accelerations` (m/s²) at the samples, with which `squared` (m²/s²) agrees.
+    ///
+    /// # Panics
+    /// With fewer speeds or accelerations than the path has samples.
     #[must_use]
     pub fn continuous(path: &GeometricPath, squared: &[f64], accelerations: &[f64]) -> Self {
         Self::of(path, squared, |i, _| [accelerations[i], accelerations[i + 1]])

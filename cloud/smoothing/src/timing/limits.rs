@@ -34,6 +34,14 @@ pub struct Limits {
 
 impl Limits {
     /// `PLAN_SHARE` of a robot's limits.
+    ///
+    /// ```
+    /// use zenav_protocol::robot::{RobotModel, shipped};
+    /// use zenav_smoothing::Limits;
+    ///
+    /// let model = RobotModel::from_toml(shipped("tiago").unwrap(), "tiago").unwrap();
+    /// assert_eq!(Limits::of(&model).speed, 0.95 * model.drive.top_speed());
+    /// ```
     #[must_use]
     pub fn of(model: &RobotModel) -> Self {
         Self::with_share(&model.drive, PLAN_SHARE)
@@ -60,6 +68,23 @@ impl Limits {
     }
 
     /// Largest squared speed at a curvature (1/m), m²/s².
+    ///
+    /// ```
+    /// use zenav_smoothing::Limits;
+    ///
+    /// let limits = Limits {
+    ///     wheel_speed: 0.6,
+    ///     wheel_acceleration: 0.75,
+    ///     half_separation: 0.2,
+    ///     speed: 0.55,
+    ///     lateral_acceleration: 0.5,
+    ///     yaw_rate: 2.5,
+    ///     jerk: None,
+    /// };
+    /// let speed = |radius: f64| limits.speed_squared(1.0 / radius).sqrt();
+    /// // On a circle of 1 m radius the outer wheel runs at 1.2 times the speed of the base, on one of 0.25 m at 1.8 times.
+    /// assert!((speed(1.0) - 0.6 / 1.2).abs() < 1e-9 && (speed(0.25) - 0.6 / 1.8).abs() < 1e-9);
+    /// ```
     #[must_use]
     pub fn speed_squared(&self, curvature: f64) -> f64 {
         let k = curvature.abs();
@@ -102,6 +127,16 @@ impl Limits {
     }
 
     /// Time to come to rest, s.
+    ///
+    /// ```
+    /// use zenav_protocol::geometry::Twist2;
+    /// # use zenav_smoothing::Limits;
+    /// # let limits = Limits { wheel_speed: 0.6, wheel_acceleration: 0.75, half_separation: 0.2, speed: 0.55, lateral_acceleration: 0.5,
+    /// #     yaw_rate: 2.5, jerk: None };
+    /// // A wheel brakes with 0.75 m/s²; in a turn the outer wheel, 0.2 m from the middle, is the faster one.
+    /// assert!((limits.braking_time(Twist2::new(0.45, 0.0)) - 0.6).abs() < 1e-9);
+    /// assert!((limits.braking_time(Twist2::new(0.45, 0.75)) - 0.8).abs() < 1e-9);
+    /// ```
     #[must_use]
     pub fn braking_time(&self, twist: Twist2) -> f64 {
         self.braking(twist).duration()

@@ -2,6 +2,8 @@
 
 use clarabel::algebra::CscMatrix;
 
+use crate::csc::by_columns;
+
 /// `factors · x[first..] + constant`.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Form {
@@ -87,29 +89,14 @@ impl Rows {
 
 /// The rows `row <= 1` in the solver's format, by columns.
 pub(super) fn columns(rows: &[Form], unknowns: usize) -> (CscMatrix<f64>, Vec<f64>) {
-    let entries = |row: &Form| {
-        let first = row.first;
-        let factors = row.factors.into_iter().enumerate();
-        factors
-            .filter(|(_, factor)| *factor != 0.0)
-            .map(move |(i, factor)| (first + i, factor))
+    let entries = || {
+        rows.iter().enumerate().flat_map(|(index, row)| {
+            let factors = row.factors.into_iter().zip(row.first..);
+            factors
+                .filter(|(factor, _)| *factor != 0.0)
+                .map(move |(factor, unknown)| (index, unknown, factor))
+        })
     };
-    let mut starts = vec![0; unknowns + 1];
-    for (unknown, _) in rows.iter().flat_map(entries) {
-        starts[unknown + 1] += 1;
-    }
-    for unknown in 0..unknowns {
-        starts[unknown + 1] += starts[unknown];
-    }
-    let total = starts[unknowns];
-    let (mut indices, mut values) = (vec![0; total], vec![0.0; total]);
-    let mut next = starts.clone();
-    for (index, row) in rows.iter().enumerate() {
-        for (unknown, factor) in entries(row) {
-            (indices[next[unknown]], values[next[unknown]]) = (index, factor);
-            next[unknown] += 1;
-        }
-    }
     let bounds = rows.iter().map(|row| 1.0 - row.constant).collect();
-    (CscMatrix::new(rows.len(), unknowns, starts, indices, values), bounds)
+    (by_columns(rows.len(), unknowns, entries), bounds)
 }

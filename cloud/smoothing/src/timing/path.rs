@@ -46,6 +46,15 @@ impl GeometricPath {
     /// The chain through samples of a smooth curve. The first and the last pose are the curve's, the others match it to within the square
     /// of the distance between samples. `None` for fewer than two samples, for non-finite numbers, if the arc length does not rise, and
     /// if the path turns by more than a radian from one sample to the next.
+    ///
+    /// ```
+    /// use zenav_smoothing::{GeometricPath, PathPoint};
+    ///
+    /// let at = |s, x| PathPoint { s, x, ..PathPoint::default() };
+    /// let path = GeometricPath::new(vec![at(0.0, 0.0), at(0.5, 0.5), at(2.0, 2.0)]).unwrap();
+    /// assert_eq!(path.length(), 2.0);
+    /// assert!(GeometricPath::new(vec![at(0.0, 0.0), at(0.0, 1.0)]).is_none(), "the arc length must rise");
+    /// ```
     #[must_use]
     pub fn new(mut points: Vec<PathPoint>) -> Option<Self> {
         let finite = points
@@ -86,6 +95,17 @@ impl GeometricPath {
     /// curvature (1/m).
     ///
     /// `None` as in [`Self::new`].
+    ///
+    /// ```
+    /// use std::f64::consts::FRAC_PI_2;
+    /// use zenav_smoothing::{GeometricPath, PathPoint};
+    ///
+    /// // A quarter of a circle of 1 m radius to the left, from the origin along x.
+    /// let start = PathPoint { k: 1.0, ..PathPoint::default() };
+    /// let path = GeometricPath::chain(start, &[(FRAC_PI_2 / 16.0, 1.0); 16]).unwrap();
+    /// let end = path.points()[16];
+    /// assert!((end.x - 1.0).abs() < 1e-6 && (end.y - 1.0).abs() < 1e-6 && (end.yaw - FRAC_PI_2).abs() < 1e-9);
+    /// ```
     #[must_use]
     pub fn chain(start: PathPoint, links: &[(f64, f64)]) -> Option<Self> {
         let mut points = vec![start];
@@ -112,6 +132,15 @@ impl GeometricPath {
     }
 
     /// A straight line, sampled about every `step` metres; `None` when it has no length.
+    ///
+    /// ```
+    /// use nalgebra::Point2;
+    /// use zenav_smoothing::GeometricPath;
+    ///
+    /// let path = GeometricPath::straight(Point2::new(1.0, 1.0), Point2::new(4.0, 5.0), 0.02).unwrap();
+    /// assert!((path.length() - 5.0).abs() < 1e-9 && path.points().len() == 251);
+    /// assert!(GeometricPath::straight(Point2::origin(), Point2::origin(), 0.02).is_none());
+    /// ```
     #[must_use]
     pub fn straight(from: Point2<f64>, to: Point2<f64>, step: f64) -> Option<Self> {
         let along = to - from;
@@ -137,6 +166,16 @@ impl GeometricPath {
     }
 
     /// The same path with the speed limits of the map's zones. A limit holds on both intervals beside its sample.
+    ///
+    /// ```
+    /// use nalgebra::Point2;
+    /// use zenav_smoothing::GeometricPath;
+    ///
+    /// // A zone that begins at x = 1 m.
+    /// let zone = |at: Point2<f64>| (at.x > 1.0).then_some(0.2);
+    /// let path = GeometricPath::straight(Point2::origin(), Point2::new(2.0, 0.0), 0.02).unwrap().limited(&zone);
+    /// assert!(path.speed_limit(0).is_infinite() && path.speed_limit(99) == 0.2);
+    /// ```
     #[must_use]
     pub fn limited(mut self, speed_limit: SpeedLimit<'_>) -> Self {
         let limits = self

@@ -6,6 +6,7 @@
 
 use nalgebra::Point2;
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
+use zenav_protocol::polygon::Edge;
 
 use super::limits::Limits;
 use super::path::{GeometricPath, SpeedLimit};
@@ -22,6 +23,22 @@ const ALIGNED: f64 = 0.02;
 /// limits of the map's zones.
 ///
 /// Non-finite points are left out. Empty only if there is nothing to drive or to turn, or if the start is not finite.
+///
+/// ```
+/// use std::f64::consts::FRAC_PI_2;
+/// use nalgebra::Point2;
+/// use zenav_protocol::geometry::{Pose2, Twist2};
+/// use zenav_smoothing::{Limits, UNRESTRICTED, stop_turn_go};
+///
+/// # let limits = Limits { wheel_speed: 0.6, wheel_acceleration: 0.75, half_separation: 0.2, speed: 0.5, lateral_acceleration: 0.5,
+/// #     yaw_rate: 2.5, jerk: None };
+/// // At most 0.5 m/s, 0.75 m/s² and 1.5 rad/s.
+/// let path = [Point2::new(2.0, 0.0), Point2::new(2.0, 1.0)];
+/// let trajectory = stop_turn_go(&path, Pose2::IDENTITY, Twist2::ZERO, None, &limits, UNRESTRICTED);
+/// let (drives, turn) = (2.0 / 0.5 + 1.0 / 0.5 + 2.0 * 0.5 / 0.75, FRAC_PI_2 / 1.5 + 1.5 * 0.2 / 0.75);
+/// assert!((trajectory.duration() - drives - turn).abs() < 0.05);
+/// assert!((trajectory.at(trajectory.duration()).point.yaw - FRAC_PI_2).abs() < 1e-9);
+/// ```
 #[must_use]
 pub fn stop_turn_go(
     path: &[Point2<f64>],
@@ -91,9 +108,8 @@ fn begins_at_speed(start: Pose2, velocity: Twist2, corners: &[Point2<f64>], limi
 pub(crate) fn rejoined(at: Point2<f64>, corners: &[Point2<f64>]) -> Vec<Point2<f64>> {
     let mut nearest = (f64::INFINITY, 0, corners[0]);
     for (i, pair) in corners.windows(2).enumerate() {
-        let leg = pair[1] - pair[0];
-        let share = ((at - pair[0]).dot(&leg) / leg.norm_squared()).clamp(0.0, 1.0);
-        let point = pair[0] + leg * share;
+        let leg = Edge { a: pair[0], b: pair[1] };
+        let point = leg.nearest(at);
         let distance = (at - point).norm();
         if distance < nearest.0 {
             nearest = (distance, i + 1, point);

@@ -34,6 +34,21 @@ const SLOWING_AHEAD: [f64; 3] = [f64::MAX, 1.8, SLOWING];
 ///
 /// # Errors
 /// [`SweepError::StartTooFast`].
+///
+/// ```
+/// use nalgebra::Point2;
+/// use zenav_smoothing::{GeometricPath, Limits, SweepError, fastest};
+///
+/// # let limits = Limits { wheel_speed: 0.6, wheel_acceleration: 0.75, half_separation: 0.2, speed: 0.5, lateral_acceleration: 0.5,
+/// #     yaw_rate: 2.5, jerk: None };
+/// // At most 0.5 m/s and 0.75 m/s².
+/// let path = |length| GeometricPath::straight(Point2::origin(), Point2::new(length, 0.0), 0.02).unwrap();
+/// let squared = fastest(&path(1.0), &limits, 0.0)?;
+/// assert_eq!((squared[0], squared[25], squared[50]), (0.0, 0.25, 0.0));
+/// let refused = fastest(&path(0.1), &limits, 0.5).unwrap_err();
+/// assert!(matches!(refused, SweepError::StartTooFast { limit, .. } if limit < 0.4));
+/// # Ok::<(), SweepError>(())
+/// ```
 pub fn fastest(path: &GeometricPath, limits: &Limits, start_speed: f64) -> Result<Vec<f64>, SweepError> {
     let [strictly, firmly, gently] = SLOWING_AHEAD;
     let below = |ahead| {
@@ -90,6 +105,23 @@ fn fastest_below(
 /// Largest squared speed (m²/s²) on every interval, by curvature and by the map's zones, for a law of [`fastest`].
 ///
 /// A robot that is faster than a zone allows slows down in it; it does not stop.
+///
+/// # Panics
+/// Without speeds.
+///
+/// ```
+/// use nalgebra::Point2;
+/// use zenav_smoothing::{GeometricPath, Limits, ceilings, fastest};
+///
+/// # let limits = Limits { wheel_speed: 0.6, wheel_acceleration: 0.75, half_separation: 0.2, speed: 0.5, lateral_acceleration: 0.5,
+/// #     yaw_rate: 2.5, jerk: None };
+/// // A zone of 0.2 m/s begins at x = 1 m; elsewhere 0.5 m/s is the limit.
+/// let zone = |at: Point2<f64>| (at.x > 1.0).then_some(0.2);
+/// let path = GeometricPath::straight(Point2::origin(), Point2::new(2.0, 0.0), 0.02).unwrap().limited(&zone);
+/// let squared = ceilings(&path, &limits, &fastest(&path, &limits, 0.0)?);
+/// assert!((squared[0] - 0.25).abs() < 1e-9 && (squared[99] - 0.04).abs() < 1e-9);
+/// # Ok::<(), zenav_smoothing::SweepError>(())
+/// ```
 #[must_use]
 pub fn ceilings(path: &GeometricPath, limits: &Limits, squared: &[f64]) -> Vec<f64> {
     let start_speed = squared[0].sqrt();

@@ -36,6 +36,27 @@ impl State {
             alpha,
         }
     }
+
+    /// The same motion as that of a robot whose front is this one's rear: forwards becomes backwards.
+    ///
+    /// ```
+    /// use zenav_protocol::geometry::{Pose2, Twist2};
+    /// use zenav_protocol::trajectory::TrajectoryPoint;
+    /// use zenav_smoothing::State;
+    ///
+    /// // Along x, faster and faster, in a bend to the left.
+    /// let point = TrajectoryPoint::new(1.5, Pose2::IDENTITY, Twist2::new(0.4, 0.2));
+    /// let turned = State { point, a: 0.3, alpha: 0.1 }.turned();
+    /// assert!((turned.point.yaw.abs() - std::f64::consts::PI).abs() < 1e-12);
+    /// assert_eq!((turned.point.v, turned.point.w, turned.a, turned.alpha), (-0.4, 0.2, -0.3, 0.1));
+    /// ```
+    #[must_use]
+    pub fn turned(self) -> Self {
+        let Self { point, a, alpha } = self;
+        // A difference, because the opposite of zero would print as -0.
+        let twist = Twist2::new(0.0 - point.v, point.w);
+        Self::new(point.t, point.pose().turned(), twist, 0.0 - a, alpha)
+    }
 }
 
 /// Velocity and acceleration at a time, without the pose.
@@ -107,6 +128,18 @@ impl PiecewiseTrajectory {
     }
 
     /// Brakes to rest from a pose and velocity; returns the final pose.
+    ///
+    /// ```
+    /// use zenav_protocol::geometry::{Pose2, Twist2};
+    /// use zenav_smoothing::{Limits, PiecewiseTrajectory};
+    ///
+    /// # let limits = Limits { wheel_speed: 0.6, wheel_acceleration: 0.75, half_separation: 0.2, speed: 0.5, lateral_acceleration: 0.5,
+    /// #     yaw_rate: 2.5, jerk: None };
+    /// // From 0.45 m/s with 0.75 m/s².
+    /// let mut trajectory = PiecewiseTrajectory::new();
+    /// let end = trajectory.brake(Pose2::IDENTITY, Twist2::new(0.45, 0.0), &limits);
+    /// assert!((end.x - 0.45 * 0.45 / 1.5).abs() < 1e-9 && (trajectory.duration() - 0.6).abs() < 1e-9);
+    /// ```
     pub fn brake(&mut self, start: Pose2, twist: Twist2, limits: &Limits) -> Pose2 {
         let surface_speed = limits.surface_speed(twist);
         if !(surface_speed.is_finite() && surface_speed > 1e-6 * limits.wheel_acceleration) {
@@ -116,39 +149,64 @@ impl PiecewiseTrajectory {
         let unit = Twist2::new(twist.v / surface_speed, twist.w / surface_speed);
         let end = start.advance(unit, profile.distance());
         self.length += unit.v.abs() * profile.distance();
-        let least = limits.without_jerk().braking_time(twist);
-        self.push(
-            profile.duration(),
-            least,
-            Stretch::Brake {
-                start,
-                twist: unit,
-                profile,
-            },
-        );
+        self.lower_bound += limits.without_jerk().braking_time(twist);
+        self.append(Stretch::Brake {
+            start,
+            twist: unit,
+            profile,
+        });
         end
     }
 
     /// Turns on the spot by an angle (rad, counter-clockwise), from rest to rest.
+    ///
+    /// ```
+    /// use std::f64::consts::FRAC_PI_2;
+    /// use zenav_protocol::geometry::Pose2;
+    /// use zenav_smoothing::{Limits, PiecewiseTrajectory};
+    ///
+    /// # let limits = Limits { wheel_speed: 0.6, wheel_acceleration: 0.75, half_separation: 0.2, speed: 0.5, lateral_acceleration: 0.5,
+    /// #     yaw_rate: 2.5, jerk: None };
+    /// let mut trajectory = PiecewiseTrajectory::new();
+    /// trajectory.spin(Pose2::IDENTITY, -FRAC_PI_2, &limits);
+    /// let end = trajectory.at(trajectory.duration()).point;
+    /// assert!((end.yaw + FRAC_PI_2).abs() < 1e-9 && trajectory.length() == 0.0);
+    /// ```
     pub fn spin(&mut self, start: Pose2, angle: f64, limits: &Limits) {
         if !angle.is_finite() || angle.abs() < 1e-9 {
             return;
         }
         let profile = Profile::rest_to_rest(angle.abs(), &limits.spin());
         let sign = angle.signum();
-        let least = Profile::rest_to_rest(angle.abs(), &limits.without_jerk().spin()).duration();
-        self.push(profile.duration(), least, Stretch::Spin { start, sign, profile });
+        self.lower_bound += Profile::rest_to_rest(angle.abs(), &limits.without_jerk().spin()).duration();
+        self.append(Stretch::Spin { start, sign, profile });
     }
 
     /// Follows a path from a speed (m/s) to rest, as fast as all limits except the jerk allow.
     ///
     /// # Errors
     /// As [`fastest`].
+    ///
+    /// ```
+    /// use nalgebra::Point2;
+    /// use zenav_smoothing::{GeometricPath, Limits, PiecewiseTrajectory};
+    ///
+    /// # let limits = Limits { wheel_speed: 0.6, wheel_acceleration: 0.75, half_separation: 0.2, speed: 0.5, lateral_acceleration: 0.5,
+    /// #     yaw_rate: 2.5, jerk: None };
+    /// let path = GeometricPath::straight(Point2::new(1.0, 1.0), Point2::new(1.0, 3.0), 0.02).unwrap();
+    /// let mut trajectory = PiecewiseTrajectory::new();
+    /// trajectory.follow(path.clone(), 0.0, &limits)?;
+    /// let end = trajectory.at(trajectory.duration()).point;
+    /// assert!((end.position() - Point2::new(1.0, 3.0)).norm() < 1e-6 && end.v == 0.0);
+    /// assert!(trajectory.follow(path, 0.9, &limits).is_err(), "the limit is 0.5 m/s");
+    /// # Ok::<(), zenav_smoothing::SweepError>(())
+    /// ```
     pub fn follow(&mut self, path: GeometricPath, start_speed: f64, limits: &Limits) -> Result<(), SweepError> {
         let squared = fastest(&path, limits, start_speed)?;
         let law = TimeLaw::steady(&path, &squared);
         self.length += path.length();
-        self.push(law.duration(), law.duration(), Stretch::Follow { path, law });
+        self.lower_bound += law.duration();
+        self.append(Stretch::Follow { path, law });
         Ok(())
     }
 
@@ -174,9 +232,7 @@ impl PiecewiseTrajectory {
                     Err(error) => figures.failed = Some(error),
                 }
             }
-            let duration = stretch.duration();
-            trajectory.stretches.push((trajectory.duration, stretch));
-            trajectory.duration += duration;
+            trajectory.append(stretch);
         }
         if let Some(error) = &figures.failed {
             figures.solver.status = error.to_string();
@@ -185,6 +241,21 @@ impl PiecewiseTrajectory {
     }
 
     /// The same turns and paths under other limits; braking stays as it is. `None` if they do not allow the speed at a path's start.
+    ///
+    /// ```
+    /// # use nalgebra::Point2;
+    /// # use zenav_smoothing::{GeometricPath, Limits, PiecewiseTrajectory};
+    /// # let limits = Limits { wheel_speed: 0.6, wheel_acceleration: 0.75, half_separation: 0.2, speed: 0.5, lateral_acceleration: 0.5,
+    /// #     yaw_rate: 2.5, jerk: None };
+    /// # let path = GeometricPath::straight(Point2::origin(), Point2::new(2.0, 0.0), 0.02).unwrap();
+    /// # let mut trajectory = PiecewiseTrajectory::new();
+    /// # trajectory.follow(path, 0.0, &limits)?;
+    /// // 2 m straight on, at 0.5 m/s and now at 0.25 m/s.
+    /// let slow = trajectory.retimed(&Limits { speed: 0.25, ..limits }).unwrap();
+    /// assert!((slow.duration() - (2.0 / 0.25 + 0.25 / 0.75)).abs() < 0.05);
+    /// assert!(slow.length() == trajectory.length() && slow.lower_bound() == trajectory.duration());
+    /// # Ok::<(), zenav_smoothing::SweepError>(())
+    /// ```
     #[must_use]
     pub fn retimed(&self, limits: &Limits) -> Option<Self> {
         let mut trajectory = Self::new();
@@ -210,9 +281,7 @@ impl PiecewiseTrajectory {
                     }
                 }
             };
-            let duration = stretch.duration();
-            trajectory.stretches.push((trajectory.duration, stretch));
-            trajectory.duration += duration;
+            trajectory.append(stretch);
         }
         Some(trajectory)
     }
@@ -232,13 +301,28 @@ impl PiecewiseTrajectory {
         pieces.sum()
     }
 
-    fn push(&mut self, duration: f64, lower_bound: f64, stretch: Stretch) {
+    fn append(&mut self, stretch: Stretch) {
+        let duration = stretch.duration();
         self.stretches.push((self.duration, stretch));
-        self.lower_bound += lower_bound;
         self.duration += duration;
     }
 
     /// The state at a time (s), clamped to the trajectory's ends. Logarithmic in the samples.
+    ///
+    /// ```
+    /// # use nalgebra::Point2;
+    /// # use zenav_smoothing::{GeometricPath, Limits, PiecewiseTrajectory};
+    /// # let limits = Limits { wheel_speed: 0.6, wheel_acceleration: 0.75, half_separation: 0.2, speed: 0.5, lateral_acceleration: 0.5,
+    /// #     yaw_rate: 2.5, jerk: None };
+    /// # let path = GeometricPath::straight(Point2::origin(), Point2::new(2.0, 0.0), 0.02).unwrap();
+    /// # let mut trajectory = PiecewiseTrajectory::new();
+    /// # trajectory.follow(path, 0.0, &limits)?;
+    /// // 2 m straight on, from rest with 0.75 m/s²: after 0.4 s it has driven 0.06 m.
+    /// let state = trajectory.at(0.4);
+    /// assert!((state.point.x - 0.06).abs() < 1e-9 && (state.point.v - 0.3).abs() < 1e-9 && (state.a - 0.75).abs() < 1e-9);
+    /// assert_eq!(trajectory.at(1e9).point.v, 0.0);
+    /// # Ok::<(), zenav_smoothing::SweepError>(())
+    /// ```
     #[must_use]
     pub fn at(&self, t: f64) -> State {
         let t = t.clamp(0.0, self.duration);
@@ -265,7 +349,8 @@ impl PiecewiseTrajectory {
         if self.is_empty() {
             return Vec::new();
         }
-        let steps = (self.duration / period).ceil().clamp(1.0, 1e6) as usize;
+        // A period that is not a number leaves the two ends.
+        let steps = ((self.duration / period).ceil().clamp(1.0, 1e6) as usize).max(1);
         (0..=steps)
             .map(|i| self.at(self.duration * i as f64 / steps as f64))
             .collect()

@@ -17,7 +17,9 @@ use super::*;
 use crate::testing::router;
 
 mod graph;
+mod large_map;
 mod lost;
+mod redraw;
 
 const DEADLINE: Duration = Duration::from_secs(20);
 /// The wheels overestimate distance by this factor.
@@ -61,11 +63,8 @@ fn seen_among(boxes: &Boxes, way: f64) -> Scan {
         range_min: 0.02,
         range_max: 6.0,
         ranges: angles.map(range).collect(),
-        boot_id: String::new(),
-        moving: Vec::new(),
-        base_from_laser: Pose2::IDENTITY,
-        map_from_odom: Pose2::IDENTITY,
         odom_from_base: Pose2::new(TOO_FAR * way, 0.0, 0.0),
+        ..Scan::default()
     }
 }
 

@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
+use zenav_protocol::geometry::Twist2;
 use zenav_protocol::grid::{Cell, GridSpec, Occupancy, OccupancyGrid};
 use zenav_protocol::messages::{CoursePlace, DrivingProfile, KnownCourse, MapInfo, MapRef, MapReply};
 use zenav_protocol::time::Stamp;

@@ -1,22 +1,25 @@
-//! Field. Distance to the goal around static obstacles, for a disc, on cells, from the world's true geometry.
+//! Field. How much room is there, and how long is the shortest path of a disc? From the world's true geometry.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
-use nalgebra::{Point2, Vector2};
+use nalgebra::Point2;
 use zenav_protocol::geometry::Pose2;
 use zenav_protocol::robot::Footprint;
 use zenav_sim::World;
+
+use super::cells::Cells;
 
 /// Side of a cell, m.
 const CELL: f64 = 0.05;
 /// A cell centre may be this much nearer than the disc's radius, m: a passable gap may have no cell on its centre line.
 const SLACK: f64 = 0.012;
+/// Greatest clearance, m: in a world without obstacles it would be infinite.
+const FAR: f64 = 100.0;
 
 /// Clearances, and distances to a goal.
 pub(in crate::bench) struct Field {
-    low: Point2<f64>,
-    size: [usize; 2],
+    cells: Cells,
     clearance: Vec<f32>,
     to_goal: Vec<f32>,
     radius: f64,
@@ -27,21 +30,19 @@ impl Field {
     /// The field of a disc that drives to `goal` in a world, m.
     pub(in crate::bench) fn new(world: &World, radius: f64, goal: Point2<f64>) -> Self {
         let (low, high) = world.bounds();
-        let size = [high.x - low.x, high.y - low.y].map(|side| (side / CELL).ceil() as usize);
+        let cells = Cells::new(low, high, CELL);
+        let point = Footprint::Radius(0.0);
+        let clearance = |cell| {
+            let at = cells.center(cell);
+            world.clearance(&point, Pose2::new(at.x, at.y, 0.0)).min(FAR) as f32
+        };
         let mut field = Self {
-            low,
-            size,
-            clearance: Vec::new(),
-            to_goal: vec![f32::INFINITY; size[0] * size[1]],
+            clearance: (0..cells.count()).map(clearance).collect(),
+            to_goal: vec![f32::INFINITY; cells.count()],
+            cells,
             radius,
             goal,
         };
-        let point = Footprint::Radius(0.0);
-        let clearance = |cell| {
-            let at = field.center(cell);
-            world.clearance(&point, Pose2::new(at.x, at.y, 0.0)) as f32
-        };
-        field.clearance = (0..size[0] * size[1]).map(clearance).collect();
         field.flood();
         field
     }
@@ -49,7 +50,7 @@ impl Field {
     /// Dijkstra's algorithm from the goal, over steps to the sixteen surrounding cells.
     fn flood(&mut self) {
         let mut open = BinaryHeap::new();
-        if let Some(goal) = self.cell(self.goal) {
+        if let Some(goal) = self.cells.cell(self.goal) {
             self.to_goal[goal] = 0.0;
             open.push((Reverse(0_u32), goal));
         }
@@ -58,7 +59,7 @@ impl Field {
             if here > self.to_goal[cell] {
                 continue;
             }
-            for (next, length) in self.around(cell) {
+            for (next, length) in around(&self.cells, cell) {
                 let there = here + length;
                 if there < self.to_goal[next] && self.is_free(next) {
                     self.to_goal[next] = there;
@@ -69,69 +70,23 @@ impl Field {
         }
     }
 
-    fn around(&self, cell: usize) -> impl Iterator<Item = (usize, f32)> + use<> {
-        const STEPS: [[i64; 2]; 4] = [[1, 0], [1, 1], [2, 1], [1, 2]];
-        let [width, height] = self.size.map(|side| side as i64);
-        let (x, y) = (cell as i64 % width, cell as i64 / width);
-        STEPS.into_iter().flat_map(move |[dx, dy]| {
-            [[dx, dy], [-dy, dx], [-dx, -dy], [dy, -dx]]
-                .into_iter()
-                .filter_map(move |[dx, dy]| {
-                    let (x, y) = (x + dx, y + dy);
-                    let inside = (0..width).contains(&x) && (0..height).contains(&y);
-                    inside.then(|| ((y * width + x) as usize, (CELL * (dx as f64).hypot(dy as f64)) as f32))
-                })
-        })
-    }
-
     fn is_free(&self, cell: usize) -> bool {
         f64::from(self.clearance[cell]) >= self.radius - SLACK
     }
 
-    fn center(&self, cell: usize) -> Point2<f64> {
-        let (x, y) = (cell % self.size[0], cell / self.size[0]);
-        self.low + Vector2::new(x as f64 + 0.5, y as f64 + 0.5) * CELL
-    }
-
-    fn cell(&self, at: Point2<f64>) -> Option<usize> {
-        let off = (at - self.low) / CELL;
-        let inside = off.x >= 0.0 && off.y >= 0.0 && (off.x as usize) < self.size[0] && (off.y as usize) < self.size[1];
-        inside.then(|| off.y as usize * self.size[0] + off.x as usize)
-    }
-
-    /// Distance from a point to the nearest static obstacle, m; to within a cell.
+    /// Distance from a point to the nearest static obstacle, m: interpolated, to within a centimetre or two.
     pub(super) fn clearance(&self, at: Point2<f64>) -> f64 {
-        self.cell(at).map_or(0.0, |cell| f64::from(self.clearance[cell]))
-    }
-
-    /// Distance to the goal along the cells, m; infinite without a path.
-    pub(super) fn to_goal(&self, at: Point2<f64>) -> f64 {
-        let near = (at - self.goal).norm();
-        if near < 4.0 * CELL {
-            return near;
-        }
-        self.cell(at)
-            .map_or(f64::INFINITY, |cell| f64::from(self.to_goal[cell]))
-    }
-
-    /// The goal, m.
-    pub(super) fn goal(&self) -> Point2<f64> {
-        self.goal
-    }
-
-    /// Lower-left corner and sides of the field, m.
-    pub(super) fn extent(&self) -> (Point2<f64>, [f64; 2]) {
-        (self.low, self.size.map(|side| side as f64 * CELL))
+        self.cells.interpolate(&self.clearance, at)
     }
 
     /// Length of the shortest path from a point to the goal, m: along the cells, then shortened by line of sight. Infinite without a path.
     pub(in crate::bench) fn shortest(&self, from: Point2<f64>) -> f64 {
-        let Some(mut cell) = self.cell(from).filter(|cell| self.to_goal[*cell].is_finite()) else {
+        let Some(mut cell) = self.cells.cell(from).filter(|cell| self.to_goal[*cell].is_finite()) else {
             return f64::INFINITY;
         };
         let mut way = vec![from];
         while self.to_goal[cell] > 0.0 {
-            let down = self.around(cell).min_by(|a, b| {
+            let down = around(&self.cells, cell).min_by(|a, b| {
                 let [a, b] = [a, b].map(|(next, length)| self.to_goal[*next] + length);
                 a.total_cmp(&b)
             });
@@ -139,7 +94,7 @@ impl Field {
                 break;
             };
             cell = next;
-            way.push(self.center(cell));
+            way.push(self.cells.center(cell));
         }
         way.push(self.goal);
         let (mut length, mut anchor) = (0.0, 0);
@@ -158,9 +113,20 @@ impl Field {
         let steps = ((to - from).norm() / (0.5 * CELL)).ceil().max(1.0);
         (0..=steps as u32).all(|step| {
             let at = from + (to - from) * (f64::from(step) / steps);
-            self.cell(at).is_some_and(|cell| self.is_free(cell))
+            self.cells.cell(at).is_some_and(|cell| self.is_free(cell))
         })
     }
+}
+
+/// The sixteen surrounding cells, and the lengths of the steps to them, m.
+fn around(cells: &Cells, cell: usize) -> impl Iterator<Item = (usize, f32)> {
+    const STEPS: [[i64; 2]; 4] = [[1, 0], [1, 1], [2, 1], [1, 2]];
+    STEPS.into_iter().flat_map(move |[dx, dy]| {
+        let length = (CELL * (dx as f64).hypot(dy as f64)) as f32;
+        [[dx, dy], [-dy, dx], [-dx, -dy], [dy, -dx]]
+            .into_iter()
+            .filter_map(move |step| Some((cells.beside(cell, step)?, length)))
+    })
 }
 
 #[cfg(test)]

@@ -1,36 +1,47 @@
-//! Anchors. Reference planners in the same worlds: they drive the same simulated body with ground truth of pose, obstacles and people.
+//! Anchors. Reference planners in the same worlds: they drive the same simulated body, within the same limits, from the same start to the
+//! same goal, and the same referee judges them. They know the ground truth of pose, obstacles and people.
 //!
 //! | file | answers |
 //! |---|---|
-//! | `field` | how far is it to the goal around static obstacles? |
-//! | `orca` | which velocity avoids everybody, if everybody takes half of the avoidance? |
+//! | `cells` | which square of a grid is where? |
+//! | `field` | how much room is there, and how long is the shortest path? |
+//! | `cost_to_go` | which way leads to the goal, past walls and people who stand? |
 //! | `window` | which reachable twist is best? (dynamic window) |
+//! | `orca` | which velocity avoids everybody, if everybody takes half of the avoidance? |
+//! | `replay` | where will everybody be? |
 //! | `space_time` | which path is free at the time when the robot is there? (A* over cells and time) |
 
+mod cells;
+mod cost_to_go;
 mod field;
 mod orca;
+mod replay;
 mod space_time;
+#[cfg(test)]
+mod tests;
 mod window;
 
 use nalgebra::{Point2, Vector2};
 use serde::Serialize;
 use zenav_protocol::geometry::Twist2;
 use zenav_protocol::id::Id;
+use zenav_protocol::robot::Drive;
 use zenav_protocol::time::Stamp;
-use zenav_sim::movers::MoverModel;
-use zenav_sim::shape::Shape;
-use zenav_sim::{RobotSpec, Simulation, Truth, World};
+use zenav_sim::{RobotSpec, Simulation, Truth};
 
 use super::suites::Case;
 use crate::failure::Failure;
 use crate::lockstep::Referee;
+use cost_to_go::CostToGo;
 pub(super) use field::Field;
 use orca::Orca;
 use space_time::SpaceTime;
 use window::Window;
 
-/// Ticks between two decisions: 10 Hz.
-const TICKS: u64 = 5;
+/// Ticks between two decisions: 25 Hz.
+const TICKS: u64 = 2;
+/// Time between two looks for the way to the goal, s.
+const AGAIN: f64 = 0.5;
 /// Tracking range, m.
 const SIGHT: f64 = 10.0;
 /// Horizon of the dynamic windows, s.
@@ -39,6 +50,15 @@ const HORIZON: f64 = 2.0;
 const FOLLOWING: f64 = 1.0;
 /// Tolerance if a case uses the deployment's, m.
 const TOLERANCE: f64 = 0.15;
+/// A robot stops at this share of the tolerance from its goal.
+const ARRIVED: f64 = 0.7;
+/// Time from a decision until the wheels brake, s.
+const LATE: f64 = 0.1;
+/// Somebody slower stands: the way leads around, m/s.
+const STANDING: f64 = 0.15;
+/// A robot that has not moved so far (m) in so long (s) is stuck. It then gets away from where it is, for so long (s).
+const PROGRESS: (f64, f64) = (0.5, 4.0);
+const RECOVERY: f64 = 2.0;
 
 /// A reference planner that drives instead of zenav.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -75,34 +95,23 @@ pub(super) struct Driven {
     pub time_s: f64,
 }
 
-/// Recorded positions of all movers, in a world without a robot.
-pub(super) struct Replay {
-    /// Every [`TICKS`] ticks.
-    places: Vec<Vec<Point2<f64>>>,
-    step: f64,
+/// Centre and radius, m.
+type Disc = (Point2<f64>, f64);
+
+/// When did the robot last get on? As the progress checkers of other stacks.
+struct Progress {
+    since: f64,
+    from: Point2<f64>,
 }
 
-impl Replay {
-    fn new(world: &World, seed: u64, secs: f64) -> Result<Self, Failure> {
-        let mut simulation = Simulation::new(world, Vec::new(), seed).map_err(Failure::usage)?;
-        let step = simulation.tick().as_secs_f64() * TICKS as f64;
-        let mut places = vec![simulation.movers().collect()];
-        while simulation.now().as_secs() < secs {
-            (0..TICKS).for_each(|_| simulation.step());
-            places.push(simulation.movers().collect());
+impl Progress {
+    /// Whether the robot is stuck, and has not tried to get away for long enough.
+    fn is_stuck(&mut self, now: f64, at: Point2<f64>) -> bool {
+        let (distance, patience) = PROGRESS;
+        if (at - self.from).norm() > distance || now - self.since > patience + RECOVERY {
+            *self = Self { since: now, from: at };
         }
-        Ok(Self { places, step })
-    }
-
-    /// Position of a mover at a time (s); the last one after the end of the record.
-    fn at(&self, mover: usize, secs: f64) -> Point2<f64> {
-        let place = |index: usize| {
-            let row = self.places.get(index).or(self.places.last());
-            row.and_then(|row| row.get(mover)).copied().unwrap_or_default()
-        };
-        let share = (secs / self.step).max(0.0);
-        let from = place(share as usize);
-        from + (place(share as usize + 1) - from) * share.fract()
+        now - self.since > patience
     }
 }
 
@@ -125,22 +134,30 @@ pub(super) fn drive(
         start: case.world.start(),
     };
     let mut simulation = Simulation::new(&case.world, vec![spec], case.seed).map_err(Failure::usage)?;
-    let radii: Vec<f64> = case.world.movers().iter().map(radius).collect();
+    let radii: Vec<f64> = case
+        .world
+        .movers()
+        .iter()
+        .map(|mover| mover.shape.circumscribed_radius())
+        .collect();
     let mut known = match anchor {
-        Anchor::AllKnowing => {
-            let replay = Replay::new(&case.world, case.seed, case.timeout + HORIZON)?;
-            Some(SpaceTime::new(case, field, replay, &radii))
-        }
-        _ => None,
+        Anchor::AllKnowing => Some(SpaceTime::new(case, field, &simulation, &radii)),
+        Anchor::Standing | Anchor::ConstantVelocity | Anchor::Orca => None,
     };
-    let window = Window::new(model, field);
-    let orca = Orca::new(model, field);
+    let mut to_go = CostToGo::new(case, field);
+    let window = Window::new(case, field);
+    let orca = Orca::new(case, field);
+    let mut progress = Progress {
+        since: 0.0,
+        from: case.world.start().position(),
+    };
     let mut before: Vec<Point2<f64>> = simulation.movers().collect();
-    let mut tick = 0;
+    let mut next_look = 0.0;
+    let mut tick = 0_u64;
     loop {
-        let truth = simulation.truth(0);
-        let now = simulation.now().as_secs();
-        if tick % TICKS == 0 {
+        if tick.is_multiple_of(TICKS) {
+            let truth = simulation.truth(0);
+            let (now, at) = (simulation.now().as_secs(), truth.map_from_base.position());
             let places: Vec<Point2<f64>> = simulation.movers().collect();
             let secs = (simulation.tick().as_secs_f64() * TICKS as f64).min(now.max(1e-9));
             let walkers: Vec<Walker> = places
@@ -155,25 +172,37 @@ pub(super) fn drive(
                     },
                     radius: *radius,
                 })
-                .filter(|walker| (walker.at - truth.map_from_base.position()).norm() <= SIGHT)
+                .filter(|walker| (walker.at - at).norm() <= SIGHT)
                 .collect();
             before = places;
-            let twist = if referee.error() <= 0.7 * tolerance {
+            if now >= next_look {
+                next_look = now + AGAIN;
+                if let Some(known) = &mut known {
+                    known.plan(&simulation, at);
+                } else {
+                    let standing = walkers.iter().filter(|walker| walker.velocity.norm() < STANDING);
+                    to_go.update(standing.map(|walker| (walker.at, walker.radius)));
+                }
+            }
+            let on = |ahead: f64| -> Vec<Disc> {
+                let on = |walker: &Walker| (walker.at + walker.velocity * ahead, walker.radius);
+                walkers.iter().map(on).collect()
+            };
+            let is_stuck = progress.is_stuck(now, at);
+            let twist = if referee.error() <= ARRIVED * tolerance {
                 Twist2::ZERO
-            } else if let Some(known) = &mut known {
-                let reference = known.reference(now, truth.map_from_base.position());
+            } else if let Some(known) = &known {
+                // Waits of any length are planned.
                 let predict = |ahead: f64| known.walkers(now + ahead);
-                window.choose(&truth, FOLLOWING, predict, |rollout| {
-                    window::follow(rollout, |ahead| reference.at(now + ahead))
+                window.choose(&truth, FOLLOWING, predict, |poses| {
+                    window::follow(poses, |ahead| known.reference(now + ahead))
                 })
+            } else if is_stuck {
+                window.choose(&truth, HORIZON, on, |poses| window::escape(poses, at))
             } else if anchor == Anchor::Orca {
-                orca.choose(&truth, &walkers, secs)
+                orca.choose(&truth, &walkers, &to_go, secs)
             } else {
-                let predict = |ahead: f64| {
-                    let on = |walker: &Walker| (walker.at + walker.velocity * ahead, walker.radius);
-                    walkers.iter().map(on).collect()
-                };
-                window.choose(&truth, HORIZON, predict, |rollout| window::approach(rollout, field))
+                window.choose(&truth, HORIZON, on, |poses| window::approach(poses, &to_go))
             };
             simulation.drive(0, model.drive.bounded(model.drive.wheels(twist)));
         }
@@ -189,10 +218,8 @@ pub(super) fn drive(
     }
 }
 
-/// Radius of a disc around a mover, m.
-fn radius(mover: &MoverModel) -> f64 {
-    match &mover.shape {
-        Shape::Disc(radius) => *radius,
-        Shape::Polygon(corners) => corners.iter().map(|corner| corner.coords.norm()).fold(0.0, f64::max),
-    }
+/// Speed from which a robot comes to rest within a distance (m), m/s.
+fn stopping_speed(drive: &Drive, distance: f64) -> f64 {
+    let rate = drive.acceleration();
+    rate * ((LATE * LATE + 2.0 * distance / rate).sqrt() - LATE).max(0.0)
 }

@@ -1,10 +1,9 @@
-//! Optimal reciprocal collision avoidance. Chooses the velocity that avoids everybody, if everybody takes half of the avoidance.
+//! Optimal reciprocal collision avoidance. Which velocity avoids everybody, if everybody takes half of the avoidance?
 //!
 //! Van den Berg, Guy, Lin and Manocha, "Reciprocal n-Body Collision Avoidance" (2011), for a body that cannot move sideways as in Snape,
 //! van den Berg, Guy and Manocha, "Smooth and Collision-Free Navigation for Multiple Robots Under Differential-Drive Constraints" (2010):
-//! a point ahead of the axle is steered, and a disc around it covers the outline.
-
-use std::f64::consts::TAU;
+//! a point ahead of the axle is steered, and a disc around it covers the outline. It is steered in the direction from the axle to the goal,
+//! so that the axle arrives there. Walls are kept off a disc around the axle, which moves straight ahead or back only.
 
 use nalgebra::{Point2, Vector2};
 use zenav_protocol::geometry::Twist2;
@@ -12,47 +11,61 @@ use zenav_protocol::robot::{Footprint, RobotModel};
 use zenav_sim::Truth;
 use zenav_sim::manners::{Manners, Neighbour, Walker};
 
-use super::{Field, Walker as Person};
+use super::cost_to_go::CostToGo;
+use super::{Field, Walker as Person, stopping_speed};
+use crate::bench::suites::Case;
 
 /// Distance of the steered point ahead of the axle, m.
 const AHEAD: f64 = 0.15;
-/// Number of directions sampled for the descent to the goal and for the nearest wall.
-const DIRECTIONS: u32 = 32;
-/// Sampling distance, m.
-const STEP: f64 = 0.3;
+/// Walls farther away are ignored, m.
+const SIGHT: f64 = 1.5;
+/// Shortest step towards a wall, and distance at which somebody touches the robot, m.
+const STEP: f64 = 0.02;
+/// Distance kept from walls, m.
+const BERTH: f64 = 0.03;
+/// The robot gets no nearer to a wall than in this time, s.
+const HORIZON: f64 = 0.5;
 
 /// Steers one robot.
 pub(super) struct Orca<'a> {
     model: &'a RobotModel,
+    goal: Point2<f64>,
     field: &'a Field,
     /// Radius of a disc around the steered point that covers the outline, m.
     radius: f64,
 }
 
 impl<'a> Orca<'a> {
-    pub(super) fn new(model: &'a RobotModel, field: &'a Field) -> Self {
+    pub(super) fn new(case: &'a Case, field: &'a Field) -> Self {
         let ahead = Vector2::new(AHEAD, 0.0);
-        let radius = match &model.footprint {
+        let radius = match &case.model.footprint {
             Footprint::Radius(radius) => radius + AHEAD,
             Footprint::Polygon(corners) => {
                 let distances = corners.iter().map(|corner| (corner.coords - ahead).norm());
                 distances.fold(0.0, f64::max)
             }
         };
-        Self { model, field, radius }
+        Self {
+            model: &case.model,
+            goal: case.goal,
+            field,
+            radius,
+        }
     }
 
-    /// The twist for the next `secs` seconds among these people.
-    pub(super) fn choose(&self, truth: &Truth, people: &[Person], secs: f64) -> Twist2 {
+    /// The twist among these people for the next `secs` seconds.
+    pub(super) fn choose(&self, truth: &Truth, people: &[Person], to_go: &CostToGo, secs: f64) -> Twist2 {
         let (pose, drive) = (truth.map_from_base, &self.model.drive);
-        let heading = pose.heading();
+        let (axle, heading) = (pose.position(), pose.heading());
         let left = Vector2::new(-heading.y, heading.x);
-        let point = pose.position() + heading * AHEAD;
+        let point = axle + heading * AHEAD;
+        let top = drive.top_speed();
         let walker = Walker {
             velocity: heading * truth.twist.v + left * (AHEAD * truth.twist.w),
-            wanted: self.towards_goal(point) * drive.top_speed(),
+            wanted: to_go.way(axle) * top.min(stopping_speed(drive, (self.goal - axle).norm())),
             radius: self.radius,
-            speed: drive.top_speed(),
+            // No faster than the robot's own top speed.
+            speed: top / Manners::Orca.top_speed(1.0),
         };
         let others: Vec<Neighbour> = people
             .iter()
@@ -62,32 +75,34 @@ impl<'a> Orca<'a> {
                 radius: person.radius,
             })
             .collect();
-        let chosen = Manners::Orca.velocity(&walker, &others, &[self.to_wall(point)], secs);
-        Twist2::new(chosen.dot(&heading), chosen.dot(&left) / AHEAD)
+        let [back, ahead] = [-heading, heading].map(|direction| self.room(axle, direction, people));
+        let walls = [-heading * (self.radius + back), heading * (self.radius + ahead)];
+        let chosen = Manners::Orca.velocity(&walker, &others, &walls, secs);
+        // Among people too close on all sides some bound is broken: never these.
+        let v = chosen.dot(&heading).clamp(-back / HORIZON, ahead / HORIZON);
+        Twist2::new(v, chosen.dot(&left) / AHEAD)
     }
 
-    /// Direction of steepest descent of the distance to the goal.
-    fn towards_goal(&self, from: Point2<f64>) -> Vector2<f64> {
-        let straight = self.field.goal() - from;
-        if straight.norm() < STEP {
-            return straight / STEP;
+    /// How far the disc around the axle can move in a direction before it meets a wall, m; not at all towards somebody who touches it. What
+    /// is too near already must not come nearer.
+    fn room(&self, axle: Point2<f64>, direction: Vector2<f64>, people: &[Person]) -> f64 {
+        let reach = self.model.footprint.circumscribed_radius();
+        let is_pushed = |person: &Person| {
+            let offset = person.at - axle;
+            offset.norm() < reach + person.radius + STEP && offset.dot(&direction) > 0.0
+        };
+        if people.iter().any(is_pushed) {
+            return 0.0;
         }
-        least(|direction| self.field.to_goal(from + direction * STEP))
+        let kept = (reach + BERTH).min(self.field.clearance(axle)) - 1e-4;
+        let mut room = 0.0;
+        while room < SIGHT {
+            let free = self.field.clearance(axle + direction * (room + STEP)) - kept;
+            if free < 0.0 {
+                return room;
+            }
+            room += free.max(STEP);
+        }
+        SIGHT
     }
-
-    /// Vector from a place to the nearest static obstacle, m.
-    fn to_wall(&self, from: Point2<f64>) -> Vector2<f64> {
-        least(|direction| self.field.clearance(from + direction * STEP)) * self.field.clearance(from)
-    }
-}
-
-/// The direction with the least value.
-fn least(value: impl Fn(Vector2<f64>) -> f64) -> Vector2<f64> {
-    let directions = (0..DIRECTIONS).map(|nth| {
-        let (sin, cos) = (TAU * f64::from(nth) / f64::from(DIRECTIONS)).sin_cos();
-        Vector2::new(cos, sin)
-    });
-    directions
-        .min_by(|a, b| value(*a).total_cmp(&value(*b)))
-        .unwrap_or_default()
 }

@@ -1,124 +1,259 @@
-//! Dynamic window. Chooses the best reachable twist, after Fox, Burgard and Thrun, "The Dynamic Window Approach to Collision Avoidance"
-//! (1997): constant twists are rolled out, those with contact are dropped.
+//! Dynamic window. Which reachable twist is best?
+//!
+//! Fox, Burgard and Thrun, "The Dynamic Window Approach to Collision Avoidance" (1997): reachable twists are rolled out under the limits of
+//! wheels and base, those that come too near to something are dropped, and the twist with the cheapest rollout is taken. As in Brock and
+//! Khatib, "High-speed navigation using the global dynamic window approach" (1999), the way to the goal leads around obstacles.
 
-use nalgebra::Point2;
+use std::f64::consts::PI;
+
+use nalgebra::{Point2, Vector2};
 use zenav_protocol::geometry::{Pose2, Twist2, wrap_angle};
-use zenav_protocol::robot::RobotModel;
-use zenav_sim::Truth;
+use zenav_protocol::robot::{Drive, RobotModel};
+use zenav_sim::{Truth, World};
 
-use super::Field;
+use super::cost_to_go::CostToGo;
+use super::{Disc, Field, stopping_speed};
+use crate::bench::suites::Case;
 
 /// Time between two poses of a rollout, s.
 const STEP: f64 = 0.1;
-/// Time in which the wheels must be able to reach a twist, s.
-const REACH: f64 = 0.25;
+/// Twists are tried that the robot can reach in this time, s.
+const REACH: f64 = 0.5;
 /// Number of speeds and of yaw rates tried.
-const TRIED: [u32; 2] = [9, 17];
-/// Largest reverse speed, as a share of the top speed.
-const BACKWARDS: f64 = 0.3;
-/// Clearance of a rollout, m.
+const TRIED: [u32; 2] = [7, 13];
+/// A twist is kept for so long, or to the end of the rollout; then the robot brakes, s.
+const KEPT: f64 = 0.5;
+/// Clearance of a rollout, m. What is nearer already must not come nearer still.
 const MARGIN: f64 = 0.04;
-/// Cost of proximity, and its decay length, m.
-const NEAR: [f64; 2] = [0.5, 0.15];
-/// The heading counts through a point so far ahead, m.
-const NOSE: f64 = 0.3;
+/// Tolerance of that, m.
+const ROUNDING: f64 = 1e-6;
+/// Beyond this distance from the disc around the outline, the outline itself need not be looked at, m.
+const FAR: f64 = 1.0;
+/// Error of interpolated clearances, m.
+const ROUGH: f64 = 0.05;
+/// Cost of touching somebody, as a share of what driving at top speed gains, and its decay length, m.
+const NEAR: (f64, f64) = (0.5, 0.2);
+/// Cost of facing away from the way, as such a share; it decreases over the last so many metres.
+const FACING: (f64, f64) = (1.0, 0.5);
+/// Cost of a rollout with contact.
+const CONTACT: f64 = 1e6;
 
-/// The dynamic window of a robot among obstacles.
+/// The dynamic window of a robot in a world.
 pub(super) struct Window<'a> {
     model: &'a RobotModel,
+    world: &'a World,
+    goal: Point2<f64>,
     field: &'a Field,
     reach: f64,
 }
 
+/// How far a rollout is from where it should be, m, and how far its last pose faces away from there, rad.
+pub(super) struct Off {
+    metres: f64,
+    facing: f64,
+}
+
+/// Clearances that a rollout must keep, m: from walls, and from everybody; with their present discs.
+struct Limits {
+    walls: f64,
+    discs: Vec<(Disc, f64)>,
+}
+
 impl<'a> Window<'a> {
-    pub(super) fn new(model: &'a RobotModel, field: &'a Field) -> Self {
-        let reach = model.footprint.circumscribed_radius();
-        Self { model, field, reach }
+    pub(super) fn new(case: &'a Case, field: &'a Field) -> Self {
+        Self {
+            model: &case.model,
+            world: &case.world,
+            goal: case.goal,
+            field,
+            reach: case.model.footprint.circumscribed_radius(),
+        }
     }
 
-    /// The twist with the cheapest rollout; `predict` gives the discs at a time from now (s).
+    /// The twist with the cheapest rollout; `predict` gives everybody's disc at a time from now (s).
+    ///
+    /// If every rollout ends in contact, the one with the latest contact is taken.
     pub(super) fn choose(
         &self,
         truth: &Truth,
         horizon: f64,
-        predict: impl Fn(f64) -> Vec<(Point2<f64>, f64)>,
-        cost: impl Fn(&[Pose2]) -> f64,
+        predict: impl Fn(f64) -> Vec<Disc>,
+        off: impl Fn(&[Pose2]) -> Off,
     ) -> Twist2 {
-        let drive = &self.model.drive;
         let steps = (horizon / STEP).round() as u32;
-        let discs: Vec<Vec<(Point2<f64>, f64)>> = (1..=steps).map(|step| predict(STEP * f64::from(step))).collect();
-        let (top, turn) = (drive.top_speed(), drive.top_yaw_rate());
-        let gain = drive.acceleration() * REACH;
-        let spin = 2.0 * gain / drive.wheel_separation;
-        // Sampled more finely around the present twist.
-        let tried = |now: f64, gain: f64, low: f64, high: f64, count: u32| {
-            let share = move |index| 2.0 * f64::from(index) / f64::from(count - 1) - 1.0;
-            (0..count).map(move |index| (now + gain * share(index) * share(index).abs()).clamp(low, high))
-        };
-        // Any rollout without contact beats one with contact; of those, the latest contact wins.
+        let discs: Vec<Vec<Disc>> = (1..=steps).map(|step| predict(STEP * f64::from(step))).collect();
+        let limits = self.limits(truth.map_from_base, &predict(0.0));
+        // Mean distance that a robot at top speed gains over a rollout.
+        let gain = 0.5 * self.model.drive.top_speed() * horizon;
         let mut best = (f64::INFINITY, Twist2::ZERO);
-        for v in tried(truth.twist.v, gain, -BACKWARDS * top, top, TRIED[0]) {
-            for w in tried(truth.twist.w, spin, -turn, turn, TRIED[1]) {
-                let twist = Twist2::new(v, w);
-                let total = match self.roll_out(truth.map_from_base, twist, &discs) {
-                    Ok((poses, clearance)) => cost(&poses) + NEAR[0] * (-clearance / NEAR[1]).exp(),
-                    Err(touch) => 1e6 - f64::from(touch),
+        for twist in self.reachable(truth) {
+            for kept in [horizon, KEPT] {
+                let cost = match self.roll_out(truth, twist, kept, &limits, &discs) {
+                    Ok((poses, clearance)) => {
+                        let Off { metres, facing } = off(&poses);
+                        metres / gain + FACING.0 * facing / PI + NEAR.0 * (-clearance / NEAR.1).exp()
+                    }
+                    Err((step, clearance)) => CONTACT - step as f64 - clearance,
                 };
-                if total < best.0 {
-                    best = (total, twist);
+                if cost < best.0 {
+                    best = (cost, twist);
                 }
             }
         }
         best.1
     }
 
-    /// The poses of a twist and its least clearance (m), or the step of its first contact.
+    /// Rest, and twists within reach: the nearer to the present one, the more finely sampled.
+    fn reachable(&self, truth: &Truth) -> Vec<Twist2> {
+        let drive = &self.model.drive;
+        let now = truth.twist;
+        let (gain, loss) = (drive.acceleration() * REACH, drive.hard_braking * REACH);
+        let (down, up) = if now.v < 0.0 { (gain, loss) } else { (loss, gain) };
+        let spin = 2.0 * gain / drive.wheel_separation;
+        let left = (truth.map_from_base.position() - self.goal).norm();
+        let top = drive.top_speed().min(stopping_speed(drive, left));
+        let speeds = samples(now.v, [now.v - down, now.v + up], top, TRIED[0]);
+        let mut rates = samples(now.w, [now.w - spin, now.w + spin], drive.top_yaw_rate(), TRIED[1]);
+        rates.push(0.0);
+        let mut twists = vec![Twist2::ZERO];
+        for v in speeds {
+            twists.extend(rates.iter().map(|w| Twist2::new(v, *w)));
+        }
+        twists
+    }
+
+    /// The margin, or less from what is nearer at the beginning.
+    fn limits(&self, from: Pose2, discs: &[Disc]) -> Limits {
+        let kept = |clearance: f64| MARGIN.min(clearance) - ROUNDING;
+        Limits {
+            walls: kept(self.world.clearance(&self.model.footprint, from)).max(0.0),
+            discs: discs
+                .iter()
+                .map(|disc| (*disc, kept(self.clearance(from, disc))))
+                .collect(),
+        }
+    }
+
+    /// The poses of a twist that is kept for a time (s), and its least clearance from anybody (m); or step and clearance of its first
+    /// contact. It slows down for the goal.
     fn roll_out(
         &self,
-        from: Pose2,
+        truth: &Truth,
         twist: Twist2,
-        discs: &[Vec<(Point2<f64>, f64)>],
-    ) -> Result<(Vec<Pose2>, f64), u32> {
-        let mut pose = from;
-        let mut clearance = f64::INFINITY;
+        kept: f64,
+        limits: &Limits,
+        discs: &[Vec<Disc>],
+    ) -> Result<(Vec<Pose2>, f64), (usize, f64)> {
+        let drive = &self.model.drive;
+        let wanted = drive.bounded(drive.wheels(twist));
+        let speed = drive.twist(wanted).v.abs();
+        let (mut pose, mut wheels) = (truth.map_from_base, drive.wheels(truth.twist));
         let mut poses = Vec::with_capacity(discs.len());
+        let mut least = f64::INFINITY;
         for (step, discs) in discs.iter().enumerate() {
-            pose = pose.advance(twist, STEP);
-            let base_from_map = pose.inverse();
-            let to_disc = |(at, radius): &(Point2<f64>, f64)| {
-                self.model.footprint.distance(base_from_map.transform_point(*at)) - radius
+            let share = if STEP * step as f64 >= kept {
+                0.0
+            } else if speed > 0.0 {
+                (stopping_speed(drive, (pose.position() - self.goal).norm()) / speed).min(1.0)
+            } else {
+                1.0
             };
-            let standing = self.field.clearance(pose.position()) - self.reach;
-            let least = discs.iter().map(to_disc).fold(standing, f64::min);
-            if least < MARGIN {
-                return Err(step as u32);
+            let next = [0, 1].map(|side| after_step(drive, wheels[side], share * wanted[side]));
+            let mean = [0, 1].map(|side| 0.5 * (wheels[side] + next[side]));
+            pose = pose.advance(drive.twist(mean), STEP);
+            wheels = next;
+            if !self.is_off_walls(pose, limits.walls) {
+                // A wall does not make way.
+                return Err((step, -FAR));
             }
-            clearance = clearance.min(least);
+            for (disc, (now, limit)) in discs.iter().zip(&limits.discs) {
+                let mut clearance = self.clearance(pose, disc);
+                if step == 0 {
+                    // Somebody who leaves during this step is still here at its beginning.
+                    clearance = clearance.min(self.clearance(pose, now));
+                }
+                if clearance < *limit {
+                    return Err((step, clearance));
+                }
+                least = least.min(clearance);
+            }
             poses.push(pose);
         }
-        Ok((poses, clearance))
+        Ok((poses, least))
+    }
+
+    /// Whether the footprint is farther than a distance from all static obstacles, m.
+    fn is_off_walls(&self, pose: Pose2, distance: f64) -> bool {
+        self.field.clearance(pose.position()) - self.reach > distance + ROUGH
+            || self.world.clearance(&self.model.footprint, pose) > distance
+    }
+
+    /// Distance between the footprint and a disc, m; far away that of the disc around the outline.
+    fn clearance(&self, pose: Pose2, (at, radius): &Disc) -> f64 {
+        let around = (at - pose.position()).norm() - self.reach - radius;
+        if around > FAR {
+            around
+        } else {
+            self.model.footprint.distance(pose.inverse().transform_point(*at)) - radius
+        }
     }
 }
 
-/// Cost of a rollout towards the goal of a field: its mean distance from the goal, m.
-pub(super) fn approach(poses: &[Pose2], field: &Field) -> f64 {
-    let cost = |pose: &Pose2| {
-        let nose = NOSE.min((pose.position() - field.goal()).norm());
-        field.to_goal(pose.position() + pose.heading() * nose)
+/// Values within reach of the present one and within a largest one, closer together near the present one.
+fn samples(now: f64, reach: [f64; 2], most: f64, count: u32) -> Vec<f64> {
+    let [now, low, high] = [now, reach[0], reach[1]].map(|value| value.clamp(-most, most));
+    let sample = |index: u32| {
+        let share = 2.0 * f64::from(index) / f64::from(count - 1) - 1.0;
+        now + share * share * if share < 0.0 { low - now } else { high - now }
     };
-    poses.iter().map(cost).sum::<f64>() / poses.len().max(1) as f64
+    (0..count).map(sample).collect()
 }
 
-/// Cost of a rollout along positions at given times (s): its mean distance from them, m.
-pub(super) fn follow(poses: &[Pose2], reference: impl Fn(f64) -> Point2<f64>) -> f64 {
-    let cost = |(step, pose): (usize, &Pose2)| {
-        let off = reference(STEP * (step + 1) as f64) - pose.position();
-        let aside = if off.norm() > 0.1 {
-            wrap_angle(off.y.atan2(off.x) - pose.yaw).abs()
+/// Speed of a wheel that is to turn at another speed, after a step, rad/s.
+fn after_step(drive: &Drive, now: f64, wanted: f64) -> f64 {
+    let slower = wanted * now < 0.0 || wanted.abs() < now.abs();
+    let most = STEP
+        * if slower {
+            drive.wheel_braking()
         } else {
-            0.0
+            drive.max_wheel_acceleration
         };
-        off.norm() + NOSE * aside * off.norm().min(0.5)
-    };
-    poses.iter().enumerate().map(cost).sum::<f64>() / poses.len().max(1) as f64
+    now + (wanted - now).clamp(-most, most)
+}
+
+/// How far a pose faces away from a direction, rad; less over the last metres.
+fn facing_away(pose: &Pose2, direction: Vector2<f64>, left: f64) -> f64 {
+    wrap_angle(direction.y.atan2(direction.x) - pose.yaw).abs() * (left / FACING.1).min(1.0)
+}
+
+/// Driving to the goal: the mean cost to go of a rollout.
+pub(super) fn approach(poses: &[Pose2], to_go: &CostToGo) -> Off {
+    let sum: f64 = poses.iter().map(|pose| to_go.at(pose.position())).sum();
+    let facing = poses.last().map_or(0.0, |last| {
+        let at = last.position();
+        facing_away(last, to_go.way(at), to_go.at(at))
+    });
+    Off {
+        metres: sum / poses.len().max(1) as f64,
+        facing,
+    }
+}
+
+/// Following positions at given times (s): the mean distance of a rollout from them.
+pub(super) fn follow(poses: &[Pose2], reference: impl Fn(f64) -> Point2<f64>) -> Off {
+    let off = |(step, pose): (usize, &Pose2)| reference(STEP * (step + 1) as f64) - pose.position();
+    let sum: f64 = poses.iter().enumerate().map(|each| off(each).norm()).sum();
+    let last = poses.iter().enumerate().next_back();
+    Off {
+        metres: sum / poses.len().max(1) as f64,
+        facing: last.map_or(0.0, |each| facing_away(each.1, off(each), off(each).norm())),
+    }
+}
+
+/// Getting away from a place, in any direction, as in a recovery.
+pub(super) fn escape(poses: &[Pose2], from: Point2<f64>) -> Off {
+    Off {
+        metres: poses.last().map_or(0.0, |last| -(last.position() - from).norm()),
+        facing: 0.0,
+    }
 }

@@ -17,6 +17,7 @@ use crate::exit_code;
 use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::output::{Format, line, table, value};
+use crate::parallel;
 
 /// Arguments of `zenav bench drive`.
 #[derive(Debug, clap::Args)]
@@ -110,8 +111,7 @@ pub(super) fn drive(args: &DriveArgs) -> Outcome {
         }
         return Ok(exit_code::OK);
     }
-    let threads = args.threads.map(usize::from);
-    let threads = threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from));
+    let threads = args.threads.map_or_else(parallel::cores, usize::from);
     let mut runs = all(&cases, threads)?;
     compare(&mut runs);
     let mut rows: Vec<Row> = Vec::new();
@@ -142,6 +142,5 @@ pub(super) fn drive(args: &DriveArgs) -> Outcome {
         header.push("WORST");
         let rows: Vec<Vec<String>> = report.rows.iter().map(|row| row.cells(&extras)).collect();
         table(&header, &rows)
-    })?;
-    Ok(exit_code::OK)
+    })
 }

@@ -1,8 +1,5 @@
 //! Runs: every case driven by zenav and by the anchors, and the results kept.
 
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Mutex, PoisonError};
-
 use serde::Serialize;
 use tracing::subscriber::{NoSubscriber, with_default};
 use zenav_protocol::time::Stamp;
@@ -15,6 +12,7 @@ use crate::batch::progress;
 use crate::config::Layers;
 use crate::failure::Failure;
 use crate::lockstep::{ContactKind, ContactReport, Entrant, RunOutcome, RunReport, Scenario, worst};
+use crate::parallel;
 
 /// Mean delay from scan to plan, ms.
 const DELAY_MS: f64 = 100.0;
@@ -153,27 +151,14 @@ impl Watch {
 pub(super) fn all(cases: &[Case], threads: usize) -> Result<Vec<Run>, Failure> {
     let layers = Layers::load(None)?;
     let bar = progress(cases.len());
-    let next = AtomicUsize::new(0);
-    let done = Mutex::new((0..cases.len()).map(|_| None).collect::<Vec<_>>());
-    std::thread::scope(|scope| {
-        for _ in 0..threads.min(cases.len()) {
-            scope.spawn(|| {
-                loop {
-                    let index = next.fetch_add(1, Ordering::Relaxed);
-                    let Some(case) = cases.get(index) else { return };
-                    // The logs of hundreds of missions are of no use here.
-                    let runs = with_default(NoSubscriber::default(), || one(&layers, case));
-                    if let Some(place) = done.lock().unwrap_or_else(PoisonError::into_inner).get_mut(index) {
-                        *place = Some(runs);
-                    }
-                    bar.inc(1);
-                }
-            });
-        }
+    let done = parallel::in_order(cases.len(), threads, |index| {
+        // The logs of hundreds of missions are of no use here.
+        let runs = with_default(NoSubscriber::default(), || one(&layers, &cases[index]));
+        bar.inc(1);
+        runs
     });
     bar.finish_and_clear();
-    let done = done.into_inner().unwrap_or_else(PoisonError::into_inner);
-    let runs: Vec<Vec<Run>> = done.into_iter().flatten().collect::<Result<_, Failure>>()?;
+    let runs: Vec<Vec<Run>> = done.into_iter().collect::<Result<_, Failure>>()?;
     Ok(runs.into_iter().flatten().collect())
 }
 
@@ -198,11 +183,11 @@ fn zenav(
         timeout: case.timeout,
     };
     let mut watch = Watch::default();
-    let reports = scenario.run(layers, |robot, now, truth| {
+    let reports = scenario.prepare(layers)?.run(None, |robot, now, truth| {
         if robot == 0 {
             watch.see(now, truth, case);
         }
-    })?;
+    });
     let outcome = worst(&reports);
     let most = |value: fn(&RunReport) -> f64| reports.iter().map(value).fold(0.0, f64::max);
     let blamed = reports.iter().position(|report| report.outcome == outcome);
@@ -296,7 +281,7 @@ fn one(layers: &Layers, case: &Case) -> Result<Vec<Run>, Failure> {
             length_m: driven.truth.length,
             min_clearance_m: driven.truth.min_clearance,
             contacts: driven.referee.contacts().to_vec(),
-            final_error_m: None,
+            final_error_m: Some(driven.referee.error()),
             pose_error_m: None,
             recoveries: None,
             cpu_s: None,

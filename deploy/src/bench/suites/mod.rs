@@ -309,7 +309,7 @@ fn rng(scenario: &str, seed: u64) -> Pcg64Mcg {
 }
 
 /// Half the width of a robot that drives straight ahead, m.
-fn half_width(model: &RobotModel) -> f64 {
+pub(super) fn half_width(model: &RobotModel) -> f64 {
     match &model.footprint {
         Footprint::Radius(radius) => *radius,
         Footprint::Polygon(corners) => corners.iter().map(|corner| corner.y.abs()).fold(0.0, f64::max),

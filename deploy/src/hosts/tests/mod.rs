@@ -93,6 +93,27 @@ fn what_cannot_be_is_told_by_key_and_with_what_was_expected() {
             "expected robot, edge_site",
         ),
         ("10.0.3.20", "10.0.3.20:80", "hosts.desk.address", "without a port"),
+        ("10.0.3.20", "300.0.3.20", "hosts.desk.address", "expected a name or"),
+        ("10.0.3.20", "desk..local", "hosts.desk.address", "expected a name or"),
+        ("10.0.3.20", "0.0.0.0", "hosts.desk.address", "no other host reaches it"),
+        (
+            "10.0.3.20",
+            "localhost",
+            "hosts.desk.address",
+            "no other host reaches it",
+        ),
+        (
+            "fleet-b.example.org",
+            "Fleet-A.example.org",
+            "hosts.fleet-b.address",
+            "both listen on port 7447",
+        ),
+        (
+            "connect = [\"site\"]",
+            "connect = [\"site\", \"site\"]",
+            "hosts.robot-a.connect",
+            "names `site`: a second time",
+        ),
         ("[hosts.desk]", "[hosts.Desk_1]", "hosts.Desk_1", "a-z 0-9 -"),
         (
             "[\"edge:carl\"]",
@@ -124,12 +145,6 @@ fn what_cannot_be_is_told_by_key_and_with_what_was_expected() {
             "connect = [\"desk\"]",
             "hosts.robot-a.connect",
             "runs no router",
-        ),
-        (
-            "\"gateway\"]",
-            "\"gateway\", \"mapping\"]",
-            "hosts.site.runs",
-            "which fleet-b maps already",
         ),
         (", \"mapping:carl\"", "", "robots.carl", "is mapped nowhere"),
         (
@@ -166,12 +181,21 @@ fn what_cannot_be_is_told_by_key_and_with_what_was_expected() {
 #[test]
 fn the_router_s_rest_and_further_routers_are_rendered_and_what_cannot_be_is_refused() {
     let with = |router: &str| deployment(&format!("[router]\n{router}\n{FLEET}"));
-    let linked = with("rest = \"127.0.0.1:8000\"\nconnect = [\"quic/other.example.org:7447\"]");
+    // A served world listens on the port of scouting.
+    let real = FLEET
+        .replace("\"world\", ", "")
+        .replace("attach = true", "driver = true");
+    let router = "rest = \"127.0.0.1:8000\"\nscouting = true\nconnect = [\"quic/other.example.org:7447\"]";
+    let linked = deployment(&format!("[router]\n{router}\n{real}"));
     let files = render(&Layout::of(&linked).unwrap(), &[], Target::Systemd).unwrap();
     for (path, text) in files.iter().filter(|(path, _)| path.ends_with(".service")) {
         let is_router = path.ends_with("zenav-router.service");
         let line = text.lines().find(|line| line.starts_with("ExecStart=")).unwrap();
-        for flags in [" --rest 127.0.0.1:8000 ", " --connect quic/other.example.org:7447 "] {
+        for flags in [
+            " --rest 127.0.0.1:8000 ",
+            " --scouting ",
+            " --connect quic/other.example.org:7447 ",
+        ] {
             assert_eq!(line.contains(flags), is_router, "{path}: {line}");
         }
     }
@@ -186,6 +210,7 @@ fn the_router_s_rest_and_further_routers_are_rendered_and_what_cannot_be_is_refu
             "hosts.fleet-a.address",
             "listen on port 9464",
         ),
+        ("scouting = true", "hosts.site.address", "listen on port 7446"),
         (
             "connect = [\"quic/fleet-b.example.org:7447\"]",
             "router.connect",
@@ -219,6 +244,36 @@ fn loopback_is_what_an_address_is_and_not_what_it_contains() {
     ] {
         assert_eq!(super::layout::is_loopback(endpoint), expected, "{endpoint}");
     }
+}
+
+#[test]
+fn two_containers_of_one_name_and_a_host_that_dials_no_router_are_told() {
+    let robot = "[robots.motion]\ndriver = true\n[hosts.bot]\nrole = \"robot\"\naddress = \"10.0.0.3\"\n";
+    let cloud = |name: &str, address: &str, runs: &str| {
+        format!("[hosts.{name}]\nrole = \"cloud\"\naddress = \"{address}\"\nruns = [{runs}]\n")
+    };
+    let told = |text: String| -> Vec<String> {
+        let changed = deployment(&text);
+        let problems = Layout::of(&changed).map(|_| ()).unwrap_err();
+        problems.iter().map(ToString::to_string).collect()
+    };
+    let hall = cloud("hall", "10.0.0.1", "\"router\", \"mapping\", \"mission:motion\"");
+    let other = cloud("hall-mission", "10.0.0.2", "\"motion\"");
+    let problems = told(format!("{robot}runs = [\"edge:motion\"]\n{hall}{other}"));
+    assert!(
+        problems.len() == 1 && problems[0].contains("hall-mission-motion in a cluster, as is `mission:motion` of hall"),
+        "{problems:#?}"
+    );
+    // A router on the robot alone.
+    let services = cloud("hall", "10.0.0.1", "\"motion\", \"mapping\", \"mission\"");
+    let problems = told(format!("{robot}runs = [\"edge:motion\", \"router\"]\n{services}"));
+    assert!(
+        problems.len() == 1 && problems[0].contains("dials no router") && problems[0].contains("connect = [\"bot\"]"),
+        "{problems:#?}"
+    );
+    let named = format!("{services}connect = [\"bot\"]\n");
+    let well = deployment(&format!("{robot}runs = [\"edge:motion\", \"router\"]\n{named}"));
+    assert!(Layout::of(&well).is_ok());
 }
 
 #[test]
@@ -256,7 +311,7 @@ fn what_does_not_show_on_the_bus_is_missing_and_what_nobody_named_is_told() {
         names.iter().map(|name| ((*name).to_owned(), all.clone())).collect()
     };
     let seen = Seen {
-        routers: set(&["fleet-a", "fleet-b", "site"]),
+        routers: ["fleet-a", "fleet-b", "site"].map(|host| (host.to_owned(), 3)).into(),
         robots: robots(&["anna", "bert_2", "carl"]),
         workers: [
             ("motion".to_owned(), set(&["fleet-a-1", "fleet-b-1", "fleet-b-2"])),
@@ -264,6 +319,7 @@ fn what_does_not_show_on_the_bus_is_missing_and_what_nobody_named_is_told() {
         ]
         .into(),
         orchestrators: ["anna", "bert_2", "carl"].map(|robot| (robot.to_owned(), 2)).into(),
+        mappers: ["anna", "bert_2", "carl"].map(|robot| (robot.to_owned(), 1)).into(),
         gateways: 1,
     };
     let well = compare(&layout, &seen);
@@ -271,10 +327,11 @@ fn what_does_not_show_on_the_bus_is_missing_and_what_nobody_named_is_told() {
     assert_eq!(well.len(), layout.parts().count());
 
     let worse = Seen {
-        routers: set(&["fleet-a", "site"]),
+        routers: ["fleet-a", "site"].map(|host| (host.to_owned(), 0)).into(),
         robots: robots(&["anna", "carl", "stranger"]),
         workers: [("motion".to_owned(), set(&["fleet-a-1", "elsewhere-1"]))].into(),
         orchestrators: [("anna".to_owned(), 1), ("carl".to_owned(), 2)].into(),
+        mappers: [("anna".to_owned(), 1), ("carl".to_owned(), 1)].into(),
         gateways: 0,
     };
     let found: BTreeSet<String> = compare(&layout, &worse)
@@ -298,6 +355,52 @@ fn what_does_not_show_on_the_bus_is_missing_and_what_nobody_named_is_told() {
 }
 
 #[test]
+fn a_router_where_others_do_not_show_is_cut_off_and_one_of_another_program_is_not() {
+    let fleet = deployment(FLEET);
+    let layout = Layout::of(&fleet).unwrap();
+    let cut_off = |sees: [usize; 3]| -> Vec<String> {
+        let hosts = ["fleet-a", "fleet-b", "site"].map(str::to_owned);
+        let seen = Seen {
+            routers: hosts.into_iter().zip(sees).collect(),
+            ..Seen::default()
+        };
+        let found = compare(&layout, &seen).into_iter();
+        found
+            .filter(|finding| finding.state == State::CutOff)
+            .map(|finding| finding.host)
+            .collect()
+    };
+    assert_eq!(cut_off([3, 3, 3]), Vec::<String>::new());
+    assert_eq!(cut_off([2, 1, 2]), ["fleet-a", "fleet-b", "site"]);
+    assert_eq!(
+        cut_off([3, 1, 3]),
+        ["fleet-b"],
+        "it hears nobody, and the others hear it"
+    );
+    assert_eq!(cut_off([0, 0, 0]), Vec::<String>::new(), "it does not tell");
+}
+
+#[test]
+fn a_robot_may_be_mapped_on_two_hosts_and_a_copy_that_is_missing_is_told() {
+    let fleet = deployment(&FLEET.replace("\"gateway\"]", "\"gateway\", \"mapping:anna\"]"));
+    let layout = Layout::of(&fleet).unwrap();
+    let missing = |count: usize| -> Vec<String> {
+        let seen = Seen {
+            mappers: ["anna", "bert_2", "carl"].map(|robot| (robot.to_owned(), count)).into(),
+            ..Seen::default()
+        };
+        let found = compare(&layout, &seen).into_iter();
+        found
+            .filter(|finding| finding.part.starts_with("mapping") && finding.state != State::Runs)
+            .map(|finding| format!("{} {}: {}", finding.host, finding.part, finding.detail))
+            .collect()
+    };
+    assert_eq!(missing(2), Vec::<String>::new());
+    let short = "mapping:anna: anna has 1 of 2 mapping services";
+    assert_eq!(missing(1), ["fleet-b", "site"].map(|host| format!("{host} {short}")));
+}
+
+#[test]
 fn files_that_a_deployment_names_stand_beside_it_and_go_along() {
     let folder = tempfile::tempdir().unwrap();
     let write = |name: &str, text: &str| std::fs::write(folder.path().join(name), text).unwrap();
@@ -312,12 +415,31 @@ fn files_that_a_deployment_names_stand_beside_it_and_go_along() {
         ["hall.pgm", "hall.toml", "hall.yaml", "lidar.toml"]
     );
     assert_eq!(named("").unwrap(), Vec::<String>::new());
-    for (text, key) in [
-        ("[simulation]\nworld = \"hole.toml\"", "simulation.world"),
-        ("[mapping]\nmap = \"/maps/hall.yaml\"", "mapping.map"),
-        ("[zones]\nfile = \"../zones.toml\"", "zones.file"),
+    for (text, key, why) in [
+        (
+            "[simulation]\nworld = \"hole.toml\"",
+            "simulation.world",
+            "or one of kitchen, ",
+        ),
+        (
+            "[robots.a]\nmodel = \"turtlebot\"",
+            "robots.a.model",
+            "or one of tiago, ",
+        ),
+        (
+            "[robots.a]\nmodel = \"tiago+back\"",
+            "robots.a.model",
+            "or one of rear_lidar, ",
+        ),
+        ("[mapping]\nmap = \"/maps/hall.yaml\"", "mapping.map", "a path"),
+        ("[zones]\nfile = \"../zones.toml\"", "zones.file", "a path"),
+        ("[zones]\nfile = \"zones.toml\"", "zones.file", "expected a file beside"),
     ] {
-        assert_eq!(named(text).unwrap_err()[0].key, key);
+        let refused = named(text).unwrap_err();
+        assert!(
+            refused[0].key == key && refused[0].problem.contains(why),
+            "{text}: {refused:?}"
+        );
     }
     // An image may be named by its path, as ROS's `map_saver` does: the copy must not be the file itself.
     let elsewhere = folder.path().join("hall.pgm").display().to_string();

@@ -9,7 +9,7 @@ use zenav_behaviour_tree::{self as trees, NodeReport, Tree, simulate};
 use super::{Source, bad_tree, includer};
 use crate::drawing::tree;
 use crate::exit_code;
-use crate::failure::{Failure, Outcome};
+use crate::failure::Outcome;
 use crate::files;
 use crate::output::{self, Format};
 
@@ -52,22 +52,12 @@ pub(super) fn show(file: &str, id: Option<&str>, out: Option<&Path>, format: For
     let built = trees::build(&source.name, &source.text, &simulate::registry(), id, &mut include)
         .map_err(|errors| bad_tree(&errors))?;
     let Some(out) = out else {
-        output::value(format, &shown(&built), |_| built.render_written())?;
-        return Ok(exit_code::OK);
+        return output::value(format, &shown(&built), |_| built.render_written());
     };
-    let ending = out
-        .extension()
-        .and_then(|ending| ending.to_str())
-        .map(str::to_ascii_lowercase);
-    let picture = match ending.as_deref() {
-        Some("svg") => tree::svg(&built.report(), &hints(&built)).into_bytes(),
-        Some("png") => tree::png(&built.report())?,
-        _ => {
-            return Err(Failure::usage(format!(
-                "--out {}: expected a name that ends with .svg or .png",
-                out.display()
-            )));
-        }
+    let picture = match files::ending(out).as_str() {
+        "svg" => tree::svg(&built.report(), &hints(&built)).into_bytes(),
+        "png" => tree::png(&built.report())?,
+        _ => return Err(files::unknown_ending(out, ".svg or .png")),
     };
     files::write(out, picture)?;
     Ok(exit_code::OK)

@@ -1,8 +1,10 @@
 //! `zenav bt simulate`. Runs a tree in simulated time, with a script that gives the results of its leaves.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
-use zenav_behaviour_tree::simulate;
+use zenav_behaviour_tree::simulate::{self, Script, Simulation};
+use zenav_behaviour_tree::{Tree, build};
 
 use super::{Source, bad_tree, includer};
 use crate::exit_code;
@@ -10,36 +12,38 @@ use crate::failure::{Failure, Outcome};
 use crate::files;
 use crate::output::{self, Format};
 
-pub(super) fn simulate(file: &str, script: Option<&Path>, id: Option<&str>, format: Format) -> Outcome {
-    let script: simulate::Script = match script {
+/// Largest edit distance between an unknown leaf and the known one that is suggested for it.
+const SLIPS: usize = 3;
+
+pub(super) fn simulate(file: &str, path: Option<&Path>, id: Option<&str>, format: Format) -> Outcome {
+    let script: Script = match path {
         Some(path) => serde_json::from_str(&files::text(path)?).map_err(Failure::usage_at(path))?,
-        None => simulate::Script::default(),
+        None => Script::default(),
     };
     let source = Source::read(file)?;
     let mut include = includer(&source.name);
-    let outcome = simulate::simulate(&source.name, &source.text, id, &script, &mut include)
-        .map_err(|errors| bad_tree(&errors))?;
+    let registry = simulate::registry();
+    let tree = build(&source.name, &source.text, &registry, id, &mut include);
+    let mut tree = tree.map_err(|errors| bad_tree(&errors))?;
+    if let Some(path) = path {
+        check_leaves(&tree, &script).map_err(Failure::usage_at(path))?;
+    }
+    let outcome = simulate::play(&mut tree, &script);
     for warning in &outcome.warnings {
         tracing::warn!("{warning}");
     }
     output::value(format, &outcome, |outcome| {
-        let rows: Vec<Vec<String>> = outcome
-            .counts
-            .iter()
-            .map(|(leaf, starts)| vec![leaf.clone(), starts.to_string()])
-            .collect();
-        let error = outcome
-            .error
-            .as_ref()
-            .map(|error| format!(": {error}"))
-            .unwrap_or_default();
+        let counts = outcome.counts.iter();
+        let rows = counts.map(|(leaf, starts)| [leaf.clone(), starts.to_string()]);
+        let error = outcome.error.as_ref().map(|error| format!(": {error}"));
+        let error = error.unwrap_or_default();
         let late = if outcome.timed_out { ", time ran out" } else { "" };
         format!(
             "{}{error} after {} ticks, {} ms{late}\n\n{}",
             outcome.status,
             outcome.ticks,
             outcome.sim_time_ms,
-            output::table(&["LEAF", "STARTS"], &rows)
+            output::table(&["LEAF", "STARTS"], rows)
         )
     })?;
     Ok(if outcome.error.is_some() {
@@ -47,4 +51,59 @@ pub(super) fn simulate(file: &str, script: Option<&Path>, id: Option<&str>, form
     } else {
         exit_code::OK
     })
+}
+
+/// Checks that the leaves of a script are in the tree, by id or name.
+///
+/// # Errors
+/// The leaf that is not, and the nearest one, or all of them.
+fn check_leaves(tree: &Tree<Simulation>, script: &Script) -> Result<(), String> {
+    let leaves = tree
+        .iter()
+        .filter(|node| matches!(node.category.as_str(), "Action" | "Condition"));
+    let known: BTreeSet<String> = leaves.flat_map(|leaf| [leaf.id, leaf.name]).collect();
+    let events = script.events.iter().map(|event| &event.when.leaf);
+    let Some(unknown) = script.leaves.keys().chain(events).find(|leaf| !known.contains(*leaf)) else {
+        return Ok(());
+    };
+    let known = || known.iter().map(String::as_str);
+    let perhaps = match output::perhaps(unknown, known(), SLIPS) {
+        near if near.is_empty() => format!(": expected one of {}", known().collect::<Vec<_>>().join(", ")),
+        near => near,
+    };
+    Err(format!("the tree has no leaf `{unknown}`{perhaps}"))
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_script_for_a_leaf_that_is_not_in_the_tree_is_refused() {
+        let text = r#"<root BTCPP_format="4"><BehaviorTree ID="T"><Sequence>
+            <FollowPath path="{path}" name="ToTheDoor"/><Wait/></Sequence></BehaviorTree></root>"#;
+        let none = &mut |_: &str, _: &str| Err(String::new());
+        let tree = build("t.xml", text.as_bytes(), &simulate::registry(), None, none).unwrap();
+        let check = |script: &str| check_leaves(&tree, &serde_json::from_str(script).unwrap());
+        for known in ["FollowPath", "ToTheDoor", "Wait"] {
+            assert_eq!(check(&format!(r#"{{"leaves": {{"{known}": {{}}}}}}"#)), Ok(()));
+        }
+        for (script, told) in [
+            (
+                r#"{"leaves": {"FolowPath": {}}}"#,
+                "the tree has no leaf `FolowPath`, perhaps `FollowPath`",
+            ),
+            (
+                r#"{"leaves": {"Sequence": {}}}"#,
+                "the tree has no leaf `Sequence`: expected one of FollowPath, ToTheDoor, Wait",
+            ),
+            (
+                r#"{"events": [{"when": {"leaf": "Wat", "starts": 1}, "set": {}}]}"#,
+                "the tree has no leaf `Wat`, perhaps `Wait`",
+            ),
+        ] {
+            assert_eq!(check(script).unwrap_err(), told);
+        }
+    }
 }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use serde::Serialize;
-use zenav_behaviour_tree::{self as trees, Limits, Summary, TreeErrors};
+use zenav_behaviour_tree::{self as trees, Limits, Summary, TreeError, TreeErrors};
 use zenav_mission::trees as missions;
 
 use super::{Source, includer};
@@ -19,18 +19,9 @@ struct Validated {
     trees: BTreeMap<String, u64>,
     /// Why a mission may refuse the tree.
     warnings: Vec<String>,
-    errors: Vec<Mistake>,
+    errors: Vec<TreeError>,
     /// Number of errors not listed.
     more: usize,
-}
-
-#[derive(Debug, Serialize)]
-struct Mistake {
-    file: String,
-    line: u32,
-    column: u32,
-    message: String,
-    expected: String,
 }
 
 impl Validated {
@@ -44,23 +35,14 @@ impl Validated {
                 errors: Vec::new(),
                 more: 0,
             },
-            Err(TreeErrors { errors, more }) => {
-                let mistake = |error: trees::TreeError| Mistake {
-                    file: error.file,
-                    line: error.line,
-                    column: error.column,
-                    message: error.message,
-                    expected: error.expected,
-                };
-                Self {
-                    file,
-                    valid: false,
-                    trees: BTreeMap::new(),
-                    warnings: Vec::new(),
-                    errors: errors.into_iter().map(mistake).collect(),
-                    more,
-                }
-            }
+            Err(TreeErrors { errors, more }) => Self {
+                file,
+                valid: false,
+                trees: BTreeMap::new(),
+                warnings: Vec::new(),
+                errors,
+                more,
+            },
         }
     }
 
@@ -79,16 +61,7 @@ impl Validated {
             let warnings: String = self.warnings.iter().map(|w| format!("\nwarning: {w}")).collect();
             return format!("{}: valid: {trees}{warnings}", self.file);
         }
-        let mut lines: Vec<String> = self
-            .errors
-            .iter()
-            .map(|e| {
-                format!(
-                    "{}:{}:{}: {}: expected {}",
-                    e.file, e.line, e.column, e.message, e.expected
-                )
-            })
-            .collect();
+        let mut lines: Vec<String> = self.errors.iter().map(TreeError::to_string).collect();
         if self.more > 0 {
             lines.push(format!("and {} more", self.more));
         }
@@ -163,6 +136,19 @@ mod tests {
             report.text(),
             "t.xml: valid: T (1 node)\nwarning: t.xml:2:34: nothing here implements `SaySomething`: a mission would refuse it"
         );
+    }
+
+    #[test]
+    fn a_port_without_which_a_node_fails_is_missed_before_the_tree_runs() {
+        let tree = |leaf: &str| format!("<root BTCPP_format=\"4\"><BehaviorTree ID=\"T\">{leaf}</BehaviorTree></root>");
+        let report = check(&tree("<FollowPath/>"));
+        assert!(!report.valid && report.errors.len() == 1);
+        assert!(
+            report.text().contains("`FollowPath` without port `path`"),
+            "{}",
+            report.text()
+        );
+        assert!(check(&tree("<FollowPath path=\"{path}\"/>")).valid);
     }
 
     #[test]

@@ -30,8 +30,7 @@ pub(super) fn watch(robot: &RobotArgs, once: bool, format: Format) -> Outcome {
         };
         let mut watched = Watched::new(status);
         if once {
-            output::value(format, &watched.status, |_| watched.picture(Paper::ENDLESS))?;
-            return Ok(exit_code::OK);
+            return output::value(format, &watched.status, |_| watched.picture(Paper::ENDLESS));
         }
         let mut link = RouterLink::new(&bus);
         let mut drawing = Drawing::new(format);
@@ -43,7 +42,7 @@ pub(super) fn watch(robot: &RobotArgs, once: bool, format: Format) -> Outcome {
                 biased;
                 _ = tokio::signal::ctrl_c() => return Ok(exit_code::INTERRUPTED),
                 received = missions.next() => {
-                    let received = received.ok_or_else(|| Failure::new(exit_code::CANNOT_CONNECT, "the bus was closed"))?;
+                    let received = received.ok_or_else(Failure::closed)?;
                     watched.hear(received.message);
                     drawing.print(&watched)?;
                 }
@@ -75,7 +74,7 @@ async fn first(
     };
     match received {
         Ok(Some(received)) => Ok(Some(received.message)),
-        Ok(None) => Err(Failure::new(exit_code::CANNOT_CONNECT, "the bus was closed")),
+        Ok(None) => Err(Failure::closed()),
         Err(_) => Err(Failure::new(
             exit_code::TIMEOUT,
             format!(
@@ -137,9 +136,9 @@ impl Drawing {
     }
 
     /// Prints a status for programs.
-    fn print(&self, watched: &Watched) -> Result<(), Failure> {
+    fn print(&self, watched: &Watched) -> Outcome {
         match self.format {
-            Format::Table => Ok(()),
+            Format::Table => Ok(exit_code::OK),
             format => output::value(format.streamed(), &watched.status, |_| String::new()),
         }
     }

@@ -19,7 +19,7 @@ use zenav_protocol::topics;
 
 use super::settings::RunSettings;
 use crate::failure::Failure;
-use crate::record::format::{Kind, Sample};
+use crate::record::format::Sample;
 use crate::record::reader::RecordReader;
 
 /// Patches queued for the description with their number of scans.
@@ -173,11 +173,11 @@ impl MapHistory {
     }
 
     fn see(&mut self, sample: &Sample, settings: &mut RunSettings) {
-        if let Ok(Some((_, scan))) = sample.message(&topics::SCAN) {
+        if let Some((_, scan)) = sample.message(&topics::SCAN) {
             self.hear(scan, true);
-        } else if let Ok(Some((_, scan))) = sample.message(&topics::LIDAR_SCAN) {
+        } else if let Some((_, scan)) = sample.message(&topics::LIDAR_SCAN) {
             self.hear(scan, false);
-        } else if let Ok(Some((_, state))) = sample.message(&topics::STATE) {
+        } else if let Some((_, state)) = sample.message(&topics::STATE) {
             self.frame = state.frame;
             if *self.boot_id != *state.boot_id {
                 self.boot_id = state.boot_id.into();
@@ -186,15 +186,11 @@ impl MapHistory {
                     heard.boot_id = Arc::clone(&self.boot_id);
                 }
             }
-        } else if let Ok(Some((_, info))) = sample.message(&topics::MAP_INFO) {
+        } else if let Some((_, info)) = sample.message(&topics::MAP_INFO) {
             self.described.insert(info.map, (info.scans, info.stored));
-        } else if let Ok(Some((_, patch))) = sample.message(&topics::MAP_PATCH) {
+        } else if let Some((_, patch)) = sample.message(&topics::MAP_PATCH) {
             self.verdict.patches += 1;
-            let bytes = if sample.kind == Kind::Put {
-                sample.bytes.clone()
-            } else {
-                Vec::new()
-            };
+            let bytes = sample.bytes.clone();
             self.patches.push_back(Recorded { patch, bytes });
         }
         // A patch's description comes right after it.
@@ -429,6 +425,7 @@ mod tests {
     use zenav_protocol::messages::InfoReply;
 
     use super::*;
+    use crate::record::format::Kind;
     use crate::record::writer::{RecordOptions, RecordWriter};
 
     fn sample<T: Serialize>(key: &str, message: &T, kind: Kind, logged: u64) -> Sample {

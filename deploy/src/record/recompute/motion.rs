@@ -80,7 +80,7 @@ pub(super) fn recompute(file: &Path, settings: &mut RunSettings) -> Result<Vec<M
     let mut workers = BTreeMap::<String, Rerun<'_>>::new();
     let mut reader = RecordReader::open(file)?;
     while let Some(sample) = reader.next_sample()? {
-        if let Ok(Some((_, record))) = sample.message(&topics::MOTION) {
+        if let Some((_, record)) = sample.message(&topics::MOTION) {
             let rerun = workers
                 .entry(record.worker.clone())
                 .or_insert_with(|| Rerun::new(&record.worker, settings.motion(&record.worker), &changes));
@@ -123,8 +123,8 @@ fn change(sample: &Sample) -> Option<(String, Change)> {
     if let Some((robot, reply)) = sample.reply(&topics::MAP) {
         return Some((robot, Change::Whole(Box::new(reply))));
     }
-    let (chunks, patch) = sample.message(&topics::MAP_PATCH).ok().flatten()?;
-    Some((chunks.into_iter().next()?, Change::Patch(patch)))
+    let (robot, patch) = sample.message(&topics::MAP_PATCH)?;
+    Some((robot, Change::Patch(patch)))
 }
 
 /// A worker's copy of a robot's map, at the revision of its last request.

@@ -36,6 +36,7 @@ impl RunSettings {
                 told.insert(part, info.settings);
             }
         }
+        reader.warn_of_losses();
         Ok(Self {
             named,
             told,

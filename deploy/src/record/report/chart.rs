@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use super::super::run::NodeSpan;
-use super::page::escape;
+use crate::output::escape;
 
 /// Size of a chart, in its own px.
 const WIDTH: f64 = 860.0;

@@ -4,13 +4,15 @@ use std::fmt::Write as _;
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
-use nalgebra::{Point2, Vector2};
-use zenav_protocol::grid::{Cell, Occupancy, OccupancyGrid};
+use nalgebra::Point2;
+use zenav_protocol::grid::OccupancyGrid;
+use zenav_protocol::messages::{GoalState, Leg};
 
 use super::super::run::RobotRun;
-use super::super::words;
-use super::page::escape;
+use crate::drawing::plane::{around, outline, round_below};
 use crate::failure::Failure;
+use crate::goal::target;
+use crate::output::escape;
 
 /// Margin around the drawn area, m.
 const MARGIN: f64 = 0.3;
@@ -20,96 +22,35 @@ const SCALE: f64 = 100.0;
 const POINTS: usize = 1500;
 /// Longest side of the image, px: in larger maps a pixel covers several cells.
 const LONGEST: u32 = 2000;
-/// Lengths of scale bars, m.
-const BARS: [f64; 8] = [0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0];
+/// Name of a drive whose node has none of its own.
+const UNNAMED: &str = "FollowPath";
 
-/// A rectangle of the plane, m.
-#[derive(Clone, Copy, Debug)]
-struct Area {
-    low: Point2<f64>,
-    high: Point2<f64>,
-}
-
-impl Area {
-    fn around(points: impl Iterator<Item = Point2<f64>>) -> Option<Self> {
-        let finite = points.filter(|point| point.x.is_finite() && point.y.is_finite());
-        let area = finite.fold(None, |area: Option<Self>, point| {
-            let area = area.unwrap_or(Self {
-                low: point,
-                high: point,
-            });
-            Some(Self {
-                low: area.low.inf(&point),
-                high: area.high.sup(&point),
-            })
-        })?;
-        let margin = Vector2::repeat(MARGIN);
-        Some(Self {
-            low: area.low - margin,
-            high: area.high + margin,
-        })
-    }
-}
-
-/// Bounds of the known cells: the first and the last column and row.
-fn known(map: &OccupancyGrid) -> Option<(Cell, Cell)> {
-    let spec = map.spec();
-    let cells = map.values().iter().enumerate();
-    let known = cells.filter(|(_, value)| Occupancy::of(**value) != Occupancy::Unknown);
-    known.map(|(index, _)| spec.cell(index)).fold(None, |found, cell| {
-        let (low, high) = found.unwrap_or((cell, cell));
-        Some((
-            Cell::new(low.x.min(cell.x), low.y.min(cell.y)),
-            Cell::new(high.x.max(cell.x), high.y.max(cell.y)),
-        ))
-    })
-}
+/// Lower-left and upper-right corner of a part of the plane, m.
+type Area = (Point2<f64>, Point2<f64>);
 
 /// The known part of a map as an image, with its extent.
 fn image(map: &OccupancyGrid) -> Result<Option<(Vec<u8>, Area)>, Failure> {
-    let Some((low, high)) = known(map) else {
+    let Some([low, high]) = map.known() else {
         return Ok(None);
     };
-    let spec = map.spec();
-    let (columns, rows) = (high.x - low.x + 1, high.y - low.y + 1);
-    let each = columns.max(rows).div_ceil(LONGEST);
-    let (width, height) = (columns.div_ceil(each), rows.div_ceil(each));
-    let mut pixels = Vec::with_capacity(width as usize * height as usize);
-    for row in (0..height).rev() {
-        for column in 0..width {
-            // The most occupied of a pixel's cells, so that thin walls do not vanish.
-            let mut worst = 0;
-            for dy in 0..each {
-                for dx in 0..each {
-                    let cell = Cell::new(low.x + column * each + dx, low.y + row * each + dy);
-                    let class = map.get(cell).map_or(Occupancy::Unknown, |value| Occupancy::of(*value));
-                    worst = worst.max(match class {
-                        Occupancy::Unknown => 0,
-                        Occupancy::Free => 1,
-                        Occupancy::Occupied => 2,
-                    });
-                }
-            }
-            pixels.push(worst);
-        }
-    }
+    let side = (high.x - low.x).max(high.y - low.y) + 1;
+    // A pixel is occupied if any of its cells is, so that thin walls do not vanish.
+    let pixels = map.coarse([low, high], side.div_ceil(LONGEST));
+    let spec = pixels.spec();
+    let rows = pixels.values().chunks_exact(spec.width as usize).rev();
+    let indices: Vec<u8> = rows.flatten().map(|class| *class as u8).collect();
     let mut bytes = Vec::new();
-    let mut encoder = png::Encoder::new(&mut bytes, width, height);
+    let mut encoder = png::Encoder::new(&mut bytes, spec.width, spec.height);
     encoder.set_color(png::ColorType::Indexed);
     encoder.set_depth(png::BitDepth::Eight);
+    // Unknown, free, occupied.
     encoder.set_palette(vec![0, 0, 0, 255, 255, 255, 40, 44, 52]);
     encoder.set_trns(vec![0, 255, 255]);
     encoder.set_compression(png::Compression::High);
     let mut writer = encoder.write_header().map_err(Failure::failed)?;
-    writer.write_image_data(&pixels).map_err(Failure::failed)?;
+    writer.write_image_data(&indices).map_err(Failure::failed)?;
     writer.finish().map_err(Failure::failed)?;
-    let at = |x: u32, y: u32| spec.from_cells(Point2::new(f64::from(x), f64::from(y)));
-    let corner = at(low.x, low.y);
-    let area = Area {
-        low: corner,
-        high: at(low.x + width * each, low.y + height * each),
-    };
-    Ok(Some((bytes, area)))
+    Ok(Some((bytes, (spec.origin, spec.upper()))))
 }
 
 /// The map with path, plan, goals and robot.
@@ -118,24 +59,26 @@ fn image(map: &OccupancyGrid) -> Result<Option<(Vec<u8>, Area)>, Failure> {
 /// The image cannot be made.
 pub fn svg(robot: &RobotRun) -> Result<String, Failure> {
     let image = robot.map.as_ref().map(image).transpose()?.flatten();
-    let goals = goals(robot);
+    let goals = places(robot.goals.values().map(|goal| &goal.state));
     let points = robot.poses.iter().map(|(_, pose)| pose.position());
-    let corners = image.iter().flat_map(|(_, area)| [area.low, area.high]);
+    let corners = image.iter().flat_map(|(_, (low, high))| [*low, *high]);
     let all = points.chain(corners).chain(goals.iter().map(|(_, at)| *at));
-    let Some(area) = Area::around(all) else {
+    let Some((low, high)) = around(all, MARGIN) else {
         return Ok(String::new());
     };
-    let extent = SCALE * (area.high - area.low);
+    let extent = SCALE * (high - low);
     // Picture rows run downwards.
-    let at = |point: Point2<f64>| (SCALE * (point.x - area.low.x), SCALE * (area.high.y - point.y));
+    let at = |point: Point2<f64>| (SCALE * (point.x - low.x), SCALE * (high.y - point.y));
     let unit = extent.amax() / 100.0;
+    // The scale bar is below the drawn area.
+    let height = extent.y + 4.0 * unit;
     let mut svg = format!(
-        "<svg class=\"floor\" viewBox=\"0 0 {:.1} {:.1}\" role=\"img\" aria-label=\"map with the path driven\">",
-        extent.x, extent.y
+        "<svg class=\"floor\" viewBox=\"0 0 {:.1} {height:.1}\" role=\"img\" aria-label=\"map with the path driven\">",
+        extent.x
     );
-    if let Some((bytes, place)) = &image {
-        let (x, y) = at(Point2::new(place.low.x, place.high.y));
-        let size = SCALE * (place.high - place.low);
+    if let Some((bytes, (low, high))) = &image {
+        let (x, y) = at(Point2::new(low.x, high.y));
+        let size = SCALE * (high - low);
         let _ = write!(
             svg,
             "<image x=\"{x:.1}\" y=\"{y:.1}\" width=\"{:.1}\" height=\"{:.1}\" preserveAspectRatio=\"none\" href=\"data:image/png;base64,{}\"/>",
@@ -144,95 +87,71 @@ pub fn svg(robot: &RobotRun) -> Result<String, Failure> {
             STANDARD.encode(bytes)
         );
     }
-    let line = |class: &str, points: &mut dyn Iterator<Item = Point2<f64>>, width: f64| {
-        let points: Vec<String> = points
-            .map(|point| {
-                let (x, y) = at(point);
-                format!("{x:.1},{y:.1}")
-            })
-            .collect();
-        format!(
-            "<polyline class=\"{class}\" stroke-width=\"{width:.3}\" points=\"{}\"/>",
-            points.join(" ")
-        )
+    let traced = |element: &str, class: &str, points: &mut dyn Iterator<Item = Point2<f64>>, width: f64| {
+        let points = points.map(at).map(|(x, y)| format!("{x:.1},{y:.1}"));
+        let points = points.collect::<Vec<_>>().join(" ");
+        let width = width * unit;
+        format!("<{element} class=\"{class}\" stroke-width=\"{width:.3}\" points=\"{points}\"/>")
     };
-    let step = robot.poses.len().div_ceil(POINTS).max(1);
-    let last = robot.poses.last().map(|(_, pose)| pose.position());
-    let mut path = robot
-        .poses
-        .iter()
-        .step_by(step)
-        .map(|(_, pose)| pose.position())
-        .chain(last);
-    svg.push_str(&line("plan", &mut robot.plan.iter().copied(), 0.4 * unit));
-    svg.push_str(&line("path", &mut path, 0.6 * unit));
-    let mut dot = |class: &str, point: Point2<f64>, radius: f64| {
+    let dot = |class: &str, point: Point2<f64>, radius: f64| {
         let (x, y) = at(point);
-        let _ = write!(
-            svg,
-            "<circle class=\"{class}\" cx=\"{x:.3}\" cy=\"{y:.3}\" r=\"{radius:.3}\"/>"
-        );
+        format!("<circle class=\"{class}\" cx=\"{x:.3}\" cy=\"{y:.3}\" r=\"{radius:.3}\"/>")
     };
-    if let Some((_, start)) = robot.poses.first() {
-        dot("start", start.position(), unit);
-    }
-    for (_, goal) in &goals {
-        dot("goal", *goal, unit);
-    }
+    let words = |x: f64, y: f64, words: &str| {
+        let size = 2.6 * unit;
+        format!("<text class=\"name\" style=\"font-size:{size:.1}px\" x=\"{x:.3}\" y=\"{y:.3}\">{words}</text>")
+    };
+    let path = robot.poses.iter().map(|(_, pose)| pose.position());
+    let step = robot.poses.len().div_ceil(POINTS).max(1);
+    let mut thinned = path.clone().step_by(step).chain(path.clone().next_back());
+    svg.push_str(&traced("polyline", "plan", &mut robot.plan.iter().copied(), 0.4));
+    svg.push_str(&traced("polyline", "path", &mut thinned, 0.6));
+    svg.extend(
+        robot
+            .poses
+            .first()
+            .map(|(_, start)| dot("start", start.position(), unit)),
+    );
+    svg.extend(goals.iter().map(|(_, goal)| dot("goal", *goal, unit)));
     if let (Some((_, pose)), Some(model)) = (robot.poses.last(), &robot.model) {
-        let corners: Vec<String> = words::outline(&model.footprint, 24)
+        let mut corners = outline(&model.footprint)
             .into_iter()
-            .map(|corner| {
-                let (x, y) = at(pose.transform_point(corner));
-                format!("{x:.1},{y:.1}")
-            })
-            .collect();
-        let _ = write!(
-            svg,
-            "<polygon class=\"robot\" stroke-width=\"{:.3}\" points=\"{}\"/>",
-            0.3 * unit,
-            corners.join(" ")
-        );
+            .map(|corner| pose.transform_point(corner));
+        svg.push_str(&traced("polygon", "robot", &mut corners, 0.3));
     }
     for (name, goal) in &goals {
         let (x, y) = at(*goal);
-        let _ = write!(
-            svg,
-            "<text class=\"name\" style=\"font-size:{:.1}px\" x=\"{:.3}\" y=\"{:.3}\">{}</text>",
-            2.6 * unit,
-            x + 1.6 * unit,
-            y - 1.2 * unit,
-            escape(name)
-        );
+        svg.push_str(&words(x + 1.6 * unit, y - 1.2 * unit, &escape(name)));
     }
-    let bar = BARS
-        .into_iter()
-        .rev()
-        .find(|bar| SCALE * *bar <= 0.25 * extent.x)
-        .unwrap_or(BARS[0]);
-    let (x, y) = (2.0 * unit, extent.y - 2.0 * unit);
+    let bar = round_below(0.25 * extent.x / SCALE);
+    let (x, y) = (2.0 * unit, height - 2.0 * unit);
     let _ = write!(
         svg,
-        "<line class=\"bar\" stroke-width=\"{:.3}\" x1=\"{x:.3}\" x2=\"{:.3}\" y1=\"{y:.3}\" y2=\"{y:.3}\"/>\
-         <text class=\"name\" style=\"font-size:{:.1}px\" x=\"{x:.3}\" y=\"{:.3}\">{bar} m</text></svg>",
+        "<line class=\"bar\" stroke-width=\"{:.3}\" x1=\"{x:.3}\" x2=\"{:.3}\" y1=\"{y:.3}\" y2=\"{y:.3}\"/>{}</svg>",
         0.5 * unit,
         x + SCALE * bar,
-        2.6 * unit,
-        y - 1.2 * unit
+        words(x, y - 1.2 * unit, &format!("{bar} m"))
     );
     Ok(svg)
 }
 
-/// Goal positions of the robot, each once.
-fn goals(robot: &RobotRun) -> Vec<(String, Point2<f64>)> {
+/// Goal positions, each once: named after the node that drove there, or if that has no name of its own, after what was asked for.
+fn places<'g>(states: impl Iterator<Item = &'g GoalState>) -> Vec<(String, Point2<f64>)> {
     let mut goals: Vec<(String, Point2<f64>)> = Vec::new();
-    for goal in robot.goals.values() {
-        let request = &goal.state.request;
+    for GoalState { request, legs, .. } in states {
         let asked = request.x.zip(request.y).map(|(x, y)| Point2::new(x, y));
-        let legs = goal.state.legs.iter();
-        let driven = legs.filter_map(|leg| Some((leg.name.clone(), leg.goal.map(|at| Point2::new(at.x, at.y))?)));
-        let name = request.place.clone().unwrap_or_else(|| goal.state.id.clone());
-        for (name, at) in driven.chain(asked.map(|at| (name, at))) {
+        let own = target(request);
+        let named = |leg: &Leg| {
+            if leg.name == UNNAMED {
+                own.clone()
+            } else {
+                leg.name.clone()
+            }
+        };
+        let driven = legs
+            .iter()
+            .filter_map(|leg| Some((named(leg), leg.goal.map(|at| Point2::new(at.x, at.y))?)));
+        for (name, at) in driven.chain(asked.map(|at| (own.clone(), at))) {
             if !goals.iter().any(|(_, known)| (known - at).norm() < 0.05) {
                 goals.push((name, at));
             }
@@ -245,6 +164,7 @@ fn goals(robot: &RobotRun) -> Vec<(String, Point2<f64>)> {
 #[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use zenav_protocol::geometry::Pose2;
+    use zenav_protocol::grid::{Cell, Occupancy};
 
     use super::*;
 
@@ -254,13 +174,33 @@ mod tests {
         let mut map = OccupancyGrid::filled(spec, Occupancy::UNKNOWN);
         (map[Cell::new(1, 1)], map[Cell::new(3, 2)]) = (Occupancy::FREE, Occupancy::OCCUPIED);
         let (bytes, area) = image(&map).unwrap().unwrap();
-        assert_eq!((area.low, area.high), (Point2::new(0.5, 0.5), Point2::new(2.0, 1.5)));
+        assert_eq!(area, (Point2::new(0.5, 0.5), Point2::new(2.0, 1.5)));
         let mut reader = png::Decoder::new(std::io::Cursor::new(bytes)).read_info().unwrap();
         let info = reader.info();
         assert_eq!((info.width, info.height), (3, 2));
         let mut pixels = vec![0; 64];
         reader.next_frame(&mut pixels).unwrap();
         assert_eq!(pixels[..6], [0, 0, 2, 1, 0, 0]);
+    }
+
+    #[test]
+    fn a_goal_has_the_name_that_was_asked_for_unless_its_drive_has_one() {
+        let goal = |request: serde_json::Value, drive: &str| -> GoalState {
+            let leg =
+                serde_json::json!({ "name": drive, "goal": { "x": 1.0, "y": 2.0 }, "started": 0, "state": "Active" });
+            let state = serde_json::json!({
+                "id": "g", "robot": "r", "state": "Active", "reason": null, "accepted": 0, "request": request, "legs": [leg]
+            });
+            serde_json::from_value(state).unwrap()
+        };
+        for (request, drive, name) in [
+            (serde_json::json!({ "place": "sink" }), UNNAMED, "sink"),
+            (serde_json::json!({ "x": 1.0, "y": 2.0 }), UNNAMED, "1.00, 2.00"),
+            (serde_json::json!({ "tree": "kitchen" }), "to the table", "to the table"),
+        ] {
+            let found = places([goal(request, drive)].iter());
+            assert_eq!(found, [(name.to_owned(), Point2::new(1.0, 2.0))]);
+        }
     }
 
     #[test]

@@ -36,12 +36,8 @@ pub struct ReportArgs {
 /// A bad record, or a page that cannot be written.
 pub fn report(args: &ReportArgs) -> Outcome {
     let out = args.out.clone().unwrap_or_else(|| args.record.with_extension("html"));
-    let ending = out.extension().and_then(|ending| ending.to_str()).unwrap_or_default();
-    if !ending.eq_ignore_ascii_case("html") && !ending.eq_ignore_ascii_case("htm") {
-        return Err(Failure::usage(format!(
-            "--out {}: expected a name that ends with .html",
-            out.display()
-        )));
+    if !matches!(files::ending(&out).as_str(), "html" | "htm") {
+        return Err(files::unknown_ending(&out, ".html"));
     }
     write_report(&args.record, &out)?;
     output::line(&format!("wrote {}", out.display()));

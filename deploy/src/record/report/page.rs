@@ -2,10 +2,11 @@
 
 use std::fmt::Write as _;
 
-use super::super::run::{RobotRun, Run, phase};
+use super::super::run::{RobotRun, Run};
 use super::{chart, floor};
 use crate::failure::Failure;
 use crate::goal::target;
+use crate::output::{counted, escape};
 use crate::report::Percentiles;
 
 /// Most events on the page.
@@ -15,7 +16,7 @@ const SHOWN_EVENTS: usize = 12;
 
 const STYLE: &str = r"
 :root { color-scheme: light dark; --ink: #1d2228; --soft: #667080; --line: #dfe3e8; --paper: #ffffff; --card: #f6f7f9; --accent: #2266d0;
-  --good: #1e824c; --bad: #c8402c; --warn: #b26a00; --floor: #d6dade; }
+  --good: #1e824c; --bad: #c8402c; --warn: #955800; --floor: #d6dade; }
 @media (prefers-color-scheme: dark) { :root { --ink: #e6e9ee; --soft: #98a2b0; --line: #333a43; --paper: #15181c; --card: #1d2126;
   --accent: #6aa2ff; --good: #58c08a; --bad: #ff7a66; --warn: #e0a040; --floor: #2b3036; } image { filter: invert(0.86); } }
 * { box-sizing: border-box; }
@@ -33,7 +34,7 @@ table { border-collapse: collapse; width: 100%; font-size: .9rem; } th { text-al
 th, td { padding: .34rem .8rem .34rem 0; border-bottom: 1px solid var(--line); vertical-align: top; } .n { text-align: right; }
 td.leg { padding-left: 1.2rem; } .good { color: var(--good); } .bad { color: var(--bad); } .warn { color: var(--warn); }
 .wide { overflow-x: auto; } svg { display: block; width: 100%; height: auto; } svg text { fill: var(--soft); font-size: 11px; }
-.floor { background: var(--floor); border-radius: 8px; max-height: 620px; } .floor text.name { fill: var(--ink); }
+.floor { background: var(--floor); border-radius: 8px; max-height: 620px; } .floor text.name { fill: var(--ink); stroke: var(--paper); stroke-width: .2em; paint-order: stroke; }
 .floor image { image-rendering: pixelated; } .floor .path { fill: none; stroke: var(--bad); stroke-linejoin: round; stroke-linecap: round; }
 .floor .plan { fill: none; stroke: var(--good); opacity: .8; } .floor .start { fill: #7a3cb0; } .floor .goal { fill: #f09600; }
 .floor .robot { fill: var(--accent); fill-opacity: .35; stroke: var(--accent); } .floor .bar { stroke: var(--ink); }
@@ -45,23 +46,6 @@ details > summary { cursor: pointer; color: var(--accent); padding: .4rem 0; } f
 @media print { body { max-width: none; } }
 ";
 
-/// Text escaped for HTML, for contents and attributes.
-#[must_use]
-pub fn escape(text: &str) -> String {
-    let mut escaped = String::with_capacity(text.len());
-    for letter in text.chars() {
-        match letter {
-            '&' => escaped.push_str("&amp;"),
-            '<' => escaped.push_str("&lt;"),
-            '>' => escaped.push_str("&gt;"),
-            '"' => escaped.push_str("&quot;"),
-            letter if letter.is_control() && letter != '\n' => escaped.push(' '),
-            letter => escaped.push(letter),
-        }
-    }
-    escaped
-}
-
 /// The page of a run.
 ///
 /// # Errors
@@ -69,8 +53,8 @@ pub fn escape(text: &str) -> String {
 pub fn html(run: &Run) -> Result<String, Failure> {
     let mut page = format!(
         "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
-         <title>{title}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<h1>{title}</h1>\n<p class=\"soft\">{date} UTC &middot; {:.1} s recorded &middot; \
-         {} messages on {} keys{}</p>\n",
+         <title>{title}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<main>\n<h1>{title}</h1>\n<p class=\"soft\">{date}{:.1} s recorded &middot; \
+         {} messages on {} keys{}{}</p>\n",
         run.wall_secs,
         run.keys.values().map(|count| count.messages).sum::<u64>(),
         run.keys.len(),
@@ -79,8 +63,12 @@ pub fn html(run: &Run) -> Result<String, Failure> {
         } else {
             ""
         },
+        match run.damaged_chunks {
+            0 => String::new(),
+            chunks => format!(" &middot; {} left out", counted(chunks, "damaged chunk")),
+        },
         title = escape(&run.title),
-        date = date(run.began),
+        date = date(run.began).map_or_else(String::new, |date| format!("{date} UTC &middot; ")),
     );
     for (name, robot) in &run.robots {
         section(name, robot, &mut page)?;
@@ -89,7 +77,7 @@ pub fn html(run: &Run) -> Result<String, Failure> {
     let _ = write!(
         page,
         "<footer>zenav {}. Speed and path are the robot&rsquo;s own estimate; clearance is from its outline to the nearest return of its lidar; \
-         latencies are wall time at the recorder; what a node or a search took is as its component told.</footer>\n</body>\n</html>\n",
+         latencies are wall time at the recorder; what a node or a search took is as its component told.</footer>\n</main>\n</body>\n</html>\n",
         env!("CARGO_PKG_VERSION")
     );
     Ok(page)
@@ -102,7 +90,7 @@ fn section(name: &str, robot: &RobotRun, page: &mut String) -> Result<(), Failur
     if !floor.is_empty() {
         let _ = writeln!(
             page,
-            "{floor}\n<p class=\"soft\">Driven in red, the last plan in green; start violet, goals orange.</p>"
+            "{floor}\n<p class=\"soft\">Red: driven; green: the last plan; violet: start; orange: goals.</p>"
         );
     }
     goals(robot, page);
@@ -119,12 +107,15 @@ fn section(name: &str, robot: &RobotRun, page: &mut String) -> Result<(), Failur
             let _ = writeln!(page, "<h3>{title}</h3>\n{chart}");
         }
     }
+    if !marks.is_empty() && !robot.speed.is_empty() {
+        page.push_str("<p class=\"soft\">Dotted: warnings, listed below.</p>\n");
+    }
     if !robot.nodes.is_empty() {
         let timeline = chart::timeline(&robot.nodes, robot.secs);
         let _ = writeln!(
             page,
-            "<h3>Behaviour tree</h3>\n<div class=\"wide\">{timeline}</div>\n<p class=\"soft\">Running when the record \
-             ended blue, succeeded green, failed red; grey where it was halted, or its result is not in the record.</p>"
+            "<h3>Behaviour tree</h3>\n<div class=\"wide\">{timeline}</div>\n<p class=\"soft\">Green: succeeded; red: failed; blue: \
+             running when the record ended; grey: halted, or its result is not in the record.</p>"
         );
     }
     stages(robot, page);
@@ -190,7 +181,7 @@ fn goals(robot: &RobotRun, page: &mut String) {
             escape(&target(&state.request)),
             escape(&state.id),
             class(state.state),
-            phase(state.state),
+            state.state.name(),
             reason(state.reason.as_deref()),
             goal.to - goal.from,
             goal.length,
@@ -206,7 +197,7 @@ fn goals(robot: &RobotRun, page: &mut String) {
                 "<tr><td class=\"leg\">{}</td><td class=\"{}\">{}{}</td><td class=\"n\">{time}</td><td class=\"n\"></td><td class=\"n\">{}</td><td class=\"n\">{}</td></tr>",
                 escape(&leg.name),
                 class(leg.state),
-                phase(leg.state),
+                leg.state.name(),
                 reason(leg.reason.as_deref()),
                 leg.plans,
                 leg.replans
@@ -310,8 +301,12 @@ fn keys(run: &Run, page: &mut String) {
 }
 
 /// Day and time of a UNIX time in ns, such as `2026-03-01 14:05` (civil from days: Howard Hinnant, "chrono-compatible date algorithms").
-fn date(nanos: u64) -> String {
+/// `None` in the first year: simulated time, which begins at zero.
+fn date(nanos: u64) -> Option<String> {
     let secs = nanos / 1_000_000_000;
+    if secs < 365 * 86_400 {
+        return None;
+    }
     let (days, of_day) = ((secs / 86_400) as i64, secs % 86_400);
     let shifted = days + 719_468;
     let era = shifted.div_euclid(146_097);
@@ -322,11 +317,11 @@ fn date(nanos: u64) -> String {
     let day = day_of_year - (153 * month + 2) / 5 + 1;
     let (month, next) = if month < 10 { (month + 3, 0) } else { (month - 9, 1) };
     let year = year_of_era + era * 400 + next;
-    format!(
+    Some(format!(
         "{year:04}-{month:02}-{day:02} {:02}:{:02}",
         of_day / 3600,
         of_day % 3600 / 60
-    )
+    ))
 }
 
 #[cfg(test)]
@@ -337,10 +332,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn dates_are_right() {
-        assert_eq!(date(0), "1970-01-01 00:00");
-        assert_eq!(date(951_827_696_000_000_000), "2000-02-29 12:34");
-        assert_eq!(date(1_798_761_599_000_000_000), "2026-12-31 23:59");
+    fn dates_are_right_and_simulated_time_has_none() {
+        assert_eq!(date(20_000_000), None);
+        assert_eq!(date(951_827_696_000_000_000).unwrap(), "2000-02-29 12:34");
+        assert_eq!(date(1_798_761_599_000_000_000).unwrap(), "2026-12-31 23:59");
     }
 
     #[test]

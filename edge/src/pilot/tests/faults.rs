@@ -21,7 +21,12 @@ const FORGED: [Revision; 2] = [
 ];
 
 /// The holder renews its plan, and the robot drives it to its end.
-fn assert_drives_on(rig: &mut Rig, mut plan: Plan) {
+fn assert_drives_on(rig: &mut Rig, plan: Plan) {
+    assert_drives_to_within(0.03, rig, plan);
+}
+
+/// As [`assert_drives_on`]; `tolerance`: distance from the end at rest, m.
+fn assert_drives_to_within(tolerance: f64, rig: &mut Rig, mut plan: Plan) {
     for counter in 2..12 {
         plan.revision.counter = counter;
         plan.based_on.stamp = rig.now;
@@ -29,11 +34,21 @@ fn assert_drives_on(rig: &mut Rig, mut plan: Plan) {
         rig.run(1.0);
     }
     assert!(
-        (rig.pose.x - 4.0).abs() < 0.03 && rig.at_rest(),
+        (rig.pose.x - 4.0).abs() < tolerance && rig.at_rest(),
         "{:?}: {:?}",
         rig.pose,
         rig.rejection()
     );
+}
+
+#[test]
+fn a_tick_whose_stamp_goes_back_does_no_harm() {
+    let (mut rig, _, plan) = driving();
+    rig.now = rig.now.plus_secs(-0.1);
+    let out = rig.tick();
+    assert!(out.wheels.iter().all(|speed| speed.is_finite()), "{:?}", out.wheels);
+    // What it drives in the time that comes twice is not counted.
+    assert_drives_to_within(0.1, &mut rig, plan);
 }
 
 #[test]
@@ -74,6 +89,28 @@ fn a_plan_that_is_good_but_for_a_counter_that_leaps_is_refused() {
         });
         assert!(rig.rejection().unwrap().contains("leaps"), "{:?}", rig.rejection());
         assert_drives_on(&mut rig, plan);
+    }
+}
+
+#[test]
+fn a_waypoint_that_no_map_reaches_is_refused_whatever_the_tracker() {
+    for law in crate::trackers::LAWS {
+        let mut model = zenav_fixtures::robot("tiago");
+        law.name.clone_into(&mut model.controller.tracker);
+        let mut rig = Rig::of(model, super::Persisted::default());
+        let epoch = rig.mission();
+        let plan = rig.waypoints(epoch, 1, 7, &[(-1e200, 1e200), (1.0, 0.0)]);
+        rig.send(plan);
+        assert!(
+            rig.rejection().is_some_and(|reason| reason.contains("too far")),
+            "{}: {:?}",
+            law.name,
+            rig.rejection()
+        );
+        let plan = rig.waypoints(epoch, 2, 8, &[(1.0, 0.0)]);
+        rig.send(plan);
+        rig.run(1.0);
+        assert!(rig.velocity.v > 0.1, "{}: {:?}", law.name, rig.velocity);
     }
 }
 
@@ -178,4 +215,66 @@ fn what_cannot_be_stored_is_said_until_it_is() {
         .iter()
         .filter(|event| matches!(event, EventKind::Transition { behaviour, .. } if behaviour == "storage"));
     assert_eq!(told.count(), 2);
+}
+
+#[test]
+fn a_grant_that_cannot_be_stored_is_told_only_once_its_holder_is_heard() {
+    let leases = |rig: &Rig| -> Vec<String> {
+        let reasons = rig.events.iter().filter_map(|event| match event {
+            EventKind::Lease { reason, .. } => Some(reason.clone()),
+            _ => None,
+        });
+        reasons.collect()
+    };
+    let mut rig = fresh();
+    let mut epoch = 0;
+    for request in ["r1", "r2", "r3"] {
+        rig.run(3.0);
+        rig.inbox.not_stored = Some("no room".to_owned());
+        epoch = rig.lease("m", LeaseRole::Mission, request).unwrap();
+    }
+    assert!(leases(&rig).is_empty(), "{:?}", rig.events);
+    rig.heartbeat = Some(epoch);
+    rig.run(0.5);
+    assert_eq!(leases(&rig), ["granted"]);
+}
+
+#[test]
+fn a_lidar_that_is_mounted_crooked_is_noticed_on_the_way_and_slows_the_robot() {
+    for crooked in [0.0, 0.1] {
+        let mut rig = fresh();
+        rig.model.lidar.as_mut().unwrap().mount.yaw += crooked;
+        let epoch = rig.mission();
+        let mut plan = rig.ahead(epoch, 1, 7, 4.0);
+        let mut fastest: f64 = 0.0;
+        for counter in 1..10 {
+            plan.revision.counter = counter;
+            plan.based_on.stamp = rig.now;
+            rig.send(plan.clone());
+            rig.run(1.0);
+            fastest = if rig.pose.x > 3.2 {
+                fastest.max(rig.velocity.v)
+            } else {
+                0.0
+            };
+        }
+        let state = rig.state.as_ref().unwrap();
+        let told =
+            |event: &&EventKind| matches!(event, EventKind::Transition { behaviour, .. } if behaviour == "lidar");
+        let events = rig.events.iter().filter(told).count();
+        if crooked > 0.0 {
+            assert!(
+                state
+                    .faults
+                    .lidar
+                    .as_deref()
+                    .is_some_and(|what| what.contains("to the left")),
+                "{state:?}"
+            );
+            assert_eq!(events, 1);
+            assert!(fastest < 0.51 * rig.model.drive.top_speed(), "{fastest} m/s");
+        } else {
+            assert_eq!((&state.faults.lidar, events), (&None, 0));
+        }
+    }
 }

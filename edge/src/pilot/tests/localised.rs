@@ -22,6 +22,18 @@ fn say(rig: &mut Rig, boot_id: &str, health: Health) {
     rig.inbox.localisations.push(said);
 }
 
+/// A global search has found the robot.
+fn found_anew(rig: &Rig, map_from_base: Pose2) -> Correction {
+    Correction {
+        stamp: rig.now,
+        boot_id: "boot-1".into(),
+        map_from_base,
+        covariance: std::array::from_fn(|index| Matrix3::from_diagonal(&[0.01, 0.01, 0.001].into())[index]),
+        is_found_anew: true,
+        ..Correction::default()
+    }
+}
+
 fn again(rig: &Rig, plan: &Plan, counter: u64, trajectory_id: u64) -> Plan {
     Plan {
         based_on: BasedOn {
@@ -82,16 +94,15 @@ fn what_is_said_of_another_boot_or_of_a_corridor_stops_nothing() {
 fn a_robot_that_is_found_somewhere_else_believes_it_at_once_and_drops_its_plan() {
     let (mut rig, ..) = driving();
     let found = Pose2::new(-3.0, 2.0, 1.5);
-    rig.inbox.corrections.push(Correction {
-        stamp: rig.now,
-        boot_id: "boot-1".into(),
-        map_from_base: found,
-        covariance: std::array::from_fn(|index| Matrix3::from_diagonal(&[0.01, 0.01, 0.001].into())[index]),
-        is_found_anew: true,
-        frame: 0,
-        moves: Vec::new(),
-    });
+    rig.bump = Some(0.0);
+    rig.run(0.3);
+    rig.bump = None;
+    let touched = |rig: &Rig| rig.pilot.obstacles.touched_lines(rig.now, Pose2::IDENTITY).len();
+    assert_eq!(touched(&rig), 1);
+    let correction = found_anew(&rig, found);
+    rig.inbox.corrections.push(correction);
     rig.tick();
+    assert_eq!(touched(&rig), 0, "odometry does not tell where the robot has been");
     assert!(
         rig.pilot.map_from_base().distance(&found) < 0.1,
         "{:?}",
@@ -105,15 +116,7 @@ fn a_robot_that_is_found_somewhere_else_believes_it_at_once_and_drops_its_plan()
 
 #[test]
 fn the_way_home_is_none_that_was_taken_for_it_somewhere_else() {
-    let found_anew = |rig: &Rig| Correction {
-        stamp: rig.now,
-        boot_id: "boot-1".into(),
-        map_from_base: Pose2::new(-3.0, 2.0, 1.5),
-        covariance: std::array::from_fn(|index| Matrix3::from_diagonal(&[0.01, 0.01, 0.001].into())[index]),
-        is_found_anew: true,
-        frame: 0,
-        moves: Vec::new(),
-    };
+    let elsewhere = Pose2::new(-3.0, 2.0, 1.5);
     for is_found in [false, true] {
         let (mut rig, epoch, _) = driving();
         rig.ask(EdgeRequest::Mode(ModeRequest {
@@ -123,17 +126,13 @@ fn the_way_home_is_none_that_was_taken_for_it_somewhere_else() {
         .unwrap();
         rig.run(2.0);
         if is_found {
-            let correction = found_anew(&rig);
+            let correction = found_anew(&rig, elsewhere);
             rig.inbox.corrections.push(correction);
         }
         rig.heartbeat = None;
         // The cloud is gone: at most the plan's validity later the robot is on its own.
         rig.run(30.0);
-        let ends = if is_found {
-            Pose2::new(-3.0, 2.0, 1.5)
-        } else {
-            Pose2::IDENTITY
-        };
+        let ends = if is_found { elsewhere } else { Pose2::IDENTITY };
         let off = (rig.pilot.map_from_base().position() - ends.position()).norm();
         assert!(off < 0.5 && rig.at_rest(), "found anew: {is_found}: {off:.2} m off");
     }

@@ -21,20 +21,22 @@ use zenav_protocol::trajectory::TrajectoryPoint;
 use rig::{ROOM, Rig};
 use zenav_protocol::topics::{EdgeReply, EdgeRequest};
 
-use crate::control_io::Persisted;
+use crate::control_io::{Persisted, Publication};
 
 fn fresh() -> Rig {
     Rig::new(Persisted::default())
 }
 
-/// Teleop backwards for a tenth of a second.
-fn back_by_hand(rig: &mut Rig, epoch: u64) {
-    rig.inbox.teleops.push(Teleop {
-        epoch,
-        twist: Twist2::new(-0.3, 0.0),
-        echo: rig.now,
-    });
-    rig.run(0.1);
+/// Teleop at this speed, ten commands a second.
+fn by_hand(rig: &mut Rig, epoch: u64, v: f64, secs: f64) {
+    for _ in 0..(secs / 0.1) as usize {
+        rig.inbox.teleops.push(Teleop {
+            epoch,
+            twist: Twist2::new(v, 0.0),
+            echo: rig.now,
+        });
+        rig.run(0.1);
+    }
 }
 
 /// A robot that has just begun to drive four metres ahead.
@@ -60,6 +62,26 @@ fn a_low_battery_is_reported_once_until_it_has_been_charged() {
         rig.charge = charge;
         rig.run(0.5);
         assert_eq!(told(&rig), expected, "at {charge}");
+    }
+}
+
+#[test]
+fn the_compass_goes_out_with_the_scans_of_the_first_lidar_whatever_its_name() {
+    for name in ["lidar", "front"] {
+        let mut model = zenav_fixtures::robot("tiago");
+        if let Some(lidar) = model.lidar.take_if(|_| name != "lidar") {
+            model.lidars.insert(name.to_owned(), lidar);
+        }
+        let mut rig = Rig::of(model, Persisted::default());
+        let mut fixes = Vec::new();
+        for _ in 0..10 {
+            for publication in rig.tick().publications {
+                if let Publication::Scan(lidar, scan) = publication {
+                    fixes.push((lidar, scan.fixes.len()));
+                }
+            }
+        }
+        assert_eq!(fixes, [(name.to_owned(), 1), (name.to_owned(), 1)]);
     }
 }
 
@@ -176,10 +198,15 @@ fn out_of_a_burst_only_the_newest_plan_of_the_grant_is_taken() {
     assert_eq!(rig.state.unwrap().plan.unwrap().trajectory_id, 3);
 }
 
+/// Lifts a stop that the rig's boot has counted.
+fn resume_of(stop: u64) -> ResumeRequest {
+    ResumeRequest::new("somebody", "boot-1", stop)
+}
+
 #[test]
 fn copies_of_a_stop_and_of_a_resume_that_the_network_repeats_change_nothing() {
     let mut rig = driving().0;
-    let (stop, resume) = (StopRequest::new("somebody"), ResumeRequest::new("somebody", 1));
+    let (stop, resume) = (StopRequest::new("somebody"), resume_of(1));
     let stopped = |rig: &Rig| {
         let state = rig.state.as_ref().unwrap();
         (state.mode == Mode::Stopped, state.stops)
@@ -195,7 +222,7 @@ fn copies_of_a_stop_and_of_a_resume_that_the_network_repeats_change_nothing() {
     // A copy of the resume arrives after the next stop, even one that names no stop.
     let careless = ResumeRequest {
         stop: None,
-        ..ResumeRequest::new("somebody", 1)
+        ..resume_of(1)
     };
     rig.ask(EdgeRequest::Resume(careless.clone())).unwrap();
     rig.ask(EdgeRequest::Stop(StopRequest::new("somebody else"))).unwrap();
@@ -205,7 +232,7 @@ fn copies_of_a_stop_and_of_a_resume_that_the_network_repeats_change_nothing() {
         assert_eq!(stopped(&rig), (true, 2));
     }
     // A late copy of the first stop is obeyed: stopping is safe.
-    rig.ask(EdgeRequest::Resume(ResumeRequest::new("somebody", 2))).unwrap();
+    rig.ask(EdgeRequest::Resume(resume_of(2))).unwrap();
     rig.ask(EdgeRequest::Stop(stop)).unwrap();
     rig.run(0.2);
     assert_eq!(stopped(&rig), (true, 3));
@@ -225,10 +252,8 @@ fn stop_needs_no_lease_and_a_replayed_plan_after_resume_moves_nothing() {
     // A delayed resume, requested before another operator stopped the robot again.
     let seen = rig.state.as_ref().unwrap().stops;
     rig.ask(EdgeRequest::Stop(StopRequest::default())).unwrap();
-    let late = ResumeRequest::new("somebody", seen);
-    rig.ask(EdgeRequest::Resume(late)).unwrap_err();
-    let newest = ResumeRequest::new("somebody", seen + 1);
-    rig.ask(EdgeRequest::Resume(newest)).unwrap();
+    rig.ask(EdgeRequest::Resume(resume_of(seen))).unwrap_err();
+    rig.ask(EdgeRequest::Resume(resume_of(seen + 1))).unwrap();
     rig.send(plan.clone());
     // A renewal by a mission that has not noticed the stop must not move it either: the motion is gone for good.
     plan.revision.counter = 5;
@@ -240,6 +265,26 @@ fn stop_needs_no_lease_and_a_replayed_plan_after_resume_moves_nothing() {
     rig.send(new);
     rig.run(2.0);
     assert!(stopped.distance(&rig.pose) > 0.3, "a new plan is driven");
+}
+
+#[test]
+fn a_resume_asked_before_a_restart_lifts_no_stop_of_after_it() {
+    let mut rig = fresh();
+    rig.ask(EdgeRequest::Stop(StopRequest::new("me"))).unwrap();
+    // The boot before counted as many stops, but lost power before this was on disk.
+    let refused = rig.ask(EdgeRequest::Resume(ResumeRequest::new("somebody", "boot-0", 1)));
+    assert!(refused.unwrap_err().to_string().contains("restarted since"));
+    let of_no_boot = ResumeRequest {
+        boot_id: None,
+        ..resume_of(1)
+    };
+    let refused = rig.ask(EdgeRequest::Resume(of_no_boot)).unwrap_err();
+    assert!(refused.to_string().contains("`boot_id`"));
+    rig.run(0.2);
+    assert_eq!(rig.state.as_ref().unwrap().mode, Mode::Stopped);
+    rig.ask(EdgeRequest::Resume(resume_of(1))).unwrap();
+    rig.run(0.2);
+    assert_ne!(rig.state.as_ref().unwrap().mode, Mode::Stopped);
 }
 
 #[test]
@@ -275,7 +320,7 @@ fn a_change_of_holder_discards_the_plan_and_the_operator_drives() {
         rig.lease("me", LeaseRole::Operator, "o2").unwrap()
     };
     for _ in 0..20 {
-        back_by_hand(&mut rig, epoch);
+        by_hand(&mut rig, epoch, -0.3, 0.1);
     }
     assert!(rig.pose.x < before.x - 0.2, "{:?}", rig.pose);
     rig.run(1.0);
@@ -357,7 +402,7 @@ fn a_plan_feels_its_way_into_the_blind_spot_and_teleop_and_a_robot_that_was_touc
     let mut rig = Rig::of(zenav_fixtures::robot("tiago"), Persisted::default());
     let epoch = rig.lease("me", LeaseRole::Operator, "o").unwrap();
     for _ in 0..10 {
-        back_by_hand(&mut rig, epoch);
+        by_hand(&mut rig, epoch, -0.3, 0.1);
         assert!(rig.velocity.v >= GENTLE, "{:?}", rig.velocity);
     }
 }
@@ -369,7 +414,7 @@ fn who_is_touched_in_front_backs_away_as_fast_as_ever() {
         rig.bump = touched;
         let epoch = rig.lease("me", LeaseRole::Operator, "o").unwrap();
         for _ in 0..10 {
-            back_by_hand(&mut rig, epoch);
+            by_hand(&mut rig, epoch, -0.3, 0.1);
         }
         -rig.pose.x
     };
@@ -378,6 +423,37 @@ fn who_is_touched_in_front_backs_away_as_fast_as_ever() {
         free > 0.1 && touched > 0.9 * free,
         "{touched} m, {free} m where nothing touches"
     );
+}
+
+#[test]
+fn what_was_touched_though_no_beam_shows_it_is_not_touched_again() {
+    let mut rig = fresh();
+    rig.bump = Some(0.0);
+    rig.run(0.5);
+    rig.bump = None;
+    let epoch = rig.mission();
+    let plan = rig.ahead(epoch, 1, 1, 2.0);
+    rig.send(plan);
+    assert!(rig.rejection().unwrap().contains("blocked"), "{:?}", rig.rejection());
+    let epoch = rig.lease("me", LeaseRole::Operator, "o").unwrap();
+    by_hand(&mut rig, epoch, -0.2, 4.0);
+    assert!(rig.pose.x < -0.3, "{:?}", rig.pose);
+    by_hand(&mut rig, epoch, 0.3, 4.0);
+    assert!((-0.1..-0.01).contains(&rig.pose.x), "{:?}", rig.pose);
+    assert!(rig.velocity.v < 0.02, "it creeps up to it: {:?}", rig.velocity);
+}
+
+#[test]
+fn what_a_bumper_without_a_bearing_touched_is_not_remembered() {
+    for (bearing, remembered) in [(0.0, 1), (f64::NAN, 0)] {
+        let mut rig = fresh();
+        rig.bump = Some(bearing);
+        rig.run(0.5);
+        rig.bump = None;
+        rig.run(0.2);
+        let lines = rig.pilot.obstacles.touched_lines(rig.now, Pose2::IDENTITY);
+        assert_eq!(lines.len(), remembered, "{lines:?}");
+    }
 }
 
 #[test]

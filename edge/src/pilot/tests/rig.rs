@@ -3,17 +3,18 @@
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use nalgebra::Point2;
+use zenav_fixtures::sweep_in_room;
 use zenav_protocol::geometry::{Pose2, Twist2};
 use zenav_protocol::id::Id;
 use zenav_protocol::messages::{
-    BasedOn, Battery, Bump, EdgeState, EventKind, Heartbeat, Imu, LeaseAction, LeaseRequest, LeaseRole, MapRef, Marker,
-    Plan, PlanStatistics, Refusal, Revision,
+    BasedOn, Battery, Bump, EdgeState, EventKind, Heartbeat, Imu, LeaseAction, LeaseRequest, LeaseRole, Marker, Plan,
+    Refusal, Revision,
 };
 use zenav_protocol::readings::{Readings, Sweep};
 use zenav_protocol::robot::RobotModel;
 use zenav_protocol::time::Stamp;
 use zenav_protocol::topics::{EdgeReply, EdgeRequest};
-use zenav_protocol::trajectory::{Trajectory, TrajectoryPoint};
+use zenav_protocol::trajectory::TrajectoryPoint;
 
 use crate::config::EdgeConfig;
 use crate::control_io::{Inbox, Outbox, Persisted, Publication, Ticket};
@@ -38,7 +39,7 @@ pub struct Rig {
     pub inbox: Inbox,
     pub heartbeat: Option<u64>,
     pub scanning: bool,
-    /// Bearing of the bumper contact, base frame, rad.
+    /// Bearing of the bumper contact, base frame, rad; not a number for a bumper that does not tell it.
     pub bump: Option<f64>,
     pub markers: Vec<Marker>,
     counter: u64,
@@ -120,19 +121,12 @@ impl Rig {
 
     pub fn readings(&self) -> Readings {
         let sweep = (self.scanning && self.ticks.is_multiple_of(5)).then(|| {
-            let lidar = self.model.first_lidar().unwrap();
-            let laser = self.pose * lidar.mount;
-            let range = |beam: usize| {
-                let angle = laser.yaw + lidar.angle_min() + beam as f64 * lidar.angle_increment();
-                let to = |position: f64, direction: f64| (ROOM * direction.signum() - position) / direction;
-                let range = to(laser.x, angle.cos()).min(to(laser.y, angle.sin()));
-                if range <= lidar.range_max {
-                    range as f32
-                } else {
-                    f32::INFINITY
-                }
-            };
-            Sweep::new(self.now, (0..lidar.beams).map(range).collect())
+            let (name, lidar) = self.model.all_lidars().next().unwrap();
+            let room = sweep_in_room(lidar, 0.0, self.pose, (ROOM, ROOM), &[]);
+            Sweep {
+                lidar: name.to_owned(),
+                ..Sweep::new(self.now, room.ranges)
+            }
         });
         Readings {
             wheels: self.wheels,
@@ -145,7 +139,7 @@ impl Rig {
             bump: Bump {
                 stamp: self.now,
                 pressed: self.bump.is_some(),
-                bearing: self.bump,
+                bearing: self.bump.filter(|bearing| bearing.is_finite()),
             },
             battery: Battery {
                 stamp: self.now,
@@ -228,7 +222,6 @@ impl Rig {
                 counter,
             },
             trajectory_id,
-            map: MapRef::default(),
             frame: "map".into(),
             based_on: BasedOn {
                 stamp: self.now,
@@ -236,9 +229,7 @@ impl Rig {
             },
             valid_for: 5.0,
             waypoints: points.iter().map(|(x, y)| Point2::new(*x, *y)).collect(),
-            trajectory: Trajectory::default(),
-            splice: None,
-            statistics: PlanStatistics::default(),
+            ..Plan::default()
         }
     }
 

@@ -2,12 +2,12 @@
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-use zenav_protocol::geometry::Twist2;
 use zenav_protocol::messages::{
     EventKind, LeaseAction, LeaseRequest, LeaseRole, LostPolicy, Mode, ModeRequest, ParamRequest, Refusal,
-    ResumeRequest, StopRequest, Teleop, WallFollowerState,
+    ResumeRequest, StopRequest, WallFollowerState,
 };
 
+use super::by_hand;
 use super::rig::{ROOM, Rig};
 use zenav_protocol::topics::{EdgeReply, EdgeRequest};
 
@@ -57,17 +57,6 @@ fn distance(rig: &Rig) -> f64 {
 /// The operator takes the lease; returns its epoch.
 fn operator(rig: &mut Rig, request_id: &str) -> u64 {
     rig.lease("hand", LeaseRole::Operator, request_id).unwrap()
-}
-
-fn by_hand(rig: &mut Rig, epoch: u64, v: f64, secs: f64) {
-    for _ in 0..(secs / 0.1) as usize {
-        rig.inbox.teleops.push(Teleop {
-            epoch,
-            twist: Twist2::new(v, 0.0),
-            echo: rig.now,
-        });
-        rig.run(0.1);
-    }
 }
 
 fn give_back(rig: &mut Rig) {

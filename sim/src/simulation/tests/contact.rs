@@ -99,6 +99,28 @@ fn nobody_starts_outside_of_the_world() {
 }
 
 #[test]
+fn nobody_is_carried_into_a_solid_or_outside_of_the_world() {
+    let world =
+        world("[[polygon]]\npoints = [[2, -4], [8, -4], [8, 4], [2, 4]]\n[[circle]]\nx = -5\ny = 0\nradius = 3\n");
+    let mut simulation = simulate(&world, vec![robot("a", "tiago", Pose2::IDENTITY)]);
+    for (x, y, why) in [
+        (2.1, 0.0, "something stands there"),
+        (5.0, 0.0, "something stands there"),
+        (-5.0, 0.0, "something stands there"),
+        (0.0, 11.0, "the world reaches"),
+        (f64::NAN, 0.0, "not finite"),
+    ] {
+        let error = simulation
+            .carry(&world, 0, Pose2::new(x, y, 0.0))
+            .unwrap_err()
+            .to_string();
+        assert!(error.contains("`a`") && error.contains(why), "{x} {y}: {error}");
+        assert_eq!(simulation.truth(0).map_from_base, Pose2::IDENTITY);
+    }
+    simulation.carry(&world, 0, Pose2::new(0.0, 3.0, 0.0)).unwrap();
+}
+
+#[test]
 fn a_mover_that_runs_into_a_robot_waits_and_the_robot_is_not_to_blame() {
     let mover = "[[mover]]\nradius = 0.25\npath = [[3, 0], [-3, 0]]\nspeed = 0.5\n";
     let mut simulation = simulate(&world(mover), vec![robot("a", "tiago", Pose2::IDENTITY)]);

@@ -50,7 +50,7 @@ fn what_cannot_begin_is_refused() {
             robot("a", "tiago", Pose2::IDENTITY),
             robot("b", "neato", Pose2::new(0.1, 0.0, 0.0))
         ])
-        .contains("`b` cannot start")
+        .contains("`b` cannot stand")
     );
     assert!(
         refuse(vec![

@@ -1,6 +1,6 @@
 //! Bounds. The bounds of each search, and the bounds in which the contract breaks without a rule.
 
-use super::{Rule, System, TICK};
+use super::{Rule, System};
 use crate::check::{Part, Size};
 
 /// Bounds on the number of events.
@@ -24,6 +24,7 @@ pub struct Handover;
 
 impl Part for Handover {
     type Rule = Rule;
+    type Bounds = Bounds;
     type System = System;
     const NAME: &'static str = "handover";
     const RULES: &'static [(Rule, &'static str)] = &[
@@ -61,35 +62,42 @@ impl Part for Handover {
         ),
     ];
 
-    fn bounds(size: Size) -> Vec<String> {
-        scenarios(size).iter().map(Bounds::in_words).collect()
+    fn scenarios(size: Size) -> Vec<Bounds> {
+        let mut scenarios = vec![CRASHES, ENDS, REJOINS, RESTARTS_AT_ONCE, COPIES, LOSES];
+        if size == Size::Large {
+            scenarios.extend([TAKEOVER, RESTARTS, OPERATED]);
+        }
+        scenarios
     }
 
-    fn system(size: Size, which: usize) -> System {
-        System::new(scenarios(size).get(which).copied().unwrap_or(TAKEOVER), None)
+    fn breaks_in(rule: Rule) -> Bounds {
+        match rule {
+            Rule::ListOnDisk => RESTARTS_AT_ONCE,
+            Rule::StoredOnce => COPIES,
+            Rule::OffListAnew => REJOINS,
+            Rule::HeldUp => ENDS,
+            Rule::Listed | Rule::SharedOnDisk => CRASHES,
+            _ => Bounds { crashes: 0, ..TAKEOVER },
+        }
     }
 
-    fn without(rule: Rule) -> System {
-        System::new(breaks_in(rule), Some(rule))
+    fn events(bounds: &Bounds) -> Vec<(u8, &'static str)> {
+        vec![
+            (bounds.goals, "goal(s)"),
+            (bounds.ends, "end(s)"),
+            (bounds.joins, "join(s), each in two pieces"),
+            (bounds.reports, "report(s)"),
+            (bounds.losses, "lost heartbeat(s)"),
+            (bounds.copies, "cop(ies)"),
+            (bounds.crashes, "crash(es) of a mission"),
+            (bounds.restarts, "restart(s) of the robot"),
+            (bounds.operators, "operator(s)"),
+            (bounds.ticks, "tick(s)"),
+        ]
     }
-}
 
-impl Bounds {
-    fn in_words(&self) -> String {
-        let counts = [
-            (self.goals, "goal(s)"),
-            (self.ends, "end(s)"),
-            (self.joins, "join(s), each in two pieces"),
-            (self.reports, "report(s)"),
-            (self.losses, "lost heartbeat(s)"),
-            (self.copies, "cop(ies)"),
-            (self.crashes, "crash(es) of a mission"),
-            (self.restarts, "restart(s) of the robot"),
-            (self.operators, "operator(s)"),
-        ];
-        let some = counts.iter().filter(|(count, _)| *count > 0);
-        let some: Vec<String> = some.map(|(count, what)| format!("{count} {what}")).collect();
-        format!("{}; {} ticks of {TICK} s", some.join(", "), self.ticks)
+    fn system(bounds: Bounds, without: Option<Rule>) -> System {
+        System::new(bounds, without)
     }
 }
 
@@ -108,6 +116,7 @@ const TAKEOVER: Bounds = Bounds {
 };
 
 /// Further faults, each within its own bounds.
+const CRASHES: Bounds = Bounds { reports: 1, ..TAKEOVER };
 const ENDS: Bounds = Bounds {
     ends: 1,
     crashes: 0,
@@ -124,6 +133,7 @@ const RESTARTS: Bounds = Bounds {
     crashes: 0,
     ..TAKEOVER
 };
+const RESTARTS_AT_ONCE: Bounds = Bounds { ticks: 0, ..RESTARTS };
 const COPIES: Bounds = Bounds {
     copies: 1,
     crashes: 0,
@@ -142,30 +152,3 @@ const OPERATED: Bounds = Bounds {
     ticks: 3,
     ..TAKEOVER
 };
-
-fn scenarios(size: Size) -> Vec<Bounds> {
-    let small = [TAKEOVER, ENDS, REJOINS, RESTARTS, COPIES, LOSES, OPERATED];
-    match size {
-        Size::Small => small.into(),
-        Size::Large => {
-            let more = |bounds: Bounds| Bounds {
-                ticks: bounds.ticks + 1,
-                reports: 3,
-                crashes: 1,
-                ..bounds
-            };
-            small.map(more).into()
-        }
-    }
-}
-
-/// The bounds in which the contract breaks without a rule.
-const fn breaks_in(rule: Rule) -> Bounds {
-    match rule {
-        Rule::ListOnDisk => RESTARTS,
-        Rule::StoredOnce => COPIES,
-        Rule::OffListAnew => REJOINS,
-        Rule::HeldUp => ENDS,
-        _ => TAKEOVER,
-    }
-}

@@ -6,6 +6,7 @@ use std::time::Duration;
 use zenav_mission::io::{Answer, Ask, NoAnswer, Ticket};
 use zenav_protocol::lease::LeaseArbiter;
 use zenav_protocol::messages::{Leader, LeaseAction, LeaseReply, LeaseRequest, LeaseRole, Refusal};
+use zenav_protocol::time::Stamp;
 
 use super::bounds::Bounds;
 use super::mission::{Disk, Following, Leading, Life, Mission, Replica, Tell, Writes};
@@ -22,6 +23,8 @@ pub enum Message {
         by: u8,
         /// Its id of the request.
         ticket: u64,
+        /// The robot's time when it was sent.
+        echo: Option<Stamp>,
     },
     /// The robot's answer: an epoch; or its record of who leads, if there is one.
     Granted {
@@ -90,9 +93,10 @@ pub(super) fn operator(action: LeaseAction) -> LeaseRequest {
     LeaseRequest::new(OPERATOR, LeaseRole::Operator, action, "o")
 }
 
-pub(super) fn acquire(by: u8) -> LeaseRequest {
+fn acquire(by: u8, echo: Option<Stamp>) -> LeaseRequest {
     LeaseRequest {
         store: Some(store(by)),
+        echo,
         ..LeaseRequest::new(store(by), LeaseRole::Mission, LeaseAction::Acquire, "r")
     }
 }
@@ -154,13 +158,14 @@ impl State {
         let asks = leading.asks.take_new();
         let deposed = leading.client.is_deposed() && !leading.client.leads();
         for (ticket, ask) in asks {
-            if let Ask::Lease(_) = ask {
+            if let Ask::Lease(request) = ask {
                 // Only the newest request of a mission is in transit: a repeated request means that the earlier one was lost.
                 let is_older = |message: &Message| matches!(message, Message::Acquire { by, .. } if *by == who);
                 self.network.keep(|message| !is_older(message));
                 self.network.send(Message::Acquire {
                     by: who,
                     ticket: ticket.0,
+                    echo: request.echo,
                 });
             }
         }
@@ -232,7 +237,7 @@ impl State {
     pub(super) fn arrives(&mut self, system: &System, message: &Message) -> Option<()> {
         let (tick, now) = (self.now, clock(self.now));
         match message {
-            Message::Acquire { by, ticket } => {
+            Message::Acquire { by, ticket, echo } => {
                 if let Some(leader) = self.robot.leader().cloned().filter(|_| !system.has(Rule::Listed)) {
                     let leads = Leader {
                         caught_up: vec![store(0), store(1)],
@@ -241,7 +246,7 @@ impl State {
                     };
                     let _ = self.robot.request(now, &caught_up(leads));
                 }
-                let answer = match self.robot.request(now, &acquire(*by)) {
+                let answer = match self.robot.request(now, &acquire(*by, *echo)) {
                     Ok(granted) => Ok(granted.epoch),
                     Err(Refusal::Held { leader, .. }) => Err(Some(leader.as_ref().map(List::of))),
                     Err(_) => Err(None),

@@ -10,11 +10,13 @@
 //! | `rows` | which faults are there, in which order? |
 //! | `flood` | which messages make a flood? |
 //! | `rig` | how are the parts started, cut off, killed and frozen? |
+//! | `copies` | which of two mapping services leads, and has the other one taken over? |
 //! | `watch` | what does the robot do meanwhile, seen over an unimpaired link? |
 //! | `run` | how does one row run? |
 //! | `result` | what was found, and which limits were missed? |
 //! | `table` | how are the results reported? |
 
+mod copies;
 mod flood;
 mod result;
 mod rig;

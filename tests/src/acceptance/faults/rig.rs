@@ -14,7 +14,7 @@ use zenav_protocol::messages::LostPolicy;
 use super::OWN_NETWORK;
 use super::rows::{Fault, Line, Part, Place, Row};
 use crate::deployment::ROBOT;
-use crate::process::{Process, free_endpoint};
+use crate::process::{Process, free_endpoint, words};
 use crate::usage::memory;
 
 /// Longest wait for a part to accept a session, wall time.
@@ -75,7 +75,8 @@ impl Rig {
         rig.set_clock(0).map_err(|error| error.to_string())?;
         rig.write_deployment(row).map_err(|error| error.to_string())?;
         rig.impair(row.line)?;
-        for part in row.order {
+        let copy = row.has_copy.then_some(Part::Copy);
+        for part in row.order.into_iter().chain(copy) {
             let process = rig.process(part);
             rig.parts.push((part, process));
         }
@@ -181,7 +182,8 @@ impl Rig {
 
     fn process(&self, part: Part) -> Process {
         let start = |arguments: &[&str]| self.start_as(part, arguments);
-        let cloud = |service| start(&["cloud", service, "--deployment", "cloud.toml", "--data", "cloud"]);
+        let cloud_in = |service, data| start(&["cloud", service, "--deployment", "cloud.toml", "--data", data]);
+        let cloud = |service| cloud_in(service, "cloud");
         match part {
             // Without a proxy the robot has its own endpoint at the router, so that only its link is impaired.
             Part::Router if self.proxy.is_none() => {
@@ -192,6 +194,7 @@ impl Rig {
             Part::Mapping => cloud("mapping"),
             Part::Motion => cloud("motion"),
             Part::Mission => cloud("mission"),
+            Part::Copy => cloud_in("mapping", "copy"),
         }
     }
 
@@ -243,15 +246,7 @@ impl Rig {
 
     /// Starts or ends a second robot of the same name.
     pub fn set_twin(&mut self, there: bool) {
-        let arguments = [
-            "edge",
-            "--deployment",
-            "edge.toml",
-            "--data",
-            "twin",
-            "--listen",
-            "tcp/127.0.0.1:0",
-        ];
+        let arguments = words("edge --deployment edge.toml --data twin --listen tcp/127.0.0.1:0");
         self.twin = there.then(|| Process::start(&self.binary, &arguments, self.folder.path()));
     }
 
@@ -272,6 +267,15 @@ impl Rig {
             .iter()
             .find(|(known, _)| *known == part)
             .map(|(_, process)| process)
+    }
+
+    /// The part that runs in a process.
+    #[must_use]
+    pub fn part_of(&self, process: u32) -> Option<Part> {
+        self.parts
+            .iter()
+            .find(|(_, known)| known.id() == process)
+            .map(|(part, _)| *part)
     }
 
     /// Memory of every part, MiB, by part and process.

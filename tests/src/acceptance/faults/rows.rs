@@ -15,9 +15,11 @@ pub enum Part {
     Motion,
     /// The orchestrator.
     Mission,
+    /// A second mapper, in rows that have one.
+    Copy,
 }
 
-/// All parts, in the usual starting order.
+/// The parts of every row, in the usual starting order.
 pub const PARTS: [Part; 5] = [Part::Router, Part::Edge, Part::Mapping, Part::Motion, Part::Mission];
 
 impl Part {
@@ -30,6 +32,7 @@ impl Part {
             Self::Mapping => "mapping",
             Self::Motion => "motion",
             Self::Mission => "mission",
+            Self::Copy => "copy of mapping",
         }
     }
 }
@@ -99,6 +102,8 @@ pub struct Row {
     pub missions: usize,
     /// Starting order of the parts.
     pub order: [Part; 5],
+    /// Whether a second mapper follows the first one. A fault of the mapper then hits the one that leads.
+    pub has_copy: bool,
 }
 
 impl Row {
@@ -116,6 +121,7 @@ impl Row {
             times: 0,
             missions: 2,
             order: PARTS,
+            has_copy: false,
         }
     }
 
@@ -148,6 +154,14 @@ impl Row {
     #[must_use]
     pub fn compared_with(&self) -> Option<String> {
         self.most_slowdown().map(|_| Self::new(self.place, NO_FAULT).name)
+    }
+
+    fn copied(self) -> Self {
+        Self {
+            name: format!("{}, with a copy", self.name),
+            has_copy: true,
+            ..self
+        }
     }
 
     fn braking(self) -> Self {
@@ -187,6 +201,12 @@ pub fn all() -> Vec<Row> {
         for part in PARTS {
             let what = format!("{} frozen for 5 s", part.name());
             rows.push(Row::fault(place, &what, Fault::Freeze(part, 5), 2));
+        }
+        for (what, fault, times) in [
+            ("mapping killed", Fault::Kill(Part::Mapping), 3),
+            ("mapping frozen for 5 s", Fault::Freeze(Part::Mapping, 5), 2),
+        ] {
+            rows.push(Row::fault(place, what, fault, times).copied());
         }
         for part in [Part::Edge, Part::Mapping, Part::Mission] {
             let what = format!("disk of {} full for 5 s", part.name());
@@ -286,6 +306,17 @@ mod tests {
     fn a_name_of_no_row_is_refused_with_all_names() {
         let refusal = select(&all(), "nonsense").unwrap_err();
         assert!(all().iter().all(|row| refusal.contains(&row.name)), "{refusal}");
+    }
+
+    #[test]
+    fn a_mapper_with_a_copy_is_killed_and_frozen_in_both_worlds() {
+        assert_eq!(selected("mapping killed, with a copy").len(), 2);
+        assert_eq!(
+            selected("mapping frozen for 5 s, with a copy").len(),
+            4,
+            "with both policies"
+        );
+        assert!(all().iter().all(|row| row.has_copy == row.name.contains("with a copy")));
     }
 
     #[test]

@@ -11,10 +11,11 @@ use zenav_protocol::bus::{Bus, Latest};
 use zenav_protocol::messages::{GoalPhase, GoalRequest, GoalState, GoalsRequest};
 use zenav_protocol::topics;
 
+use super::copies::{self, Copies};
 use super::flood::Flood;
 use super::result::{Memory, Result};
 use super::rig::Rig;
-use super::rows::{Fault, Place, Row};
+use super::rows::{Fault, Part, Place, Row};
 use super::watch::Watch;
 use crate::deployment::ROBOT;
 
@@ -24,6 +25,8 @@ const ACKNOWLEDGED: Duration = Duration::from_secs(60);
 const ENDS: Duration = Duration::from_secs(150);
 /// Longest wait for a robot to drive on.
 const RESUMES: Duration = Duration::from_secs(30);
+/// Longest wait for a copy to take over.
+const TAKES_OVER: Duration = Duration::from_secs(10);
 /// A fault is injected only while more than this is left of the plan, s, so that the robot does not arrive before the fault acts.
 const LEFT: f64 = 6.0;
 /// Longest time of driving before a fault, s.
@@ -36,6 +39,8 @@ struct Running<'a> {
     row: &'a Row,
     rig: Rig,
     watch: Watch,
+    /// In rows with two mapping services.
+    copies: Option<Copies>,
     random: Pcg64Mcg,
     found: Result,
     faults: usize,
@@ -50,10 +55,13 @@ pub async fn run(binary: PathBuf, row: &Row, seed: u64) -> std::result::Result<R
     let rig = Rig::start(binary, row)?;
     let (client, robot) = rig.join().await?;
     let watch = Watch::new(&robot, row.policy).map_err(|error| error.to_string())?;
+    let copies = row.has_copy.then(|| Copies::new(&client)).transpose();
+    let copies = copies.map_err(|error| error.to_string())?;
     let mut running = Running {
         row,
         rig,
         watch,
+        copies,
         random: Pcg64Mcg::seed_from_u64(seed),
         found: Result {
             name: row.name.clone(),
@@ -116,6 +124,9 @@ impl Running<'_> {
 
     async fn pass(&mut self) {
         self.watch.listen();
+        if let Some(copies) = &mut self.copies {
+            copies.listen();
+        }
         self.observed.1 += 1;
         self.observed.0 += u32::from(!self.watch.drives());
         sleep(Duration::from_millis(20)).await;
@@ -146,7 +157,9 @@ impl Running<'_> {
                     begun.elapsed().as_secs_f64()
                 ));
             }
-            let is_due = self.faults < self.row.times && self.watch.is_under_way(LEFT);
+            // A copy that does not hold the map yet takes over without it.
+            let is_followed = self.copies.as_ref().is_none_or(Copies::is_followed);
+            let is_due = self.faults < self.row.times && self.watch.is_under_way(LEFT) && is_followed;
             if is_due && self.row.fault != Fault::None {
                 let wait = self.random.random_range(0.0..LONGEST_DRIVE);
                 let at = *drive.get_or_insert_with(|| Instant::now() + Duration::from_secs_f64(wait));
@@ -177,16 +190,41 @@ impl Running<'_> {
     /// Injects the fault once, heals it, and waits until the robot drives on.
     async fn inject(&mut self, client: &Bus, goal: &mut Latest<GoalState>) -> std::result::Result<(), String> {
         self.faults += 1;
+        let term = self.copies.as_ref().map(Copies::term);
+        self.strike(client).await?;
+        self.drives_on(goal).await;
+        if let Some(term) = term {
+            self.is_taken_over(term).await;
+        }
+        Ok(())
+    }
+
+    /// The part that a fault of this part hits: of two mapping services the one that leads.
+    async fn hit(&self, client: &Bus, part: Part) -> std::result::Result<Part, String> {
+        if self.copies.is_none() || part != Part::Mapping {
+            return Ok(part);
+        }
+        let process = copies::leading(client).await?;
+        let leading = self.rig.part_of(process);
+        leading.ok_or_else(|| format!("the mapping service that leads is none of this row: process {process}"))
+    }
+
+    /// Injects the fault once, and heals it.
+    async fn strike(&mut self, client: &Bus) -> std::result::Result<(), String> {
         let pause = |secs: u32| Duration::from_secs(secs.into());
         match self.row.fault {
-            Fault::None => return Ok(()),
+            Fault::None => {}
             Fault::Cut(secs) => {
                 self.rig.cut()?;
                 self.pass_for(pause(secs)).await;
                 self.rig.heal()?;
             }
-            Fault::Kill(part) => self.rig.replace(part),
+            Fault::Kill(part) => {
+                let part = self.hit(client, part).await?;
+                self.rig.replace(part);
+            }
             Fault::Freeze(part, secs) => {
+                let part = self.hit(client, part).await?;
                 let frozen = self.rig.part(part).ok_or_else(|| format!("{part:?} does not run"))?;
                 frozen.pause()?;
                 self.pass_for(pause(secs)).await;
@@ -215,6 +253,11 @@ impl Running<'_> {
                 self.rig.set_twin(false);
             }
         }
+        Ok(())
+    }
+
+    /// Waits until the robot drives on, or the goal has ended.
+    async fn drives_on(&mut self, goal: &mut Latest<GoalState>) {
         let healed = Instant::now();
         self.watch.listen();
         // A robot that still drives when the fault is healed was not stopped by it, unless it was killed or stops afterwards.
@@ -222,7 +265,7 @@ impl Running<'_> {
         while healed.elapsed() < RESUMES {
             self.pass().await;
             if goal.borrow().is_some_and(|state| state.state.is_end()) {
-                return Ok(());
+                return;
             }
             if !self.watch.drives() {
                 stopped.get_or_insert_with(Instant::now);
@@ -233,13 +276,26 @@ impl Running<'_> {
                     0.0
                 };
                 self.found.resumes.push(resumed);
-                return Ok(());
+                return;
             }
         }
         self.found
             .failures
             .push(format!("it does not drive on within {RESUMES:?}"));
-        Ok(())
+    }
+
+    /// Waits until the copy has begun the next term.
+    async fn is_taken_over(&mut self, before: u64) {
+        let end = Instant::now() + TAKES_OVER;
+        while Instant::now() < end {
+            if self.copies.as_ref().is_none_or(|copies| copies.term() > before) {
+                return;
+            }
+            self.pass().await;
+        }
+        self.found
+            .failures
+            .push(format!("no copy takes over within {TAKES_OVER:?}"));
     }
 
     async fn pass_for(&mut self, time: Duration) {

@@ -1,10 +1,12 @@
 //! Table. The results in Markdown, with the machine and the commit of the run.
 
 use std::fmt::Write as _;
-use std::process::Command;
+
+use zenav::parallel;
 
 use super::result::{Memory, Result};
 use crate::acceptance::tracking::percentile;
+use crate::provenance::{output, processor};
 
 /// What each row must keep, as [`Result::missed`] judges it.
 const LIMITS: &str = "The limits: every mission succeeds, no goal is lost, nothing is touched, and the robot moves only within a valid horizon. \
@@ -24,8 +26,8 @@ pub enum OwnNetwork {
 /// The page of a run: the faults and how they were injected, and a line for each row.
 #[must_use]
 pub fn markdown(command: &str, found: &[Result], network: OwnNetwork) -> String {
-    let commit = output("git", &["describe", "--always", "--dirty"]);
-    let cores = std::thread::available_parallelism().map_or(0, std::num::NonZero::get);
+    let commit = output("git", &["describe", "--always", "--dirty"]).unwrap_or_else(|| "an unknown commit".to_owned());
+    let cores = parallel::cores();
     let how = match network {
         OwnNetwork::Yes => {
             "each row in a network of its own, where the kernel drops segments of the robot's link (`iptables`) and `zenav netem` delays and \
@@ -39,7 +41,8 @@ pub fn markdown(command: &str, found: &[Result], network: OwnNetwork) -> String 
     let mut page = format!(
         "# Faults\n\nWritten by `{command}` at {commit}, on {} with {cores} cores; {how}.\n\n\
          Router, robot, mapper, motion worker and orchestrator are separate processes; the fault is injected while the robot drives. The client is \
-         on the cloud's side, and the robot is watched over an unimpaired link. A killed robot restarts where its simulation begins. A flood \
+         on the cloud's side, and the robot is watched over an unimpaired link. A killed robot restarts where its simulation begins. In rows with a \
+         copy, a second mapper follows the first, with a disk of its own; the fault hits the one that leads, and the other must take over. A flood \
          republishes recent messages on every key at ten times their rate. The policy is `finish_horizon` unless named. *Resume* is the time from \
          the end of the fault until the robot drives again, 0 if it had not come to rest; *at rest* is the share of the missions' time in which it \
          did not drive.\n\n\
@@ -47,9 +50,10 @@ pub fn markdown(command: &str, found: &[Result], network: OwnNetwork) -> String 
          One row: `cargo build --release -p zenav-tests --bins && target/release/acceptance faults --only \"depot: loss 5 %\"`; a part of a name runs \
          all rows that contain it.\n\n\
          | fault | missions | collisions | goals lost | motion without a valid horizon | resume p50 / p95 (n) | mission, mean (times that without a \
-         fault, if limited) | at rest | memory at the end (growth since the first mission), MiB: router, edge, mapping, motion, mission |\n\
+         fault, if limited) | at rest | memory at the end (growth since the first mission), MiB: router, edge, mapping, motion, mission, \
+         copy of mapping |\n\
          |---|---|---|---|---|---|---|---|---|\n",
-        machine()
+        processor()
     );
     for row in found {
         let _ = writeln!(page, "{}", line(row));
@@ -113,23 +117,6 @@ fn held(memory: &Memory) -> String {
 
 fn shortfall(row: &Result) -> String {
     format!("- {}: {}\n", row.name, row.missed().join("; "))
-}
-
-/// The processor's name.
-fn machine() -> String {
-    let text = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
-    let name = text
-        .lines()
-        .find_map(|line| line.strip_prefix("model name")?.split(": ").nth(1));
-    name.unwrap_or("an unknown processor").trim().to_owned()
-}
-
-fn output(command: &str, arguments: &[&str]) -> String {
-    let output = Command::new(command).args(arguments).output();
-    let text = output.map(|output| String::from_utf8_lossy(&output.stdout).trim().to_owned());
-    text.ok()
-        .filter(|text| !text.is_empty())
-        .unwrap_or_else(|| "an unknown commit".to_owned())
 }
 
 #[cfg(test)]

@@ -20,16 +20,8 @@ pub fn demo(scenario: &str, seeds: u64, more: &[String]) -> Verdict {
     for seed in 1..=seeds {
         let out = std::env::temp_dir().join(format!("zenav-acceptance-{}-{scenario}-{seed}", std::process::id()));
         let output = Command::new(zenav())
-            .args([
-                "demo",
-                scenario,
-                "--no-ui",
-                "-o",
-                "json",
-                "--seed",
-                &seed.to_string(),
-                "--out",
-            ])
+            .args(["demo", scenario, "--no-ui", "-o", "json"])
+            .args(["--seed", &seed.to_string(), "--out"])
             .arg(&out)
             .args(more)
             .env("RUST_LOG", "warn")

@@ -2,10 +2,9 @@
 
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
-use std::sync::Mutex;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 use tokio::runtime::Runtime;
+use zenav::parallel;
 use zenav_tests::acceptance::faults::{self, OWN_NETWORK, OwnNetwork, Result, Row};
 
 use crate::{Verdict, zenav};
@@ -51,30 +50,11 @@ pub fn run(arguments: &Faults) -> Verdict {
     let rows = faults::select(&rows, &arguments.only)?;
     let network = if can_unshare() { OwnNetwork::Yes } else { OwnNetwork::No };
     println!("{} rows, network of their own: {network:?}", rows.len());
-    let (next, found) = (AtomicUsize::new(0), Mutex::new(vec![None; rows.len()]));
-    std::thread::scope(|scope| {
-        for _ in 0..arguments.parallel.max(1) {
-            scope.spawn(|| {
-                loop {
-                    let place = next.fetch_add(1, Ordering::Relaxed);
-                    let Some(row) = rows.get(place) else { return };
-                    let result = child(row, arguments, network);
-                    println!("{}", line(&result));
-                    if let Ok(mut found) = found.lock()
-                        && let Some(slot) = found.get_mut(place)
-                    {
-                        *slot = Some(result);
-                    }
-                }
-            });
-        }
+    let mut found = parallel::in_order(rows.len(), arguments.parallel.max(1), |number| {
+        let result = child(&rows[number], arguments, network);
+        println!("{}", line(&result));
+        result
     });
-    let mut found: Vec<Result> = found
-        .into_inner()
-        .map_err(|_| "a row panicked")?
-        .into_iter()
-        .flatten()
-        .collect();
     faults::compare(&rows, &mut found);
     for result in &found {
         println!("{}", verdict(result));
@@ -90,7 +70,7 @@ pub fn run(arguments: &Faults) -> Verdict {
         Some(path) => std::fs::write(path, page)?,
         None => println!("{page}"),
     }
-    Ok(found.len() == rows.len() && found.iter().all(Result::is_good))
+    Ok(found.iter().all(Result::is_good))
 }
 
 /// The figures of a row as soon as it has run. Its verdict may need another row.

@@ -1,8 +1,8 @@
 //! Collision monitor. Drives in random worlds under adversarial commands.
 
 use std::collections::BTreeMap;
-use std::sync::atomic::{AtomicU64, Ordering};
 
+use zenav::parallel;
 use zenav_fixtures::Row;
 use zenav_tests::acceptance::guard::{Command, GENTLE, Outcome, Protection, drive, drive_watched};
 use zenav_tests::acceptance::sim_rig::SimRigError;
@@ -70,34 +70,16 @@ pub fn guard(worlds: u64, first: u64) -> Verdict {
 
 /// Drives in a number of worlds on every core; results in the order of their seeds.
 fn all(worlds: u64, first: u64, protection: Protection) -> Vec<(u64, Result<Outcome, SimRigError>)> {
-    let next = AtomicU64::new(first);
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    let work = || {
-        let mut done = Vec::new();
-        loop {
-            let seed = next.fetch_add(1, Ordering::Relaxed);
-            if seed >= first + worlds {
-                return done;
-            }
-            done.push((seed, drive(seed, protection)));
-        }
-    };
-    let mut results: Vec<_> = std::thread::scope(|scope| {
-        let threads: Vec<_> = (0..cores).map(|_| scope.spawn(work)).collect();
-        threads
-            .into_iter()
-            .filter_map(|thread| thread.join().ok())
-            .flatten()
-            .collect()
-    });
-    results.sort_by_key(|(seed, _)| *seed);
-    results
+    parallel::in_order(worlds as usize, parallel::cores(), |number| {
+        let seed = first + number as u64;
+        (seed, drive(seed, protection))
+    })
 }
 
 /// Prints the results; returns whether every world passed.
 fn table(results: Vec<(u64, Result<Outcome, SimRigError>)>, worlds: u64) -> bool {
     let mut outcomes = Vec::new();
-    let mut failed = worlds.abs_diff(results.len() as u64);
+    let mut failed: u64 = 0;
     for (seed, result) in results {
         match result {
             Ok(outcome) => {

@@ -15,8 +15,10 @@ mod page;
 mod pose;
 mod whereabouts;
 
+use std::panic::{self, AssertUnwindSafe, PanicHookInfo};
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::Parser;
 use zenav_tests::acceptance::fleet::Fleet;
@@ -94,18 +96,7 @@ enum Run {
     /// Bad links, and parts that are killed, frozen, or started in any order: a table
     Faults(faults::Faults),
     /// Missions of many robots, in one process on one core or in several
-    Fleet {
-        robots: usize,
-        /// Simulated time that is measured, s
-        #[arg(default_value_t = 60.0)]
-        secs: f64,
-        /// Mission processes that share the robots
-        #[arg(long, default_value_t = 1)]
-        shards: usize,
-        /// Simulated seconds per second of wall time: below 1 for more robots than this machine can serve
-        #[arg(long, default_value_t = 1.0)]
-        speed: f64,
-    },
+    Fleet(Fleet),
     /// Motion requests of many robots, to one worker and to two, of which one freezes
     Workers {
         robots: usize,
@@ -157,8 +148,39 @@ struct Seeds {
     more: Vec<String>,
 }
 
+/// Whether nobody reads the findings any more (`acceptance guard 10 | head -1`).
+static IS_UNREAD: AtomicBool = AtomicBool::new(false);
+
+/// Whether `println!` found the pipe closed.
+fn is_closed_pipe(why: &PanicHookInfo<'_>) -> bool {
+    let why = why.payload().downcast_ref::<String>();
+    why.is_some_and(|why| why.starts_with("failed printing to stdout: Broken pipe"))
+}
+
 fn main() -> ExitCode {
-    let verdict = match Run::parse() {
+    let run = Run::parse();
+    // A closed pipe ends the run without an error. It still unwinds, which ends the processes that the run has started.
+    let tell = panic::take_hook();
+    panic::set_hook(Box::new(move |why| {
+        IS_UNREAD.fetch_or(is_closed_pipe(why), Ordering::Relaxed);
+        if !IS_UNREAD.load(Ordering::Relaxed) {
+            tell(why);
+        }
+    }));
+    match panic::catch_unwind(AssertUnwindSafe(|| carry_out(run))) {
+        _ if IS_UNREAD.load(Ordering::Relaxed) => ExitCode::SUCCESS,
+        Ok(Ok(true)) => ExitCode::SUCCESS,
+        Ok(Ok(false)) => ExitCode::FAILURE,
+        Ok(Err(error)) => {
+            eprintln!("{error}");
+            ExitCode::FAILURE
+        }
+        Err(why) => panic::resume_unwind(why),
+    }
+}
+
+fn carry_out(run: Run) -> Verdict {
+    match run {
         Run::Kitchen(Seeds { seeds, more }) => demo::demo("kitchen", seeds, &more),
         Run::Online(Seeds { seeds, more }) => demo::demo("online", seeds, &more),
         Run::Track { maps } => drives::track(&maps),
@@ -171,17 +193,7 @@ fn main() -> ExitCode {
         Run::Replay { seed } => guard::replay(seed),
         Run::Kills { kills, seed } => missions::kills(kills, seed),
         Run::Handover { deaths, pauses, seed } => missions::handover(deaths, pauses, seed),
-        Run::Fleet {
-            robots,
-            secs,
-            shards,
-            speed,
-        } => missions::fleet(Fleet {
-            robots,
-            shards,
-            speed,
-            secs,
-        }),
+        Run::Fleet(fleet) => missions::fleet(fleet),
         Run::Workers { robots, secs, seed } => missions::workers(robots, secs, seed),
         Run::Compose { rounds } => hosts::compose(rounds),
         Run::Soak { minutes, speed, seed } => hosts::soak(minutes, speed, seed),
@@ -189,14 +201,6 @@ fn main() -> ExitCode {
         Run::SlowSockets { sockets, secs } => page::slow_sockets(sockets, secs),
         Run::Faults(arguments) => faults::run(&arguments),
         Run::Footprint { secs } => footprint::footprint(secs),
-    };
-    match verdict {
-        Ok(true) => ExitCode::SUCCESS,
-        Ok(false) => ExitCode::FAILURE,
-        Err(error) => {
-            eprintln!("{error}");
-            ExitCode::FAILURE
-        }
     }
 }
 

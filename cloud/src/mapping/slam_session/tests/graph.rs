@@ -1,6 +1,6 @@
 //! Tests of the pose graph that is published for pictures.
 
-use zenav_protocol::messages::{GraphEdgeKind, PoseGraph};
+use zenav_protocol::messages::{GraphCertificate, GraphEdgeKind, PoseGraph};
 use zenav_protocol::topics::GRAPH;
 
 use super::*;
@@ -50,6 +50,31 @@ fn a_graph_is_told_when_it_has_grown_or_moved_and_in_the_frame_of_the_drawn_map(
     mapping.reset("anew");
     let empty = mapping.untold_graph(false).unwrap();
     assert_eq!((empty.map.id.as_str(), empty.nodes.len()), ("anew", 0));
+}
+
+#[test]
+fn a_solve_is_told_as_pending_and_then_as_certified() {
+    let mut mapping = core();
+    let mut told = Vec::new();
+    // Along the hall, backwards and along it again: places are seen again.
+    for step in 0..480_i32 {
+        let seen = Scan {
+            stamp: Stamp::from_secs(10.0 + 0.1 * f64::from(step)),
+            ..scan(0.05 * f64::from(160 - (160 - step % 320).abs()))
+        };
+        mapping.insert(&seen, "boot");
+        for work in mapping.take_ahead() {
+            work.run();
+        }
+        told.extend(mapping.untold_graph(false).map(|graph| graph.certificate));
+    }
+    told.dedup();
+    let expected = [
+        GraphCertificate::NotSolved,
+        GraphCertificate::Pending,
+        GraphCertificate::Certified,
+    ];
+    assert!(told.starts_with(&expected), "{told:?}");
 }
 
 #[tokio::test(flavor = "multi_thread")]

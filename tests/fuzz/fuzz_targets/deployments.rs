@@ -1,0 +1,4 @@
+//! Bytes from anywhere as a deployment file.
+#![no_main]
+
+zenav_fuzz::target!(deployments);
